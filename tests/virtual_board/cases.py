@@ -2133,6 +2133,41 @@ def usb_unread(bench):
     yield "a packet in the FIFO that nobody can fetch: the other tasks go on, and it is read when there is room"
 
 
+def usb_set_up_again(bench):
+    """A host that sets the device up again, or clears halts, begins with DATA0: no packet is lost, and none waits for ever."""
+    board, host = with_usb(bench)
+
+    def asks(count):
+        for _ in range(count):
+            bench.ask("G4P0")
+            board.run(seconds=0.005)
+
+    for order in ("configure", "clear halts"):
+        for count in (1, 2, 1):
+            host.order(order)
+            board.run(seconds=0.005)
+            asks(count)
+        yield f"{order}: each packet has come, both ways"
+    # The endpoint waits for room when the configuration is taken back.
+    hang(bench)
+    host.send(64 * b"?")
+    host.send(b"?G4P0\n")
+    host.send(b"G4P0\n")
+    board.run(seconds=0.02)
+    if not host.packets:
+        raise Failure("the host does not wait: this proves nothing")
+    host.order("unconfigure")
+    host.order("configure")
+    board.run(seconds=0.01)
+    unpatch(bench)
+    bench.wait(lambda: host.is_set_up and not host.packets, 0.5, "room for what waits")
+    host.order("close")
+    host.order("open")
+    board.run(seconds=0.5)
+    asks(2)
+    yield "configuration taken back while the host waited: it goes on"
+
+
 KNOWN = {}
 """Faults of the firmware that are known, by board and case: shown, and no failure."""
 
@@ -2190,4 +2225,5 @@ def all_cases(root):
         ("usb lines", usb_lines),
         ("usb unplugged", usb_unplugged),
         ("usb unread", usb_unread),
+        ("usb set up again", usb_set_up_again),
     ]
