@@ -167,10 +167,11 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in the workspace").to_owned()
 }
 
-/// Cargo, in the workspace.
+/// Cargo, in the workspace. It builds where the files are looked for afterwards, whatever the environment says: what an earlier
+/// build has left there would be taken for the new one.
 fn cargo() -> Command {
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-    cargo.current_dir(root());
+    cargo.current_dir(root()).env("CARGO_TARGET_DIR", root().join("target")).env_remove("CARGO_BUILD_TARGET");
     cargo
 }
 
@@ -196,4 +197,17 @@ fn flash(board: &str) -> Result<(), Failure> {
     }
     let mut embed = paths::cargo_for_boards("embed", boards::profile(board))?;
     run(embed.args(["--package", "oxmill-firmware", "--features", board, board]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cargo_builds_where_the_files_are_looked_for() {
+        let cargo = cargo();
+        let value = |name: &str| cargo.get_envs().find(|(key, _)| *key == name).map(|(_, value)| value);
+        assert_eq!(value("CARGO_TARGET_DIR"), Some(Some(root().join("target").as_os_str())));
+        assert_eq!(value("CARGO_BUILD_TARGET"), Some(None));
+    }
 }
