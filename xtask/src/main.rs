@@ -110,9 +110,7 @@ fn main() -> ExitCode {
         ["count"] => count::count(boards::FAST),
         ["count", "small"] => count::count(boards::profile(boards::SMALL[0])),
         ["count", "profile", row] => count::profile(row),
-        ["bench", ref files @ ..] => {
-            run(cargo().args(["bench", "--quiet", "--locked", "--bench", "motion", "--"]).args(files))
-        }
+        ["bench", ref files @ ..] => bench(files),
         _ => {
             eprintln!("{USAGE}{}", boards::BOARDS.join(", "));
             return ExitCode::from(2);
@@ -142,6 +140,13 @@ fn known(board: &str) -> Result<&str, Failure> {
     } else {
         Err(format!("there is no board `{board}`; there are {}", boards::BOARDS.join(", ")))
     }
+}
+
+/// The benchmark. It runs in the workspace, wherever these files are named.
+fn bench(files: &[&str]) -> Result<(), Failure> {
+    let files: Result<Vec<PathBuf>, _> = files.iter().map(std::path::absolute).collect();
+    let files = files.map_err(|error| error.to_string())?;
+    run(cargo().args(["bench", "--quiet", "--locked", "--bench", "motion", "--"]).args(files))
 }
 
 /// Writes a generated program.
