@@ -2,7 +2,8 @@
 //! `UsbPort` holds the `class`, the `device` with its `strings` and serial number (`UNIQUE_ID`), one `received`
 //! packet, what is `outgoing`, and whether its interrupt is `masked` or the bus `resetting` (`USBRST`). It reads some
 //! OTG registers itself (`GINTSTS`, `GINTMSK`, `GRXSTSP`, `DOEPCTL`), to hold the endpoint back. `SerialClass` hears of
-//! requests after which an endpoint begins with DATA0 (`SD0PID` of `DOEPCTL` and `DIEPCTL`). What a closed port
+//! requests after which an endpoint begins with DATA0 (`SD0PID` of `DOEPCTL` and `DIEPCTL`), and `forget_sent` takes a
+//! packet back (`SNAK`, `DIEPINT`, `TXFFLSH` of `GRSTCTL`, `await_bits`) that was not fetched. What a closed port
 //! still sends is dropped. `entry` is what `GRXSTSR` says of a packet (`PKTSTS`, `OUT_DATA`, `OUT_COMPLETED`);
 //! `enable_endpoint` sets `ENABLED_AGAIN`; `is_configured`, `dtr` and `LATE_BYTES_TICKS` tell whether a host listens,
 //! and setting it up twice is `unreachable!`. Registers of OTG_FS are read and written by their `address`
@@ -72,6 +73,18 @@ const OUT_COMPLETED: u32 = 3;
 /// DOEPCTL: no more NAK, enabled.
 const ENABLED: u32 = 1 << 31;
 const ENABLED_AGAIN: u32 = 1 << 26 | ENABLED;
+/// DIEPCTL: NAK, disabled; and behind it DIEPINT, where either is told once it is in force.
+const SNAK: u32 = 1 << 27;
+const DISABLED: u32 = 1 << 30;
+const DIEPINT: usize = 0x08;
+const NAK_IN_FORCE: u32 = 1 << 6;
+const IS_DISABLED: u32 = 1 << 1;
+/// GRSTCTL: empties the transmit FIFO of this number.
+const GRSTCTL: usize = 0x010;
+const TXFFLSH: u32 = 1 << 5;
+const TXFNUM_SHIFT: u32 = 6;
+/// Looks at a register that takes some cycles of the bus.
+const LOOKS: u32 = 100;
 /// DOEPCTL and DIEPCTL: the next packet is DATA0.
 const SD0PID: u32 = 1 << 28;
 /// Number of the interface of the data endpoints: that of the class behind its first, of control.
@@ -92,10 +105,15 @@ fn read(offset: usize) -> u32 {
 
 fn write(offset: usize, word: u32) {
     let address = (pac::OTG_FS_GLOBAL::ptr() as usize + offset) as *mut u32;
-    // SAFETY: unsafe because a register is written by its address past the driver that owns it; safe because only GINTMSK
-    // and the control registers of the data endpoints are written, by the serial task, in between the driver's calls, and
-    // with values that the driver writes too.
+    // SAFETY: unsafe because a register is written by its address past the driver that owns it; safe because only GINTMSK,
+    // GRSTCTL and the registers of the data endpoints are written, by the serial task, in between the driver's calls, and
+    // what the driver finds there afterwards is what it would find behind a packet or a reset of the bus.
     unsafe { address.write_volatile(word) }
+}
+
+/// Waits until bits have this value; not for ever.
+fn await_bits(offset: usize, bits: u32, value: u32) {
+    let _ = (0..LOOKS).find(|_| read(offset) & bits == value);
 }
 
 /// The next packet of an endpoint is DATA0. Whether it is enabled stays as it is.
@@ -261,6 +279,27 @@ impl UsbPort {
         self.received.next = 0;
     }
 
+    /// The host has gone, and what it was to be sent goes with it: a packet, too, that it has not fetched (RM0383, 22.17.6,
+    /// "IN endpoint disable").
+    fn forget_sent(&mut self) {
+        self.outgoing.clear();
+        let endpoint = self.class.port.write_ep().address().index();
+        let control = DIEPCTL + endpoint * NEXT_ENDPOINT;
+        let is_enabled = || read(control) & ENABLED != 0;
+        if is_enabled() {
+            write(control, read(control) & !ENABLED | SNAK);
+            await_bits(control + DIEPINT, NAK_IN_FORCE, NAK_IN_FORCE);
+        }
+        // It may just have been fetched.
+        if is_enabled() {
+            write(control, read(control) & !ENABLED | SNAK | DISABLED);
+            await_bits(control + DIEPINT, IS_DISABLED, IS_DISABLED);
+            write(control + DIEPINT, NAK_IN_FORCE | IS_DISABLED);
+            write(GRSTCTL, (endpoint as u32) << TXFNUM_SHIFT | TXFFLSH);
+            await_bits(GRSTCTL, TXFFLSH, 0);
+        }
+    }
+
     fn flush(&mut self) {
         if !self.outgoing.is_empty() && self.class.port.write_packet(&self.outgoing).is_ok() {
             self.outgoing.clear();
@@ -290,7 +329,7 @@ impl Port for UsbPort {
         }
         let look = self.host.look(self.class.port.dtr(), self.is_configured(), clock_ticks);
         if look.gone {
-            self.outgoing.clear();
+            self.forget_sent();
             self.forget_received();
         }
         look.there

@@ -2100,6 +2100,19 @@ def usb_unread(bench):
     board.run(seconds=0.05)
     reopen()
     yield "closed with half a line unfetched: the next host begins a line of its own"
+    # Answers that nobody has fetched: a packet of them is with the endpoint already.
+    host.reads = False
+    host.send(b"G4P0\n" * 20)
+    board.run(seconds=0.1)
+    host.order("close")
+    bench.wait(lambda: not host.open, 0.1, "the end of the port")
+    board.run(seconds=0.01)
+    host.reads = True
+    after = len(host.text)
+    reopen()
+    if not host.text[after:].startswith(b"\r\nGrbl"):
+        raise Failure(f"the next host got answers to the one before: {bytes(host.text[after:])!r}")
+    yield "closed with answers unread: the next host gets none of them"
     # A program that pours a file in is ended: its port is closed first, and what it had under way is called back later.
     bench.settings(s914=0)
     host.send("G4P0.01\n" * 400 + "G1 X5 F100\n" * 20)

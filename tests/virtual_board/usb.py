@@ -31,6 +31,8 @@ class UsbHost(Host):
         self.descriptors = {}
         self.packets = deque()
         self.open = self.is_set_up = False
+        self.reads = True
+        """A program at the open port fetches what comes."""
         self._toggle_out = self._toggle_in = 0
         """Of the next data packet: 0 for DATA0."""
         self.waits = self._naks = 0
@@ -166,7 +168,7 @@ class UsbHost(Host):
                 elif order == "clear halts":
                     yield from self._clear_halts()
             wait = SHORT_S if self.packets or self._orders else None
-            if self.open:
+            if self.open and self.reads:
                 toggle = self.otg.toggle[IN, DATA_IN]
                 data = self.otg.in_(DATA_IN)
                 if data:

@@ -18,6 +18,7 @@ DCFG, DCTL, DSTS, DIEPMSK, DOEPMSK, DAINTMSK, PCGCCTL = 0x800, 0x804, 0x808, 0x8
 IN, OUT, FIFO = 0x900, 0xB00, 0x1000
 USBSUSP, USBRST, ENUMDNE, WKUPINT, RXFLVL, IEPINT = 1 << 11, 1 << 12, 1 << 13, 1 << 31, 1 << 4, 1 << 18
 USBAEP, NAKSTS, STALL, CNAK, SNAK, EPDIS, EPENA = 1 << 15, 1 << 17, 1 << 21, 1 << 26, 1 << 27, 1 << 30, 1 << 31
+EPDISD, INEPNE = 1 << 1, 1 << 6
 SD0PID, SD1PID = 1 << 28, 1 << 29
 OUT_DATA, OUT_DONE, SETUP_DONE, SETUP_DATA = 2, 3, 4, 6
 ENDPOINTS, FIFO_WORDS = 4, 320
@@ -157,9 +158,15 @@ class OtgFs(Peripheral):
                 after &= ~NAKSTS
             if value & SNAK:
                 after |= NAKSTS
+                if side == IN:
+                    self.complete[number] |= INEPNE
             if value & EPENA:
                 after |= EPENA
             if value & EPDIS:
+                if side == IN:
+                    if not self.complete[number] & INEPNE:
+                        raise Misuse(f"OTG_FS: IN endpoint {number} is disabled before its NAK is in force")
+                    self.complete[number] |= EPDISD
                 after &= ~EPENA
             self.control[side, number] = after
         elif register == 0x08:
