@@ -1522,6 +1522,34 @@ def brown_out(bench):
     yield f"2.7 V: spindle off after {off}, last rising edge after {us(late)}; {cause(bench)}"
 
 
+def inverted_outputs(bench):
+    """$2 and $4: step pins rest high, the enable output is high while the drivers are on; and so it is after a failure."""
+    bench.boot()
+    board, wiring = bench.board, bench.wiring
+    bench.settings(s2=7, s4=1)
+
+    def expect(when, enable):
+        levels = [board.level(pin) for pin in wiring.step]
+        if levels != [1, 1, 1] or board.level(wiring.enable) != enable:
+            raise Failure(f"{when}: step pins at {levels}, enable output at {board.level(wiring.enable)}")
+
+    expect("at rest with drivers off", 0)
+    bench.settings(s1=255)
+    moving(bench, 1000)
+    scope = Scope(board)
+    board.run(seconds=0.1)
+    if not scope.steps():
+        raise Failure("nothing moves: this proves nothing")
+    board.set_supply(2.7)
+    board.run(seconds=0.02)
+    expect("after a failure in motion", 1)
+    board.set_supply(3.3)
+    bench.wait(lambda: board.resets, 1, "a reset after the supply has come back")
+    tell(bench, "oltage", "upply")
+    expect("after the reset, by $1=255", 1)
+    yield "step pins high, enable output low with drivers off and high with drivers on; a failure changes neither"
+
+
 def second_motor(bench):
     """The second motor of an axis ($905): steps with it and with no other, turns the other way, is squared by its own switch."""
     bench.boot()
@@ -2233,6 +2261,7 @@ def all_cases(root):
         ("masked for ever", deaf),
         ("brown-out", brown_out),
         ("low supply at power-up", low_at_power_up),
+        ("inverted outputs", inverted_outputs),
         ("usb", usb_port),
         ("usb flood", usb_flood),
         ("usb lines", usb_lines),
