@@ -1,7 +1,9 @@
 //! The USB port of an STM32F4 (OTG_FS as a device): a serial port on the host, CDC-ACM, in packets of 64 bytes.
 //! `UsbPort` holds the `class`, the `device` with its `strings` and serial number (`UNIQUE_ID`), one `received`
 //! packet, what is `outgoing`, and whether its interrupt is `masked` or the bus `resetting` (`USBRST`). It reads some
-//! OTG registers itself (`GINTSTS`, `GINTMSK`, `GRXSTSP`, `DOEPCTL`), to hold the endpoint back. What a closed port
+//! OTG registers itself (`GINTSTS`, `GINTMSK`, `GRXSTSP`, `DOEPCTL`), to hold the endpoint back. `SerialClass` hears of
+//! requests after which an endpoint begins with DATA0 (`SD0PID` of `DOEPCTL` and `DIEPCTL`), and `forget_sent` takes a
+//! packet back (`SNAK`, `DIEPINT`, `TXFFLSH` of `GRSTCTL`, `await_bits`) that was not fetched. What a closed port
 //! still sends is dropped. `entry` is what `GRXSTSR` says of a packet (`PKTSTS`, `OUT_DATA`, `OUT_COMPLETED`);
 //! `enable_endpoint` sets `ENABLED_AGAIN`; `is_configured`, `dtr` and `LATE_BYTES_TICKS` tell whether a host listens,
 //! and setting it up twice is `unreachable!`. Registers of OTG_FS are read and written by their `address`
@@ -27,6 +29,10 @@ use stm32f4xx_hal::{
     pac,
     rcc::Clocks,
 };
+use usb_device::class::{ControlIn, ControlOut, UsbClass};
+use usb_device::control::{Recipient, Request, RequestType};
+use usb_device::descriptor::DescriptorWriter;
+use usb_device::endpoint::EndpointAddress;
 use usb_device::prelude::*;
 use usbd_serial::{CdcAcmClass, USB_CLASS_CDC};
 
@@ -49,6 +55,7 @@ const GINTSTS: usize = 0x014;
 const GINTMSK: usize = 0x018;
 const GRXSTSR: usize = 0x01C;
 const GRXSTSP: usize = 0x020;
+const DIEPCTL: usize = 0x900;
 const DOEPCTL: usize = 0xB00;
 /// Bytes from the register of one endpoint to that of the next.
 const NEXT_ENDPOINT: usize = 0x20;
@@ -64,7 +71,24 @@ const PKTSTS: u32 = 0xF;
 const OUT_DATA: u32 = 2;
 const OUT_COMPLETED: u32 = 3;
 /// DOEPCTL: no more NAK, enabled.
-const ENABLED_AGAIN: u32 = 1 << 26 | 1 << 31;
+const ENABLED: u32 = 1 << 31;
+const ENABLED_AGAIN: u32 = 1 << 26 | ENABLED;
+/// DIEPCTL: NAK, disabled; and behind it DIEPINT, where either is told once it is in force.
+const SNAK: u32 = 1 << 27;
+const DISABLED: u32 = 1 << 30;
+const DIEPINT: usize = 0x08;
+const NAK_IN_FORCE: u32 = 1 << 6;
+const IS_DISABLED: u32 = 1 << 1;
+/// GRSTCTL: empties the transmit FIFO of this number.
+const GRSTCTL: usize = 0x010;
+const TXFFLSH: u32 = 1 << 5;
+const TXFNUM_SHIFT: u32 = 6;
+/// Looks at a register that takes some cycles of the bus.
+const LOOKS: u32 = 100;
+/// DOEPCTL and DIEPCTL: the next packet is DATA0.
+const SD0PID: u32 = 1 << 28;
+/// Number of the interface of the data endpoints: that of the class behind its first, of control.
+const DATA_INTERFACE: u16 = 1;
 
 /// Where the part's number of 96 bits lies (RM0383, 24.1; RM0368, 24.1).
 const UNIQUE_ID: usize = 0x1FFF_7A10;
@@ -81,14 +105,61 @@ fn read(offset: usize) -> u32 {
 
 fn write(offset: usize, word: u32) {
     let address = (pac::OTG_FS_GLOBAL::ptr() as usize + offset) as *mut u32;
-    // SAFETY: unsafe because a register is written by its address past the driver that owns it; safe because only GINTMSK
-    // and the control register of the data endpoint are written, by the serial task, in between the driver's calls, and
-    // with values that the driver writes too.
+    // SAFETY: unsafe because a register is written by its address past the driver that owns it; safe because only GINTMSK,
+    // GRSTCTL and the registers of the data endpoints are written, by the serial task, in between the driver's calls, and
+    // what the driver finds there afterwards is what it would find behind a packet or a reset of the bus.
     unsafe { address.write_volatile(word) }
+}
+
+/// Waits until bits have this value; not for ever.
+fn await_bits(offset: usize, bits: u32, value: u32) {
+    let _ = (0..LOOKS).find(|_| read(offset) & bits == value);
+}
+
+/// The next packet of an endpoint is DATA0. Whether it is enabled stays as it is.
+fn begin_with_data0(base: usize, endpoint: EndpointAddress) {
+    let control = base + endpoint.index() * NEXT_ENDPOINT;
+    write(control, read(control) & !ENABLED | SD0PID);
 }
 
 /// How long after its end a host's bytes may still come.
 const LATE_BYTES_TICKS: u32 = LATE_BYTES_US * crate::CLOCK_TICKS_PER_US;
+
+/// The serial port as the driver sees it. Besides, it hears which of the data endpoints have to begin with DATA0, as the host
+/// does after a request (USB 2.0, 9.1.1.5 and 9.4.5). The driver leaves their toggles alone: the next packet would be taken for
+/// one that was sent again, and be lost.
+struct SerialClass {
+    port: CdcAcmClass<'static, UsbBusType>,
+    begin_out: bool,
+    begin_in: bool,
+}
+
+// A second class beside the first would do; with one alone the compiler knows what the driver calls, which saves a kilobyte.
+impl UsbClass<UsbBusType> for SerialClass {
+    fn get_configuration_descriptors(&self, writer: &mut DescriptorWriter<'_>) -> usb_device::Result<()> {
+        self.port.get_configuration_descriptors(writer)
+    }
+
+    fn reset(&mut self) {
+        self.port.reset();
+    }
+
+    fn control_in(&mut self, transfer: ControlIn<'_, '_, '_, UsbBusType>) {
+        self.port.control_in(transfer);
+    }
+
+    fn control_out(&mut self, transfer: ControlOut<'_, '_, '_, UsbBusType>) {
+        let Request { request_type, recipient, request, index, .. } = *transfer.request();
+        if request_type == RequestType::Standard {
+            let both = (recipient, request) == (Recipient::Device, Request::SET_CONFIGURATION)
+                || (recipient, request, index) == (Recipient::Interface, Request::SET_INTERFACE, DATA_INTERFACE);
+            let one = (recipient, request) == (Recipient::Endpoint, Request::CLEAR_FEATURE);
+            self.begin_out |= both || one && index == u16::from(u8::from(self.port.read_ep().address()));
+            self.begin_in |= both || one && index == u16::from(u8::from(self.port.write_ep().address()));
+        }
+        self.port.control_out(transfer);
+    }
+}
 
 /// The receiving half: what has been fetched of the last packet.
 struct Received {
@@ -105,7 +176,7 @@ struct Received {
 /// The port.
 pub struct UsbPort {
     device: UsbDevice<'static, UsbBusType>,
-    class: CdcAcmClass<'static, UsbBusType>,
+    class: SerialClass,
     received: Received,
     outgoing: heapless::Vec<u8, SENT>,
     host: UsbHost,
@@ -145,7 +216,7 @@ impl UsbPort {
         let received = Received { packet: [0; PACKET], length: 0, next: 0, ended: false, may_wait: false };
         UsbPort {
             device,
-            class,
+            class: SerialClass { port: class, begin_out: false, begin_in: false },
             received,
             outgoing: heapless::Vec::new(),
             host: UsbHost::new(),
@@ -157,7 +228,7 @@ impl UsbPort {
     /// What the receive FIFO begins with, if it is for the data endpoint.
     fn entry(&self) -> Option<u32> {
         let entry = (read(GINTSTS) & RXFLVL != 0).then(|| read(GRXSTSR))?;
-        let data = (entry & EPNUM) as usize == self.class.read_ep().address().index();
+        let data = (entry & EPNUM) as usize == self.class.port.read_ep().address().index();
         data.then_some(entry >> PKTSTS_SHIFT & PKTSTS)
     }
 
@@ -171,9 +242,20 @@ impl UsbPort {
 
     /// Lets the host send the next packet.
     fn enable_endpoint(&mut self) {
-        let control = DOEPCTL + self.class.read_ep().address().index() * NEXT_ENDPOINT;
+        let control = DOEPCTL + self.class.port.read_ep().address().index() * NEXT_ENDPOINT;
         write(control, read(control) | ENABLED_AGAIN);
         self.received.ended = false;
+    }
+
+    /// Has the data endpoints begin with DATA0 where the host does.
+    fn begin_toggles(&mut self) {
+        let SerialClass { port, begin_out, begin_in } = &mut self.class;
+        if core::mem::take(begin_out) {
+            begin_with_data0(DOEPCTL, port.read_ep().address());
+        }
+        if core::mem::take(begin_in) {
+            begin_with_data0(DIEPCTL, port.write_ep().address());
+        }
     }
 
     /// A packet can end between two looks at the FIFO, and the driver then enables the endpoint; twice in a row, and a
@@ -192,13 +274,34 @@ impl UsbPort {
 
     /// The host has gone, and what it has sent goes with it: here, and in the driver's buffer.
     fn forget_received(&mut self) {
-        let _ = self.class.read_packet(&mut self.received.packet);
+        let _ = self.class.port.read_packet(&mut self.received.packet);
         self.received.length = 0;
         self.received.next = 0;
     }
 
+    /// The host has gone, and what it was to be sent goes with it: a packet, too, that it has not fetched (RM0383, 22.17.6,
+    /// "IN endpoint disable").
+    fn forget_sent(&mut self) {
+        self.outgoing.clear();
+        let endpoint = self.class.port.write_ep().address().index();
+        let control = DIEPCTL + endpoint * NEXT_ENDPOINT;
+        let is_enabled = || read(control) & ENABLED != 0;
+        if is_enabled() {
+            write(control, read(control) & !ENABLED | SNAK);
+            await_bits(control + DIEPINT, NAK_IN_FORCE, NAK_IN_FORCE);
+        }
+        // It may just have been fetched.
+        if is_enabled() {
+            write(control, read(control) & !ENABLED | SNAK | DISABLED);
+            await_bits(control + DIEPINT, IS_DISABLED, IS_DISABLED);
+            write(control + DIEPINT, NAK_IN_FORCE | IS_DISABLED);
+            write(GRSTCTL, (endpoint as u32) << TXFNUM_SHIFT | TXFFLSH);
+            await_bits(GRSTCTL, TXFFLSH, 0);
+        }
+    }
+
     fn flush(&mut self) {
-        if !self.outgoing.is_empty() && self.class.write_packet(&self.outgoing).is_ok() {
+        if !self.outgoing.is_empty() && self.class.port.write_packet(&self.outgoing).is_ok() {
             self.outgoing.clear();
         }
     }
@@ -214,19 +317,19 @@ impl Port for UsbPort {
         self.resetting |= events & USBRST != 0;
         if events & EVENTS != 0 {
             self.device.poll(&mut [&mut self.class]);
+            self.begin_toggles();
             self.received.may_wait = true;
             // The end of the packet that the driver has just fetched lies behind it as a rule, and need not call once more.
             self.hold_endpoint();
         }
-        let state = self.device.state();
-        if matches!(state, UsbDeviceState::Default | UsbDeviceState::Addressed) {
-            // A reset of the bus has emptied the FIFO and enabled the endpoint.
+        if self.device.state() == UsbDeviceState::Default {
+            // A reset of the bus has emptied the FIFO and enabled the endpoint. A configuration that is taken back has not.
             self.resetting = false;
             self.received.ended = false;
         }
-        let look = self.host.look(self.class.dtr(), self.is_configured(), clock_ticks);
+        let look = self.host.look(self.class.port.dtr(), self.is_configured(), clock_ticks);
         if look.gone {
-            self.outgoing.clear();
+            self.forget_sent();
             self.forget_received();
         }
         look.there
@@ -239,7 +342,7 @@ impl Port for UsbPort {
                 return Incoming::Nothing;
             }
             received.next = 0;
-            let packet = self.class.read_packet(&mut received.packet);
+            let packet = self.class.port.read_packet(&mut received.packet);
             received.may_wait = packet.is_ok();
             received.length = packet.unwrap_or(0);
             if received.length > 0 {

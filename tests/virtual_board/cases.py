@@ -1522,6 +1522,34 @@ def brown_out(bench):
     yield f"2.7 V: spindle off after {off}, last rising edge after {us(late)}; {cause(bench)}"
 
 
+def inverted_outputs(bench):
+    """$2 and $4: step pins rest high, the enable output is high while the drivers are on; and so it is after a failure."""
+    bench.boot()
+    board, wiring = bench.board, bench.wiring
+    bench.settings(s2=7, s4=1)
+
+    def expect(when, enable):
+        levels = [board.level(pin) for pin in wiring.step]
+        if levels != [1, 1, 1] or board.level(wiring.enable) != enable:
+            raise Failure(f"{when}: step pins at {levels}, enable output at {board.level(wiring.enable)}")
+
+    expect("at rest with drivers off", 0)
+    bench.settings(s1=255)
+    moving(bench, 1000)
+    scope = Scope(board)
+    board.run(seconds=0.1)
+    if not scope.steps():
+        raise Failure("nothing moves: this proves nothing")
+    board.set_supply(2.7)
+    board.run(seconds=0.02)
+    expect("after a failure in motion", 1)
+    board.set_supply(3.3)
+    bench.wait(lambda: board.resets, 1, "a reset after the supply has come back")
+    tell(bench, "oltage", "upply")
+    expect("after the reset, by $1=255", 1)
+    yield "step pins high, enable output low with drivers off and high with drivers on; a failure changes neither"
+
+
 def second_motor(bench):
     """The second motor of an axis ($905): steps with it and with no other, turns the other way, is squared by its own switch."""
     bench.boot()
@@ -2126,6 +2154,19 @@ def usb_unread(bench):
     board.run(seconds=0.05)
     reopen()
     yield "closed with half a line unfetched: the next host begins a line of its own"
+    # Answers that nobody has fetched: a packet of them is with the endpoint already.
+    host.reads = False
+    host.send(b"G4P0\n" * 20)
+    board.run(seconds=0.1)
+    host.order("close")
+    bench.wait(lambda: not host.open, 0.1, "the end of the port")
+    board.run(seconds=0.01)
+    host.reads = True
+    after = len(host.text)
+    reopen()
+    if not host.text[after:].startswith(b"\r\nGrbl"):
+        raise Failure(f"the next host got answers to the one before: {bytes(host.text[after:])!r}")
+    yield "closed with answers unread: the next host gets none of them"
     # A program that pours a file in is ended: its port is closed first, and what it had under way is called back later.
     bench.settings(s914=0)
     host.send("G4P0.01\n" * 400 + "G1 X5 F100\n" * 20)
@@ -2157,6 +2198,41 @@ def usb_unread(bench):
         raise Failure(f"{host.answers[before:]}, resets {board.resets}")
     bench.ask("G4P0")
     yield "a packet in the FIFO that nobody can fetch: the other tasks go on, and it is read when there is room"
+
+
+def usb_set_up_again(bench):
+    """A host that sets the device up again, or clears halts, begins with DATA0: no packet is lost, and none waits for ever."""
+    board, host = with_usb(bench)
+
+    def asks(count):
+        for _ in range(count):
+            bench.ask("G4P0")
+            board.run(seconds=0.005)
+
+    for order in ("configure", "clear halts"):
+        for count in (1, 2, 1):
+            host.order(order)
+            board.run(seconds=0.005)
+            asks(count)
+        yield f"{order}: each packet has come, both ways"
+    # The endpoint waits for room when the configuration is taken back.
+    hang(bench)
+    host.send(64 * b"?")
+    host.send(b"?G4P0\n")
+    host.send(b"G4P0\n")
+    board.run(seconds=0.02)
+    if not host.packets:
+        raise Failure("the host does not wait: this proves nothing")
+    host.order("unconfigure")
+    host.order("configure")
+    board.run(seconds=0.01)
+    unpatch(bench)
+    bench.wait(lambda: host.is_set_up and not host.packets, 0.5, "room for what waits")
+    host.order("close")
+    host.order("open")
+    board.run(seconds=0.5)
+    asks(2)
+    yield "configuration taken back while the host waited: it goes on"
 
 
 KNOWN = {}
@@ -2211,10 +2287,12 @@ def all_cases(root):
         ("masked for ever", deaf),
         ("brown-out", brown_out),
         ("low supply at power-up", low_at_power_up),
+        ("inverted outputs", inverted_outputs),
         ("usb", usb_port),
         ("usb flood", usb_flood),
         ("usb lines", usb_lines),
         ("usb answers", usb_answers),
         ("usb unplugged", usb_unplugged),
         ("usb unread", usb_unread),
+        ("usb set up again", usb_set_up_again),
     ]

@@ -826,6 +826,19 @@ class OtgTraces(unittest.TestCase):
         model.call()
         self.assertFalse(bench.lines[67])
 
+    def test_a_packet_with_the_wrong_toggle_is_thrown_away(self):
+        bench, model = self.fresh()
+        enabled = 1 << 31 | 1 << 26 | 1 << 15
+        for toggle, taken in ((0, True), (1, True), (1, False), (0, True)):
+            model.write(0xB20, enabled)
+            self.assertTrue(model.out(1, b"G", toggle), "ACK in any case")
+            self.assertEqual(len(model.fifo), 2 * taken)
+            model.fifo.clear()
+        # DOEPCTL, SD0PID.
+        model.write(0xB20, enabled | 1 << 28)
+        model.out(1, b"G", 0)
+        self.assertEqual(len(model.fifo), 2)
+
     def test_a_packet_for_an_endpoint_that_then_answers_nak(self):
         bench, model = self.fresh()
         # Endpoint 1 is not active, then active and not enabled, then enabled with its NAK cleared.

@@ -9,9 +9,11 @@ from collections import deque
 
 from .board import Failure
 from .host import Host
-from .models.otg import ENUMDNE, NEVER, USBRST, USBSUSP, WKUPINT
+from .models.otg import ENUMDNE, IN, NEVER, USBRST, USBSUSP, WKUPINT
 
 SHORT_S, LONG_S = 10e-6, 60e-6
+DATA_OUT, DATA_IN = 1, 2
+"""Numbers of the endpoints with data."""
 WAITING = 8
 """NAKs in a row, half a millisecond: the device is not busy with the packet before, but has no room."""
 
@@ -29,6 +31,10 @@ class UsbHost(Host):
         self.descriptors = {}
         self.packets = deque()
         self.open = self.is_set_up = False
+        self.reads = True
+        """A program at the open port fetches what comes."""
+        self._toggle_out = self._toggle_in = 0
+        """Of the next data packet: 0 for DATA0."""
         self.waits = self._naks = 0
         """How often the device has put off a packet for longer than it takes to fetch one; NAKs in a row."""
         self._work = None
@@ -71,7 +77,7 @@ class UsbHost(Host):
         return self.board.now
 
     def order(self, what):
-        """`open`, `close`, `unplug`, `plug`: done when what runs now is done."""
+        """`open`, `close`, `unplug`, `plug`, `configure`, `unconfigure`, `clear halts`: done when what runs now is done."""
         self._orders.append(what)
         self.wake()
 
@@ -123,8 +129,20 @@ class UsbHost(Host):
         yield from self._descriptor(2, 0, 255)
         for index in (1, 2, 3):
             yield from self._descriptor(3, index, 255)
-        yield from self._control([0, 9, 1, 0, 0, 0, 0, 0])
-        self.is_set_up = True
+        yield from self._configure(1)
+
+    def _configure(self, value):
+        """Both sides begin with DATA0 again (USB 2.0, 9.1.1.5)."""
+        yield from self._control([0, 9, value, 0, 0, 0, 0, 0])
+        self._toggle_out = self._toggle_in = 0
+        self.is_set_up = value == 1
+
+    def _clear_halts(self):
+        """The same for each endpoint (USB 2.0, 9.4.5), whether it was halted or not."""
+        yield from self._control([2, 1, 0, 0, DATA_OUT, 0, 0, 0])
+        self._toggle_out = 0
+        yield from self._control([2, 1, 0, 0, 0x80 | DATA_IN, 0, 0, 0])
+        self._toggle_in = 0
 
     def _dtr(self, up):
         if up:
@@ -145,17 +163,26 @@ class UsbHost(Host):
                 elif order == "plug":
                     self.otg.flag(WKUPINT)
                     yield from self._enumerate()
+                elif order in ("configure", "unconfigure"):
+                    yield from self._configure(int(order == "configure"))
+                elif order == "clear halts":
+                    yield from self._clear_halts()
             wait = SHORT_S if self.packets or self._orders else None
-            if self.open:
-                data = self.otg.in_(2)
+            if self.open and self.reads:
+                toggle = self.otg.toggle[IN, DATA_IN]
+                data = self.otg.in_(DATA_IN)
                 if data:
-                    for byte in data:
-                        self.sent(byte, self.board.now)
+                    # With the other toggle it is taken for a packet that was sent again.
+                    if toggle == self._toggle_in:
+                        self._toggle_in ^= 1
+                        for byte in data:
+                            self.sent(byte, self.board.now)
                     yield LONG_S
                     wait = SHORT_S
             if self.packets and self.is_set_up:
-                if self.otg.out(1, self.packets[0]):
+                if self.otg.out(DATA_OUT, self.packets[0], self._toggle_out):
                     self.packets.popleft()
+                    self._toggle_out ^= 1
                     self._naks = 0
                 else:
                     self._naks += 1

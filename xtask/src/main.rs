@@ -110,9 +110,7 @@ fn main() -> ExitCode {
         ["count"] => count::count(boards::FAST),
         ["count", "small"] => count::count(boards::profile(boards::SMALL[0])),
         ["count", "profile", row] => count::profile(row),
-        ["bench", ref files @ ..] => {
-            run(cargo().args(["bench", "--quiet", "--locked", "--bench", "motion", "--"]).args(files))
-        }
+        ["bench", ref files @ ..] => bench(files),
         _ => {
             eprintln!("{USAGE}{}", boards::BOARDS.join(", "));
             return ExitCode::from(2);
@@ -144,6 +142,13 @@ fn known(board: &str) -> Result<&str, Failure> {
     }
 }
 
+/// The benchmark. It runs in the workspace, wherever these files are named.
+fn bench(files: &[&str]) -> Result<(), Failure> {
+    let files: Result<Vec<PathBuf>, _> = files.iter().map(std::path::absolute).collect();
+    let files = files.map_err(|error| error.to_string())?;
+    run(cargo().args(["bench", "--quiet", "--locked", "--bench", "motion", "--"]).args(files))
+}
+
 /// Writes a generated program.
 fn generate(name: &str) -> Result<(), Failure> {
     match programs::generate(name, &mut std::io::stdout().lock()) {
@@ -167,10 +172,11 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in the workspace").to_owned()
 }
 
-/// Cargo, in the workspace.
+/// Cargo, in the workspace. It builds where the files are looked for afterwards, whatever the environment says: what an earlier
+/// build has left there would be taken for the new one.
 fn cargo() -> Command {
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-    cargo.current_dir(root());
+    cargo.current_dir(root()).env("CARGO_TARGET_DIR", root().join("target")).env_remove("CARGO_BUILD_TARGET");
     cargo
 }
 
@@ -196,4 +202,17 @@ fn flash(board: &str) -> Result<(), Failure> {
     }
     let mut embed = paths::cargo_for_boards("embed", boards::profile(board))?;
     run(embed.args(["--package", "oxmill-firmware", "--features", board, board]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cargo_builds_where_the_files_are_looked_for() {
+        let cargo = cargo();
+        let value = |name: &str| cargo.get_envs().find(|(key, _)| *key == name).map(|(_, value)| value);
+        assert_eq!(value("CARGO_TARGET_DIR"), Some(Some(root().join("target").as_os_str())));
+        assert_eq!(value("CARGO_BUILD_TARGET"), Some(None));
+    }
 }

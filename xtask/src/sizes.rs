@@ -13,15 +13,15 @@ const MODE: &str = "OXMILL_SIZES";
 pub fn judge(board: &str, flash: u32, ram: u32) -> Result<Option<String>, Failure> {
     let path = root().join("boards/sizes.txt");
     let text = fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
-    match std::env::var(MODE).as_deref() {
-        Ok("accept") => {
+    let mode = std::env::var_os(MODE).map(|mode| mode.to_string_lossy().into_owned());
+    match mode.as_deref() {
+        Some("accept") => {
             fs::write(&path, accepted(&text, board, flash, ram)).map_err(|e| format!("{}: {e}", path.display()))?;
             Ok(Some("accepted as the expected size".into()))
         }
-        mode => match compare(&text, board, flash, ram) {
-            Some(why) if mode == Ok("check") => Err(why),
-            remark => Ok(remark),
-        },
+        Some("check") => compare(&text, board, flash, ram).map_or(Ok(None), Err),
+        None => Ok(compare(&text, board, flash, ram)),
+        Some(other) => Err(format!("{MODE} is `check` or `accept`, not `{other}`")),
     }
 }
 

@@ -7,7 +7,7 @@
 
 use crate::qemu::{self, Preload};
 use crate::script::Script;
-use crate::{Failure, QEMU_BOARD, image, root, virtual_board};
+use crate::{Failure, QEMU_BOARD, image, known, root, virtual_board};
 use oxmill_test_support::program::{AXES, Program, SETTINGS, STEPS_PER_MM};
 use oxmill_test_support::{Random, numbers};
 use std::collections::VecDeque;
@@ -42,6 +42,8 @@ enum End {
     Stopped,
 }
 
+/// Seconds of the longest run: a script counts milliseconds in 32 bits.
+const LONGEST: u64 = u32::MAX as u64 / 1_000;
 /// In so long all that is random happens.
 const LONG_MS: u64 = 600_000;
 
@@ -208,7 +210,7 @@ pub fn run(arguments: &[&str]) -> Result<(), Failure> {
             return Err(format!("{pair:?} is not `--minutes N`, `--seconds N`, `--wall N` or `--seed N`"));
         };
         match *name {
-            "--minutes" => seconds = value * 60,
+            "--minutes" => seconds = value.saturating_mul(60),
             "--seconds" => seconds = value,
             "--seed" => seed = value,
             "--wall" => wall = Some(value),
@@ -216,6 +218,14 @@ pub fn run(arguments: &[&str]) -> Result<(), Failure> {
         }
     }
     let on_qemu = matches!(*board, "qemu" | QEMU_BOARD);
+    if !on_qemu {
+        known(board)?;
+    } else if wall.is_some() {
+        return Err("`--wall N` is for a virtual board".into());
+    }
+    if seconds > LONGEST {
+        return Err(format!("{seconds} seconds are more than the {LONGEST} that a script can be told"));
+    }
     let job = Job::new(seed, seconds, !on_qemu);
     let folder = root().join("target/soak");
     let path = folder.join(board);

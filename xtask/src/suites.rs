@@ -1,13 +1,15 @@
 //! The defmt-test suites of `tests/on_target`, on QEMU or on a board, and the bench with its loop-back wires.
 
 use crate::paths::cargo_for_boards;
-use crate::{Failure, QEMU_BOARD, boards, exists, qemu, root, run};
+use crate::{Failure, QEMU_BOARD, boards, exists, qemu, run};
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 /// Where a runner for the ARM target is configured.
 const RUNNER: &str = "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_RUNNER";
+/// The one for QEMU, from the workspace on: cargo splits the variable at blanks, which the path of the workspace may have.
+const QEMU_RUNNER: &str = ".cargo/qemu-runner.sh";
 /// The suites that need nothing but the processor, memory and flash.
 const SUITES: [&str; 4] = ["controller", "settings", "copies", "queues"];
 /// The suite that needs wires on a board: docs/bench.md.
@@ -40,8 +42,7 @@ fn cargo_test(board: &str, suites: &[&str]) -> Result<Command, Failure> {
 /// All suites on QEMU.
 pub fn on_qemu() -> Result<(), Failure> {
     require_qemu_tools()?;
-    let runner = root().join(".cargo/qemu-runner.sh");
-    run(cargo_test(QEMU_BOARD, &SUITES)?.env(RUNNER, runner))?;
+    run(cargo_test(QEMU_BOARD, &SUITES)?.env(RUNNER, QEMU_RUNNER))?;
     println!("suite `{LOOPBACK}` is not for QEMU, which has no pins: it is for boards, see docs/bench.md");
     Ok(())
 }
@@ -163,7 +164,7 @@ mod tests {
 
     #[test]
     fn every_suite_is_run_somewhere() {
-        let folder = std::fs::read_dir(root().join("tests/on_target/tests")).unwrap();
+        let folder = std::fs::read_dir(crate::root().join("tests/on_target/tests")).unwrap();
         let mut found: Vec<String> =
             folder.map(|file| file.unwrap().path().file_stem().unwrap().to_str().unwrap().to_owned()).collect();
         found.sort();

@@ -3,9 +3,10 @@
 Modelled: soft connect, bus reset and end of enumeration, suspend and wake-up, the receive FIFO with its status entries (a packet
 and, a moment later, its end), NAK and enable of endpoints, transmit FIFOs, transfer-complete of IN endpoints, the interrupt. An OUT
 endpoint answers NAK from the end of a packet until it is enabled again; a SETUP packet is always taken. A packet that
-comes while its predecessor is still unread stays in the FIFO.
+comes while its predecessor is still unread stays in the FIFO. Each data endpoint has its data toggle: an OUT packet with
+the wrong one is answered ACK and thrown away, as one that was sent again.
 Not modelled: the host role, isochronous transfers, SOF, VBUS sensing (which must be off), errors on the bus, FIFO sizes beyond their
-sum, EP0's STALL for more than the transfer at hand, transfers of more than one packet, CRC, data toggles.
+sum, EP0's STALL for more than the transfer at hand, transfers of more than one packet, CRC.
 """
 
 from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
@@ -17,6 +18,8 @@ DCFG, DCTL, DSTS, DIEPMSK, DOEPMSK, DAINTMSK, PCGCCTL = 0x800, 0x804, 0x808, 0x8
 IN, OUT, FIFO = 0x900, 0xB00, 0x1000
 USBSUSP, USBRST, ENUMDNE, WKUPINT, RXFLVL, IEPINT = 1 << 11, 1 << 12, 1 << 13, 1 << 31, 1 << 4, 1 << 18
 USBAEP, NAKSTS, STALL, CNAK, SNAK, EPDIS, EPENA = 1 << 15, 1 << 17, 1 << 21, 1 << 26, 1 << 27, 1 << 30, 1 << 31
+EPDISD, INEPNE = 1 << 1, 1 << 6
+SD0PID, SD1PID = 1 << 28, 1 << 29
 OUT_DATA, OUT_DONE, SETUP_DONE, SETUP_DATA = 2, 3, 4, 6
 ENDPOINTS, FIFO_WORDS = 4, 320
 END_S = 0.5e-6
@@ -43,6 +46,8 @@ class OtgFs(Peripheral):
         """Entries (cycle, endpoint, bytes, status), and the words of the data entry that was popped last."""
         self.control = {(side, n): 0 for side in (IN, OUT) for n in range(ENDPOINTS)}
         self.size = dict(self.control)
+        self.toggle = dict(self.control)
+        """0 for DATA0, which a data endpoint sends or expects next."""
         self.complete = [0] * ENDPOINTS
         self.sending = [bytearray() for _ in range(ENDPOINTS)]
 
@@ -146,14 +151,22 @@ class OtgFs(Peripheral):
     def _write_endpoint(self, side, number, register, value):
         if register == 0x00:
             before = self.control[side, number]
-            after = value & ~(CNAK | SNAK | EPDIS | NAKSTS | EPENA) | before & (NAKSTS | EPENA)
+            after = value & ~(CNAK | SNAK | EPDIS | NAKSTS | EPENA | SD0PID | SD1PID) | before & (NAKSTS | EPENA)
+            if value & (SD0PID | SD1PID):
+                self.toggle[side, number] = int(not value & SD0PID)
             if value & CNAK:
                 after &= ~NAKSTS
             if value & SNAK:
                 after |= NAKSTS
+                if side == IN:
+                    self.complete[number] |= INEPNE
             if value & EPENA:
                 after |= EPENA
             if value & EPDIS:
+                if side == IN:
+                    if not self.complete[number] & INEPNE:
+                        raise Misuse(f"OTG_FS: IN endpoint {number} is disabled before its NAK is in force")
+                    self.complete[number] |= EPDISD
                 after &= ~EPENA
             self.control[side, number] = after
         elif register == 0x08:
@@ -182,13 +195,17 @@ class OtgFs(Peripheral):
         self.control[OUT, 0] = self.control[OUT, 0] & ~(EPENA | STALL) | NAKSTS
         self.call()
 
-    def out(self, number, data):
-        """An OUT packet: True for ACK, False for NAK, None for STALL."""
+    def out(self, number, data, toggle=None):
+        """An OUT packet: True for ACK, False for NAK, None for STALL. Without a toggle it is one that is right."""
         control = self.control[OUT, number]
         if control & STALL:
             return None
         if control & NAKSTS or not control & EPENA or number and not control & USBAEP:
             return False
+        if toggle is not None:
+            if toggle != self.toggle[OUT, number]:
+                return True
+            self.toggle[OUT, number] ^= 1
         now = self.board.now
         self.fifo += [(now, number, bytes(data), OUT_DATA), (now + self.board.cycles(END_S), number, b"", OUT_DONE)]
         self.control[OUT, number] = control & ~EPENA | NAKSTS
@@ -196,7 +213,7 @@ class OtgFs(Peripheral):
         return True
 
     def in_(self, number):
-        """An IN token: the packet, False for NAK, None for STALL."""
+        """An IN token: the packet, False for NAK, None for STALL. Its toggle is the one before that of the next."""
         control = self.control[IN, number]
         if control & STALL:
             return None
@@ -205,6 +222,7 @@ class OtgFs(Peripheral):
             return False
         data = bytes(self.sending[number])
         self.sending[number].clear()
+        self.toggle[IN, number] ^= 1
         self.control[IN, number] = control & ~EPENA | NAKSTS
         self.size[IN, number] = 0
         self.complete[number] |= 1

@@ -11,8 +11,9 @@ import * as site from "./site.test.mjs";
 import * as use from "./use.test.mjs";
 
 const wanted = process.argv.slice(2);
-const tests = Object.entries({ ...module, ...check, ...machine, ...material, ...pictures, ...sender, ...site, ...use }).filter(([name]) => wanted.length === 0 || wanted.includes(name));
-assert(tests.length > 0, "no test of this name");
+const all = { ...module, ...check, ...machine, ...material, ...pictures, ...sender, ...site, ...use };
+for (const name of wanted) assert(name in all, `there is no test ${name}`);
+const tests = Object.entries(all).filter(([name]) => wanted.length === 0 || wanted.includes(name));
 const browser = await launch();
 let failed = 0;
 for (const [name, test] of tests) {
