@@ -63,6 +63,11 @@ impl Axis {
         self as usize >= LINEAR
     }
 
+    /// Whether an axis of this travel has ends: one that turns and has no travel turns without end.
+    pub fn has_ends(self, travel: f32) -> bool {
+        !self.is_rotary() || travel > 0.0
+    }
+
     /// The axes of a machine with `N` axes, in order.
     pub fn of_machine<const N: usize>() -> impl Iterator<Item = Axis> {
         Axis::ALL.into_iter().take(N)

@@ -4,13 +4,13 @@
 //! lines and macros. They `say` a report or give an `Error` (`NotIdle`, `HomingDisabled`). `system` sets the `task` to
 //! `Task::Listing` or `Task::Storing`, `set_setting` looks at numbers such as `DOOR_FITTED`, `KINEMATICS`,
 //! `REPORT_INCHES`, `STEP_PULSE`, `RESET_IS_EMERGENCY_STOP`, and `LASER`, `SPINDLE_MAXIMUM` and `SPINDLE_MINIMUM`, which
-//! stop the spindle (`stop_spindle`), at the `dialect` and at the `least_pulse`; `changed` acts on it and asks whether it
-//! `moves_places`. It also calls `set_startup_line`, `set_macro`, `list_recording`, `restore_defaults` (`Restore::All`),
+//! stop the spindle (`stop_spindle`), at the `dialect`, at the `least_pulse` and whether it `renames_places`
+//! (`DIRECTION_INVERT`, `HOMING_DIRECTION`); `changed` acts on it and asks whether it `moves_places`. It also calls `set_startup_line`, `set_macro`, `list_recording`, `restore_defaults` (`Restore::All`),
 //! `check_lines`, `report_build_info` and `ask_view`. Too long a text is `LineTooLong`.
 
 use super::Controller;
 use super::task::{Answer, Ask, Caller, Listing, Task};
-use crate::axes::Axis;
+use crate::axes::{Axis, AxisMask};
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::machine::state::Mode;
@@ -22,9 +22,11 @@ use crate::settings::{AxisKey, Key, Settings};
 use crate::units::{DECIMAL_ONE, Decimal};
 
 /// Numbers of settings that are more than values.
+const DIRECTION_INVERT: u16 = Key::DirectionInvert.number();
 const DOOR_FITTED: u16 = Key::DoorFitted.number();
 const AXES: u16 = Key::Axes.number();
 const HOMING: u16 = Key::Homing.number();
+const HOMING_DIRECTION: u16 = Key::HomingDirection.number();
 const KINEMATICS: u16 = Key::Kinematics.number();
 const LASER: u16 = Key::Laser.number();
 const REPORT_INCHES: u16 = Key::ReportInches.number();
@@ -172,9 +174,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let before = self.settings.by_number(number);
         let (soft_limits, dialect) = (self.settings.is_on(Key::SoftLimits), self.dialect());
         self.settings.set(number, value)?;
-        // The same S is another power now.
-        if matches!(number, SPINDLE_MAXIMUM | SPINDLE_MINIMUM | LASER) && self.settings.by_number(number) != before {
-            self.stop_spindle();
+        if self.settings.by_number(number) != before {
+            // The same S is another power now.
+            if matches!(number, SPINDLE_MAXIMUM | SPINDLE_MINIMUM | LASER) {
+                self.stop_spindle();
+            }
+            if self.settings.is_on(Key::Homing) && self.renames_places(number) {
+                self.reference.lose();
+            }
         }
         self.changed(number, soft_limits);
         if self.dialect() != dialect {
@@ -207,6 +214,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.records.save_soft_limits_before_homing(&self.settings, soft_limits);
         }
         self.records.save_setting(number, &self.settings);
+    }
+
+    /// Whether homing gives a place another name with another value of this setting.
+    fn renames_places(&self, number: u16) -> bool {
+        let to_negative = AxisMask(self.settings.whole(Key::HomingDirection) as u8);
+        matches!(number, DIRECTION_INVERT | HOMING_DIRECTION)
+            || AxisKey::Travel.axis(number).is_some_and(|axis| to_negative.has(axis))
     }
 
     fn toggle_check_mode(&mut self) -> Result<(), Error> {

@@ -10,7 +10,6 @@ use crate::machine::reaction::Reaction;
 use crate::machine::state::Mode;
 use crate::machine::stops::StopReason;
 use crate::messages::{Sensed, Signals};
-use crate::settings::Key;
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn signals_changed(&mut self, sensed: &Sensed) {
@@ -24,11 +23,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.lapse_check();
             self.stop_for(StopReason::Reset, &mut stopped);
         }
+        let limits = came.limits & inputs::hard_limits(&self.settings);
         if matches!(self.mode, Mode::Home(_)) {
             self.home_switch(&mut stopped);
-        } else if came.limits != 0 && self.settings.is_on(Key::HardLimits) && !self.mode.is_alarm() {
-            // A hard limit (`$21`).
-            let closed = inputs::axes_of_switches(came.limits, &self.settings);
+        } else if limits != 0 && !self.mode.is_alarm() {
+            let closed = inputs::axes_of_switches(limits, &self.settings);
             let limit = StopReason::Alarm(Alarm::HardLimit);
             let under_way = self.stop_under_way();
             if under_way.is_none_or(|other| other.heavier(limit) == limit) {

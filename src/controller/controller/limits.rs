@@ -84,7 +84,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             let mut end = *target;
             for (axis, end) in Axis::ALL.into_iter().zip(end.iter_mut()) {
                 if let (Some(travel), Some(here)) = (travel.get(axis), here.get(axis))
-                    && is_bounded(axis, travel)
+                    && axis.has_ends(travel)
                 {
                     let least = here.min(-Coordinate::from_mm_f32(travel));
                     *end = (*end).clamp(least, here.max(Coordinate::ZERO));
@@ -137,7 +137,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let axes = Axis::ALL.into_iter().take(self.settings.axes_in_use());
         axes.zip(position.iter().zip(travel.iter())).any(|(axis, (place, travel))| {
             let beyond = *place > Coordinate::ZERO || *place < -Coordinate::from_mm_f32(*travel);
-            beyond && is_bounded(axis, *travel)
+            beyond && axis.has_ends(*travel)
         })
     }
 
@@ -183,11 +183,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && self.settings.is_on(Key::Homing)
             && self.settings.is_on(Key::TrustNeeded)
     }
-}
-
-/// Whether an axis of this travel has ends: one that turns and has no travel turns without end.
-fn is_bounded(axis: Axis, travel: f32) -> bool {
-    !axis.is_rotary() || travel > 0.0
 }
 
 /// The circle of an arc.

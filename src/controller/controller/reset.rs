@@ -7,6 +7,7 @@ use super::Controller;
 use super::task::Task;
 use crate::error::Alarm;
 use crate::gcode::Dialect;
+use crate::machine::inputs;
 use crate::machine::state::Mode;
 use crate::messages::GangedMotors;
 use crate::motion::MotionSettings;
@@ -29,7 +30,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.lines.heartbeat_mut().set_gone(false);
         self.replies.reset();
         self.greet();
-        if self.settings.is_on(Key::HardLimits) && self.inputs.signals().limits != 0 {
+        if self.inputs.signals().limits & inputs::hard_limits(&self.settings) != 0 {
             self.mode = Mode::Alarm(self.mode.alarm());
             self.say(|out| report::message(out, "Check Limits"));
         }

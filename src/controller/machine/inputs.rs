@@ -1,7 +1,7 @@
 //! `InputLevels`: the inputs as the controller sees them: levels of the pins, what counts of them by the settings
 //! (`fitted`), what came and what has tripped, which inputs are armed to stop the step task, their polarity and
 //! resistors (`InputWiring`), and the view for `$PINS`. Polarity and filter come before (`machine::signals`).
-//! `limits_of` and `second_switch` say which switches count, and an emergency stop, a reset or a trip gives its alarm.
+//! `limits_of` and `second_switch` say which switches count, `hard_limits` which of them stop the machine, and an emergency stop, a reset or a trip gives its alarm.
 //! In it are `configure`, `take`, `pins`, `are_known`, `take_tripped`, `trip_emergency`, `trip_limits`, `ask_view`,
 //! `take_look`, `viewed`, `armed`, `axes_of_switches`, `wiring_by`, `control_word`, `InputChange`.
 //!
@@ -11,10 +11,10 @@
 //! ```
 
 use super::reaction::Reaction;
-use crate::axes::AxisMask;
+use crate::axes::{Axis, AxisMask, LINEAR};
 use crate::error::{Alarm, Error};
 use crate::messages::{InputWiring, PinView, SECOND_SWITCH, Sensed, Signals, input};
-use crate::settings::{Key, Settings};
+use crate::settings::{AxisKey, Key, Settings};
 
 /// Levels of the inputs, and what has to be asked of them.
 #[derive(Clone, Copy, Debug)]
@@ -160,11 +160,21 @@ fn limits_of<const N: usize>(settings: &Settings<N>) -> u8 {
     (1 << settings.axes_in_use()) - 1
 }
 
+/// Bits of the switches that are limits (`$21`): not that of an axis that turns without end, which passes it in each turn.
+pub fn hard_limits<const N: usize>(settings: &Settings<N>) -> u8 {
+    if !settings.is_on(Key::HardLimits) {
+        return 0;
+    }
+    let travel = settings.axes(AxisKey::Travel);
+    let has_ends = |axis: &Axis| N <= LINEAR || travel.get(*axis).is_some_and(|travel| axis.has_ends(travel));
+    let with_ends = Axis::of_machine::<N>().filter(has_ends).fold(AxisMask::NONE, AxisMask::with);
+    limits_of(settings) & with_ends.0 | second_switch(settings)
+}
+
 /// Inputs that stop the step task themselves: not the switches that homing looks for, and none for which motion brakes.
 pub fn armed<const N: usize>(settings: &Settings<N>, homing: bool) -> u32 {
     let at_once = |alarm| homing || Reaction::to(alarm, settings).is_at_once();
-    let limits = settings.is_on(Key::HardLimits) && !homing && at_once(Alarm::HardLimit);
-    let switches = if limits { u32::from(limits_of(settings) | second_switch(settings)) } else { 0 };
+    let switches = if !homing && at_once(Alarm::HardLimit) { u32::from(hard_limits(settings)) } else { 0 };
     let emergency = at_once(Alarm::EmergencyStop);
     let reset = emergency || !settings.is_on(Key::ResetIsEmergencyStop);
     let fault = at_once(Alarm::DriverFault);
@@ -182,8 +192,9 @@ pub fn axes_of_switches<const N: usize>(switches: u8, settings: &Settings<N>) ->
     }
 }
 
+/// The bit of the switch at a second motor, if there are both (`$905`, `$907`).
 fn second_switch<const N: usize>(settings: &Settings<N>) -> u8 {
-    if settings.is_on(Key::GangedSwitch) { SECOND_SWITCH } else { 0 }
+    if settings.is_on(Key::GangedSwitch) && settings.ganged_axis().is_some() { SECOND_SWITCH } else { 0 }
 }
 
 /// The inputs as the settings want them understood: without those that are not fitted, and the reset button as an

@@ -2,8 +2,8 @@
 
 use crate::axes::AxisMask;
 
-/// The reference of the position. It is lost with a stop at speed, with sleep, with another resolution, and comes back with
-/// homing. Without homing there is no better knowledge: a lost reference is then a warning and locks nothing.
+/// The reference of the position. It is lost with a stop at speed, with sleep, with another resolution, direction or end of
+/// homing, and comes back with homing. Without homing there is no better knowledge: a lost reference is then a warning and locks nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reference {
     trusted: bool,

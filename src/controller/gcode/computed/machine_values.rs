@@ -137,7 +137,7 @@ impl<const N: usize> Interpreter<N> {
     /// #5061 and on. Stored places are in millimetres, as LinuxCNC has them in the machine's unit; the present position and
     /// what the probe has found are in the program's.
     fn numbered(&self, number: i64) -> Option<Real> {
-        let in_mm = |place: &PerAxis<Coordinate, N>, index: i64| length(place, index).map(Real::from_coordinate);
+        let in_mm = |place: &PerAxis<Coordinate, N>, index: i64| self.length(place, index).map(Real::from_coordinate);
         Some(match number {
             5061..=5069 => self.in_units(&self.computed.probed, number - 5061),
             5070 => Real::truth(self.computed.probe_succeeded),
@@ -215,14 +215,16 @@ impl<const N: usize> Interpreter<N> {
 
     /// A length of a place in the program's unit, or the degrees of a rotary axis; 0 for an axis that the machine lacks.
     fn in_units(&self, place: &PerAxis<Coordinate, N>, index: i64) -> Real {
-        let value = length(place, index).map_or(Real::ZERO, Real::from_coordinate);
+        let value = self.length(place, index).map_or(Real::ZERO, Real::from_coordinate);
         let is_length = index <= Axis::Z.index() as i64;
         if is_length && self.modal.units == Units::Inch { inches(value) } else { value }
     }
-}
 
-fn length<const N: usize>(place: &PerAxis<Coordinate, N>, index: i64) -> Option<Coordinate> {
-    usize::try_from(index).ok().and_then(|index| place.0.get(index)).copied()
+    /// A place along an axis in use.
+    fn length(&self, place: &PerAxis<Coordinate, N>, index: i64) -> Option<Coordinate> {
+        let index = usize::try_from(index).ok().filter(|index| *index < self.axes())?;
+        place.0.get(index).copied()
+    }
 }
 
 /// How many decimals `d`, `f` or `.2f` behind a percent sign ask for, and what comes behind them. `None` for other text.
