@@ -107,7 +107,6 @@ codes! {
     ToolChangeNotAlone = 132, "with $918=2 the line of M6 takes no axis words and no tool offset: write them on the next line";
     NoSuchPin = 133, "this board has no such output or input for programs (M62 to M68)";
     BlendingLeftOut = 134, "this board has no room for rounded corners";
-    ToolSetterLeftOut = 135, "this board has no room for tool setters ($918=2)";
     RecorderLeftOut = 136, "this board has no room for a recording of what comes in";
     SplineOutsideXy = 140, "a spline (G5 to G5.3) needs G17 and has no axis words but X and Y";
     SplinesLeftOut = 141, "this board has no room for splines (G5 to G5.3)";

@@ -176,7 +176,6 @@ pub fn for_error(error: Error) -> &'static str {
         | Error::ExpressionsLeftOut
         | Error::RotationLeftOut
         | Error::SplinesLeftOut
-        | Error::ToolSetterLeftOut
         | Error::ScalingLeftOut => "Use a board with more flash, or a post-processor that writes plain moves.",
         Error::ToolChangeNeedsHoming => "Switch homing on ($22=1), home with $H, and send the line again.",
         Error::ToolSetterNotSetUp => {

@@ -39,7 +39,7 @@ STACK_LEFT = 4096
 """Bytes of the stack that no case may have used."""
 CALL_CYCLES = 140
 """From the call of the step task to where no event begins any more, when it is not running: less than 2 us on all boards."""
-LINES_S = 3700
+LINES_S = 3800
 """Short lines a second that a board takes over USB while it moves."""
 LATEST_PULSE_END_S = 0.15 * US
 """How much longer than $0 a pulse may be: its end is a transfer of DMA, which may wait for others."""

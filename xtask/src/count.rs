@@ -60,26 +60,26 @@ const UNBOUNDED: Cost = (u64::MAX, u64::MAX);
 /// The rows. Peers: Grbl 1.1h and grblHAL, their own code compiled with `arm-none-eabi-gcc -O2` for the same core and
 /// counted in the same way.
 const ROWS: [Row; 20] = [
-    row("batch_3", "32 events, 3 axes stepping", Figure::Mean, None, (1_335, 1_720))
+    row("batch_3", "32 events, 3 axes stepping", Figure::Mean, None, (1_340, 1_740))
         .beside("3360 / 4416", "4384 / 6240"),
-    row("batch_1", "32 events, 1 axis stepping", Figure::Mean, None, (905, 1_250)).beside("2656 / 3808", "3520 / 5440"),
+    row("batch_1", "32 events, 1 axis stepping", Figure::Mean, None, (915, 1_260)).beside("2656 / 3808", "3520 / 5440"),
     // Times 1.1 for the flash at most `run_cycles` of the boards (boards/profiles.rs).
     row("segment", "longest run: another direction, other power, both messages", Figure::Worst, None, (2_790, 4_040)),
-    row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (525, 850)),
+    row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (535, 870)),
     row("stop", "stop with a full ring, 96 events undone, with its report", Figure::Worst, None, (4_615, 5_985)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
     row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (575, 935)).beside("205 / 329", "196 / 313"),
-    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (1_735, 2_920))
+    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (1_600, 2_760))
         .beside("723 / 1210", "727 / 1200"),
     row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (36, 49))
         .beside("56 / 72", "41 / 55"),
     row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, (1_060, 2_080)),
-    row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (2_860, 5_060)),
+    row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (2_730, 4_900)),
     row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, (182, 250)),
-    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_450, 2_180))
+    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_445, 2_170))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (288, 401)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (6_595, 10_730))
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (6_380, 10_450))
         .beside("2800 / 4400", "4100 / 6500"),
     row("recorded_line", "recording, a line of 15 bytes", Figure::Mean, None, (520, 760)),
     row("recorded_block", "recording, per message to the step task", Figure::Mean, None, (35, 52)),

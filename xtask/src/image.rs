@@ -19,13 +19,17 @@ fn step_handler(board: &str) -> &'static str {
 
 /// Calls through registers that the step interrupt may make: a queue or signal wakes `control`, which is to pend its
 /// dispatcher's interrupt.
-const STEP_CALLS: [Allowed; 5] = [
+const STEP_CALLS: [Allowed; 6] = [
     Allowed { function: "step_timer::", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "channel::Receiver<", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "executor::waker_wake", targets: &["FnOnce"] },
     // The same in images built for size, where they are not inlined.
     Allowed { function: "wait_queue::DoublyLinkedList<", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "signal::SignalWriter<", targets: &["executor::waker_wake", "executor::waker_drop"] },
+    Allowed {
+        function: "CriticalSectionWakerRegistration",
+        targets: &["executor::waker_wake", "executor::waker_drop"],
+    },
 ];
 
 /// A checked image.

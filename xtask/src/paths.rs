@@ -14,6 +14,9 @@ use std::process::Command;
 /// limit is about twice that: it makes images larger and hardly any path faster (docs/how-it-works.md, "Small parts").
 const FOR_SPEED: [&str; 2] = ["-Ctarget-cpu=cortex-m4", "-Cllvm-args=-inline-threshold=120"];
 
+/// The same limit for images that are built for size: about half the compiler's own for those.
+const FOR_SIZE: [&str; 1] = ["-Cllvm-args=-inline-threshold=30"];
+
 /// Cargo, in the workspace, for what is released. `RUSTFLAGS` of the environment do not reach such a build.
 pub fn cargo_without_paths() -> Result<Command, Failure> {
     cargo_with(&[])
@@ -21,8 +24,7 @@ pub fn cargo_without_paths() -> Result<Command, Failure> {
 
 /// A command of cargo on what runs on boards, with a profile of theirs.
 pub fn cargo_for_boards(command: &str, profile: &str) -> Result<Command, Failure> {
-    // Optimisation for size has a lower limit of its own.
-    let flags: &[&str] = if profile == boards::FAST { &FOR_SPEED } else { &[] };
+    let flags: &[&str] = if profile == boards::FAST { &FOR_SPEED } else { &FOR_SIZE };
     let mut cargo = cargo_with(flags)?;
     cargo.args([command, "--profile", profile, "--target", TARGET]);
     Ok(cargo)

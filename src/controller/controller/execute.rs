@@ -483,9 +483,6 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.lacks_pin() {
             return Err(Error::NoSuchPin);
         }
-        if self.lacks_tool_setter() {
-            return Err(Error::ToolSetterLeftOut);
-        }
         let refused = self.line.checked.tool_change && self.measures_tools();
         refused.then(|| self.refuse_tool_change()).flatten().map_or(Ok(()), Err)
     }

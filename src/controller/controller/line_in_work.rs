@@ -2,7 +2,7 @@
 //! has begun, its tool change, and whether single block is on.
 
 use crate::axes::{LINEAR, PerAxis};
-use crate::gcode::{Checked, TOOL_SETTER};
+use crate::gcode::Checked;
 use crate::machine::tool_change::ToolChange;
 use crate::motion::{Arc, ArcGeometry, Curvature, Curve, Nurbs, NurbsGeometry, Spline, SplineGeometry};
 use crate::units::{Coordinate, WeightedPoint};
@@ -14,18 +14,14 @@ pub(super) struct LineInWork<const N: usize> {
     pub(super) checked: Checked<N>,
     curve: Option<Curve<N>>,
     single_block: bool,
-    /// The tool change of the line, if its tool is measured: there is none without tool setters.
-    change: [ToolChange<N>; TOOL_SETTER as usize],
+    /// The tool change of the line, if its tool is measured.
+    change: ToolChange<N>,
 }
 
 impl<const N: usize> LineInWork<N> {
     /// There is none.
-    pub(super) const NONE: Self = Self {
-        checked: Checked::NOTHING,
-        curve: None,
-        single_block: false,
-        change: [ToolChange::NONE; TOOL_SETTER as usize],
-    };
+    pub(super) const NONE: Self =
+        Self { checked: Checked::NOTHING, curve: None, single_block: false, change: ToolChange::NONE };
 
     /// Single block: whether the program pauses behind each line that moves, until the operator continues it.
     pub(super) fn is_single_block(&self) -> bool {
@@ -45,12 +41,12 @@ impl<const N: usize> LineInWork<N> {
 
     /// Its tool is changed and measured; see [`LineInWork::change`].
     pub(super) fn begin_change(&mut self, change: ToolChange<N>) {
-        self.change.fill(change);
+        self.change = change;
     }
 
     /// The tool change of the line.
-    pub(super) fn change(&mut self) -> Option<&mut ToolChange<N>> {
-        self.change.first_mut()
+    pub(super) fn change(&mut self) -> &mut ToolChange<N> {
+        &mut self.change
     }
 
     /// Its arc begins. The length of the chords, mm, and how many times as long that is as their way along X, Y and Z.

@@ -4,8 +4,8 @@
 //! setter's place and rates come from settings (`Key`); the spindle's direction and the accessories are set again after
 //! it. It answers `ChangeOrder` (`Confirm`, `Measured`, `Move`, `Probe`, `Prompt`, `Rapid`) with a `Stage`, by
 //! `Key::ToolSetterSeek`, `Key::ToolSetterLocate` (slow), `Key::ToolSetterDepth`, `Key::ParkingPullOut` and
-//! `Key::ParkingPullOutRate`. In it are `prompts_for_tools`, `measures_tools`, `wants_measured_tools`,
-//! `lacks_tool_setter`, `stop_for_tool`, `leave_for_tool`, `return_to_work` and `fail_tool_change`; what lies outside
+//! `Key::ParkingPullOutRate`. In it are `prompts_for_tools`, `measures_tools`,
+//! `stop_for_tool`, `leave_for_tool`, `return_to_work` and `fail_tool_change`; what lies outside
 //! the travel is an `Alarm::SoftLimit`; errors are `ToolChangeNeedsHoming`, `ToolChangeNotAlone`, `ToolSetterNotSetUp`.
 
 use super::Controller;
@@ -14,7 +14,7 @@ use super::task::{Job, Stage};
 use crate::axes::Axis;
 use crate::error::{Alarm, Error};
 use crate::gcode::CoordinateSystem;
-use crate::gcode::{EXTENDED, Feed, Motion, StoredOffset, TOOL_SETTER};
+use crate::gcode::{EXTENDED, Feed, Motion, StoredOffset};
 use crate::machine::state::Mode;
 use crate::machine::tool_change::{ChangeOrder, ChangePlan, ToolChange};
 use crate::messages::{Coolant, SpindleDirection};
@@ -29,19 +29,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         EXTENDED && self.settings.is_on(Key::ToolChange)
     }
 
-    /// Whether a tool setter measures what M6 has put into the spindle.
+    /// Whether a tool setter measures what M6 has put into the spindle (`$918=2`).
     pub(super) fn measures_tools(&self) -> bool {
-        TOOL_SETTER && self.wants_measured_tools()
-    }
-
-    /// Whether one is asked for (`$918=2`).
-    fn wants_measured_tools(&self) -> bool {
         EXTENDED && self.settings.whole(Key::ToolChange) == 2
-    }
-
-    /// Whether one is asked for that this board has no room for.
-    pub(super) fn lacks_tool_setter(&self) -> bool {
-        !TOOL_SETTER && self.line.checked.tool_change && self.wants_measured_tools()
     }
 
     /// At rest before the rest of the line: if it asks for another tool, the spindle stops and the program waits for `~`.
@@ -117,16 +107,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The spindle has come to rest: the tool leaves the work.
     pub(super) fn leave_for_tool(&mut self) -> Stage {
         self.line.begin_change(ToolChange::new(self.plan_tool_change()));
-        match self.line.change().map(ToolChange::begin) {
-            Some(order) => self.carry_out_change(order),
-            None => Stage::Apply,
-        }
+        let order = self.line.change().begin();
+        self.carry_out_change(order)
     }
 
     /// What follows when the last order has ended; `None` until then.
     #[inline(never)]
     pub(super) fn advance_tool_change(&mut self) -> Option<Stage> {
-        let touched = match self.line.change()?.is_probing() {
+        let touched = match self.line.change().is_probing() {
             true => self.take_probe(true)?,
             false if !self.motion.is_idle() => {
                 self.start_queued();
@@ -135,7 +123,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             false => false,
         };
         let place = touched.then(|| self.probe.result().0);
-        let order = self.line.change()?.next(place);
+        let order = self.line.change().next(place);
         Some(self.carry_out_change(order))
     }
 
@@ -159,10 +147,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.prompt();
             }
             ChangeOrder::Measured(place) => {
-                if self.interpreter.tool_measured(self.line.checked.spindle_tool(), place)
-                    && let Some(change) = self.line.change()
-                {
-                    change.is_first_tool();
+                if self.interpreter.tool_measured(self.line.checked.spindle_tool(), place) {
+                    self.line.change().is_first_tool();
                 }
                 self.replies.offset_changed();
             }
@@ -182,7 +168,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let longer = length.zip(&self.line.checked.tool_length(), |new, old| new - old);
         let longer = longer.get(Axis::Z).unwrap_or(Coordinate::ZERO);
         let clear = Coordinate::from_mm_f32(self.settings.value(Key::ParkingPullOut));
-        let Some(way) = self.line.change().map(|change| change.way_back(longer, clear)) else { return Stage::Apply };
+        let way = self.line.change().way_back(longer, clear);
         let outside = way.iter().any(|place| !place.iter().all(|coordinate| coordinate.in_range()));
         if outside || self.limits_travel() && way.iter().any(|place| self.is_outside_travel(place)) {
             return self.fail_tool_change(Alarm::SoftLimit);

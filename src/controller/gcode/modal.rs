@@ -18,8 +18,6 @@ pub const ROTATION: bool = cfg!(feature = "rotation");
 pub const SPLINES: bool = cfg!(feature = "splines");
 /// Whether programs have outputs and inputs (M62 to M68): a feature of its own.
 pub const PROGRAM_PINS: bool = cfg!(feature = "program-pins");
-/// Whether a tool setter can measure tools at M6 (`$918=2`): a feature of its own.
-pub const TOOL_SETTER: bool = cfg!(feature = "tool-setter");
 /// Whether corners can be rounded (G64 P): a feature of its own.
 pub const BLENDING: bool = cfg!(feature = "blending");
 

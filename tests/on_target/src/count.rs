@@ -638,14 +638,13 @@ fn whole_line(place: &'static mut MaybeUninit<Whole>) -> &'static Whole {
 
 type Ring = Recorder<&'static mut [Page]>;
 
-/// The bytes of a line that the controller is told of, behind which more wait.
+/// The text of a line, which the control task gives in one piece, and its end, behind which more wait.
 #[unsafe(no_mangle)]
 #[inline(never)]
 // unsafe because of the name, as above.
-fn unit_recorded_line(recorder: &mut Ring, now: Instant, bytes: &[LineByte], controller: &Whole) {
-    for byte in bytes {
-        recorder.record(now, &Event::Line(*byte), controller);
-    }
+fn unit_recorded_line(recorder: &mut Ring, now: Instant, text: &[u8], controller: &Whole) {
+    recorder.record_text(now, 0, text, controller);
+    recorder.record(now, &Event::Line(LineByte { byte: b'\n', epoch: 0, damaged: false }), controller);
     recorder.more_waits();
 }
 
@@ -671,9 +670,8 @@ fn recording(controller: &Whole) {
     let pages = unsafe { (boards::RING as *mut [Page; 8]).as_mut_unchecked() };
     let mut recorder = Recorder::begin(pages.as_mut_slice(), &Restart::POWER);
     row_recorded_line();
-    let line = b"X12.345Y-6.789\n".map(|byte| LineByte { byte, epoch: 0, damaged: false });
     for k in 0..400_u64 {
-        unit_recorded_line(&mut recorder, Instant::from_ticks(k * 1_000), black_box(&line), controller);
+        unit_recorded_line(&mut recorder, Instant::from_ticks(k * 1_000), black_box(b"X12.345Y-6.789"), controller);
     }
     row_none();
     row_recorded_block();
