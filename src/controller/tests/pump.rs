@@ -115,6 +115,7 @@ impl<const WOKEN: bool> Pump<3, 16> for Scribe<WOKEN> {
 
     fn carry(&mut self, output: Output) {
         let name = match output {
+            Output::Step(message) if message.announces_block() => "block",
             Output::Step(_) => "step",
             Output::Reply(chunk) | Output::Answer(chunk) => {
                 self.said += std::str::from_utf8(chunk.as_bytes()).unwrap();
@@ -181,7 +182,7 @@ fn what_is_answered_by_an_event_is_answered_before_the_next_output() {
     assert_eq!(scribe.said, "ok\r\nok\r\nok\r\n");
     let stores = scribe.log.iter().filter(|entry| *entry == "store").count();
     assert!(stores >= 3, "{:?}", scribe.log);
-    let outputs = ["step", "reply", "pins", "wiring", "stop", "look", "store"];
+    let outputs = ["block", "step", "reply", "pins", "wiring", "stop", "look", "store"];
     let mut entries = scribe.log.iter();
     while entries.by_ref().any(|entry| entry == "store") {
         let next = entries.clone().find(|e| *e == "Store" || outputs.contains(&e.as_str()));
@@ -201,7 +202,7 @@ fn no_beam_goes_on_while_default_settings_are_being_stored() {
 }
 
 #[test]
-fn each_message_to_the_step_task_begins_a_round() {
+fn each_segment_for_the_step_task_begins_a_round() {
     let mut scribe = Scribe::<false>::new();
     scribe.send("G1X1F600\n");
     for _ in 0..20 {
@@ -214,6 +215,10 @@ fn each_message_to_the_step_task_begins_a_round() {
     for k in steps {
         assert_eq!(scribe.log.get(k + 1).map_or("begin", String::as_str), "begin");
     }
+    // What announces a block does not: its segment comes first.
+    let block = scribe.position("block");
+    let next = scribe.log[block..].iter().find(|entry| matches!(entry.as_str(), "step" | "begin"));
+    assert_eq!(next.map(String::as_str), Some("step"), "{:?}", scribe.log);
 }
 
 #[test]
