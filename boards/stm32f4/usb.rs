@@ -72,7 +72,8 @@ const OUT_DATA: u32 = 2;
 const OUT_COMPLETED: u32 = 3;
 /// DOEPCTL: no more NAK, enabled.
 const ENABLED: u32 = 1 << 31;
-const ENABLED_AGAIN: u32 = 1 << 26 | ENABLED;
+const CNAK: u32 = 1 << 26;
+const ENABLED_AGAIN: u32 = CNAK | ENABLED;
 /// DIEPCTL: NAK, disabled; and behind it DIEPINT, where either is told once it is in force.
 const SNAK: u32 = 1 << 27;
 const DISABLED: u32 = 1 << 30;
@@ -83,8 +84,8 @@ const IS_DISABLED: u32 = 1 << 1;
 const GRSTCTL: usize = 0x010;
 const TXFFLSH: u32 = 1 << 5;
 const TXFNUM_SHIFT: u32 = 6;
-/// Looks at a register that takes some cycles of the bus.
-const LOOKS: u32 = 100;
+/// How long a flag of an endpoint is waited for: twice the time of a packet of 64 bytes on the bus (USB 2.0, 5.8.3).
+const FLAG_TICKS: u32 = 100 * crate::CLOCK_TICKS_PER_US;
 /// DOEPCTL and DIEPCTL: the next packet is DATA0.
 const SD0PID: u32 = 1 << 28;
 /// Number of the interface of the data endpoints: that of the class behind its first, of control.
@@ -111,9 +112,15 @@ fn write(offset: usize, word: u32) {
     unsafe { address.write_volatile(word) }
 }
 
-/// Waits until bits have this value; not for ever.
-fn await_bits(offset: usize, bits: u32, value: u32) {
-    let _ = (0..LOOKS).find(|_| read(offset) & bits == value);
+/// Waits until bits have this value, for [`FLAG_TICKS`] at most. Whether they have.
+fn await_bits(offset: usize, bits: u32, value: u32) -> bool {
+    let began = clock_ticks();
+    while read(offset) & bits != value {
+        if clock_ticks().wrapping_sub(began) > FLAG_TICKS {
+            return false;
+        }
+    }
+    true
 }
 
 /// The next packet of an endpoint is DATA0. Whether it is enabled stays as it is.
@@ -149,11 +156,14 @@ impl UsbClass<UsbBusType> for SerialClass {
     }
 
     fn control_out(&mut self, transfer: ControlOut<'_, '_, '_, UsbBusType>) {
-        let Request { request_type, recipient, request, index, .. } = *transfer.request();
+        let Request { request_type, recipient, request, value, index, .. } = *transfer.request();
         if request_type == RequestType::Standard {
-            let both = (recipient, request) == (Recipient::Device, Request::SET_CONFIGURATION)
-                || (recipient, request, index) == (Recipient::Interface, Request::SET_INTERFACE, DATA_INTERFACE);
-            let one = (recipient, request) == (Recipient::Endpoint, Request::CLEAR_FEATURE);
+            // Others are refused, and change nothing.
+            let both = (recipient, request) == (Recipient::Device, Request::SET_CONFIGURATION) && value <= 1
+                || (recipient, request, index) == (Recipient::Interface, Request::SET_INTERFACE, DATA_INTERFACE)
+                    && value == 0;
+            let one = (recipient, request, value)
+                == (Recipient::Endpoint, Request::CLEAR_FEATURE, Request::FEATURE_ENDPOINT_HALT);
             self.begin_out |= both || one && index == u16::from(u8::from(self.port.read_ep().address()));
             self.begin_in |= both || one && index == u16::from(u8::from(self.port.write_ep().address()));
         }
@@ -286,17 +296,26 @@ impl UsbPort {
         let endpoint = self.class.port.write_ep().address().index();
         let control = DIEPCTL + endpoint * NEXT_ENDPOINT;
         let is_enabled = || read(control) & ENABLED != 0;
-        if is_enabled() {
-            write(control, read(control) & !ENABLED | SNAK);
-            await_bits(control + DIEPINT, NAK_IN_FORCE, NAK_IN_FORCE);
+        if !is_enabled() {
+            return;
         }
-        // It may just have been fetched.
-        if is_enabled() {
-            write(control, read(control) & !ENABLED | SNAK | DISABLED);
-            await_bits(control + DIEPINT, IS_DISABLED, IS_DISABLED);
-            write(control + DIEPINT, NAK_IN_FORCE | IS_DISABLED);
+        // What is told of an earlier time does not count.
+        write(control + DIEPINT, NAK_IN_FORCE | IS_DISABLED);
+        write(control, read(control) & !ENABLED | SNAK);
+        let is_refused = await_bits(control + DIEPINT, NAK_IN_FORCE, NAK_IN_FORCE);
+        if !is_enabled() {
+            // It has just been fetched.
+            return;
+        }
+        if is_refused {
+            write(control, read(control) & !ENABLED | DISABLED);
+        }
+        if is_refused && await_bits(control + DIEPINT, IS_DISABLED, IS_DISABLED) {
             write(GRSTCTL, (endpoint as u32) << TXFNUM_SHIFT | TXFFLSH);
             await_bits(GRSTCTL, TXFFLSH, 0);
+        } else {
+            // It stays, and goes to the next host: better than an endpoint that refuses for ever.
+            write(control, read(control) & !ENABLED | CNAK);
         }
     }
 

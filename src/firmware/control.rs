@@ -410,6 +410,7 @@ impl Pump<AXES, BLOCKS> for Control {
             }
             Output::Reply(chunk) | Output::Answer(chunk) => {
                 let _ = self.ends.replies.try_send(chunk);
+                self.coalescing.sent(self.round_began);
                 // What follows comes with the same run.
                 if !self.controller.has_answers() || self.ends.replies.is_full() {
                     boards::call_serial();

@@ -19,8 +19,7 @@ pub struct StepStatus {
     pub segments_begun: AtomicU32,
     /// Nothing moves and nothing is loaded.
     pub at_rest: AtomicBool,
-    /// There is room for a message ahead of its time; whoever queues one then pends the step vector, for the next tick may
-    /// be too late. Each run writes 0 or 1, so the watchdog's [`STEP_ASKED`] in it stays only if there was none.
+    /// A message that is queued now must not wait for the next run; whoever queues one then pends the step vector. Each run writes 0 or 1, so the watchdog's [`STEP_ASKED`] in it stays only if there was none.
     pub wants: AtomicU8,
 }
 

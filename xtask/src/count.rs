@@ -81,7 +81,7 @@ const ROWS: [Row; 20] = [
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (288, 401)).beside("138 / 241", "644 / 919"),
     row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (6_380, 10_450))
         .beside("2800 / 4400", "4100 / 6500"),
-    row("recorded_line", "recording, a line of 15 bytes", Figure::Mean, None, (520, 760)),
+    row("recorded_line", "recording, a line of 15 bytes", Figure::Mean, None, (320, 510)),
     row("recorded_block", "recording, per message to the step task", Figure::Mean, None, (35, 52)),
     row("recorded_rest", "recording, a pass at rest", Figure::Mean, None, (8, 13)),
     row("jerk_walk_near", "", Figure::Base, None, UNBOUNDED),

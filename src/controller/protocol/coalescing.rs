@@ -1,7 +1,7 @@
 //! `Coalescing`: answers of lines that wait one behind the other go to the serial task together, for each message to it
 //! costs a run, a packet of the link and, by what the host sends for it, another. `begin` is told of each round,
-//! `holds` says whether answers are held back in it, `release` lets them go before the pump sleeps; `LONGEST` bounds
-//! the time.
+//! `holds` says whether answers are held back in it, `sent` that some have gone, and `release` lets them go before the
+//! pump sleeps; `LONGEST` bounds the time.
 //!
 //! It promises: an answer is held only while whole or part of another line waits to be taken, so a host that waits for it
 //! before it sends more never finds it held; and no longer than [`LONGEST`] and a round.
@@ -14,7 +14,7 @@ const LONGEST: Duration = Duration::from_ticks(1_000);
 /// Whether answers are held back.
 #[derive(Clone, Copy, Debug)]
 pub struct Coalescing {
-    /// When answers go in any case.
+    /// When answers are held no longer.
     until: Instant,
     /// The round began before that.
     is_within: bool,
@@ -31,12 +31,15 @@ impl Coalescing {
     #[inline(always)]
     pub fn begin(&mut self, now: Instant) {
         self.is_within = now < self.until;
-        if !self.is_within {
-            self.until = now + LONGEST;
-        }
     }
 
-    /// Whether answers are held back in this round, while bytes of lines wait that it could take, or none do.
+    /// Answers have gone in the round that began at `now`: those that follow may be held.
+    #[inline(always)]
+    pub fn sent(&mut self, now: Instant) {
+        self.until = now + LONGEST;
+    }
+
+    /// Whether answers are held back in this round. `lines_wait`: there are bytes of lines that it could take.
     #[inline(always)]
     pub fn holds(&self, lines_wait: bool) -> bool {
         lines_wait && self.is_within
@@ -62,12 +65,17 @@ mod tests {
         // The first of a burst goes at once.
         answers.begin(at(5_000));
         assert!(!answers.holds(true));
+        // A round that has other things to do leaves them to the next.
+        answers.begin(at(5_000));
+        assert!(!answers.holds(true));
+        answers.sent(at(5_000));
         for micros in [5_000, 5_300, 5_999] {
             answers.begin(at(micros));
             assert!(answers.holds(true) && !answers.holds(false), "{micros}");
         }
         answers.begin(at(6_000));
         assert!(!answers.holds(true));
+        answers.sent(at(6_000));
         answers.begin(at(6_001));
         assert!(answers.holds(true));
     }
@@ -76,6 +84,7 @@ mod tests {
     fn nothing_is_held_while_the_pump_sleeps() {
         let mut answers = Coalescing::default();
         answers.begin(at(5_000));
+        answers.sent(at(5_000));
         answers.begin(at(5_100));
         assert!(answers.holds(true));
         answers.release(at(5_100));

@@ -154,8 +154,11 @@ class OtgFs(Peripheral):
             after = value & ~(CNAK | SNAK | EPDIS | NAKSTS | EPENA | SD0PID | SD1PID) | before & (NAKSTS | EPENA)
             if value & (SD0PID | SD1PID):
                 self.toggle[side, number] = int(not value & SD0PID)
+            in_force = self.complete[number] & INEPNE
             if value & CNAK:
                 after &= ~NAKSTS
+                if side == IN:
+                    self.complete[number] &= ~INEPNE
             if value & SNAK:
                 after |= NAKSTS
                 if side == IN:
@@ -164,7 +167,7 @@ class OtgFs(Peripheral):
                 after |= EPENA
             if value & EPDIS:
                 if side == IN:
-                    if not self.complete[number] & INEPNE:
+                    if not in_force:
                         raise Misuse(f"OTG_FS: IN endpoint {number} is disabled before its NAK is in force")
                     self.complete[number] |= EPDISD
                 after &= ~EPENA
