@@ -4,9 +4,9 @@
 //! lines and macros. They `say` a report or give an `Error` (`NotIdle`, `HomingDisabled`). `system` sets the `task` to
 //! `Task::Listing` or `Task::Storing`, `set_setting` looks at numbers such as `DOOR_FITTED`, `KINEMATICS`,
 //! `REPORT_INCHES`, `STEP_PULSE`, `RESET_IS_EMERGENCY_STOP`, and `LASER`, `SPINDLE_MAXIMUM` and `SPINDLE_MINIMUM`, which
-//! stop the spindle (`stop_spindle`), at the `dialect`, at the `least_pulse` and whether it `renames_places`
-//! (`DIRECTION_INVERT`, `HOMING_DIRECTION`); `changed` acts on it and asks whether it `moves_places`. It also calls `set_startup_line`, `set_macro`, `list_recording`, `restore_defaults` (`Restore::All`),
-//! `check_lines`, `report_build_info` and `ask_view`. Too long a text is `LineTooLong`.
+//! stop the spindle (`stop_spindle`), at the `dialect` and at the `least_pulse`; `follow_setting` acts on it, and
+//! `rename_places` has the machine homed again where it must be (`DIRECTION_INVERT`, `HOMING_DIRECTION`). It also calls
+//! `set_startup_line`, `set_macro`, `list_recording`, `restore_defaults` (`Restore::All`), `check_lines`, `report_build_info` and `ask_view`. Too long a text is `LineTooLong`.
 
 use super::Controller;
 use super::task::{Answer, Ask, Caller, Listing, Task};
@@ -174,16 +174,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let before = self.settings.by_number(number);
         let (soft_limits, dialect) = (self.settings.is_on(Key::SoftLimits), self.dialect());
         self.settings.set(number, value)?;
-        if self.settings.by_number(number) != before {
-            // The same S is another power now.
-            if matches!(number, SPINDLE_MAXIMUM | SPINDLE_MINIMUM | LASER) {
-                self.stop_spindle();
-            }
-            if self.settings.is_on(Key::Homing) && self.renames_places(number) {
-                self.reference.lose();
-            }
+        let is_other = self.settings.by_number(number) != before;
+        // The same S is another power now.
+        if is_other && matches!(number, SPINDLE_MAXIMUM | SPINDLE_MINIMUM | LASER) {
+            self.stop_spindle();
         }
-        self.changed(number, soft_limits);
+        self.follow_setting(number, soft_limits);
+        if is_other {
+            self.rename_places(number);
+        }
         if self.dialect() != dialect {
             self.interpreter.change_dialect();
             self.end_check();
@@ -195,18 +194,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         Ok(())
     }
 
-    /// A setting has a new value: derived numbers follow, and it is stored. `soft_limits`: they were on before.
-    fn changed(&mut self, number: u16, soft_limits: bool) {
+    /// A setting has been set: derived numbers follow, and it is stored. `soft_limits`: they were on before.
+    fn follow_setting(&mut self, number: u16, soft_limits: bool) {
         self.reconfigure();
-        // Another resolution is another position for the same steps; homing that is switched on has not been done.
+        // Another resolution is another position for the same steps.
         self.interpreter.set_position(self.motion.machine_position());
-        let moves_places = AxisKey::Resolution.axis(number).is_some() || number == KINEMATICS;
-        if moves_places || (matches!(number, HOMING | AXES) && self.settings.is_on(Key::Homing)) {
-            self.reference.lose();
-        }
-        if moves_places {
-            self.interpreter.end_cycles();
-        }
         if matches!(number, REPORT_INCHES | AXES) {
             self.replies.offset_changed();
         }
@@ -216,11 +208,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.records.save_setting(number, &self.settings);
     }
 
-    /// Whether homing gives a place another name with another value of this setting.
-    fn renames_places(&self, number: u16) -> bool {
+    /// A setting has another value: where that gives places other names than homing gave them, the machine is to be homed
+    /// again. Homing that is switched on has not been done.
+    fn rename_places(&mut self, number: u16) {
         let to_negative = AxisMask(self.settings.whole(Key::HomingDirection) as u8);
-        matches!(number, DIRECTION_INVERT | HOMING_DIRECTION)
-            || AxisKey::Travel.axis(number).is_some_and(|axis| to_negative.has(axis))
+        let moves_places = AxisKey::Resolution.axis(number).is_some() || number == KINEMATICS;
+        let renames_places = matches!(number, DIRECTION_INVERT | HOMING_DIRECTION | HOMING | AXES)
+            || AxisKey::Travel.axis(number).is_some_and(|axis| to_negative.has(axis));
+        if moves_places {
+            self.interpreter.end_cycles();
+        }
+        if moves_places || renames_places && self.settings.is_on(Key::Homing) {
+            self.reference.lose();
+        }
     }
 
     fn toggle_check_mode(&mut self) -> Result<(), Error> {
