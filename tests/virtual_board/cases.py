@@ -1443,6 +1443,22 @@ def hung(bench):
         raise Failure("steps after the reset")
 
 
+def unserved(bench):
+    """The interrupts of a task are off, as by a disturbed interrupt controller: the others see that it does not answer."""
+    for task, interrupts in (("serial", (37, 38, 67)), ("step", (28,))):
+        bench.boot()
+        board = bench.board
+        if not board.iwdg.started:
+            raise NotYet("this firmware starts no watchdog")
+        busy(bench)
+        board.nvic.enabled -= {16 + number for number in interrupts}
+        begin, resets = board.now, len(board.resets)
+        bench.wait(lambda: len(board.resets) > resets, 5, "a reset")
+        tell(bench, "stuck")
+        cycle, why = board.resets[-1]
+        yield f"{task} task: outputs safe {us_off(bench, begin)} and reset by {why} {(cycle - begin) / bench.wiring.core_hz * 1e3:.0f} ms after its interrupts went off; {cause(bench)}"
+
+
 def recorded(bench):
     """A control task that hangs in mid-job: what the board has recorded leads the simulator to the place and line of the failure."""
     bench.boot()
@@ -2286,6 +2302,7 @@ def all_cases(root):
         ("stack overflow", overflowed),
         ("failure in a failure", failed_twice),
         ("hung control task", hung),
+        ("unserved tasks", unserved),
         ("recorded failure", recorded),
         ("masked for ever", deaf),
         ("brown-out", brown_out),
