@@ -1446,17 +1446,22 @@ def hung(bench):
 def unserved(bench):
     """The interrupts of a task are off, as by a disturbed interrupt controller: the others see that it does not answer."""
     for task, interrupts in (("serial", (37, 38, 67)), ("step", (28,))):
-        bench.boot()
-        board = bench.board
-        if not board.iwdg.started:
-            raise NotYet("this firmware starts no watchdog")
-        busy(bench)
-        board.nvic.enabled -= {16 + number for number in interrupts}
-        begin, resets = board.now, len(board.resets)
-        bench.wait(lambda: len(board.resets) > resets, 5, "a reset")
-        tell(bench, "stuck")
-        cycle, why = board.resets[-1]
-        yield f"{task} task: outputs safe {us_off(bench, begin)} and reset by {why} {(cycle - begin) / bench.wiring.core_hz * 1e3:.0f} ms after its interrupts went off; {cause(bench)}"
+        yield f"{task} task: {without_interrupts(bench, interrupts)}"
+
+
+def without_interrupts(bench, numbers):
+    """What comes of it when these are off in full motion."""
+    bench.boot()
+    board = bench.board
+    if not board.iwdg.started:
+        raise NotYet("this firmware starts no watchdog")
+    busy(bench)
+    board.nvic.enabled -= {16 + number for number in numbers}
+    begin = board.now
+    bench.wait(lambda: board.resets, 5, "a reset")
+    tell(bench, "stuck")
+    cycle, why = board.resets[0]
+    return f"outputs safe {us_off(bench, begin)} and reset by {why} {(cycle - begin) / bench.wiring.core_hz * 1e3:.0f} ms after its interrupts went off; {cause(bench)}"
 
 
 def recorded(bench):
