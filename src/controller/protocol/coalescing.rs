@@ -4,7 +4,7 @@
 //! pump sleeps; `LONGEST` bounds the time.
 //!
 //! It promises: an answer is held only while whole or part of another line waits to be taken, so a host that waits for it
-//! before it sends more never finds it held; and no longer than [`LONGEST`] and a round.
+//! before it sends more never finds it held; and no longer than `LONGEST` and a round.
 
 use crate::units::{Duration, Instant};
 
