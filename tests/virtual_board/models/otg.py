@@ -133,6 +133,8 @@ class OtgFs(Peripheral):
                 self.words.clear()
             if value & 1 << 5:
                 number = value >> 6 & 31
+                if number != 16 and self.control[IN, number] & EPENA:
+                    raise Misuse(f"OTG_FS: the FIFO of IN endpoint {number} is emptied while it is enabled")
                 for n in range(ENDPOINTS) if number == 16 else (number,):
                     self.sending[n].clear()
         elif offset in self.values:
