@@ -70,7 +70,7 @@ const PKTSTS_SHIFT: u32 = 17;
 const PKTSTS: u32 = 0xF;
 const OUT_DATA: u32 = 2;
 const OUT_COMPLETED: u32 = 3;
-/// DOEPCTL: no more NAK, enabled.
+/// DOEPCTL and DIEPCTL: enabled, no more NAK, and both.
 const ENABLED: u32 = 1 << 31;
 const CNAK: u32 = 1 << 26;
 const ENABLED_AGAIN: u32 = CNAK | ENABLED;

@@ -839,6 +839,23 @@ class OtgTraces(unittest.TestCase):
         model.out(1, b"G", 0)
         self.assertEqual(len(model.fifo), 2)
 
+    def test_an_in_endpoint_is_disabled_behind_its_nak_and_then_emptied(self):
+        _, model = self.fresh()
+        # DIEPCTL1: active, CNAK, EPENA. Its DIEPINT has INEPNE and EPDISD; GRSTCTL flushes its FIFO.
+        enabled, snak, disabled, flush = 1 << 31 | 1 << 26 | 1 << 15, 1 << 27, 1 << 30, 1 << 6 | 1 << 5
+        model.write(0x920, enabled)
+        for offset, value in ((0x010, flush), (0x920, snak | disabled)):
+            with self.assertRaises(Misuse):
+                model.write(offset, value)
+        # CNAK ends what was in force.
+        model.write(0x920, enabled)
+        self.assertEqual(model.read(0x928), 0)
+        model.write(0x920, 1 << 15 | snak)
+        self.assertEqual(model.read(0x928), 1 << 6)
+        model.write(0x920, 1 << 15 | disabled)
+        self.assertEqual(model.read(0x928), 1 << 6 | 1 << 1)
+        model.write(0x010, flush)
+
     def test_a_packet_for_an_endpoint_that_then_answers_nak(self):
         bench, model = self.fresh()
         # Endpoint 1 is not active, then active and not enabled, then enabled with its NAK cleared.

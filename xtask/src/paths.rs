@@ -14,7 +14,7 @@ use std::process::Command;
 /// limit is about twice that: it makes images larger and hardly any path faster (docs/how-it-works.md, "Small parts").
 const FOR_SPEED: [&str; 2] = ["-Ctarget-cpu=cortex-m4", "-Cllvm-args=-inline-threshold=120"];
 
-/// The same limit for images that are built for size: about half the compiler's own for those.
+/// The same limit for images that are built for size, below the compiler's own for those, too.
 const FOR_SIZE: [&str; 1] = ["-Cllvm-args=-inline-threshold=30"];
 
 /// Cargo, in the workspace, for what is released. `RUSTFLAGS` of the environment do not reach such a build.

@@ -6,7 +6,8 @@
 //! `REPORT_INCHES`, `STEP_PULSE`, `RESET_IS_EMERGENCY_STOP`, and `LASER`, `SPINDLE_MAXIMUM` and `SPINDLE_MINIMUM`, which
 //! stop the spindle (`stop_spindle`), at the `dialect` and at the `least_pulse`; `follow_setting` acts on it, and
 //! `rename_places` has the machine homed again where it must be (`DIRECTION_INVERT`, `HOMING_DIRECTION`). It also calls
-//! `set_startup_line`, `set_macro`, `list_recording`, `restore_defaults` (`Restore::All`), `check_lines`, `report_build_info` and `ask_view`. Too long a text is `LineTooLong`.
+//! `set_startup_line`, `set_macro`, `list_recording`, `restore_defaults` (`Restore::All`), `check_lines`,
+//! `report_build_info` and `ask_view`. Too long a text is `LineTooLong`.
 
 use super::Controller;
 use super::task::{Answer, Ask, Caller, Listing, Task};

@@ -1,7 +1,8 @@
 //! `InputLevels`: the inputs as the controller sees them: levels of the pins, what counts of them by the settings
 //! (`fitted`), what came and what has tripped, which inputs are armed to stop the step task, their polarity and
 //! resistors (`InputWiring`), and the view for `$PINS`. Polarity and filter come before (`machine::signals`).
-//! `limits_of` and `second_switch` say which switches count, `hard_limits` which of them stop the machine, and an emergency stop, a reset or a trip gives its alarm.
+//! `limits_of` and `second_switch` say which switches count, `hard_limits` which of them stop the machine, and an
+//! emergency stop, a reset or a trip gives its alarm.
 //! In it are `configure`, `take`, `pins`, `are_known`, `take_tripped`, `trip_emergency`, `trip_limits`, `ask_view`,
 //! `take_look`, `viewed`, `armed`, `axes_of_switches`, `wiring_by`, `control_word`, `InputChange`.
 //!
