@@ -47,7 +47,7 @@ pub(super) fn next_cut<const N: usize>(
     let fastest = greater(nominal, state.speed);
     if state.acceleration >= 0.0 && ramp_distance(fastest, 0.0, bounds) < UNITS_PER_STEP as f32 * millimetre {
         let (curve, left) = run.trapezoid(motion.pace, braking, planner)?;
-        return Some(segment::cut(&curve, run.done, left, motion.pace));
+        return Some(segment::cut(&curve, run.done, left, motion.pace, run.scales_power()));
     }
     let units = run.left();
     let left = units as f32 * millimetre;

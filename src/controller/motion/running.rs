@@ -194,6 +194,12 @@ impl<const N: usize> Running<N> {
         self.flags & RAPID != 0
     }
 
+    /// Whether power follows the speed (dynamic laser power).
+    #[inline]
+    pub(super) fn scales_power(&self) -> bool {
+        self.flags & SCALE_POWER != 0
+    }
+
     /// The mark of the block.
     #[inline]
     pub(super) fn mark(&self) -> u8 {
@@ -204,7 +210,7 @@ impl<const N: usize> Running<N> {
     /// laser power).
     #[inline]
     pub(super) fn power_at(&self, speed: f32) -> u16 {
-        if self.flags & SCALE_POWER == 0 {
+        if !self.scales_power() {
             return self.power;
         }
         (f32::from(self.power) * (speed / self.programmed)) as u16

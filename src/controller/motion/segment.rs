@@ -1,18 +1,25 @@
 //! Cuts the next segment out of a block's speed curve: a `Cut` of units, ticks, seconds and ramp, at the AMASS level
-//! and grain (units of a tick) that suit the pace, with a reach of a millisecond at most, up to the edge of a level or
-//! phase. The `Pacer` puts its time into fixed-point `Intervals`, flat or with an even ramp, and carries the remainder
+//! and grain (units of a tick) that suit the pace, with a reach of a millisecond or two at most, up to the edge of a
+//! level or phase. The `Pacer` puts its time into fixed-point `Intervals`, flat or with an even ramp, and carries the remainder
 //! over to the next one.
 //!
-//! A segment lasts 1 ms at most (or one tick, if that takes longer), has whole ticks, and ends where a phase of the curve
-//! ends. Its intervals change evenly from tick to tick; their sum is the exact time of the curve, and what the fixed point
+//! A segment lasts 1 ms at most, 2 ms where the speed stays or hardly changes (or one tick, if that takes longer), has whole
+//! ticks, and ends where a phase of the curve ends. Its intervals change evenly from tick to tick; their sum is the exact time of the curve, and what the fixed point
 //! cannot hold goes into the next segment, so no time is lost or gained.
 
 use super::stepper::MAX_LEVEL;
 use super::trapezoid::{Pace, Trapezoid, lesser};
 use crate::messages::{INTERVAL_FRACTION_BITS, UNITS_PER_STEP};
 
-/// Longest segment of several ticks, in seconds: how old the acceleration may get.
+/// Longest segment of several ticks, in seconds, while the speed changes: how far its even change of the interval may stray from
+/// the curve, and how coarsely dynamic laser power follows the speed.
 const SEGMENT_TIME: f32 = 0.001;
+/// The same where speed and power stay or hardly change: how long a hold or an override may wait for its end, and how far ahead
+/// the reported position may be.
+const STEADY_TIME: f32 = 0.002;
+/// Acceleration by speed, 1/s, up to which speed hardly changes: by 1 % in that time, and the acceleration of the even change of
+/// the interval, which goes with the cube of the speed, is 1.5 % off at its ends.
+const STEADY: f32 = 5.0;
 /// Ticks per second below which smoothing makes them finer: the stepping of a slow axis then jitters by 125 us at most.
 const SMOOTH_RATE: f32 = 8000.0;
 /// That speed in units/s, at ticks of a whole step.
@@ -121,13 +128,15 @@ impl SegmentSize {
 
 /// The next piece, `left` (> 0) units before the end of the curve, `done` units after the start of the block.
 #[inline(always)]
-pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace) -> Cut {
+pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace, scales_power: bool) -> Cut {
     let Pace { speed, speed2 } = pace;
     let phase = curve.phase(speed2, left as f32);
     let mut level = amass_level_for(speed);
-    let change = phase.sign * curve.acceleration * SEGMENT_TIME;
+    let steady = phase.sign == 0.0 || curve.acceleration <= STEADY * speed;
+    let time = if steady && !scales_power { STEADY_TIME } else { SEGMENT_TIME };
+    let change = phase.sign * curve.acceleration * time;
     // A braking that ends within the time: all of it.
-    let mut reach = if speed + change > 0.0 { (speed + 0.5 * change) * SEGMENT_TIME } else { speed * SEGMENT_TIME };
+    let mut reach = if speed + change > 0.0 { (speed + 0.5 * change) * time } else { speed * time };
     if phase.sign != 0.0 {
         // The speed at which the level ends. Twice the acceleration times the way is the change of speed².
         let edge = if phase.sign > 0.0 {

@@ -336,7 +336,8 @@ impl<const N: usize> SegmentSource<N> {
         }
         planner.settle();
         let (run, pace) = (&self.running, self.motion.pace);
-        run.trapezoid(pace, braking, planner).map(|(curve, left)| segment::cut(&curve, run.done, left, pace))
+        run.trapezoid(pace, braking, planner)
+            .map(|(curve, left)| segment::cut(&curve, run.done, left, pace, run.scales_power()))
     }
 
     /// A part of the time until a tick that is far away.
