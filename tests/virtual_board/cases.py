@@ -39,6 +39,8 @@ STACK_LEFT = 4096
 """Bytes of the stack that no case may have used."""
 CALL_CYCLES = 140
 """From the call of the step task to where no event begins any more, when it is not running: less than 2 us on all boards."""
+BEHIND_CYCLES = 300
+"""From there to where the beam is off: a change of power that is about to come is awaited."""
 LINES_S = {"blackpill_f411": 3800, "blackpill_f401": 2600}
 """Short lines a second that a board takes over USB while it moves."""
 LATEST_PULSE_END_S = 0.15 * US
@@ -561,6 +563,7 @@ def raster_stops(bench):
     bench.settings(s100=80, s30=10, s912=1)
     board, hz, random = bench.board, bench.wiring.core_hz, Random(18)
     clock, beam, worst, near, takes = board.peripherals["TIM2"], BeamWatch(board), {}, [], None
+    watch, behind = StopWatch(board), 0
     # The host's line is free again before the first of these pixels.
     row = "G91G1F6000M3S0\nX.6\n" + "".join(f"X.05S{2 + 6 * (k % 2)}\n" for k in range(10)) + "X9S7\n"
     for k in range(15):
@@ -594,6 +597,7 @@ def raster_stops(bench):
         if what == "0x18":
             takes = min(takes or off - heard, off - heard)
         near.append(off - moment)
+        behind = max(behind, off - watch.halted_at)
         worst[what] = max(worst.get(what, 0), (off - heard) / hz)
         if what != "0x18":
             board.drive(bench.wiring.reset, None)
@@ -601,12 +605,15 @@ def raster_stops(bench):
             bench.host.send("\x18")
         board.run(seconds=0.001)
     yield (
-        f"off at most {us(worst['0x18'])} after 0x18, {us(worst['emergency stop'])} after the contact of an emergency stop, and nothing behind it"
+        f"off at most {us(worst['0x18'])} after 0x18, {us(worst['emergency stop'])} after the contact of an emergency stop, and nothing behind it; "
+        f"at most {us(behind / hz)} after the last edge that was let out"
     )
     if not any(-250 < cycles < 0 for cycles in near) or not any(0 < cycles < 250 for cycles in near):
         raise Failure("no stop came right before a change, or right behind one: this proves nothing")
     if worst["0x18"] > STOP_S + RUN_CYCLES / hz or worst["emergency stop"] > TRIP_S + RUN_CYCLES / hz:
         raise Failure("the beam is off too late")
+    if behind > BEHIND_CYCLES:
+        raise Failure("the beam burns where the tool is about to stand while undone events are counted")
 
 
 def turns(bench):
@@ -767,7 +774,7 @@ class StopWatch:
     often that was, for a stop or because the ring ran dry."""
 
     def __init__(self, board):
-        self.board, self.called, self.stopped, self.halts = board, None, [], 0
+        self.board, self.called, self.stopped, self.halts, self.halted_at = board, None, [], 0, None
         tim1, tim2, edges = board.peripherals["TIM1"], board.peripherals["TIM2"], board.dma[1]
         to_tim1, to_tim2 = tim1.write, tim2.write
 
@@ -782,6 +789,7 @@ class StopWatch:
         def stop(offset, value):
             if offset == SMCR and tim1.values[SMCR] & 7 and not value & 7:
                 self.halts += 1
+                self.halted_at = board.now
                 if self.called:
                     self.stopped.append((board.now - self.called, edges.values[0x10 + 0x18 + NDTR]))
                 self.called = None
@@ -902,6 +910,39 @@ def masked_long(bench):
     yield f"masked for 200 us at {bench.wiring.safe_step_hz} steps/s: ALARM:100 after {scope.counts()[0]} steps"
     if told != counted:
         raise Failure(f"X{told} is told after {counted} steps")
+
+
+def late_segments(bench):
+    """The control task hangs until the step task has nothing left but the events that are ahead. A segment that comes then is taken in
+    at once, and not when the last of these are coming out: interrupts that are masked behind it put no step off."""
+
+    def late(released_s=None):
+        """The step that comes last, and the longest time between two, if the control task goes on so long before that."""
+        bench.boot()
+        board, hz = bench.board, bench.wiring.core_hz
+        fast(bench, 10_000)
+        moving(bench, 6_000)
+        scope, after, begin = Scope(board), len(bench.host.text), board.now
+        hang(bench)
+        if released_s is None:
+            board.run(seconds=0.05)
+            return scope.steps()[-1].at - begin
+        board.run(seconds=(last - released_s * hz) / hz)
+        unpatch(bench)
+        board.run(seconds=100 * US)
+        board.mask(200 * US)
+        board.run(seconds=0.02)
+        rising = [step.at for step in scope.steps()]
+        said = bytes(bench.host.text[after:])
+        if b"ALARM" in said:
+            raise Failure(f"released {us(released_s)} before the last step: {said!r}")
+        return max(b - a for a, b in pairwise(rising)) / hz
+
+    last = late()
+    longest = {before: late(before * US) for before in (280, 265, 250)}
+    yield f"a segment up to {min(longest)} us before the last step, and interrupts masked behind it: at most {us(max(longest.values()))} between two steps"
+    if max(longest.values()) > 10 * US + JITTER_S:
+        raise Failure(f"steps were put off: {longest}")
 
 
 def stand_once(board, until):
@@ -1112,6 +1153,43 @@ def emergency_stop(bench):
     if not any("may be lost" in line for line in bench.ask("$X")):
         raise Failure("the position is trusted after a stop at speed")
     yield f"last rising edge {us(late)} after the contact, spindle and coolant off after {off}; told with line and place"
+
+
+def lines_at_stops(bench):
+    """Emergency stops in lines of 0.2 ms: the line that is told is the one that the last step belongs to, also where it has begun
+    since the step task was called last."""
+    bench.boot()
+    board, random = bench.board, Random(21)
+    fast(bench, 10_000)
+    bench.settings(s11=0.1, s912=1)
+    # Small turns keep lines from being joined.
+    job = "".join(f"N{line}X.02Y{'-' * (line % 2)}.002\n" for line in range(1, 121))
+    stops, wrong, runs = 14, [], []
+    for _ in range(stops):
+        bench.ask("$X")
+        board.edges.clear()
+        scope = Scope(board)
+        bench.host.stream(f"G91G1F400X1\nF6000\n{job}")
+        bench.wait(lambda: len(board.edges) > 2 * 2200, 1, "lines at speed")
+        board.run(seconds=random.uniform(0, 10e-3))
+        after = len(bench.host.text)
+        board.drive(bench.wiring.reset, 0)
+        bench.wait_text("Reset to continue", 0.5, after)
+        told = int(bytes(bench.host.text[after:]).decode().split("line ")[1].split("]")[0])
+        steps = scope.counts()[0] - 1000
+        last = scope.steps()[-1].at
+        runs.append(last - max(entry for entry, _ in board.step_runs if entry < last))
+        # A line begins with the last step of the one before it.
+        if told not in (steps // 20 + 1, max(steps - 1, 0) // 20 + 1):
+            wrong.append((told, steps / 20))
+        board.drive(bench.wiring.reset, None)
+        board.run(seconds=0.001)
+        after = len(bench.host.text)
+        bench.host.send(b"\x18")
+        bench.wait_text("to unlock", 0.5, after)
+    yield f"{stops} emergency stops, up to {us(max(runs) / bench.wiring.core_hz)} after a run of the step task: {stops - len(wrong)} told with their line"
+    if wrong:
+        raise Failure(f"the line that is told is not the last: {wrong}")
 
 
 def noise(bench):
@@ -1543,6 +1621,42 @@ def brown_out(bench):
         raise Failure(f"X{place} is reported after {counted} mm: {told}")
     yield f"the place is the one {(counted - place) * 1e3:.0f} um before the last step"
     yield f"2.7 V: spindle off after {off}, last rising edge after {us(late)}; {cause(bench)}"
+
+
+def brown_out_of_a_beam(bench):
+    """The supply sinks in mid-raster, and the next change of power comes while outputs are being made safe: no beam behind it, no
+    pulse."""
+    bench.boot()
+    board, hz = bench.board, bench.wiring.core_hz
+    fast(bench, 10_000)
+    bench.settings(s100=80, s110=12_000, s30=10, s31=0, s32=1)
+    clock, pwm, beam = board.peripherals["TIM2"], board.peripherals["TIM3"], BeamWatch(board)
+    bench.host.send("G91G1F6000M3S0\nX.6\n" + "".join(f"X.05S{2 + 6 * (k % 2)}\n" for k in range(10)) + "X9S7\n")
+
+    def away_s():
+        return (clock.values[timer.CCR3] - clock.count() & 0xFFFF_FFFF) * clock.cycles / hz
+
+    bench.wait(lambda: beam.last and len(beam.changes) > 2 and 150 * US < away_s() < 450 * US, 0.1, "a change of power that is due")
+    write, made_safe = pwm.write, []
+
+    def and_stand(offset, value):
+        write(offset, value)
+        if offset == timer.CCR2 and value == 0 and not made_safe:
+            made_safe.append(board.now)
+            board.stall(away_s() + 20 * US)
+
+    pwm.write = and_stand
+    scope = Scope(board)
+    board.set_supply(2.7)
+    board.run(seconds=0.005)
+    if not made_safe:
+        raise Failure("the beam was not switched off")
+    late = [step.at for step in scope.steps() if step.at > made_safe[0]]
+    if beam.last or duty(board) or late:
+        raise Failure(f"after the beam was switched off power is {beam.changes[-1][1]}, and {len(late)} pulses come")
+    board.set_supply(3.3)
+    tell(bench, "oltage", "upply")
+    yield "2.7 V, and the processor stands up to a change of power behind the beam's end: it stays off, and no pulse comes"
 
 
 def inverted_outputs(bench):
@@ -2288,10 +2402,12 @@ def all_cases(root):
         ("stops", stops),
         ("stops on the ring", ring_stops),
         ("masked for long", masked_long),
+        ("late segments", late_segments),
         ("late starts", late_starts),
         ("miscounts", miscounts),
         ("trips", trips),
         ("emergency stop", emergency_stop),
+        ("lines at stops", lines_at_stops),
         ("switch noise", noise),
         ("probe", probe),
         ("flood of realtime commands", flood),
@@ -2311,6 +2427,7 @@ def all_cases(root):
         ("recorded failure", recorded),
         ("masked for ever", deaf),
         ("brown-out", brown_out),
+        ("brown-out of a beam", brown_out_of_a_beam),
         ("low supply at power-up", low_at_power_up),
         ("inverted outputs", inverted_outputs),
         ("usb", usb_port),
