@@ -1379,6 +1379,28 @@ def same_steps(bench, scope, job, settings):
     return count
 
 
+def lost_clock(bench):
+    """The oscillator fails in full motion with the spindle on, also while interrupts are masked: everything safe at once, and the cause
+    is told once there is a clock again."""
+    for masked in (False, True):
+        bench.boot()
+        board = bench.board
+        busy(bench)
+        scope = Scope(board)
+        board.core.write("primask", int(masked))
+        begin = board.now
+        board.rcc.lose_hse()
+        bench.wait(lambda: board.resets, 0.1, "a reset")
+        board.rcc.hse_stands = False
+        rising = [step.at for step in scope.steps()]
+        late = board.seconds(max([begin, *rising])) - board.seconds(begin)
+        off = us_off(bench, begin)
+        if late > STOP_S:
+            raise Failure(f"pulses for another {us(late)}")
+        tell(bench, "clock failure")
+        yield f"clock lost{', interrupts masked' * masked}: spindle off after {off}, last rising edge after {us(late)}; {cause(bench)}"
+
+
 def low_at_power_up(bench):
     """A supply that is low from the beginning raises no edge; one that rises slowly is no failure."""
     board = bench.fresh()
@@ -1989,7 +2011,7 @@ def us_off(bench, begin):
         moments.append(moment)
     if duty(board):
         raise Failure("the PWM stays on")
-    return us((max(moments) - begin) / wiring.core_hz)
+    return us(board.seconds(max(moments)) - board.seconds(begin))
 
 
 def tell(bench, *words):
@@ -2426,6 +2448,7 @@ def all_cases(root):
         ("unserved tasks", unserved),
         ("recorded failure", recorded),
         ("masked for ever", deaf),
+        ("lost clock", lost_clock),
         ("brown-out", brown_out),
         ("brown-out of a beam", brown_out_of_a_beam),
         ("low supply at power-up", low_at_power_up),
