@@ -39,7 +39,7 @@ STACK_LEFT = 4096
 """Bytes of the stack that no case may have used."""
 CALL_CYCLES = 140
 """From the call of the step task to where no event begins any more, when it is not running: less than 2 us on all boards."""
-BEHIND_CYCLES = 300
+BEHIND_CYCLES = 400
 """From there to where the beam is off: a change of power that is about to come is awaited."""
 LINES_S = {"blackpill_f411": 3800, "blackpill_f401": 2600}
 """Short lines a second that a board takes over USB while it moves."""
