@@ -2133,6 +2133,29 @@ def usb_port(bench):
     bench.host = uart
     bench.ask("G4P0")
     yield "at rest the UART takes over with a line, and USB again"
+    yield from usb_waits_for_answers(bench)
+
+
+def usb_waits_for_answers(bench):
+    """All is done that the UART's host has asked for, and its answer still on the way: a line of USB's host is refused, and no byte goes
+    astray."""
+    host, uart = bench.host, bench.uart
+    bench.host = uart
+    bench.ask("G4P0")
+    begin = len(uart.text)
+    bench.ask("$$")
+    listing, lefts = bytes(uart.text[begin:]), (400, 200, 100, 40)
+    for left in lefts:
+        begin, before = len(uart.text), len(host.answers)
+        uart.send("$$\n")
+        bench.wait(lambda begin=begin, left=left: len(uart.text) - begin >= len(listing) - left, 2, "most of the listing")
+        host.send("G4P0\n")
+        bench.wait(lambda before=before: len(host.answers) > before, 0.5, "an answer at USB")
+        bench.wait(lambda begin=begin: len(uart.text) - begin >= len(listing), 0.5, "the end of the listing")
+        if host.answers[-1] != "error:8" or bytes(uart.text[begin:]) != listing:
+            raise Failure(f"{left} bytes before the end: USB was told {host.answers[-1]}, the UART {bytes(uart.text[-100:])!r}")
+    bench.host = host
+    yield f"a line {max(lefts)} to {min(lefts)} bytes before the end of the other host's listing is refused, and that is whole"
 
 
 def usb_flood(bench):
