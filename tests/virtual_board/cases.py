@@ -1390,7 +1390,7 @@ def lost_clock(bench):
         board.core.write("primask", int(masked))
         begin = board.now
         board.rcc.lose_hse()
-        bench.wait(lambda: board.resets, 0.1, "a reset")
+        bench.wait(lambda board=board: board.resets, 0.1, "a reset")
         board.rcc.hse_stands = False
         rising = [step.at for step in scope.steps()]
         late = board.seconds(max([begin, *rising])) - board.seconds(begin)
