@@ -95,6 +95,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     #[cfg(feature = "blackpill_f411")]
     stm32f4::full_core_voltage(&device.RCC, &device.PWR);
     let mut rcc = device.RCC.freeze(Config::hse(25.MHz()).sysclk(core_hz.Hz()).require_pll48clk());
+    stm32f4::watch_clock();
     stm32f4::watch_voltage(&device.PWR, &device.EXTI, low_voltage);
     let a = device.GPIOA.split(&mut rcc);
     let b = device.GPIOB.split(&mut rcc);

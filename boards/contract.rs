@@ -45,6 +45,7 @@
 //! | when | call |
 //! |---|---|
 //! | the supply falls below the least that the drivers' inputs are sure of | `low_voltage`, the function given to `setup`: highest priority, does not return |
+//! | the clock of the processor fails | `NonMaskableInt`, the exception by its name: the processor continues by a slower clock, and the handler does not return |
 //! | a vector of `vectors!` fires | the task bound to it |
 //! | the processor stops while flash is written | nothing: see `SettingsFlash` |
 

@@ -54,6 +54,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     #[cfg(feature = "nucleo_f411re")]
     stm32f4::full_core_voltage(&device.RCC, &device.PWR);
     let mut rcc = device.RCC.freeze(Config::hse(8.MHz()).bypass_hse_oscillator().sysclk(core_hz.Hz()));
+    stm32f4::watch_clock();
     stm32f4::watch_voltage(&device.PWR, &device.EXTI, low_voltage);
     let a = device.GPIOA.split(&mut rcc);
     let b = device.GPIOB.split(&mut rcc);

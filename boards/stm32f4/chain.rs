@@ -171,7 +171,7 @@ const fn stream(dma: usize, number: usize) -> usize {
     dma + STREAMS + STREAM_SIZE * number
 }
 
-/// Makes it start with no pulse out, and puts no edge and no power out after it. For a program that ends: nothing is counted any more.
+/// No pulse begins after this, and DMA writes no edge and no power. For a program that ends: nothing is counted any more.
 #[cfg(feature = "stm32f4")]
 #[inline(never)]
 pub(super) fn cut<M: Map>() {

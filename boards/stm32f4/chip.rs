@@ -3,7 +3,7 @@
 //! TIM5 (`start_clock`), the serial port `Usart<U: Instance>` (`BAUD`, `rx`, `tx`, `taken`, `lost`; `nb::Error` becomes
 //! `Incoming`), the `InputPins` (`MOST_INPUTS` `places` of `ErasedPin`s by `each_ref`, pulls, what is `fitted`), the
 //! `SlowPins` (`SLOW_OUTPUTS`) and their `levels`, the independent `Watchdog` that stops on debug, the `Parts`,
-//! `settings_flash`, `reset_cause` from the flags of `csr`, and `safe_state`, which writes each `SAFE` word
+//! `settings_flash`, `watch_clock` (`csson`), `reset_cause` from the flags of `csr`, and `safe_state`, which writes each `SAFE` word
 //! (`write_bsrr`). `each!` (`$pin`, `$how`) and `raw!` shorten pins and register access.
 //!
 //! Clocks, pins and other set-up go through the HAL, whose types see to it that no pin is used twice; what the step
@@ -132,6 +132,14 @@ pub fn start_clock(timer: pac::TIM5, rcc: &mut Rcc) {
     // The prescaler is taken over by an update.
     timer.egr().write(|w| w.ug().set_bit());
     timer.cr1().write(|w| w.cen().set_bit());
+}
+
+/// Has the chip watch its oscillator (clock security system). If that fails, the processor continues at 16 MHz of its own and takes
+/// the non-maskable interrupt, whose handler is the program's. Unwatched, the processor would stand still, and outputs stay as they
+/// are until the watchdog resets. To be called when the oscillator runs.
+pub fn watch_clock() {
+    // SAFETY: unsafe because a bit of the clock control is set without owning it; safe because no task runs yet.
+    unsafe { (*pac::RCC::ptr()).cr().modify(|_, w| w.csson().set_bit()) };
 }
 
 /// Microseconds, wrapping.

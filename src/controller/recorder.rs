@@ -47,6 +47,9 @@ const PLAIN: usize = 64;
 /// The time of the end of a line, and the end.
 const LINE_END: usize = 1 + 10 + 1;
 
+/// Longer than from a turn of the control task to where one that fails is ended: the watchdog takes half a second, or two.
+const LONGEST_TURN_US: u32 = 10_000_000;
+
 /// Basis and prime of 32-bit FNV-1a, here applied to whole words.
 const BASIS: u32 = 0x811C_9DC5;
 const PRIME: u32 = 0x0100_0193;
@@ -282,7 +285,11 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         let mut text = Rest::new();
         let (mut place, mut line, mut kind) = ([0; 3], 0, Noted::NO_CRASH);
         if let Some(crash) = &restart.crash {
-            self.time_to(self.time + u64::from(crash.moment.wrapping_sub(self.time as u32)));
+            let passed = crash.moment.wrapping_sub(self.time as u32);
+            // Its moment is that of the turn before, what came last may be of the turn that has failed.
+            if passed <= u32::MAX - LONGEST_TURN_US {
+                self.time_to(self.time + u64::from(passed));
+            }
             (place, line) = (crash.place, crash.line);
             kind = CrashKind::ALL.iter().position(|known| *known == crash.kind).unwrap_or_default() as u8;
         }

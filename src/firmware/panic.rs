@@ -1,6 +1,6 @@
-//! The handlers that a program has once: `panic` with the location, and `HardFault`, which reads the program counter
-//! from the stack `frame`, or finds that the stack overflowed (`StackOverflow`). They end in
-//! [`oxmill_firmware::failure`].
+//! The handlers that a program has once: `panic` with the location, `HardFault`, which reads the program counter from
+//! the stack `frame`, or finds that the stack overflowed (`StackOverflow`), and `NonMaskableInt`, when the clock has
+//! failed. They end in [`oxmill_firmware::failure`].
 
 use core::panic::PanicInfo;
 use oxmill_controller::messages::CrashKind;
@@ -16,6 +16,14 @@ fn panic(info: &PanicInfo<'_>) -> ! {
         }
         None => fail(CrashKind::Panic, format_args!("{}", info.message())),
     }
+}
+
+/// The clock of the board has failed, and the processor continues by a slower one of its own: no rate is true any more.
+// unsafe because it replaces the handler of cortex-m-rt by its name; safe because the signature is the one of an exception that
+// does not return.
+#[unsafe(no_mangle)]
+extern "C" fn NonMaskableInt() -> ! {
+    fail(CrashKind::Clock, format_args!("no external clock"))
 }
 
 /// Bus, usage and memory faults, a stack that has run out of RAM among them.

@@ -2,7 +2,7 @@
 emulation must not learn its pins from the code that it checks."""
 
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 PROFILES = Path(__file__).resolve().parents[2] / "boards" / "profiles.rs"
@@ -88,7 +88,8 @@ class Wiring:
     step_irq: int = 28
     usb: bool = False
     """OTG_FS is the first link to the host."""
-    extra: dict = field(default_factory=dict)
+    left_out: tuple = ()
+    """What the image of this board has no room for; all others have it."""
 
     def promised(self, number):
         """A number of the board's row in `profiles.rs`: what is tried is what is promised."""
@@ -128,7 +129,7 @@ BLACKPILL_F411 = Wiring(
     probe="B15", door="B7", hold="B5", start="B6", reset="B4", driver_fault="B3", second_step="A8", second_direction="A15",
     second_limit="A0", at_speed=None, usart="USART1", usb=True,
 )  # fmt: skip
-BLACKPILL_F401 = replace(BLACKPILL_F411, name="blackpill_f401", part=STM32F401, core_hz=84 * MHZ)
+BLACKPILL_F401 = replace(BLACKPILL_F411, name="blackpill_f401", part=STM32F401, core_hz=84 * MHZ, left_out=("splines", "recording"))
 NUCLEO_F446RE = Wiring(
     "nucleo_f446re", STM32F446, 8 * MHZ, True, 180 * MHZ,
     step=("A10", "B3", "B5"), direction=("B4", "B10", "A8"), limits=("C7", "B6", "A6"),

@@ -170,6 +170,29 @@ class RccTraces(unittest.TestCase):
         self.assertEqual(model.read(rcc.CSR) >> 24, 0)
 
 
+    def test_a_crystal_that_fails(self):
+        bench = Bench()
+        bench.nvic, bench.clocks, bench.failure = nvic.Nvic(bench, 86), [], None
+        bench.seconds = lambda: 0.25
+        model = rcc.Rcc("RCC", bench)
+        model.write(rcc.CR, model.read(rcc.CR) | 1 << 16)
+        model.write(rcc.PLLCFGR, 25 | 192 << 6 | 1 << 22 | 4 << 24 | 2 << 28)
+        model.write(rcc.CR, model.read(rcc.CR) | 1 << 24)
+        model.write(rcc.CFGR, 0b100 << 10 | 2)
+        # Without CSSON (bit 19) the core has no clock any more.
+        model.lose_hse()
+        self.assertIn("no clock", bench.failure)
+        bench.failure, model.hse_stands = None, False
+        # With it HSE and PLL go off and HSI is the system clock; the NMI is taken, whatever masks.
+        model.write(rcc.CR, model.read(rcc.CR) | 1 << 19)
+        model.lose_hse()
+        self.assertIsNone(bench.failure)
+        self.assertEqual((model.read(rcc.CR) >> 16 & 0x303, model.read(rcc.CFGR) & 0xF), (0, 0))
+        self.assertEqual((model.hclk, model.pclk1, model.pclk2), (16_000_000, 8_000_000, 16_000_000))
+        self.assertEqual(bench.clocks, [(0, 0.25, 16_000_000)])
+        self.assertEqual(bench.nvic.takeable(1, 0x10), (nvic.NMI, False))
+
+
 class PwrTraces(unittest.TestCase):
     def test_f411_wakes_up_for_84_mhz(self):
         model = pwr.Pwr("PWR", Bench(BLACKPILL_F411))

@@ -18,7 +18,7 @@ const BOARDS: [(&str, &[&str]); 5] = [
 ];
 
 /// Cases that take longest are left out where the part has the same chain of timers as that of another board: `.ci/nightly` has them.
-const LONGEST: &[&str] = &["-bursts of overrides", "-late starts", "-tight pulses"];
+const LONGEST: &[&str] = &["-bursts of overrides", "-late starts", "-lines at stops", "-tight pulses"];
 
 /// What may differ between boards whose parts and pins have been tried already on others: clocks, rates, memory. A board that is
 /// named has all cases.
@@ -34,6 +34,7 @@ const SIBLING: &[&str] = &[
     "spindle PWM",
     "settings write",
     "fault",
+    "lost clock",
 ];
 
 /// Boards of these that are tried with the wires of the loop-back suite: one of each part.

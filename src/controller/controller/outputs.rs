@@ -141,9 +141,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.pins.changed_wiring(&self.settings, self.inputs.wiring(), matches!(self.mode, Mode::Home(_)))
     }
 
-    /// `$913`: no current in the motors until the emergency has been acknowledged.
+    /// No current in the motors, whatever `$1` says: in sleep, and with `$913` until the emergency has been acknowledged.
     fn drivers_held_off(&self) -> bool {
-        matches!(self.mode.alarm(), Some(Alarm::EmergencyStop | Alarm::DriverFault))
-            && self.settings.is_on(Key::EmergencyDriversOff)
+        matches!(self.mode, Mode::Sleep(_))
+            || matches!(self.mode.alarm(), Some(Alarm::EmergencyStop | Alarm::DriverFault))
+                && self.settings.is_on(Key::EmergencyDriversOff)
     }
 }

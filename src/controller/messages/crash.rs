@@ -30,12 +30,20 @@ pub enum CrashKind {
     Stuck,
     /// The supply sank.
     Voltage,
+    /// The external clock failed.
+    Clock,
 }
 
 impl CrashKind {
     /// All of them, in the order of their numbers in RAM that outlives a reset.
-    pub const ALL: [CrashKind; 5] =
-        [CrashKind::Panic, CrashKind::Fault, CrashKind::StackOverflow, CrashKind::Stuck, CrashKind::Voltage];
+    pub const ALL: [CrashKind; 6] = [
+        CrashKind::Panic,
+        CrashKind::Fault,
+        CrashKind::StackOverflow,
+        CrashKind::Stuck,
+        CrashKind::Voltage,
+        CrashKind::Clock,
+    ];
 }
 
 /// The last words of the program before the reset.

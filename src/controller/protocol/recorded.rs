@@ -205,5 +205,6 @@ const fn crash_name(kind: CrashKind) -> &'static [u8] {
         CrashKind::StackOverflow => b"stack",
         CrashKind::Stuck => b"stuck",
         CrashKind::Voltage => b"voltage",
+        CrashKind::Clock => b"clock",
     }
 }

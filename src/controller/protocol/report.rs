@@ -143,6 +143,7 @@ const fn crash_name(kind: CrashKind) -> &'static str {
         CrashKind::StackOverflow => "stack overflow",
         CrashKind::Stuck => "stuck task",
         CrashKind::Voltage => "low voltage",
+        CrashKind::Clock => "clock failure",
     }
 }
 

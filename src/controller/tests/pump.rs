@@ -190,6 +190,19 @@ fn what_is_answered_by_an_event_is_answered_before_the_next_output() {
     }
 }
 
+/// Both come about in one call: outputs go first, for the text may have to wait for room.
+#[test]
+fn outputs_are_off_before_the_alarm_of_a_soft_limit_is_told() {
+    let mut scribe = Scribe::<true>::new();
+    for line in ["$22=1\n", "$20=1\n", "$902=0\n", "M8\n"] {
+        assert_eq!(scribe.answer_to(line), "ok\r\n");
+    }
+    scribe.log.clear();
+    let said = scribe.answer_to("G1X500F100\n");
+    assert!(said.starts_with("ALARM:2\r\n"), "{said}");
+    assert!(scribe.position("pins") < scribe.position("reply"), "{:?}", scribe.log);
+}
+
 #[test]
 fn no_beam_goes_on_while_default_settings_are_being_stored() {
     let mut scribe = Scribe::<false>::new();

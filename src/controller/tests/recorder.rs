@@ -156,6 +156,25 @@ fn after_a_reset_it_is_kept_until_a_program_begins() {
     assert_eq!(found[1..], [(40, host("G4P1\n"))]);
 }
 
+/// The place of a failure is that of the turn before; the line that it failed at has come in since.
+#[test]
+fn a_failure_in_the_line_that_came_last_comes_right_behind_it() {
+    let board = board();
+    let ended_at = |time: u64, moment: u64| {
+        let mut ring = Ring::begin(vec![Page::EMPTY; 4], &Restart::POWER);
+        line(&mut ring, &board, time, 0, "G1X10\n");
+        let text = heapless::Vec::from_slice(b"x").unwrap();
+        let crash = Crash { kind: CrashKind::Panic, text, place: [0; 3], line: 0, moment: moment as u32 };
+        let mut ring = Ring::begin(pages(&ring), &Restart { crash: Some(crash), ..SOFTWARE });
+        let Some((at, Noted::Ended { .. })) = entries(&mut ring).pop() else { panic!("no end") };
+        at
+    };
+    assert_eq!(ended_at(5_000_000, 4_900_000), 5_000_000);
+    // Around a wrap of the 32 bits of its moment, and an hour after the last that came in.
+    assert_eq!(ended_at((1 << 32) + 1_000, (1 << 32) - 1_000), (1 << 32) + 1_000);
+    assert_eq!(ended_at(5_000_000, 3_605_000_000), 3_605_000_000);
+}
+
 #[test]
 fn a_page_that_is_not_what_was_written_is_none() {
     let board = board();

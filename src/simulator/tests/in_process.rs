@@ -111,6 +111,24 @@ fn the_drivers_go_off_when_a_tool_change_is_given_up() {
     }
 }
 
+/// Asleep, the axes can be moved by hand, as with Grbl, also where the drivers are always on else.
+#[test]
+fn the_drivers_are_off_in_sleep() {
+    for (idle_delay, after) in [(25, false), (255, true)] {
+        let mut mill = mill();
+        mill.send(format!("$1={idle_delay}\nG91 F500 G1 X1\n"));
+        assert!(mill.run_until_idle());
+        mill.send("$SLP\n");
+        mill.run_for(Duration::from_millis(500));
+        mill.send("?");
+        assert!(mill.take_output().contains("<Sleep|"));
+        assert!(mill.outputs().is_some_and(|outputs| !outputs.drivers), "$1={idle_delay}");
+        mill.send("\x18");
+        mill.run_for(Duration::from_millis(100));
+        assert!(mill.outputs().is_some_and(|outputs| outputs.drivers == after), "$1={idle_delay}, awake");
+    }
+}
+
 #[test]
 fn pins_are_moved_by_lines() {
     let mut mill = mill();

@@ -5,8 +5,8 @@
 /// Segments that can begin in events that are ahead, and changes of power.
 pub const MARKS: usize = 32;
 
-/// Moments at which segments begin that are not out yet. Those that a motion begins with count from the moment it is put out: what
-/// comes later does not find it still to be filled. A plain ring: less code than a deque.
+/// Moments at which segments begin that are not out yet. Those that are ahead when a motion is put out from rest are not among them:
+/// they count as begun at once, so that `control` prepares what follows them in time. A plain ring: less code than a deque.
 pub struct Begins {
     moments: [u32; MARKS],
     first: usize,

@@ -2,7 +2,7 @@
 
 Modelled: enable, pending, active and 4-bit priorities of interrupts, level-sensitive lines (a line that is still up at the
 return pends again), preemption, tail-chaining, PRIMASK, BASEPRI, software pending, SysTick from the core clock, the
-reset request, FPU access control, the fault registers as plain words, DWT_CYCCNT.
+reset request, the NMI, FPU access control, the fault registers as plain words, DWT_CYCCNT.
 Not modelled: priority grouping, late arrival (a higher interrupt that comes during entry is taken after it), faults other than HardFault, SLEEPONEXIT and
 deep sleep, MPU, ITM, the reference clock of SysTick, FPU access before it is enabled (works here, faults on a part).
 """
@@ -10,7 +10,7 @@ deep sleep, MPU, ITM, the reference clock of SysTick, FPU access before it is en
 from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
 
 PRIORITY_BITS = 0xF0
-HARD_FAULT, SVCALL, PENDSV, SYSTICK = 3, 11, 14, 15
+NMI, HARD_FAULT, SVCALL, PENDSV, SYSTICK = 2, 3, 11, 14, 15
 THREAD = 256
 """Priority of a processor that runs no exception."""
 
@@ -30,7 +30,7 @@ class Nvic(Peripheral):
     def reset(self):
         super().reset()
         self.priorities = [0] * (16 + self.count)
-        self.enabled = {HARD_FAULT, SVCALL, PENDSV, SYSTICK}
+        self.enabled = {NMI, HARD_FAULT, SVCALL, PENDSV, SYSTICK}
         self.pending = set()
         self.lines = set()
         """Exceptions whose source asks for them now."""
@@ -60,7 +60,7 @@ class Nvic(Peripheral):
             self.lines.discard(number)
 
     def priority(self, number):
-        return -1 if number == HARD_FAULT else self.priorities[number]
+        return {NMI: -2, HARD_FAULT: -1}.get(number, self.priorities[number])
 
     def running(self):
         """Priority of what runs, masks apart."""
@@ -81,7 +81,7 @@ class Nvic(Peripheral):
         priority = self.priority(best)
         if priority >= self.running():
             return None, False
-        if best != HARD_FAULT and (primask or basepri and priority >= basepri):
+        if best not in (NMI, HARD_FAULT) and (primask or basepri and priority >= basepri):
             return None, True
         return best, False
 

@@ -2,10 +2,11 @@
 
 Modelled: HSI, HSE (crystal or bypass, as the board has it: with the wrong one it never becomes ready), the main PLL with
 its limits, the system clock and the bus prescalers with their limits, peripheral clock enables and resets, LSI, the
-reset flags. Oscillators and PLL are ready at once; the waiting loops of the firmware see the bit at the first read.
-Not modelled: the other PLLs, clock security, MCO, RTC and the backup domain, low-power clock enables, start-up times.
+reset flags, a failing HSE with clock security (without it: a failure of the emulation). Oscillators and PLL are ready at once; the waiting loops of the firmware see the bit at the first read.
+Not modelled: the other PLLs, MCO, RTC and the backup domain, low-power clock enables, start-up times.
 """
 
+from .nvic import NMI
 from .peripheral import Misuse, Peripheral
 
 CR, PLLCFGR, CFGR, CIR = 0x00, 0x04, 0x08, 0x0C
@@ -16,12 +17,13 @@ CSR, DCKCFGR = 0x74, 0x8C
 HSI_HZ = 16_000_000
 LSI_HZ = 32_000
 
+HSE_ON, CLOCK_SECURITY, PLL_ON = 1 << 16, 1 << 19, 1 << 24
 SOFTWARE_RESET, WATCHDOG_RESET, POWER_ON_RESET = 1 << 28 | 1 << 26, 1 << 29 | 1 << 26, 1 << 27 | 1 << 26 | 1 << 25
 
 
 class Rcc(Peripheral):
     REGISTERS = {
-        CR: ("CR", 0x81, 0x0105_0001),
+        CR: ("CR", 0x81, 0x010D_0001),
         PLLCFGR: ("PLLCFGR", 0x2400_3010, 0x7F43_7FFF),
         CFGR: ("CFGR", 0, 0x0000_FCF3),
         AHB1RSTR: ("AHB1RSTR", 0, 0x0060_109F),
@@ -38,6 +40,8 @@ class Rcc(Peripheral):
 
     def __init__(self, name, board):
         self.flags = POWER_ON_RESET
+        self.hse_stands = False
+        """The oscillator has failed."""
         super().__init__(name, board)
 
     def reset(self):
@@ -53,7 +57,7 @@ class Rcc(Peripheral):
         value = super().read(offset)
         if offset == CR:
             ready = (value & 1) << 1
-            if value >> 16 & 1 and bool(value >> 18 & 1) == self.board.wiring.hse_bypass:
+            if value >> 16 & 1 and not self.hse_stands and bool(value >> 18 & 1) == self.board.wiring.hse_bypass:
                 ready |= 1 << 17
             if value >> 24 & 1:
                 ready |= 1 << 25
@@ -86,6 +90,23 @@ class Rcc(Peripheral):
                     self.board.replan()
         if offset == CFGR or offset == DCKCFGR:
             self._clocks()
+
+    def lose_hse(self):
+        """The oscillator fails in operation, the PLL with it: the system clock is HSI from here on, and the NMI is taken. Ratios of clocks
+        stay. What has been planned in core cycles for a moment of another clock (the watchdog) comes later by as much."""
+        self.hse_stands = True
+        if not self.values[CR] & CLOCK_SECURITY:
+            self.board.failure = "the core has no clock any more: outputs stay as they are until the watchdog resets"
+            return
+        self.values[CR] &= ~(HSE_ON | PLL_ON)
+        self.values[CFGR] &= ~3
+        divider1, divider2 = self.hclk // self.pclk1, self.hclk // self.pclk2
+        self.hclk = HSI_HZ
+        self.pclk1, self.pclk2 = HSI_HZ // divider1, HSI_HZ // divider2
+        board = self.board
+        board.clocks.append((board.now, board.seconds(), HSI_HZ))
+        board.nvic.pending.add(NMI)
+        board.look()
 
     def timer_clock(self, bus_clock):
         """Clock of the timers of a bus: twice the bus clock if that is divided; TIMPRE makes it the core's, up to 4."""
