@@ -168,7 +168,7 @@ fn carriages(mill: &Simulator) -> Vec<[f64; AXES]> {
 }
 
 /// Whether no motor goes beyond its speed and acceleration: steps in windows of 10 ms, in which one step is 0.25 mm/s.
-fn within_limits(mill: &Simulator) -> Result<(), String> {
+fn within_limits(mill: &Simulator, acceleration: [f64; AXES]) -> Result<(), String> {
     let window = HZ / 100;
     let end = mill.trace().kept().last().map_or(0, |r| r.at);
     for axis in 0..AXES {
@@ -184,8 +184,8 @@ fn within_limits(mill: &Simulator) -> Result<(), String> {
         let speeds: Vec<f64> = places.windows(2).map(|w| f64::from(w[1] - w[0]) / STEPS * 100.0).collect();
         let rate = RATE[axis] / 60.0;
         // At a corner each axis may jump as the corner rule has it: v² of the circle that fits, for each side.
-        let jump = 2.0 * (8.0 * ACCELERATION[axis] * JUNCTION_DEVIATION).sqrt();
-        let allowed = ACCELERATION[axis] * 0.01 * 1.01 + jump + 0.5;
+        let jump = 2.0 * (8.0 * acceleration[axis] * JUNCTION_DEVIATION).sqrt();
+        let allowed = acceleration[axis] * 0.01 * 1.01 + jump + 0.5;
         for pair in speeds.windows(2) {
             if pair[0].abs() > 1.01 * rate + 0.5 || (pair[1] - pair[0]).abs() > allowed {
                 return Err(format!("axis {axis}: {pair:?} mm/s, allowed {rate} and {allowed}"));
@@ -231,7 +231,7 @@ proptest! {
         let mut mill = compensated("");
         mill.send(&text);
         prop_assert!(mill.run_until_idle());
-        if let Err(fault) = within_limits(&mill) {
+        if let Err(fault) = within_limits(&mill, ACCELERATION) {
             prop_assert!(false, "{}", fault);
         }
     }
@@ -269,6 +269,19 @@ fn a_motor_that_takes_up_slack_is_not_too_fast() {
     let least = HZ as f64 * 10.0 / (20.0 * STEPS);
     let fastest = times.windows(11).map(|w| w[10] - w[0]).min().unwrap() as f64;
     assert!(fastest > 0.99 * least, "{fastest} of {least}");
+}
+
+/// A relief: X is quick, and Z, which is not, turns back under way.
+#[test]
+fn a_slow_axis_takes_up_its_slack_no_faster_than_its_own_corners() {
+    let acceleration = [2000.0, 500.0, 20.0];
+    for relief in ["X30 Z0.5 F6000\nX30 Z-0.5\nX30 Z0.5\nX30 Z-0.5\n", "G18 G2 X60 I30 K-30 F6000\nG3 X-60 I-30 K-30\n"]
+    {
+        let mut mill = mill("$162=0.3\n$120=2000\n$122=20\n", "");
+        mill.send(format!("G91 G1 {relief}"));
+        assert!(mill.run_until_idle());
+        within_limits(&mill, acceleration).unwrap_or_else(|fault| panic!("{relief}: {fault}"));
+    }
 }
 
 #[test]

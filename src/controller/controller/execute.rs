@@ -354,9 +354,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             (None, None) => {}
         }
         if checking {
-            if self.line.checked.tool_change && self.measures_tools() {
-                self.interpreter.assume_measured();
-            }
+            self.check_tool_change();
             return delay;
         }
         if self.line.checked.pins().is_some() {

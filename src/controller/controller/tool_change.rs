@@ -51,6 +51,20 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         Stage::ToolChange
     }
 
+    /// What a tool change that is only checked makes of the program's state, which has been taken over from its line.
+    pub(super) fn check_tool_change(&mut self) {
+        if !(self.line.checked.tool_change && self.prompts_for_tools()) {
+            return;
+        }
+        if self.measures_tools() {
+            self.interpreter.assume_measured();
+        } else {
+            self.line.checked.spindle_stopped_for_tool();
+            let modal = *self.line.checked.modal();
+            self.interpreter.set_accessories(modal.spindle, modal.coolant);
+        }
+    }
+
     fn prompt(&mut self) {
         let tool = self.line.checked.spindle_tool();
         self.say(|out| report::message_number(out, "Tool change T", tool));

@@ -401,10 +401,10 @@ impl<const N: usize> AnyQueue<N> {
             Speed::Feed(feed) => feed,
             Speed::Duration(seconds) => distance / seconds,
         };
-        let share = backlash::share(acceleration, self.limits.turns.deviation, lesser(feed, limit));
+        let rooms = self.rooms_for_slack(distance, acceleration, lesser(feed, limit));
         let mut needed = 0.0;
-        for (steps, mm) in after.outstanding().iter().zip(self.kinematics.least_mm) {
-            needed = greater(needed, steps.unsigned_abs() as f32 * mm / share);
+        for (steps, room) in after.outstanding().iter().zip(rooms) {
+            needed = greater(needed, steps.unsigned_abs() as f32 / room * distance);
         }
         if needed * 1.5 < distance {
             let part = (needed / distance * 65_536.0) as i64 + 1;
@@ -416,6 +416,18 @@ impl<const N: usize> AnyQueue<N> {
                 self.append(&Move { target, speed, ..*m }, &steps, curve_speed2, chord);
             }
         }
+    }
+
+    /// How many steps each motor may take up in a move: not more than a corner would grant to what it moves alone.
+    fn rooms_for_slack(&self, length: f32, acceleration: f32, speed: f32) -> [f32; N] {
+        let mut rooms = self.kinematics.least_mm;
+        for (motor, room) in rooms.iter_mut().enumerate() {
+            let mut one = [0; N];
+            one.iter_mut().skip(motor).take(1).for_each(|step| *step = 1);
+            let (own, _) = self.limits.along(&PerAxis(self.kinematics.way_of_axes(&one)), *room);
+            *room = backlash::share(lesser(own, acceleration), self.limits.turns.deviation, speed) * length / *room;
+        }
+        rooms
     }
 
     /// Adds to the steps of a block what it takes up of the slack. `None`: nothing; else the way of the motors, in terms
@@ -434,8 +446,8 @@ impl<const N: usize> AnyQueue<N> {
         if !self.backlash.is_outstanding() {
             return None;
         }
-        let room = backlash::share(acceleration, self.limits.turns.deviation, speed) * length;
-        let mut most = self.kinematics.least_mm.map(|mm| ((room / mm) as i32).clamp(1, MOST_BACKLASH));
+        let rooms = self.rooms_for_slack(length, acceleration, speed);
+        let mut most = rooms.map(|room| (room as i32).clamp(1, MOST_BACKLASH));
         for (most, moved) in most.iter_mut().zip(moved) {
             *most = (*most).min(MAX_STEPS as i32 - 1 - moved.abs()).max(0);
         }

@@ -1,4 +1,4 @@
-//! Random programs with parameters, expressions, names and O words, and with the words that need them to be told from: G93,
+//! Random programs with parameters, expressions, names and O words, moves of A, and the words that need them to be told from: G93,
 //! G90.1, messages, stops, block delete, selectors that are computed.
 //!
 //! A statement is one line or a whole construct. One that Oxmill refuses is left out, but for the last of a batch: `rs274`
@@ -36,17 +36,17 @@ const BEGIN: &[&str] = &[
     "G49",
     "G21 G90 G17 G94 G98 G40 G80 G61 G91.1",
     "G54 G92.1 F300 S1000 M3",
-    "G10 L2 P1 X0 Y0 Z0",
-    "G10 L2 P2 X0 Y0 Z0",
-    "G10 L2 P6 X0 Y0 Z0",
-    "G10 L2 P9 X0 Y0 Z0",
+    "G10 L2 P1 X0 Y0 Z0 A0",
+    "G10 L2 P2 X0 Y0 Z0 A0",
+    "G10 L2 P6 X0 Y0 Z0 A0",
+    "G10 L2 P9 X0 Y0 Z0 A0",
     "G10 L1 P1 X0 Y0 Z0",
     "G10 L1 P2 X0 Y0 Z0",
     "#1=1.5 #2=-2.71713 #3=3 #4=0 #5=7.13135",
     "#31=[10.1 + 0.2] #32=-12 #33=.5 #34=99.31317 #35=-0.00731",
     "#<u>=4.71711 #<v>=-5 #<_g>=6.5 #<_h k>=-8.19191",
     "#30=0 #29=0 #28=0 #40=33",
-    "G0 X0.31713 Y0.13577 Z0.71117",
+    "G0 X0.31713 Y0.13577 Z0.71117 A7.13135",
     "T1 M6 M3",
     "G28.1",
     "G30.1",
@@ -54,10 +54,17 @@ const BEGIN: &[&str] = &[
 /// What a subroutine begins with: these are its own.
 const OWN: &str = "#<u>=#1 #<v>=[#2 + 1.31713] #4=#3";
 /// Names of the state, of which a line shows some.
-const STATE: [&str; 23] = [
+const STATE: [&str; 30] = [
     "#5420",
     "#5421",
     "#5422",
+    "#5423",
+    "#<_a>",
+    "#<_abs_a>",
+    "#5164",
+    "#5184",
+    "#5214",
+    "#5224",
     "#5220",
     "#5210",
     "#5400",
@@ -300,6 +307,10 @@ impl Writer {
                     words += &format!(" {axis}{}", expressions::length(&mut self.random));
                 }
             }
+            // Alone, too.
+            if self.percent(20) {
+                words += &format!(" A{}", expressions::length(&mut self.random));
+            }
         }
         words
     }
@@ -392,6 +403,7 @@ impl Writer {
         let turn = random.of(&["G2", "G3"]);
         let helix =
             if random.below(3) == 0 { format!(" {third}{}", expressions::length(random)) } else { String::new() };
+        let helix = if random.below(5) == 0 { format!("{helix} A{}", expressions::length(random)) } else { helix };
         let turns = if random.below(4) == 0 { format!(" P[1 + {}]", random.below(3)) } else { String::new() };
         let arc = match random.below(6) {
             // A full circle.
@@ -433,10 +445,12 @@ impl Writer {
         let retract = random.of(&["G98 ", "G99 ", ""]);
         let (x, r, z) = (expressions::length(random), expressions::plain(random), expressions::plain(random));
         let times = random.of(&["", "", " L2", " L[1 + 2]"]);
+        // Which a cycle cannot have.
+        let turn = if random.below(40) == 0 { " A#1" } else { "" };
         vec![
             "G17".into(),
             format!(
-                "{retract}{word} X{x} R[#5422 * #<_absolute> + {r} - 20] Z[[#5422 + {r} - 20] * #<_absolute> - {z}]{extra}{times}"
+                "{retract}{word} X{x} R[#5422 * #<_absolute> + {r} - 20] Z[[#5422 + {r} - 20] * #<_absolute> - {z}]{extra}{times}{turn}"
             ),
             random.of(&["G80", "G80", "G1 X#5420", "G0 Z#5422"]).into(),
         ]

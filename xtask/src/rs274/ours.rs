@@ -5,7 +5,7 @@ use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{
     Angle, Checked, CoordinateSystem, CycleStep, Dialect, Direction, Feed, Flow, Held, HeldLine, Interpreter, Motion,
-    MotionMode, ProgramPins, SplineKind,
+    MotionMode, ProgramPins, SplineKind, Units,
 };
 use oxmill_controller::units::Coordinate;
 use std::f64::consts::TAU;
@@ -28,9 +28,6 @@ pub struct Mill {
 fn mm(place: &PerAxis<Coordinate, AXES>) -> [f64; AXES] {
     place.0.map(|coordinate| coordinate.0 as f64 / 1e7)
 }
-
-/// Axes that have lengths: X, Y, Z.
-const LENGTHS: usize = 3;
 
 fn distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
@@ -161,7 +158,13 @@ impl Mill {
     /// What G93 makes of the length of a motion and its time, in mm/min.
     fn inverse_time_rate(&self, motion: &Motion<AXES>) -> Option<f64> {
         let (length, feed) = match motion {
-            Motion::Line { target, feed, .. } => (distance(&mm(target)[..LENGTHS], &self.place[..LENGTHS]), feed),
+            Motion::Line { target, feed, .. } => {
+                let ([x, y, z, a], [from_x, from_y, from_z, from_a]) = (mm(target), self.place);
+                let way = distance(&[x, y, z], &[from_x, from_y, from_z]);
+                // Degrees have no unit, but the rate that `rs274` makes of them is taken for one of lengths.
+                let unit = if self.interpreter.modal().units == Units::Inch { 25.4 } else { 1.0 };
+                (if way > 0.0 { way } else { (a - from_a).abs() * unit }, feed)
+            }
             Motion::Arc(arc) => {
                 let [i, j] = [arc.i, arc.j].map(|way| way.0 as f64 / 1e7);
                 let (start, end) = (mm(&arc.start), mm(&arc.target));
