@@ -74,6 +74,22 @@ fn check_is_run_on_one_screen() {
     assert_eq!(run(&["check", "no such file"]).status.code(), Some(2));
 }
 
+/// A mark of the byte order in front, and any line ends.
+#[test]
+fn settings_may_come_from_any_editor() {
+    let job = file("edited.nc", "G1 X10 F60000\n");
+    let seconds = |with: &[&str]| json(&run(&[&["run", text(&job), "--json"], with].concat()))["duration_s"].as_f64();
+    let expected = seconds(&["--set", "110=3000", "--set", "120=300"]);
+    for (name, said) in [("bom.txt", "\u{FEFF}$110=3000\n$120=300\n"), ("cr.txt", "$110=3000\r; a remark\r$120=300\r")]
+    {
+        assert_eq!(seconds(&["--settings", text(&file(name, said))]), expected, "{name}");
+    }
+    let wrong = file("wrong.txt", "\u{FEFF}$110=3000\r\n\r$110\r");
+    let said = run(&["run", text(&job), "--settings", text(&wrong)]).stderr;
+    let said = String::from_utf8_lossy(&said);
+    assert!(said.contains("line 3 of ") && said.contains("is not of the form $n=v"), "{said}");
+}
+
 /// What a terminal has shown for `$$` is a file of settings as it is.
 #[test]
 fn settings_may_be_what_a_machine_has_said() {

@@ -82,7 +82,8 @@ pub fn power_up(options: &MachineOptions, recorded: bool) -> Result<(Simulator, 
     if let Some(path) = &options.settings {
         let text = files::read(path, files::TEXT)
             .with_context(|| format!("cannot read the settings file {}", path.display()))?;
-        for (index, line) in String::from_utf8_lossy(&text).lines().enumerate() {
+        let text = String::from_utf8_lossy(&text).replace("\r\n", "\n");
+        for (index, line) in files::without_mark(&text).split(['\n', '\r']).enumerate() {
             // Comments and blank lines may stand between the settings, as in a dump that someone edited.
             let setting = line.split([';', '#', '(']).next().unwrap_or_default().trim();
             if !setting.is_empty() && !is_said_around_settings(line) {
