@@ -667,8 +667,7 @@ pub(crate) fn refuse(mut stream: &TcpStream) {
 
 fn serve_tcp(listener: &TcpListener, sender: &SyncSender<Happened>) {
     let places = Places::default();
-    for stream in listener.incoming() {
-        let Ok(stream) = stream else { continue };
+    for stream in connections(listener) {
         let Some(place) = places.take() else {
             refuse(&stream);
             continue;
@@ -691,8 +690,12 @@ fn serve_stdio(client: Client, sender: &SyncSender<Happened>) {
 
 fn serve_pins(listener: &TcpListener, sender: &SyncSender<Happened>) {
     let places = Places::default();
-    for stream in listener.incoming() {
-        let Ok(stream) = stream else { continue };
+    for stream in connections(listener) {
+/// The connections that come in. A system that has no room for one says so again and again.
+pub(crate) fn connections(listener: &TcpListener) -> impl Iterator<Item = TcpStream> {
+    listener.incoming().filter_map(|stream| stream.inspect_err(|_| thread::sleep(LOOK)).ok())
+}
+
         let Some(place) = places.take() else {
             refuse(&stream);
             continue;
@@ -772,8 +775,9 @@ mod pty {
         drop(ends.slave);
         if let Some(link) = link {
             match fs::symlink_metadata(link) {
-                Ok(old) if old.file_type().is_symlink() => fs::remove_file(link)?,
-                Ok(_) => bail!("{} is there already and is no symbolic link", link.display()),
+                // One that leads to a terminal, or nowhere any more, is that of a server before.
+                Ok(old) if old.file_type().is_symlink() && !is_file_or_folder(link) => fs::remove_file(link)?,
+                Ok(_) => bail!("{} is there already and does not lead to a terminal", link.display()),
                 Err(_) => {}
             }
             std::os::unix::fs::symlink(&path, link)
@@ -812,6 +816,10 @@ mod pty {
                 let (hung_up, readable) = self.look();
                 if self.client.is_none() && (!hung_up || readable) {
                     self.opened()?;
+    fn is_file_or_folder(path: &Path) -> bool {
+        fs::metadata(path).is_ok_and(|about| about.is_file() || about.is_dir())
+    }
+
                 }
                 let Some(client) = &self.client else {
                     thread::sleep(CLOSED);
