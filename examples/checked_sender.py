@@ -92,7 +92,9 @@ def program(path):
 
 class Tcp:
     def __init__(self, address):
-        host, port = address.rsplit(":", 1)
+        host, _, port = address.rpartition(":")
+        if not port.isdecimal():
+            raise Stopped(f"{address} is not HOST:PORT")
         self.socket = socket.create_connection((host, int(port)))
 
     def send(self, data):
@@ -121,6 +123,8 @@ class Serial:
         # Not to wait for a modem's carrier.
         self.file = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         os.set_blocking(self.file, True)
+        if not os.isatty(self.file):
+            raise Stopped(f"{path} is no serial port")
         tty.setraw(self.file)
         settings = termios.tcgetattr(self.file)
         settings[4] = settings[5] = speed
@@ -174,6 +178,19 @@ class Sender:
             self.last_heard = time.monotonic()
         *lines, self.received = (self.received + data).split(b"\n")
         return [line.decode("ascii", "replace").strip("\r") for line in lines]
+
+    def rest(self):
+        """Waits for the end of the last move: to the machine a host that goes before that is a fault, and holds it ($914)."""
+        self.state = ""
+        while self.state not in ("Idle", "Check", "Sleep"):
+            if self.state == "Alarm":
+                raise Stopped("the machine has locked itself")
+            time.sleep(PATIENCE / 4)
+            self.link.send(b"?")
+            for line in self.receive():
+                # `$LC=OFF` may have been sent again.
+                if line != "ok":
+                    self.read(line)
 
     def begin(self):
         """Asks for checked lines until the machine wants the line 0. An empty line ends what may stand before it."""
@@ -303,6 +320,7 @@ def main():
         if sys.stdin.isatty():
             threading.Thread(target=resume_on_enter, args=(sender.link,), daemon=True).start()
         sender.run()
+        sender.rest()
     except (Stopped, OSError, KeyboardInterrupt) as why:
         if sender.link:
             if isinstance(why, KeyboardInterrupt):

@@ -74,6 +74,22 @@ fn check_is_run_on_one_screen() {
     assert_eq!(run(&["check", "no such file"]).status.code(), Some(2));
 }
 
+/// A mark of the byte order in front, and any line ends.
+#[test]
+fn settings_may_come_from_any_editor() {
+    let job = file("edited.nc", "G1 X10 F60000\n");
+    let seconds = |with: &[&str]| json(&run(&[&["run", text(&job), "--json"], with].concat()))["duration_s"].as_f64();
+    let expected = seconds(&["--set", "110=3000", "--set", "120=300"]);
+    for (name, said) in [("bom.txt", "\u{FEFF}$110=3000\n$120=300\n"), ("cr.txt", "$110=3000\r; a remark\r$120=300\r")]
+    {
+        assert_eq!(seconds(&["--settings", text(&file(name, said))]), expected, "{name}");
+    }
+    let wrong = file("wrong.txt", "\u{FEFF}$110=3000\r\n\r$110\r");
+    let said = run(&["run", text(&job), "--settings", text(&wrong)]).stderr;
+    let said = String::from_utf8_lossy(&said);
+    assert!(said.contains("line 3 of ") && said.contains("is not of the form $n=v"), "{said}");
+}
+
 /// What a terminal has shown for `$$` is a file of settings as it is.
 #[test]
 fn settings_may_be_what_a_machine_has_said() {
@@ -381,6 +397,69 @@ fn a_reader_that_has_seen_enough_is_no_failure() {
         let output = program.wait_with_output().expect("the program ends");
         assert_eq!(output.status.code(), Some(0));
         assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+    }
+}
+
+/// Standard error may be closed or full: the exit status still tells how it went.
+#[cfg(unix)]
+#[test]
+fn nothing_that_cannot_be_said_is_a_crash() {
+    let full = || Stdio::from(fs::OpenOptions::new().write(true).open("/dev/full").expect("a device"));
+    let closed = || Stdio::from(std::io::pipe().expect("a pipe").1);
+    let recording = file("said.rec", "oxmill recording 1\nboard desk 1000000\nbegin 0\n1000 connect\n");
+    let status = |arguments: &[&str], to: Stdio| {
+        let output = oxmill(arguments).stdout(to).output().expect("it ends by itself");
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    for words in [&["serve", "--tcp", "0"][..], &["serve", "--pty"], &["completions", "bash"], &["man"]] {
+        let (code, said) = status(words, full());
+        assert!(code == Some(2) && said.starts_with("oxmill: cannot write"), "{words:?}: {code:?}, {said}");
+        let (code, said) = status(words, closed());
+        assert!(code != Some(101) && !said.contains("panicked"), "{words:?}: {code:?}, {said}");
+    }
+    let (code, said) = status(&["replay", text(&recording)], closed());
+    assert_eq!((code, said.contains("panicked")), (Some(3), false), "{said}");
+    let mute = oxmill(&["run", "none.nc"]).stderr(full()).output().expect("it ends by itself");
+    assert_eq!(mute.status.code(), Some(2));
+}
+
+/// Answers that are lost, and input that is not read to its end, end the program, with a status that says so.
+#[cfg(unix)]
+#[test]
+fn a_device_on_standard_input_loses_nothing_silently() {
+    let full = || Stdio::from(fs::OpenOptions::new().write(true).open("/dev/full").expect("a device"));
+    for pins in [&[][..], &["--pins", "0"]] {
+        // Its input stays open.
+        let mut program = oxmill(&[&["serve", "--stdio", "--speed", "max"], pins].concat());
+        let mut program = program.stdin(Stdio::piped()).stdout(full()).spawn().expect("it starts");
+        program.stdin.as_mut().expect("a pipe").write_all(b"G1 X1 F1000\n").expect("the device reads");
+        let (code, said) = ended(program);
+        assert!(code == Some(2) && said.contains("cannot write the answers"), "{pins:?}: {code:?}, {said}");
+    }
+    let endless = file("endless.nc", &"x".repeat(70_000));
+    let folder = env!("CARGO_TARGET_TMPDIR");
+    for (input, reason) in [(text(&endless), "more than 65536 characters"), (folder, "directory")] {
+        let input = fs::File::open(input).expect("it can be opened");
+        let (code, said) = ended(oxmill(&["serve", "--stdio"]).stdin(input).spawn().expect("it starts"));
+        assert!(code == Some(2) && said.contains(reason), "{code:?}, {said}");
+    }
+}
+
+/// The status and the words of a program that ends by itself, and has its input until then.
+#[cfg(unix)]
+fn ended(mut program: std::process::Child) -> (Option<i32>, String) {
+    let end = std::time::Instant::now() + std::time::Duration::from_secs(60);
+    loop {
+        if let Some(status) = program.try_wait().expect("a program") {
+            let mut said = String::new();
+            program.stderr.take().expect("a pipe").read_to_string(&mut said).expect("text");
+            return (status.code(), said);
+        }
+        if std::time::Instant::now() > end {
+            let _ = program.kill();
+            panic!("it does not end");
+        }
+        std::thread::sleep(std::time::Duration::from_millis(20));
     }
 }
 

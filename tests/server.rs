@@ -166,12 +166,15 @@ fn timers(client: &Client) -> Vec<String> {
     let (here, there) = (client.stream.peer_addr().expect("a socket"), client.stream.local_addr().expect("a socket"));
     let sockets = std::fs::read_to_string("/proc/net/tcp").expect("Linux");
     // sl local_address rem_address st tx_queue:rx_queue tr:tm->when ..
-    sockets
+    let mut timers: Vec<String> = sockets
         .lines()
         .map(|line| line.split_whitespace().collect::<Vec<_>>())
         .filter(|words| words.len() > 5 && words[1].ends_with(&port(here)) && words[2].ends_with(&port(there)))
         .map(|words| words[5].split(':').next().unwrap_or_default().to_owned())
-        .collect()
+        .collect();
+    // A table that changes while it is read may have a line twice.
+    timers.dedup();
+    timers
 }
 
 /// A client whose cable has been pulled is not seen by who waits for its bytes: the kernel asks for signs of life.
@@ -673,4 +676,65 @@ fn a_pseudo_terminal_keeps_nothing_for_the_next_client() {
     assert!(lines.next().is_some_and(|line| line.contains("MPos:0.000")));
     drop(done);
     watch.join().expect("no panic").expect("a program");
+}
+
+/// A link that leads to a file is somebody's; one that a program has left behind, which leads nowhere, is taken.
+#[cfg(unix)]
+#[test]
+fn no_link_to_a_file_is_taken_for_a_pseudo_terminal() {
+    use std::os::unix::fs::symlink;
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("links");
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let [job, to_job, to_nothing] = ["job.nc", "to_job", "to_nothing"].map(|name| folder.join(name));
+    std::fs::write(&job, "G0 X1\n").expect("a file");
+    symlink(&job, &to_job).expect("a link");
+    symlink("/dev/pts/4000000", &to_nothing).expect("a link");
+    let taken = Server::started(&["serve", "--pty", to_nothing.to_str().expect("text")], "pty ");
+    assert_eq!(std::fs::read_link(&to_nothing).expect("a link"), Path::new(&taken.address));
+    let mut program = Command::new(env!("CARGO_BIN_EXE_oxmill"));
+    program.args(["serve", "--pty"]).arg(&to_job).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut program = program.spawn().expect("the program starts");
+    let mut said = String::new();
+    BufReader::new(program.stdout.take().expect("a pipe")).read_line(&mut said).expect("text");
+    let _ = program.kill();
+    let said = said + &String::from_utf8_lossy(&program.wait_with_output().expect("it ends").stderr);
+    assert!(said.contains("to_job is there already"), "{said}");
+    assert_eq!(std::fs::read_link(&to_job).expect("a link"), job);
+}
+
+/// With no room for another connection the system calls again and again.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_server_without_room_for_files_is_quiet() {
+    let mut program = Command::new("sh")
+        .args(["-c", "ulimit -n 20 && exec \"$0\" serve --tcp 0 --pins 0", env!("CARGO_BIN_EXE_oxmill")])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    let first = |said: Box<dyn std::io::Read>| {
+        let mut line = String::new();
+        BufReader::new(said).read_line(&mut line).expect("it says where it listens");
+        line.trim().rsplit(' ').next().unwrap_or_default().to_owned()
+    };
+    let tcp = first(Box::new(program.stdout.take().expect("a pipe")));
+    let pins = first(Box::new(program.stderr.take().expect("a pipe")));
+    let server = Server { program, address: tcp };
+    let clients: Vec<_> = (0..30).filter_map(|_| TcpStream::connect(&pins).ok()).collect();
+    std::thread::sleep(Duration::from_millis(200));
+    let before = processor_time(&server.program);
+    std::thread::sleep(Duration::from_secs(1));
+    let used = processor_time(&server.program) - before;
+    assert!(used < 10, "{used} hundredths of a second");
+    drop(clients);
+    assert_eq!(server.served().ask("G21"), "ok");
+}
+
+/// What a program has used of the processor, in hundredths of a second.
+#[cfg(target_os = "linux")]
+fn processor_time(program: &Child) -> u64 {
+    let line = std::fs::read_to_string(format!("/proc/{}/stat", program.id())).expect("a process");
+    line.split(' ').skip(13).take(2).filter_map(|ticks| ticks.parse::<u64>().ok()).sum()
 }

@@ -238,13 +238,16 @@ pub enum Speed {
     Max,
 }
 
+/// Most virtual seconds in a second: no computer comes near, and the ticks of weeks have room in a `u64`.
+const FASTEST: f64 = 10_000.0;
+
 impl std::str::FromStr for Speed {
     type Err = String;
     fn from_str(text: &str) -> Result<Self, String> {
         match text.parse::<f64>() {
             _ if text == "max" => Ok(Speed::Max),
-            Ok(times) if times.is_finite() && times > 0.0 => Ok(Speed::Times(times)),
-            _ => Err("a number above 0, or `max`, is needed".into()),
+            Ok(times) if times > 0.0 && times <= FASTEST => Ok(Speed::Times(times)),
+            _ => Err(format!("a number above 0 and up to {FASTEST}, or `max`, is needed")),
         }
     }
 }
@@ -302,7 +305,9 @@ mod tests {
         assert!(parse("oxmill serve --web 1 --tcp 127.0.0.1:0").is_err());
         assert!(parse("oxmill serve").is_err());
         assert!(parse("oxmill serve --stdio --tcp 127.0.0.1:0").is_err());
-        assert!(parse("oxmill serve --stdio --speed 0").is_err());
+        for speed in ["0", "-1", "1e20", "inf", "nan"] {
+            assert!(parse(&format!("oxmill serve --stdio --speed={speed}")).is_err(), "{speed}");
+        }
         assert!(parse("oxmill serve --stdio --board toaster").is_err());
     }
 

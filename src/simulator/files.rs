@@ -50,6 +50,27 @@ pub fn open_text(path: &Path) -> io::Result<(Box<dyn BufRead>, Option<u64>)> {
     Ok((Box::new(reader.take(u64::MAX)), length))
 }
 
+/// Writes all of it to standard output. A reader that has seen enough, such as `head`, is no failure.
+///
+/// # Errors
+/// If it cannot be written.
+pub fn print(mut out: impl Write, bytes: &[u8]) -> io::Result<()> {
+    match out.write_all(bytes).and_then(|()| out.flush()) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        written => written,
+    }
+}
+
+/// A line on standard error, for the person who has started the program. One that cannot be written is left out.
+pub fn remark(text: &str) {
+    let _ = writeln!(io::stderr(), "{text}");
+}
+
+/// Text without the mark of the byte order that some editors put in front.
+pub fn without_mark(text: &str) -> &str {
+    text.strip_prefix('\u{FEFF}').unwrap_or(text)
+}
+
 /// Reads the description of a machine, and gives its text too.
 ///
 /// # Errors

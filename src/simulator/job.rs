@@ -26,7 +26,7 @@ use crate::trace::Csv;
 use anyhow::{Context, Error, Result, anyhow, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::cell::RefCell;
-use std::io::{self, IsTerminal, Write};
+use std::io::{self, IsTerminal};
 use std::path::Path;
 use std::rc::Rc;
 use std::time::Instant;
@@ -82,7 +82,8 @@ pub fn power_up(options: &MachineOptions, recorded: bool) -> Result<(Simulator, 
     if let Some(path) = &options.settings {
         let text = files::read(path, files::TEXT)
             .with_context(|| format!("cannot read the settings file {}", path.display()))?;
-        for (index, line) in String::from_utf8_lossy(&text).lines().enumerate() {
+        let text = String::from_utf8_lossy(&text).replace("\r\n", "\n");
+        for (index, line) in files::without_mark(&text).split(['\n', '\r']).enumerate() {
             // Comments and blank lines may stand between the settings, as in a dump that someone edited.
             let setting = line.split([';', '#', '(']).next().unwrap_or_default().trim();
             if !setting.is_empty() && !is_said_around_settings(line) {
@@ -195,12 +196,11 @@ pub fn replay(options: &Replay) -> Result<Ending> {
     let summary = check.summary(&base_name(&options.recording), started.elapsed().as_secs_f64());
     print(&summary, if options.json { Form::Json } else { Form::Whole })?;
     if !options.json {
-        for note in notes {
-            println!("  replay        {note}");
-        }
+        let notes: String = notes.iter().map(|note| format!("  replay        {note}\n")).collect();
+        files::print(io::stdout(), notes.as_bytes()).context("cannot write the summary")?;
     }
     if let Err(why) = &same {
-        eprintln!("oxmill: {path}: {why}");
+        files::remark(&format!("oxmill: {path}: {why}"));
     }
     traced?;
     Ok(if same.is_ok() { Ending::of(&summary) } else { Ending::OtherSteps })
@@ -316,7 +316,7 @@ fn carry_out_job(options: &Run, form: Form) -> Result<Ending> {
     let mut failures = failures.into_iter();
     let Some(first) = failures.next() else { return Ok(Ending::of(&summary)) };
     for other in failures {
-        eprintln!("oxmill: {other:#}");
+        files::remark(&format!("oxmill: {other:#}"));
     }
     Err(first)
 }
@@ -368,12 +368,7 @@ fn print(summary: &Summary, form: Form) -> Result<()> {
         Form::Json => serde_json::to_string_pretty(summary)? + "\n",
     };
     // Without a terminal, or with NO_COLOR, the stream leaves the colours out.
-    match anstream::stdout().write_all(text.as_bytes()) {
-        // A reader that has seen enough, such as `head`.
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
-        written => written.context("cannot write the summary")?,
-    }
-    Ok(())
+    files::print(anstream::stdout(), text.as_bytes()).context("cannot write the summary")
 }
 
 fn base_name(path: &Path) -> String {

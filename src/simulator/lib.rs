@@ -73,6 +73,8 @@ pub use store::Store;
 pub use text::JobText;
 
 #[cfg(feature = "program")]
+use anyhow::Context;
+#[cfg(feature = "program")]
 use clap::{CommandFactory, Parser};
 #[cfg(feature = "program")]
 use command_line::{Command, CommandLine};
@@ -90,8 +92,9 @@ pub fn main() -> ExitCode {
         Command::Plot(options) => job::plot(options),
         Command::Replay(options) => job::replay(&options),
         Command::Completions { shell } => {
-            clap_complete::generate(shell, &mut CommandLine::command(), "oxmill", &mut std::io::stdout());
-            Ok(Ending::Good)
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut CommandLine::command(), "oxmill", &mut script);
+            files::print(std::io::stdout(), &script).context("cannot write the completions").map(|()| Ending::Good)
         }
         Command::Man { out } => manual::write(out.as_deref()).map(|()| Ending::Good),
         Command::Serve(options) => server::serve(&options).map(|()| Ending::Good),
@@ -101,7 +104,7 @@ pub fn main() -> ExitCode {
         Ok(Ending::Faulty) => ExitCode::from(1),
         Ok(Ending::OtherSteps) => ExitCode::from(3),
         Err(error) => {
-            eprintln!("oxmill: {error:#}");
+            files::remark(&format!("oxmill: {error:#}"));
             ExitCode::from(2)
         }
     }

@@ -2,6 +2,7 @@
 //! line to standard output or into a folder.
 
 use crate::command_line::CommandLine;
+use crate::files;
 use anyhow::{Context, Result};
 use clap::CommandFactory;
 use clap_mangen::Man;
@@ -20,6 +21,7 @@ pub fn write(folder: Option<&Path>) -> Result<()> {
     }
     let mut program = CommandLine::command().disable_help_subcommand(true);
     program.build();
-    let mut pages = iter::once(&program).chain(program.get_subcommands());
-    pages.try_for_each(|page| Man::new(page.clone()).render(&mut io::stdout())).context("cannot write the manual")
+    let (mut pages, mut text) = (iter::once(&program).chain(program.get_subcommands()), Vec::new());
+    let written = pages.try_for_each(|page| Man::new(page.clone()).render(&mut text));
+    written.and_then(|()| files::print(io::stdout(), &text)).context("cannot write the manual")
 }

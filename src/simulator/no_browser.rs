@@ -45,6 +45,12 @@ fn is_request(first: &[u8]) -> Option<bool> {
     if !is_text || method.len() > LONGEST_METHOD || method.iter().any(|byte| b"\"(),/:;<=>?@[\\]{}".contains(byte)) {
         return Some(false);
     }
+    // `G1 X5`: a browser's target begins with a slash, whatever method a page names; those without one (`*`, a proxy's) have
+    // methods of letters.
+    let target = line.get(method.len() + 1);
+    if method.iter().any(u8::is_ascii_digit) && target.is_some_and(|begin| *begin != b'/') {
+        return Some(false);
+    }
     if line.len() < first.len() {
         let version = line.trim_ascii_end().rsplit(|byte| *byte == b' ').next().unwrap_or(line);
         return Some(version.len() == 8 && version.starts_with(b"HTTP/"));
@@ -162,5 +168,11 @@ mod tests {
         let mut buffer = [0; 8];
         assert_eq!(reader.read(&mut buffer).unwrap(), 1);
         assert_eq!(reader.read(&mut buffer).unwrap(), 2);
+        // Nor for the end of one that has begun.
+        let mut reader = NoBrowser::new(Pieces(vec![b"G1 ", b"X", b"!", b"~"]));
+        for read in [b"G1 X" as &[u8], b"!", b"~"] {
+            let length = reader.read(&mut buffer).unwrap();
+            assert_eq!(&buffer[..length], read);
+        }
     }
 }

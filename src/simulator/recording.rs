@@ -29,6 +29,7 @@
 //! Lines begin with their time but for those in front of `begin` and those of a job.
 
 use crate::boards::{AXES, Board};
+use crate::files::without_mark;
 use crate::fittings::Fittings;
 use crate::power_up::board_named;
 use crate::simulator::{Options, Simulator};
@@ -370,12 +371,12 @@ impl Recording {
         if let Some(listed) = listed(text) {
             return Self::read(&listed, true);
         }
-        Self::read(text, false)
+        Self::read(without_mark(text), false)
     }
 
     fn read(text: &str, listed: bool) -> Result<Self, String> {
         // A program that was killed may have written half of its last line.
-        let whole = text.rfind('\n').map_or("", |end| &text[..end]);
+        let whole = text.rfind('\n').map_or("", |end| &text[..=end]);
         let mut lines = whole.lines().enumerate().map(|(index, line)| (index + 1, line));
         if lines.next().is_none_or(|(_, line)| line != TITLE) {
             return Err(format!("line 1: this is no recording: it does not begin with `{TITLE}`"));

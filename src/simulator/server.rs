@@ -16,7 +16,7 @@
 //! sent and the board has no room for is thrown away. It is read ahead of the machine, so that its end is noticed.
 
 use crate::command_line::{Serve, Speed};
-use crate::files::{Output, check_apart};
+use crate::files::{Output, check_apart, remark};
 use crate::job::{UNRECORDED, begin_recording, check_power, machine_roles, power_up};
 use crate::no_browser::{NoBrowser, is_realtime};
 use crate::recording::{Input, Recorder};
@@ -145,7 +145,7 @@ pub fn serve(options: &Serve) -> Result<()> {
     if let Some(address) = &options.pins {
         let listener = listen(address)?;
         // Standard output belongs to the client when it is the link.
-        eprintln!("pins on {}", listener.local_addr()?);
+        remark(&format!("pins on {}", listener.local_addr()?));
         let sender = sender.clone();
         thread::spawn(move || serve_pins(&listener, &sender));
     }
@@ -153,20 +153,28 @@ pub fn serve(options: &Serve) -> Result<()> {
     begin_recording(&mut recorder, record)?;
     Device::new(simulator, options.speed, options.reset_on_connect, recorder).run(&receiver)?;
     // The device is gone, and so is who could give the writer more: what it still has goes out.
-    written.map_or(Ok(()), |writer| writer.join().map_err(|_| anyhow!("the answers could not be written")))
+    match written.map_or(Ok(Ok(())), Writer::join) {
+        Ok(Err(error)) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        Ok(written) => written.context("cannot write the answers"),
+        Err(_) => Err(anyhow!("the answers could not be written")),
+    }
+}
+
+/// Says where the link is. Whoever started the program may wait for that.
+fn announce(link: &str) -> Result<()> {
+    let mut out = io::stdout();
+    writeln!(out, "{link}").and_then(|()| out.flush()).context("cannot write to standard output where the link is")
 }
 
 /// Opens the link, whose clients the sender tells of. The writer of standard output, if that is the link.
-fn open_link(options: &Serve, sender: SyncSender<Happened>) -> Result<Option<thread::JoinHandle<()>>> {
+fn open_link(options: &Serve, sender: SyncSender<Happened>) -> Result<Option<Writer>> {
     if let Some(address) = &options.link.tcp {
         let listener = listen(address)?;
-        println!("tcp {}", listener.local_addr()?);
-        io::stdout().flush()?;
+        announce(&format!("tcp {}", listener.local_addr()?))?;
         thread::spawn(move || serve_tcp(&listener, &sender));
     } else if let Some(port) = options.link.web {
         let (listener, site) = Site::open(port, options.page.as_deref())?;
-        println!("web {}", site.address());
-        io::stdout().flush()?;
+        announce(&format!("web {}", site.address()))?;
         thread::spawn(move || web_link::serve_web(&listener, &Arc::new(site), &sender));
     } else if options.link.stdio {
         let inbox = Arc::new(Inbox::default());
@@ -187,7 +195,7 @@ fn listen(address: &str) -> Result<TcpListener> {
     let listener = TcpListener::bind(&address).with_context(|| format!("cannot listen on {address}"))?;
     let address = listener.local_addr()?;
     if !address.ip().is_loopback() {
-        eprintln!("oxmill: {address} is open to other computers: whoever reaches it moves this machine");
+        remark(&format!("oxmill: {address} is open to other computers: whoever reaches it moves this machine"));
     }
     Ok(listener)
 }
@@ -222,6 +230,8 @@ struct InboxState {
     ended: bool,
     /// The client is served no more.
     closed: bool,
+    /// Why it could not be read to its end.
+    failure: Option<io::Error>,
 }
 
 impl Inbox {
@@ -279,6 +289,14 @@ impl Inbox {
 
     fn is_closed(&self) -> bool {
         self.state().closed
+    }
+
+    fn fail(&self, why: io::Error) {
+        self.state().failure = Some(why);
+    }
+
+    fn failure(&self) -> Option<io::Error> {
+        self.state().failure.take()
     }
 
     /// Waits until there is room for more. `false` if the client has gone meanwhile, or if its line does not end.
@@ -392,7 +410,12 @@ impl Device {
             self.pass_time();
             self.fetch();
             if !self.answer() {
+                let was_program = self.client.as_ref().is_some_and(|client| client.is_program);
                 self.left();
+                if was_program {
+                    // Its writer knows why. No other host will come.
+                    return Ok(());
+                }
             }
             check_power(&self.simulator)?;
             if let Some(recorder) = &mut self.recorder {
@@ -405,7 +428,8 @@ impl Device {
             if self.is_done() && !active && self.simulator.unfetched() == 0 && self.kept.is_none() {
                 // Lines that are unread now wait for a host that will not come. The writer ends when the last answer has
                 // been written and its sender is gone.
-                return Ok(());
+                let failure = self.client.as_ref().and_then(|client| client.inbox.failure());
+                return failure.map_or(Ok(()), Err).context("cannot read standard input to its end");
             }
             let mut happened = match self.speed {
                 Speed::Max if active => receiver.try_recv().ok(),
@@ -605,7 +629,10 @@ fn pass_bytes(
                 }
             }
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(_) => break,
+            Err(error) => {
+                inbox.fail(error);
+                break;
+            }
         }
     }
     // Before the loop closes its side.
@@ -618,32 +645,33 @@ fn pass_bytes(
 }
 
 /// A thread that writes answers until its channel is closed or its client is gone.
-fn writer(mut link: impl Write + Send + 'static, inbox: Arc<Inbox>) -> (SyncSender<Vec<u8>>, thread::JoinHandle<()>) {
+type Writer = thread::JoinHandle<io::Result<()>>;
+
+fn writer(mut link: impl Write + Send + 'static, inbox: Arc<Inbox>) -> (SyncSender<Vec<u8>>, Writer) {
     let (sender, receiver) = sync_channel::<Vec<u8>>(ANSWERS);
     let handle = thread::spawn(move || {
-        while let Ok(bytes) = receiver.recv() {
-            if !write_out(&mut link, &bytes, &inbox) {
-                return;
-            }
-        }
+        let written = receiver.iter().try_for_each(|bytes| write_out(&mut link, &bytes, &inbox));
+        // The loop may have nothing more to say, by which it would notice.
+        inbox.end();
+        written
     });
     (sender, handle)
 }
 
 /// Writes all of it, unless the client has gone, or is served no more and does not read.
-fn write_out(link: &mut impl Write, mut bytes: &[u8], inbox: &Inbox) -> bool {
+fn write_out(link: &mut impl Write, mut bytes: &[u8], inbox: &Inbox) -> io::Result<()> {
     while !bytes.is_empty() {
         match link.write(bytes) {
-            Ok(0) => return false,
+            Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
             Ok(written) => bytes = bytes.get(written..).unwrap_or_default(),
             Err(error) => match error.kind() {
                 io::ErrorKind::Interrupted => {}
                 io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut if !inbox.is_closed() => thread::sleep(BUSY),
-                _ => return false,
+                _ => return Err(error),
             },
         }
     }
-    link.flush().is_ok()
+    link.flush()
 }
 
 /// Tells a client why it is served no more, or never. Nothing of what it says then is looked at.
@@ -665,10 +693,14 @@ pub(crate) fn refuse(mut stream: &TcpStream) {
     let _ = told.and_then(|()| stream.read(&mut [0; PIECE]));
 }
 
+/// The connections that come in. A system that has no room for one says so again and again.
+pub(crate) fn connections(listener: &TcpListener) -> impl Iterator<Item = TcpStream> {
+    listener.incoming().filter_map(|stream| stream.inspect_err(|_| thread::sleep(LOOK)).ok())
+}
+
 fn serve_tcp(listener: &TcpListener, sender: &SyncSender<Happened>) {
     let places = Places::default();
-    for stream in listener.incoming() {
-        let Ok(stream) = stream else { continue };
+    for stream in connections(listener) {
         let Some(place) = places.take() else {
             refuse(&stream);
             continue;
@@ -684,15 +716,14 @@ fn serve_stdio(client: Client, sender: &SyncSender<Happened>) {
     let inbox = client.inbox.clone();
     // A pipe that has ended is read to its end all the same: it is a program, and all of it is there.
     if sender.send(Happened::Connected(client)).is_ok() {
-        let tell = || eprintln!("oxmill: a line has more than {LONGEST_LINE} characters: nothing more is read");
+        let tell = || inbox.fail(io::Error::other(format!("a line has more than {LONGEST_LINE} characters")));
         pass_bytes(&mut io::stdin().lock(), &inbox, sender, || false, tell);
     }
 }
 
 fn serve_pins(listener: &TcpListener, sender: &SyncSender<Happened>) {
     let places = Places::default();
-    for stream in listener.incoming() {
-        let Ok(stream) = stream else { continue };
+    for stream in connections(listener) {
         let Some(place) = places.take() else {
             refuse(&stream);
             continue;
@@ -742,14 +773,14 @@ fn serve_pin_client(stream: &TcpStream, sender: &SyncSender<Happened>) -> io::Re
 mod pty {
     //! A pseudo terminal that a sender opens like a serial port. Several programs that have it open are one client.
 
-    use super::{Client, ENDLESS, Happened, Inbox, LOOK, PIECE, hung_up, writer};
+    use super::{Client, ENDLESS, Happened, Inbox, LOOK, PIECE, Writer, announce, hung_up, writer};
     use anyhow::{Context, Result, bail};
     use nix::fcntl::{FcntlArg, OFlag, fcntl};
     use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
     use nix::pty::openpty;
     use nix::sys::termios::{FlushArg, SetArg, cfmakeraw, tcflush, tcgetattr, tcsetattr};
     use std::fs::{self, File, OpenOptions};
-    use std::io::{self, Read, Write};
+    use std::io::{Read, Write};
     use std::os::fd::AsFd;
     use std::os::unix::fs::OpenOptionsExt;
     use std::path::{Path, PathBuf};
@@ -772,17 +803,21 @@ mod pty {
         drop(ends.slave);
         if let Some(link) = link {
             match fs::symlink_metadata(link) {
-                Ok(old) if old.file_type().is_symlink() => fs::remove_file(link)?,
-                Ok(_) => bail!("{} is there already and is no symbolic link", link.display()),
+                // One that leads to a terminal, or nowhere any more, is that of a server before.
+                Ok(old) if old.file_type().is_symlink() && !is_file_or_folder(link) => fs::remove_file(link)?,
+                Ok(_) => bail!("{} is there already and does not lead to a terminal", link.display()),
                 Err(_) => {}
             }
             std::os::unix::fs::symlink(&path, link)
                 .with_context(|| format!("cannot make the link {}", link.display()))?;
         }
-        println!("pty {}", path.display());
-        io::stdout().flush()?;
+        announce(&format!("pty {}", path.display()))?;
         thread::spawn(move || Port { master, path, sender, client: None }.serve());
         Ok(())
+    }
+
+    fn is_file_or_folder(path: &Path) -> bool {
+        fs::metadata(path).is_ok_and(|about| about.is_file() || about.is_dir())
     }
 
     /// No echo, no line editing, no translation: bytes as they are.
@@ -795,7 +830,7 @@ mod pty {
     /// The client that has the port open.
     struct Open {
         inbox: Arc<Inbox>,
-        writer: thread::JoinHandle<()>,
+        writer: Writer,
     }
 
     struct Port {
@@ -863,7 +898,7 @@ mod pty {
                 client.inbox.end();
                 self.sender.send(Happened::Heard).ok()?;
                 // The loop has let go of it then, and nothing is written any more.
-                client.writer.join().ok()?;
+                let _ = client.writer.join().ok()?;
                 let flags = (OFlag::O_NOCTTY | OFlag::O_NONBLOCK).bits();
                 if let Ok(end) = OpenOptions::new().read(true).write(true).custom_flags(flags).open(&self.path) {
                     let _ = tcflush(&end, FlushArg::TCIFLUSH);

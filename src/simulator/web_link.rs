@@ -10,7 +10,7 @@
 //! (a name of another site may be made to lead here), and no machine is driven unless `Origin` is this page's: a browser
 //! tells both truthfully, and lets no page change them.
 
-use crate::server::{Connection, ENDLESS, Happened, Inbox, Incoming, Places, Taken, hung_up};
+use crate::server::{Connection, ENDLESS, Happened, Inbox, Incoming, Places, Taken, connections, hung_up};
 use anyhow::{Context, Result, ensure};
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
@@ -98,8 +98,8 @@ fn usual_page() -> Result<PathBuf> {
 /// Answers browsers, each in a thread of its own.
 pub fn serve_web(listener: &TcpListener, site: &Arc<Site>, sender: &SyncSender<Happened>) {
     let places = Places::default();
-    for stream in listener.incoming() {
-        let (Ok(stream), Some(place)) = (stream, places.take()) else { continue };
+    for stream in connections(listener) {
+        let Some(place) = places.take() else { continue };
         let (site, sender) = (site.clone(), sender.clone());
         // A browser that fails to ask properly gets no answer; nothing else depends on it.
         thread::spawn(move || answer(stream, place, &site, &sender));

@@ -20,6 +20,7 @@ to wait for a line. One step off is what the speed of a move changes in the orde
 """
 
 import argparse
+import json
 import random
 import socket
 import subprocess
@@ -254,6 +255,22 @@ def plain_outcome(run, clean):
     return f"OTHER STEPS, ends {off} steps off, {pulses} steps more or less"
 
 
+def left_at_the_end(program):
+    """What is wrong if the sender, as a program, goes before the last move is made: the machine holds then. Else nothing."""
+    with tempfile.TemporaryDirectory() as folder:
+        job = f"{folder}/job.nc"
+        Path(job).write_text("G1 X5 F1000\nX1\nX7\n")
+        with machine.Machine(program, "--tcp", "127.0.0.1:0", "--speed", "10") as mill:
+            sender = [sys.executable, ROOT / "examples/checked_sender.py", job, "--tcp", mill.address]
+            sent = subprocess.run(sender, capture_output=True, text=True, timeout=machine.PATIENCE, check=False)
+            motors = mill.motors()[0]
+        run = subprocess.run([program, "run", job, "--json"], capture_output=True, check=True)
+    wanted = json.loads(run.stdout)["steps"]
+    if sent.returncode or motors != wanted:
+        return f"the sender has ended with {sent.returncode}, the motors at {motors} instead of {wanted}: {sent.stderr}"
+    return None
+
+
 def main():
     parser = argparse.ArgumentParser(description="Jobs in checked lines over a link that damages bytes.")
     parser.add_argument("jobs", nargs="*", default=[str(ROOT / job) for job in JOBS])
@@ -262,6 +279,8 @@ def main():
     parser.add_argument("--plain", action="store_true", help="also without checks")
     parser.add_argument("--program", default=str(ROOT / "target/release/oxmill"))
     options = parser.parse_args()
+    if wrong := left_at_the_end(options.program):
+        sys.exit(wrong)
     failed = []
     all_faults = 0
     for n, job in enumerate(options.jobs):

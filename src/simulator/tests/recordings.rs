@@ -155,6 +155,16 @@ fn another_machine_parts_from_it() {
     }
 }
 
+/// An editor or a mail may have changed them.
+#[test]
+fn line_ends_and_a_mark_in_front_are_no_difference() {
+    let (text, _) = recorded("G1 X1 F600\n");
+    let other = format!("\u{FEFF}{}", text.replace('\n', "\r\n"));
+    assert_eq!(played(&other), Ok(()));
+    let (text, other) = (Recording::parse(&text).unwrap(), Recording::parse(&other).unwrap());
+    assert_eq!(text.inputs(), other.inputs());
+}
+
 #[test]
 fn another_state_parts_from_it() {
     for (sent, state) in [

@@ -6,7 +6,7 @@ const STORED = "oxmill settings";
 
 /** `$$` of a machine as numbers and values. */
 export function parseSettings(text: string): Record<string, number> {
-  return Object.fromEntries([...text.matchAll(/^\s*\$(\d+)=(-?[\d.]+)/gm)].map(match => [match[1], Number(match[2])]));
+  return Object.fromEntries([...text.matchAll(/^\s*\$(\d+)=(-?[\d.]+)(?=[\s(;]|$)/gm)].map(match => [match[1], Number(match[2])]));
 }
 
 export function rangeOf(setting: Setting): string {
@@ -16,6 +16,7 @@ export function rangeOf(setting: Setting): string {
 export class SettingsPanel {
   private changed: Record<string, number>;
   private readonly inputs = new Map<number, HTMLInputElement>();
+  private readonly taken = el("p", { id: "take-note", role: "status" });
   private readonly place = [...$("work-zero").querySelectorAll("input")];
 
   constructor(readonly description: Description, private readonly onchange: () => void) {
@@ -27,7 +28,8 @@ export class SettingsPanel {
     body.append(...rows.map(setting => this.row(setting)));
     $("find").addEventListener("input", () => this.find($<HTMLInputElement>("find").value));
     $("defaults").addEventListener("click", () => this.replace({}));
-    $("take").addEventListener("click", () => this.replace(parseSettings($<HTMLTextAreaElement>("paste").value)));
+    $("take").after(this.taken);
+    $("take").addEventListener("click", () => this.take($<HTMLTextAreaElement>("paste").value));
     for (const input of this.place) {
       input.addEventListener("change", () => {
         this.tellPlace();
@@ -61,6 +63,16 @@ export class SettingsPanel {
     this.changed = this.known(values);
     this.refresh();
     this.onchange();
+  }
+
+  /** Takes over what a machine has said, and tells what of it could not be; if that is all, nothing is changed. */
+  private take(text: string): void {
+    const values = Object.entries(parseSettings(text)).filter(([number, value]) => Number.isFinite(value) && this.default(Number(number)) !== undefined);
+    const known = new Set(values.map(([number]) => number));
+    const others = [...text.matchAll(/^\s*\$(\d+)=.*$/gm)].filter(match => !known.has(match[1] ?? "")).map(match => match[0].trim());
+    this.taken.textContent = (values.length ? `${values.length} settings are taken over.` : "Nothing is taken over: a setting has a line of the form $110=500.")
+      + (others.length ? ` Not understood: ${others.join(", ").slice(0, 200)}` : "");
+    if (values.length) this.replace(Object.fromEntries(values));
   }
 
   set(number: number, value: number): void {

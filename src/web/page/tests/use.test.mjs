@@ -352,11 +352,20 @@ export async function fingers_turn_and_zoom_the_picture(browser) {
 export async function settings_of_a_machine_are_pasted(browser) {
   const { page, faults } = await open(browser, file);
   await page.click("#settings summary");
-  await page.fill("#paste", "<Idle|MPos:0,0,0>\n$100=80.000\n$120=123.5\n$99999=1\nok\n");
+  // A slip does not put a new controller's settings in the place of those that are there.
+  await page.evaluate(() => oxmill.app.settings.set(121, 77));
+  for (const slip of ["", "110=5\nok\n", "$120=1,5\n$121=1e2\n"]) {
+    await page.fill("#paste", slip);
+    await page.click("#take");
+    assert.match(await page.locator("#take-note").innerText(), /^Nothing is taken over/, slip);
+    assert.equal(await page.evaluate(() => oxmill.app.settings.value(121)), 77, slip);
+  }
+  await page.fill("#paste", "<Idle|MPos:0,0,0>\n$100=80.000 (a remark)\n$120=123.5\n$122=x\n$99999=1\nok\n");
   await page.evaluate(() => (oxmill.app.checked = undefined));
   await page.click("#take");
   await checked(page);
   assert.deepEqual(await page.evaluate(() => oxmill.app.settings.values()), { 100: 80, 120: 123.5 });
+  assert.equal(await page.locator("#take-note").innerText(), "2 settings are taken over. Not understood: $122=x, $99999=1");
   // They are there again when the page is loaded again, but for what this firmware does not have: another page may have kept it.
   const reloaded = async (kept, wanted) => {
     await page.evaluate(kept => localStorage.setItem("oxmill settings", kept), kept);
