@@ -273,7 +273,8 @@ fn reports_follow_the_segments() {
         seen.insert(rig.motion.line_number());
         fastest = fastest.max(rig.motion.speed());
         let steps = rig.motion.machine_steps().0[0];
-        assert!(i64::from(steps) >= rig.position[0] && i64::from(steps) - rig.position[0] <= 6);
+        // The end of the segment: 2 ms away at most, at 5 steps/ms.
+        assert!(i64::from(steps) >= rig.position[0] && i64::from(steps) - rig.position[0] <= 11);
     }
     assert!(seen.contains(&7) && seen.contains(&8));
     assert!((fastest - 50.0).abs() < 0.1);
