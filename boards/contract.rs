@@ -22,6 +22,7 @@
 //! | `CLOCK_TICKS_PER_US`, `clock_ticks()` | a free-running counter of 32 bits from which the program tells the time |
 //! | `CORE_HZ`, `SAMPLE_HZ` | clock of SysTick, which samples the inputs, and how often it does |
 //! | `RUN_CYCLES` | more cycles than the longest run of the step task takes that makes events |
+//! | `WATCHES_CLOCK` | whether the non-maskable interrupt tells that the clock of the processor has failed, and nothing else |
 //! | `setup(device, low_voltage) -> Parts` | everything below, set up once; outputs are off |
 //! | `call_step()` | makes the interrupt of the step task pending, from any task |
 //! | `call_serial()` | makes the interrupt of the serial task pending |
@@ -45,7 +46,7 @@
 //! | when | call |
 //! |---|---|
 //! | the supply falls below the least that the drivers' inputs are sure of | `low_voltage`, the function given to `setup`: highest priority, does not return |
-//! | the clock of the processor fails | `NonMaskableInt`, the exception by its name: the processor continues by a slower clock, and the handler does not return |
+//! | the clock of the processor fails, with `WATCHES_CLOCK` | `NonMaskableInt`, the exception by its name: the processor continues by a slower clock, and the handler does not return |
 //! | a vector of `vectors!` fires | the task bound to it |
 //! | the processor stops while flash is written | nothing: see `SettingsFlash` |
 
@@ -294,6 +295,7 @@ mod held {
     const _: &Profile = &board::PROFILE;
     const _: [usize; 3] = [board::AXES, board::BLOCKS, board::RECORDING_PAGES];
     const _: [u32; 4] = [board::CLOCK_TICKS_PER_US, board::CORE_HZ, board::SAMPLE_HZ, board::RUN_CYCLES];
+    const _: bool = board::WATCHES_CLOCK;
     const _: fn(board::pac::Peripherals, fn() -> !) -> board::Parts = board::setup;
     const _: fn() -> u32 = board::clock_ticks;
     const _: [fn(); 5] = [board::call_step, board::call_serial, board::safe_state, board::job_done, board::idle];

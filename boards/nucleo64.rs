@@ -26,6 +26,8 @@ pub use stm32f4xx_hal::pac;
 pub const CLOCK_TICKS_PER_US: u32 = 1;
 /// Samples of the inputs in a second.
 pub const SAMPLE_HZ: u32 = 20_000;
+/// By the clock security system.
+pub const WATCHES_CLOCK: bool = true;
 
 /// The vectors of the tasks, as literals: RTIC reads them before any constant or `cfg` is known.
 #[macro_export]

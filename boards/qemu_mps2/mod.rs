@@ -68,6 +68,8 @@ pub const CLOCK_TICKS_PER_US: u32 = 25;
 pub const CORE_HZ: u32 = 25_000_000;
 /// Samples of the inputs in a second: there are none, only the alarm clock of `control`, and each costs the host time.
 pub const SAMPLE_HZ: u32 = 2_000;
+/// The interrupt is the watchdog's.
+pub const WATCHES_CLOCK: bool = false;
 
 /// What `setup` deals out.
 pub struct Parts {

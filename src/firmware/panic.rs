@@ -4,6 +4,7 @@
 
 use core::panic::PanicInfo;
 use oxmill_controller::messages::CrashKind;
+use oxmill_firmware::boards;
 use oxmill_firmware::failure::fail;
 
 #[panic_handler]
@@ -18,12 +19,18 @@ fn panic(info: &PanicInfo<'_>) -> ! {
     }
 }
 
-/// The clock of the board has failed, and the processor continues by a slower one of its own: no rate is true any more.
+/// The clock of the board has failed, and the processor continues by a slower one of its own: no rate is true any more. On a
+/// board that does not watch its clock the interrupt is that of the watchdog, which resets next.
 // unsafe because it replaces the handler of cortex-m-rt by its name; safe because the signature is the one of an exception that
 // does not return.
 #[unsafe(no_mangle)]
 extern "C" fn NonMaskableInt() -> ! {
-    fail(CrashKind::Clock, format_args!("no external clock"))
+    if boards::WATCHES_CLOCK {
+        fail(CrashKind::Clock, format_args!("no external clock"));
+    }
+    loop {
+        core::hint::spin_loop();
+    }
 }
 
 /// Bus, usage and memory faults, a stack that has run out of RAM among them.
