@@ -68,7 +68,7 @@ const ROWS: [Row; 20] = [
     row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (535, 870)),
     row("stop", "stop with a full ring, 96 events undone, with its report", Figure::Worst, None, (4_615, 5_985)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
-    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (580, 945)).beside("205 / 329", "196 / 313"),
+    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (585, 955)).beside("205 / 329", "196 / 313"),
     row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (1_600, 2_760))
         .beside("723 / 1210", "727 / 1200"),
     row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (36, 49))
@@ -79,7 +79,7 @@ const ROWS: [Row; 20] = [
     row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_445, 2_170))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (288, 401)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (5_930, 9_690))
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (5_740, 9_360))
         .beside("2800 / 4400", "4100 / 6500"),
     row("recorded_line", "recording, a line of 15 bytes", Figure::Mean, None, (320, 510)),
     row("recorded_block", "recording, per message to the step task", Figure::Mean, None, (35, 52)),

@@ -256,13 +256,13 @@ impl<const N: usize> History<N> {
     /// Compares a new span, behind which there are so many blocks, with those before it, and adds it. The corner between
     /// two single pieces is known already ([`Chain::corner2`]).
     #[inline(never)]
-    fn take_span(&mut self, mut new: Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
+    fn take_span(&mut self, new: &mut Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
         let [first, second, ..] = &self.0;
         new.note_turn(first, rule);
         // A corner turns two neighbouring spans at most, a bend all of them.
         let bend = new.curve.middle(first.curve, second.curve);
-        if self.may_limit(&new, rule) {
-            self.compare(&new, behind, rule, found);
+        if self.may_limit(new, rule) {
+            self.compare(new, behind, rule, found);
         }
         if !bend.is_none() {
             let own = usize::from(new.blocks);
@@ -277,7 +277,7 @@ impl<const N: usize> History<N> {
         *fourth = *third;
         *third = *second;
         *second = *first;
-        *first = new;
+        *first = *new;
     }
 
     /// Whether there may be a limit for a new span: what [`History::compare`] then asks of all spans.
@@ -455,7 +455,7 @@ impl<const N: usize> Chain<N> {
     pub(super) fn extend(
         &mut self,
         piece: &PathPiece<'_, N>,
-        new: Span<N>,
+        mut new: Span<N>,
         rule: &TurnRule<N>,
         found: &mut dyn FnMut(Bend),
     ) {
@@ -469,7 +469,7 @@ impl<const N: usize> Chain<N> {
             scale.history = self.pieces;
             scale.begin(piece.start);
         }
-        self.pieces.take_span(new, 0, rule, found);
+        self.pieces.take_span(&mut new, 0, rule, found);
         self.whole = whole;
         let (mut path, mut fast2, mut blocks) = (new.path, new.fast2, 1);
         for scale in self.scales.get_mut(whole..).unwrap_or_default() {
@@ -480,8 +480,8 @@ impl<const N: usize> Chain<N> {
                 return;
             }
             (path, fast2, blocks) = (scale.path, scale.fast2, scale.blocks);
-            let span = scale.end(piece.end, digit);
-            scale.history.take_span(span, 0, rule, found);
+            let mut span = scale.end(piece.end, digit);
+            scale.history.take_span(&mut span, 0, rule, found);
             scale_length *= 2.0;
         }
     }
@@ -507,10 +507,11 @@ impl<const N: usize> Chain<N> {
             }
             if scale.blocks > 0 {
                 (path, fast2, blocks) = (scale.path, scale.fast2, scale.blocks);
-                let span = scale.end(piece.start, piece.digit);
-                scale.history.take_span(span, 1, rule, found);
+                let mut span = scale.end(piece.start, piece.digit);
+                scale.history.take_span(&mut span, 1, rule, found);
             }
-            scale.history.take_span(*new, 0, rule, found);
+            let mut own = *new;
+            scale.history.take_span(&mut own, 0, rule, found);
         }
     }
 }

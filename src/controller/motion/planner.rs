@@ -165,6 +165,8 @@ pub(super) struct Planner<const N: usize, R: ?Sized> {
     changed: usize,
     /// Entries up to this place are what they will be, whatever is appended: 0 if none is known to be. Without a jerk limit only.
     settled: usize,
+    /// Blocks that have been lowered since entries were last brought into line, and on which what is settled counts.
+    lowered: Lowered,
     /// Of the groups that are in the queue as a whole; with a jerk limit only.
     groups: [Stretch; GROUPS],
     /// Whether ramps have bounded jerk.
@@ -187,6 +189,7 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
             entered: false,
             changed: usize::MAX,
             settled: 0,
+            lowered: Lowered::NONE,
             groups,
             jerk_limited: false,
             raised: false,
@@ -198,13 +201,14 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
 // Not derived: what may be unsized cannot be cloned.
 impl<const N: usize, const BLOCKS: usize> Clone for Planner<N, [Block<N>; BLOCKS]> {
     fn clone(&self) -> Self {
-        let Self { first, len, entered, changed, settled, groups, jerk_limited, raised, blocks } = self;
+        let Self { first, len, entered, changed, settled, lowered, groups, jerk_limited, raised, blocks } = self;
         Self {
             first: *first,
             len: *len,
             entered: *entered,
             changed: *changed,
             settled: *settled,
+            lowered: *lowered,
             groups: *groups,
             jerk_limited: *jerk_limited,
             raised: *raised,
@@ -271,6 +275,7 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         self.len = 0;
         self.changed = usize::MAX;
         self.settled = 0;
+        self.lowered = Lowered::NONE;
         self.entered = false;
     }
 
@@ -290,6 +295,7 @@ impl<const N: usize> Planner<N, [Block<N>]> {
             self.settled = self.settled.saturating_sub(1);
             if self.changed != usize::MAX {
                 self.changed = self.changed.saturating_sub(1);
+                self.lowered.pop();
             }
         }
         self.entered = moving;
@@ -349,18 +355,18 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         }
         let from = newest.saturating_sub(bend.farthest).max(1);
         let count = self.len.saturating_sub(bend.nearest).saturating_sub(from);
-        let mut lowered = Lowered::default();
+        let mut lowered = Lowered::NONE;
         for (from, slots) in self.slots(from, count) {
             if let Some(blocks) = self.blocks.get_mut(slots) {
                 lowered.lower(blocks, from, bend);
             }
         }
-        if let Some(first) = lowered.first {
+        if lowered.first != usize::MAX {
             // A walk that comes to what is settled finds it again anyway. With a jerk limit nothing is.
             if self.settled < self.changed && self.settled > 0 {
-                self.lower_settled(first, lowered.planned_end);
+                self.lowered = self.lowered.and(lowered);
             }
-            self.changed = self.changed.min(first);
+            self.changed = self.changed.min(lowered.first);
         }
     }
 
@@ -404,7 +410,17 @@ impl<const N: usize> Planner<N, [Block<N>]> {
     /// one at its cap that may be counted on. Without a jerk limit only.
     #[inline]
     pub(super) fn settle(&mut self) {
-        if self.changed != usize::MAX && (self.settled == 0 || self.changed <= self.settled) {
+        if self.changed == usize::MAX {
+            return;
+        }
+        let Lowered { first, planned_end } = self.lowered;
+        if first != usize::MAX {
+            self.lowered = Lowered::NONE;
+            if self.settled < self.changed && self.settled > 0 {
+                self.lower_settled(first, planned_end);
+            }
+        }
+        if self.settled == 0 || self.changed <= self.settled {
             self.reverse_pass();
             self.changed = usize::MAX;
         }
@@ -671,16 +687,33 @@ impl Walk {
     }
 }
 
-/// What a bend has lowered.
-#[derive(Default)]
+/// What bends have lowered.
+#[derive(Clone, Copy, Debug)]
 struct Lowered {
-    /// The first place.
-    first: Option<usize>,
+    /// The first place; `usize::MAX`: none.
+    first: usize,
     /// Behind the last one that has been walked over, 0 if none has.
     planned_end: usize,
 }
 
 impl Lowered {
+    const NONE: Self = Self { first: usize::MAX, planned_end: 0 };
+
+    /// What either has.
+    #[inline]
+    fn and(self, other: Self) -> Self {
+        Self { first: self.first.min(other.first), planned_end: self.planned_end.max(other.planned_end) }
+    }
+
+    /// The first block of the queue has gone.
+    #[inline]
+    fn pop(&mut self) {
+        if self.first != usize::MAX {
+            self.first = self.first.saturating_sub(1);
+            self.planned_end = self.planned_end.saturating_sub(1);
+        }
+    }
+
     /// Lowers blocks in a row, the first of which is at a place.
     #[inline(never)]
     fn lower<const N: usize>(&mut self, blocks: &mut [Block<N>], from: usize, bend: &Bend) {
@@ -700,7 +733,7 @@ impl Lowered {
                 continue;
             }
             block.curve = block.curve.tighter(bend.curve);
-            self.first.get_or_insert(from + index);
+            self.first = self.first.min(from + index);
             // A block that came after the last walk has no entry.
             if block.entry2 > 0.0 {
                 self.planned_end = from + index + 1;
