@@ -57,9 +57,13 @@ const MUTANTS: &[Mutant] = &[
         name: "settled-while-lowered",
         edits: &[Edit {
             file: PLANNER,
-            find: "self.lower_settled(first, lowered.planned_end);",
-            replace: "let _ = (Self::lower_settled, lowered.planned_end);",
+            find: "self.lower_settled(first, planned_end);",
+            replace: "let _ = (Self::lower_settled, first, planned_end);",
         }],
+    },
+    Mutant {
+        name: "lowered-place-not-moved",
+        edits: &[Edit { file: PLANNER, find: "self.lowered.pop();", replace: "let _ = Lowered::pop;" }],
     },
     Mutant {
         name: "settled-place-not-moved",
@@ -93,8 +97,8 @@ const MUTANTS: &[Mutant] = &[
         name: "walk-put-off-for-good",
         edits: &[Edit {
             file: PLANNER,
-            find: "(self.settled == 0 || self.changed <= self.settled)",
-            replace: "self.settled == 0",
+            find: "if self.settled == 0 || self.changed <= self.settled {",
+            replace: "if self.settled == 0 {",
         }],
     },
     Mutant {
