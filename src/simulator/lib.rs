@@ -22,6 +22,8 @@ pub mod advice;
 #[cfg(feature = "program")]
 pub mod board_replay;
 pub mod check;
+#[cfg(feature = "program")]
+mod clients;
 pub mod clock;
 #[cfg(feature = "program")]
 pub mod command_line;
@@ -48,6 +50,9 @@ pub mod pins;
 #[cfg(feature = "program")]
 pub mod plot;
 pub mod power_up;
+#[cfg(unix)]
+#[cfg(feature = "program")]
+mod pty_link;
 mod pump;
 #[cfg(feature = "program")]
 pub mod recording;
@@ -60,6 +65,8 @@ pub mod step_task;
 pub mod store;
 pub mod streaming;
 pub mod summary;
+#[cfg(feature = "program")]
+mod tcp_link;
 pub mod text;
 pub mod times;
 pub mod trace;

@@ -10,7 +10,8 @@
 //! (a name of another site may be made to lead here), and no machine is driven unless `Origin` is this page's: a browser
 //! tells both truthfully, and lets no page change them.
 
-use crate::server::{Connection, ENDLESS, Happened, Inbox, Incoming, Places, Taken, connections, hung_up};
+use crate::clients::{Connection, ENDLESS, Happened, Inbox, Incoming, Places, Taken, hung_up};
+use crate::tcp_link::connections;
 use anyhow::{Context, Result, ensure};
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};

@@ -1,0 +1,141 @@
+//! `serve --pty`: a pseudo terminal (`openpty`, its `master`, raw by `cfmakeraw`) that a sender opens like a serial port,
+//! by its name or by a symbolic link. The `Port` looks by `poll` whether a client has it open, passes its bytes to the
+//! `Inbox` and throws away what it has not read (`tcflush`) when it closes. Several programs that have it open are one client.
+
+use crate::clients::{Client, ENDLESS, Happened, Inbox, LOOK, PIECE, Writer, hung_up, writer};
+use anyhow::{Context, Result, bail};
+use nix::fcntl::{FcntlArg, OFlag, fcntl};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::pty::openpty;
+use nix::sys::termios::{FlushArg, SetArg, cfmakeraw, tcflush, tcgetattr, tcsetattr};
+use std::fs::{self, File, OpenOptions};
+use std::io::{Read, Write};
+use std::os::fd::AsFd;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::mpsc::SyncSender;
+use std::thread;
+use std::time::Duration;
+
+/// How often a port that is not open is polled.
+const CLOSED: Duration = Duration::from_millis(2);
+
+/// Makes a pseudo terminal, and a symbolic link to it, if one is named.
+pub(crate) fn open(link: Option<&Path>, sender: SyncSender<Happened>) -> Result<Port> {
+    let ends = openpty(None, None).context("cannot make a pseudo terminal")?;
+    let path = nix::unistd::ttyname(&ends.slave).context("the pseudo terminal has no name")?;
+    let master = File::from(ends.master);
+    make_raw(&master).context("cannot set up the pseudo terminal")?;
+    // A client that does not read must not hold the writer for ever.
+    fcntl(&master, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).context("cannot set up the pseudo terminal")?;
+    // Once the other end is closed, the first client to open it can be noticed.
+    drop(ends.slave);
+    if let Some(link) = link {
+        match fs::symlink_metadata(link) {
+            // One that leads to a terminal, or nowhere any more, is that of a server before.
+            Ok(old) if old.file_type().is_symlink() && !is_file_or_folder(link) => fs::remove_file(link)?,
+            Ok(_) => bail!("{} is there already and does not lead to a terminal", link.display()),
+            Err(_) => {}
+        }
+        std::os::unix::fs::symlink(&path, link).with_context(|| format!("cannot make the link {}", link.display()))?;
+    }
+    Ok(Port { master, path, sender, client: None })
+}
+
+fn is_file_or_folder(path: &Path) -> bool {
+    fs::metadata(path).is_ok_and(|about| about.is_file() || about.is_dir())
+}
+
+/// No echo, no line editing, no translation: bytes as they are.
+fn make_raw(master: &File) -> nix::Result<()> {
+    let mut terminal = tcgetattr(master)?;
+    cfmakeraw(&mut terminal);
+    tcsetattr(master, SetArg::TCSANOW, &terminal)
+}
+
+/// The client that has the port open.
+struct Open {
+    inbox: Arc<Inbox>,
+    writer: Writer,
+}
+
+/// A pseudo terminal and the client that has it open.
+pub(crate) struct Port {
+    master: File,
+    path: PathBuf,
+    sender: SyncSender<Happened>,
+    client: Option<Open>,
+}
+
+impl Port {
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Carries bytes of its clients, one after the other. `None` when the loop has ended.
+    pub(crate) fn serve(mut self) -> Option<()> {
+        loop {
+            let (hung_up, readable) = self.look();
+            if self.client.is_none() && (!hung_up || readable) {
+                self.opened()?;
+            }
+            let Some(client) = &self.client else {
+                thread::sleep(CLOSED);
+                continue;
+            };
+            if readable && client.inbox.wait_for_room(|| self::hung_up(&self.master)) {
+                let mut buffer = [0; PIECE];
+                if let Ok(length @ 1..) = (&self.master).read(&mut buffer) {
+                    client.inbox.push(&buffer[..length]);
+                    self.sender.send(Happened::Heard).ok()?;
+                }
+            } else if hung_up || readable {
+                if client.inbox.is_endless() {
+                    let _ = (&self.master).write(ENDLESS);
+                }
+                self.closed()?;
+            }
+        }
+    }
+
+    /// Whether no client has the port open, and whether there are bytes.
+    fn look(&self) -> (bool, bool) {
+        let mut look = [PollFd::new(self.master.as_fd(), PollFlags::POLLIN)];
+        let timeout = PollTimeout::try_from(LOOK).unwrap_or(PollTimeout::ZERO);
+        let seen = match poll(&mut look, timeout) {
+            Ok(_) => look[0].revents().unwrap_or(PollFlags::empty()),
+            Err(_) => PollFlags::empty(),
+        };
+        (seen.contains(PollFlags::POLLHUP), seen.contains(PollFlags::POLLIN))
+    }
+
+    fn opened(&mut self) -> Option<()> {
+        let back = self.master.try_clone().ok()?;
+        let _ = make_raw(&self.master);
+        let inbox = Arc::new(Inbox::default());
+        let (answers, writer) = writer(back, inbox.clone());
+        let client = Client { inbox: inbox.clone(), answers, stream: None, is_program: false };
+        self.sender.send(Happened::Connected(client)).ok()?;
+        self.client = Some(Open { inbox, writer });
+        Some(())
+    }
+
+    /// Bytes for which there was no room go with the client, and so do answers that it has not read: the terminal would
+    /// keep them for the next one.
+    fn closed(&mut self) -> Option<()> {
+        if let Some(client) = self.client.take() {
+            let mut rest = [0; PIECE];
+            while (&self.master).read(&mut rest).is_ok_and(|length| length > 0) {}
+            client.inbox.end();
+            self.sender.send(Happened::Heard).ok()?;
+            // The loop has let go of it then, and nothing is written any more.
+            let _ = client.writer.join().ok()?;
+            let flags = (OFlag::O_NOCTTY | OFlag::O_NONBLOCK).bits();
+            if let Ok(end) = OpenOptions::new().read(true).write(true).custom_flags(flags).open(&self.path) {
+                let _ = tcflush(&end, FlushArg::TCIFLUSH);
+            }
+        }
+        Some(())
+    }
+}
