@@ -62,6 +62,10 @@ const MUTANTS: &[Mutant] = &[
         }],
     },
     Mutant {
+        name: "lowered-place-not-moved",
+        edits: &[Edit { file: PLANNER, find: "self.lowered.pop();", replace: "let _ = Lowered::pop;" }],
+    },
+    Mutant {
         name: "settled-place-not-moved",
         edits: &[Edit { file: PLANNER, find: "self.settled = self.settled.saturating_sub(1);", replace: "" }],
     },
