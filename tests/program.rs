@@ -171,6 +171,7 @@ fn the_manual_has_the_options_of_each_command() {
         ("plot", &["--output"]),
         ("serve", &["--web", "--page", "--pins", "--reset-on-connect"]),
         ("replay", &["--json", "--trace"]),
+        ("resume", &["--line", "--number", "--clearance", "--plunge", "--spin-up", "--output"]),
         ("man", &["--out"]),
         ("completions", &["SHELL"]),
     ] {
@@ -705,4 +706,35 @@ fn noise_around_a_listing_does_not_matter() {
     let played = run(&["replay", text(&path)]);
     let said = String::from_utf8_lossy(&played.stdout);
     assert!(said.contains("arrives at the place and line of the failure"), "{said}{played:?}");
+}
+
+/// The rest of a job is a program that is accepted, on standard output or in a file; what hinders it is told, and then no file
+/// is left.
+#[test]
+fn the_rest_of_a_job_is_written() {
+    let pocket = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/pocket_mm.nc");
+    let out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("rest.nc");
+    fs::remove_file(&out).ok();
+    let told = run(&["resume", pocket, "--line", "200", "-o", text(&out)]);
+    let said = String::from_utf8_lossy(&told.stderr);
+    assert!(told.status.success() && told.stdout.is_empty() && said.contains("line 200 of 465"), "{said}");
+    assert_eq!(run(&["run", text(&out)]).status.code(), Some(0));
+    assert_eq!(run(&["resume", pocket, "--line", "200"]).stdout, fs::read(&out).expect("a program"));
+    let other = out.with_file_name("no_rest.nc");
+    for (arguments, word) in [
+        (&["--line", "466"][..], "there is no line 466"),
+        (&["--number", "466"], "no line has N466"),
+        (&["--line", "2", "--plunge", "0"], "--plunge"),
+        (&["--line", "2", "--clearance", "nan"], "--clearance"),
+        (&["--line", "2", "--number", "3"], "--number"),
+        (&[], "--line"),
+        (&["--line", "2", "--set", "100"], "is not of the form $n=v"),
+    ] {
+        let output = run(&[&["resume", pocket, "-o", text(&other)], arguments].concat());
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(2) && said.contains(word) && !other.exists(), "{arguments:?}: {said}");
+    }
+    let job = file("rested.nc", "G21 G90 G0 Z5\nX1\n");
+    let output = run(&["resume", text(&job), "--line", "2", "-o", text(&job)]);
+    assert_eq!(output.status.code(), Some(2), "the job would be written over");
 }

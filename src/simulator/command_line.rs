@@ -41,6 +41,9 @@ pub enum Command {
     Serve(Serve),
     /// Plays a recording, and says what the machine did and whether it was the same.
     Replay(Replay),
+    /// Writes the rest of a job, from one of its lines on, as a program of its own: modal state, tool, offsets, the way to the place,
+    /// spindle and coolant, and the lines.
+    Resume(ResumeJob),
     /// Writes the completions of a shell to standard output.
     Completions {
         /// The shell.
@@ -150,6 +153,58 @@ pub struct Replay {
     /// Writes a row for each step event.
     #[arg(long, value_name = "FILE.csv")]
     pub trace: Option<PathBuf>,
+}
+
+/// `resume`.
+#[derive(Debug, Args)]
+pub struct ResumeJob {
+    /// The job: any text file.
+    pub job: PathBuf,
+    /// Where it begins.
+    #[command(flatten)]
+    pub begin: BeginOptions,
+    /// Z at which the tool goes to the place, in mm as the program has it; the highest to which the job has gone with G0 if none is
+    /// given.
+    #[arg(long, value_name = "Z", allow_hyphen_values = true)]
+    pub clearance: Option<Millimetres>,
+    /// Feed from there down, in mm/min; that of the job's last plunge if none is given.
+    #[arg(long, value_name = "FEED")]
+    pub plunge: Option<Millimetres>,
+    /// How long the spindle has to come up to speed.
+    #[arg(long, value_name = "SECONDS", default_value = "5", value_parser = clap::value_parser!(u16).range(0..=600))]
+    pub spin_up: u16,
+    /// Where the program goes; standard output if none is given.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+    /// The machine.
+    #[command(flatten)]
+    pub machine: MachineOptions,
+}
+
+/// Exactly one of them.
+#[derive(Debug, Args)]
+#[group(required = true, multiple = false)]
+pub struct BeginOptions {
+    /// From this line of the file on, the first one being 1.
+    #[arg(long, value_name = "LINE")]
+    pub line: Option<u64>,
+    /// From the first line with this N word on: what reports, alarms and $RC tell.
+    #[arg(long, value_name = "N")]
+    pub number: Option<u32>,
+}
+
+/// A length or a feed with up to seven decimals, in units of 10⁻⁷.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Millimetres(pub i64);
+
+impl std::str::FromStr for Millimetres {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.parse::<f64>() {
+            Ok(number) if number.abs() <= 50_000.0 => Ok(Millimetres((number * 1e7).round() as i64)),
+            _ => Err("a number up to 50000 is needed".into()),
+        }
+    }
 }
 
 /// Exactly one of the links.

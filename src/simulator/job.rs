@@ -9,7 +9,7 @@
 
 use crate::board_replay;
 use crate::check::Check;
-use crate::command_line::{CheckJob, MachineOptions, PlotJob, Replay, Run, WorkZero};
+use crate::command_line::{CheckJob, MachineOptions, Millimetres, PlotJob, Replay, ResumeJob, Run, WorkZero};
 use crate::files::{self, Output, Role};
 use crate::homed::home;
 use crate::machine::linear;
@@ -17,6 +17,7 @@ use crate::path::Drawing;
 use crate::plot;
 use crate::power_up::{SettingRefused, apply_setting};
 use crate::recording::{Input, RecordedJob, Recorder, Recording};
+use crate::resume::{Begin, Wish};
 use crate::short_report::ShortReport;
 use crate::simulator::{Options, Simulator};
 use crate::store::Store;
@@ -25,8 +26,9 @@ use crate::text::JobText;
 use crate::trace::Csv;
 use anyhow::{Context, Error, Result, anyhow, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use oxmill_controller::units::{Coordinate, Decimal};
 use std::cell::RefCell;
-use std::io::{self, IsTerminal};
+use std::io::{self, IsTerminal, Write};
 use std::path::Path;
 use std::rc::Rc;
 use std::time::Instant;
@@ -39,6 +41,9 @@ const HALF_WORD: u32 = 0xFFFF;
 
 /// Longest recording that is read.
 const RECORDING: usize = 1 << 30;
+
+/// Longest job of which the rest can be written.
+const JOB: usize = 1 << 30;
 
 /// Why a machine that is recorded goes no further.
 pub const UNRECORDED: &str = "cannot write the recording";
@@ -204,6 +209,44 @@ pub fn replay(options: &Replay) -> Result<Ending> {
     }
     traced?;
     Ok(if same.is_ok() { Ending::of(&summary) } else { Ending::OtherSteps })
+}
+
+/// Carries out `resume`.
+///
+/// # Errors
+/// If a file cannot be read or written, a setting is refused, or the job cannot go on at that line.
+pub fn resume(options: &ResumeJob) -> Result<Ending> {
+    let name = options.job.display().to_string();
+    let output_role = options.output.as_deref().map(|path| Role { path, name: "--output", written: true });
+    let job_role = Role { path: &options.job, name: "the job", written: false };
+    let roles = [job_role].into_iter().chain(output_role).chain(machine_roles(&options.machine, None));
+    files::check_apart(&roles.collect::<Vec<_>>())?;
+    let job = files::read(&options.job, JOB).with_context(|| format!("cannot read the job {name}"))?;
+    let file = options.output.as_deref().map(|path| output(path, "program")).transpose()?;
+    let (simulator, _) = power_up(&options.machine, false)?;
+    check_store(&simulator, options.machine.store.as_deref())?;
+    let begin = match (options.begin.line, options.begin.number) {
+        (Some(line), _) => Begin::Line(line),
+        (None, number) => Begin::Number(number.unwrap_or_default()),
+    };
+    let plunge = options.plunge.map(|Millimetres(feed)| Decimal(feed));
+    if plunge.is_some_and(|feed| feed <= Decimal::ZERO) {
+        bail!("--plunge: a feed is above 0");
+    }
+    let clearance = options.clearance.map(|Millimetres(height)| Coordinate(height));
+    let wish = Wish { begin, clearance, plunge, spin_up: options.spin_up };
+    let resumed = crate::resume::resume(&simulator, &base_name(&options.job), &job, &wish);
+    let resumed = resumed.map_err(|why| anyhow!("{name} cannot go on there: {why}"))?;
+    match file {
+        Some(file) => file.begin().and_then(|mut file| file.write_all(&resumed.program)),
+        None => files::print(io::stdout(), &resumed.program),
+    }
+    .context("cannot write the program")?;
+    files::remark(&format!("oxmill: line {} of {} and what follows, behind:", resumed.line, resumed.lines));
+    for line in &resumed.prologue {
+        files::remark(&format!("  {line}"));
+    }
+    Ok(Ending::Good)
 }
 
 /// Plays a recording to its end and shows the progress: bytes of its job, or ticks of the step clock.

@@ -50,12 +50,16 @@ pub mod pins;
 #[cfg(feature = "program")]
 pub mod plot;
 pub mod power_up;
+#[cfg(feature = "program")]
+mod prologue;
 #[cfg(unix)]
 #[cfg(feature = "program")]
 mod pty_link;
 mod pump;
 #[cfg(feature = "program")]
 pub mod recording;
+#[cfg(feature = "program")]
+pub mod resume;
 #[cfg(feature = "program")]
 pub mod server;
 #[cfg(feature = "program")]
@@ -98,6 +102,7 @@ pub fn main() -> ExitCode {
         Command::Check(options) => job::check(options),
         Command::Plot(options) => job::plot(options),
         Command::Replay(options) => job::replay(&options),
+        Command::Resume(options) => job::resume(&options),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut CommandLine::command(), "oxmill", &mut script);

@@ -92,6 +92,16 @@ impl Store {
         Self::power_up(image).map_err(|failure| anyhow!("{failure}"))
     }
 
+    /// The same in memory alone: whoever keeps a copy is not told of what comes.
+    ///
+    /// # Errors
+    /// When the log cannot be read.
+    pub fn apart(&self) -> Result<Self> {
+        let mut image = self.log.flash().clone();
+        image.keep = None;
+        Self::power_up(image).map_err(|failure| anyhow!("{failure}"))
+    }
+
     /// All records that count, as they are restored at power-up.
     pub fn records(&mut self) -> Vec<Record> {
         let mut records = Vec::new();

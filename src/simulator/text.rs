@@ -323,7 +323,7 @@ pub fn without_header(reply: &str) -> &str {
 }
 
 /// Whether a line has a `%` and behind it nothing but remarks.
-fn is_tape_mark(text: &str) -> bool {
+pub fn is_tape_mark(text: &str) -> bool {
     let Some(mut rest) = text.trim_start().strip_prefix('%') else { return false };
     loop {
         rest = rest.trim_start();

@@ -11,7 +11,7 @@ use super::Controller;
 use super::task::{Stage, Task};
 use crate::axes::PerAxis;
 use crate::error::Alarm;
-use crate::gcode::{Dialect, Motion};
+use crate::gcode::{Dialect, Interpreter, Motion};
 use crate::machine::reaction::Reaction;
 use crate::machine::state::Mode;
 use crate::machine::stops::StopReason;
@@ -187,6 +187,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The settings that hold.
     pub fn settings(&self) -> &Settings<N> {
         &self.settings
+    }
+
+    /// What the program has come to, at the end of the lines that were taken.
+    pub fn interpreter(&self) -> &Interpreter<N> {
+        &self.interpreter
     }
 
     /// Whether the program has paused (M0, or a feed hold) and waits for `~` at rest.

@@ -24,17 +24,18 @@ use crate::units::{Coordinate, Duration};
 /// The words that stay in force while the same cycle word does, and the level that G98 goes back to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CycleWords {
-    pub(super) plane: Plane,
+    /// Across it the holes are drilled.
+    pub plane: Plane,
     /// R as it was written, in mm.
-    pub(super) r: Coordinate,
+    pub r: Coordinate,
     /// The word of the axis across the plane, as it was written, in mm.
-    pub(super) depth: Coordinate,
+    pub depth: Coordinate,
     /// Q, as it was written, in mm.
-    pub(super) peck: Coordinate,
+    pub peck: Coordinate,
     /// P.
-    pub(super) dwell: Duration,
+    pub dwell: Duration,
     /// Machine coordinate at which the series of cycles began.
-    pub(super) level: Coordinate,
+    pub level: Coordinate,
 }
 
 impl CycleWords {

@@ -19,6 +19,7 @@ mod code;
 mod computed;
 #[cfg(not(feature = "expressions"))]
 mod computed_left_out;
+mod continuation;
 mod control_points;
 mod cycle;
 mod direction;

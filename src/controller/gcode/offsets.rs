@@ -45,7 +45,7 @@ pub struct Offsets<const N: usize> {
     /// What G92.3 brings back after a G92.2.
     pub(super) g92_kept: PerAxis<Coordinate, N>,
     /// G92 or G52, of whatever value, neither cleared nor suspended.
-    pub(super) g92_acts: bool,
+    pub g92_acts: bool,
     /// Tool length offset, forgotten at reset.
     pub tool_length: PerAxis<Coordinate, N>,
 }

@@ -244,6 +244,11 @@ impl<const N: usize> Interpreter<N> {
         self.control_points.first().map_or(&[], ControlPoints::all)
     }
 
+    /// Of the latest canned cycle, what stays in force while its word does.
+    pub fn cycle_words(&self) -> &CycleWords {
+        &self.cycle
+    }
+
     /// What stays in force.
     pub fn modal(&self) -> &Modal {
         &self.modal

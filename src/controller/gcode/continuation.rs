@@ -1,0 +1,37 @@
+//! Whether the lines that follow mean the same to two interpreters: `differs_from` names the first part of the state
+//! (modal state, place, offsets, tool, parameters, a curve or a cycle in force) that a program could notice.
+
+use super::modal::{FeedMode, Modal, MotionMode};
+use super::state::Interpreter;
+
+impl<const N: usize> Interpreter<N> {
+    /// What another interpreter has otherwise, so that lines that follow could mean something else there; `None` if they
+    /// cannot. Of canned cycles and curves what stays in force counts while such a mode does.
+    pub fn differs_from(&self, other: &Self) -> Option<&'static str> {
+        let in_cycle = matches!(self.modal.motion, MotionMode::Cycle(_));
+        let in_curve = matches!(self.modal.motion, MotionMode::Spline(_));
+        let are_blank = [self, other].into_iter().all(|state| state.computed.is_blank() && !state.is_within_block());
+        let parts = [
+            (meant(&self.modal) != meant(&other.modal), "the modal state"),
+            (self.offsets != other.offsets, "an offset"),
+            (self.position != other.position, "the place"),
+            (self.spindle_tool != other.spindle_tool || self.measured != other.measured, "the tool in the spindle"),
+            (self.tools != other.tools, "the tool table"),
+            (!are_blank, "a parameter or subroutine that the program has set"),
+            (!self.saved.is_empty() || !other.saved.is_empty(), "a state that M70 keeps"),
+            (self.rotation != other.rotation, "a rotation (G68)"),
+            (self.scaling != other.scaling || self.rest != other.rest, "a scaling (G51)"),
+            (in_cycle && self.cycle != other.cycle, "the canned cycle in force"),
+            (in_curve && self.tangent != other.tangent, "the direction of the curve in front"),
+            (self.control_points() != other.control_points(), "a curve whose control points are being read"),
+        ];
+        parts.into_iter().find_map(|(differs, part)| differs.then_some(part))
+    }
+}
+
+/// Without what no line can notice: with G93 the last F of G94 does not count, for G94 wants another.
+fn meant(modal: &Modal) -> Modal {
+    let is_speed = modal.feed_mode == FeedMode::PerMinute;
+    let feed_per_second = if is_speed { modal.feed_per_second } else { 0.0 };
+    Modal { feed_per_second, feed_in_inches: is_speed && modal.feed_in_inches, ..*modal }
+}

@@ -1,0 +1,308 @@
+//! The lines in front of the rest of a job (`resume`): `prologue` writes modal state, tool, offsets, the way to the
+//! place (an `Entry`: at the clearance, then down at the plunge feed) and spindle and coolant; numbers are exact, to
+//! seven decimals of a millimetre. Arcs and canned cycles have no word that could stand alone: `mode_of` finds
+//! the first line that continues in such a mode, and `put_in_front` writes the mode, and the words that stay in force
+//! in a cycle, into it.
+
+use crate::boards::AXES;
+use oxmill_controller::axes::{Axis, PerAxis};
+use oxmill_controller::gcode::{
+    ArcDistance, CycleKind, CycleWords, Dialect, Distance, FeedMode, Group, Interpreter, Modal, MotionMode,
+    PathControl, Plane, Units, group_of,
+};
+use oxmill_controller::messages::SpindleDirection;
+use oxmill_controller::units::{Coordinate, DECIMAL_ONE, Decimal};
+
+/// How the tool goes to where the rest of a job begins.
+#[derive(Clone, Copy, Debug)]
+pub struct Entry {
+    /// The place, as the program has it.
+    pub place: PerAxis<Coordinate, AXES>,
+    /// Axes that the job has moved; the others stay where they are.
+    pub moved: PerAxis<bool, AXES>,
+    /// Z at which the tool travels; none for a job that has not moved Z.
+    pub clearance: Option<Coordinate>,
+    /// The job has come to this Z by a rapid.
+    pub is_clear: bool,
+    /// Feed downwards, mm/min.
+    pub plunge: Option<Decimal>,
+    /// Time for the spindle, seconds.
+    pub spin_up: u16,
+    /// The spindle is a laser ($32): it comes on last, and at once.
+    pub is_laser: bool,
+    /// A line of the rest continues in the motion mode.
+    pub carries: bool,
+}
+
+/// Whether the rest continues in a motion mode whose word cannot stand alone.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Mode {
+    /// Index in the rest of the first line that continues in the mode or selects another one.
+    pub line: usize,
+    /// The words that it lacks, if it continues in the mode.
+    pub words: Option<String>,
+}
+
+/// A number of 10⁻⁷ units, exact.
+fn exact(number: i64) -> String {
+    let (size, one) = (number.unsigned_abs(), DECIMAL_ONE.unsigned_abs());
+    let sign = if number < 0 { "-" } else { "" };
+    let text = format!("{sign}{}.{:07}", size / one, size % one);
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// The lines that restore a state, and bring the tool to the place.
+///
+/// # Errors
+/// A text for people: there is something that they cannot restore, or a feed is not known.
+pub fn prologue(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String> {
+    let modal = state.modal();
+    if state.rotation().is_some() || state.scaling().is_some() {
+        return Err("coordinates are rotated (G68) or scaled (G51) there".into());
+    }
+    if matches!(modal.motion, MotionMode::Probe(_)) && entry.carries {
+        return Err("the next line would probe (G38)".into());
+    }
+    let mut lines = vec![format!("G21 G90 G94 G17 {}", modal.coordinate_system.word()), "M5 M9".into()];
+    lines.extend(tool(state));
+    lines.extend(offsets(state));
+    lines.extend(way(state, entry)?);
+    let is_fed = lines.iter().any(|line| line.contains('F'));
+    lines.extend(modes(modal, is_fed));
+    Ok(lines)
+}
+
+/// The tool in the spindle, by M6, and its offset.
+fn tool(state: &Interpreter<AXES>) -> Vec<String> {
+    let (held, chosen) = (state.spindle_tool(), state.modal().tool);
+    let mut lines = Vec::new();
+    if held != 0 {
+        lines.push(format!("T{held} M6"));
+    }
+    if chosen != held {
+        lines.push(format!("T{chosen}"));
+    }
+    let offset = state.offsets().tool_length;
+    if offset == PerAxis::all(Coordinate::ZERO) {
+        return lines;
+    }
+    // By its number, so that the machine takes its own table.
+    let by_number = held != 0 && state.tools().offset(held) == Some(offset);
+    lines.push(if by_number { format!("G43 H{held}") } else { format!("G43.1{}", words(&offset)) });
+    lines
+}
+
+fn offsets(state: &Interpreter<AXES>) -> Option<String> {
+    let offset = state.offsets().g92;
+    let words = words(&offset);
+    // One of 0 acts, too: #5210 tells it.
+    state.offsets().g92_acts.then(|| format!("G52{}", if words.is_empty() { " X0" } else { &words }))
+}
+
+/// Words of the axes that are not 0.
+fn words(place: &PerAxis<Coordinate, AXES>) -> String {
+    let axes = Axis::of_machine::<AXES>().zip(place.iter()).filter(|(_, value)| **value != Coordinate::ZERO);
+    axes.map(|(axis, value)| format!(" {}{}", char::from(axis.letter()), exact(value.0))).collect()
+}
+
+/// To the place, with spindle and coolant on.
+fn way(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String> {
+    let mut lines = Vec::new();
+    if let Some(clearance) = entry.clearance {
+        lines.push(format!("G0 Z{}", exact(clearance.0)));
+    }
+    let in_plane: String = Axis::of_machine::<AXES>()
+        .filter(|axis| *axis != Axis::Z && entry.moved.get(*axis) == Some(true))
+        .filter_map(|axis| Some(format!(" {}{}", char::from(axis.letter()), exact(entry.place.get(axis)?.0))))
+        .collect();
+    if !in_plane.is_empty() {
+        lines.push(format!("G0{in_plane}"));
+    }
+    let (down, accessories) = (down(state, entry)?, accessories(state.modal(), entry));
+    // A beam must not be on while it goes to its place, and a cutter has to turn before it touches.
+    let (first, second) = if entry.is_laser { (down, accessories) } else { (accessories, down) };
+    lines.extend(first);
+    lines.extend(second);
+    Ok(lines)
+}
+
+/// From the clearance down to the place.
+fn down(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String> {
+    let Some(clearance) = entry.clearance else { return Ok(Vec::new()) };
+    let cycle = matches!(state.modal().motion, MotionMode::Cycle(_)) && entry.carries;
+    if cycle {
+        let words = state.cycle_words();
+        if words.plane != Plane::Xy {
+            return Err("a canned cycle in another plane than G17 is in force there".into());
+        }
+        // The series began at this level, which G98 goes back to.
+        let mut place = *state.position();
+        place.set(Axis::Z, words.level);
+        let level = state.to_program(&place).get(Axis::Z).unwrap_or(clearance);
+        return Ok(if level == clearance { Vec::new() } else { vec![format!("G0 Z{}", exact(level.0))] });
+    }
+    let Some(depth) = entry.place.get(Axis::Z).filter(|depth| *depth != clearance) else { return Ok(Vec::new()) };
+    if depth > clearance || entry.is_clear {
+        return Ok(vec![format!("G0 Z{}", exact(depth.0))]);
+    }
+    let feed = entry.plunge.ok_or("the feed down to the place is not known: give it (--plunge)")?;
+    Ok(vec![format!("G1 Z{} F{}", exact(depth.0), exact(feed.0))])
+}
+
+fn accessories(modal: &Modal, entry: &Entry) -> Vec<String> {
+    let mut lines = Vec::new();
+    let speed = if modal.speed == 0.0 { String::new() } else { format!(" S{}", modal.speed) };
+    let spindle = match modal.spindle {
+        SpindleDirection::Off => speed.trim_start().to_owned(),
+        SpindleDirection::Clockwise => format!("M3{speed}"),
+        SpindleDirection::CounterClockwise => format!("M4{speed}"),
+    };
+    lines.extend((!spindle.is_empty()).then_some(spindle));
+    if modal.spindle != SpindleDirection::Off && !entry.is_laser && entry.spin_up > 0 {
+        lines.push(format!("G4 P{}", entry.spin_up));
+    }
+    let coolant = modal.coolant;
+    lines.extend(coolant.mist.then(|| "M7".to_owned()));
+    lines.extend(coolant.flood.then(|| "M8".to_owned()));
+    lines
+}
+
+/// What stays in force and moves nothing, last what changes the meaning of lengths and feeds.
+fn modes(modal: &Modal, is_fed: bool) -> Vec<String> {
+    let mut words: Vec<String> = Vec::new();
+    let mut add = |is_other: bool, word: &str| words.extend(is_other.then(|| word.to_owned()));
+    add(modal.plane != Plane::Xy, modal.plane.word());
+    add(modal.retract_to_r, "G99");
+    add(modal.arc_distance == ArcDistance::Absolute, "G90.1");
+    add(modal.overrides_held.feed && modal.overrides_held.spindle, "M49");
+    add(modal.overrides_held.feed && !modal.overrides_held.spindle, "M50 P0");
+    add(!modal.overrides_held.feed && modal.overrides_held.spindle, "M51 P0");
+    add(modal.no_parking, "M56 P0");
+    match modal.path {
+        PathControl::ExactPath => {}
+        PathControl::ExactStop => words.push("G61.1".into()),
+        PathControl::Within(within) => {
+            words.push(format!("G64 P{} Q{}", exact(within.path.into()), exact(within.merging.into())));
+        }
+    }
+    words.extend(feed_and_motion(modal, is_fed));
+    words.extend((modal.distance == Distance::Incremental).then(|| "G91".to_owned()));
+    words.extend((modal.motion == MotionMode::Cancelled).then(|| "G80".to_owned()));
+    words
+}
+
+/// F, its meaning, the unit and G0 or G1. `is_fed`: a feed is in force already, which may have to go.
+fn feed_and_motion(modal: &Modal, is_fed: bool) -> Vec<String> {
+    let is_linear = modal.straight == MotionMode::Linear;
+    let feed = (modal.feed_mode == FeedMode::PerMinute).then_some(modal.feed).filter(|feed| *feed > Decimal::ZERO);
+    // A G1 needs a feed.
+    let needed = feed.or(is_linear.then_some(Decimal::from_int(1)));
+    let mut words = vec![modal.straight.word().to_owned()];
+    if let (Some(feed), Some(word)) = (needed, words.first_mut()) {
+        word.push_str(&format!(" F{}", exact(feed.0)));
+    }
+    if feed.is_none() && (is_fed || is_linear) {
+        // Another meaning takes it away.
+        words.push("G93".into());
+        words.push("G94".into());
+    }
+    let mut units = Units::Mm;
+    if let Some(feed) = feed.filter(|_| modal.feed_in_inches) {
+        // To rotary axes it is another feed than its millimetres.
+        units = Units::Inch;
+        words.push(format!("G20 F{}", exact(feed.0.saturating_mul(10) / 254)));
+    }
+    words.extend((modal.units != units).then(|| modal.units.word().to_owned()));
+    words.extend((modal.feed_mode == FeedMode::InverseTime).then(|| "G93".to_owned()));
+    words
+}
+
+/// The line of the rest behind which the motion mode in force does not matter any more, and what it lacks.
+///
+/// # Errors
+/// A text for people: there is no such line.
+pub fn mode_of(state: &Interpreter<AXES>, rest: &[&[u8]], dialect: Dialect) -> Result<Mode, String> {
+    let modal = state.modal();
+    if matches!(modal.motion, MotionMode::Rapid | MotionMode::Linear | MotionMode::Cancelled) {
+        return Ok(Mode { line: 0, words: None });
+    }
+    for (line, text) in rest.iter().enumerate() {
+        let found = words_of(text);
+        let groups = found.iter().filter_map(|(letter, number)| group_of(*letter, *number, dialect).ok());
+        let (mut selects, mut takes_axes) = (false, false);
+        for group in groups {
+            selects |= matches!(group, Group::Motion | Group::Flow);
+            takes_axes |= matches!(group, Group::NonModal | Group::ToolLength);
+        }
+        if selects {
+            return Ok(Mode { line, words: None });
+        }
+        let has = |letter: u8| found.iter().any(|(other, _)| *other == letter);
+        if !takes_axes && b"XYZABCIJKR".iter().any(|letter| has(*letter)) {
+            let mut words = modal.motion.word().to_owned();
+            if let MotionMode::Cycle(kind) = modal.motion {
+                words += &cycle(kind, state.cycle_words(), modal.units, has);
+            }
+            return Ok(Mode { line, words: Some(words) });
+        }
+    }
+    Err("no line moves the machine from there on".into())
+}
+
+/// The words of a canned cycle that a line does not have itself.
+fn cycle(kind: CycleKind, words: &CycleWords, units: Units, has: impl Fn(u8) -> bool) -> String {
+    let length = |length: Coordinate| match units {
+        Units::Mm => exact(length.0),
+        // Exact for six decimals of an inch, which is all that they were written with.
+        Units::Inch => exact((length.0 * 10 + length.0.signum() * 127) / 254),
+    };
+    let depth = words.plane.axes().linear.letter();
+    let seconds = words.dwell.ticks() as f64 / 1e6;
+    [
+        (depth, length(words.depth), true),
+        (b'R', length(words.r), true),
+        (b'Q', length(words.peck), kind.pecks()),
+        (b'P', seconds.to_string(), kind.dwells()),
+    ]
+    .into_iter()
+    .filter(|(letter, _, is_meant)| *is_meant && !has(*letter))
+    .map(|(letter, value, _)| format!(" {}{value}", char::from(letter)))
+    .collect()
+}
+
+/// The words of a line whose numbers are written out, without remarks.
+fn words_of(line: &[u8]) -> Vec<(u8, Decimal)> {
+    let mut words = Vec::new();
+    let mut bytes = line.iter().copied().filter(|byte| !matches!(byte, b' ' | b'\t')).peekable();
+    while let Some(byte) = bytes.next() {
+        match byte.to_ascii_uppercase() {
+            b';' => break,
+            b'(' => while bytes.next().is_some_and(|byte| byte != b')') {},
+            letter @ b'A'..=b'Z' => {
+                let mut number = String::new();
+                while let Some(digit) = bytes.next_if(|byte| matches!(byte, b'0'..=b'9' | b'.' | b'-' | b'+')) {
+                    number.push(char::from(digit));
+                }
+                let number = number
+                    .parse::<f64>()
+                    .map_or(Decimal(i64::MAX), |number| Decimal((number * DECIMAL_ONE as f64).round() as i64));
+                words.push((letter, number));
+            }
+            _ => {}
+        }
+    }
+    words
+}
+
+/// Words at the begin of a line, behind what has to be there: a slash, an N word.
+pub fn put_in_front(line: &[u8], words: &str) -> Vec<u8> {
+    let blank = |byte: &u8| matches!(byte, b' ' | b'\t');
+    let skip = |at: usize, is: &dyn Fn(&u8) -> bool| at + line[at..].iter().take_while(|byte| is(byte)).count();
+    let mut at = skip(skip(0, &blank), &|byte| *byte == b'/');
+    at = skip(at, &blank);
+    if line.get(at).is_some_and(|byte| byte.eq_ignore_ascii_case(&b'N')) {
+        at = skip(at + 1, &|byte| blank(byte) || byte.is_ascii_digit());
+    }
+    let (front, behind) = line.split_at(at);
+    [front, words.as_bytes(), b" ", behind].concat()
+}

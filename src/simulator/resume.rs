@@ -1,0 +1,337 @@
+//! `oxmill resume`: a job from one of its lines on, as a program that a machine without any memory of the job can run.
+//! The lines in front of that one are carried out in a simulator (`Walk`), twice with other work zeros: what the two
+//! do not agree on depends on where the machine was when the job began, and is refused. `prologue` writes the lines
+//! that restore the state; a third simulator, powered up after them, takes these and the line, and must then be in the state
+//! of the first one (`Interpreter::differs_from`), or nothing is written. A `Wish` has the line (`Begin`), clearance,
+//! plunge feed and spin-up; `Resumed` has the program and what a person wants to read of it.
+
+use crate::boards::AXES;
+use crate::power_up::{Dialect, apply_setting, error_text};
+use crate::prologue::{Entry, mode_of, prologue, put_in_front};
+use crate::simulator::{Options, Simulator};
+use crate::text::is_tape_mark;
+use oxmill_controller::axes::{Axis, PerAxis};
+use oxmill_controller::gcode::{self, CoordinateSystem, FeedMode, Interpreter, MotionMode};
+use oxmill_controller::messages::Realtime;
+use oxmill_controller::settings::Key;
+use oxmill_controller::units::{Coordinate, Decimal};
+
+/// Where the second simulator is when the job begins, and by how much the zero of each coordinate system is from that of the
+/// one before.
+const ELSEWHERE: [f64; AXES] = [1.9, 3.1, -2.3, 4.7];
+
+/// Where a job is to go on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Begin {
+    /// At this line of the file, from 1.
+    Line(u64),
+    /// At the first line with this N word.
+    Number(u32),
+}
+
+/// How a job is to go on.
+#[derive(Clone, Copy, Debug)]
+pub struct Wish {
+    /// Where.
+    pub begin: Begin,
+    /// Z at which the tool goes to the place, in mm of the program's coordinates; the highest to which the job has
+    /// gone with G0 if none is given.
+    pub clearance: Option<Coordinate>,
+    /// Feed down to the place, mm/min; that of the job's last plunge if none is given.
+    pub plunge: Option<Decimal>,
+    /// How long the spindle has to come up to speed, in seconds.
+    pub spin_up: u16,
+}
+
+/// A program that carries a job on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Resumed {
+    /// The program, each line with its end.
+    pub program: Vec<u8>,
+    /// The line of the file from which on it is the job.
+    pub line: u64,
+    /// Lines of the job.
+    pub lines: u64,
+    /// What is in front of that line.
+    pub prologue: Vec<String>,
+}
+
+/// The rest of a job. The simulator is idle and has the settings of the machine; `name` is for a comment.
+///
+/// # Errors
+/// A text for people: a line in front is refused or there is none, or something of the state there is not known.
+pub fn resume(machine: &Simulator, name: &str, job: &[u8], wish: &Wish) -> Result<Resumed, String> {
+    let lines = lines_of(job);
+    let at = place_of(&lines, wish.begin)?;
+    let (front, rest) = (&lines[..at], &lines[at..]);
+    let mut walk = Walk::along(machine, front, false)?;
+    let other = Walk::along(machine, front, true)?;
+    if walk.simulator.controller().open_since().is_some() {
+        return Err(format!("line {} is within a subroutine, a loop or a condition (O words)", at + 1));
+    }
+    let interpreter = walk.simulator.controller().interpreter();
+    let mode = mode_of(interpreter, rest, dialect_of(&walk.simulator))?;
+    let entry = walk.entry(&other, wish, mode.words.is_some())?;
+    let begin = prologue(interpreter, &entry)?;
+    let mut rest: Vec<Vec<u8>> = rest.iter().map(|line| line.to_vec()).collect();
+    if let Some(words) = &mode.words {
+        rest[mode.line] = put_in_front(&rest[mode.line], words);
+    }
+    walk.compare(&begin, &rest[..=mode.line], &lines[at..=at + mode.line])?;
+    let has_mark = front.iter().any(|line| is_tape_mark(&spoken(line)));
+    let remark: String = name.chars().filter(|c| c.is_ascii_alphanumeric() || " ._-".contains(*c)).collect();
+    let mut program = Vec::new();
+    let head = [format!("({remark} from line {} on)", at + 1)];
+    let head = has_mark.then(|| "%".to_owned()).into_iter().chain(head);
+    for line in head.chain(begin.iter().cloned()).map(String::into_bytes).chain(rest) {
+        program.extend(line);
+        program.push(b'\n');
+    }
+    Ok(Resumed { program, line: at as u64 + 1, lines: lines.len() as u64, prologue: begin })
+}
+
+/// Whose meaning the words of a program have on a machine.
+fn dialect_of(simulator: &Simulator) -> gcode::Dialect {
+    match Dialect::of(simulator) {
+        Some(Dialect::Grbl) => gcode::Dialect::Grbl,
+        Some(Dialect::Seed) => gcode::Dialect::Seed,
+        _ => gcode::Dialect::Oxmill,
+    }
+}
+
+/// The lines of a file, ended by LF, CR LF or CR, without their ends.
+fn lines_of(job: &[u8]) -> Vec<&[u8]> {
+    let mut job = job.strip_prefix("\u{FEFF}".as_bytes()).unwrap_or(job);
+    let mut lines = Vec::new();
+    while !job.is_empty() {
+        let end = job.iter().position(|byte| matches!(byte, b'\n' | b'\r')).unwrap_or(job.len());
+        lines.push(&job[..end]);
+        let both = job[end..].starts_with(b"\r\n");
+        job = job.get(end + 1 + usize::from(both)..).unwrap_or_default();
+    }
+    lines
+}
+
+/// A line as it goes over a wire: without realtime commands, which a comment may have.
+fn spoken(line: &[u8]) -> String {
+    String::from_utf8_lossy(line).chars().filter(|c| matches!(c, ' '..='~' | '\t') && !"?!~".contains(*c)).collect()
+}
+
+/// The index of the line with which the rest of a job begins.
+fn place_of(lines: &[&[u8]], begin: Begin) -> Result<usize, String> {
+    match begin {
+        Begin::Line(line) if (1..=lines.len() as u64).contains(&line) => Ok(line as usize - 1),
+        Begin::Line(line) => Err(format!("there is no line {line}: the job has {}", lines.len())),
+        Begin::Number(number) => lines
+            .iter()
+            .position(|line| number_of(&spoken(line)) == Some(number))
+            .ok_or_else(|| format!("no line has N{number}")),
+    }
+}
+
+/// The N word at the begin of a line.
+fn number_of(line: &str) -> Option<u32> {
+    let line = line.trim_start().trim_start_matches('/').trim_start();
+    let digits = line.strip_prefix(['N', 'n'])?.trim_start();
+    digits.split(|c: char| !c.is_ascii_digit()).next()?.parse().ok()
+}
+
+/// The end of a rapid of a job.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Rapid {
+    line: usize,
+    system: CoordinateSystem,
+    /// Z of the tool's tip in that system, without G52 and G92.
+    height: Coordinate,
+}
+
+/// A job on its way, line by line.
+struct Walk {
+    simulator: Simulator,
+    /// Axes that have moved.
+    moved: PerAxis<bool, AXES>,
+    rapids: Vec<Rapid>,
+    /// It has come to its Z by a rapid.
+    is_clear: bool,
+    /// Feed of the last move downwards, mm/min.
+    plunge: Option<Decimal>,
+}
+
+impl Walk {
+    /// Carries lines out on a machine that has been powered up as another one; if `elsewhere`, with other work zeros and from
+    /// another place.
+    fn along(machine: &Simulator, lines: &[&[u8]], elsewhere: bool) -> Result<Self, String> {
+        let mut simulator = powered_up_as(machine)?;
+        // A machine of this place and that would be beyond its limits somewhere.
+        for setting in [Key::SoftLimits, Key::Homing] {
+            apply_setting(&mut simulator, &format!("{}=0", setting.number())).map_err(|why| why.to_string())?;
+        }
+        if elsewhere {
+            move_elsewhere(&mut simulator)?;
+        }
+        let mut walk = Self { simulator, moved: PerAxis::all(false), rapids: Vec::new(), is_clear: true, plunge: None };
+        for (index, line) in lines.iter().enumerate() {
+            walk.take(index, line).map_err(|why| format!("line {} {why}", index + 1))?;
+        }
+        settle(&mut walk.simulator)?;
+        Ok(walk)
+    }
+
+    fn state(&self) -> &Interpreter<AXES> {
+        self.simulator.controller().interpreter()
+    }
+
+    /// The place as the program has it.
+    fn place(&self) -> PerAxis<Coordinate, AXES> {
+        self.state().to_program(self.state().position())
+    }
+
+    /// By how much G52 or G92 shifts Z.
+    fn shift_of_z(&self) -> Coordinate {
+        self.state().offsets().g92.get(Axis::Z).unwrap_or_default()
+    }
+
+    /// Carries a line out.
+    fn take(&mut self, index: usize, line: &[u8]) -> Result<(), String> {
+        let line = spoken(line);
+        if is_tape_mark(&line) {
+            return Ok(());
+        }
+        let before = *self.state().position();
+        say(&mut self.simulator, &line)?;
+        let (after, modal) = (*self.state().position(), *self.state().modal());
+        let is_other = before.zip(&after, |before, after| before != after);
+        self.moved = self.moved.zip(&is_other, |moved, other| moved || other);
+        let is_cycle = matches!(modal.motion, MotionMode::Cycle(_));
+        if is_other.0.contains(&true) && (is_cycle || modal.motion == MotionMode::Rapid) {
+            let height = self.place().get(Axis::Z).unwrap_or_default() + self.shift_of_z();
+            self.rapids.push(Rapid { line: index, system: modal.coordinate_system, height });
+        }
+        if is_other.get(Axis::Z) == Some(true) {
+            self.is_clear = is_cycle || modal.motion == MotionMode::Rapid;
+            let down = before.get(Axis::Z) > after.get(Axis::Z);
+            if down && modal.motion == MotionMode::Linear && modal.feed_mode == FeedMode::PerMinute {
+                self.plunge = Some(modal.feed);
+            }
+        }
+        Ok(())
+    }
+
+    /// How the tool goes to the place that the job has reached, as far as it does not depend on where it began.
+    fn entry(&self, other: &Walk, wish: &Wish, carries: bool) -> Result<Entry, String> {
+        let moved = self.moved.zip(&other.moved, |here, there| here || there);
+        let (place, there) = (self.place(), other.place());
+        for axis in Axis::of_machine::<AXES>().filter(|axis| moved.get(*axis) == Some(true)) {
+            if place.get(axis) != there.get(axis) {
+                let letter = char::from(axis.letter());
+                return Err(format!(
+                    "where {letter} is in front of this line depends on where the machine was when the job began: take a \
+                     line behind one that has {letter} with G90"
+                ));
+            }
+        }
+        let g92 = |walk: &Walk| walk.state().offsets().g92;
+        if g92(self) != g92(other) {
+            return Err("an offset of G92 acts that depends on where the machine was when the job began".into());
+        }
+        let system = self.state().modal().coordinate_system;
+        let is_known = |rapid: &&Rapid| {
+            let there = other.rapids.binary_search_by_key(&rapid.line, |there| there.line);
+            rapid.system == system && there.is_ok_and(|there| other.rapids[there] == **rapid)
+        };
+        let highest = self.rapids.iter().filter(is_known).map(|rapid| rapid.height - self.shift_of_z()).max();
+        let moves_z = moved.get(Axis::Z) == Some(true);
+        let clearance = wish.clearance.or(highest);
+        if moves_z && clearance.is_none() {
+            return Err(
+                "no Z of a G0 in front of this line is known: say at which Z the tool may travel (--clearance)".into(),
+            );
+        }
+        Ok(Entry {
+            place,
+            moved,
+            clearance: clearance.filter(|_| moves_z),
+            is_clear: self.is_clear,
+            plunge: wish.plunge.or(self.plunge),
+            spin_up: wish.spin_up,
+            is_laser: self.simulator.controller().settings().is_on(Key::Laser),
+            carries,
+        })
+    }
+
+    /// Takes the job some lines further, and a machine that has just been powered up through the prologue and the same
+    /// lines as they are written: both must be in the same state then.
+    fn compare(&mut self, prologue: &[String], written: &[Vec<u8>], job: &[&[u8]]) -> Result<(), String> {
+        let mut anew = powered_up_as(&self.simulator)?;
+        let taken = prologue.iter().map(|line| line.clone().into_bytes()).chain(written.iter().cloned());
+        for line in taken.map(|line| spoken(&line)).filter(|line| !is_tape_mark(line)) {
+            say(&mut anew, &line).map_err(|why| format!("the line {line} of the program to be written {why}"))?;
+        }
+        settle(&mut anew)?;
+        for line in job.iter().map(|line| spoken(line)).filter(|line| !is_tape_mark(line)) {
+            say(&mut self.simulator, &line).map_err(|why| format!("the line {line} {why}"))?;
+        }
+        settle(&mut self.simulator)?;
+        let differs = self.state().differs_from(anew.controller().interpreter());
+        differs.map_or(Ok(()), |part| Err(format!("{part} cannot be restored: take another line")))
+    }
+}
+
+/// Another machine with the same settings, offsets and fittings, that has just been powered up.
+fn powered_up_as(machine: &Simulator) -> Result<Simulator, String> {
+    let store = machine.store().apart().map_err(|why| why.to_string())?;
+    let (board, fittings) = (*machine.board(), machine.fittings().clone());
+    let mut simulator = Simulator::new(Options { board, store, fittings, keep_steps: false });
+    settle(&mut simulator)?;
+    Ok(simulator)
+}
+
+/// Puts the work zeros elsewhere, and the machine.
+fn move_elsewhere(simulator: &mut Simulator) -> Result<(), String> {
+    let axes = simulator.controller().settings().axes_in_use();
+    let words = |times: usize| -> String {
+        let axes = Axis::ALL.into_iter().zip(ELSEWHERE).take(axes);
+        axes.map(|(axis, by)| format!(" {}{:.1}", char::from(axis.letter()), by * times as f64)).collect()
+    };
+    let is_grbl = Dialect::of(simulator) == Some(Dialect::Grbl);
+    let systems = if is_grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
+    for system in 1..=systems {
+        say(simulator, &format!("G10 L2 P{system}{}", words(system + 1)))?;
+    }
+    say(simulator, &format!("$J=G21 G91{} F1000", words(1)))?;
+    settle(simulator)
+}
+
+/// Has a line carried out, up to its answer.
+fn say(simulator: &mut Simulator, line: &str) -> Result<(), String> {
+    simulator.take_output();
+    simulator.send(format!("{line}\n"));
+    loop {
+        let said = simulator.take_output();
+        if let Some(alarm) = simulator.controller().alarm() {
+            return Err(format!("ends in ALARM:{}: {}", alarm.code(), alarm.text()));
+        }
+        if let Some(code) = said.lines().find_map(|line| line.strip_prefix("error:")?.parse().ok()) {
+            return Err(format!("is refused with error:{code}: {}", error_text(code)));
+        }
+        if said.lines().any(|line| line == "ok") {
+            return Ok(());
+        }
+        if simulator.controller().is_paused() {
+            simulator.press(Realtime::CycleStart);
+        } else if !simulator.advance_once(u64::MAX) && simulator.unfetched() == 0 {
+            return Err("waits for something that will not come".into());
+        }
+    }
+}
+
+/// Lets all motion end, and presses cycle start where the program pauses.
+fn settle(simulator: &mut Simulator) -> Result<(), String> {
+    while !simulator.run_until_idle() {
+        if !simulator.controller().is_paused() {
+            return Err("the machine does not come to rest".into());
+        }
+        simulator.press(Realtime::CycleStart);
+    }
+    Ok(())
+}
