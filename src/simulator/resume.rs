@@ -162,10 +162,6 @@ impl Walk {
     /// another place.
     fn along(machine: &Simulator, lines: &[&[u8]], elsewhere: bool) -> Result<Self, String> {
         let mut simulator = powered_up_as(machine)?;
-        // A machine of this place and that would be beyond its limits somewhere.
-        for setting in [Key::SoftLimits, Key::Homing] {
-            apply_setting(&mut simulator, &format!("{}=0", setting.number())).map_err(|why| why.to_string())?;
-        }
         if elsewhere {
             move_elsewhere(&mut simulator)?;
         }
@@ -277,11 +273,16 @@ impl Walk {
     }
 }
 
-/// Another machine with the same settings, offsets and fittings, that has just been powered up.
+/// Another machine with the same settings, offsets and fittings, that has just been powered up. It has no limits: this place
+/// or that would be beyond them, and it is not homed.
 fn powered_up_as(machine: &Simulator) -> Result<Simulator, String> {
     let store = machine.store().apart().map_err(|why| why.to_string())?;
     let (board, fittings) = (*machine.board(), machine.fittings().clone());
     let mut simulator = Simulator::new(Options { board, store, fittings, keep_steps: false });
+    for setting in [Key::SoftLimits, Key::HardLimits, Key::Homing] {
+        apply_setting(&mut simulator, &format!("{}=0", setting.number())).map_err(|why| why.to_string())?;
+    }
+    simulator.send("$X\n");
     settle(&mut simulator)?;
     Ok(simulator)
 }

@@ -240,6 +240,14 @@ fn what_cannot_be_known_is_refused() {
     refused("G21 G90 G0 X0 Y0 Z1\nG2 X2 I1 F100\nG17\n", 3, "no line moves");
 }
 
+/// Neither homing nor limits of travel hinder it.
+#[test]
+fn limits_of_travel_do_not_hinder_it() {
+    let program = "G21 G90\nG0 Z5\nG0 X300 Y1\nG1 Z-2 F120\nX9 F800\nY9\n";
+    let free = resumed(&[], program, &wish(6)).unwrap();
+    assert_eq!(resumed(&["22=1", "20=1", "21=1"], program, &wish(6)).unwrap(), free);
+}
+
 /// Nothing of a store that is kept in a file changes.
 #[test]
 fn the_machine_is_as_it_was() {
