@@ -30,7 +30,7 @@ pub trait Queues {
     fn realtime(&mut self, command: Realtime) -> bool;
     /// Queues a byte of a line. Gives whether there was room.
     fn line(&mut self, byte: LineByte) -> bool;
-    /// Queues bytes of the middle of a line, as many of them as there is room for. Gives how many.
+    /// Queues bytes of lines, as many of them as there is room for. Gives how many.
     #[inline]
     fn text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
         let left = bytes.iter().position(|byte| !self.line(LineByte { byte: *byte, epoch, damaged: false }));
@@ -182,9 +182,17 @@ impl<const HELD: usize> Link<HELD> {
         other: &mut Link<OTHER>,
         queues: &mut impl Queues,
     ) -> bool {
-        if self.take_text(&[byte], arbiter, queues) > 0 {
-            return true;
-        }
+        self.take_text(&[byte], arbiter, queues) > 0 || self.take_any(byte, arbiter, other, queues)
+    }
+
+    /// Takes a byte of whatever kind.
+    fn take_any<const OTHER: usize>(
+        &mut self,
+        byte: u8,
+        arbiter: &mut HostArbiter,
+        other: &mut Link<OTHER>,
+        queues: &mut impl Queues,
+    ) -> bool {
         match Received::of(byte) {
             Received::Nothing => {
                 queues.ignored();
@@ -234,20 +242,23 @@ impl<const HELD: usize> Link<HELD> {
         }
     }
 
-    /// Takes the first of some bytes as far as they are plain: in the middle of a line, of the host with the floor, and nothing
-    /// waits. What becomes of such a byte, which nearly all are, needs no other question than whether there is room. Gives
-    /// how many.
+    /// Takes the first of some bytes as far as they are text and ends of lines by LF: of the host with the floor, where nothing
+    /// waits, was lost or is refused. What becomes of such a byte, which nearly all are, needs no other question than whether
+    /// there is room. Gives how many.
     #[inline]
-    pub fn take_text(&self, bytes: &[u8], arbiter: &HostArbiter, queues: &mut impl Queues) -> usize {
-        let is_text = self.mid_line
-            && !(self.refusing_line || self.lost || arbiter.cut)
+    pub fn take_text(&mut self, bytes: &[u8], arbiter: &HostArbiter, queues: &mut impl Queues) -> usize {
+        let is_text = !(self.refusing_line || self.lost || self.after_cr || arbiter.cut)
             && self.held.is_empty()
             && arbiter.floor.is_held_by(self.number);
         if !is_text {
             return 0;
         }
-        let other = bytes.iter().position(|byte| !is_plain(*byte));
-        queues.text(arbiter.epoch, bytes.get(..other.unwrap_or(bytes.len())).unwrap_or_default())
+        let other = bytes.iter().position(|byte| !is_plain(*byte) && *byte != b'\n');
+        let taken = queues.text(arbiter.epoch, bytes.get(..other.unwrap_or(bytes.len())).unwrap_or_default());
+        if let Some(last) = taken.checked_sub(1).and_then(|last| bytes.get(last)) {
+            self.mid_line = *last != b'\n';
+        }
+        taken
     }
 
     fn command(&mut self, command: Realtime, arbiter: &mut HostArbiter, queues: &mut impl Queues) -> bool {
@@ -445,6 +456,7 @@ const REFUSAL: &[u8] = b"[MSG:Another host has the machine]\r\nerror:8\r\n";
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     /// Queues of a given depth.
     #[derive(Default)]
@@ -873,5 +885,93 @@ mod tests {
         assert!(floor.claim(0, false, false));
         assert!(floor.claim(1, false, true));
         assert!(!floor.claim(0, false, true));
+    }
+
+    /// What may happen to two links.
+    #[derive(Clone, Debug)]
+    enum Event {
+        /// Bytes of one of them: text, commands, any ends.
+        Bytes {
+            usb: bool,
+            bytes: Vec<u8>,
+        },
+        /// The host of the second one comes or goes, or bytes of it are lost.
+        Came,
+        Went,
+        Lost,
+        /// So much room has come about; the machine is free or not.
+        Room {
+            lines: usize,
+            commands: usize,
+            free: bool,
+        },
+    }
+
+    fn event() -> impl Strategy<Value = Event> {
+        let byte = prop_oneof![8 => Just(b'X'), 3 => Just(b'\n'), 2 => Just(b'\r'), 1 => Just(b'?'), 1 => Just(0x18), 1 => Just(0x85), 1 => Just(9)];
+        prop_oneof![
+            12 => (any::<bool>(), proptest::collection::vec(byte, 1..20)).prop_map(|(usb, bytes)| Event::Bytes { usb, bytes }),
+            1 => Just(Event::Came),
+            1 => Just(Event::Went),
+            1 => Just(Event::Lost),
+            4 => (0_usize..30, 0_usize..4, any::<bool>())
+                .prop_map(|(lines, commands, free)| Event::Room { lines, commands, free }),
+        ]
+    }
+
+    impl Both<40> {
+        /// As the serial task reads: runs of text where there are any, or each byte by itself.
+        fn play(&mut self, event: &Event, by_run: bool) {
+            let Both { queues, arbiter, uart, usb } = self;
+            match event {
+                Event::Bytes { usb: is_usb, bytes } => {
+                    queues.owes_resets = !is_usb;
+                    let mut left = bytes.as_slice();
+                    while let Some((first, behind)) = left.split_first() {
+                        let run = match (by_run, is_usb) {
+                            (false, _) => 0,
+                            (_, true) => usb.take_text(left, arbiter, queues),
+                            (_, false) => uart.take_text(left, arbiter, queues),
+                        };
+                        left = if run > 0 { left.split_at(run).1 } else { behind };
+                        match is_usb {
+                            _ if run > 0 => {}
+                            true => _ = usb.take_any(*first, arbiter, uart, queues),
+                            false => _ = uart.take_any(*first, arbiter, usb, queues),
+                        }
+                    }
+                }
+                Event::Came => _ = usb.came(arbiter, uart, queues),
+                Event::Went => _ = usb.went(arbiter),
+                Event::Lost => usb.lose(),
+                Event::Room { lines, commands, free } => {
+                    queues.most_lines = queues.lines.len() + lines;
+                    queues.most_commands = queues.commands.len() + commands;
+                    queues.free = *free;
+                    self.pass_on();
+                }
+            }
+        }
+    }
+
+    proptest! {
+        /// Runs of text and line ends become what the bytes become one by one.
+        #[test]
+        fn a_run_is_taken_as_its_bytes(events in proptest::collection::vec(event(), 1..80)) {
+            let [mut by_run, mut by_byte] = [0; 2].map(|_| Both::<40>::new(8, 100));
+            for event in &events {
+                by_run.play(event, true);
+                by_byte.play(event, false);
+                prop_assert_eq!(&by_run.queues.lines, &by_byte.queues.lines);
+                prop_assert_eq!(&by_run.queues.commands, &by_byte.queues.commands);
+                for (run, byte) in [
+                    (format!("{:?}", by_run.usb), format!("{:?}", by_byte.usb)),
+                    (format!("{:?}", by_run.uart), format!("{:?}", by_byte.uart)),
+                    (format!("{:?}", by_run.arbiter), format!("{:?}", by_byte.arbiter)),
+                ] {
+                    prop_assert_eq!(run, byte);
+                }
+            }
+        }
     }
 }
