@@ -146,6 +146,25 @@ class RccTraces(unittest.TestCase):
         with self.assertRaises(Misuse):
             model.write(rcc.CR, model.read(rcc.CR) & ~(1 << 24))
 
+    def test_an_enabled_clock_takes_a_few_cycles(self):
+        bench = Bench(NUCLEO_F446RE)
+        model = rcc.Rcc("RCC", bench)
+        model.hclk, model.pclk1 = 180_000_000, 45_000_000
+        for offset, bit, cycles in ((rcc.AHB1ENR, 21, 2), (rcc.APB1ENR, 28, 5), (rcc.APB2ENR, 14, 2)):
+            peripheral = SimpleNamespace(name="it", CLOCK=(offset, bit))
+            with self.assertRaises(Misuse):
+                model.check_clock(peripheral)
+            model.pclk2 = model.hclk
+            model.write(offset, 1 << bit)
+            bench.now += cycles - 1
+            with self.assertRaises(Misuse):
+                model.check_clock(peripheral)
+            bench.now += 1
+            model.check_clock(peripheral)
+        # What has been on before is not touched by another one.
+        model.write(rcc.APB1ENR, 1 << 28 | 1)
+        model.check_clock(SimpleNamespace(name="it", CLOCK=(rcc.APB1ENR, 28)))
+
     def test_bypass_limits_and_reset_flags(self):
         bench = Bench(NUCLEO_F446RE)
         model = rcc.Rcc("RCC", bench)
