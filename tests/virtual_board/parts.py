@@ -25,6 +25,8 @@ class Part:
     """Greatest core clock with over-drive; 0 where there is none."""
     pwr_cr_reset: int
     interrupts: int
+    vco_hz: int = 100 * MHZ
+    """Least frequency of the PLL's oscillator."""
     flash_kib: int = 512
     ram_kib: int = 128
     flash_start: int = 0x0800_0000
@@ -44,7 +46,8 @@ STM32F411 = Part(
 STM32F401 = Part(
     "STM32F401CC", 84 * MHZ, 42 * MHZ, 84 * MHZ,
     wait_states=(30 * MHZ, 60 * MHZ, 84 * MHZ),
-    scale_hz={1: 60 * MHZ, 2: 84 * MHZ}, over_drive_hz=0, pwr_cr_reset=0x8000, interrupts=85, flash_kib=256, ram_kib=64,
+    scale_hz={1: 60 * MHZ, 2: 84 * MHZ}, over_drive_hz=0, pwr_cr_reset=0x8000, interrupts=85, vco_hz=192 * MHZ,
+    flash_kib=256, ram_kib=64,
 )  # fmt: skip
 STM32F401RE = replace(STM32F401, name="STM32F401RE", flash_kib=512, ram_kib=96)
 STM32F446 = Part(

@@ -146,7 +146,7 @@ class Rcc(Peripheral):
         if not 950_000 <= vco_in <= 2_100_000 or not 50 <= n <= 432:
             raise Misuse(f"RCC_PLLCFGR {value:#010x}: input of {vco_in} Hz, times {n}")
         vco = source * n // m
-        if not 100_000_000 <= vco <= 432_000_000 or vco // p > part.core_hz:
+        if not part.vco_hz <= vco <= 432_000_000 or vco // p > part.core_hz:
             raise Misuse(f"RCC_PLLCFGR {value:#010x}: oscillator at {vco} Hz, output {vco // p} Hz")
         return vco // p
 
