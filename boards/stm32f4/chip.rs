@@ -15,7 +15,7 @@ use stm32f4xx_hal::{
     gpio::{ErasedPin, Input, Output, PinExt},
     nb, pac,
     prelude::*,
-    rcc::{BusTimerClock, Enable, Rcc, Reset},
+    rcc::{BusTimerClock, Enable, LPEnable, Rcc, Reset},
     serial::{Instance, Rx, RxListen, Tx, TxListen},
     watchdog::IndependentWatchdog,
 };
@@ -98,6 +98,9 @@ pub fn step_pins<const P: usize>(
     pwm.cr1().write(|w| w.cen().set_bit());
     // The slave's clock comes first (reference manual, timer synchronization).
     pac::TIM1::enable(rcc);
+    // By the manuals of the F401 and F411 (RCC_APB2LPENR, reset value 0x0007 7930) it would stand whenever the processor sleeps, and
+    // ignore its trigger; what else is used goes on.
+    pac::TIM1::enable_in_low_power(rcc);
     pac::TIM1::reset(rcc);
     pac::DMA1::enable(rcc);
     pac::DMA2::enable(rcc);

@@ -508,6 +508,7 @@ class Board:
         elif error or state.reason == FAULT:
             self._fault(error)
         elif state.reason == ASLEEP:
+            self._guarded(self.rcc.check_sleep)()
             self._asleep = True
             self.core.write("pc", state.at + 2)
             state.next = state.at + 2

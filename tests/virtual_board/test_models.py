@@ -165,6 +165,21 @@ class RccTraces(unittest.TestCase):
         model.write(rcc.APB1ENR, 1 << 28 | 1)
         model.check_clock(SimpleNamespace(name="it", CLOCK=(rcc.APB1ENR, 28)))
 
+    def test_clocks_while_the_processor_sleeps(self):
+        for wiring, stands in ((BLACKPILL_F411, True), (NUCLEO_F446RE, False)):
+            bench = Bench(wiring)
+            model = rcc.Rcc("RCC", bench)
+            model.write(rcc.AHB1ENR, 7 | 3 << 21)
+            model.write(rcc.APB1ENR, 0xF | 1 << 28)
+            model.check_sleep()
+            # TIM1, bit 0.
+            model.write(rcc.APB2ENR, 1 | 1 << 14)
+            if stands:
+                with self.assertRaises(Misuse):
+                    model.check_sleep()
+                model.write(rcc.APB2LPENR, model.read(rcc.APB2LPENR) | 1)
+            model.check_sleep()
+
     def test_bypass_limits_and_reset_flags(self):
         bench = Bench(NUCLEO_F446RE)
         model = rcc.Rcc("RCC", bench)

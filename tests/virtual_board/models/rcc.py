@@ -3,7 +3,8 @@
 Modelled: HSI, HSE (crystal or bypass, as the board has it: with the wrong one it never becomes ready), the main PLL with
 its limits, the system clock and the bus prescalers with their limits, peripheral clock enables, which take a few cycles to
 arrive (errata sheets, "Delay after an RCC peripheral clock enabling"), and resets, LSI, the reset flags, a failing HSE with clock security (without it: a failure of the emulation). Oscillators and PLL are ready at once; the waiting loops of the firmware see the bit at the first read.
-Not modelled: the other PLLs, MCO, RTC and the backup domain, low-power clock enables, start-up times.
+Not modelled: the other PLLs, MCO, RTC and the backup domain, start-up times. The processor may not sleep while a clock that is on
+would stand by the low-power enables.
 """
 
 from .nvic import NMI
@@ -12,6 +13,7 @@ from .peripheral import Misuse, Peripheral
 CR, PLLCFGR, CFGR, CIR = 0x00, 0x04, 0x08, 0x0C
 AHB1RSTR, AHB2RSTR, APB1RSTR, APB2RSTR = 0x10, 0x14, 0x20, 0x24
 AHB1ENR, AHB2ENR, APB1ENR, APB2ENR = ENABLES = 0x30, 0x34, 0x40, 0x44
+AHB1LPENR, AHB2LPENR, APB1LPENR, APB2LPENR = SLEEP_ENABLES = 0x50, 0x54, 0x60, 0x64
 CSR, DCKCFGR = 0x74, 0x8C
 
 HSI_HZ = 16_000_000
@@ -34,6 +36,10 @@ class Rcc(Peripheral):
         AHB2ENR: ("AHB2ENR", 0, 0x80),
         APB1ENR: ("APB1ENR", 0, 0x1002_000F),
         APB2ENR: ("APB2ENR", 0, 0x0000_4011),
+        AHB1LPENR: ("AHB1LPENR", 0, 0xFFFF_FFFF),
+        AHB2LPENR: ("AHB2LPENR", 0, 0xFFFF_FFFF),
+        APB1LPENR: ("APB1LPENR", 0, 0xFFFF_FFFF),
+        APB2LPENR: ("APB2LPENR", 0, 0xFFFF_FFFF),
         CSR: ("CSR", 0x0E00_0000, 0x0100_0001),
         DCKCFGR: ("DCKCFGR", 0, 0x0100_0000),
     }
@@ -47,6 +53,7 @@ class Rcc(Peripheral):
     def reset(self):
         super().reset()
         self.values[CSR] = self.flags
+        self.values.update(zip(SLEEP_ENABLES, self.board.part.asleep))
         self.arrives = {}
         """The cycle from which on each clock is there that has been enabled, by its (offset, bit)."""
         self.all_there = 0
@@ -113,6 +120,14 @@ class Rcc(Peripheral):
             raise Misuse(f"{peripheral.name} is used while its clock is off")
         if self.board.now < self.all_there and self.board.now < self.arrives.get((offset, bit), 0):
             raise Misuse(f"{peripheral.name} is used before its clock, which has just been switched on, is there")
+
+    def check_sleep(self):
+        """The processor goes to sleep: what is clocked then goes on. The firmware leaves all that it uses to itself meanwhile."""
+        for enable, asleep in zip(ENABLES, SLEEP_ENABLES):
+            if standing := self.values[enable] & ~self.values[asleep]:
+                names = {p.name: p.CLOCK for p in self.board.peripherals.values() if p.CLOCK}
+                names = [name for name, (offset, bit) in names.items() if offset == enable and standing >> bit & 1]
+                raise Misuse(f"the processor sleeps, and the clock of {', '.join(names)} stands (RCC, {asleep:#x})")
 
     def lose_hse(self):
         """The oscillator fails in operation, the PLL with it: the system clock is HSI from here on, and the NMI is taken. Ratios of clocks
