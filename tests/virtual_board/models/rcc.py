@@ -53,7 +53,7 @@ class Rcc(Peripheral):
     def reset(self):
         super().reset()
         self.values[CSR] = self.flags
-        self.values.update(zip(SLEEP_ENABLES, self.board.part.asleep))
+        self.values.update(zip(SLEEP_ENABLES, self.board.part.asleep, strict=True))
         self.arrives = {}
         """The cycle from which on each clock is there that has been enabled, by its (offset, bit)."""
         self.all_there = 0
@@ -123,7 +123,7 @@ class Rcc(Peripheral):
 
     def check_sleep(self):
         """The processor goes to sleep: what is clocked then goes on. The firmware leaves all that it uses to itself meanwhile."""
-        for enable, asleep in zip(ENABLES, SLEEP_ENABLES):
+        for enable, asleep in zip(ENABLES, SLEEP_ENABLES, strict=True):
             if standing := self.values[enable] & ~self.values[asleep]:
                 names = {p.name: p.CLOCK for p in self.board.peripherals.values() if p.CLOCK}
                 names = [name for name, (offset, bit) in names.items() if offset == enable and standing >> bit & 1]
