@@ -99,7 +99,7 @@ pub fn step_pins<const P: usize>(
     // The slave's clock comes first (reference manual, timer synchronization).
     pac::TIM1::enable(rcc);
     // By the manuals of the F401 and F411 (RCC_APB2LPENR, reset value 0x0007 7930) it would stand whenever the processor sleeps, and
-    // ignore its trigger; what else is used goes on.
+    // ignore its trigger; all else that is used has its clock then.
     pac::TIM1::enable_in_low_power(rcc);
     pac::TIM1::reset(rcc);
     pac::DMA1::enable(rcc);
