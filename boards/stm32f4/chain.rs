@@ -27,6 +27,7 @@
 //! * GPIO is written through DMA2's memory port, and DMA2 does nothing for APB2 meanwhile: ES0287 2.2.11 (F411). So
 //!   rings are read as a "peripheral" that counts up.
 //! * DMA1 fetches a word ahead: the moment of an event must be in the ring before the one but one before it is out.
+//! * TIM1 must be clocked while the processor sleeps (`step_pins` sees to it), or it ignores its trigger.
 //! * TIM1 ignores a trigger while it counts. Its counter would then be one event behind TIM2: the streams' counts differ.
 //! * A request from before would be served at once: TIM1 is reset before each begin.
 //! * CR of a stream is not read right after EN was set, and streams are not switched on back to back.

@@ -3,7 +3,7 @@
 //! TIM5 (`start_clock`), the serial port `Usart<U: Instance>` (`BAUD`, `rx`, `tx`, `taken`, `lost`; `nb::Error` becomes
 //! `Incoming`), the `InputPins` (`MOST_INPUTS` `places` of `ErasedPin`s by `each_ref`, pulls, what is `fitted`), the
 //! `SlowPins` (`SLOW_OUTPUTS`) and their `levels`, the independent `Watchdog` that stops on debug, the `Parts`,
-//! `settings_flash`, `watch_clock` (`csson`), `reset_cause` from the flags of `csr`, and `safe_state`, which writes each `SAFE` word
+//! `settings_flash`, `begin_with_reset` (`memrmp`, `mem_mode`, `syscfgen`), `watch_clock` (`csson`), `reset_cause` from the flags of `csr`, and `safe_state`, which writes each `SAFE` word
 //! (`write_bsrr`). `each!` (`$pin`, `$how`) and `raw!` shorten pins and register access.
 //!
 //! Clocks, pins and other set-up go through the HAL, whose types see to it that no pin is used twice; what the step
@@ -15,7 +15,7 @@ use stm32f4xx_hal::{
     gpio::{ErasedPin, Input, Output, PinExt},
     nb, pac,
     prelude::*,
-    rcc::{BusTimerClock, Enable, Rcc, Reset},
+    rcc::{BusTimerClock, Enable, LPEnable, Rcc, Reset},
     serial::{Instance, Rx, RxListen, Tx, TxListen},
     watchdog::IndependentWatchdog,
 };
@@ -98,6 +98,9 @@ pub fn step_pins<const P: usize>(
     pwm.cr1().write(|w| w.cen().set_bit());
     // The slave's clock comes first (reference manual, timer synchronization).
     pac::TIM1::enable(rcc);
+    // By the manuals of the F401 and F411 (RCC_APB2LPENR, reset value 0x0007 7930) it would stand whenever the processor sleeps, and
+    // ignore its trigger; all else that is used has its clock then.
+    pac::TIM1::enable_in_low_power(rcc);
     pac::TIM1::reset(rcc);
     pac::DMA1::enable(rcc);
     pac::DMA2::enable(rcc);
@@ -132,6 +135,19 @@ pub fn start_clock(timer: pac::TIM5, rcc: &mut Rcc) {
     // The prescaler is taken over by an update.
     timer.egr().write(|w| w.ug().set_bit());
     timer.cr1().write(|w| w.cen().set_bit());
+}
+
+/// Resets the chip if its own boot loader has jumped into the program instead of a reset, as hosts may order it to (`:leave` of
+/// dfu-util): system memory is at address 0 then, with it the table of the vectors, and clocks and peripherals are as the loader left
+/// them. First of all in the set-up.
+pub fn begin_with_reset(rcc: &pac::RCC, syscfg: &pac::SYSCFG) {
+    rcc.apb2enr().modify(|_, w| w.syscfgen().set_bit());
+    // An enabled clock takes some cycles to arrive; reading back waits for them.
+    let _ = rcc.apb2enr().read();
+    // MEM_MODE: 0 = flash.
+    if syscfg.memrmp().read().mem_mode().bits() != 0 {
+        cortex_m::peripheral::SCB::sys_reset()
+    }
 }
 
 /// Has the chip watch its oscillator (clock security system). If that fails, the processor continues at 16 MHz of its own and takes

@@ -1,7 +1,7 @@
 //! The supply of an STM32F4: `full_core_voltage` sets the scale of the core's own, `watch_voltage` has the programmable
 //! voltage detector (PVD, EXTI line 16) call `LOW_VOLTAGE` when the board's falls, and `restart` waits until
-//! `voltage_is_low` no more, for `RISE_MS`, before it resets. `PWR` is clocked (`apb1enr`, `pwren`, `modify(|_, w|
-//! w..set_bit())`), `pls` and `pvde` switch the detector on, `pvdo` is its bit; the vector has the `export_name` `PVD`
+//! `voltage_is_low` no more, for `RISE_MS`, before it resets. `PWR` is clocked by `clock_supply` (`apb1enr`, `pwren`, `modify(|_, w|
+//! w..set_bit())`, `enable`), `pls` and `pvde` switch the detector on, `pvdo` is its bit; the vector has the `export_name` `PVD`
 //! or, on F401, `EXTI16_PVD`.
 
 use super::safe_state;
@@ -21,11 +21,18 @@ macro_rules! raw {
 /// Lets the core's supply carry the full clock: an F411 wakes up at a scale for 84 MHz (reference manual, PWR_CR, VOS), and
 /// the HAL leaves it there. The scale can be changed only while the PLL is off.
 #[cfg(any(feature = "blackpill_f411", feature = "nucleo_f411re"))]
-pub fn full_core_voltage(rcc: &pac::RCC, pwr: &pac::PWR) {
-    rcc.apb1enr().modify(|_, w| w.pwren().set_bit());
-    // An enabled clock takes two bus cycles to arrive; reading back waits for them.
-    let _ = rcc.apb1enr().read();
+pub fn full_core_voltage(pwr: &pac::PWR) {
+    clock_supply();
     pwr.cr().modify(|r, w| raw!(w, r.bits() | 0b11 << 14));
+}
+
+/// Clocks the control of the supply. Before an enabled clock has arrived, writes are lost and reads give nothing of use (errata
+/// sheets, "Delay after an RCC peripheral clock enabling"): reading back waits for it.
+fn clock_supply() {
+    // SAFETY: unsafe because a bit of the clock control is set without owning it; safe because no task runs yet.
+    let enable = unsafe { (*pac::RCC::ptr()).apb1enr() };
+    enable.modify(|_, w| w.pwren().set_bit());
+    let _ = enable.read();
 }
 
 /// Vector of the voltage detector: the device crates disagree about its name.
@@ -50,8 +57,7 @@ fn unwatched() -> ! {
 /// safe while there still is power. Its vector has the highest priority of all; it runs once and does not return.
 pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI, low_voltage: fn() -> !) {
     critical_section::with(|cs| LOW_VOLTAGE.borrow(cs).set(low_voltage));
-    // SAFETY: unsafe because a bit of the clock control is set without owning it; safe because no task runs yet.
-    unsafe { (*pac::RCC::ptr()).apb1enr().modify(|_, w| w.pwren().set_bit()) };
+    clock_supply();
     pwr.cr().modify(|_, w| raw!(w.pvde().set_bit().pls(), 7));
     // Rising edge of the detector's output: the voltage falls.
     exti.rtsr().modify(|r, w| raw!(w, r.bits() | VOLTAGE_LINE));

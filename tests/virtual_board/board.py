@@ -29,6 +29,7 @@ from .models.peripheral import Misuse, Peripheral, Unmodelled
 from .models.pulse import PulseTimer
 from .models.pwr import Pwr
 from .models.rcc import Rcc
+from .models.syscfg import SYSTEM_MEMORY, Syscfg
 from .models.timer import FUNCTION, INPUTS, Timer
 from .models.usart import Usart
 
@@ -177,6 +178,7 @@ class Board:
         self.dma = [fit(0x4002_6000, Dma("DMA1", self, 21)), fit(0x4002_6400, Dma("DMA2", self, 22))]
         self.otg = self.peripherals["OTG_FS"] = OtgFs("OTG_FS", self)
         self.exti = fit(0x4001_3C00, Exti("EXTI", self))
+        self.syscfg = fit(0x4001_3800, Syscfg("SYSCFG", self))
         self.iwdg = fit(0x4000_3000, Iwdg("IWDG", self))
         self.usart = self.peripherals[self.wiring.usart]
         self._timed = [p for p in self.peripherals.values() if type(p).advance is not Peripheral.advance]
@@ -206,6 +208,19 @@ class Board:
         self.core.write("pc", start & ~1)
         self._asleep = False
         self._next_due = None
+
+    def jump_from_loader(self, resets_clocks):
+        """In the place of a reset the chip's boot loader jumps into the program: system memory is at address 0, and VTOR says that the
+        vectors are there; the clocks are those of the loader, if it does not reset them."""
+        self.power_on()
+        self.syscfg.values[0] = SYSTEM_MEMORY
+        self.nvic.vectors = 0x1FFF_0000
+        if not resets_clocks:
+            # 60 MHz from HSI by the PLL, three wait states.
+            self.flash.write(0x00, 3)
+            self.rcc.write(0x04, 16 | 240 << 6 | 1 << 16 | 5 << 24)
+            self.rcc.write(0x00, self.rcc.values[0x00] | 1 << 24)
+            self.rcc.write(0x08, 2 | 0b100 << 10)
 
     def request_reset(self, flags, why):
         """Called by models: the chip resets as soon as the instruction is done. `flags` are for RCC_CSR."""
@@ -335,9 +350,8 @@ class Board:
         peripheral = self.pages.get(address >> 10)
         if peripheral is None:
             raise Unmodelled(f"nothing is modelled at {address:#010x}")
-        clock = peripheral.CLOCK
-        if clock is not None and not self.rcc.values[clock[0]] >> clock[1] & 1:
-            raise Misuse(f"{peripheral.name} is used while its clock is off")
+        if peripheral.CLOCK is not None:
+            self.rcc.check_clock(peripheral)
         return peripheral
 
     def _read_register(self, uc, offset, size, _):
@@ -370,8 +384,7 @@ class Board:
         self._otg_on().write(offset, value)
 
     def _otg_on(self):
-        if not self.rcc.values[self.otg.CLOCK[0]] >> self.otg.CLOCK[1] & 1:
-            raise Misuse("OTG_FS is used while its clock is off")
+        self.rcc.check_clock(self.otg)
         return self.otg
 
     def _read_bit(self, uc, offset, size, _):
@@ -495,6 +508,7 @@ class Board:
         elif error or state.reason == FAULT:
             self._fault(error)
         elif state.reason == ASLEEP:
+            self._guarded(self.rcc.check_sleep)()
             self._asleep = True
             self.core.write("pc", state.at + 2)
             state.next = state.at + 2

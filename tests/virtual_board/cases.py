@@ -1379,6 +1379,23 @@ def same_steps(bench, scope, job, settings):
     return count
 
 
+def left_loader(bench):
+    """The chip's boot loader jumps into the program, as a host may order (`:leave` of dfu-util), with its own vectors and clocks: the
+    program starts over from a reset."""
+    for resets_clocks in (False, True):
+        board = bench.fresh()
+        board.jump_from_loader(resets_clocks)
+        begin = board.seconds()
+        bench.wait_text("Grbl 1.1h", 1.0)
+        if [why for _, why in board.resets] != ["software"]:
+            raise Failure(f"resets: {board.resets}")
+        if board.clocks[-1][2] != bench.wiring.core_hz:
+            raise Failure(f"the core runs at {board.clocks[-1][2]} Hz")
+        if any(at < board.resets[0][0] and level in (0, 1) for at, _, _, level in board.edges):
+            raise Failure("an output was driven before the reset")
+        yield f"left with clocks {'reset' if resets_clocks else 'on'}: reset after {us(board.seconds(board.resets[0][0]) - begin)}"
+
+
 def lost_clock(bench):
     """The oscillator fails in full motion with the spindle on, also while interrupts are masked: everything safe at once, and the cause
     is told once there is a clock again."""
@@ -2474,6 +2491,7 @@ def all_cases(root):
         ("recorded failure", recorded),
         ("masked for ever", deaf),
         ("lost clock", lost_clock),
+        ("boot loader left", left_loader),
         ("brown-out", brown_out),
         ("brown-out of a beam", brown_out_of_a_beam),
         ("low supply at power-up", low_at_power_up),

@@ -25,6 +25,11 @@ class Part:
     """Greatest core clock with over-drive; 0 where there is none."""
     pwr_cr_reset: int
     interrupts: int
+    asleep: tuple
+    """RCC_AHB1LPENR, AHB2LPENR, APB1LPENR and APB2LPENR after a reset, as the manuals have them: whose clocks go on while the processor sleeps.
+    On the F401 and F411 that of TIM1 does not, nor those of GPIOE and GPIOH."""
+    vco_hz: int = 100 * MHZ
+    """Least frequency of the PLL's oscillator."""
     flash_kib: int = 512
     ram_kib: int = 128
     flash_start: int = 0x0800_0000
@@ -40,17 +45,20 @@ STM32F411 = Part(
     "STM32F411CE", 100 * MHZ, 50 * MHZ, 100 * MHZ,
     wait_states=(30 * MHZ, 64 * MHZ, 90 * MHZ, 100 * MHZ),
     scale_hz={1: 64 * MHZ, 2: 84 * MHZ, 3: 100 * MHZ}, over_drive_hz=0, pwr_cr_reset=0x8000, interrupts=86,
+    asleep=(0x0061_900F, 0x80, 0x10E2_C80F, 0x0007_7930),
 )  # fmt: skip
 STM32F401 = Part(
     "STM32F401CC", 84 * MHZ, 42 * MHZ, 84 * MHZ,
     wait_states=(30 * MHZ, 60 * MHZ, 84 * MHZ),
-    scale_hz={1: 60 * MHZ, 2: 84 * MHZ}, over_drive_hz=0, pwr_cr_reset=0x8000, interrupts=85, flash_kib=256, ram_kib=64,
+    scale_hz={1: 60 * MHZ, 2: 84 * MHZ}, over_drive_hz=0, pwr_cr_reset=0x8000, interrupts=85, vco_hz=192 * MHZ,
+    asleep=(0x0061_900F, 0x80, 0x10E2_C80F, 0x0007_7930), flash_kib=256, ram_kib=64,
 )  # fmt: skip
 STM32F401RE = replace(STM32F401, name="STM32F401RE", flash_kib=512, ram_kib=96)
 STM32F446 = Part(
     "STM32F446RE", 180 * MHZ, 45 * MHZ, 90 * MHZ,
     wait_states=tuple(n * 30 * MHZ for n in range(1, 7)),
     scale_hz={1: 120 * MHZ, 2: 144 * MHZ, 3: 168 * MHZ}, over_drive_hz=180 * MHZ, pwr_cr_reset=0xC000, interrupts=97,
+    asleep=(0x6067_90FF, 0x81, 0x3FFF_C9FF, 0x00C7_7F33),
 )  # fmt: skip
 
 

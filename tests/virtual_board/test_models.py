@@ -146,6 +146,40 @@ class RccTraces(unittest.TestCase):
         with self.assertRaises(Misuse):
             model.write(rcc.CR, model.read(rcc.CR) & ~(1 << 24))
 
+    def test_an_enabled_clock_takes_a_few_cycles(self):
+        bench = Bench(NUCLEO_F446RE)
+        model = rcc.Rcc("RCC", bench)
+        model.hclk, model.pclk1 = 180_000_000, 45_000_000
+        for offset, bit, cycles in ((rcc.AHB1ENR, 21, 2), (rcc.APB1ENR, 28, 5), (rcc.APB2ENR, 14, 2)):
+            peripheral = SimpleNamespace(name="it", CLOCK=(offset, bit))
+            with self.assertRaises(Misuse):
+                model.check_clock(peripheral)
+            model.pclk2 = model.hclk
+            model.write(offset, 1 << bit)
+            bench.now += cycles - 1
+            with self.assertRaises(Misuse):
+                model.check_clock(peripheral)
+            bench.now += 1
+            model.check_clock(peripheral)
+        # What has been on before is not touched by another one.
+        model.write(rcc.APB1ENR, 1 << 28 | 1)
+        model.check_clock(SimpleNamespace(name="it", CLOCK=(rcc.APB1ENR, 28)))
+
+    def test_clocks_while_the_processor_sleeps(self):
+        for wiring, stands in ((BLACKPILL_F411, True), (NUCLEO_F446RE, False)):
+            bench = Bench(wiring)
+            model = rcc.Rcc("RCC", bench)
+            model.write(rcc.AHB1ENR, 7 | 3 << 21)
+            model.write(rcc.APB1ENR, 0xF | 1 << 28)
+            model.check_sleep()
+            # TIM1, bit 0.
+            model.write(rcc.APB2ENR, 1 | 1 << 14)
+            if stands:
+                with self.assertRaises(Misuse):
+                    model.check_sleep()
+                model.write(rcc.APB2LPENR, model.read(rcc.APB2LPENR) | 1)
+            model.check_sleep()
+
     def test_bypass_limits_and_reset_flags(self):
         bench = Bench(NUCLEO_F446RE)
         model = rcc.Rcc("RCC", bench)

@@ -1,9 +1,10 @@
 """Reset and clock control (RM0390 chapter 6, RM0383 chapter 6).
 
 Modelled: HSI, HSE (crystal or bypass, as the board has it: with the wrong one it never becomes ready), the main PLL with
-its limits, the system clock and the bus prescalers with their limits, peripheral clock enables and resets, LSI, the
-reset flags, a failing HSE with clock security (without it: a failure of the emulation). Oscillators and PLL are ready at once; the waiting loops of the firmware see the bit at the first read.
-Not modelled: the other PLLs, MCO, RTC and the backup domain, low-power clock enables, start-up times.
+its limits, the system clock and the bus prescalers with their limits, peripheral clock enables, which take a few cycles to
+arrive (errata sheets, "Delay after an RCC peripheral clock enabling"), and resets, LSI, the reset flags, a failing HSE with clock security (without it: a failure of the emulation). Oscillators and PLL are ready at once; the waiting loops of the firmware see the bit at the first read.
+Not modelled: the other PLLs, MCO, RTC and the backup domain, start-up times. The processor may not sleep while a clock that is on
+would stand by the low-power enables.
 """
 
 from .nvic import NMI
@@ -11,7 +12,8 @@ from .peripheral import Misuse, Peripheral
 
 CR, PLLCFGR, CFGR, CIR = 0x00, 0x04, 0x08, 0x0C
 AHB1RSTR, AHB2RSTR, APB1RSTR, APB2RSTR = 0x10, 0x14, 0x20, 0x24
-AHB1ENR, AHB2ENR, APB1ENR, APB2ENR = 0x30, 0x34, 0x40, 0x44
+AHB1ENR, AHB2ENR, APB1ENR, APB2ENR = ENABLES = 0x30, 0x34, 0x40, 0x44
+AHB1LPENR, AHB2LPENR, APB1LPENR, APB2LPENR = SLEEP_ENABLES = 0x50, 0x54, 0x60, 0x64
 CSR, DCKCFGR = 0x74, 0x8C
 
 HSI_HZ = 16_000_000
@@ -34,6 +36,10 @@ class Rcc(Peripheral):
         AHB2ENR: ("AHB2ENR", 0, 0x80),
         APB1ENR: ("APB1ENR", 0, 0x1002_000F),
         APB2ENR: ("APB2ENR", 0, 0x0000_4011),
+        AHB1LPENR: ("AHB1LPENR", 0, 0xFFFF_FFFF),
+        AHB2LPENR: ("AHB2LPENR", 0, 0xFFFF_FFFF),
+        APB1LPENR: ("APB1LPENR", 0, 0xFFFF_FFFF),
+        APB2LPENR: ("APB2LPENR", 0, 0xFFFF_FFFF),
         CSR: ("CSR", 0x0E00_0000, 0x0100_0001),
         DCKCFGR: ("DCKCFGR", 0, 0x0100_0000),
     }
@@ -47,6 +53,11 @@ class Rcc(Peripheral):
     def reset(self):
         super().reset()
         self.values[CSR] = self.flags
+        self.values.update(zip(SLEEP_ENABLES, self.board.part.asleep, strict=True))
+        self.arrives = {}
+        """The cycle from which on each clock is there that has been enabled, by its (offset, bit)."""
+        self.all_there = 0
+        """From this cycle on all of them are."""
         self.hclk, self.pclk1, self.pclk2 = HSI_HZ, HSI_HZ, HSI_HZ
 
     def note_reset(self, flags):
@@ -82,7 +93,10 @@ class Rcc(Peripheral):
             flags = 0 if value >> 24 & 1 else self.values[CSR] & 0xFE00_0000
             self.values[CSR] = flags | value & 1
             return
+        enabled = value & ~self.values[offset] if offset in ENABLES else 0
         super().write(offset, value)
+        if enabled:
+            self._enable(offset, enabled)
         if offset in (AHB1RSTR, AHB2RSTR, APB1RSTR, APB2RSTR):
             for peripheral in self.board.peripherals.values():
                 if peripheral.CLOCK and peripheral.CLOCK[0] - 0x20 == offset and value >> peripheral.CLOCK[1] & 1:
@@ -90,6 +104,30 @@ class Rcc(Peripheral):
                     self.board.replan()
         if offset == CFGR or offset == DCKCFGR:
             self._clocks()
+
+    def _enable(self, offset, bits):
+        """Clocks are switched on: on the AHB they take two of its cycles, on another bus one of its own and one of the AHB."""
+        bus = {APB1ENR: self.pclk1, APB2ENR: self.pclk2}.get(offset)
+        self.all_there = self.board.now + (2 if bus is None else 1 + self.hclk // bus)
+        for bit in range(32):
+            if bits >> bit & 1:
+                self.arrives[offset, bit] = self.all_there
+
+    def check_clock(self, peripheral):
+        """A peripheral is used: its clock must be there."""
+        offset, bit = peripheral.CLOCK
+        if not self.values[offset] >> bit & 1:
+            raise Misuse(f"{peripheral.name} is used while its clock is off")
+        if self.board.now < self.all_there and self.board.now < self.arrives.get((offset, bit), 0):
+            raise Misuse(f"{peripheral.name} is used before its clock, which has just been switched on, is there")
+
+    def check_sleep(self):
+        """The processor goes to sleep: what is clocked then goes on. The firmware leaves all that it uses to itself meanwhile."""
+        for enable, asleep in zip(ENABLES, SLEEP_ENABLES, strict=True):
+            if standing := self.values[enable] & ~self.values[asleep]:
+                names = {p.name: p.CLOCK for p in self.board.peripherals.values() if p.CLOCK}
+                names = [name for name, (offset, bit) in names.items() if offset == enable and standing >> bit & 1]
+                raise Misuse(f"the processor sleeps, and the clock of {', '.join(names)} stands (RCC, {asleep:#x})")
 
     def lose_hse(self):
         """The oscillator fails in operation, the PLL with it: the system clock is HSI from here on, and the NMI is taken. Ratios of clocks
@@ -123,7 +161,7 @@ class Rcc(Peripheral):
         if not 950_000 <= vco_in <= 2_100_000 or not 50 <= n <= 432:
             raise Misuse(f"RCC_PLLCFGR {value:#010x}: input of {vco_in} Hz, times {n}")
         vco = source * n // m
-        if not 100_000_000 <= vco <= 432_000_000 or vco // p > part.core_hz:
+        if not part.vco_hz <= vco <= 432_000_000 or vco // p > part.core_hz:
             raise Misuse(f"RCC_PLLCFGR {value:#010x}: oscillator at {vco} Hz, output {vco // p} Hz")
         return vco // p
 
