@@ -41,7 +41,7 @@ CALL_CYCLES = 140
 """From the call of the step task to where no event begins any more, when it is not running: less than 2 us on all boards."""
 BEHIND_CYCLES = 400
 """From there to where the beam is off: a change of power that is about to come is awaited."""
-LINES_S = {"blackpill_f411": 3800, "blackpill_f401": 2600}
+LINES_S = {"blackpill_f411": 4200, "blackpill_f401": 2800}
 """Short lines a second that a board takes over USB while it moves."""
 LATEST_PULSE_END_S = 0.15 * US
 """How much longer than $0 a pulse may be: its end is a transfer of DMA, which may wait for others."""
