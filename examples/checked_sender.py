@@ -28,6 +28,8 @@ WINDOW = 120
 # Seconds without an answer after which the machine is asked, and how many questions may be unanswered: each is one byte.
 PATIENCE = 0.5
 QUESTIONS = 32
+# Seconds without a byte after which the link is taken for dead: a report is asked for all the while, and each state answers.
+SILENCE = 20.0
 # Longest line, remarks among it: four times what the machine takes of a line without its remarks.
 LONGEST = 1000
 
@@ -158,7 +160,8 @@ class Sender:
         self.questions = self.asked_at = self.plain = 0
         self.received = b""
         # When an answer came last, when anything did, and when the machine was asked last.
-        self.last_answer = self.last_heard = self.last_asked = 0.0
+        self.last_heard = time.monotonic()
+        self.last_answer = self.last_asked = 0.0
         self.state = ""
         self.counts = {"lines sent again": 0, "answers damaged": 0, "refusals": 0, "questions": 0}
 
@@ -174,8 +177,11 @@ class Sender:
 
     def receive(self):
         data = self.link.receive(PATIENCE / 4)
+        now = time.monotonic()
         if data:
-            self.last_heard = time.monotonic()
+            self.last_heard = now
+        elif now - self.last_heard > SILENCE:
+            raise Stopped(f"the machine has said nothing for {SILENCE:.0f} s")
         *lines, self.received = (self.received + data).split(b"\n")
         return [line.decode("ascii", "replace").strip("\r") for line in lines]
 

@@ -271,6 +271,35 @@ def left_at_the_end(program):
     return None
 
 
+def dead(until):
+    """What is wrong if the sender waits for a machine that is silent, behind an answer to `$LC=ON` or so many lines. Else nothing."""
+    near, far = socket.socketpair()
+    link = checked_sender.Tcp.__new__(checked_sender.Tcp)
+    link.socket = near
+    sender = checked_sender.Sender(link, [(1, "G1X1F100")] * 3)
+    patience, checked_sender.SILENCE = checked_sender.SILENCE, 2.0
+    far.sendall("".join(f"{answer}\r\n" for answer in until).encode())
+    begin, why = time.monotonic(), None
+    try:
+        sender.run()
+        sender.rest()
+    except checked_sender.Stopped as stopped:
+        why = str(stopped)
+    checked_sender.SILENCE = patience
+    waited = time.monotonic() - begin
+    near.close()
+    far.close()
+    if why is None or "said nothing" not in why or waited > 10:
+        return f"a silent machine: {why}, after {waited:.1f} s"
+    return None
+
+
+def answer(number):
+    """The checked answer `ok` behind which line `number` is wanted."""
+    covered = checked_sender.digits(number, 3) + checked_sender.digits(2, 2)
+    return f":{covered}{checked_sender.digits(checked_sender.binascii.crc32((covered + 'ok').encode()), 8)}ok"
+
+
 def main():
     parser = argparse.ArgumentParser(description="Jobs in checked lines over a link that damages bytes.")
     parser.add_argument("jobs", nargs="*", default=[str(ROOT / job) for job in JOBS])
@@ -281,6 +310,9 @@ def main():
     options = parser.parse_args()
     if wrong := left_at_the_end(options.program):
         sys.exit(wrong)
+    for until in ([answer(0)], [answer(0), answer(1)], [answer(number) for number in range(4)] + ["ok"]):
+        if wrong := dead(until):
+            sys.exit(wrong)
     failed = []
     all_faults = 0
     for n, job in enumerate(options.jobs):
