@@ -46,11 +46,17 @@ const INSTEAD: [(&[&str], &str); 15] = [
 const WORD_OF_A: &str =
     "Set $930=4 if the machine has an axis A that turns, on a board with four axes; else leave the word out.";
 
+/// What helps against a remark with parentheses in it, such as `(profile (outside))`.
+const NESTED_REMARK: &str = "A remark ends at its first closing parenthesis: take the parentheses within it out.";
+
 /// What helps against an error with this number that a line has met: what to write instead of a word of it, if that is
 /// known.
 pub fn for_line(code: u8, line: &str) -> &'static str {
     let refused =
         [Error::NotSupported, Error::UnsupportedCommand, Error::CutterCompensation, Error::UnsupportedCoordinateSystem];
+    if [Error::ExpectedLetter, Error::BadNumber].iter().any(|error| error.code() == code) && has_nested_remark(line) {
+        return NESTED_REMARK;
+    }
     if !refused.iter().any(|error| error.code() == code) {
         return for_code(code);
     }
@@ -62,6 +68,20 @@ pub fn for_line(code: u8, line: &str) -> &'static str {
         None if code == Error::UnsupportedCommand.code() && words.iter().any(|word| is_of_a(word)) => WORD_OF_A,
         None => for_code(code),
     }
+}
+
+/// Whether a remark of the line has a parenthesis that opens within it.
+fn has_nested_remark(line: &str) -> bool {
+    let mut within = false;
+    for character in line.split(';').next().unwrap_or_default().chars() {
+        match character {
+            '(' if within => return true,
+            '(' => within = true,
+            ')' => within = false,
+            _ => {}
+        }
+    }
+    false
 }
 
 /// Whether a word is one of the axis A, and no letter of a name or of a function such as `ABS`.
