@@ -54,7 +54,7 @@ pub type Parts = stm32f4::Parts<pac::USART2, NoPort, 2>;
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> Parts {
     stm32f4::begin_with_reset(&device.RCC, &device.SYSCFG);
-    #[cfg(feature = "nucleo_f411re")]
+    #[cfg(feature = "stm32f411")]
     stm32f4::full_core_voltage(&device.PWR);
     let mut rcc = device.RCC.freeze(Config::hse(8.MHz()).bypass_hse_oscillator().sysclk(core_hz.Hz()));
     stm32f4::watch_clock();

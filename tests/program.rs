@@ -56,6 +56,17 @@ fn a_good_job_ends_with_0_and_a_summary() {
 }
 
 #[test]
+fn places_are_numbers_without_a_resolution() {
+    let job = file("no_resolution.nc", "G0 X3\n");
+    let output = run(&["run", text(&job), "--json", "--set", "100=0"]);
+    assert_eq!(output.status.code(), Some(1), "motion is locked");
+    let summary = json(&output);
+    for end in ["min", "max"] {
+        assert_eq!(summary["extents_mm"][end], serde_json::json!([0.0, 0.0, 0.0]));
+    }
+}
+
+#[test]
 fn check_is_run_on_one_screen() {
     let bad = file("check_bad.nc", "G1 X1 F100\nG999\nX2\n");
     let output = run(&["check", text(&bad)]);

@@ -21,8 +21,8 @@ pub const BLOCKS: usize = profiles::BLACKPILL_F401.blocks;
 pub const RECORDING_PAGES: usize = profiles::BLACKPILL_F401.recording_pages;
 /// More cycles than the longest run of the step task takes.
 pub const RUN_CYCLES: u32 = profiles::BLACKPILL_F401.run_cycles;
-/// Clock of SysTick.
-pub const CORE_HZ: u32 = 84_000_000;
+/// Clock of the processor and of SysTick.
+pub const CORE_HZ: u32 = profiles::BLACKPILL_F401.core_hz;
 
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals, low_voltage: fn() -> !) -> Parts {

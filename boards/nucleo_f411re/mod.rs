@@ -23,8 +23,8 @@ pub const BLOCKS: usize = profiles::NUCLEO_F411RE.blocks;
 pub const RECORDING_PAGES: usize = profiles::NUCLEO_F411RE.recording_pages;
 /// More cycles than the longest run of the step task takes.
 pub const RUN_CYCLES: u32 = profiles::NUCLEO_F411RE.run_cycles;
-/// Clock of SysTick.
-pub const CORE_HZ: u32 = 100_000_000;
+/// Clock of the processor and of SysTick.
+pub const CORE_HZ: u32 = profiles::NUCLEO_F411RE.core_hz;
 
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals, low_voltage: fn() -> !) -> Parts {

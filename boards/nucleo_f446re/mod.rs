@@ -23,8 +23,8 @@ pub const BLOCKS: usize = profiles::NUCLEO_F446RE.blocks;
 pub const RECORDING_PAGES: usize = profiles::NUCLEO_F446RE.recording_pages;
 /// More cycles than the longest run of the step task takes.
 pub const RUN_CYCLES: u32 = profiles::NUCLEO_F446RE.run_cycles;
-/// Clock of SysTick.
-pub const CORE_HZ: u32 = 180_000_000;
+/// Clock of the processor and of SysTick.
+pub const CORE_HZ: u32 = profiles::NUCLEO_F446RE.core_hz;
 
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals, low_voltage: fn() -> !) -> Parts {

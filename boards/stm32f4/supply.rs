@@ -20,7 +20,7 @@ macro_rules! raw {
 
 /// Lets the core's supply carry the full clock: an F411 wakes up at a scale for 84 MHz (reference manual, PWR_CR, VOS), and
 /// the HAL leaves it there. The scale can be changed only while the PLL is off.
-#[cfg(any(feature = "blackpill_f411", feature = "nucleo_f411re"))]
+#[cfg(feature = "stm32f411")]
 pub fn full_core_voltage(pwr: &pac::PWR) {
     clock_supply();
     pwr.cr().modify(|r, w| raw!(w, r.bits() | 0b11 << 14));
@@ -36,9 +36,9 @@ fn clock_supply() {
 }
 
 /// Vector of the voltage detector: the device crates disagree about its name.
-#[cfg(not(any(feature = "nucleo_f401re", feature = "blackpill_f401")))]
+#[cfg(not(feature = "stm32f401"))]
 const VOLTAGE_VECTOR: pac::Interrupt = pac::Interrupt::PVD;
-#[cfg(any(feature = "nucleo_f401re", feature = "blackpill_f401"))]
+#[cfg(feature = "stm32f401")]
 const VOLTAGE_VECTOR: pac::Interrupt = pac::Interrupt::EXTI16_PVD;
 
 /// EXTI line of the voltage detector.
@@ -91,8 +91,8 @@ fn voltage_is_low() -> bool {
 }
 
 /// The supply is failing.
-#[cfg_attr(not(any(feature = "nucleo_f401re", feature = "blackpill_f401")), unsafe(export_name = "PVD"))]
-#[cfg_attr(any(feature = "nucleo_f401re", feature = "blackpill_f401"), unsafe(export_name = "EXTI16_PVD"))]
+#[cfg_attr(not(feature = "stm32f401"), unsafe(export_name = "PVD"))]
+#[cfg_attr(feature = "stm32f401", unsafe(export_name = "EXTI16_PVD"))]
 // unsafe because the linker takes the name on trust; safe because it is the vector's, and the signature fits.
 extern "C" fn voltage_low() {
     critical_section::with(|cs| LOW_VOLTAGE.borrow(cs).get())()

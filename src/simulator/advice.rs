@@ -9,7 +9,7 @@
 use oxmill_controller::error::{Alarm, Error};
 
 /// Words that are refused, and what to write instead.
-const INSTEAD: [(&[&str], &str); 13] = [
+const INSTEAD: [(&[&str], &str); 15] = [
     (
         &["G33", "G33.1", "G74", "G76", "G84"],
         "The spindle is not measured, so nothing can follow its turns: drill the hole (G81), then mill the thread with G2 or G3 and Z, or tap by hand.",
@@ -33,41 +33,79 @@ const INSTEAD: [(&[&str], &str); 13] = [
         "Write sub-programs with O words in the same file: o100 sub, its lines, o100 endsub, then o100 call [5]; docs/expressions.md has more.",
     ),
     (&["G87"], "Write the back boring as single moves."),
+    (&["G70", "G71"], "Write G20 for inches, G21 for millimetres."),
+    (
+        &["M82", "M83", "M84", "M104", "M106", "M107", "M109", "M117", "M140", "M190"],
+        "The program is for the firmware of a 3D printer: choose a post-processor for Grbl. Spindle and laser are M3 or M4 with S, and M5.",
+    ),
     (&["G54.1"], "Use G54 to G59.3: there are nine coordinate systems."),
     (&["M19"], "Leave the word out: the spindle cannot be turned to an angle."),
 ];
+
+/// What helps against a word of the axis A where there is none.
+const WORD_OF_A: &str =
+    "Set $930=4 if the machine has an axis A that turns, on a board with four axes; else leave the word out.";
+
+/// What helps against a remark with parentheses in it, such as `(profile (outside))`.
+const NESTED_REMARK: &str = "A remark ends at its first closing parenthesis: take the parentheses within it out.";
 
 /// What helps against an error with this number that a line has met: what to write instead of a word of it, if that is
 /// known.
 pub fn for_line(code: u8, line: &str) -> &'static str {
     let refused =
         [Error::NotSupported, Error::UnsupportedCommand, Error::CutterCompensation, Error::UnsupportedCoordinateSystem];
-    let instead = || {
-        let words = words(line);
-        INSTEAD.iter().find(|(refused, _)| words.iter().any(|word| refused.contains(&word.as_str())))
-    };
+    if [Error::ExpectedLetter, Error::BadNumber].iter().any(|error| error.code() == code) && has_nested_remark(line) {
+        return NESTED_REMARK;
+    }
     if !refused.iter().any(|error| error.code() == code) {
         return for_code(code);
     }
-    instead().map_or_else(|| for_code(code), |(_, advice)| advice)
+    let words = words(line);
+    let plain: Vec<String> = words.iter().map(|word| plain(word)).collect();
+    let instead = INSTEAD.iter().find(|(refused, _)| plain.iter().any(|word| refused.contains(&word.as_str())));
+    match instead {
+        Some((_, advice)) => advice,
+        None if code == Error::UnsupportedCommand.code() && words.iter().any(|word| is_of_a(word)) => WORD_OF_A,
+        None => for_code(code),
+    }
 }
 
-/// The words of a line without its remarks, and without zeros before and behind a number: `g081.0` is `G81`.
+/// Whether a remark of the line has a parenthesis that opens within it.
+fn has_nested_remark(line: &str) -> bool {
+    let mut within = false;
+    for character in line.split(';').next().unwrap_or_default().chars() {
+        match character {
+            '(' if within => return true,
+            '(' => within = true,
+            ')' => within = false,
+            _ => {}
+        }
+    }
+    false
+}
+
+/// Whether a word is one of the axis A, and no letter of a name or of a function such as `ABS`.
+fn is_of_a(word: &str) -> bool {
+    word.strip_prefix('A').is_some_and(|number| number.starts_with(|c: char| c.is_ascii_digit() || "+-.[#".contains(c)))
+}
+
+/// The words of a line without its remarks and the names of parameters.
 fn words(line: &str) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     let mut depth = 0_usize;
     for character in line.split(';').next().unwrap_or_default().chars().filter(|c| !c.is_whitespace()) {
         match character {
-            '(' => depth += 1,
-            ')' => depth = depth.saturating_sub(1),
+            '(' | '<' => depth += 1,
+            ')' | '>' => depth = depth.saturating_sub(1),
             _ if depth > 0 => {}
             letter if letter.is_ascii_alphabetic() => words.push(letter.to_ascii_uppercase().into()),
             _ => words.last_mut().into_iter().for_each(|word| word.push(character)),
         }
     }
-    words.iter().map(|word| plain(word)).collect()
+    words
 }
 
+/// A word without zeros before and behind its number: `G081.0` is `G81`.
 fn plain(word: &str) -> String {
     let (letter, number) = word.split_at(1);
     let (whole, fraction) = number.split_once('.').unwrap_or((number, ""));
@@ -92,8 +130,9 @@ pub fn for_error(error: Error) -> &'static str {
         | Error::CutterCompensation => {
             "Choose a post-processor for Grbl in the CAM program, or correct the line; docs/gcode.md lists the words that are known."
         }
-        Error::InvalidStatement | Error::NegativeValue => {
-            "Look the setting up in docs/settings.md: its number, unit and range."
+        Error::InvalidStatement => "Look the setting up in docs/settings.md: its number, unit and range.",
+        Error::NegativeValue => {
+            "Write it without the minus sign, which places, distances, angles and $58 may have and nothing else."
         }
         Error::HomingDisabled => "Switch homing on with $22=1, if limit switches are fitted.",
         Error::StepPulseTooShort => {
@@ -130,7 +169,7 @@ pub fn for_error(error: Error) -> &'static str {
             "Give the arc a target or an offset in the plane: X, Y, I, J in G17; X, Z, I, K in G18; Y, Z, J, K in G19."
         }
         Error::InvalidTarget => {
-            "Check the end of the arc, which must be as far from the centre as its start, and whether a probe or tool length has what it needs."
+            "An arc ends as far from its centre as it starts (after a refused line it starts elsewhere), one by R not where it starts; a probing move leads away from the place of the tool; nothing lies beyond 50 m."
         }
         Error::ImpossibleRadius => "Give a radius of at least half the distance from start to end, or use I and J.",
         Error::UnusedWords => "Take the words out that the commands of this line do not use.",
@@ -245,7 +284,20 @@ mod tests {
         }
         assert!(for_line(121, "n10 (G33) m098p1000 ; G31").contains("o100 call"));
         assert!(for_line(121, "G00 g84.0X1").contains("G81"));
-        for (code, line) in [(20, "G0 X84"), (20, "(G84) D1"), (36, "G84 X1"), (22, "M98"), (121, "@5"), (20, "")] {
+        for line in ["G0 X1 A0.", "g1 a-5", "A[#1]"] {
+            assert_eq!(for_line(20, line), WORD_OF_A, "{line}");
+        }
+        for (code, line) in [
+            (20, "X[ABS[#<a1>]]"),
+            (20, "(A0) D1"),
+            (149, "A0"),
+            (20, "G0 X84"),
+            (20, "(G84) D1"),
+            (36, "G84 X1"),
+            (22, "M98"),
+            (121, "@5"),
+            (20, ""),
+        ] {
             assert_eq!(for_line(code, line), for_code(code), "{line}");
         }
     }

@@ -248,8 +248,14 @@ impl Meter {
         std::array::from_fn(|motor| (motors[motor] * self.steps_per_mm[motor]).round() as i32)
     }
 
+    /// So many steps in mm: 0 with a resolution of 0, which locks motion, as in the controller's reports.
+    fn way(&self, axis: usize, steps: f64) -> f64 {
+        let per_mm = self.steps_per_mm[axis];
+        if per_mm > 0.0 { steps / per_mm } else { 0.0 }
+    }
+
     fn place_of(&self, steps: [f64; AXES]) -> [f64; AXES] {
-        let mut places: [f64; AXES] = std::array::from_fn(|motor| steps[motor] / self.steps_per_mm[motor]);
+        let mut places: [f64; AXES] = std::array::from_fn(|motor| self.way(motor, steps[motor]));
         if self.arrangement == Arrangement::CoreXy {
             let [a, b, ..] = places;
             (places[0], places[1]) = (0.5 * (a + b), 0.5 * (a - b));
@@ -259,7 +265,7 @@ impl Meter {
 
     /// The place in mm of carriages as [`crate::machine::Machine::extents`] counts them.
     pub fn carriages_mm(&self, counts: [i32; AXES]) -> [f64; AXES] {
-        let mut places: [f64; AXES] = std::array::from_fn(|axis| f64::from(counts[axis]) / self.steps_per_mm[axis]);
+        let mut places: [f64; AXES] = std::array::from_fn(|axis| self.way(axis, f64::from(counts[axis])));
         if self.arrangement == Arrangement::CoreXy {
             let [x, y, ..] = places;
             (places[0], places[1]) = (0.5 * x, 0.5 * y);

@@ -46,6 +46,19 @@ fn no_condition_of_the_firmware_names_a_board() {
     assert!(read > 10);
 }
 
+/// What a chip needs depends on the chip's feature: a new board with it has it then, without being entered anywhere.
+#[test]
+fn only_the_choice_of_a_board_names_one_in_a_condition() {
+    let files = sources(&root().join("boards"));
+    assert!(files.len() > 15);
+    for (file, text) in files.iter().filter(|(file, _)| file.as_os_str() != "lib.rs") {
+        let dense: String = text.split_whitespace().collect();
+        for board in oxmill_images::BOARDS {
+            assert!(!dense.contains(&format!("feature=\"{board}\"")), "boards/{}: {board}", file.display());
+        }
+    }
+}
+
 /// What the simulator's library has nothing of: the feature `program` brings it.
 const OF_THE_HOST: &[&[&str]] = &[
     &["std", "fs"],

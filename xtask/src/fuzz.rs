@@ -35,7 +35,7 @@ const SHARES: [(&str, u64, u64); 9] = [
 ];
 
 /// How much is to be done.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 enum Amount {
     /// For so long, with the comparisons.
     Seconds(u64),
@@ -67,20 +67,33 @@ impl Amount {
     }
 }
 
-/// `cargo xtask fuzz [--seconds N|--hours N|--executions N [--seed S]] [TARGET..]`, or `minimise`.
-pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
-    let (amount, targets) = match arguments {
-        ["minimise"] => return minimise(),
-        ["--hours", hours, targets @ ..] => (Amount::Seconds(number(hours)? * 3600), targets),
-        ["--seconds", seconds, targets @ ..] => (Amount::Seconds(number(seconds)?), targets),
+/// How much is asked for, and on which targets; none named: on all.
+fn wanted<'a>(arguments: &'a [&'a str]) -> Result<(Amount, &'a [&'a str]), Failure> {
+    let time = |count: &str, seconds: u64| number(count).map(|count| Amount::Seconds(count.saturating_mul(seconds)));
+    Ok(match arguments {
+        ["--hours", hours, targets @ ..] => (time(hours, 3600)?, targets),
+        ["--minutes", minutes, targets @ ..] => (time(minutes, 60)?, targets),
+        ["--seconds", seconds, targets @ ..] => (time(seconds, 1)?, targets),
         ["--executions", executions, "--seed", seed, targets @ ..] => {
             (Amount::Repeated(number(executions)?, number(seed)?), targets)
         }
         ["--executions", executions, targets @ ..] => (Amount::Executions(number(executions)?), targets),
         targets => (Amount::Seconds(300), targets),
-    };
+    })
+}
+
+/// `cargo xtask fuzz [--seconds N|--minutes N|--hours N|--executions N [--seed S]] [TARGET..]`, `--list` or `minimise`.
+pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
     let all = all_targets()?;
     let all: Vec<&str> = all.iter().map(String::as_str).collect();
+    let (amount, targets) = match arguments {
+        ["--list"] => {
+            println!("{}", all.join("\n"));
+            return Ok(());
+        }
+        ["minimise"] => return minimise(),
+        arguments => wanted(arguments)?,
+    };
     let targets = if targets.is_empty() { &all[..] } else { targets };
     if let Some(unknown) = targets.iter().find(|target| !all.contains(target)) {
         return Err(format!("there is no target `{unknown}`; there are {}", all.join(", ")));
@@ -331,6 +344,17 @@ mod tests {
         assert_eq!(options, ["-runs=240000", "-max_len=128"]);
         assert_eq!(Amount::Executions(1_000).options("usb", &["usb"], 2)[0], "-runs=1000");
         assert_eq!(Amount::Repeated(1_000, 7).options("usb", &["usb"], 2)[2], "-seed=7");
+    }
+
+    #[test]
+    fn understands_how_much_is_wanted() {
+        assert_eq!(wanted(&["--minutes", "3"]), Ok((Amount::Seconds(180), &[][..])));
+        assert_eq!(wanted(&["--hours", "2", "usb"]), Ok((Amount::Seconds(7200), &["usb"][..])));
+        assert_eq!(wanted(&["--seconds", "5", "usb"]), Ok((Amount::Seconds(5), &["usb"][..])));
+        assert_eq!(wanted(&["--executions", "9", "--seed", "1"]), Ok((Amount::Repeated(9, 1), &[][..])));
+        assert_eq!(wanted(&["lines"]), Ok((Amount::Seconds(300), &["lines"][..])));
+        assert!(wanted(&["--minutes", "x"]).is_err());
+        assert_eq!(fuzz(&["--list"]), Ok(()));
     }
 
     #[test]

@@ -60,9 +60,9 @@ usage:
   cargo xtask mutants [NAME..]  named faults of motion, link and filter, each of which the tests have to see; some minutes
   cargo xtask count [small]  what a tick, a block, a segment, a line cost, in instructions and estimated cycles, on QEMU;
                              `small`: in images that are built for size
-  cargo xtask fuzz [--seconds N|--hours N|--executions N [--seed S]] [TARGET..]  coverage-guided fuzzing of tests/fuzz, 300 s for all targets
+  cargo xtask fuzz [--seconds N|--minutes N|--hours N|--executions N [--seed S]] [TARGET..]  coverage-guided fuzzing of tests/fuzz, 300 s for all targets
                              together, or so many executions of inputs that are short;
-                             `fuzz minimise` keeps in the tree what reaches most (needs a C++ compiler)
+                             `fuzz --list` names the targets, `fuzz minimise` keeps in the tree what reaches most (needs a C++ compiler)
   cargo xtask dist [--tag TAG] [--check] [PART..]  what a release has, in target/dist: docs/release.md. PART is a board, `boards`,
                              `program`, `page` or `book`, all if none is named; `--check` builds it on two paths and compares
   cargo xtask package        the crates as `cargo package` makes them, and what is in each; `package --build` builds from them
