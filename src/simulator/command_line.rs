@@ -7,6 +7,7 @@
 
 use crate::boards::{self, Board};
 use crate::power_up::{Dialect, board_named};
+use crate::resume::{SPIN_UP, number_of};
 use clap::{Args, Parser, Subcommand};
 use oxmill_controller::axes::LINEAR;
 use std::path::PathBuf;
@@ -171,7 +172,7 @@ pub struct ResumeJob {
     #[arg(long, value_name = "FEED")]
     pub plunge: Option<Millimetres>,
     /// How long the spindle has to come up to speed.
-    #[arg(long, value_name = "SECONDS", default_value = "5", value_parser = clap::value_parser!(u16).range(0..=600))]
+    #[arg(long, value_name = "SECONDS", default_value_t = SPIN_UP, value_parser = clap::value_parser!(u16).range(0..=600))]
     pub spin_up: u16,
     /// Where the program goes; standard output if none is given.
     #[arg(short, long, value_name = "FILE")]
@@ -200,10 +201,8 @@ pub struct Millimetres(pub i64);
 impl std::str::FromStr for Millimetres {
     type Err = String;
     fn from_str(text: &str) -> Result<Self, String> {
-        match text.parse::<f64>() {
-            Ok(number) if number.abs() <= 50_000.0 => Ok(Millimetres((number * 1e7).round() as i64)),
-            _ => Err("a number up to 50000 is needed".into()),
-        }
+        let number = text.parse().ok().and_then(number_of);
+        number.map(Millimetres).ok_or_else(|| "a number up to 50000 is needed".into())
     }
 }
 

@@ -50,7 +50,6 @@ pub mod pins;
 #[cfg(feature = "program")]
 pub mod plot;
 pub mod power_up;
-#[cfg(feature = "program")]
 mod prologue;
 #[cfg(unix)]
 #[cfg(feature = "program")]
@@ -58,7 +57,6 @@ mod pty_link;
 mod pump;
 #[cfg(feature = "program")]
 pub mod recording;
-#[cfg(feature = "program")]
 pub mod resume;
 #[cfg(feature = "program")]
 pub mod server;

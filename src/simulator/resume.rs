@@ -14,11 +14,20 @@ use oxmill_controller::axes::{Axis, PerAxis};
 use oxmill_controller::gcode::{self, CoordinateSystem, FeedMode, Interpreter, MotionMode};
 use oxmill_controller::messages::Realtime;
 use oxmill_controller::settings::Key;
-use oxmill_controller::units::{Coordinate, Decimal};
+use oxmill_controller::units::{Coordinate, DECIMAL_ONE, Decimal};
 
 /// Where the second simulator is when the job begins, and by how much the zero of each coordinate system is from that of the
 /// one before.
 const ELSEWHERE: [f64; AXES] = [1.9, 3.1, -2.3, 4.7];
+
+/// Seconds for the spindle, where nothing else is said.
+pub const SPIN_UP: u16 = 5;
+
+/// A length in mm, or a feed in mm/min, to seven decimals; none beyond what a machine may have.
+pub fn number_of(value: f64) -> Option<i64> {
+    (value.abs() <= Coordinate::LIMIT.0 as f64 / DECIMAL_ONE as f64)
+        .then(|| (value * DECIMAL_ONE as f64).round() as i64)
+}
 
 /// Where a job is to go on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -124,13 +133,13 @@ fn place_of(lines: &[&[u8]], begin: Begin) -> Result<usize, String> {
         Begin::Line(line) => Err(format!("there is no line {line}: the job has {}", lines.len())),
         Begin::Number(number) => lines
             .iter()
-            .position(|line| number_of(&spoken(line)) == Some(number))
+            .position(|line| line_number_of(&spoken(line)) == Some(number))
             .ok_or_else(|| format!("no line has N{number}")),
     }
 }
 
 /// The N word at the begin of a line.
-fn number_of(line: &str) -> Option<u32> {
+fn line_number_of(line: &str) -> Option<u32> {
     let line = line.trim_start().trim_start_matches('/').trim_start();
     let digits = line.strip_prefix(['N', 'n'])?.trim_start();
     digits.split(|c: char| !c.is_ascii_digit()).next()?.parse().ok()

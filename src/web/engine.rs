@@ -12,6 +12,7 @@ use oxmill_controller::error::{Alarm, Error};
 use oxmill_controller::protocol::descriptions;
 use oxmill_controller::protocol::text::Text;
 use oxmill_controller::settings::{Kind, Row, Settings, lines};
+use oxmill_controller::units::{Coordinate, Decimal};
 use oxmill_simulator::boards::{self, AXES, Board};
 use oxmill_simulator::check::Check;
 use oxmill_simulator::fittings::Description;
@@ -19,6 +20,7 @@ use oxmill_simulator::homed::home;
 use oxmill_simulator::machine::linear;
 use oxmill_simulator::path::{Drawing, Point};
 use oxmill_simulator::power_up::{Dialect, apply_setting, board_named};
+use oxmill_simulator::resume::{self, Begin, SPIN_UP, Wish, number_of};
 use oxmill_simulator::streaming::Streaming;
 use oxmill_simulator::{Fittings, JobText, Options, Simulator, Store, advice, explain};
 use serde::Deserialize;
@@ -46,8 +48,29 @@ pub struct Order {
     /// Work zero of G54 in mm of machine coordinates, for a machine that is homed before its job; without it, it is not homed.
     /// For [`check`] and [`stream`] only.
     pub work_zero: Option<[f64; LINEAR]>,
+    /// Where a job that was broken off goes on. For [`resume`] only.
+    pub resume: Option<Resume>,
     /// Bits per second of the link that a job is sent over; 0 for one without limit. For [`stream`] only.
     pub baud: u32,
+}
+
+/// How a job goes on, as the options of `oxmill resume` say it.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Resume {
+    /// The first line, from 1 on.
+    pub line: u64,
+    /// Z at which the tool goes to the place, in mm as the program has it.
+    pub clearance: Option<f64>,
+    /// Feed from there down, in mm/min.
+    pub plunge: Option<f64>,
+    /// Seconds for the spindle.
+    #[serde(default = "spin_up")]
+    pub spin_up: u16,
+}
+
+const fn spin_up() -> u16 {
+    SPIN_UP
 }
 
 /// Splits an input into the order and the job behind it: JSON, a byte 0, the job.
@@ -111,6 +134,28 @@ pub fn check(order: &Order, job: &[u8]) -> Result<Check, String> {
 /// As [`check`].
 pub fn stream(order: &Order, job: &[u8]) -> Result<[Streaming; 2], String> {
     Ok([Streaming::new(power_up_for_job(order)?, job, 0), Streaming::new(power_up_for_job(order)?, job, order.baud)])
+}
+
+/// The rest of a job, with what is in front of it.
+///
+/// # Errors
+/// As [`power_up`], if the order does not say where, or if the job cannot go on there.
+pub fn resume(order: &Order, job: &[u8]) -> Result<Value, String> {
+    let wanted = order.resume.as_ref().ok_or("the order does not say where the job goes on")?;
+    let number = |value: Option<f64>, what: &str| match value.map(number_of) {
+        Some(None) => Err(format!("the {what} is not a number that the machine can have")),
+        other => Ok(other.flatten()),
+    };
+    let plunge = number(wanted.plunge, "plunge feed")?;
+    if plunge.is_some_and(|feed| feed <= 0) {
+        return Err("the plunge feed is above 0".into());
+    }
+    let clearance = number(wanted.clearance, "clearance")?.map(Coordinate);
+    let begin = Begin::Line(wanted.line);
+    let wish = Wish { begin, clearance, plunge: plunge.map(Decimal), spin_up: wanted.spin_up };
+    let rest = resume::resume(&power_up(order)?, &order.name, job, &wish)?;
+    let program = String::from_utf8_lossy(&rest.program);
+    Ok(json!({ "program": program, "line": rest.line, "lines": rest.lines, "prologue": rest.prologue }))
 }
 
 /// A machine that a host has been connected to.

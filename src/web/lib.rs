@@ -29,6 +29,7 @@
 //! | `oxmill_stream_begin()` | order with `baud`, 0, job | status | |
 //! | `oxmill_stream_advance(ms)` | | as `oxmill_check_advance` | |
 //! | `oxmill_stream_summary()` | | status | JSON: `baud`, `forecast_s`, `complete`, `errors`, `lost: [{line, seconds}]` |
+//! | `oxmill_resume()` | order with `resume`, 0, job | status | JSON: `program`, `line`, `lines`, `prologue`: the rest of a job, as `oxmill resume` writes it |
 //! | `oxmill_machine_begin()` | order | status | what the machine says at power-up |
 //! | `oxmill_machine_turn(us)` | bytes of the host | status | what the machine has said after so many microseconds |
 //! | `oxmill_machine_pin()` | a line such as `probe 1` | status | `ok`, or what is wrong |
@@ -42,6 +43,7 @@
 //! "settings": {"110": 5000}, "path": true, "machine": {"steps_per_mm": [250, 250, 250]}, "work_zero": [-150, -100, -30],
 //! "baud": 115200}`. `machine` has the names of the file that `--machine` reads. With `work_zero`, in mm of machine
 //! coordinates, the machine of a check or a stream is homed before the job and G54 is put there, as with `--work-zero`.
+//! `"resume": {"line": 1200, "clearance": 20, "plunge": 100, "spin_up": 5}` says where a job goes on; all but `line` may be left out.
 //! Settings are applied in the order of their numbers, the dialect last.
 //!
 //! A panic ends the instance with a trap; its text can still be fetched.
@@ -244,6 +246,15 @@ pub extern "C" fn oxmill_stream_summary() -> u32 {
     answer(|instance, _| {
         let [free, limited] = instance.streams.as_ref().ok_or("no job is being sent")?;
         json(&limited.summary(free))
+    })
+}
+
+/// Writes the rest of a job.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_resume() -> u32 {
+    answer(|_, input| {
+        let (order, job) = order(input)?;
+        json(&engine::resume(&order, job)?)
     })
 }
 

@@ -4,6 +4,7 @@ import type { Description, Order, Path, Summary } from "./engine";
 import * as firmware from "./firmware";
 import { MachinePanel } from "./machine";
 import { MaterialPanel } from "./stock";
+import { ResumePanel } from "./resume";
 import { Player } from "./player";
 import { placeAt } from "./track";
 import { SettingsPanel } from "./settings";
@@ -24,6 +25,7 @@ export class App {
   readonly forecasts: ForecastPanels;
   readonly machine: MachinePanel;
   readonly material: MaterialPanel;
+  readonly rest: ResumePanel;
   private running?: AbortController;
   private timer?: ReturnType<typeof setTimeout>;
 
@@ -36,6 +38,7 @@ export class App {
     this.forecasts = new ForecastPanels(this);
     this.machine = new MachinePanel(this);
     this.material = new MaterialPanel(this);
+    this.rest = new ResumePanel(this);
     tabs();
     theme();
     this.listen();
@@ -68,6 +71,7 @@ export class App {
     this.checked = undefined;
     this.forecasts.clear();
     this.material.clear();
+    this.rest.clear();
     const progress = $<HTMLProgressElement>("progress");
     progress.hidden = false;
     progress.value = 0;

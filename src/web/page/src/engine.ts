@@ -10,7 +10,13 @@ export interface Order {
   /** Of G54 in mm of machine coordinates, for a machine that is homed before its job. */
   work_zero?: number[];
   baud?: number;
+  resume?: Resume;
 }
+
+/** Where a job goes on: what `oxmill resume` is told. */
+export interface Resume { line: number; clearance?: number; plunge?: number; spin_up?: number }
+/** The rest of a job as a program, and what is in front of its lines. */
+export interface Rest { program: string; line: number; lines: number; prologue: string[] }
 
 export interface LineError { line: number; code: number; text: string; source: string; advice: string }
 export interface AlarmReport { code: number; text: string; line: number | null; advice: string }
@@ -69,6 +75,7 @@ interface Exports {
   oxmill_stream_begin(): number;
   oxmill_stream_advance(ms: number): number;
   oxmill_stream_summary(): number;
+  oxmill_resume(): number;
   oxmill_machine_begin(): number;
   oxmill_machine_turn(us: number): number;
   oxmill_machine_pin(): number;
@@ -120,6 +127,11 @@ export class Engine {
     this.call(() => this.wasm.oxmill_stream_begin());
     this.toTheEnd(() => this.wasm.oxmill_stream_advance(1000), () => {});
     return JSON.parse(this.call(() => this.wasm.oxmill_stream_summary()));
+  }
+
+  resume(order: Order, job: Uint8Array): Rest {
+    this.put(encode(JSON.stringify(order)), new Uint8Array(1), job);
+    return JSON.parse(this.call(() => this.wasm.oxmill_resume()));
   }
 
   powerUp(order: Order): string {

@@ -1,5 +1,5 @@
 // The firmware as the page calls it: each job in a worker of its own.
-import type { Description, Order, Path, Streamed, Summary } from "./engine";
+import type { Description, Order, Path, Rest, Streamed, Summary } from "./engine";
 import type { Block, Cutter, Material } from "./material";
 import type { Task } from "./worker";
 
@@ -62,6 +62,10 @@ export function check(order: Order, job: Uint8Array, signal?: AbortSignal, progr
 
 export async function stream(order: Order, job: Uint8Array, signal?: AbortSignal): Promise<Streamed> {
   return (await run<Answer & { streamed: Streamed }>({ task: "stream", order, job }, "streamed", signal)).streamed;
+}
+
+export async function resume(order: Order, job: Uint8Array, signal?: AbortSignal): Promise<Rest> {
+  return (await run<Answer & { rest: Rest }>({ task: "resume", order, job }, "resumed", signal)).rest;
 }
 
 /** What the cutters leave of a block. No firmware in it, but a worker all the same: it takes seconds. */

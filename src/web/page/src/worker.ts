@@ -7,6 +7,7 @@ export type Task =
   | { task: "describe" }
   | { task: "check"; order: Order; job: Uint8Array }
   | { task: "stream"; order: Order; job: Uint8Array }
+  | { task: "resume"; order: Order; job: Uint8Array }
   | { task: "material"; path: Path; cutters: Record<number, Cutter>; block: Block }
   | { task: "power"; order: Order }
   | { task: "send"; bytes: Uint8Array }
@@ -60,6 +61,9 @@ async function carryOut(task: Task): Promise<void> {
     }
     case "stream":
       worker.postMessage({ is: "streamed", streamed: (await Engine.start(module)).stream(task.order, task.job) });
+      return;
+    case "resume":
+      worker.postMessage({ is: "resumed", rest: (await Engine.start(module)).resume(task.order, task.job) });
       return;
     case "material": {
       const { path, cutters, block } = task;

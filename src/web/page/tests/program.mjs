@@ -39,6 +39,11 @@ export function run(name, text, order = {}) {
   return JSON.parse(done.stdout);
 }
 
+/** What `oxmill resume` writes. */
+export function resumed(name, text, more) {
+  return execFileSync(oxmill, ["resume", write(name, text), ...more], { encoding: "utf8", stdio: ["ignore", "pipe", "ignore"] });
+}
+
 /** Where the machine is at a time after the first step, mm: from the trace of every step. */
 export function traced(name, text, order, steps_per_mm) {
   const csv = join(folder, "trace.csv");

@@ -6,12 +6,13 @@ import * as machine from "./machine.test.mjs";
 import * as material from "./material.test.mjs";
 import * as module from "./module.test.mjs";
 import * as sender from "./sender.test.mjs";
+import * as resume from "./resume.test.mjs";
 import * as pictures from "./pictures.test.mjs";
 import * as site from "./site.test.mjs";
 import * as use from "./use.test.mjs";
 
 const wanted = process.argv.slice(2);
-const all = { ...module, ...check, ...machine, ...material, ...pictures, ...sender, ...site, ...use };
+const all = { ...module, ...check, ...machine, ...material, ...pictures, ...resume, ...sender, ...site, ...use };
 for (const name of wanted) assert(name in all, `there is no test ${name}`);
 const tests = Object.entries(all).filter(([name]) => wanted.length === 0 || wanted.includes(name));
 const browser = await launch();
