@@ -245,9 +245,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn restore_spindle_for_door(&mut self) {
-        self.accessories.restore();
-        self.replies.overrides_changed();
-        let at_once = !self.accessories.is_on() || self.settings.is_on(Key::Laser);
+        let laser = self.settings.is_on(Key::Laser);
+        if !laser {
+            // A beam comes back with the motion: it would burn on one point while the coolant (an air assist) is waited for.
+            self.accessories.restore();
+            self.replies.overrides_changed();
+        }
+        let at_once = laser || !self.accessories.is_on();
         let delay = if at_once { Duration::millis(0) } else { self.settings.seconds(Key::DoorSpindleDelay) };
         self.mode = Mode::Door(Door::SpindleRestoring(self.now + delay));
         if at_once {
