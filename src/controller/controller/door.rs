@@ -182,6 +182,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn leave_door(&mut self) {
         if self.door.is_parking() {
+            self.probe.watch_again();
             self.motion.reenter();
         }
         if self.door.close() {
@@ -203,6 +204,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.door.leave_job(allowed, &self.settings, &self.motion)
             && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
         {
+            self.probe.look_away();
             self.mode = Mode::Door(Door::PullingOut);
         } else {
             self.switch_off_and_park();
