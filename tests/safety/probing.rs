@@ -259,7 +259,8 @@ fn a_parked_tool_makes_no_contact() {
             let contact = f64::from(bench.place()[2]) + zero;
             bench.settle();
             let said = bench.read();
-            let report = said.iter().find(|line| line.starts_with("[PRB:")).unwrap_or_else(|| panic!("{what}: {said:?}"));
+            let report =
+                said.iter().find(|line| line.starts_with("[PRB:")).unwrap_or_else(|| panic!("{what}: {said:?}"));
             let latched = numbers::<AXES>(report, "PRB").unwrap()[2] * STEPS;
             assert!((latched - contact).abs() < 1.5, "{what}: {report}, closed at {contact} steps");
             assert!((bench.reported()[2] - f64::from(bench.place()[2]) - zero).abs() < 0.01, "{what}");
