@@ -197,6 +197,25 @@ fn homing_is_broken_off_at_any_moment() {
     }
 }
 
+/// Neither where homing waits for a contact to be at rest nor at its end; the program has to switch it on again.
+#[test]
+fn no_beam_is_on_while_homing() {
+    let mut bench = Bench::new(&machine(0, 900), SETTINGS);
+    for line in ["$32=1", "$26=200", "$X", "G1 F500 M3 S1000"] {
+        assert_eq!(bench.ask(line).last().unwrap(), "ok", "{line}");
+    }
+    assert_eq!(bench.mill.power(), u16::MAX);
+    bench.send("$H\n");
+    while bench.state() != "Idle" {
+        assert_eq!(bench.mill.power(), 0, "{}", bench.status());
+        bench.wait(0.005);
+    }
+    bench.wait(0.1);
+    assert_homed(&mut bench, 0, "with a laser");
+    assert_eq!(bench.mill.power(), 0);
+    assert!(bench.ask("$G").iter().any(|said| said.contains(" M5 ")));
+}
+
 fn unlocked() -> Vec<&'static str> {
     vec!["[MSG:Caution: Unlocked]", "[MSG:The position may be lost: home before using machine coordinates]", "ok"]
 }

@@ -219,3 +219,51 @@ fn a_probe_is_broken_off_at_any_moment() {
         }
     }
 }
+
+/// The door opens in mid-probe and the tool is parked ($41). What touches it on the way out, there and on the way back is no
+/// contact: its place would be taken for that of the plate.
+#[test]
+fn a_parked_tool_makes_no_contact() {
+    let switches: String =
+        ["x", "y", "z"].map(|axis| format!("[[switch]]\naxis = \"{axis}\"\nat_mm = 2\nside = \"positive\"\n")).concat();
+    let settings = format!(
+        "{SETTINGS} $22=1 $24=300 $25=1500 $26=10 $130=60 $131=60 $132=60 $41=1 $56=0.5 $57=120 $58=-3 $59=600 $392=0.1 $122=200"
+    );
+    let mut homed = Bench::new(&format!("steps_per_mm = [{STEPS}, {STEPS}, {STEPS}]\n{switches}"), &settings);
+    homed.carry_out("$H");
+    homed.carry_out("G53 G0 X-5 Y-5 Z-5");
+    let zero = homed.reported()[2] - f64::from(homed.place()[2]);
+    for (word, before) in [("G38.2", 0), ("G38.5", 1)] {
+        let touch = |bench: &mut Bench, closed: i32| bench.pin(&format!("probe {closed}"));
+        for moment in 1..30 {
+            let what = format!("{word}, moment {moment}");
+            let mut bench = homed.clone();
+            touch(&mut bench, before);
+            bench.send(format!("{word} Z-9 F120\n"));
+            bench.wait(0.5);
+            bench.send([0x84]);
+            for part in 0..40 {
+                if part == moment {
+                    touch(&mut bench, 1 - before);
+                } else if part == moment + 1 {
+                    touch(&mut bench, before);
+                }
+                if part == 20 {
+                    bench.send("~");
+                }
+                bench.wait(0.05);
+            }
+            assert!(!bench.read().iter().any(|line| line.starts_with("[PRB")), "{what}");
+            assert_eq!(bench.state(), "Run", "{what}");
+            touch(&mut bench, 1 - before);
+            let contact = f64::from(bench.place()[2]) + zero;
+            bench.settle();
+            let said = bench.read();
+            let report =
+                said.iter().find(|line| line.starts_with("[PRB:")).unwrap_or_else(|| panic!("{what}: {said:?}"));
+            let latched = numbers::<AXES>(report, "PRB").unwrap()[2] * STEPS;
+            assert!((latched - contact).abs() < 1.5, "{what}: {report}, closed at {contact} steps");
+            assert!((bench.reported()[2] - f64::from(bench.place()[2]) - zero).abs() < 0.01, "{what}");
+        }
+    }
+}

@@ -182,6 +182,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn leave_door(&mut self) {
         if self.door.is_parking() {
+            self.probe.watch_again();
             self.motion.reenter();
         }
         if self.door.close() {
@@ -203,6 +204,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.door.leave_job(allowed, &self.settings, &self.motion)
             && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
         {
+            self.probe.look_away();
             self.mode = Mode::Door(Door::PullingOut);
         } else {
             self.switch_off_and_park();
@@ -245,9 +247,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn restore_spindle_for_door(&mut self) {
-        self.accessories.restore();
-        self.replies.overrides_changed();
-        let at_once = !self.accessories.is_on() || self.settings.is_on(Key::Laser);
+        let laser = self.settings.is_on(Key::Laser);
+        if !laser {
+            // A beam comes back with the motion: it would burn on one point while the coolant (an air assist) is waited for.
+            self.accessories.restore();
+            self.replies.overrides_changed();
+        }
+        let at_once = laser || !self.accessories.is_on();
         let delay = if at_once { Duration::millis(0) } else { self.settings.seconds(Key::DoorSpindleDelay) };
         self.mode = Mode::Door(Door::SpindleRestoring(self.now + delay));
         if at_once {

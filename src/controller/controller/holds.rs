@@ -161,11 +161,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.lines.end_received_jogs(self.step_supply.observed().received);
     }
 
+    /// A jog that has come to its end leaves the position at its target, not at the step next to that: small jogs add up.
     #[inline(never)]
-    pub(super) fn end_jog(&mut self) {
-        self.motion.discard();
-        self.task.forget_jog();
-        self.interpreter.set_position(self.motion.machine_position());
+    pub(super) fn end_jog(&mut self, cancelled: bool) {
+        if cancelled {
+            self.motion.discard();
+            self.task.forget_jog();
+            self.interpreter.set_position(self.motion.machine_position());
+        }
         self.mode = Mode::Normal;
         self.step_supply.end();
         self.start_idle_delay();

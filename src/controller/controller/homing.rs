@@ -34,6 +34,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if only.is_none() && cycles.iter().all(|cycle| cycle.is_empty()) {
             return Err(Error::HomingDisabled);
         }
+        if self.settings.is_on(Key::Laser) {
+            // A beam of constant power (M3) would burn wherever homing waits, and at its end.
+            self.stop_spindle();
+        }
         let settings = HomingSettings {
             cycles,
             passes: self.settings.whole(Key::HomingPasses),

@@ -504,7 +504,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Mode::Jog { cancelling }
                 if self.motion.is_at_rest() && (cancelling || (self.motion.is_idle() && self.task.is_none())) =>
             {
-                self.end_jog();
+                self.end_jog(cancelling);
             }
             Mode::Stopping { then } if self.motion.is_at_rest() => self.settle_braking(then),
             Mode::Normal => self.look_for_spindle(),

@@ -53,7 +53,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.release_held();
             }
             Realtime::SpindleStop => {
-                if matches!(self.mode, Mode::Hold) && self.accessories.is_on() {
+                // A beam is off in a hold, and does not come back before motion does.
+                if matches!(self.mode, Mode::Hold) && self.accessories.is_on() && !self.settings.is_on(Key::Laser) {
                     self.toggle_spindle();
                 }
             }

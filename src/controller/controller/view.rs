@@ -44,9 +44,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.replies.are_waiting()
     }
 
-    /// Whether a job is under way.
+    /// Whether a job is under way: also where only a beam burns, on one point.
     pub(super) fn is_at_work(&self) -> bool {
-        self.step_supply.is_running() || !self.motion.is_idle() || !self.task.is_none()
+        let burns = || self.settings.is_on(Key::Laser) && self.resting_power() != 0;
+        self.step_supply.is_running() || !self.motion.is_idle() || !self.task.is_none() || burns()
     }
 
     /// Whether the spindle has to be up to speed: lines of a program are carried out, and none gives it time to come up.

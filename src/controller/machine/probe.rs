@@ -13,11 +13,18 @@ use crate::axes::PerAxis;
 use crate::messages::ToStep;
 use crate::units::Coordinate;
 
+/// A level of the input, and how hard the step task brakes when it sees it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Watched {
+    level: bool,
+    braking: f32,
+}
+
 /// How far a probe is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
-    /// Moving, no contact yet.
-    Seeking,
+    /// Moving, no contact yet. What the step task has been told to look for.
+    Seeking(Watched),
     /// Contact has been made; the step task brakes.
     Braking,
     /// Contact has been made, and the machine is at rest.
@@ -45,8 +52,26 @@ impl<const N: usize> Probe<N> {
     /// A probe move begins. The step task waits for the input to become active (inactive with `away`), and then brakes so
     /// hard ([`ToStep::Watch`]).
     pub fn begin(&mut self, away: bool, braking: f32) {
-        self.phase = Some(Phase::Seeking);
-        self.watch = Some(ToStep::Watch { probe: Some(!away), braking });
+        self.phase = Some(Phase::Seeking(Watched { level: !away, braking }));
+        self.watch_again();
+    }
+
+    /// The tool is parked: what touches it meanwhile is no contact.
+    pub fn look_away(&mut self) {
+        if self.is_seeking() {
+            self.watch = Some(WATCH_ENDS);
+        }
+    }
+
+    /// The tool is back, and seeks on.
+    pub fn watch_again(&mut self) {
+        if let Some(Phase::Seeking(Watched { level, braking })) = self.phase {
+            self.watch = Some(ToStep::Watch { probe: Some(level), braking });
+        }
+    }
+
+    fn is_seeking(&self) -> bool {
+        matches!(self.phase, Some(Phase::Seeking(_)))
     }
 
     /// What the step task has to be told now.
@@ -57,7 +82,7 @@ impl<const N: usize> Probe<N> {
 
     /// The step task has seen the contact, at this position.
     pub fn contact(&mut self, position: impl FnOnce() -> PerAxis<Coordinate, N>) {
-        if self.phase == Some(Phase::Seeking) {
+        if self.is_seeking() {
             self.phase = Some(Phase::Braking);
             self.position = position();
         }
@@ -94,7 +119,7 @@ impl<const N: usize> Probe<N> {
     pub fn outcome(&self, idle: bool) -> Option<bool> {
         match self.phase {
             Some(Phase::Touched) => Some(true),
-            Some(Phase::Seeking) if idle => Some(false),
+            Some(Phase::Seeking(_)) if idle => Some(false),
             _ => None,
         }
     }

@@ -1,0 +1,310 @@
+//! Programs of all kinds of words, each played twice: line for line, and streamed while it is held, overridden, stopped by
+//! the door, stepped block by block. Both end alike: answers, steps, state and offsets; and the tool has kept to the path.
+//!
+//! `OXMILL_DISTURBED=N` plays N programs on each machine instead of the few of every run; `OXMILL_DISTURBED_SEED` begins elsewhere.
+
+use super::bench::{AXES, Bench, STEPS, assert_place};
+use oxmill_test_support::Random;
+use std::collections::{HashSet, VecDeque};
+
+const MACHINE: &str = r#"
+    steps_per_mm = [250, 250, 250]
+    switch = [
+        { axis = "x", at_mm = 2, side = "positive" },
+        { axis = "y", at_mm = 2, side = "positive" },
+        { axis = "z", at_mm = 2, side = "positive" },
+    ]
+    plate = { axis = "z", at_mm = -27, side = "negative" }
+"#;
+const SETTINGS: &str = "$0=1 $22=1 $24=600 $25=3000 $26=1 $110=6000 $111=5000 $112=4000 $120=900 $121=700 $122=500 $130=60 \
+                        $131=60 $132=60 $20=1 $392=0.05 $393=0.02";
+/// Settings of each machine, and whether it parks: then it leaves the path.
+const MACHINES: [(&str, bool); 6] = [
+    ("", false),
+    ("$220=9000 $221=8000 $222=7000", false),
+    ("$32=1", false),
+    ("$10=3 $919=1", false),
+    ("$41=1 $56=0.3 $57=600 $58=-3 $59=2000", true),
+    ("$41=1 $57=900 $58=-8 $59=3000 $222=3000", true),
+];
+const BEGIN: [&str; 4] = ["G10 L2 P1 X-30 Y-30 Z-20", "G10 L2 P2 X-28 Y-31 Z-21", "G0 X0 Y0 Z0", "F1000"];
+/// Lines of a program, at least.
+const LINES: usize = 40;
+/// Longest time of a line, s.
+const LONGEST: f64 = 30.0;
+/// Edge of the cells by which paths are compared, steps: a place lies in one that the other path has met, or beside it. Where
+/// a probe comes to rest depends on its speed; and a rounded path is off by 0.1 mm.
+const CELL: i32 = 10;
+const ROUNDED_CELL: i32 = 30;
+
+fn mm(random: &mut Random, reach: u64) -> f64 {
+    let scale = [0.05, 0.5, 1.0][random.below(3) as usize];
+    (random.below(reach * 2000) as f64 / 1000.0 - reach as f64) * scale
+}
+
+/// Lines that belong together. Whether the machine can carry them out is seen when it does.
+fn lines(random: &mut Random) -> Vec<String> {
+    let r = random;
+    let feed = 200 + r.below(4500);
+    let one = |line: &str| vec![line.to_string()];
+    let relative = |line: String| vec!["G91".to_string(), line, "G90".to_string()];
+    match r.below(20) {
+        0..=3 => vec![format!("G1 X{:.3} Y{:.3} Z{:.3} F{feed}", mm(r, 12), mm(r, 12), mm(r, 12))],
+        4 => vec![format!("G0 X{:.3} Y{:.3} Z{:.3}", mm(r, 12), mm(r, 12), mm(r, 12))],
+        5 => relative(format!("G{} X{:.3} Y{:.3} R8 F{feed}", 2 + r.below(2), mm(r, 5), mm(r, 5))),
+        6 => vec![format!("G2 I{:.3} J{:.3} P{} F{feed}", mm(r, 5), mm(r, 5), 1 + r.below(3))],
+        7 => (0..12).map(|i| format!("G1 X{:.3} Y{:.3} F{feed}", 0.4 * f64::from(i), f64::from(i).sin())).collect(),
+        8 => relative(format!(
+            "G5 X{:.2} Y{:.2} I{:.2} J{:.2} P1 Q{:.2} F{feed}",
+            mm(r, 8),
+            mm(r, 8),
+            mm(r, 5),
+            mm(r, 5),
+            mm(r, 5)
+        )),
+        9 | 10 => {
+            let cycle =
+                r.of(&["G81", "G82 P0.02", "G83 Q0.7", "G73 Q0.7", "G85", "G89 P0.02", "G86 P0.02", "G88 P0.02"]);
+            let hole = format!(
+                "{} {cycle} X{:.2} Y{:.2} R{:.2} Z-7 F{feed}",
+                r.of(&["G98", "G99"]),
+                mm(r, 8),
+                mm(r, 8),
+                mm(r, 5)
+            );
+            vec!["M3 S500".into(), hole, format!("X{:.2}", mm(r, 4)), "G80".into()]
+        }
+        11 | 12 => {
+            let word = r.of(&["G38.3", "G38.5"]);
+            let probe = format!("{word} X{:.2} Z{:.3} F{}", mm(r, 4), mm(r, 10), 60 + r.below(240));
+            vec![probe, format!("G1 X{:.3} Y{:.3} Z{:.3} F{feed}", mm(r, 8), mm(r, 8), mm(r, 5).abs())]
+        }
+        13 => one(r.of(&["G64 P0.1", "G64 P0.02", "G61", "G61.1"])),
+        14 => vec![if r.below(2) == 0 {
+            "G69".into()
+        } else {
+            format!("G68 X{:.1} Y{:.1} R{:.1}", mm(r, 5), mm(r, 5), mm(r, 60))
+        }],
+        15 => vec![if r.below(2) == 0 {
+            "G50".into()
+        } else {
+            format!("G51 X{:.1} P{:.1}", mm(r, 5), 0.5 + 0.1 * r.below(10) as f64)
+        }],
+        16 => vec![format!("G43.1 Z{:.3}", mm(r, 3))],
+        17 => vec![format!("{}{:.3}", r.of(&["G92 X", "G52 Y", "G10 L20 P0 Z"]), mm(r, 3))],
+        18 => one(r.of(&["M3 S400", "M4 S800", "M5", "M8", "M9", "S900", "M0", "M1", "G55", "G54", "G92.1", "G28 Z5"])),
+        _ => {
+            one(r.of(&["G4 P0.02", "M49", "M48", "G20", "G21", "G21", "O1 REPEAT [2]\nG91 G1 X0.2\nG90\nO1 ENDREPEAT"]))
+        }
+    }
+}
+
+#[derive(Clone)]
+struct Mill {
+    bench: Bench,
+    /// From the count of steps to machine coordinates, steps.
+    zero: [f64; AXES],
+    answers: Vec<String>,
+    sent: usize,
+    alarm: bool,
+    /// State at the last look, step events until then, and whether nothing has been sent since.
+    before: (String, u64, bool),
+    /// What has been sent, for who looks for a fault.
+    log: String,
+}
+
+impl Mill {
+    fn new(settings: &str) -> Mill {
+        let mut bench = Bench::new(MACHINE, &format!("{SETTINGS} {settings}"));
+        bench.carry_out("$H");
+        let (reported, place) = (bench.reported(), bench.place());
+        let zero = std::array::from_fn(|axis| reported[axis] - f64::from(place[axis]));
+        bench.mill.begin_job();
+        let before = (String::new(), 0, false);
+        Mill { bench, zero, answers: Vec::new(), sent: 0, alarm: false, before, log: settings.into() }
+    }
+
+    fn hear(&mut self) {
+        for line in self.bench.read() {
+            self.alarm |= line.starts_with("ALARM");
+            if line == "ok" || line.starts_with("error:") {
+                self.answers.push(line);
+            }
+        }
+    }
+
+    /// Whether there was room for it.
+    fn line(&mut self, line: &str) -> bool {
+        let fits = self.bench.mill.unread() + line.len() < self.bench.mill.board().received_bytes;
+        if fits {
+            self.log += &format!("\n{line}");
+            self.bench.send(format!("{line}\n"));
+            self.sent += line.lines().count();
+            self.before.2 = false;
+        }
+        fits
+    }
+
+    fn byte(&mut self, byte: u8) {
+        self.log += &format!(" {:.4}:{byte:#x}", self.bench.seconds());
+        self.bench.send([byte]);
+        self.before.2 = false;
+    }
+
+    fn pin(&mut self, pin: &str) {
+        self.log += &format!(" {:.4}:{pin}", self.bench.seconds());
+        self.bench.pin(pin);
+        self.before.2 = false;
+    }
+
+    fn is_held(&mut self) -> bool {
+        matches!(self.bench.state().as_str(), "Hold:0" | "Door:0")
+    }
+
+    /// Some time passes; and what holds at each moment is looked at.
+    fn pass(&mut self, milliseconds: u64) {
+        self.bench.wait(milliseconds as f64 / 1000.0);
+        self.hear();
+        let (state, mill) = (self.bench.state(), &self.bench.mill);
+        let events = mill.trace().events();
+        let rests = matches!(state.as_str(), "Hold:0" | "Door:0" | "Door:1");
+        let moved = rests && self.before == (state.clone(), self.before.1, true) && self.before.1 != events;
+        assert!(!moved, "steps in {state}: {}", self.log);
+        let dark = mill.power() == 0 || !(self.log.starts_with("$32=1") || state.starts_with("Door"));
+        assert!(!rests || dark, "power in {state}: {}", self.log);
+        if !mill.is_stepping() {
+            let (reported, place) = (self.bench.reported(), self.bench.place());
+            assert_place(std::array::from_fn(|axis| reported[axis] - self.zero[axis]), place, &self.log);
+        }
+        self.before = (state, events, true);
+    }
+
+    /// All is carried out, and what waits for the operator goes on. False where that takes an alarm or too long.
+    fn finish(&mut self) -> bool {
+        let end = self.bench.seconds() + LONGEST;
+        while !self.alarm && (self.answers.len() < self.sent || !self.bench.mill.is_idle()) {
+            if self.bench.seconds() > end {
+                return false;
+            }
+            self.pass(20);
+            if self.is_held() {
+                self.byte(b'~');
+            }
+        }
+        !self.alarm
+    }
+
+    fn disturb(&mut self, random: &mut Random) {
+        match random.below(10) {
+            0..=2 => {
+                self.byte(b'!');
+                for _ in 0..random.below(8) {
+                    self.pass(random.below(30));
+                    if random.below(3) == 0 {
+                        self.byte(0x9E);
+                    }
+                }
+            }
+            3 => self.byte(0x84),
+            4 => {
+                self.pin("door 1");
+                for _ in 0..random.below(15) {
+                    self.pass(random.below(40));
+                }
+                self.pin("door 0");
+            }
+            5 | 6 => (0..random.below(8)).for_each(|_| self.byte(0x90 + random.below(14) as u8)),
+            7 => self.byte(0x89),
+            8 => {
+                self.pin("hold 1");
+                self.pass(random.below(100));
+                self.pin("hold 0");
+                self.pin("start 1");
+                self.pin("start 0");
+            }
+            _ => self.byte(0x85),
+        }
+        (0..random.below(12)).for_each(|_| self.pass(random.below(30)));
+        self.byte(b'~');
+    }
+
+    /// State and offsets, as the program has left them.
+    fn left(&mut self) -> Vec<String> {
+        [self.bench.ask("$G"), self.bench.ask("$#")].concat()
+    }
+
+    fn cells(&self, edge: i32) -> HashSet<[i32; AXES]> {
+        self.bench
+            .mill
+            .trace()
+            .kept()
+            .iter()
+            .map(|record| record.position.map(|place| place.div_euclid(edge)))
+            .collect()
+    }
+}
+
+/// A program that the machine can carry out, and how it was when it had, line for line.
+fn program(homed: &Mill, random: &mut Random) -> (Vec<String>, Mill) {
+    let mut mill = homed.clone();
+    let mut program = Vec::new();
+    let mut next: Vec<String> = BEGIN.map(str::to_string).into();
+    while program.len() < LINES {
+        let mut copy = mill.clone();
+        if next.iter().all(|line| copy.line(line) && copy.finish()) {
+            program.append(&mut next);
+            mill = copy;
+        }
+        next = lines(random);
+    }
+    (program, mill)
+}
+
+fn session(seed: u64, homed: &Mill, parks: bool) {
+    let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
+    let (program, mut alone) = program(homed, &mut random);
+    let edge = if program.iter().any(|line| line.starts_with("G64 P")) { ROUNDED_CELL } else { CELL };
+    let path = alone.cells(edge);
+    for _ in 0..2 {
+        let mut mill = homed.clone();
+        let mut waiting: VecDeque<&String> = program.iter().collect();
+        while let Some(line) = waiting.front() {
+            if mill.line(line) {
+                waiting.pop_front();
+            } else {
+                mill.pass(1 + random.below(30));
+            }
+            if random.below(10) == 0 {
+                mill.disturb(&mut random);
+            }
+            if mill.is_held() {
+                mill.byte(b'~');
+            }
+        }
+        while !mill.finish() {
+            assert!(!mill.alarm, "{seed}: {}", mill.log);
+        }
+        assert_eq!(mill.answers, alone.answers, "{seed}: {}", mill.log);
+        assert_eq!(mill.bench.place(), alone.bench.place(), "{seed}: {}", mill.log);
+        assert_eq!(mill.left(), alone.clone().left(), "{seed}: {}", mill.log);
+        let beside = |cell: &[i32; AXES]| {
+            (0..27).any(|i| path.contains(&[cell[0] + i / 9 - 1, cell[1] + i / 3 % 3 - 1, cell[2] + i % 3 - 1]))
+        };
+        let off = mill.cells(edge).into_iter().find(|cell| !parks && !beside(cell));
+        let off = off.map(|cell| cell.map(|place| f64::from(place * edge) / STEPS));
+        assert_eq!(off, None, "{seed}: off the path, {}", mill.log);
+    }
+    alone.pass(1);
+}
+
+#[test]
+fn a_disturbed_program_ends_as_it_does_alone() {
+    let number = |name: &str, default: u64| {
+        std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
+    };
+    let (programs, first) = (number("OXMILL_DISTURBED", 6), number("OXMILL_DISTURBED_SEED", 1));
+    for (settings, parks) in MACHINES {
+        let homed = Mill::new(settings);
+        (first..first + programs).for_each(|seed| session(seed, &homed, parks));
+    }
+}
