@@ -48,13 +48,13 @@ pub struct Order {
     /// Work zero of G54 in mm of machine coordinates, for a machine that is homed before its job; without it, it is not homed.
     /// For [`check`] and [`stream`] only.
     pub work_zero: Option<[f64; LINEAR]>,
-    /// Where a job that was broken off goes on. For [`resume`] only.
+    /// Where the rest of a job that was broken off begins. For [`resume`] only.
     pub resume: Option<Resume>,
     /// Bits per second of the link that a job is sent over; 0 for one without limit. For [`stream`] only.
     pub baud: u32,
 }
 
-/// How a job goes on, as the options of `oxmill resume` say it.
+/// Where the rest of a job begins, as the options of `oxmill resume` say it.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Resume {
@@ -141,7 +141,7 @@ pub fn stream(order: &Order, job: &[u8]) -> Result<[Streaming; 2], String> {
 /// # Errors
 /// As [`power_up`], if the order does not say where, or if the job cannot go on there.
 pub fn resume(order: &Order, job: &[u8]) -> Result<Value, String> {
-    let wanted = order.resume.as_ref().ok_or("the order does not say where the job goes on")?;
+    let wanted = order.resume.as_ref().ok_or("the order does not say where the rest of the job begins")?;
     let number = |value: Option<f64>, what: &str| match value.map(number_of) {
         Some(None) => Err(format!("the {what} is not a number that the machine can have")),
         other => Ok(other.flatten()),

@@ -43,7 +43,7 @@
 //! "settings": {"110": 5000}, "path": true, "machine": {"steps_per_mm": [250, 250, 250]}, "work_zero": [-150, -100, -30],
 //! "baud": 115200}`. `machine` has the names of the file that `--machine` reads. With `work_zero`, in mm of machine
 //! coordinates, the machine of a check or a stream is homed before the job and G54 is put there, as with `--work-zero`.
-//! `"resume": {"line": 1200, "clearance": 20, "plunge": 100, "spin_up": 5}` says where a job goes on; all but `line` may be left out.
+//! `"resume": {"line": 1200, "clearance": 20, "plunge": 100, "spin_up": 5}` says where the rest of a job begins; all but `line` may be left out.
 //! Settings are applied in the order of their numbers, the dialect last.
 //!
 //! A panic ends the instance with a trap; its text can still be fetched.
