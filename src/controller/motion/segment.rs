@@ -153,6 +153,10 @@ pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace, scales_po
     let (grain, limit) = grain(level, done, left);
     level = (UNITS_PER_STEP / grain).trailing_zeros() as u8;
 
+    // What is left on a whole step reaches into the ramp behind it, and the change is spread over the segment: a short one.
+    if phase.sign == 0.0 && phase.length <= reach && phase.length + (UNITS_PER_STEP as f32) < left as f32 {
+        reach = lesser(reach, speed * SEGMENT_TIME);
+    }
     let units = if phase.length <= reach {
         // A phase of some steps is left on a whole step, a shorter one at the tick.
         let length = phase.length as u32;

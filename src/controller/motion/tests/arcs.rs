@@ -278,6 +278,15 @@ proptest! {
     }
 }
 
+/// Beside ramps of a few steps: the segment that ends a constant speed reaches into the ramp behind it.
+#[test]
+fn a_short_ramp_behind_a_constant_speed_is_no_steeper() {
+    let g = geometry(2, 10.0_f64.powf(0.6588462477398048), -2.276435767022154, -1.2119748809651154, 0.0, 0, [0.0, 0.0]);
+    let mut config = settings(100.0, 100.0, 800.0);
+    config.steps_per_mm = PerAxis([20.0, 20.0, 611.87946].map(|scale| crate::units::StepsPerMm::new(scale).unwrap()));
+    farthest_off(&g, config, 3.7653491);
+}
+
 /// A machine that follows an arc, with holds: what is known of its place is the place.
 fn run_with_holds<const N: usize>(rig: &mut Rig<N, 16>, every: usize, end: PerAxis<i32, N>) {
     rig.pump();
