@@ -151,6 +151,8 @@ struct End {
     system: CoordinateSystem,
     /// Z of the tool's tip in that system, without G52 and G92.
     height: Coordinate,
+    /// The tool length offset in Z.
+    length: Coordinate,
     is_rapid: bool,
     /// Not only Z has moved.
     travels: bool,
@@ -207,6 +209,11 @@ impl Walk {
         self.state().offsets().g92.get(Axis::Z).unwrap_or_default()
     }
 
+    /// The tool length offset in Z.
+    fn length(&self) -> Coordinate {
+        self.state().offsets().tool_length.get(Axis::Z).unwrap_or_default()
+    }
+
     /// Carries a line out.
     fn take(&mut self, index: usize, line: &[u8]) -> Result<(), String> {
         let line = spoken(line);
@@ -233,7 +240,14 @@ impl Walk {
         let is_cycle = matches!(modal.motion, MotionMode::Cycle(_));
         let is_rapid = goes_there || is_cycle || modal.motion == MotionMode::Rapid;
         let height = self.place().get(Axis::Z).unwrap_or_default() + self.shift_of_z();
-        self.ends.push(End { line: index, system: modal.coordinate_system, height, is_rapid, travels });
+        self.ends.push(End {
+            line: index,
+            system: modal.coordinate_system,
+            height,
+            length: self.length(),
+            is_rapid,
+            travels,
+        });
         if is_rapid {
             self.is_clear |= moves_z || is_cycle;
             return Ok(());
@@ -307,16 +321,23 @@ impl Walk {
         }
         let highest = known().map(|end| end.height - self.shift_of_z()).max().unwrap_or_default();
         let highest = highest.max(self.place().get(Axis::Z).unwrap_or_default());
-        match self.ends.iter().find(|end| end.travels && !is_known(end)) {
-            Some(end) => Err(format!(
-                "line {} travels at a Z that is not known in {} (from where the job began, by G53 or G28, or in another \
-                 coordinate system), and which may be higher than the highest known one, Z{}: {WISH}",
+        if let Some(end) = self.ends.iter().find(|end| end.travels && !is_known(end)) {
+            return Err(format!(
+                "line {} travels at a Z that is not known in {} (from where the job began, by G53 or G28, or in another coordinate \
+                 system), and which may be higher than the highest known one, Z{}: {WISH}",
                 end.line + 1,
                 system.word(),
                 exact(highest.0)
-            )),
-            None => Ok(highest),
+            ));
         }
+        let spindle = known().map(|end| end.height - self.shift_of_z() + end.length).max().unwrap_or_default();
+        if highest + self.length() > spindle {
+            let highest = exact(highest.0);
+            return Err(format!(
+                "with this tool offset the spindle would be higher at Z{highest} than in the job: {WISH}"
+            ));
+        }
+        Ok(highest)
     }
 
     /// Takes the job some lines further, and a machine that has just been powered up through the prologue and the same

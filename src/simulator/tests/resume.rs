@@ -178,7 +178,8 @@ M2";
     let refused = compare_all(&["918=1"], program, "G91 G0 X1.7 Y-2.3 Z4.9\nG90", &[]);
     // Behind G55 the job has travelled at heights that are known in G54 only.
     let lines: Vec<u64> = refused.iter().map(|(line, _)| *line).collect();
-    assert_eq!(lines, [23, 24], "{refused:?}");
+    // Before that, with the offset of the tool just taken the spindle has not been so high.
+    assert_eq!(lines, [7, 23, 24], "{refused:?}");
     assert!(refused.iter().all(|(_, why)| why.contains("--clearance")), "{refused:?}");
 }
 
@@ -419,6 +420,17 @@ fn the_clearance_is_the_highest_height_or_must_be_said() {
         let high = Wish { clearance: Some(Coordinate(300_000_000)), ..wish(line) };
         assert_eq!(resumed(&[], unknown, &high).unwrap().prologue[2], "G0 Z30");
     }
+}
+
+/// A height from before the tool offset would take the spindle beyond its travel.
+#[test]
+fn the_spindle_goes_no_higher_than_in_the_job() {
+    let program = "G21 G90\nG0 Z100\nX1 Y1\nG43.1 Z60\nG0 Z15\nG1 Z-1 F100\nX5\nX6\n";
+    assert!(resumed(&[], program, &wish(8)).unwrap_err().contains("the spindle would be higher at Z100"));
+    let said = Wish { clearance: Some(Coordinate(150_000_000)), ..wish(8) };
+    assert_eq!(resumed(&[], program, &said).unwrap().prologue[2..4], ["G43.1 Z60", "G0 Z15"]);
+    let lower = program.replace("Z100", "Z14");
+    assert_eq!(resumed(&[], &lower, &wish(8)).unwrap().prologue[3], "G0 Z15");
 }
 
 /// G98 would lead back to a level in the work.
