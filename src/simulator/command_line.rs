@@ -164,11 +164,11 @@ pub struct ResumeJob {
     /// Where it begins.
     #[command(flatten)]
     pub begin: BeginOptions,
-    /// Z at which the tool goes to the place, in mm as the program has it; the highest to which the job has gone with G0 if none is
-    /// given.
+    /// Z at which the tool goes to the place, in mm as the program has it; the highest to which the job has gone if none is given and it
+    /// has travelled at known heights only.
     #[arg(long, value_name = "Z", allow_hyphen_values = true)]
     pub clearance: Option<Millimetres>,
-    /// Feed from there down, in mm/min; that of the job's last plunge if none is given.
+    /// Feed from there down, in mm/min; that of the job's last plunge straight down if none is given.
     #[arg(long, value_name = "FEED")]
     pub plunge: Option<Millimetres>,
     /// How long the spindle has to come up to speed.

@@ -242,7 +242,10 @@ pub fn resume(options: &ResumeJob) -> Result<Ending> {
         None => files::print(io::stdout(), &resumed.program),
     }
     .context("cannot write the program")?;
-    files::remark(&format!("oxmill: line {} of {} and what follows, behind:", resumed.line, resumed.lines));
+    let (line, lines) = (resumed.line, resumed.lines);
+    files::remark(&format!(
+        "oxmill: for a machine that has been reset and homed: line {line} of {lines} and what follows, behind:"
+    ));
     for line in &resumed.prologue {
         files::remark(&format!("  {line}"));
     }

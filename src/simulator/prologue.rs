@@ -22,7 +22,7 @@ pub struct Entry {
     pub moved: PerAxis<bool, AXES>,
     /// Z at which the tool travels; none for a job that has not moved Z.
     pub clearance: Option<Coordinate>,
-    /// The job has come to this Z by a rapid.
+    /// The job has come to this Z by a rapid, and then to the place by rapids: nothing is there to be cut.
     pub is_clear: bool,
     /// Feed downwards, mm/min.
     pub plunge: Option<Decimal>,
@@ -32,6 +32,8 @@ pub struct Entry {
     pub is_laser: bool,
     /// A line of the rest continues in the motion mode.
     pub carries: bool,
+    /// Outputs of programs that are on, bit 0 for P0.
+    pub outputs: u8,
 }
 
 /// Whether the rest continues in a motion mode whose word cannot stand alone.
@@ -44,7 +46,7 @@ pub struct Mode {
 }
 
 /// A number of 10⁻⁷ units, exact.
-fn exact(number: i64) -> String {
+pub fn exact(number: i64) -> String {
     let (size, one) = (number.unsigned_abs(), DECIMAL_ONE.unsigned_abs());
     let sign = if number < 0 { "-" } else { "" };
     let text = format!("{sign}{}.{:07}", size / one, size % one);
@@ -139,10 +141,13 @@ fn down(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String>
         let mut place = *state.position();
         place.set(Axis::Z, words.level);
         let level = state.to_program(&place).get(Axis::Z).unwrap_or(clearance);
+        if entry.place.get(Axis::Z).is_some_and(|reached| level < reached) {
+            return Err("the canned cycles in force there began below their R".into());
+        }
         return Ok(if level == clearance { Vec::new() } else { vec![format!("G0 Z{}", exact(level.0))] });
     }
     let Some(depth) = entry.place.get(Axis::Z).filter(|depth| *depth != clearance) else { return Ok(Vec::new()) };
-    if depth > clearance || entry.is_clear {
+    if entry.is_clear {
         return Ok(vec![format!("G0 Z{}", exact(depth.0))]);
     }
     let feed = entry.plunge.ok_or("the feed down to the place is not known: give it (--plunge)")?;
@@ -164,6 +169,7 @@ fn accessories(modal: &Modal, entry: &Entry) -> Vec<String> {
     let coolant = modal.coolant;
     lines.extend(coolant.mist.then(|| "M7".to_owned()));
     lines.extend(coolant.flood.then(|| "M8".to_owned()));
+    lines.extend((0..u8::BITS).filter(|bit| entry.outputs >> bit & 1 == 1).map(|number| format!("M64 P{number}")));
     lines
 }
 
@@ -229,9 +235,11 @@ pub fn mode_of(state: &Interpreter<AXES>, rest: &[&[u8]], dialect: Dialect) -> R
     for (line, text) in rest.iter().enumerate() {
         let found = words_of(text);
         let groups = found.iter().filter_map(|(letter, number)| group_of(*letter, *number, dialect).ok());
-        let (mut selects, mut takes_axes) = (false, false);
+        // M2 and M30 select another; M0 does not.
+        let mut selects = has_word(text, b'M', &[2, 30]);
+        let mut takes_axes = false;
         for group in groups {
-            selects |= matches!(group, Group::Motion | Group::Flow);
+            selects |= group == Group::Motion;
             takes_axes |= matches!(group, Group::NonModal | Group::ToolLength);
         }
         if selects {
@@ -271,7 +279,7 @@ fn cycle(kind: CycleKind, words: &CycleWords, units: Units, has: impl Fn(u8) -> 
 }
 
 /// The words of a line whose numbers are written out, without remarks.
-fn words_of(line: &[u8]) -> Vec<(u8, Decimal)> {
+pub fn words_of(line: &[u8]) -> Vec<(u8, Decimal)> {
     let mut words = Vec::new();
     let mut bytes = line.iter().copied().filter(|byte| !matches!(byte, b' ' | b'\t')).peekable();
     while let Some(byte) = bytes.next() {
@@ -294,11 +302,22 @@ fn words_of(line: &[u8]) -> Vec<(u8, Decimal)> {
     words
 }
 
+/// Whether a line has one of some words whose numbers are whole.
+pub fn has_word(line: &[u8], letter: u8, numbers: &[i32]) -> bool {
+    words_of(line)
+        .iter()
+        .any(|(other, number)| *other == letter && numbers.iter().any(|wanted| *number == Decimal::from_int(*wanted)))
+}
+
 /// Words at the begin of a line, behind what has to be there: a slash, an N word.
 pub fn put_in_front(line: &[u8], words: &str) -> Vec<u8> {
     let blank = |byte: &u8| matches!(byte, b' ' | b'\t');
     let skip = |at: usize, is: &dyn Fn(&u8) -> bool| at + line[at..].iter().take_while(|byte| is(byte)).count();
-    let mut at = skip(skip(0, &blank), &|byte| *byte == b'/');
+    let mut at = skip(0, &blank);
+    if line.get(at) == Some(&b'/') {
+        // It may have a number.
+        at = skip(at + 1, &|byte| byte.is_ascii_digit());
+    }
     at = skip(at, &blank);
     if line.get(at).is_some_and(|byte| byte.eq_ignore_ascii_case(&b'N')) {
         at = skip(at + 1, &|byte| blank(byte) || byte.is_ascii_digit());

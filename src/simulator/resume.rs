@@ -7,7 +7,7 @@
 
 use crate::boards::AXES;
 use crate::power_up::{Dialect, apply_setting, error_text};
-use crate::prologue::{Entry, mode_of, prologue, put_in_front};
+use crate::prologue::{Entry, exact, has_word, mode_of, prologue, put_in_front};
 use crate::simulator::{Options, Simulator};
 use crate::text::is_tape_mark;
 use oxmill_controller::axes::{Axis, PerAxis};
@@ -16,8 +16,12 @@ use oxmill_controller::messages::Realtime;
 use oxmill_controller::settings::Key;
 use oxmill_controller::units::{Coordinate, DECIMAL_ONE, Decimal};
 
-/// Where the second simulator is when the job begins, and by how much the zero of each coordinate system is from that of the
-/// one before.
+/// Where a simulator is when a job or a program begins: at no place that is likely to be written in one, so that each axis
+/// that is named moves.
+const START: [f64; AXES] = [-0.1357, -0.2473, -0.3791, -0.4919];
+
+/// How far from there the second simulator is, and by how much the zero of each coordinate system is from that of the one
+/// before.
 const ELSEWHERE: [f64; AXES] = [1.9, 3.1, -2.3, 4.7];
 
 /// Seconds for the spindle, where nothing else is said.
@@ -44,9 +48,9 @@ pub struct Wish {
     /// Where.
     pub begin: Begin,
     /// Z at which the tool goes to the place, in mm of the program's coordinates; the highest to which the job has
-    /// gone with G0 if none is given.
+    /// gone if none is given and it has travelled at known heights only.
     pub clearance: Option<Coordinate>,
-    /// Feed down to the place, mm/min; that of the job's last plunge if none is given.
+    /// Feed down to the place, mm/min; that of the job's last plunge straight down if none is given.
     pub plunge: Option<Decimal>,
     /// How long the spindle has to come up to speed, in seconds.
     pub spin_up: u16,
@@ -73,6 +77,10 @@ pub fn resume(machine: &Simulator, name: &str, job: &[u8], wish: &Wish) -> Resul
     let lines = lines_of(job);
     let at = place_of(&lines, wish.begin)?;
     let (front, rest) = (&lines[..at], &lines[at..]);
+    let read_input = |line: &&&[u8]| spoken(line).contains("5399");
+    if front.iter().any(|line| has_word(line, b'M', &[66])) && lines.iter().any(|line| read_input(&line)) {
+        return Err("what M66 has read in front of this line (#5399) is not known".into());
+    }
     let mut walk = Walk::along(machine, front, false)?;
     let other = Walk::along(machine, front, true)?;
     if walk.simulator.controller().open_since().is_some() {
@@ -145,13 +153,18 @@ fn line_number_of(line: &str) -> Option<u32> {
     digits.split(|c: char| !c.is_ascii_digit()).next()?.parse().ok()
 }
 
-/// The end of a rapid of a job.
+/// The end of a move of a job.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Rapid {
+struct End {
     line: usize,
     system: CoordinateSystem,
     /// Z of the tool's tip in that system, without G52 and G92.
     height: Coordinate,
+    /// The tool length offset in Z.
+    length: Coordinate,
+    is_rapid: bool,
+    /// Not only Z has moved.
+    travels: bool,
 }
 
 /// A job on its way, line by line.
@@ -159,11 +172,13 @@ struct Walk {
     simulator: Simulator,
     /// Axes that have moved.
     moved: PerAxis<bool, AXES>,
-    rapids: Vec<Rapid>,
-    /// It has come to its Z by a rapid.
+    ends: Vec<End>,
+    /// It has come to its Z by a rapid, and since then moved by rapids only.
     is_clear: bool,
-    /// Feed of the last move downwards, mm/min.
+    /// Feed of the last move straight down, mm/min.
     plunge: Option<Decimal>,
+    /// An output changes with the next motion.
+    waits_for_motion: bool,
 }
 
 impl Walk {
@@ -174,7 +189,14 @@ impl Walk {
         if elsewhere {
             move_elsewhere(&mut simulator)?;
         }
-        let mut walk = Self { simulator, moved: PerAxis::all(false), rapids: Vec::new(), is_clear: true, plunge: None };
+        let mut walk = Self {
+            simulator,
+            moved: PerAxis::all(false),
+            ends: Vec::new(),
+            is_clear: true,
+            plunge: None,
+            waits_for_motion: false,
+        };
         for (index, line) in lines.iter().enumerate() {
             walk.take(index, line).map_err(|why| format!("line {} {why}", index + 1))?;
         }
@@ -196,28 +218,53 @@ impl Walk {
         self.state().offsets().g92.get(Axis::Z).unwrap_or_default()
     }
 
+    /// The tool length offset in Z.
+    fn length(&self) -> Coordinate {
+        self.state().offsets().tool_length.get(Axis::Z).unwrap_or_default()
+    }
+
     /// Carries a line out.
     fn take(&mut self, index: usize, line: &[u8]) -> Result<(), String> {
         let line = spoken(line);
-        if is_tape_mark(&line) {
+        let begins_homed = line.trim_start().to_ascii_uppercase().starts_with("$H") && !self.moved.0.contains(&true);
+        if is_tape_mark(&line) || begins_homed {
             return Ok(());
         }
         let before = *self.state().position();
         say(&mut self.simulator, &line)?;
         let (after, modal) = (*self.state().position(), *self.state().modal());
-        let is_other = before.zip(&after, |before, after| before != after);
-        self.moved = self.moved.zip(&is_other, |moved, other| moved || other);
-        let is_cycle = matches!(modal.motion, MotionMode::Cycle(_));
-        if is_other.0.contains(&true) && (is_cycle || modal.motion == MotionMode::Rapid) {
-            let height = self.place().get(Axis::Z).unwrap_or_default() + self.shift_of_z();
-            self.rapids.push(Rapid { line: index, system: modal.coordinate_system, height });
+        if matches!(modal.motion, MotionMode::Probe(_)) {
+            return Err("probes (G38): what it finds is not known".into());
         }
-        if is_other.get(Axis::Z) == Some(true) {
-            self.is_clear = is_cycle || modal.motion == MotionMode::Rapid;
-            let down = before.get(Axis::Z) > after.get(Axis::Z);
-            if down && modal.motion == MotionMode::Linear && modal.feed_mode == FeedMode::PerMinute {
-                self.plunge = Some(modal.feed);
-            }
+        let is_other = before.zip(&after, |before, after| before != after);
+        let has_moved = is_other.0.contains(&true);
+        self.moved = self.moved.zip(&is_other, |moved, other| moved || other);
+        self.waits_for_motion = !has_moved && (self.waits_for_motion || has_word(line.as_bytes(), b'M', &[62, 63]));
+        if !has_moved {
+            return Ok(());
+        }
+        let moves_z = is_other.get(Axis::Z) == Some(true);
+        let travels = Axis::of_machine::<AXES>().any(|axis| axis != Axis::Z && is_other.get(axis) == Some(true));
+        let goes_there = has_word(line.as_bytes(), b'G', &[28, 30]);
+        let is_cycle = matches!(modal.motion, MotionMode::Cycle(_));
+        let is_rapid = goes_there || is_cycle || modal.motion == MotionMode::Rapid;
+        let height = self.place().get(Axis::Z).unwrap_or_default() + self.shift_of_z();
+        self.ends.push(End {
+            line: index,
+            system: modal.coordinate_system,
+            height,
+            length: self.length(),
+            is_rapid,
+            travels,
+        });
+        if is_rapid {
+            self.is_clear |= moves_z || is_cycle;
+            return Ok(());
+        }
+        self.is_clear = false;
+        let is_plunge = moves_z && !travels && before.get(Axis::Z) > after.get(Axis::Z);
+        if is_plunge && modal.motion == MotionMode::Linear && modal.feed_mode == FeedMode::PerMinute {
+            self.plunge = Some(modal.feed);
         }
         Ok(())
     }
@@ -235,33 +282,71 @@ impl Walk {
                 ));
             }
         }
-        let g92 = |walk: &Walk| walk.state().offsets().g92;
-        if g92(self) != g92(other) {
-            return Err("an offset of G92 acts that depends on where the machine was when the job began".into());
+        let offsets = |walk: &Walk| (walk.state().offsets().g92, walk.state().offsets().tool_length);
+        let meaning = |walk: &Walk| *walk.state().modal();
+        for (differs, what) in [
+            (offsets(self).0 != offsets(other).0, "an offset of G92 acts"),
+            (offsets(self).1 != offsets(other).1, "a tool length offset acts"),
+            (meaning(self) != meaning(other), "a modal state is in force"),
+        ] {
+            if differs {
+                return Err(format!("{what} that depends on where the machine was when the job began"));
+            }
         }
-        let system = self.state().modal().coordinate_system;
-        let is_known = |rapid: &&Rapid| {
-            let there = other.rapids.binary_search_by_key(&rapid.line, |there| there.line);
-            rapid.system == system && there.is_ok_and(|there| other.rapids[there] == **rapid)
-        };
-        let highest = self.rapids.iter().filter(is_known).map(|rapid| rapid.height - self.shift_of_z()).max();
+        if self.waits_for_motion {
+            return Err("an output waits there for the next motion (M62, M63)".into());
+        }
         let moves_z = moved.get(Axis::Z) == Some(true);
-        let clearance = wish.clearance.or(highest);
-        if moves_z && clearance.is_none() {
-            return Err(
-                "no Z of a G0 in front of this line is known: say at which Z the tool may travel (--clearance)".into(),
-            );
+        let clearance = if moves_z { Some(wish.clearance.map_or_else(|| self.clearance(other), Ok)?) } else { None };
+        let height = place.get(Axis::Z).unwrap_or_default();
+        if clearance.is_some_and(|clearance| clearance < height) {
+            return Err(format!("--clearance is below the place itself, Z{}", exact(height.0)));
         }
         Ok(Entry {
             place,
             moved,
-            clearance: clearance.filter(|_| moves_z),
-            is_clear: self.is_clear,
-            plunge: wish.plunge.or(self.plunge),
+            clearance,
+            is_clear: self.is_clear && other.is_clear,
+            plunge: wish.plunge.or(self.plunge).or(other.plunge),
             spin_up: wish.spin_up,
             is_laser: self.simulator.controller().settings().is_on(Key::Laser),
             carries,
+            outputs: outputs_of(&self.simulator),
         })
+    }
+
+    /// The highest Z to which the job has gone, if it has travelled at such heights only as are known in this coordinate
+    /// system.
+    fn clearance(&self, other: &Walk) -> Result<Coordinate, String> {
+        const WISH: &str = "say at which Z the tool may travel (--clearance)";
+        let system = self.state().modal().coordinate_system;
+        let is_known = |end: &&End| {
+            let there = other.ends.binary_search_by_key(&end.line, |there| there.line);
+            end.system == system && there.is_ok_and(|there| other.ends[there].height == end.height)
+        };
+        let known = || self.ends.iter().filter(is_known);
+        if !known().any(|end| end.is_rapid) {
+            return Err(format!("no Z of a G0 in front of this line is known: {WISH}"));
+        }
+        let highest = known().map(|end| end.height - self.shift_of_z()).max().unwrap_or_default();
+        let highest = highest.max(self.place().get(Axis::Z).unwrap_or_default());
+        if let Some(end) = self.ends.iter().find(|end| end.travels && !is_known(end)) {
+            return Err(format!(
+                "line {} travels at a Z that is not known in {} (from where the job began, by G53 or G28, or in another coordinate \
+                 system), and which may be higher than the highest known one, Z{}: {WISH}",
+                end.line + 1,
+                system.word(),
+                exact(highest.0)
+            ));
+        }
+        let spindle = known().map(|end| end.height - self.shift_of_z() + end.length).max().unwrap_or_default();
+        if highest + self.length() > spindle {
+            let highest = exact(highest.0);
+            return Err(format!(
+                "with this tool offset the spindle would be higher at Z{highest} than in the job: {WISH}"
+            ));
+        }
+        Ok(highest)
     }
 
     /// Takes the job some lines further, and a machine that has just been powered up through the prologue and the same
@@ -278,8 +363,15 @@ impl Walk {
         }
         settle(&mut self.simulator)?;
         let differs = self.state().differs_from(anew.controller().interpreter());
+        let differs =
+            differs.or((outputs_of(&self.simulator) != outputs_of(&anew)).then_some("an output (M62 to M65)"));
         differs.map_or(Ok(()), |part| Err(format!("{part} cannot be restored: take another line")))
     }
+}
+
+/// The outputs of programs that are on, bit 0 for P0.
+fn outputs_of(simulator: &Simulator) -> u8 {
+    simulator.outputs().map_or(0, |outputs| outputs.digital)
 }
 
 /// Another machine with the same settings, offsets and fittings, that has just been powered up. It has no limits: this place
@@ -293,6 +385,7 @@ fn powered_up_as(machine: &Simulator) -> Result<Simulator, String> {
     }
     simulator.send("$X\n");
     settle(&mut simulator)?;
+    jog(&mut simulator, START)?;
     Ok(simulator)
 }
 
@@ -308,7 +401,13 @@ fn move_elsewhere(simulator: &mut Simulator) -> Result<(), String> {
     for system in 1..=systems {
         say(simulator, &format!("G10 L2 P{system}{}", words(system + 1)))?;
     }
-    say(simulator, &format!("$J=G21 G91{} F1000", words(1)))?;
+    jog(simulator, ELSEWHERE)
+}
+
+fn jog(simulator: &mut Simulator, by: [f64; AXES]) -> Result<(), String> {
+    let axes = Axis::ALL.into_iter().zip(by).take(simulator.controller().settings().axes_in_use());
+    let words: String = axes.map(|(axis, by)| format!(" {}{by:.4}", char::from(axis.letter()))).collect();
+    say(simulator, &format!("$J=G21 G91{words} F1000"))?;
     settle(simulator)
 }
 

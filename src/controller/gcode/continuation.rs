@@ -3,13 +3,14 @@
 
 use super::modal::{FeedMode, Modal, MotionMode};
 use super::state::Interpreter;
+use super::values::in_xy;
+use crate::units::{Coordinate, Decimal};
 
 impl<const N: usize> Interpreter<N> {
     /// What another interpreter has otherwise, so that lines that follow could mean something else there; `None` if they
     /// cannot. Of canned cycles and curves what stays in force counts while such a mode does.
     pub fn differs_from(&self, other: &Self) -> Option<&'static str> {
         let in_cycle = matches!(self.modal.motion, MotionMode::Cycle(_));
-        let in_curve = matches!(self.modal.motion, MotionMode::Spline(_));
         let are_blank = [self, other].into_iter().all(|state| state.computed.is_blank() && !state.is_within_block());
         let parts = [
             (meant(&self.modal) != meant(&other.modal), "the modal state"),
@@ -17,21 +18,29 @@ impl<const N: usize> Interpreter<N> {
             (self.position != other.position, "the place"),
             (self.spindle_tool != other.spindle_tool || self.measured != other.measured, "the tool in the spindle"),
             (self.tools != other.tools, "the tool table"),
+            (self.before_check.is_some() || other.before_check.is_some(), "check mode"),
             (!are_blank, "a parameter or subroutine that the program has set"),
             (!self.saved.is_empty() || !other.saved.is_empty(), "a state that M70 keeps"),
             (self.rotation != other.rotation, "a rotation (G68)"),
             (self.scaling != other.scaling || self.rest != other.rest, "a scaling (G51)"),
             (in_cycle && self.cycle != other.cycle, "the canned cycle in force"),
-            (in_curve && self.tangent != other.tangent, "the direction of the curve in front"),
+            (self.next_way() != other.next_way(), "the direction of the curve in front"),
             (self.control_points() != other.control_points(), "a curve whose control points are being read"),
         ];
         parts.into_iter().find_map(|(differs, part)| differs.then_some(part))
     }
+
+    /// How a G5 without I and J would leave from here.
+    fn next_way(&self) -> Option<[Coordinate; 2]> {
+        let last = self.tangent.iter().flatten().find(|tangent| tangent.place == in_xy(&self.position));
+        last.map(|tangent| tangent.way)
+    }
 }
 
-/// Without what no line can notice: with G93 the last F of G94 does not count, for G94 wants another.
+/// Without what no line can notice: with G93 the last F of G94 does not count, for G94 wants another, and until it comes neither
+/// does it there.
 fn meant(modal: &Modal) -> Modal {
-    let is_speed = modal.feed_mode == FeedMode::PerMinute;
+    let is_speed = modal.feed_mode == FeedMode::PerMinute && modal.feed > Decimal::ZERO;
     let feed_per_second = if is_speed { modal.feed_per_second } else { 0.0 };
     Modal { feed_per_second, feed_in_inches: is_speed && modal.feed_in_inches, ..*modal }
 }
