@@ -48,7 +48,7 @@ pub struct Order {
     /// Work zero of G54 in mm of machine coordinates, for a machine that is homed before its job; without it, it is not homed.
     /// For [`check`] and [`stream`] only.
     pub work_zero: Option<[f64; LINEAR]>,
-    /// Where the rest of a job that was broken off begins. For [`resume`] only.
+    /// Where the rest of a job that was broken off begins. For [`resume()`] only.
     pub resume: Option<Resume>,
     /// Bits per second of the link that a job is sent over; 0 for one without limit. For [`stream`] only.
     pub baud: u32,
