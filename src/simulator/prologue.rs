@@ -71,6 +71,10 @@ pub fn prologue(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>,
     lines.extend(way(state, entry)?);
     let is_fed = lines.iter().any(|line| line.contains('F'));
     lines.extend(modes(modal, is_fed));
+    if entry.is_laser {
+        // A beam comes on last: with M3 and G1 in force it burns at rest.
+        lines.extend(accessories(modal, entry));
+    }
     Ok(lines)
 }
 
@@ -107,7 +111,7 @@ fn words(place: &PerAxis<Coordinate, AXES>) -> String {
     axes.map(|(axis, value)| format!(" {}{}", char::from(axis.letter()), exact(value.0))).collect()
 }
 
-/// To the place, with spindle and coolant on.
+/// To the place; a cutter turns before it goes down.
 fn way(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String> {
     let mut lines = Vec::new();
     if let Some(clearance) = entry.clearance {
@@ -120,11 +124,10 @@ fn way(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String> 
     if !in_plane.is_empty() {
         lines.push(format!("G0{in_plane}"));
     }
-    let (down, accessories) = (down(state, entry)?, accessories(state.modal(), entry));
-    // A beam must not be on while it goes to its place, and a cutter has to turn before it touches.
-    let (first, second) = if entry.is_laser { (down, accessories) } else { (accessories, down) };
-    lines.extend(first);
-    lines.extend(second);
+    if !entry.is_laser {
+        lines.extend(accessories(state.modal(), entry));
+    }
+    lines.extend(down(state, entry)?);
     Ok(lines)
 }
 

@@ -187,7 +187,7 @@ M2";
 fn a_laser_is_off_until_it_is_there_and_z_stays_where_it_is() {
     let program = "G21 G90\nG0 X5 Y5\nM4 S300\nG1 X10 F900\nY10\nG1 X0 S0\nM5\nG0 X0 Y0\n";
     let rest = resumed(&["32=1"], program, &wish(5)).unwrap();
-    assert_eq!(rest.prologue, ["G21 G90 G94 G17 G54", "M5 M9", "G0 X10 Y5", "M4 S300", "G1 F900"]);
+    assert_eq!(rest.prologue, ["G21 G90 G94 G17 G54", "M5 M9", "G0 X10 Y5", "G1 F900", "M4 S300"]);
     assert!(compare_all(&["32=1"], program, "G91 G0 X1.7 Y-2.3\nG90", &[]).is_empty());
 }
 
