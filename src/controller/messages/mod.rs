@@ -29,7 +29,7 @@ pub use store::{Record, STORE_DAMAGED, Store};
 
 /// Depth of serial -> control, realtime commands. `control` drains it in each turn, and 5 ms of nothing but commands at
 /// 115200 baud fit. Full: the link waits where it can; on a plain UART resets, holds and the door are kept as marks
-/// (`protocol::link::Owed`), other commands are reported as lost.
+/// (`protocol::owed::Owed`), other commands are reported as lost.
 pub const REALTIME_DEPTH: usize = 64;
 /// Bytes of lines that fit between serial and control; what `Bf:` counts. Full: receive is paused where the link has
 /// back-pressure (USB, QEMU; see `protocol::link`); on a plain UART the byte is dropped and the next one says so ([`LineByte::damaged`]).

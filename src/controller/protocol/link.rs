@@ -1,11 +1,10 @@
 //! `Link`: received bytes of one host on the way into the queues to `control`: commands out of the byte stream, even
 //! `mid_line`, and line bytes, which are held while a queue is full; lines get a `Refusal` up to their end (`after_cr`)
 //! from a host without the floor, which is ignored or answered. `HostArbiter` with its `Floor` decides which of two
-//! hosts is the `holder` (claim, seize, leave, cut), `weak` or not. `Owed` are commands (reset, feed hold, safety door)
-//! that found no room. Lives in the serial task. `Queues` says whether all `is_free`, and takes a `Realtime` command or
+//! hosts is the `holder` (claim, seize, leave, cut). Lives in the serial task. `Queues` says whether all `is_free`, and takes a `Realtime` command or
 //! a `LineByte`; functions are `take`, `pass_on`, `void_line`, `turn_to`, `came`, `went`, `owes_cut`, `is_waiting`,
 //! `forget`. A command without room is `stuck` (`FeedHold`, `SafetyDoor`), bytes may be `lost`; `OTHER` belongs to the
-//! other link, `RESETS` is a count.
+//! other link.
 //!
 //! ```text
 //!  host ──▶ Link ──realtime──────────────────────▶ queue     at once, past all lines
@@ -22,6 +21,7 @@
 //! the machine reset, the rest is refused too, whenever it comes and whoever has the floor then.
 
 use crate::messages::{HOST_CHANGED, LineByte, Realtime};
+use crate::protocol::floor::Floor;
 use crate::protocol::realtime::{Received, is_plain};
 
 /// The way to `control`.
@@ -356,98 +356,6 @@ impl<const HELD: usize> Link<HELD> {
 
 fn is_end(byte: u8) -> bool {
     matches!(byte, b'\n' | b'\r')
-}
-
-/// Commands of a link that cannot wait for which there was no room, and which must not be lost. While there are any,
-/// nothing else is queued, so that they come after all that is queued and before all that is not.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Owed(pub u32);
-
-impl Owed {
-    const DOOR: u32 = 1 << 16;
-    const HOLD: u32 = 1 << 17;
-    /// A count: each has been counted as a stop, too. Half a second, the longest that `control` may take, holds 6000 bytes.
-    const RESETS: u32 = 0xFFFF;
-
-    /// With one more, if it will be obeyed: a reset, which voids the holds before it; a hold and a door, once each; 0x19 and
-    /// a jog cancel as a reset, for the epochs of all later lines count on them. The others are lost.
-    pub fn with(self, command: Realtime) -> Option<Owed> {
-        match command {
-            Realtime::FeedHold => Some(Owed(self.0 | Self::HOLD)),
-            Realtime::SafetyDoor => Some(Owed(self.0 | Self::DOOR)),
-            _ if command.opens_epoch() => Some(Owed((self.0 & Self::RESETS) + 1)),
-            _ => None,
-        }
-    }
-
-    /// Takes the next of them, in their order. Of a hold and a door it does not matter which comes first.
-    pub fn pop(&mut self) -> Option<Realtime> {
-        if self.0 & Self::RESETS != 0 {
-            self.0 -= 1;
-            return Some(Realtime::Reset);
-        }
-        for (mark, command) in [(Self::DOOR, Realtime::SafetyDoor), (Self::HOLD, Realtime::FeedHold)] {
-            if self.0 & mark != 0 {
-                self.0 &= !mark;
-                return Some(command);
-            }
-        }
-        None
-    }
-}
-
-/// Which of two hosts has the floor: whose lines are read, and who gets the answers. Realtime commands need no floor.
-#[derive(Clone, Debug)]
-struct Floor {
-    holder: usize,
-    /// The holder has gone or has only asked for a report; or no host has sent anything yet.
-    weak: bool,
-}
-
-impl Floor {
-    /// Answers go to link 0, and whoever speaks first has the floor.
-    const fn new() -> Self {
-        Self { holder: 0, weak: true }
-    }
-
-    /// Who gets the answers.
-    fn holder(&self) -> usize {
-        self.holder
-    }
-
-    /// The host of `link` has it, and more than asked for a report.
-    #[inline]
-    fn is_held_by(&self, link: usize) -> bool {
-        self.holder == link && !self.weak
-    }
-
-    /// The host of `link` wants to say something: whether it may. `free`: the machine has nothing to do for the holder.
-    /// `firm`: it opens its port or sends a line; a realtime command alone gets its answer, and keeps no other host out.
-    fn claim(&mut self, link: usize, free: bool, firm: bool) -> bool {
-        if self.weak || free {
-            self.holder = link;
-            self.weak = !firm;
-        }
-        self.holder == link
-    }
-
-    /// The host of `link` has reset the machine, and with it everything that another one wanted: it has the floor.
-    fn seize(&mut self, link: usize) -> bool {
-        self.holder = link;
-        self.weak = false;
-        true
-    }
-
-    /// The host of `link` has gone.
-    fn leave(&mut self, link: usize) {
-        self.weak |= self.holder == link;
-    }
-}
-
-impl Default for Floor {
-    fn default() -> Self {
-        Self::new()
-    }
 }
 
 /// What a host without the floor is told for each of its lines: 8 is Grbl's "not idle".
@@ -823,22 +731,6 @@ mod tests {
     }
 
     #[test]
-    fn what_is_owed_keeps_its_order() {
-        use Realtime::{CycleStart, FeedHold, JogCancel, Reset, SafetyDoor, Stop};
-        let owed = |commands: &[Realtime]| {
-            let add = |owed: Owed, command: &Realtime| owed.with(*command).unwrap_or(owed);
-            let mut all = commands.iter().fold(Owed::default(), add);
-            core::iter::from_fn(|| all.pop()).collect::<Vec<_>>()
-        };
-        assert_eq!(owed(&[FeedHold, SafetyDoor]), [SafetyDoor, FeedHold]);
-        assert_eq!(owed(&[FeedHold, Reset]), [Reset], "void by it");
-        assert_eq!(owed(&[Reset, FeedHold]), [Reset, FeedHold], "and not undone by it");
-        assert_eq!(owed(&[Reset, SafetyDoor, JogCancel, Stop, FeedHold]), [Reset, Reset, Reset, FeedHold]);
-        assert_eq!(owed(&[CycleStart]), []);
-        assert_eq!(owed(&[Reset; 6000]).len(), 6000);
-    }
-
-    #[test]
     fn a_refusal_is_sent_as_there_is_room() {
         let mut both = Both::<16>::new(8, 100);
         both.usb(b"G0\n");
@@ -855,36 +747,6 @@ mod tests {
             rounds += 1;
         }
         assert_eq!(sent, REFUSAL.repeat(2));
-    }
-
-    #[test]
-    fn one_host_at_a_time_has_the_floor() {
-        let mut floor = Floor::new();
-        assert_eq!(floor.holder(), 0);
-        assert!(floor.claim(1, false, true));
-        assert!(!floor.claim(0, false, true));
-        assert_eq!(floor.holder(), 1);
-        // Idle: whoever speaks.
-        assert!(floor.claim(0, true, true));
-        assert!(floor.claim(0, false, true) && !floor.claim(1, false, true));
-        floor.leave(1);
-        assert!(!floor.claim(1, false, true));
-        floor.leave(0);
-        assert!(floor.claim(1, false, true));
-        floor.seize(0);
-        assert!(!floor.claim(1, false, true));
-    }
-
-    #[test]
-    fn a_question_keeps_nobody_out() {
-        let mut floor = Floor::new();
-        assert!(floor.claim(1, false, true));
-        // The holder's own questions change nothing.
-        assert!(floor.claim(1, false, false) && !floor.claim(0, false, false));
-        floor.leave(1);
-        assert!(floor.claim(0, false, false));
-        assert!(floor.claim(1, false, true));
-        assert!(!floor.claim(0, false, true));
     }
 
     /// What may happen to two links.
