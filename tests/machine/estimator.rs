@@ -24,7 +24,9 @@
 //!   less than [`GENTLE`] between them. The junction deviation grants a jump for the whole of the turn on top. Every point
 //!   may be half a digit off; the part of the bend that this can explain is taken off. A planner that takes other points may see a bend begin half a reach later, and brake on it: a·reach more.
 //! - Short lines that continue each other may have been joined ([`Joins`]): then the trace follows the straight line from the
-//!   start of the first to the end of the last, which every point between is within half a step of.
+//!   start of the first to the end of the last, which every point between is within half a step of. The trace does not
+//!   tell where: a few lines of the end may have been a move of their own, with half a step more or less than they are
+//!   long. So their speed is measured over 16 steps as well, and half a step is allowed for.
 //! - Programs carry half a digit of noise: two moves whose directions differ by no more than one digit over the length
 //!   of the shorter one count as straight on.
 
@@ -50,6 +52,8 @@ const NOISE: f64 = 0.0008;
 /// many steps a speed is measured there.
 const SMOOTHED: f64 = 8000.0;
 const SHIFT: f64 = 7.0 / 16.0;
+/// By how much of a step the ends of lines within a joined move may have been rounded.
+const JOINED_SHIFT: f64 = 0.5;
 const WINDOW: usize = 16;
 
 /// The limits of a machine, each axis in mm, mm/s and mm/s².
@@ -84,6 +88,8 @@ struct Move {
     pitch: f64,
     /// Share of the length that rounding its ends to steps may make.
     slack: f64,
+    /// Whether it may have been several moves.
+    is_joined: bool,
     /// Ticks of the dominant steps.
     times: Vec<u64>,
 }
@@ -268,6 +274,7 @@ fn moves(trace: &[Pulse], lines: &[Line], limits: &Limits) -> Result<Vec<Move>, 
             acceleration: limits.along(limits.acceleration, unit),
             pitch: (length + carried) / count as f64,
             slack: 0.5 / count as f64,
+            is_joined: last > first,
             times,
         });
     }
@@ -301,15 +308,15 @@ pub fn check(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits) -> Resul
     Ok(())
 }
 
-/// A reading for each interval, `None` for those longer than a millisecond. That of a slow interval covers the following
-/// steps as well, as far as there are any and none of their intervals is longer than a millisecond.
+/// A reading for each interval, `None` for those longer than a millisecond. That of a slow interval, or of a joined move,
+/// covers the following steps as well, as far as there are any and none of their intervals is longer than a millisecond.
 fn readings(m: &Move, hz: f64) -> Vec<Option<Reading>> {
     (1..m.times.len())
         .map(|i| {
             let interval = |i: usize| (m.times[i] - m.times[i - 1]) as f64;
             let (mut last, mut shift) = (i, 0.0);
-            if interval(i) > hz / SMOOTHED {
-                shift = SHIFT;
+            if m.is_joined || interval(i) > hz / SMOOTHED {
+                shift = if m.is_joined { JOINED_SHIFT } else { SHIFT };
                 let end = m.times.len().min(i + WINDOW);
                 last = (i..end).take_while(|&k| interval(k) < hz / 1000.0).last()?;
             }
@@ -593,6 +600,30 @@ mod tests {
         run(10.0, a / 3.0).unwrap();
         assert!(run(51.0, a).unwrap_err().contains("are allowed"));
         assert!(run(50.0, a * 1.03).unwrap_err().contains("mm/s²"));
+    }
+
+    /// Thirty lines of 14 um: as one move; too fast; and with a few of them by themselves, rounded to more steps than they are
+    /// long.
+    #[test]
+    fn joined_lines_are_measured_over_several_steps() {
+        let limits = Limits { steps_per_mm: [250.0; 3], acceleration: [9000.0; 3], ..limits() };
+        let at = |k: usize| [0.014 * k as f64, 0.0, 0.0];
+        let lines: Vec<Line> = (0..30).map(|k| Line { from: at(k), to: at(k + 1), feed: Some(40.0) }).collect();
+        let whole = Line { to: at(30), ..lines[0] };
+        let run = |speed| {
+            let t = trace(&whole, &limits, 0.0, trapezoid(0.42, speed, 9000.0));
+            check(&t, HZ, &lines, &limits)
+        };
+        run(40.0).unwrap();
+        assert!(run(43.0).unwrap_err().contains("are allowed"));
+        // In the middle of the constant speed, four steps in the time of three and a half.
+        let even = trapezoid(0.42, 40.0, 9000.0);
+        let (first, last) = (50.0 / 105.0, 54.0 / 105.0);
+        let rounded = |share: f64| {
+            let within = ((share - first) / (last - first)).clamp(0.0, 1.0);
+            even(share) - if share < last + 1e-9 { within * 0.5 * 0.004 / 40.0 } else { 0.5 * 0.004 / 40.0 }
+        };
+        check(&trace(&whole, &limits, 0.0, rounded), HZ, &lines, &limits).unwrap();
     }
 
     #[test]
