@@ -40,7 +40,7 @@
 //! | limits X Y Z, probe | B12 B13 B14, B15 | pull-ups; switches close to ground |
 //! | reset, hold, start, door | B4, B5, B6, B7 | pull-ups; B4 is NJTRST after reset, whose pull-up fits an input |
 //! | host, USB | A11 (D-), A12 (D+) | the only pins of OTG_FS, wired to the socket; a serial port (CDC-ACM) on the host |
-//! | host, UART | A9 (TX), A10 (RX) | USART1, 115200 8N1, listened to beside USB; the pins that the boot loader uses too. A9 would be VBUS sensing, which is off: a board with a supply of its own sees an unplugged host by the bus going idle |
+//! | host, UART | A9 (TX), A10 (RX) | USART1, 115200 8N1 (`$931`), listened to beside USB; the pins that the boot loader uses too. A9 would be VBUS sensing, which is off: a board with a supply of its own sees an unplugged host by the bus going idle |
 //! | driver fault | B3 | pull-up; SWO after reset, which nothing here uses |
 //! | second motor of an axis: step, direction | A8, A15 | the same port; `$905` names the axis. A15 is NJTDI after reset and pulled up until set-up |
 //! | its limit switch | A0 | pull-up; the KEY of the board is a switch like it, and does nothing without `$907` |
@@ -74,13 +74,25 @@ pub const WATCHES_CLOCK: bool = true;
 #[macro_export]
 macro_rules! vectors {
     ($app:ident) => {
-        $app!(serial: USART1, usb: OTG_FS, step: TIM2, dispatcher: SPI1);
+        $app!(serial: SPI2, receive: USART1, usb: OTG_FS, step: TIM2, dispatcher: SPI1);
     };
 }
 
-/// Calls the serial task.
+/// Calls the serial task, whose vector is that of a peripheral that is not used.
 pub fn call_serial() {
+    pac::NVIC::pend(pac::Interrupt::SPI2);
+}
+
+/// Calls the task that receives: there is one.
+pub fn call_receive() -> bool {
     pac::NVIC::pend(pac::Interrupt::USART1);
+    true
+}
+
+/// The interrupt of the UART.
+#[inline(always)]
+pub fn on_receive() {
+    stm32f4::on_interrupt::<pac::USART1>();
 }
 
 /// The second way to the host.
@@ -129,11 +141,10 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
         // 115200 divides 84 and 96 MHz to within 0.1 %.
         unreachable!()
     };
-    let (tx, rx) = usart.split();
     stm32f4::start_clock(device.TIM5, &mut rcc);
     Parts {
         step_pins,
-        serial: SerialPort::new(tx, rx),
+        serial: SerialPort::new(usart.split(), &rcc),
         usb: UsbPort::new(
             (device.OTG_FS_GLOBAL, device.OTG_FS_DEVICE, device.OTG_FS_PWRCLK),
             (a.pa11, a.pa12),

@@ -16,7 +16,7 @@
 //! | name | is |
 //! |---|---|
 //! | `pac` | the device crate: registers and interrupt numbers, for RTIC |
-//! | `vectors!(app)` | calls the macro `app` with the names of the interrupt vectors of the tasks |
+//! | `vectors!(app)` | calls the macro `app` with the names of the interrupt vectors of the tasks; `serial` is that of no peripheral if there is a `receive` |
 //! | `PROFILE`, `AXES`, `BLOCKS` | its row of [`profiles`](crate::profiles), and the two numbers of it that are types |
 //! | `RECORDING_PAGES` | pages of 256 bytes for the recording of what comes in; 0 = there is none |
 //! | `CLOCK_TICKS_PER_US`, `clock_ticks()` | a free-running counter of 32 bits from which the program tells the time |
@@ -24,6 +24,8 @@
 //! | `RUN_CYCLES` | more cycles than the longest run of the step task takes that makes events |
 //! | `WATCHES_CLOCK` | whether the non-maskable interrupt tells that the clock of the processor has failed, and nothing else |
 //! | `setup(device, low_voltage) -> Parts` | everything below, set up once; outputs are off |
+//! | `on_receive()` | what the interrupt `receive` of `vectors!` does, on a board that has one: it keeps a byte, and calls the serial task |
+//! | `call_receive()` | makes that interrupt pending; false if there is none |
 //! | `call_step()` | makes the interrupt of the step task pending, from any task |
 //! | `call_serial()` | makes the interrupt of the serial task pending |
 //! | `StepPins` | step and direction outputs, which put out events at their moments, and the spindle's PWM: a [`StepOutput`] |
@@ -180,6 +182,8 @@ pub trait Port {
     /// Whether a byte that is not fetched waits (true) or is overwritten by the next (false).
     const WAITS: bool;
 
+    /// At the start: the baud rate, for a link that has one.
+    fn set_baud(&mut self, _baud: u32) {}
     /// Does what the link itself needs, and tells whether a host is there: a UART cannot know, and always says so.
     fn poll(&mut self) -> bool {
         true
@@ -299,6 +303,7 @@ mod held {
     const _: fn(board::pac::Peripherals, fn() -> !) -> board::Parts = board::setup;
     const _: fn() -> u32 = board::clock_ticks;
     const _: [fn(); 5] = [board::call_step, board::call_serial, board::safe_state, board::job_done, board::idle];
+    const _: (fn(), fn() -> bool) = (board::on_receive, board::call_receive);
     const _: fn() -> Option<&'static [u8]> = board::preloaded_job;
     const _: fn() -> ResetCause = board::reset_cause;
     const _: fn(Arguments<'_>) -> ! = board::restart;

@@ -7,7 +7,11 @@
 #![no_std]
 
 pub mod profiles;
-// On a host for its tests.
+// On a host for their tests.
+#[cfg(any(not(feature = "board"), feature = "stm32f4"))]
+pub mod baud;
+#[cfg(any(not(feature = "board"), feature = "stm32f4"))]
+pub mod received;
 #[cfg(any(not(feature = "board"), feature = "usb"))]
 pub mod usb_host;
 

@@ -33,13 +33,25 @@ pub const WATCHES_CLOCK: bool = true;
 #[macro_export]
 macro_rules! vectors {
     ($app:ident) => {
-        $app!(serial: USART2, step: TIM2, dispatcher: SPI1);
+        $app!(serial: SPI2, receive: USART2, step: TIM2, dispatcher: SPI1);
     };
 }
 
-/// Calls the serial task.
+/// Calls the serial task, whose vector is that of a peripheral that is not used.
 pub fn call_serial() {
+    pac::NVIC::pend(pac::Interrupt::SPI2);
+}
+
+/// Calls the task that receives: there is one.
+pub fn call_receive() -> bool {
     pac::NVIC::pend(pac::Interrupt::USART2);
+    true
+}
+
+/// The interrupt of the UART.
+#[inline(always)]
+pub fn on_receive() {
+    stm32f4::on_interrupt::<pac::USART2>();
 }
 
 /// The link to the host.
@@ -89,11 +101,10 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
         // 115200 divides the 42 to 50 MHz of the slower bus to within 0.2 %.
         unreachable!()
     };
-    let (tx, rx) = usart.split();
     stm32f4::start_clock(device.TIM5, &mut rcc);
     Parts {
         step_pins,
-        serial: SerialPort::new(tx, rx),
+        serial: SerialPort::new(usart.split(), &rcc),
         usb: NoPort,
         inputs,
         slow_pins,

@@ -62,7 +62,7 @@ fn no_pin_is_used_twice_and_each_stands_in_the_table() {
 /// Timers and DMA streams: each name of a peripheral has one place where its owner is made.
 #[test]
 fn no_timer_or_stream_has_two_uses() {
-    let shared = board_file("stm32f4/rx_dma.rs");
+    let shared = board_file("stm32f4/usart.rs");
     for (name, code, _) in wirings() {
         let taken: Vec<&str> = code
             .match_indices("device.")

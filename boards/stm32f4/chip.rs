@@ -1,7 +1,6 @@
 //! What the STM32F4 boards share in setting up: `step_pins` with `Rings` and the clocks of their timers TIM1 to TIM3
 //! (`rcc`, `psc`, `arr`, `cr1`, `ccr2`, `egr`, `write(|w| w.cen().set_bit())`, the `pwm`), the microsecond clock on
-//! TIM5 (`start_clock`), the serial port `Usart<U: Instance>` (`BAUD`, `rx`, `tx`, `taken`, `lost`; `nb::Error` becomes
-//! `Incoming`), the `InputPins` (`MOST_INPUTS` `places` of `ErasedPin`s by `each_ref`, pulls, what is `fitted`), the
+//! TIM5 (`start_clock`), the serial port's `BAUD`, the `InputPins` (`MOST_INPUTS` `places` of `ErasedPin`s by `each_ref`, pulls, what is `fitted`), the
 //! `SlowPins` (`SLOW_OUTPUTS`) and their `levels`, the independent `Watchdog` that stops on debug, the `Parts`,
 //! `settings_flash`, `begin_with_reset` (`memrmp`, `mem_mode`, `syscfgen`), `watch_clock` (`csson`), `reset_cause` from the flags of `csr`, and `safe_state`, which writes each `SAFE` word
 //! (`write_bsrr`). `each!` (`$pin`, `$how`) and `raw!` shorten pins and register access.
@@ -13,19 +12,19 @@ use core::sync::atomic::Ordering;
 use oxmill_controller::ResetCause;
 use stm32f4xx_hal::{
     gpio::{ErasedPin, Input, Output, PinExt},
-    nb, pac,
+    pac,
     prelude::*,
     rcc::{BusTimerClock, Enable, LPEnable, Rcc, Reset},
-    serial::{Instance, Rx, RxListen, Tx, TxListen},
+    serial::Instance,
     watchdog::IndependentWatchdog,
 };
 
 use super::SettingsFlash;
 use super::chain::{self, COMPARE_PULSE};
 use super::registers::{Chip, Map, read_idr, timer, write, write_bsrr};
-use super::rx_dma::{Sheltered, Taken, shelter};
 use super::step::{self, Clocks, Place, SAFE, bsrr, note_safe_level};
-use crate::{Due, Incoming, Port, SlowLevels};
+use super::usart::{Sheltered, Usart, shelter};
+use crate::{Due, Port, SlowLevels};
 
 /// A whole register as a number.
 macro_rules! raw {
@@ -165,70 +164,8 @@ pub fn clock_ticks() -> u32 {
     unsafe { (*pac::TIM5::ptr()).cnt().read().bits() }
 }
 
-/// Baud rate of the link: what Grbl's senders expect.
+/// Baud rate of the link, if no setting says another: what Grbl's senders expect.
 pub const BAUD: u32 = 115_200;
-
-/// A USART, both ways by interrupt.
-pub struct Usart<U: Instance> {
-    rx: Rx<U>,
-    tx: Tx<U>,
-    taken: Taken,
-    /// The USART has lost a byte while older ones were taken; still to be told.
-    lost: bool,
-}
-
-impl<U: Instance> Usart<U> {
-    /// Begins to listen.
-    pub fn new(tx: Tx<U>, mut rx: Rx<U>) -> Self {
-        rx.listen();
-        Usart { rx, tx, taken: Taken::default(), lost: false }
-    }
-}
-
-impl<U: Instance> Port for Usart<U> {
-    const WAITS: bool = false;
-
-    /// The next byte, if one has come.
-    #[inline]
-    fn receive(&mut self) -> Incoming {
-        if let Some(byte) = self.taken.next() {
-            // Taking them all lasts longer than a byte on the line: what comes meanwhile queues up behind them.
-            if self.taken.has_room() {
-                match self.rx.read() {
-                    Ok(newer) => self.taken.append(newer),
-                    Err(nb::Error::WouldBlock) => {}
-                    Err(nb::Error::Other(_)) => self.lost = true,
-                }
-            }
-            return Incoming::Byte(byte);
-        }
-        if core::mem::take(&mut self.lost) {
-            return Incoming::Lost;
-        }
-        match self.rx.read() {
-            Ok(byte) => Incoming::Byte(byte),
-            Err(nb::Error::WouldBlock) => Incoming::Nothing,
-            // Overrun, noise, framing: a byte is lost either way.
-            Err(nb::Error::Other(_)) => Incoming::Lost,
-        }
-    }
-
-    /// Every byte is fetched at once.
-    #[inline]
-    fn allow(&mut self, _room: usize) {}
-
-    /// Sends a byte if the data register is free.
-    #[inline]
-    fn send(&mut self, byte: u8) -> bool {
-        self.tx.write(byte).is_ok()
-    }
-
-    /// Whether to be called when the data register becomes free.
-    #[inline]
-    fn call_when_free(&mut self, wanted: bool) {
-        if wanted { self.tx.listen() } else { self.tx.unlisten() }
-    }
-}
 
 /// Inputs at most.
 const MOST_INPUTS: usize = crate::PROFILE.program_pins[1] as usize + if crate::AXES > 3 { 12 } else { 11 };

@@ -1,5 +1,5 @@
 //! The modules that the STM32F4 boards share: what the step interrupt touches ([`step`], `chain`, `registers`), and the
-//! rest of the chip (`chip`, `flash`, `rx_dma`, `supply`, `usb`).
+//! rest of the chip (`chip`, `flash`, `supply`, `usart`, `usb`).
 
 mod chain;
 pub mod registers;
@@ -10,9 +10,9 @@ mod chip;
 #[cfg(feature = "stm32f4")]
 mod flash;
 #[cfg(feature = "stm32f4")]
-mod rx_dma;
-#[cfg(feature = "stm32f4")]
 mod supply;
+#[cfg(feature = "stm32f4")]
+mod usart;
 #[cfg(feature = "usb")]
 pub mod usb;
 
@@ -22,3 +22,5 @@ pub use chip::*;
 pub use flash::SettingsFlash;
 #[cfg(feature = "stm32f4")]
 pub use supply::*;
+#[cfg(feature = "stm32f4")]
+pub use usart::{Usart, on_interrupt};

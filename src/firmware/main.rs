@@ -1,5 +1,5 @@
-//! The program: an RTIC `app` that binds the tasks of `oxmill_firmware` to interrupt vectors (`step`, `serial`, `usb`,
-//! `inputs`, `control`) and gives each, as `Local` or `Shared`, its ends of the channels. `init` paints the stack and
+//! The program: an RTIC `app` that binds the tasks of `oxmill_firmware` to interrupt vectors (`receive`, `step`,
+//! `serial`, `usb`, `inputs`, `control`) and gives each, as `Local` or `Shared`, its ends of the channels. `init` paints the stack and
 //! calls `startup`, `control` waits to be `woken`, `idle` watches the stack. This file is the wiring diagram and
 //! nothing else. Each task takes its context `cx`.
 #![no_std]
@@ -14,7 +14,7 @@ use defmt_rtt as _;
 // Without `skip` rustfmt indents the list of channels further at each run.
 #[rustfmt::skip]
 macro_rules! firmware {
-    (serial: $serial:ident $(, usb: $usb:ident)?, step: $step:ident, dispatcher: $dispatcher:ident) => {
+    (serial: $serial:ident $(, receive: $receive:ident)? $(, usb: $usb:ident)?, step: $step:ident, dispatcher: $dispatcher:ident) => {
         #[rtic::app(device = oxmill_boards::pac, peripherals = true, dispatchers = [$dispatcher])]
         mod app {
             use oxmill_boards::{self as boards, AXES};
@@ -80,6 +80,14 @@ macro_rules! firmware {
                 let startup::Tasks { step, serial, inputs, control } = tasks;
                 (Shared { serial }, Local { step, inputs, control, woken })
             }
+
+            // Above the step task: a USART holds a byte for as long as the next one takes to come.
+            $(
+                #[task(binds = $receive, priority = 5)]
+                fn receive(_: receive::Context) {
+                    oxmill_firmware::serial::receive();
+                }
+            )?
 
             #[task(binds = $step, priority = 4, local = [step])]
             fn step(cx: step::Context) {

@@ -100,6 +100,14 @@ impl Queues for ToControl {
     }
 }
 
+/// The interrupt of the UART, above the step task: it keeps a byte that has come, and calls [`Serial::run`] where that has
+/// something to do.
+#[inline(always)]
+pub fn receive() {
+    ASKED.receive.store(false, Ordering::Relaxed);
+    boards::on_receive();
+}
+
 /// A link and its port.
 struct Ported<P, const HELD: usize> {
     port: P,

@@ -5,7 +5,7 @@
 //! `ZEROS`, `MaybeUninit`, `copy_nonoverlapping`) between the zeros. A `Restart` names the `cause` and whether the
 //! recorder `is_recorded`.
 
-use crate::boards::{self, AXES};
+use crate::boards::{self, AXES, Port};
 use crate::control::{BoardController, Control, Ends};
 use crate::failure;
 use crate::flash::Settings;
@@ -23,6 +23,7 @@ use oxmill_controller::messages::{
     Chunk, EVENTS_DEPTH, LINE_MESSAGES, LineBytes, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, Restart, SEGMENTS_DEPTH,
     SIGNALS_DEPTH, Sensed, StepEvent, ToStep, Wiring,
 };
+use oxmill_controller::settings::Key;
 use rtic_sync::channel::Channel;
 use rtic_sync::signal::Signal;
 
@@ -131,7 +132,7 @@ pub fn start(
     // SAFETY: unsafe because `build` takes memory that is 0 for granted; safe because RTIC keeps this place in .bss, which the start-up
     // code has cleared, and gives it out once.
     let controller = unsafe { build(controller) };
-    let parts = boards::setup(device, failure::low_voltage);
+    let mut parts = boards::setup(device, failure::low_voltage);
     let (realtime_in, realtime) = channels.realtime.split();
     let (lines_in, lines) = channels.lines.split();
     let (replies, replies_out) = channels.replies.split();
@@ -148,6 +149,7 @@ pub fn start(
     restart.is_recorded = recorder.is_kept();
     controller.restarted(restart);
     let settings = Settings::open(parts.settings_flash, controller);
+    parts.serial.set_baud(controller.settings().whole(Key::Baud));
     let tasks = Tasks {
         step: Step::new(parts.step_pins, segments_out, step_wiring_out, events_in, wake.clone()),
         serial: Serial::new(parts.serial, parts.usb, realtime_in, lines_in, replies_out, wake.clone()),

@@ -234,6 +234,10 @@ const ONCE: [(Key, &str); Key::COUNT] = [
         Key::Axes,
         "How many axes the machine has. With 4 there is A, which turns: its words and places are degrees, and its settings are listed. It needs a board with four axes.",
     ),
+    (
+        Key::Baud,
+        "At which rate the UART of a board listens from its next start (power, NRST) on; over USB it means nothing. A host at 115200 baud is heard all the same, once a few of its bytes could not be read.",
+    ),
 ];
 
 /// The sentences of the settings that each axis has, in the order of the table.

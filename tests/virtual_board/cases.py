@@ -43,6 +43,8 @@ BEHIND_CYCLES = 400
 """From there to where the beam is off: a change of power that is about to come is awaited."""
 LINES_S = {"blackpill_f411": 4200, "blackpill_f401": 2800}
 """Short lines a second that a board takes over USB while it moves."""
+UART_LINES_S = {"blackpill_f411": 3000, "blackpill_f401": 2000, "nucleo_f446re": 5500, "nucleo_f411re": 3700, "nucleo_f401re": 2500}
+"""The same over the UART at its greatest rate."""
 LATEST_PULSE_END_S = 0.15 * US
 """How much longer than $0 a pulse may be: its end is a transfer of DMA, which may wait for others."""
 
@@ -279,28 +281,49 @@ def safe_rate(bench):
 
 def disturbed(bench):
     """At the safe rate, interrupts masked for 20 us at random moments, and a USB host that floods: no period is off."""
-    safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
-    acceleration = hard(bench, 6_000)
     if bench.wiring.usb:
         with_usb(bench)
     else:
         bench.boot()
-    board, random = bench.board, Random(20)
-    masks = 0
+    random, masks = Random(20), 0
 
     def disturb():
         nonlocal masks
-        board.run(seconds=random.uniform(60, 400) * US)
-        board.mask(20 * US)
+        bench.board.run(seconds=random.uniform(60, 400) * US)
+        bench.board.mask(20 * US)
         masks += 1
-        if len(bench.host.answers) >= disturb.asked - 5:
-            disturb.asked += 20
+
+    lines = yield from flooded_at_safe_rate(bench, disturb)
+    yield f"masked {masks} times for 20 us, {lines} lines meanwhile{' over USB' if bench.wiring.usb else ''}"
+
+
+def fast_flood(bench):
+    """At the safe rate, a host that floods the UART at its greatest rate: no period is off, and no byte is lost."""
+    bench.boot()
+    bench.ask(f"$931={FAST_BAUD}")
+    restart_at(bench, FAST_BAUD)
+    lines = yield from flooded_at_safe_rate(bench, lambda: bench.board.run(seconds=200 * US))
+    yield f"{lines} lines meanwhile at {bench.board.usart.baud():.0f} baud, {bench.host.bytes_sent} bytes"
+    if bench.board.usart.overruns or bench.host.has_said("lost"):
+        raise Failure(f"{bench.board.usart.overruns} overruns")
+
+
+def flooded_at_safe_rate(bench, meanwhile):
+    """The safe rate under a flood of lines and status requests; how many lines there were."""
+    safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
+    acceleration = hard(bench, 6_000)
+    asked = len(bench.host.answers)
+
+    def flood():
+        nonlocal asked
+        meanwhile()
+        if len(bench.host.answers) >= asked - 5:
+            asked += 20
             bench.host.send("(a)\n" * 20 + "?" * 5)
 
-    disturb.asked = len(bench.host.answers)
     steps = round((1.1 * safe**2 / acceleration / 1000 + 9000 * safe / 490_000) / 9) * 9
-    yield from at_rates(bench, (safe, steps, pulse_us), acceleration=acceleration, ways=(9, 7, 5), meanwhile=disturb, boots=False)
-    yield f"masked {masks} times for 20 us, {disturb.asked} lines meanwhile{' over USB' if bench.wiring.usb else ''}"
+    yield from at_rates(bench, (safe, steps, pulse_us), acceleration=acceleration, ways=(9, 7, 5), meanwhile=flood, boots=False)
+    return asked
 
 
 def tight(bench):
@@ -1562,7 +1585,7 @@ def hung(bench):
 
 def unserved(bench):
     """The interrupts of a task are off, as by a disturbed interrupt controller: the others see that it does not answer."""
-    for task, interrupts in (("serial", (37, 38, 67)), ("step", (28,))):
+    for task, interrupts in (("serial", (36, 67)), ("receive", (37, 38)), ("step", (28,))):
         yield f"{task} task: {without_interrupts(bench, interrupts)}"
 
 
@@ -2237,13 +2260,93 @@ BELTS = {"s0": 2, "s29": 0, "s100": 80, "s101": 80, "s110": 60000, "s111": 60000
 """A machine for many lines a second, whose motors have few steps to do for each."""
 
 
+FAST_BAUD = 1_000_000
+
+
+def restart_at(bench, baud):
+    """The board starts anew, with a host at this rate."""
+    host = bench.host
+    host.baud = baud
+    bench.board.request_reset(None, "power")
+    host.text.clear()
+    bench.wait_text("Grbl 1.1h", 1)
+    bench.board.run(seconds=0.05)
+
+
+def baud_rates(bench):
+    """$931: another rate from the next start on. A host at the usual rate is heard all the same, and the board comes back to its own."""
+    bench.boot()
+    board, host = bench.board, bench.host
+    bench.ask(f"$931={FAST_BAUD}")
+    bench.ask("$I")
+    restart_at(bench, FAST_BAUD)
+    bench.ask("$I")
+    yield f"after a start at {board.usart.baud():.0f} baud"
+
+    def tries_of(text, every=0.3, most=20):
+        """How often a host has to say something until it is answered."""
+        for tries in range(1, most):
+            after = len(host.answers)
+            host.send(text + "\n")
+            board.run(seconds=every)
+            if "ok" in host.answers[after:]:
+                return tries
+        raise Failure(f"{text!r} was not answered")
+
+    # The last line was heard just now: what is garbled is a disturbance.
+    host.baud = 115_200
+    host.send("$$\n")
+    board.run(seconds=0.1)
+    host.baud = FAST_BAUD
+    host.send("\n")
+    board.run(seconds=0.1)
+    bench.ask("$I")
+    board.run(seconds=10.1)
+    host.baud = 115_200
+    yield f"a host at 115200 baud that says $$ is answered at try {tries_of('$$')}"
+    # It stays heard, however long it is silent.
+    board.run(seconds=10.1)
+    bench.ask("G21")
+    restart_at(bench, FAST_BAUD)
+    host.baud = 115_200
+    yield f"one that ends lines and says $I, at try {tries_of(2 * chr(10) + '$I')}"
+    restart_at(bench, FAST_BAUD)
+    # Disturbances while nobody listens.
+    host.baud = 115_200
+    host.send(b"$$$$")
+    board.run(seconds=1)
+    if abs(board.usart.baud() / 115_200 - 1) > 0.01:
+        raise Failure("the board does not listen at 115200 baud: this proves nothing")
+    host.baud = FAST_BAUD
+    # At the usual rate its bits are too short to be noticed.
+    tries = tries_of("", every=1)
+    yield f"back at {board.usart.baud():.0f} baud after {tries} s"
+    bench.ask("$931=115200")
+    restart_at(bench, 115_200)
+    bench.ask("$I")
+
+
+def uart_lines(bench):
+    """Short lines over the UART at its greatest rate, by character counting: as over USB."""
+    bench.boot()
+    bench.settings(**BELTS, s931=FAST_BAUD)
+    restart_at(bench, FAST_BAUD)
+    yield from many_lines(bench, UART_LINES_S[bench.wiring.name])
+    if bench.board.usart.overruns or bench.host.has_said("lost"):
+        raise Failure(f"{bench.board.usart.overruns} overruns")
+
+
 def usb_lines(bench):
     """Short lines over USB by character counting: up to the rate that is promised a job takes the time of its motion, because the
     look-ahead never runs low. And how many a second there are when the motion would take more."""
-    board, host = with_usb(bench)
+    with_usb(bench)
     bench.settings(**BELTS)
+    yield from many_lines(bench, LINES_S[bench.wiring.name])
+
+
+def many_lines(bench, promised):
+    board, host = bench.board, bench.host
     # Far more lines than the look-ahead has in advance.
-    promised = LINES_S[bench.wiring.name]
     for rate, count in ((promised, 4000), (4 * promised, 1200)):
         text = chords(count, 0.05, 0.05 * rate * 60)
         with tempfile.TemporaryDirectory() as folder:
@@ -2456,6 +2559,7 @@ def all_cases(root):
         ("pulses", pulses),
         ("safe rate", safe_rate),
         ("safe rate, disturbed", disturbed),
+        ("safe rate, fast UART", fast_flood),
         ("tight pulses", tight),
         ("hard start", hard_start),
         ("laser start", laser_start),
@@ -2481,6 +2585,8 @@ def all_cases(root):
         ("spindle PWM", spindle_pwm),
         ("outputs of programs", program_outputs),
         ("inputs of programs", program_inputs),
+        ("baud rates", baud_rates),
+        ("uart lines", uart_lines),
         ("settings write", settings_write),
         ("power cut", power_cut),
         ("fault", faulted),

@@ -6,6 +6,10 @@ WINDOW = 127
 """Bytes that a sender keeps on their way: Grbl's receive buffer, which every sender knows."""
 
 
+FRAMES = 8
+"""Bytes whose levels are kept behind them."""
+
+
 class Host:
     """Bytes with their times, both ways."""
 
@@ -22,6 +26,8 @@ class Host:
         self._job, self._pending = deque(), deque()
         self.answers = []
         self.bytes_sent = 0
+        self.frames = deque()
+        """(core cycle of its start, cycles of a bit, byte) of the last bytes on the line."""
         board.usart.wire = self
 
     # The model of the USART calls these.
@@ -31,6 +37,24 @@ class Host:
 
     def taken(self):
         self.outgoing.popleft()
+
+    def level(self, cycle):
+        """Of the line towards the board."""
+        for start, bit, byte in self.frames:
+            if start <= cycle < start + 10 * bit:
+                place = int((cycle - start) / bit)
+                return (byte << 1 | 1 << 9) >> place & 1
+        return 1
+
+    def next_fall(self, cycle):
+        """When it goes low next, from a cycle on; None if that is not known yet."""
+        for start, bit, byte in self.frames:
+            word = byte << 1 | 1 << 9
+            for place in range(10):
+                before = word >> (place - 1) & 1 if place else 1
+                if start + place * bit >= cycle and before and not word >> place & 1:
+                    return start + place * bit
+        return None
 
     def sent(self, byte, cycle):
         self.text.append(byte)
@@ -55,6 +79,9 @@ class Host:
             start = max(self.free_at, at if at is not None else board.now)
             self.free_at = start + 10 * bit
             self.outgoing.append((round(start + 9.5 * bit), byte))
+            self.frames.append((start, bit, byte))
+            while len(self.frames) > FRAMES and self.frames[0][0] + 20 * bit < board.now:
+                self.frames.popleft()
             self.bytes_sent += 1
         board.usart.listen()
         return self.outgoing[-1][0] if self.outgoing else board.now

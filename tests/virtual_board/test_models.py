@@ -6,6 +6,7 @@ Run by `cargo xtask virtual` before the boards.
 import unittest
 from types import SimpleNamespace
 
+from .host import Host
 from .models import dma, exti, flash, gpio, iwdg, nvic, otg, pulse, pwr, rcc, timer, usart
 from .models.peripheral import NEVER, Misuse, Unmodelled
 from .parts import BLACKPILL_F411, NUCLEO_F446RE
@@ -450,6 +451,10 @@ class Wire:
 
     def __init__(self, arriving=(), baud=115_200):
         self.arriving, self.baud, self.heard = list(arriving), baud, []
+        bit = 96e6 / baud
+        self.frames = [(at - 9.5 * bit, bit, byte) for at, byte in arriving]
+
+    level, next_fall = Host.level, Host.next_fall
 
     def next_byte(self):
         return self.arriving[0] if self.arriving else None
@@ -473,18 +478,18 @@ class UsartTraces(unittest.TestCase):
 
     def test_overrun(self):
         bench = Bench()
-        wire = Wire([(1000, 0x41), (9330, 0x42), (17_660, 0x43)])
+        wire = Wire([(9000, 0x41), (17_330, 0x42), (25_660, 0x43)])
         model = self.fresh(bench, wire)
         model.write(usart.CR1, self.ON | usart.RXNEIE)
-        bench.until(model, 1000)
+        bench.until(model, 9000)
         self.assertEqual((model.read(usart.SR), bench.lines[37]), (0xE0, True))
         # Not read in time: the second byte is lost, the first is still there, ORE is set.
-        bench.until(model, 9330)
+        bench.until(model, 17_330)
         self.assertEqual(model.read(usart.SR), 0xE8)
         self.assertEqual(model.read(usart.DR), 0x41)
         # SR was read before DR: ORE and RXNE are gone.
         self.assertEqual((model.read(usart.SR), bench.lines[37], model.overruns), (0xC0, False, 1))
-        bench.until(model, 17_660)
+        bench.until(model, 25_660)
         self.assertEqual(model.read(usart.DR), 0x43)
 
     def test_transmission_is_paced(self):
@@ -504,12 +509,32 @@ class UsartTraces(unittest.TestCase):
         bench.until(model, 16_660)
         self.assertEqual((wire.heard[-1], model.read(usart.SR)), ((16_660, 0xAA), usart.TXE | usart.TC))
 
-    def test_wrong_baud_rate(self):
-        bench = Bench()
-        model = self.fresh(bench, Wire([(1000, 0x41)], baud=9600))
-        model.write(usart.CR1, self.ON)
-        with self.assertRaises(Misuse):
-            bench.until(model, 1000)
+    def heard(self, baud, brr, text):
+        """What a receiver with this divider makes of bytes at another rate: each with its framing error."""
+        bench, bit = Bench(), 96e6 / baud
+        wire = Wire([(2_000 + round(10 * bit * k + 9.5 * bit), byte) for k, byte in enumerate(text)], baud)
+        model = usart.Usart("USART1", bench, 0x4001_1000, (0x44, 4), 37, "pclk2")
+        model.wire = wire
+        model.write(usart.BRR, brr)
+        model.write(usart.CR1, self.ON | usart.RXNEIE)
+        heard = []
+        for now in range(1_000, round(4_000 + 10 * bit * len(text) + 20 * brr), 50):
+            bench.until(model, now)
+            if (status := model.read(usart.SR)) & usart.RXNE:
+                heard.append((model.read(usart.DR), bool(status & usart.FE)))
+        return heard
+
+    def test_other_baud_rates(self):
+        self.assertEqual(self.heard(115_200, 833, b"$?"), [(0x24, False), (0x3F, False)])
+        # Each run of zeros, the start bit with it, is a byte of zeros; one of more than nine of the receiver's bits has no stop bit.
+        self.assertEqual(self.heard(115_200, 96, b"?"), [(0, False), (0, True)])
+        self.assertEqual(self.heard(115_200, 96, b"\n"), [(0, True), (0, False), (0, True)])
+        # At twice the rate each bit is two.
+        self.assertEqual(self.heard(115_200, 417, b"?"), [(0xFE, False), (0xF8, False)])
+        self.assertEqual(self.heard(115_200, 417, b"$"), [(0x60, True), (0xF8, False)])
+        # What is faster is too short for a start bit, or one and little else.
+        self.assertEqual(self.heard(1_000_000, 833, b"\x18"), [])
+        self.assertEqual(self.heard(1_000_000, 833, b"\0"), [(0xFF, False)])
 
 
 class DmaTraces(unittest.TestCase):
@@ -523,11 +548,11 @@ class DmaTraces(unittest.TestCase):
         model.write(base + dma.NDTR, count)
         model.write(base + dma.CR, 4 << 25 | 1 << 10 | 1)
         port = usart.Usart("USART1", bench, 0x4001_1000, (0x44, 4), 37, "pclk2")
-        port.wire = Wire([(1000 + 8330 * k, 0x30 + k) for k in range(3)])
+        port.wire = Wire([(9000 + 8330 * k, 0x30 + k) for k in range(3)])
         port.write(usart.BRR, 833)
         port.write(usart.CR3, usart.DMAR)
         port.write(usart.CR1, UsartTraces.ON)
-        bench.until(port, 30_000)
+        bench.until(port, 38_000)
         return bench, model, base, port
 
     def test_bytes_go_to_memory(self):

@@ -1,15 +1,16 @@
 """USART (RM0390 chapter 25, RM0383 chapter 19), 8 bits, no parity, one stop bit, 16-fold oversampling.
 
-Modelled: baud rate from BRR against the sender's (more than 2.5 % apart fails), a byte becomes readable in the middle of its stop
+Modelled: baud rate from BRR; bytes of a sender whose rate is more than 2.5 % apart, and those that had begun when the receiver was
+switched on, are sampled bit by bit from the levels of the line, which gives other bytes and framing errors; a byte becomes readable in the middle of its stop
 bit, overrun when the one before has not been read (the new byte is lost, ORE stays until SR and DR are read), TXE, TC, IDLE, transmit data register
 and shift register with the time of each frame, interrupt enables, DMA requests of the receiver.
-Not modelled: DMA of the transmitter, parity, hardware flow control, synchronous and LIN modes, noise and framing errors, IDLE as an interrupt.
+Not modelled: DMA of the transmitter, parity, hardware flow control, synchronous and LIN modes, noise, IDLE as an interrupt.
 """
 
 from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
 
 SR, DR, BRR, CR1, CR2, CR3, GTPR = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14, 0x18
-ORE, IDLE, RXNE, TC, TXE = 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7
+FE, ORE, IDLE, RXNE, TC, TXE = 1 << 1, 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7
 RE, TE, IDLEIE, RXNEIE, TCIE, TXEIE, UE = 1 << 2, 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7, 1 << 13
 DMAR = 1 << 6
 
@@ -30,7 +31,8 @@ class Usart(Peripheral):
         self.irq = irq
         self.bus = bus
         self.wire = None
-        """What hangs on the line: `next_byte()` gives (core cycle of the middle of its stop bit, byte) or None, `taken()`, `sent(byte, cycle)`."""
+        """What hangs on the line: `next_byte()` gives (core cycle of the middle of its stop bit, byte) or None, `taken()`, `sent(byte, cycle)`;
+        `next_fall(cycle)` and `level(cycle)` tell of the line itself."""
         super().__init__(name, board)
 
     def reset(self):
@@ -42,6 +44,10 @@ class Usart(Peripheral):
         self.shifting = None
         self.shift_ends = NEVER
         self.overruns = 0
+        self.listens_from = 0
+        """Since when it listens at this rate."""
+        self.searches_from = 0
+        """From where it looks for a start bit, if bits are sampled one by one."""
 
     def clock_changed(self):
         if self.values[CR1] & UE:
@@ -61,8 +67,8 @@ class Usart(Peripheral):
             self.seen = value
         if offset == DR:
             self.values[SR] &= ~RXNE
-            if self.seen & (ORE | IDLE):
-                self.values[SR] &= ~(self.seen & (ORE | IDLE))
+            if self.seen & (FE | ORE | IDLE):
+                self.values[SR] &= ~(self.seen & (FE | ORE | IDLE))
             self.seen = 0
             self._call()
             return self.received
@@ -85,7 +91,12 @@ class Usart(Peripheral):
                 self._shift(self.board.now)
             self._call()
             return
+        before = self.hears
+        if offset == BRR and before:
+            raise Misuse(f"{self.name}_BRR is written while the USART is on")
         super().write(offset, value)
+        if self.hears and not before:
+            self.listens_from = self.searches_from = self.board.now
         if offset == CR3:
             self._ask_dma()
         if offset in (CR1, BRR, CR3):
@@ -106,11 +117,34 @@ class Usart(Peripheral):
     def hears(self):
         return self.values[CR1] & (UE | RE) == UE | RE
 
+    @property
+    def samples(self):
+        """Whether the sender's bits are not its own."""
+        if not self.hears or not self.values[BRR]:
+            return False
+        arriving = self.wire.next_byte()
+        begun = arriving and arriving[0] - 9.5 * self._bit_of_wire() < self.listens_from
+        return bool(begun) or abs(self.wire.baud / self.baud() - 1) > 0.025
+
+    def _bit_of_wire(self):
+        return self.board.rcc.hclk / self.wire.baud
+
+    def _start(self):
+        """When the next start bit begins, as far as is known."""
+        bit, search = self.bit_cycles(), self.searches_from
+        while (fall := self.wire.next_fall(search)) is not None:
+            if not any(self.wire.level(fall + share * bit) for share in (5 / 16, 9 / 16)):
+                return fall
+            search = fall + bit / 2
+        return None
+
     def _plan(self):
         due = self.shift_ends
         arriving = self.wire.next_byte() if self.wire else None
         if arriving:
             due = min(due, arriving[0])
+        if self.wire and self.samples and (start := self._start()) is not None:
+            due = min(due, round(start + 9.6 * self.bit_cycles()))
         self.plan(due)
 
     def advance(self, now):
@@ -123,22 +157,32 @@ class Usart(Peripheral):
                 self.values[SR] |= TC
             if self.wire:
                 self.wire.sent(byte, ended)
+        if self.wire:
+            self._sample(now)
         while self.wire and (arriving := self.wire.next_byte()) and arriving[0] <= now:
+            sampled = self.samples
             self.wire.taken()
-            if self.hears:
-                self._receive(arriving[1])
+            if self.hears and not sampled:
+                self.searches_from = arriving[0]
+                self._receive(arriving[1], 0)
         self._call()
         self._plan()
 
-    def _receive(self, byte):
-        if abs(self.wire.baud / self.baud() - 1) > 0.025:
-            raise Misuse(f"{self.name} listens at {self.baud():.0f} baud to {self.wire.baud} baud")
+    def _sample(self, now):
+        """Receives what has come bit by bit."""
+        bit = self.bit_cycles()
+        while self.samples and (start := self._start()) is not None and start + 9.6 * bit <= now + 1:
+            levels = [self.wire.level(start + (k + 9 / 16) * bit) for k in range(10)]
+            self.searches_from = start + (9 + 9 / 16) * bit
+            self._receive(sum(level << k for k, level in enumerate(levels[1:9])), 0 if levels[9] else FE)
+
+    def _receive(self, byte, error):
         if self.values[SR] & RXNE:
             self.values[SR] |= ORE
             self.overruns += 1
         else:
             self.received = byte
-            self.values[SR] |= RXNE
+            self.values[SR] |= RXNE | error
             # The interrupt sees RXNE even if a DMA stream fetches the byte a moment later.
             self._call()
             self._ask_dma()

@@ -17,7 +17,7 @@ const PARAMETERS: Parameter[] = [
   { name: "jerk of X and Y ($220, $221)", unit: "mm/s³", numbers: [220, 221], parts: [0, 0.25, 0.5, 1, 2, 4], least: 10_000 },
 ];
 /** Bits per second that are tried. */
-export const BAUDS = [9_600, 19_200, 38_400, 57_600, 115_200, 250_000];
+export const BAUDS = [9_600, 19_200, 38_400, 57_600, 115_200, 250_000, 1_000_000];
 /** A job that takes longer than this part of its time without a limit is starved. */
 const STARVED = 1.005;
 

@@ -11,7 +11,8 @@ const POLL = 200;
 /** A held jog is sent as moves of this duration, three of them ahead of the last report: a page that dies stops behind them. */
 const JOG_SECONDS = 0.2;
 const JOGS_AHEAD = 3;
-const BAUD = 115_200;
+/** Rates of a board's serial port: the usual one, and what $931 may choose. Over USB they mean nothing. */
+const BAUDS = [115_200, 230_400, 250_000, 460_800, 500_000, 921_600, 1_000_000];
 /** How far the probe goes down, mm. */
 const PROBE_DEPTH = 25;
 /** The setting that is the dialect: 0 is Grbl's. */
@@ -29,7 +30,8 @@ const html = `
 <p>A machine in this page, with limit switches and a probe plate; or a board at a serial port. Both are driven by the same code.</p>
 <div class="row">
   <button id="power" type="button">Machine in the page</button>
-  <button id="connect" type="button">Connect a board</button>
+  <span id="port"><button id="connect" type="button">Connect a board</button>
+    <label for="baud">at</label> <select id="baud" title="the board's $931; over USB it means nothing">${BAUDS.map(baud => `<option value="${baud}">${baud} baud</option>`).join("")}</select></span>
   <button id="served" type="button" class="go" hidden>Simulated machine</button>
   <button id="leave" type="button" hidden>Disconnect</button>
 </div>
@@ -159,7 +161,7 @@ export class MachinePanel {
       this.allow();
     };
     $("live").hidden = $("leave").hidden = false;
-    $("power").hidden = $("connect").hidden = $("served").hidden = true;
+    $("power").hidden = $("port").hidden = $("served").hidden = true;
     $<HTMLSelectElement>("times").disabled = !(link instanceof PageLink);
     this.note("");
     this.endPoll = every(POLL, () => sender.realtime(REALTIME.status));
@@ -180,7 +182,7 @@ export class MachinePanel {
     [this.settings, this.rests] = [{}, 0];
     $("live").hidden = $("leave").hidden = $("silent").hidden = $("differences").hidden = true;
     this.app.player.showMachine();
-    $("power").hidden = $("connect").hidden = false;
+    $("power").hidden = $("port").hidden = false;
     $("served").hidden = servedMachine() === undefined;
     this.note(why);
   }
@@ -352,7 +354,7 @@ export class MachinePanel {
     });
     $("connect").addEventListener("click", async () => {
       try {
-        this.attach(await SerialLink.open(BAUD));
+        this.attach(await SerialLink.open(Number($<HTMLSelectElement>("baud").value)));
       } catch (error) {
         this.note((error as Error).message);
       }

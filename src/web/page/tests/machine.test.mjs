@@ -322,6 +322,25 @@ export async function a_board_at_a_serial_port_does_the_job(browser) {
   });
 }
 
+export async function a_board_is_reached_at_its_own_baud_rate(browser) {
+  const order = { board: "nucleo_f446re", settings: MILL };
+  const device = await serve(order, "max");
+  let socket;
+  const { page, faults } = await open(browser, file, { prepare: async page => (socket = await fakeSerial(page, device.port)) });
+  try {
+    await page.click("#tab-machine");
+    await page.selectOption("#baud", "1000000");
+    await page.click("#connect");
+    await state(page, "^Idle");
+    assert.equal(await page.evaluate(() => __port.opened.baudRate), 1_000_000);
+    assert(await page.locator("#baud").isHidden());
+    assert.deepEqual(faults, []);
+  } finally {
+    socket.destroy();
+    device.stop();
+  }
+}
+
 export async function a_board_obeys_with_full_buffers_and_may_be_unplugged(browser) {
   await connected(browser, "1", async (page, order, wire) => {
     await openJob(page, "long.nc", `G21 G91\n${"G1 X0.5 F60\nG1 X-0.5\n".repeat(400)}`);

@@ -1,0 +1,178 @@
+//! `Received`: the ring between the interrupt that a byte brings and the task that reads it. The interrupt `keep`s bytes
+//! and notes what it must `miss`; the task takes what is `ready` and hears of an `Error` at its place in the stream. What
+//! came while the processor stood is put behind the rest by `place` and `placed`.
+//!
+//! One side never waits for the other: each variable has one writer, but for `error` and `drops`, which the interrupt sets
+//! and the task takes back. A place in the stream is the count of bytes before it, wrapping.
+
+use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, Ordering::Relaxed, compiler_fence};
+
+/// Bytes of the ring: a power of two.
+pub const ROOM: u32 = 512;
+/// Most bytes that [`Received::place`] moves.
+const MOVED: usize = 64;
+
+/// What went wrong in the stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Error {
+    /// One or more bytes were overwritten, or disturbed.
+    Lost = 1,
+    /// A stop bit was none: a disturbance, a break, or another baud rate.
+    Garbled = 2,
+}
+
+/// What is next in the stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Next {
+    /// A byte.
+    Byte(u8),
+    /// Bytes are missing here.
+    Missing(Error),
+    /// Nothing has come.
+    Nothing,
+}
+
+/// The ring.
+pub struct Received {
+    bytes: [AtomicU8; ROOM as usize],
+    /// Bytes that have been put in.
+    come: AtomicU32,
+    /// Bytes that have been taken out: never beyond `error_at` while there is an error.
+    taken: AtomicU32,
+    /// What is missing at `error_at`, as an [`Error`]; 0: nothing.
+    error: AtomicU8,
+    error_at: AtomicU32,
+    /// There was another error before that one was told: all that comes is dropped until the ring is empty.
+    drops: AtomicBool,
+}
+
+impl Received {
+    /// Nothing has come.
+    pub const fn new() -> Self {
+        Self {
+            bytes: [const { AtomicU8::new(0) }; ROOM as usize],
+            come: AtomicU32::new(0),
+            taken: AtomicU32::new(0),
+            error: AtomicU8::new(0),
+            error_at: AtomicU32::new(0),
+            drops: AtomicBool::new(false),
+        }
+    }
+
+    /// Place of a byte of the stream.
+    #[inline(always)]
+    fn slot(&self, at: u32) -> &AtomicU8 {
+        &self.bytes[(at % ROOM) as usize]
+    }
+
+    /// For the interrupt: a byte. Gives how many waited before it, or `None` if it is missing now.
+    #[inline(always)]
+    pub fn keep(&self, byte: u8) -> Option<u32> {
+        let come = self.come.load(Relaxed);
+        let waiting = come.wrapping_sub(self.taken.load(Relaxed));
+        if waiting >= ROOM || self.drops.load(Relaxed) {
+            self.miss(Error::Lost);
+            return None;
+        }
+        self.slot(come).store(byte, Relaxed);
+        compiler_fence(Ordering::Release);
+        self.come.store(come.wrapping_add(1), Relaxed);
+        Some(waiting)
+    }
+
+    /// For the interrupt: bytes are missing here.
+    pub fn miss(&self, error: Error) {
+        if self.error.load(Relaxed) == 0 && !self.drops.load(Relaxed) {
+            self.error_at.store(self.come.load(Relaxed), Relaxed);
+            compiler_fence(Ordering::Release);
+            self.error.store(error as u8, Relaxed);
+        } else {
+            self.drops.store(true, Relaxed);
+        }
+    }
+
+    /// For the task: the bytes that come next, up to what is missing or to the end of the ring.
+    #[inline]
+    pub fn ready(&self) -> &[u8] {
+        let taken = self.taken.load(Relaxed);
+        // In this order: an error that comes between the two lies behind these bytes.
+        let mut count = self.come.load(Relaxed).wrapping_sub(taken);
+        compiler_fence(Ordering::Acquire);
+        if self.error.load(Relaxed) != 0 {
+            count = count.min(self.error_at.load(Relaxed).wrapping_sub(taken));
+        }
+        let from = taken % ROOM;
+        let count = count.min(ROOM - from) as usize;
+        let bytes = self.bytes.as_ptr().cast::<u8>();
+        // SAFETY: unsafe because atomics are read as plain bytes; safe because those that have come and not been taken
+        // lie in the ring, and nothing writes them: `keep` writes behind them, and the task that holds this slice is not
+        // preempted by what calls `place`.
+        unsafe { core::slice::from_raw_parts(bytes.add(from as usize), count) }
+    }
+
+    /// For the task: so many of [`Received::ready`] have been read.
+    #[inline]
+    pub fn pass(&self, count: usize) {
+        self.taken.store(self.taken.load(Relaxed).wrapping_add(count as u32), Relaxed);
+    }
+
+    /// For the task: what is next.
+    #[inline]
+    pub fn next(&self) -> Next {
+        loop {
+            if let [byte, ..] = *self.ready() {
+                self.pass(1);
+                return Next::Byte(byte);
+            }
+            let (error, taken) = (self.error.load(Relaxed), self.taken.load(Relaxed));
+            compiler_fence(Ordering::Acquire);
+            if error != 0 && self.error_at.load(Relaxed) == taken {
+                self.error.store(0, Relaxed);
+                return Next::Missing(if error == Error::Garbled as u8 { Error::Garbled } else { Error::Lost });
+            }
+            // While it drops, nothing comes.
+            let drops = self.drops.load(Relaxed);
+            compiler_fence(Ordering::Acquire);
+            if self.error.load(Relaxed) == 0 && self.come.load(Relaxed) == taken {
+                if drops {
+                    self.drops.store(false, Relaxed);
+                    return Next::Missing(Error::Lost);
+                }
+                return Next::Nothing;
+            }
+        }
+    }
+
+    /// While neither side runs: the room behind what waits that is in one piece, as an address and a count of bytes. If what
+    /// waits is little, as it is where the task has not been kept from it, it moves to the begin of the ring, and the room
+    /// is all of the rest. [`Received::placed`] has to follow.
+    pub fn place(&self) -> (usize, u32) {
+        let taken = self.taken.load(Relaxed);
+        let waiting = self.come.load(Relaxed).wrapping_sub(taken);
+        let mut moved = [0; MOVED];
+        if let Some(moved) = moved.get_mut(..waiting as usize) {
+            for (at, byte) in (taken..).zip(moved.iter_mut()) {
+                *byte = self.slot(at).load(Relaxed);
+            }
+            for (slot, byte) in self.bytes.iter().zip(moved) {
+                slot.store(*byte, Relaxed);
+            }
+            self.error_at.store(self.error_at.load(Relaxed).wrapping_sub(taken), Relaxed);
+            self.taken.store(0, Relaxed);
+            self.come.store(waiting, Relaxed);
+        }
+        let at = self.come.load(Relaxed) % ROOM;
+        (self.bytes.as_ptr() as usize + at as usize, (ROOM - at).min(ROOM - waiting))
+    }
+
+    /// While neither side runs: so many bytes of that room have been filled.
+    pub fn placed(&self, count: u32) {
+        self.come.store(self.come.load(Relaxed).wrapping_add(count), Relaxed);
+    }
+}
+
+impl Default for Received {
+    fn default() -> Self {
+        Self::new()
+    }
+}

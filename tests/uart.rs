@@ -1,0 +1,230 @@
+//! The UART of a board without its registers: of the ring between its interrupt and the task that reads it nothing comes out
+//! of order, and no byte is missing without a word at its place; and no baud rate locks a host out.
+
+use oxmill_boards::baud::{BaudGuard, USUAL};
+use oxmill_boards::received::{Error, Next, ROOM, Received};
+use proptest::prelude::*;
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+
+/// What happens to a ring.
+#[derive(Clone, Debug)]
+enum Step {
+    /// So many bytes come.
+    Come(usize),
+    /// One is missing.
+    Miss(Error),
+    /// The task takes so many, one by one.
+    Take(usize),
+    /// The task takes so many of those that are ready in a row.
+    Pass(usize),
+    /// The processor stands while so many come by DMA.
+    Stand(u32),
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    prop_oneof![
+        4 => (1_usize..40).prop_map(Step::Come),
+        1 => (1_usize..600).prop_map(Step::Come),
+        1 => prop_oneof![Just(Error::Lost), Just(Error::Garbled)].prop_map(Step::Miss),
+        4 => (1_usize..40).prop_map(Step::Take),
+        2 => (1_usize..600).prop_map(Step::Pass),
+        1 => (0_u32..600).prop_map(Step::Stand),
+    ]
+}
+
+/// Bytes that count up, and how they come out.
+struct Stream {
+    ring: Received,
+    sent: usize,
+    /// What must come out: numbers of bytes, and `None` where some are missing.
+    expected: VecDeque<Option<u8>>,
+    /// All that comes is dropped until the ring is empty.
+    drops: bool,
+}
+
+impl Stream {
+    fn is_missing_something(&self) -> bool {
+        self.expected.iter().any(Option::is_none)
+    }
+
+    fn miss(&mut self) {
+        if self.is_missing_something() || self.drops {
+            self.drops = true;
+        } else {
+            self.expected.push_back(None);
+        }
+    }
+
+    fn come(&mut self, count: usize) {
+        for _ in 0..count {
+            let byte = self.sent as u8;
+            self.sent += 1;
+            let waiting = self.expected.iter().flatten().count();
+            let kept = self.ring.keep(byte);
+            assert_eq!(kept, (waiting < ROOM as usize && !self.drops).then_some(waiting as u32));
+            if kept.is_some() { self.expected.push_back(Some(byte)) } else { self.miss() }
+        }
+    }
+
+    /// What is next, by the rules.
+    fn next(&mut self) -> Option<Option<u8>> {
+        let next = self.expected.pop_front();
+        if next.is_none() && std::mem::take(&mut self.drops) { Some(None) } else { next }
+    }
+
+    fn take(&mut self) {
+        let told = match self.ring.next() {
+            Next::Byte(byte) => Some(Some(byte)),
+            Next::Missing(_) => Some(None),
+            Next::Nothing => None,
+        };
+        assert_eq!(told, self.next());
+    }
+
+    fn pass(&mut self, most: usize) {
+        let ready = self.ring.ready();
+        let ready = ready[..most.min(ready.len())].to_vec();
+        for byte in &ready {
+            assert_eq!(self.next(), Some(Some(*byte)));
+        }
+        self.ring.pass(ready.len());
+    }
+
+    /// As `shelter` does: the bytes go where the ring says, without an interrupt.
+    fn stand(&mut self, count: u32) {
+        let waiting = self.expected.iter().flatten().count() as u32;
+        let (address, room) = self.ring.place();
+        assert!(room <= ROOM - waiting && (waiting > 64 || room == ROOM - waiting));
+        let count = count.min(room);
+        for k in 0..count as usize {
+            // SAFETY: unsafe because of a raw address; safe because it is that of an atomic of the ring, which lies within
+            // the room, and no reference to plain bytes of it is alive.
+            unsafe { ((address + k) as *mut u8).write(self.sent as u8) };
+            // What has been dropped so far has its place in front of them only if the ring was empty; else it is told late.
+            self.expected.push_back(Some(self.sent as u8));
+            self.sent += 1;
+        }
+        self.ring.placed(count);
+    }
+}
+
+proptest! {
+    #[test]
+    fn bytes_come_out_as_they_went_in(steps in prop::collection::vec(step(), 1..60)) {
+        let mut stream = Stream { ring: Received::new(), sent: 0, expected: VecDeque::new(), drops: false };
+        for step in steps {
+            match step {
+                Step::Come(count) => stream.come(count),
+                Step::Miss(error) => {
+                    stream.ring.miss(error);
+                    stream.miss();
+                }
+                Step::Take(count) => (0..count).for_each(|_| stream.take()),
+                Step::Pass(count) => stream.pass(count),
+                Step::Stand(count) => stream.stand(count),
+            }
+        }
+        // All of it, and the end.
+        for _ in 0..ROOM + 3 {
+            stream.take();
+        }
+        prop_assert_eq!(stream.ring.next(), Next::Nothing);
+    }
+}
+
+/// The interrupt comes between any two accesses of the task: here it is another thread.
+#[test]
+fn nothing_is_missing_without_a_word_whenever_it_comes() {
+    const SENT: usize = 400_000;
+    let ring = Received::new();
+    let ended = AtomicBool::new(false);
+    let (taken, gaps) = thread::scope(|scope| {
+        scope.spawn(|| {
+            for k in 0..SENT {
+                if k % 97 == 50 {
+                    ring.miss(Error::Garbled)
+                } else {
+                    let _ = ring.keep((k % 251) as u8);
+                }
+                if k % 64 == 0 {
+                    thread::yield_now();
+                }
+            }
+            ended.store(true, Ordering::SeqCst);
+        });
+        let (mut last, mut taken, mut gaps, mut missing) = (None, 0_usize, 0_usize, false);
+        let mut hear = |byte: u8, missing: &mut bool| {
+            let follows = last.is_none_or(|last: u8| (last + 1) % 251 == byte);
+            assert!(follows || *missing, "{byte} after {last:?}, and nothing was said");
+            (last, *missing) = (Some(byte), false);
+        };
+        loop {
+            let was_last = ended.load(Ordering::SeqCst);
+            let ready = ring.ready();
+            ready.iter().for_each(|byte| hear(*byte, &mut missing));
+            taken += ready.len();
+            ring.pass(ready.len());
+            match ring.next() {
+                Next::Byte(byte) => {
+                    hear(byte, &mut missing);
+                    taken += 1;
+                }
+                Next::Missing(_) => (missing, gaps) = (true, gaps + 1),
+                Next::Nothing if was_last => break (taken, gaps),
+                Next::Nothing => thread::yield_now(),
+            }
+        }
+    });
+    assert!(taken > SENT / 10 && gaps > 10 && taken + gaps <= SENT, "{taken} bytes and {gaps} gaps");
+}
+
+const FAST: u32 = 1_000_000;
+const SECOND: u32 = 1_000_000;
+
+fn fast() -> BaudGuard {
+    let mut guard = BaudGuard::new();
+    guard.choose(FAST);
+    guard
+}
+
+#[test]
+fn a_host_at_the_usual_rate_is_heard() {
+    let mut guard = fast();
+    assert_eq!([1, 2, 3].map(|now| guard.garbled(now)), [None, None, Some(USUAL)]);
+    guard.heard(4);
+    // It stays, however long that host is silent.
+    assert_eq!(guard.home_again(u32::MAX), None);
+    // Until another one comes.
+    assert_eq!([20, 21, 22].map(|s| guard.garbled(s * SECOND)), [None, None, Some(FAST)]);
+}
+
+#[test]
+fn a_disturbance_changes_nothing() {
+    let mut guard = fast();
+    guard.heard(0);
+    // Garbled bytes within lines, however many.
+    assert!((1..1000).all(|k| guard.garbled(k * 9_000).is_none()));
+    // Few of them at rest.
+    assert_eq!([30, 40].map(|s| guard.garbled(s * SECOND)), [None, None]);
+    guard.heard(50 * SECOND);
+    assert_eq!([70, 71].map(|s| guard.garbled(s * SECOND)), [None, None]);
+}
+
+#[test]
+fn a_change_for_nobody_is_taken_back() {
+    let mut guard = fast();
+    assert_eq!((0..3).filter_map(|now| guard.garbled(now)).collect::<Vec<_>>(), [USUAL]);
+    // The rest of what was being sent is as garbled.
+    assert!((3..1000).all(|now| guard.garbled(now).is_none()));
+    assert_eq!((guard.home_again(4 * SECOND), guard.home_again(6 * SECOND)), (None, Some(FAST)));
+    assert_eq!(guard.home_again(20 * SECOND), None);
+}
+
+#[test]
+fn the_usual_rate_has_no_other() {
+    let mut guard = BaudGuard::new();
+    assert!(guard.is_settled() && (0..1000).all(|now| guard.garbled(now).is_none()));
+    assert_eq!(guard.home_again(u32::MAX), None);
+}
