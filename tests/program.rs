@@ -66,6 +66,24 @@ fn places_are_numbers_without_a_resolution() {
     }
 }
 
+/// Longer than the virtual clock runs: the job is told to be unfinished, and nothing hangs or is cut short.
+#[test]
+fn a_dwell_of_many_thousand_years_ends_the_simulation() {
+    let years = "50000000000";
+    for (name, dwell, complete) in [("long", years, true), ("endless", "900000000000", false)] {
+        let job = file(&format!("dwell_{name}.nc"), &format!("G4 P{dwell}\nG0 X1\n"));
+        let output = run(&["run", text(&job), "--json"]);
+        assert_eq!(output.status.code(), Some(i32::from(!complete)), "{}", String::from_utf8_lossy(&output.stderr));
+        let summary = json(&output);
+        assert_eq!(
+            (&summary["complete"], summary["notes"].to_string().contains("line 1 waits for so long")),
+            (&complete.into(), !complete)
+        );
+    }
+    let job = file("dwell_twice.nc", &format!("G4 P{years}\n").repeat(3));
+    assert_eq!(run(&["check", text(&job)]).status.code(), Some(1));
+}
+
 #[test]
 fn check_is_run_on_one_screen() {
     let bad = file("check_bad.nc", "G1 X1 F100\nG999\nX2\n");
