@@ -753,7 +753,7 @@ fn the_rest_of_a_job_is_written() {
     for (arguments, word) in [
         (&["--line", "466"][..], "there is no line 466"),
         (&["--number", "466"], "no line has N466"),
-        (&["--line", "2", "--plunge", "0"], "--plunge"),
+        (&["--line", "2", "--plunge", "0.9"], "the plunge feed is below 1 mm/min"),
         (&["--line", "2", "--clearance", "nan"], "--clearance"),
         (&["--line", "2", "--number", "3"], "--number"),
         (&[], "--line"),

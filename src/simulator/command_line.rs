@@ -168,7 +168,7 @@ pub struct ResumeJob {
     /// has travelled at known heights only.
     #[arg(long, value_name = "Z", allow_hyphen_values = true)]
     pub clearance: Option<Millimetres>,
-    /// Feed from there down, in mm/min; that of the job's last plunge straight down if none is given.
+    /// Feed from there down, in mm/min, 1 or more; that of the job's last plunge straight down if none is given.
     #[arg(long, value_name = "FEED")]
     pub plunge: Option<Millimetres>,
     /// How long the spindle has to come up to speed.

@@ -230,9 +230,6 @@ pub fn resume(options: &ResumeJob) -> Result<Ending> {
         (None, number) => Begin::Number(number.unwrap_or_default()),
     };
     let plunge = options.plunge.map(|Millimetres(feed)| Decimal(feed));
-    if plunge.is_some_and(|feed| feed <= Decimal::ZERO) {
-        bail!("--plunge: a feed is above 0");
-    }
     let clearance = options.clearance.map(|Millimetres(height)| Coordinate(height));
     let wish = Wish { begin, clearance, plunge, spin_up: options.spin_up };
     let resumed = crate::resume::resume(&simulator, &base_name(&options.job), &job, &wish);
