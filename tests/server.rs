@@ -596,20 +596,41 @@ fn a_reset_on_connection_gives_one_welcome() {
     assert_eq!(next.ask("G21"), "ok");
 }
 
+/// A file that a server writes is refused to another one, and is whole.
+fn is_refused_to_another(option: &str, file: &str) {
+    let second = Command::new(env!("CARGO_BIN_EXE_oxmill"))
+        .args(["serve", "--stdio", option, file])
+        .stdin(Stdio::null())
+        .output()
+        .expect("it ends by itself");
+    assert_eq!(second.status.code(), Some(2));
+    let reason = String::from_utf8_lossy(&second.stderr);
+    assert!(reason.contains(file) && reason.contains("in use by another oxmill"), "{reason}");
+}
+
+#[test]
+fn a_recording_is_of_one_server() {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("one_server.rec");
+    std::fs::write(&path, []).expect("an empty file");
+    let text = path.to_str().expect("a path in UTF-8");
+    let first = Server::new(&["--record", text]);
+    let mut client = first.served();
+    assert_eq!(client.ask("G0 X1"), "ok");
+    is_refused_to_another("--record", text);
+    assert_eq!(client.ask("G0 X2"), "ok");
+    drop(first);
+    let recorded = std::fs::read_to_string(&path).expect("a recording");
+    assert!(recorded.starts_with("oxmill recording") && recorded.contains("X1"), "{recorded}");
+    Server::new(&["--record", text]);
+}
+
 #[test]
 fn a_store_is_of_one_server() {
     let store = Path::new(env!("CARGO_TARGET_TMPDIR")).join("one_server.img");
     std::fs::write(&store, []).expect("an empty file");
     let store = store.to_str().expect("a path in UTF-8");
     let first = Server::new(&["--store", store]);
-    let second = Command::new(env!("CARGO_BIN_EXE_oxmill"))
-        .args(["serve", "--tcp", "127.0.0.1:0", "--store", store])
-        .stdin(Stdio::null())
-        .output()
-        .expect("it ends by itself");
-    assert_eq!(second.status.code(), Some(2));
-    let reason = String::from_utf8_lossy(&second.stderr);
-    assert!(reason.contains("one_server.img is in use by another oxmill"), "{reason}");
+    is_refused_to_another("--store", store);
     assert_eq!(first.served().ask("$100=80"), "ok");
     drop(first);
     let again = Server::new(&["--store", store]);
