@@ -237,7 +237,7 @@ pub struct MachineOptions {
     /// How lines are understood and answered.
     #[arg(long)]
     pub dialect: Option<Dialect>,
-    /// Lines of the form $n=v, applied before anything else.
+    /// Lines of the form $n=v, applied before anything else; `serve` begins as a board that is powered up with them.
     #[arg(long, value_name = "FILE")]
     pub settings: Option<PathBuf>,
     /// One setting, applied after the file's. May be given more than once.
