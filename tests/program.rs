@@ -84,6 +84,24 @@ fn a_dwell_of_many_thousand_years_ends_the_simulation() {
     assert_eq!(run(&["check", text(&job)]).status.code(), Some(1));
 }
 
+/// What a terminal would obey, and what no XML may have, is nowhere written as it is.
+#[cfg(unix)]
+#[test]
+fn names_with_control_characters_are_shown_without_them() {
+    let job = file("evil\u{1b}]0;x\u{7}\n<&>.nc", "G0 X1\n");
+    let drawing = Path::new(env!("CARGO_TARGET_TMPDIR")).join("evil.svg");
+    let output = run(&["run", text(&job), "--plot", text(&drawing)]);
+    let drawn = fs::read_to_string(&drawing).expect("a drawing");
+    let missing = format!("{}.none", text(&job));
+    let refused = run(&["run", &missing]);
+    let said = [output.stdout, output.stderr, refused.stderr, drawn.into_bytes()]
+        .map(|bytes| String::from_utf8(bytes).expect("text"));
+    for said in &said {
+        assert!(!said.contains(|c: char| c.is_control() && c != '\n'), "{said:?}");
+    }
+    assert!(said[0].contains("evil?]0;x??<&>.nc") && said[3].contains("evil?]0;x??&lt;&amp;&gt;.nc"), "{said:?}");
+}
+
 #[test]
 fn check_is_run_on_one_screen() {
     let bad = file("check_bad.nc", "G1 X1 F100\nG999\nX2\n");

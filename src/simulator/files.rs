@@ -62,9 +62,10 @@ pub fn print(mut out: impl Write, bytes: &[u8]) -> io::Result<()> {
     }
 }
 
-/// A line on standard error, for the person who has started the program. One that cannot be written is left out.
+/// A line on standard error, for the person who has started the program. One that cannot be written is left out. Names of
+/// files may have what a terminal would obey.
 pub fn remark(text: &str) {
-    let _ = writeln!(io::stderr(), "{text}");
+    let _ = writeln!(io::stderr(), "{}", text.replace(|c: char| c.is_control() && c != '\n', "?"));
 }
 
 /// Locks a file as long as it is open: what two programs write into it would be lost.

@@ -464,7 +464,8 @@ fn base_name(path: &Path) -> String {
     if path.as_os_str() == "-" {
         return "standard input".into();
     }
-    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+    // No terminal obeys it, and it may stand in XML.
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().replace(char::is_control, "?")
 }
 
 /// A bar for the share of `what`, if its length is known.
