@@ -354,6 +354,12 @@ impl Simulator {
         (due <= self.clock.end()).then(|| due.max(self.clock.now() + 1))
     }
 
+    /// How long nothing will happen by itself; 0 if nothing ever will.
+    pub fn ticks_without_event(&self) -> u64 {
+        let next = [self.wake_due(), self.step.due(), self.inputs.sample_due()].into_iter().flatten().min();
+        next.map_or(0, |next| next.saturating_sub(self.clock.now() + 1))
+    }
+
     /// Whether the controller waits for a moment to which the clock does not come.
     pub fn waits_beyond_the_clock(&self) -> bool {
         self.controller.next_wakeup().is_some() && self.wake_due().is_none()
