@@ -66,6 +66,42 @@ fn places_are_numbers_without_a_resolution() {
     }
 }
 
+/// Longer than the virtual clock runs: the job is told to be unfinished, and nothing hangs or is cut short.
+#[test]
+fn a_dwell_of_many_thousand_years_ends_the_simulation() {
+    let years = "50000000000";
+    for (name, dwell, complete) in [("long", years, true), ("endless", "900000000000", false)] {
+        let job = file(&format!("dwell_{name}.nc"), &format!("G4 P{dwell}\nG0 X1\n"));
+        let output = run(&["run", text(&job), "--json"]);
+        assert_eq!(output.status.code(), Some(i32::from(!complete)), "{}", String::from_utf8_lossy(&output.stderr));
+        let summary = json(&output);
+        assert_eq!(
+            (&summary["complete"], summary["notes"].to_string().contains("line 1 waits for so long")),
+            (&complete.into(), !complete)
+        );
+    }
+    let job = file("dwell_twice.nc", &format!("G4 P{years}\n").repeat(3));
+    assert_eq!(run(&["check", text(&job)]).status.code(), Some(1));
+}
+
+/// What a terminal would obey, and what no XML may have, is nowhere written as it is.
+#[cfg(unix)]
+#[test]
+fn names_with_control_characters_are_shown_without_them() {
+    let job = file("evil\u{1b}]0;x\u{7}\n<&>.nc", "G0 X1\n");
+    let drawing = Path::new(env!("CARGO_TARGET_TMPDIR")).join("evil.svg");
+    let output = run(&["run", text(&job), "--plot", text(&drawing)]);
+    let drawn = fs::read_to_string(&drawing).expect("a drawing");
+    let missing = format!("{}.none", text(&job));
+    let refused = run(&["run", &missing]);
+    let said = [output.stdout, output.stderr, refused.stderr, drawn.into_bytes()]
+        .map(|bytes| String::from_utf8(bytes).expect("text"));
+    for said in &said {
+        assert!(!said.contains(|c: char| c.is_control() && c != '\n'), "{said:?}");
+    }
+    assert!(said[0].contains("evil?]0;x??<&>.nc") && said[3].contains("evil?]0;x??&lt;&amp;&gt;.nc"), "{said:?}");
+}
+
 #[test]
 fn check_is_run_on_one_screen() {
     let bad = file("check_bad.nc", "G1 X1 F100\nG999\nX2\n");
@@ -679,8 +715,8 @@ fn a_recorded_conversation_is_played_again() {
     let played = run(&["replay", text(&recording), "--json"]);
     let summary = json(&played);
     assert_eq!((&summary["steps"], played.status.code()), (&serde_json::json!([0, 500, 250]), Some(1)));
-    // The setting is a line, too.
-    assert_eq!((&summary["errors"][0]["line"], &summary["errors"][0]["code"]), (&4.into(), &2.into()));
+    // The setting was there before the host.
+    assert_eq!((&summary["errors"][0]["line"], &summary["errors"][0]["code"]), (&3.into(), &2.into()));
     assert!(String::from_utf8_lossy(&played.stderr).is_empty(), "the same steps");
 }
 
@@ -735,7 +771,7 @@ fn the_rest_of_a_job_is_written() {
     for (arguments, word) in [
         (&["--line", "466"][..], "there is no line 466"),
         (&["--number", "466"], "no line has N466"),
-        (&["--line", "2", "--plunge", "0"], "--plunge"),
+        (&["--line", "2", "--plunge", "0.9"], "the plunge feed is below 1 mm/min"),
         (&["--line", "2", "--clearance", "nan"], "--clearance"),
         (&["--line", "2", "--number", "3"], "--number"),
         (&[], "--line"),

@@ -596,20 +596,76 @@ fn a_reset_on_connection_gives_one_welcome() {
     assert_eq!(next.ask("G21"), "ok");
 }
 
+/// A file that a server writes is refused to another one, and is whole.
+fn is_refused_to_another(option: &str, file: &str) {
+    let second = Command::new(env!("CARGO_BIN_EXE_oxmill"))
+        .args(["serve", "--stdio", option, file])
+        .stdin(Stdio::null())
+        .output()
+        .expect("it ends by itself");
+    assert_eq!(second.status.code(), Some(2));
+    let reason = String::from_utf8_lossy(&second.stderr);
+    assert!(reason.contains(file) && reason.contains("in use by another oxmill"), "{reason}");
+}
+
+#[test]
+fn a_recording_is_of_one_server() {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("one_server.rec");
+    std::fs::write(&path, []).expect("an empty file");
+    let text = path.to_str().expect("a path in UTF-8");
+    let first = Server::new(&["--record", text]);
+    let mut client = first.served();
+    assert_eq!(client.ask("G0 X1"), "ok");
+    is_refused_to_another("--record", text);
+    assert_eq!(client.ask("G0 X2"), "ok");
+    drop(first);
+    let recorded = std::fs::read_to_string(&path).expect("a recording");
+    assert!(recorded.starts_with("oxmill recording") && recorded.contains("X1"), "{recorded}");
+    Server::new(&["--record", text]);
+}
+
+/// As a board that has its settings when it is powered up: with homing on it is locked, and startup lines are carried out.
+#[test]
+fn a_server_has_its_settings_at_power_up() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let [settings, recording] =
+        ["homing.txt", "homing.rec"].map(|name| folder.join(name).to_str().expect("a path").to_owned());
+    std::fs::write(&settings, "$22=1\n").expect("a file can be written");
+    for options in [&["--set", "22=1", "--record", &recording][..], &["--settings", &settings]] {
+        let server = Server::new(options);
+        let mut client = server.served();
+        assert_eq!(client.line(), "[MSG:'$H'|'$X' to unlock]", "{options:?}");
+        assert!(client.status().starts_with("<Alarm"), "{options:?}");
+        assert_eq!(client.ask("G0 X1"), "error:9");
+        assert_eq!(client.ask("$X"), "[MSG:Caution: Unlocked]");
+        while client.line() != "ok" {}
+        assert_eq!(client.ask("G0 X1"), "ok");
+        client.wait_for("<Idle");
+    }
+    let replayed = Command::new(env!("CARGO_BIN_EXE_oxmill")).args(["replay", &recording]).output().expect("it plays");
+    let said = String::from_utf8_lossy(&replayed.stdout);
+    assert!(
+        replayed.stderr.is_empty() && said.contains("error:9"),
+        "{said}{}",
+        String::from_utf8_lossy(&replayed.stderr)
+    );
+    let server = Server::new(&["--set", "N0=G91 X3"]);
+    assert!(server.served().wait_for("<Idle").contains("MPos:3.000"));
+    let store = folder.join("homed.img");
+    std::fs::write(&store, []).expect("an empty file");
+    let stored = ["--store", store.to_str().expect("a path")];
+    drop(Server::new(&[&stored[..], &["--set", "22=1"]].concat()));
+    assert_eq!(Server::new(&stored).served().line(), "[MSG:'$H'|'$X' to unlock]");
+    assert!(Server::new(&[&stored[..], &["--set", "22=0"]].concat()).served().status().starts_with("<Idle"));
+}
+
 #[test]
 fn a_store_is_of_one_server() {
     let store = Path::new(env!("CARGO_TARGET_TMPDIR")).join("one_server.img");
     std::fs::write(&store, []).expect("an empty file");
     let store = store.to_str().expect("a path in UTF-8");
     let first = Server::new(&["--store", store]);
-    let second = Command::new(env!("CARGO_BIN_EXE_oxmill"))
-        .args(["serve", "--tcp", "127.0.0.1:0", "--store", store])
-        .stdin(Stdio::null())
-        .output()
-        .expect("it ends by itself");
-    assert_eq!(second.status.code(), Some(2));
-    let reason = String::from_utf8_lossy(&second.stderr);
-    assert!(reason.contains("one_server.img is in use by another oxmill"), "{reason}");
+    is_refused_to_another("--store", store);
     assert_eq!(first.served().ask("$100=80"), "ok");
     drop(first);
     let again = Server::new(&["--store", store]);

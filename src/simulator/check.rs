@@ -183,7 +183,11 @@ impl Check {
         }
         if outcome.alarm.is_none() {
             let line = simulator.job().and_then(JobText::oldest_unanswered).unwrap_or_default();
-            outcome.note(format!("line {line} waits for something that will not come"));
+            outcome.note(if simulator.waits_beyond_the_clock() {
+                format!("line {line} waits for so long that the simulated time ends before it")
+            } else {
+                format!("line {line} waits for something that will not come")
+            });
         }
         true
     }

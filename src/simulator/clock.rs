@@ -1,5 +1,5 @@
 //! The virtual `Clock`: time in step-clock ticks (`hz`) since power-up, and the controller's `Instant` in whole
-//! microseconds made from it and back (`ticks_at`, `ticks_in`, `seconds`).
+//! microseconds made from it and back (`ticks_at`, `ticks_in`, `seconds`). It has an `end`, thousands of years ahead.
 
 use oxmill_controller::units::Instant;
 use std::time::Duration;
@@ -35,10 +35,16 @@ impl Clock {
         Instant::from_ticks(self.now / self.hz * MICROSECONDS + self.now % self.hz * MICROSECONDS / self.hz)
     }
 
-    /// The first tick at which [`Clock::instant`] has reached a moment.
+    /// The first tick at which [`Clock::instant`] has reached a moment. Moments beyond the clock's range saturate.
     pub fn ticks_at(&self, instant: Instant) -> u64 {
         let us = instant.ticks();
-        us / MICROSECONDS * self.hz + (us % MICROSECONDS * self.hz).div_ceil(MICROSECONDS)
+        let seconds = (us / MICROSECONDS).saturating_mul(self.hz);
+        seconds.saturating_add((us % MICROSECONDS * self.hz).div_ceil(MICROSECONDS))
+    }
+
+    /// The last tick to which a wait may last: far enough from the greatest number for all that is added to a time.
+    pub fn end(&self) -> u64 {
+        (u64::MAX / 4 / MICROSECONDS).saturating_mul(self.hz).min(u64::MAX / 2)
     }
 
     /// Ticks of a span, rounded up. Spans beyond the clock's range saturate.
@@ -55,6 +61,25 @@ impl Clock {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_moment_beyond_the_range_is_behind_the_end() {
+        for hz in [1, 1_000_000, 100_000_000] {
+            let clock = Clock::new(hz);
+            for us in [900_000_000_000_000_000, u64::MAX / 2, u64::MAX] {
+                let at = clock.ticks_at(Instant::from_ticks(us));
+                assert!(
+                    at > clock.end() || u128::from(at) >= u128::from(us / MICROSECONDS) * u128::from(hz),
+                    "{hz} {us}"
+                );
+            }
+            // More than the longest dwell can be added to it, in ticks and in microseconds.
+            let mut last = clock;
+            last.advance_to(clock.end());
+            assert!(clock.end().checked_mul(2).is_some() && last.instant().ticks().checked_mul(4).is_some());
+            assert!(last.instant().ticks() / MICROSECONDS > 60_000_000_000, "2000 years");
+        }
+    }
 
     #[test]
     fn a_moment_has_come_exactly_at_its_tick() {

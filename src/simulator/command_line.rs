@@ -168,7 +168,7 @@ pub struct ResumeJob {
     /// has travelled at known heights only.
     #[arg(long, value_name = "Z", allow_hyphen_values = true)]
     pub clearance: Option<Millimetres>,
-    /// Feed from there down, in mm/min; that of the job's last plunge straight down if none is given.
+    /// Feed from there down, in mm/min, 1 or more; that of the job's last plunge straight down if none is given.
     #[arg(long, value_name = "FEED")]
     pub plunge: Option<Millimetres>,
     /// How long the spindle has to come up to speed.
@@ -237,7 +237,7 @@ pub struct MachineOptions {
     /// How lines are understood and answered.
     #[arg(long)]
     pub dialect: Option<Dialect>,
-    /// Lines of the form $n=v, applied before anything else.
+    /// Lines of the form $n=v, applied before anything else; `serve` begins as a board that is powered up with them.
     #[arg(long, value_name = "FILE")]
     pub settings: Option<PathBuf>,
     /// One setting, applied after the file's. May be given more than once.

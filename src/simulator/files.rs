@@ -1,5 +1,6 @@
 //! The files of a run: none is written over another (`Role`, `check_apart` by path and metadata, symbolic links
-//! followed), every `Output` can be opened before the machine starts, and is removed if it was made and not written.
+//! followed), every `Output` can be opened before the machine starts, is locked (`TryLockError`) as long as it is
+//! written, and is removed if it was made and not written.
 //! What is read has a bound of bytes: a device or a pipe may have no end. Errors name the path and, as their context,
 //! what the file is for. `same_file` compares `same_path`s and inodes of a `folder` (`MOST_LINKS`); text is read by a
 //! `BufReader` (`io`).
@@ -7,7 +8,7 @@
 use crate::fittings::Fittings;
 use anyhow::{Context, Result, bail};
 use std::ffi::OsString;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, BufRead, Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -61,9 +62,24 @@ pub fn print(mut out: impl Write, bytes: &[u8]) -> io::Result<()> {
     }
 }
 
-/// A line on standard error, for the person who has started the program. One that cannot be written is left out.
+/// A line on standard error, for the person who has started the program. One that cannot be written is left out. Names of
+/// files may have what a terminal would obey.
 pub fn remark(text: &str) {
-    let _ = writeln!(io::stderr(), "{text}");
+    let _ = writeln!(io::stderr(), "{}", text.replace(|c: char| c.is_control() && c != '\n', "?"));
+}
+
+/// Locks a file as long as it is open: what two programs write into it would be lost.
+///
+/// # Errors
+/// If another one has locked it.
+pub fn lock(file: &File) -> io::Result<()> {
+    match file.try_lock() {
+        Ok(()) => Ok(()),
+        // Where files cannot be locked, this is as good as it gets.
+        Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => Ok(()),
+        Err(TryLockError::WouldBlock) => Err(io::Error::other("it is in use by another oxmill")),
+        Err(TryLockError::Error(error)) => Err(error),
+    }
 }
 
 /// Text without the mark of the byte order that some editors put in front.
@@ -171,10 +187,13 @@ pub struct Output {
 }
 
 impl Output {
-    /// Opens the file, which is made if there is none.
+    /// Opens the file, which is made if there is none. Another program may not write it meanwhile.
     pub fn open(path: &Path) -> io::Result<Self> {
         let made = fs::symlink_metadata(path).is_err();
         let file = OpenOptions::new().write(true).create(true).truncate(false).open(path)?;
+        if file.metadata()?.is_file() {
+            lock(&file)?;
+        }
         Ok(Self { path: path.to_path_buf(), file: Some(file), made })
     }
 
@@ -258,6 +277,13 @@ mod tests {
         assert!(!new.exists());
         Output::open(&old).unwrap().write(b"now").unwrap();
         assert_eq!(fs::read_to_string(&old).unwrap(), "now");
+        let first = Output::open(&old).unwrap();
+        let second = Output::open(&old).unwrap_err();
+        assert!(second.to_string().contains("in use by another oxmill"), "{second}");
+        let file = first.begin().unwrap();
+        assert!(Output::open(&old).is_err());
+        drop(file);
+        assert!(Output::open(&old).is_ok());
         assert!(Output::open(folder.path()).is_err());
         assert!(Output::open(&folder.path().join("none").join("x")).is_err());
     }

@@ -1,10 +1,11 @@
 //! A flash image in a file (`--store`), locked while it is in use: the sectors one after the other, 16 KiB each, as a
 //! probe would read them out. Every word that the log writes goes to the file at once and alone.
 
+use crate::files::lock;
 use crate::store::{IMAGE, Kept, Store, Unusable};
-use anyhow::{Context, Result, anyhow, bail};
-use std::fs::{OpenOptions, TryLockError};
-use std::io::{ErrorKind, Read as _, Seek, SeekFrom, Write as _};
+use anyhow::{Context, Result, anyhow};
+use std::fs::OpenOptions;
+use std::io::{Read as _, Seek, SeekFrom, Write as _};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -19,15 +20,7 @@ impl Store {
             .truncate(false)
             .open(path)
             .with_context(|| format!("cannot open the flash image {}", path.display()))?;
-        match file.try_lock() {
-            // Where files cannot be locked, this is as good as it gets.
-            Ok(()) => {}
-            Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported => {}
-            Err(TryLockError::WouldBlock) => bail!("the flash image {} is in use by another oxmill", path.display()),
-            Err(TryLockError::Error(error)) => {
-                return Err(error).with_context(|| format!("cannot lock the flash image {}", path.display()));
-            }
-        }
+        lock(&file).with_context(|| format!("cannot lock the flash image {}", path.display()))?;
         let mut bytes = Vec::new();
         // One byte more than an image has tells that it is none.
         (&file)
@@ -123,7 +116,7 @@ mod tests {
         let first = Store::open(&path).unwrap();
         let same = first.clone();
         drop(first);
-        let refused = Store::open(&path).unwrap_err().to_string();
+        let refused = format!("{:#}", Store::open(&path).unwrap_err());
         assert!(refused.contains("in use by another oxmill"), "{refused}");
         drop(same);
         Store::open(&path).unwrap();

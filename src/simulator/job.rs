@@ -71,6 +71,31 @@ fn check_store(simulator: &Simulator, store: Option<&Path>) -> Result<()> {
 /// A simulator as the options describe it, its settings applied; and its recording from power-up on, if it is recorded:
 /// [`begin_recording`] has to follow.
 pub fn power_up(options: &MachineOptions, recorded: bool) -> Result<(Simulator, Option<Recorder>)> {
+    let (mut simulator, machine) = fitted(options)?;
+    let mut recorder = begin_recorder(&mut simulator, &machine, options, recorded)?;
+    apply_settings(&mut simulator, &mut recorder, &settings(options)?)?;
+    Ok((simulator, recorder))
+}
+
+/// The same as a board that has its settings already when it is powered up: it is locked if homing is on, and startup lines
+/// are carried out.
+pub fn power_up_as_board(options: &MachineOptions, recorded: bool) -> Result<(Simulator, Option<Recorder>)> {
+    let (mut simulator, machine) = fitted(options)?;
+    let settings = settings(options)?;
+    apply_settings(&mut simulator, &mut None, &settings)?;
+    // A cut that has been ordered may still come, and damage has to be confirmed.
+    if !(settings.is_empty() || options.cut_power.is_some() || simulator.controller().is_store_damaged()) {
+        let store = simulator.store().power_cycled().context("the settings are lost")?;
+        let fittings = simulator.fittings().clone();
+        simulator = Simulator::new(Options { board: options.board(), store, fittings, keep_steps: false });
+        simulator.run_until_idle();
+    }
+    let recorder = begin_recorder(&mut simulator, &machine, options, recorded)?;
+    Ok((simulator, recorder))
+}
+
+/// A simulator with its store and what is fitted to it, and the text that describes that.
+fn fitted(options: &MachineOptions) -> Result<(Simulator, String)> {
     let mut store = options.store.as_deref().map_or_else(|| Ok(Store::in_memory()), Store::open)?;
     if let Some(operations) = options.cut_power {
         store.cut_power_after(operations, HALF_WORD);
@@ -78,11 +103,24 @@ pub fn power_up(options: &MachineOptions, recorded: bool) -> Result<(Simulator, 
     let machine = options.machine.as_deref().map(files::read_machine).transpose()?;
     let (fittings, machine) = machine.unwrap_or_default();
     let mut simulator = Simulator::new(Options { board: options.board(), store, fittings, keep_steps: false });
+    simulator.run_until_idle();
+    Ok((simulator, machine))
+}
+
+fn begin_recorder(
+    simulator: &mut Simulator,
+    machine: &str,
+    options: &MachineOptions,
+    recorded: bool,
+) -> Result<Option<Recorder>> {
     if recorded && options.cut_power.is_some() {
         bail!("a power cut cannot be recorded");
     }
-    let mut recorder = recorded.then(|| Recorder::begin(&mut simulator, &machine));
-    simulator.run_until_idle();
+    Ok(recorded.then(|| Recorder::begin(simulator, machine)))
+}
+
+/// The settings of the options, each with where it comes from.
+fn settings(options: &MachineOptions) -> Result<Vec<(String, String)>> {
     let mut lines = Vec::new();
     if let Some(path) = &options.settings {
         let text = files::read(path, files::TEXT)
@@ -100,17 +138,25 @@ pub fn power_up(options: &MachineOptions, recorded: bool) -> Result<(Simulator, 
     if let Some(dialect) = options.dialect {
         lines.push((format!("--dialect {}", dialect.name()), dialect.assignment()));
     }
-    for (origin, setting) in lines {
-        if let Some(recorder) = &mut recorder {
-            let line = format!("${}\n", setting.strip_prefix('$').unwrap_or(&setting));
-            recorder.input(&simulator, &Input::Host(line.into_bytes())).context(UNRECORDED)?;
+    Ok(lines)
+}
+
+fn apply_settings(
+    simulator: &mut Simulator,
+    recorder: &mut Option<Recorder>,
+    settings: &[(String, String)],
+) -> Result<()> {
+    for (origin, setting) in settings {
+        if let Some(recorder) = recorder {
+            let line = format!("${}\n", setting.strip_prefix('$').unwrap_or(setting));
+            recorder.input(simulator, &Input::Host(line.into_bytes())).context(UNRECORDED)?;
         }
-        match apply_setting(&mut simulator, &setting) {
-            Err(SettingRefused::PowerGone) => check_power(&simulator)?,
+        match apply_setting(simulator, setting) {
+            Err(SettingRefused::PowerGone) => check_power(simulator)?,
             other => other.map_err(|why| anyhow!("{origin} {why}"))?,
         }
     }
-    Ok((simulator, recorder))
+    Ok(())
 }
 
 /// Whether a line is what a machine says before and behind the answer to `$$`, which a saved answer may have too.
@@ -230,9 +276,6 @@ pub fn resume(options: &ResumeJob) -> Result<Ending> {
         (None, number) => Begin::Number(number.unwrap_or_default()),
     };
     let plunge = options.plunge.map(|Millimetres(feed)| Decimal(feed));
-    if plunge.is_some_and(|feed| feed <= Decimal::ZERO) {
-        bail!("--plunge: a feed is above 0");
-    }
     let clearance = options.clearance.map(|Millimetres(height)| Coordinate(height));
     let wish = Wish { begin, clearance, plunge, spin_up: options.spin_up };
     let resumed = crate::resume::resume(&simulator, &base_name(&options.job), &job, &wish);
@@ -421,7 +464,8 @@ fn base_name(path: &Path) -> String {
     if path.as_os_str() == "-" {
         return "standard input".into();
     }
-    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+    // No terminal obeys it, and it may stand in XML.
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().replace(char::is_control, "?")
 }
 
 /// A bar for the share of `what`, if its length is known.

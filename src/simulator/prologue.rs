@@ -8,7 +8,7 @@ use crate::boards::AXES;
 use oxmill_controller::axes::{Axis, PerAxis};
 use oxmill_controller::gcode::{
     ArcDistance, CycleKind, CycleWords, Dialect, Distance, FeedMode, Group, Interpreter, Modal, MotionMode,
-    PathControl, Plane, Units, group_of,
+    PathControl, Plane, SplineKind, Units, group_of,
 };
 use oxmill_controller::messages::SpindleDirection;
 use oxmill_controller::units::{Coordinate, DECIMAL_ONE, Decimal};
@@ -258,6 +258,34 @@ pub fn mode_of(state: &Interpreter<AXES>, rest: &[&[u8]], dialect: Dialect) -> R
         }
     }
     Err("no line moves the machine from there on".into())
+}
+
+/// The line of the rest with the first G5 without I and J, which continues the curve before, if none is in front of it there: by its
+/// words as far as their numbers are written out. `mode` is the one that is in force.
+pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) -> Option<usize> {
+    let mut is_curve = mode == MotionMode::Spline(SplineKind::Cubic);
+    for (line, text) in rest.iter().enumerate() {
+        let found = words_of(text);
+        let group = |(letter, number): &(u8, Decimal)| group_of(*letter, *number, dialect).ok();
+        let is_group = |wanted: Group| found.iter().any(|word| group(word) == Some(wanted));
+        if is_group(Group::Motion) {
+            is_curve = has_word(text, b'G', &[5]);
+        }
+        let has = |letter: u8| found.iter().any(|(other, _)| *other == letter);
+        if is_curve && (has(b'X') || has(b'Y')) && !is_group(Group::NonModal) {
+            if !has(b'I') {
+                return Some(line);
+            }
+            // One that may be skipped is not sure to be in front.
+            if !text.trim_ascii_start().starts_with(b"/") {
+                return None;
+            }
+        }
+        if has_word(text, b'M', &[2, 30]) {
+            return None;
+        }
+    }
+    None
 }
 
 /// The words of a canned cycle that a line does not have itself.

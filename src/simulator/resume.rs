@@ -7,7 +7,7 @@
 
 use crate::boards::AXES;
 use crate::power_up::{Dialect, apply_setting, error_text};
-use crate::prologue::{Entry, exact, has_word, mode_of, prologue, put_in_front};
+use crate::prologue::{Entry, exact, goes_on_from_curve, has_word, mode_of, prologue, put_in_front};
 use crate::simulator::{Options, Simulator};
 use crate::text::is_tape_mark;
 use oxmill_controller::axes::{Axis, PerAxis};
@@ -26,6 +26,9 @@ const ELSEWHERE: [f64; AXES] = [1.9, 3.1, -2.3, 4.7];
 
 /// Seconds for the spindle, where nothing else is said.
 pub const SPIN_UP: u16 = 5;
+
+/// Feed below which no plunge is asked for, as in Grbl; it is simulated, which would last for hours.
+const SLOWEST: Decimal = Decimal::from_int(1);
 
 /// A length in mm, or a feed in mm/min, to seven decimals; none beyond what a machine may have.
 pub fn number_of(value: f64) -> Option<i64> {
@@ -74,6 +77,9 @@ pub struct Resumed {
 /// # Errors
 /// A text for people: a line in front is refused or there is none, or something of the state there is not known.
 pub fn resume(machine: &Simulator, name: &str, job: &[u8], wish: &Wish) -> Result<Resumed, String> {
+    if wish.plunge.is_some_and(|feed| feed < SLOWEST) {
+        return Err("the plunge feed is below 1 mm/min".into());
+    }
     let lines = lines_of(job);
     let at = place_of(&lines, wish.begin)?;
     let (front, rest) = (&lines[..at], &lines[at..]);
@@ -90,6 +96,12 @@ pub fn resume(machine: &Simulator, name: &str, job: &[u8], wish: &Wish) -> Resul
     let mode = mode_of(interpreter, rest, dialect_of(&walk.simulator))?;
     let entry = walk.entry(&other, wish, mode.words.is_some())?;
     let begin = prologue(interpreter, &entry)?;
+    if let Some(line) = goes_on_from_curve(interpreter.modal().motion, rest, dialect_of(&walk.simulator)) {
+        let line = at + line + 1;
+        return Err(format!(
+            "line {line} (G5 without I and J) goes on from a curve in front of this one: take another line"
+        ));
+    }
     let mut rest: Vec<Vec<u8>> = rest.iter().map(|line| line.to_vec()).collect();
     if let Some(words) = &mode.words {
         rest[mode.line] = put_in_front(&rest[mode.line], words);

@@ -17,7 +17,7 @@ use crate::clients::{
 };
 use crate::command_line::{Serve, Speed};
 use crate::files::{Output, check_apart, remark};
-use crate::job::{UNRECORDED, begin_recording, check_power, machine_roles, power_up};
+use crate::job::{UNRECORDED, begin_recording, check_power, machine_roles, power_up_as_board};
 use crate::no_browser::NoBrowser;
 #[cfg(unix)]
 use crate::pty_link;
@@ -51,7 +51,7 @@ pub fn serve(options: &Serve) -> Result<()> {
     let open =
         |path: &Path| Output::open(path).with_context(|| format!("cannot write the recording {}", path.display()));
     let record = options.record.as_deref().map(open).transpose()?;
-    let (simulator, mut recorder) = power_up(&options.machine, record.is_some())?;
+    let (simulator, mut recorder) = power_up_as_board(&options.machine, record.is_some())?;
     let (sender, receiver) = sync_channel(4);
     if let Some(address) = &options.pins {
         let listener = listen(address)?;

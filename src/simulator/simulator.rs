@@ -314,7 +314,7 @@ impl Simulator {
         if self.power_is_gone() {
             return false;
         }
-        let wake = self.controller.next_wakeup().map(|at| self.clock.ticks_at(at).max(self.clock.now() + 1));
+        let wake = self.wake_due();
         let sample = self.inputs.sample_due();
         if wake.is_none() && self.step.due().is_none() && sample.is_none() {
             return false;
@@ -348,6 +348,23 @@ impl Simulator {
         true
     }
 
+    /// The tick of the controller's next wake-up, if the clock comes to it.
+    fn wake_due(&self) -> Option<u64> {
+        let due = self.clock.ticks_at(self.controller.next_wakeup()?);
+        (due <= self.clock.end()).then(|| due.max(self.clock.now() + 1))
+    }
+
+    /// How long nothing will happen by itself; 0 if nothing ever will.
+    pub fn ticks_without_event(&self) -> u64 {
+        let next = [self.wake_due(), self.step.due(), self.inputs.sample_due()].into_iter().flatten().min();
+        next.map_or(0, |next| next.saturating_sub(self.clock.now() + 1))
+    }
+
+    /// Whether the controller waits for a moment to which the clock does not come.
+    pub fn waits_beyond_the_clock(&self) -> bool {
+        self.controller.next_wakeup().is_some() && self.wake_due().is_none()
+    }
+
     /// Whether nothing is queued, moving, waited for or unanswered.
     pub fn is_idle(&self) -> bool {
         self.controller.is_idle()
@@ -364,7 +381,7 @@ impl Simulator {
 
     /// Whether something will happen without the host: a motion or a wait is going on.
     pub fn is_active(&self) -> bool {
-        !self.power_is_gone() && (self.step.due().is_some() || self.controller.next_wakeup().is_some())
+        !self.power_is_gone() && (self.step.due().is_some() || self.wake_due().is_some())
     }
 
     /// Whether the step task is busy.

@@ -116,6 +116,9 @@ impl Streaming {
             self.in_flight.push_back(line.len());
             self.outgoing.extend(self.waiting.pop_front().unwrap_or_default());
         }
+        if self.outgoing.is_empty() && self.returning.is_empty() {
+            self.pass_slices_without_event();
+        }
         let carried = carried(self.baud, &mut self.credit, self.outgoing.len());
         let bytes: Vec<u8> = self.outgoing.drain(..carried).collect();
         if !bytes.is_empty() {
@@ -130,6 +133,16 @@ impl Streaming {
         let answered = self.waiting.is_empty() && self.in_flight.is_empty();
         let stuck = !self.simulator.is_active() && self.outgoing.is_empty() && self.returning.is_empty();
         self.done = answered && self.simulator.is_idle() || stuck && !self.in_flight.is_empty();
+    }
+
+    /// A dwell may last for years.
+    fn pass_slices_without_event(&mut self) {
+        let slice = self.simulator.clock().ticks_in(SLICE);
+        let slices = self.simulator.ticks_without_event() / slice;
+        self.simulator.advance_to(self.simulator.clock().now() + slices * slice);
+        for credit in [&mut self.credit, &mut self.credit_back] {
+            *credit = (*credit + slices % BYTE * u64::from(self.baud)) % BYTE;
+        }
     }
 
     fn hear_answer(&mut self, byte: u8) {
@@ -249,6 +262,17 @@ mod tests {
         let free = streamed("%\nG1 X1 F600 (why? ! ~)\nbad\nG0 X0\n%", 0);
         let summary = free.summary(&free);
         assert_eq!((summary.errors, summary.complete), (1, true));
+    }
+
+    /// One of a thousand years is passed at once, and one that is longer than the clock runs ends it.
+    #[test]
+    fn long_dwells_take_no_time_of_the_host() {
+        for baud in [0, 9600] {
+            let long = streamed("G4 P31557600000\nG0 X1\n", baud);
+            assert!(long.summary(&long).complete && long.summary(&long).forecast_s > 31_557_600_000.0);
+            let endless = streamed("G4 P900000000000\nG0 X1\n", baud);
+            assert!(!endless.summary(&endless).complete);
+        }
     }
 
     #[test]

@@ -147,9 +147,6 @@ pub fn resume(order: &Order, job: &[u8]) -> Result<Value, String> {
         other => Ok(other.flatten()),
     };
     let plunge = number(wanted.plunge, "plunge feed")?;
-    if plunge.is_some_and(|feed| feed <= 0) {
-        return Err("the plunge feed is above 0".into());
-    }
     let clearance = number(wanted.clearance, "clearance")?.map(Coordinate);
     let begin = Begin::Line(wanted.line);
     let wish = Wish { begin, clearance, plunge: plunge.map(Decimal), spin_up: wanted.spin_up };

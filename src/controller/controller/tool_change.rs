@@ -57,7 +57,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return;
         }
         if self.measures_tools() {
-            self.interpreter.assume_measured();
+            if self.line.checked.spindle_tool() != 0 {
+                self.interpreter.assume_measured();
+            }
         } else {
             self.line.checked.spindle_stopped_for_tool();
             let modal = *self.line.checked.modal();

@@ -185,15 +185,20 @@ impl<const N: usize> Interpreter<N> {
         is_first
     }
 
-    /// In a program that is only checked: the tool would have been measured.
+    /// In a program that is only checked: the tool would have been measured. The first one stays at the height of G30, if it is not
+    /// above it.
     pub fn assume_measured(&mut self) {
+        if !self.measured.assumed && self.measured.is_first() {
+            let height = self.offsets.stored(StoredOffset::G30).get(TOOL_AXIS);
+            self.position.set(TOOL_AXIS, height.max(self.position.get(TOOL_AXIS)).unwrap_or_default());
+        }
         self.measured.assumed = true;
     }
 
     /// Of the tool in the spindle, the offset that was measured, with what the table has for the other axes.
     pub(super) fn measured_offset(&self, number: u32) -> Option<PerAxis<Coordinate, N>> {
         let active = self.offsets.tool_length.get(TOOL_AXIS).filter(|_| self.measured.assumed);
-        let length = active.or(self.measured.offset()).filter(|_| number == self.spindle_tool)?;
+        let length = active.or(self.measured.offset()).filter(|_| number == self.spindle_tool && number != 0)?;
         let mut offset = self.tools.offset(number).unwrap_or(PerAxis::all(Coordinate::ZERO));
         offset.set(TOOL_AXIS, length);
         Some(offset)

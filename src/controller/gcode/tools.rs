@@ -102,6 +102,11 @@ impl Measured {
         self.offset
     }
 
+    /// Whether the next tool to be measured is the first one.
+    pub(super) fn is_first(&self) -> bool {
+        self.reference.is_none()
+    }
+
     /// The tool is taken out.
     pub(super) fn forget_tool(&mut self) {
         self.offset = None;
@@ -111,7 +116,7 @@ impl Measured {
     /// tips of all tools that were measured have the same coordinates at the same place; the first one keeps what is in force.
     /// Whether it is the first.
     pub(super) fn touched(&mut self, place: Coordinate, active: Coordinate) -> (Coordinate, bool) {
-        let is_first = self.reference.is_none();
+        let is_first = self.is_first();
         let reference = *self.reference.get_or_insert(place - active);
         let offset = place - reference;
         self.offset = Some(offset);

@@ -465,6 +465,43 @@ fn outputs_of_the_program_are_on_again() {
     assert_eq!(prologue[2..], ["G0 Z5", "G0 X2", "M64 P2", "M64 P3", "G1 F100"]);
 }
 
+/// Where the rest comes back to the end of a curve that it does not have itself, a G5 without I and J would be refused by the
+/// machine, and the line behind it cut from the wrong place.
+#[test]
+fn a_curve_that_goes_on_from_one_in_front_is_refused() {
+    let front = "G21 G90\nG0 Z5\nG0 X0 Y0\nG5 X2 Y2 I1 J0 P-1 Q0 F100\nG0 X9\nX8\n";
+    for (rest, line) in [
+        ("G0 X2 Y2\nG5 X4 Y0 P1 Q1\n", Some(8)),
+        ("G0 X2 Y2\n(to the end)\nX2\nG5.0 P1 Q1 X4 Y0\nG0 X0\n", Some(10)),
+        // Whether a slash skips it is not known.
+        ("/G5 X4 Y0 I1 J1 P1 Q1\nG0 X2 Y2\nG5 X4 Y0 P1 Q1\n", Some(9)),
+        ("G5 X4 Y0 I1 J1 P1 Q1\nX8 P1 Q1\n", None),
+        ("G5 X4 Y0 I1 J1 P1 Q1\nG0 X2 Y2\nX4 Y0\nG5 X8 P1 Q1\n", None),
+        ("G5.1 X4 Y0 I1 J1\nG5.2 X1 Y1 P1 L3\nX4 P1\nX5 P2\nG5.3\n", None),
+        ("G0 X4 (G5 X4)\nG4 P1\nM2\nG5 X8 P1 Q1\n", None),
+    ] {
+        let resumed = resumed(&[], &format!("{front}{rest}"), &wish(6));
+        let why = resumed.err();
+        let word = line.map(|line| format!("line {line} (G5 without I and J)"));
+        let is_right =
+            why.as_ref().zip(word.as_ref()).map_or(why.is_none() == word.is_none(), |(why, word)| why.contains(word));
+        assert!(is_right, "{rest}: {why:?}");
+    }
+    let mode = "G21 G90\nG0 Z5\nG0 X0 Y0\nG5 X2 Y2 I1 J0 P-1 Q0 F100\nX4 I1 J0 P1 Q1\nX9 P0 Q1\n";
+    assert!(resumed(&[], mode, &wish(5)).is_ok());
+}
+
+/// It would be simulated for hours, and is no feed that Grbl has either.
+#[test]
+fn a_plunge_is_not_slower_than_grbl_goes() {
+    let program = "G21 G90\nG0 Z5\nG0 X1\nG1 Z-1 F100\nX5\nX6\n";
+    let plunge = |feed| resumed(&[], program, &Wish { plunge: Some(Decimal(feed)), ..wish(6) });
+    for feed in [0, 1, 9_999_999] {
+        assert!(plunge(feed).unwrap_err().contains("1 mm/min"));
+    }
+    assert!(plunge(10_000_000).is_ok());
+}
+
 /// Homing at the begin of a job changes nothing of what is known; a pause is no motion mode; a curve in front is followed
 /// smoothly wherever it ended.
 #[test]
