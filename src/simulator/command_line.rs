@@ -228,7 +228,7 @@ pub struct Link {
 /// What all commands know of the machine.
 #[derive(Debug, Args)]
 pub struct MachineOptions {
-    /// Whose step clock, axes and look-ahead to use.
+    /// Whose step clock, step rates, pins and axes to use. The look-ahead and the words are those of the largest board.
     #[arg(long, default_value = boards::DESK.name, value_parser = board_named, value_name = "NAME")]
     pub board: Board,
     /// Another step clock than the board's.
