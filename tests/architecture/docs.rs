@@ -49,7 +49,7 @@ fn the_journey_passes_functions_that_exist() {
 #[test]
 fn paths_in_documents_exist() {
     let mut seen = 0;
-    for name in ["glossary.md", "how-it-works.md", "journey.md", "limits.md", "motion.md", "tests.md"] {
+    for name in ["cost.md", "glossary.md", "how-it-works.md", "journey.md", "limits.md", "motion.md", "storage.md", "tests.md"] {
         let text = document(name);
         for path in quoted(&text).filter(|text| !text.contains([' ', '*', '<', '$', '{'])) {
             let is_path = ["src/", "boards/", "tests/", "docs/", "xtask/"].iter().any(|room| path.starts_with(room));
