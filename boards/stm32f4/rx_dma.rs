@@ -1,8 +1,5 @@
-//! Received bytes while the processor is stalled by a flash operation: `shelter` has a DMA stream (`par`, `m0ar`,
-//! `ndtr`) copy what a USART receives into RAM, up to `ROOM` bytes, while the `work` is done, and notes their `END`;
-//! `Taken` gives them out afterwards. `Sheltered` names the stream of each USART. It reads and writes the
-//! `RegisterBlock` raw (`w`, `CR`, `LIFCR`, `HIFCR`), a stream of DMA1 or `DMA2` by `switch_on`, and its atomics are
-//! `Relaxed`.
+//! Received bytes while the processor is stalled by a flash operation: `shelter` has DMA copy what a USART receives
+//! into RAM meanwhile; `Taken` gives the bytes out afterwards.
 //!
 //! ```text
 //!  USART ──byte──▶ interrupt ──▶ serial task           always
@@ -12,6 +9,12 @@
 //! second. What holds: a host that keeps to the flow control (at most the 255 bytes that `Bf:` counts are under way) loses
 //! nothing, and besides there is room for 64 realtime commands (`REALTIME_DEPTH`). A host that sends more than 512 bytes in that time
 //! overruns the USART, which is reported like any other loss.
+//!
+//! Names: Received bytes while the processor is stalled by a flash operation: `shelter` has a DMA stream (`par`,
+//! `m0ar`, `ndtr`) copy what a USART receives into RAM, up to `ROOM` bytes, while the `work` is done, and notes their
+//! `END`; `Taken` gives them out afterwards. `Sheltered` names the stream of each USART. It reads and writes the
+//! `RegisterBlock` raw (`w`, `CR`, `LIFCR`, `HIFCR`), a stream of DMA1 or `DMA2` by `switch_on`, and its atomics are
+//! `Relaxed`.
 
 use core::sync::atomic::{AtomicU8, AtomicUsize, Ordering, compiler_fence};
 use stm32f4xx_hal::{

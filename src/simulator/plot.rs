@@ -1,14 +1,17 @@
-//! The picture of a job as SVG or PNG (`format_of`), in pixels (`px`, `SIZE`, `width`) with fonts, a `line_style` and
-//! `RGBColor`: heading from the `summary`, the tool path from above (`plan`) coloured by speed, at an angle (`angled`)
-//! and by height if it is `deep`, split into a drawing `Area` each, with a `caption`; colour `Scale`s from low to high
-//! with `stops` to `mix`, tidy marks (`step`, `decimals`) and labels, and a `ChartBuilder` for the speed `curve` over
-//! time, column by column, with its top. `project` turns points (`f64` mm) into pairs of pixels, by their `Bounds`
-//! (`span`, `size`, `stretch`), with equal scale and a margin; `fine` divides long moves, `apart` leaves out points
-//! that are near, lines go from `x0`, `y0` to `x1`, `y1`; rapids are dashes with a gap, feeds shades; lines of a grid
-//! are `FAINT`.
+//! The picture of a job as SVG or PNG: a heading, the tool path from above coloured by speed, the path at an angle
+//! coloured by height if it is deep, and the speed over time.
 //!
 //! The drawing is made once, as SVG; a PNG is that SVG rendered with an embedded font, so both look the same on every
 //! machine.
+//!
+//! Names: The picture of a job as SVG or PNG (`format_of`), in pixels (`px`, `SIZE`, `width`) with fonts, a
+//! `line_style` and `RGBColor`: heading from the `summary`, the tool path from above (`plan`) coloured by speed, at an
+//! angle (`angled`) and by height if it is `deep`, split into a drawing `Area` each, with a `caption`; colour `Scale`s
+//! from low to high with `stops` to `mix`, tidy marks (`step`, `decimals`) and labels, and a `ChartBuilder` for the
+//! speed `curve` over time, column by column, with its top. `project` turns points (`f64` mm) into pairs of pixels, by
+//! their `Bounds` (`span`, `size`, `stretch`), with equal scale and a margin; `fine` divides long moves, `apart` leaves
+//! out points that are near, lines go from `x0`, `y0` to `x1`, `y1`; rapids are dashes with a gap, feeds shades; lines
+//! of a grid are `FAINT`.
 
 use crate::files::Output;
 use crate::path::{Column, Drawing, Point};

@@ -1,12 +1,6 @@
-//! What came into a simulated machine, with its time, as text under a `TITLE`. `Recorder` writes each `Input` as a
-//! line to an `io::Write` (host bytes escaped, pins, connect, disconnect, the job: `RecordedJob`, a `BufRead` with
-//! `fill_buf` and `consume`, writes each `job_line` that was read) and, at rest (`next_look`), where the machine is:
-//! counters, hash, and words for what is on (drivers, cw, flood). `Recording` reads such text by `parse_line` and
-//! `parse_time` (`split_once`, `from_str_radix`, `bytes_of_hex`, `number`), or what a board has listed: `Told`, with
-//! what it has `Noted` (`Stopping`, `standing`; "these are too many axes"). It plays that into a `simulator: &mut
-//! Simulator` that was powered up the same, while `hear` takes what it says; `here` it must arrive at the same place,
-//! with the same hash (`agrees`, `compare_end`, `NOTHING_COMPARED`). A recording read from a file may be `broken_off`;
-//! its `Fittings` are parsed from text, and an answer that begins with `error` counts (`hear_all`, `compares`).
+//! What came into a simulated machine, with its time, as text: `Recorder` writes it and, at each rest, where the
+//! machine is; `Recording` reads it back, plays it into another simulator, and compares where that arrives. It also
+//! reads what a board has listed by `$REC`.
 //!
 //! ```text
 //! oxmill recording 1
@@ -27,6 +21,17 @@
 //! listings the last one counts. It has other lines besides, which `protocol::recorded` of the controller writes and [`crate::board_replay`] plays.
 //!
 //! Lines begin with their time but for those in front of `begin` and those of a job.
+//!
+//! Names: What came into a simulated machine, with its time, as text under a `TITLE`. `Recorder` writes each `Input` as
+//! a line to an `io::Write` (host bytes escaped, pins, connect, disconnect, the job: `RecordedJob`, a `BufRead` with
+//! `fill_buf` and `consume`, writes each `job_line` that was read) and, at rest (`next_look`), where the machine is:
+//! counters, hash, and words for what is on (drivers, cw, flood). `Recording` reads such text by `parse_line` and
+//! `parse_time` (`split_once`, `from_str_radix`, `bytes_of_hex`, `number`), or what a board has listed: `Told`, with
+//! what it has `Noted` (`Stopping`, `standing`; "these are too many axes"). It plays that into a
+//! `simulator: &mut Simulator` that was powered up the same, while `hear` takes what it says; `here` it must arrive at
+//! the same place, with the same hash (`agrees`, `compare_end`, `NOTHING_COMPARED`). A recording read from a file may
+//! be `broken_off`; its `Fittings` are parsed from text, and an answer that begins with `error` counts (`hear_all`,
+//! `compares`).
 
 use crate::boards::{AXES, Board};
 use crate::files::without_mark;

@@ -1,10 +1,7 @@
-//! How fast a path may turn: one rule for every turn, from a single corner to a long curve of short chords. A `Chain`
-//! of straight path pieces is gathered into spans at several scales; each new `Span` (direction, noise, `fast2`,
-//! `turned2`, sine of its `turn2`) is compared with the `old` ones of its `History`, and each `Bend` found limits
-//! speed² and acceleration of the blocks from nearest to farthest. Turns that the rounding of the program's last digit
-//! explains are noise. `LastDigit` has the `finest` digit; there are `Scale` and `SCALES` (scales of a `SHORTEST`
-//! length and more), `PathPiece`, `note_turn`, `may_limit`, `may_be_limited`, `compare`, `limit_after`, `take_span`, `corner2`,
-//! `set_program_digit`, `end_before`; `VAGUE`, `STRAIGHTNESS`, `LARGE_TURN2`, `GENTLE2`, `NOTICEABLE`, `DIGITS_ASIDE`.
+//! How fast a path may turn: one rule for every turn, from a single corner to a long curve of short chords. The path is
+//! gathered into spans on several scales; each new span is compared with the ones before it, and each `Bend` found
+//! limits speed and acceleration of some blocks. Turns that the rounding of the program's last digit explains are
+//! ignored.
 //!
 //! A path that turns by an angle t within a length L asks of the axes a change of velocity of v·q in the time L/v, q being
 //! |difference of the unit vectors| = 2·sin(t/2). They give a·L/v, and the junction deviation d grants a jump of J·q on top,
@@ -26,6 +23,14 @@
 //! Short spans say little where the digit is coarse, long ones say little where a turn is short. So the path is looked at
 //! on several scales at once: on each it is cut into spans of at least that length, and a new span is compared with the last
 //! [`HISTORY`] before it. A piece longer than the scale is a span by itself; the one begun before it ends where it starts.
+//!
+//! Names: A `Chain` of straight path pieces is gathered into spans at several scales; each new `Span` (direction,
+//! noise, `fast2`, `turned2`, sine of its `turn2`) is compared with the `old` ones of its `History`, and each `Bend`
+//! found limits speed² and acceleration of the blocks from nearest to farthest. Turns that the rounding of the
+//! program's last digit explains are noise. `LastDigit` has the `finest` digit; there are `Scale` and `SCALES` (scales
+//! of a `SHORTEST` length and more), `PathPiece`, `note_turn`, `may_limit`, `may_be_limited`, `compare`, `limit_after`,
+//! `take_span`, `corner2`, `set_program_digit`, `end_before`; `VAGUE`, `STRAIGHTNESS`, `LARGE_TURN2`, `GENTLE2`,
+//! `NOTICEABLE`, `DIGITS_ASIDE`.
 
 use super::block::CurveLoad;
 use super::junction::{REVERSAL, SQUARE_CORNER, TurnRule, UNLIMITED2, certain, is_noise, radius_of, turn2};

@@ -1,12 +1,6 @@
-//! The look-ahead: `Planner` is a ring of blocks (`slot` of a place, `len`, `first`), and its reverse pass (`Walk`)
-//! gives each block the greatest entry speed (`max_entry2`, `exit2`, squares of `nominal` and `previous` speed) from
-//! which all queued behind it can be braked to a stop. `settled` entries are not walked over again; a `Bend` lowers
-//! corners. With a jerk limit the pass looks for anchors along a `Way` (distance, bounds, `ceiling2`, summit), and
-//! groups of blocks are a `Stretch`. After a lowered override entries follow a `Fall` (`raised`). A `Target` is the
-//! next anchor, `beyond` or `nearest`, and `is_met` or not by a `PathState`; `Lowered` is what a bend has lowered.
-//! Others are `end_at_border`, `sum_up`, `group_size`, `bounds_within`, `straight_acceleration`. Limits have `changed`
-//! from a place on; `lower_settled`, `replan`, `push`, `pop`, `take_back`, `newest` and `free` act on the ring. A
-//! block's own `Bounds`, its `valley`, `ramp_distance` and `ramp_speed` are from `jerk`.
+//! The look-ahead: `Planner` is a ring of blocks, and its reverse pass gives each block the greatest entry speed from
+//! which the machine can brake to a stop within all that is queued behind it. With a jerk limit the pass looks for
+//! anchors instead, where ramps end.
 //!
 //! ```text
 //!   v²   ___                 corner limits      |
@@ -38,6 +32,16 @@
 //! by all of them. Any other one puts a ceiling on the ramp; where the way suffices to fall from the ceiling, that entry
 //! is the next anchor. So the pass computes no speed but those of anchors, and what lies between needs no repair when a
 //! ramp begins in the middle of a block or from another state.
+//!
+//! Names: The look-ahead: `Planner` is a ring of blocks (`slot` of a place, `len`, `first`), and its reverse pass
+//! (`Walk`) gives each block the greatest entry speed (`max_entry2`, `exit2`, squares of `nominal` and `previous`
+//! speed) from which all queued behind it can be braked to a stop. `settled` entries are not walked over again; a
+//! `Bend` lowers corners. With a jerk limit the pass looks for anchors along a `Way` (distance, bounds, `ceiling2`,
+//! summit), and groups of blocks are a `Stretch`. After a lowered override entries follow a `Fall` (`raised`). A
+//! `Target` is the next anchor, `beyond` or `nearest`, and `is_met` or not by a `PathState`; `Lowered` is what a bend
+//! has lowered. Others are `end_at_border`, `sum_up`, `group_size`, `bounds_within`, `straight_acceleration`. Limits
+//! have `changed` from a place on; `lower_settled`, `replan`, `push`, `pop`, `take_back`, `newest` and `free` act on
+//! the ring. A block's own `Bounds`, its `valley`, `ramp_distance` and `ramp_speed` are from `jerk`.
 
 use super::block::{Block, CurveLoad, OverrideFactors, Ramp};
 use super::curvature::Bend;
