@@ -33,58 +33,21 @@
 //! is the next anchor. So the pass computes no speed but those of anchors, and what lies between needs no repair when a
 //! ramp begins in the middle of a block or from another state.
 //!
-//! Names: The look-ahead: `Planner` is a ring of blocks (`slot` of a place, `len`, `first`), and its reverse pass
-//! (`Walk`) gives each block the greatest entry speed (`max_entry2`, `exit2`, squares of `nominal` and `previous`
-//! speed) from which all queued behind it can be braked to a stop. `settled` entries are not walked over again; a
-//! `Bend` lowers corners. With a jerk limit the pass looks for anchors along a `Way` (distance, bounds, `ceiling2`,
-//! summit), and groups of blocks are a `Stretch`. After a lowered override entries follow a `Fall` (`raised`). A
-//! `Target` is the next anchor, `beyond` or `nearest`, and `is_met` or not by a `PathState`; `Lowered` is what a bend
-//! has lowered. Others are `end_at_border`, `sum_up`, `group_size`, `bounds_within`, `straight_acceleration`. Limits
-//! have `changed` from a place on; `lower_settled`, `replan`, `push`, `pop`, `take_back`, `newest` and `free` act on
-//! the ring. A block's own `Bounds`, its `valley`, `ramp_distance` and `ramp_speed` are from `jerk`.
+//! Names: the ring has `slot` of a place, `len`, `first`, `push`, `pop`, `take_back`, `newest` and `free`. A block has
+//! `max_entry2`, `exit2`, squares of `nominal` and `previous` speed; limits have `changed` from a place on, and up to
+//! `settled` entries are not walked over again (`reverse_pass`, `lower_settled`; [`super::reverse_walk`]); a `Bend`
+//! lowers corners. For jerk: `reverse_pass_to_anchors`, `end_at_border`, `sum_up`, `group_size`, `stretch`,
+//! `bounds_within` ([`super::jerk_anchors`]); a block's own `Bounds`, its `valley`, `summit`, `ramp_distance` and
+//! `ramp_speed` are from `jerk`, a `PathState` is what the machine is in. After a lowered override (`replan`) entries
+//! follow a `Fall` (`raised`).
 
-use super::block::{Block, CurveLoad, OverrideFactors, Ramp};
+use super::block::{Block, OverrideFactors, Ramp};
 use super::curvature::Bend;
 use super::jerk::{Bounds, PathState, ramp_distance, ramp_speed};
+use super::jerk_anchors::{Stretch, Target, Way};
+use super::reverse_walk::{Lowered, Walk};
 use super::trapezoid::{greater, lesser, square_root};
 use core::ops::Range;
-
-/// Bounds that differ by less than this factor are taken for the same: on a curve they change from block to block, and an
-/// anchor at each of them would cost more than the tighter bounds.
-const ALIKE: f32 = 0.8;
-
-/// The way back from an anchor, while the reverse pass goes along it.
-#[derive(Clone, Copy, Debug)]
-struct Way {
-    speed: f32,
-    distance: f32,
-    ceiling2: f32,
-    bounds: Bounds,
-}
-
-impl Way {
-    fn to(speed: f32) -> Self {
-        Self { speed, distance: 0.0, ceiling2: f32::INFINITY, bounds: Bounds::NONE }
-    }
-
-    /// Whether a block with these bounds is of another kind than those on the way.
-    #[inline]
-    fn differs(&self, own: Bounds) -> bool {
-        let apart = |a: f32, b: f32| a < ALIKE * b || b < ALIKE * a;
-        apart(own.acceleration, self.bounds.acceleration) || apart(own.jerk, self.bounds.jerk)
-    }
-
-    /// The speed of an anchor right here, if a ramp from `cap2` gets shorter by ending here and not with this way: a block
-    /// with tight bounds would else spoil all of a long ramp.
-    #[inline(never)]
-    fn better_anchor(&self, own: Bounds, cap2: f32) -> Option<f32> {
-        let ceiling = square_root(self.ceiling2);
-        let top = lesser(square_root(cap2), ceiling);
-        let here = lesser(ramp_speed(self.speed, self.distance, self.bounds), ceiling);
-        let joined = ramp_distance(top, self.speed, self.bounds.and(own)) - self.distance;
-        (ramp_distance(top, here, own) < joined).then_some(here)
-    }
-}
 
 /// A machine that is faster than a lowered override allows: it brakes with what bends leave of the acceleration, and the
 /// entries that it comes to meanwhile are not asked for less, or it would brake for them with all of it.
@@ -122,40 +85,6 @@ impl Fall {
 /// may span hundreds of blocks and is looked at with each segment. With 512 blocks two groups of 16 are walked through
 /// at most, the first and the last, and 31 taken as a whole.
 const GROUPS: usize = 32;
-
-/// One or more blocks in a row, as a machine sees them that eases off its acceleration meanwhile.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Stretch {
-    length: f32,
-    /// Speed² of the slowest anchor among the entries.
-    slowest2: f32,
-    bounds: Bounds,
-    /// The least acceleration without bends, and what all bends together leave.
-    straight_acceleration: f32,
-    curve: CurveLoad,
-}
-
-impl Stretch {
-    const NONE: Self = Self {
-        length: 0.0,
-        slowest2: f32::INFINITY,
-        bounds: Bounds::NONE,
-        straight_acceleration: f32::INFINITY,
-        curve: CurveLoad::NONE,
-    };
-
-    #[inline]
-    fn and<const N: usize>(self, block: &Block<N>) -> Self {
-        let anchor2 = if block.ramp.distance == 0.0 { block.entry2 } else { f32::INFINITY };
-        Self {
-            length: self.length + block.length,
-            slowest2: lesser(self.slowest2, anchor2),
-            bounds: self.bounds.and(block.bounds()),
-            straight_acceleration: lesser(self.straight_acceleration, block.acceleration),
-            curve: self.curve.and(block.curve),
-        }
-    }
-}
 
 /// The ring of blocks. The first one may be running; its entry speed is then history.
 #[derive(Debug)]
@@ -647,136 +576,6 @@ impl<const N: usize> Planner<N, [Block<N>]> {
             end += stretch.length;
         }
         Bounds { acceleration: curve.left(straight_acceleration, speed2), jerk }
-    }
-}
-
-/// A reverse pass on its way.
-struct Walk {
-    /// The speed² at which the last block before what has been walked over is left.
-    exit2: f32,
-    /// Whether it looks for an entry that is settled.
-    searching: bool,
-    /// That entry; 0: none.
-    settled: usize,
-}
-
-impl Walk {
-    /// Brings the entries of some blocks in a row, the first of which is at a place, into line, from the last of them to the
-    /// first. Ends with `false` at one that stays, in front of the place from which limits have `changed`.
-    #[inline(never)]
-    fn back<const N: usize>(&mut self, blocks: &mut [Block<N>], from: usize, changed: usize) -> bool {
-        let Self { mut exit2, mut searching, mut settled } = *self;
-        let mut place = from + blocks.len();
-        for block in blocks.iter_mut().rev() {
-            place -= 1;
-            let reach2 = block.braking_entry2(exit2);
-            let is_capped = reach2 >= block.max_entry2;
-            exit2 = if is_capped { block.max_entry2 } else { reach2 };
-            if place < changed && block.entry2 == exit2 {
-                self.settled = settled;
-                return false;
-            }
-            block.entry2 = exit2;
-            if searching {
-                // What is before a steep block may get slower by what is appended.
-                let is_steep = block.is_steep();
-                if is_steep || is_capped && block.is_surely_capped(reach2) {
-                    searching = false;
-                    settled = if is_steep { 0 } else { place };
-                }
-            }
-        }
-        *self = Self { exit2, searching, settled };
-        true
-    }
-}
-
-/// What bends have lowered.
-#[derive(Clone, Copy, Debug)]
-struct Lowered {
-    /// The first place; `usize::MAX`: none.
-    first: usize,
-    /// Behind the last one that has been walked over, 0 if none has.
-    planned_end: usize,
-}
-
-impl Lowered {
-    const NONE: Self = Self { first: usize::MAX, planned_end: 0 };
-
-    /// What either has.
-    #[inline]
-    fn and(self, other: Self) -> Self {
-        Self { first: self.first.min(other.first), planned_end: self.planned_end.max(other.planned_end) }
-    }
-
-    /// The first block of the queue has gone.
-    #[inline]
-    fn pop(&mut self) {
-        if self.first != usize::MAX {
-            self.first = self.first.saturating_sub(1);
-            self.planned_end = self.planned_end.saturating_sub(1);
-        }
-    }
-
-    /// Lowers blocks in a row, the first of which is at a place.
-    #[inline(never)]
-    fn lower<const N: usize>(&mut self, blocks: &mut [Block<N>], from: usize, bend: &Bend) {
-        // Positive numbers are ordered as their bits are.
-        let speed2 = bend.speed2.to_bits();
-        for (index, block) in blocks.iter_mut().enumerate() {
-            // Most blocks in a long bend are as low already. No entry is above its corner.
-            let is_tighter = bend.curve.is_tighter(block.curve);
-            if speed2 < block.corner2.to_bits() {
-                block.corner2 = bend.speed2;
-            } else if !is_tighter {
-                continue;
-            }
-            if speed2 < block.max_entry2.to_bits() {
-                block.max_entry2 = bend.speed2;
-            } else if !is_tighter {
-                continue;
-            }
-            block.curve = block.curve.tighter(bend.curve);
-            self.first = self.first.min(from + index);
-            // A block that came after the last walk has no entry.
-            if block.entry2 > 0.0 {
-                self.planned_end = from + index + 1;
-            }
-        }
-    }
-}
-
-/// The next anchor, seen from a place before it.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Target {
-    pub speed: f32,
-    pub distance: f32,
-    ceiling: f32,
-    pub bounds: Bounds,
-}
-
-impl Target {
-    /// Where the ramp has to come to first: down to the ceiling, in the same block as yet.
-    pub(super) fn nearest(&self, speed: f32) -> (f32, f32) {
-        self.beyond(speed, f32::NEG_INFINITY)
-    }
-
-    /// The same for what a machine does on the next way: if it comes to the ceiling within that, the ramp down from there
-    /// begins with it. Otherwise it would begin a segment late, which tells: a sixth of the way of a ramp has to make up for it.
-    pub(super) fn beyond(&self, speed: f32, way: f32) -> (f32, f32) {
-        if speed > self.ceiling {
-            let distance = self.distance - ramp_distance(self.ceiling, self.speed, self.bounds);
-            if distance > way {
-                return (self.ceiling, distance);
-            }
-        }
-        (self.speed, self.distance)
-    }
-
-    /// Whether a machine in this state, not accelerating, can come down in time.
-    pub(super) fn is_met(&self, state: PathState) -> bool {
-        let (speed, distance) = self.nearest(state.speed);
-        state.lands(speed, distance, self.bounds)
     }
 }
 
