@@ -8,16 +8,17 @@
 //!      /        \    /     \                     v²(entry) = min(corner, v²(exit) + 2·a·length)
 //!     /          \__/       \____ 0
 //! ```
-//! Only the reverse pass is kept here. Acceleration towards those speeds needs no pass: the running block accelerates from
-//! the speed it really has, so a speed that cannot be reached is just not reached, and holds, overrides and late blocks
-//! need no repair of the queue. A new block changes the entries behind it only as far as they were limited by the old end
-//! of the queue; the walk stops at the first that stays.
+//! There is no forward pass. The running block accelerates from the speed that it really has towards those speeds; a speed
+//! that cannot be reached is simply not reached, and holds, overrides and late blocks need no repair of the queue. A new
+//! block changes earlier entries only as far as these were limited by the old end of the queue; the walk stops at the
+//! first entry that stays.
 //!
-//! The walk is put off until an entry is asked for that it could change. An entry at its cap cannot rise, and neither can what
-//! has been planned before it: it is settled, whatever is appended. So in a long queue many blocks share one walk.
+//! The walk is postponed until an entry is needed that it could change. An entry at its cap (its corner and nominal
+//! speeds) cannot rise, and neither can the entries before it: they are settled, whatever is appended. So in a long queue
+//! many blocks share one walk.
 //!
-//! With a jerk limit a ramp, not a block, is the unit: its acceleration is zero at its two ends only, and it may span
-//! hundreds of blocks. The reverse pass then looks for anchors, the entries where a ramp ends:
+//! With a jerk limit the unit is a ramp and not a block: its acceleration is zero at its two ends only, and it may span
+//! hundreds of blocks. The reverse pass then looks for anchors, the entries at which a ramp ends:
 //!
 //! ```text
 //!        cap of the entries: corner and nominal speeds             speed
@@ -28,10 +29,11 @@
 //!            │         '  .           _ '                          The ramp before an anchor rises, seen backwards, by its
 //!            └────────────── o ────o                               own length formula until it meets the next cap.
 //! ```
-//! An entry whose cap is above all that any ramp to the anchor can have there (v² + 2·a·distance, no jerk limit) is passed
-//! by all of them. Any other one puts a ceiling on the ramp; where the way suffices to fall from the ceiling, that entry
-//! is the next anchor. So the pass computes no speed but those of anchors, and what lies between needs no repair when a
-//! ramp begins in the middle of a block or from another state.
+//! Where the cap of an entry is above the greatest speed that any ramp to the anchor can have there (v² + 2·a·distance,
+//! without a jerk limit), the entry does not limit the ramp. Any other entry puts a ceiling on it; the first entry from
+//! which the distance suffices to slow down from the ceiling is the next anchor. So the pass computes no speeds but those
+//! of anchors, and nothing between them has to be repaired when a ramp begins in the middle of a block or from another
+//! state.
 //!
 //! Names: the ring has `slot` of a place, `len`, `first`, `push`, `pop`, `take_back`, `newest` and `free`. A block has
 //! `max_entry2`, `exit2`, squares of `nominal` and `previous` speed; limits have `changed` from a place on, and up to
@@ -273,8 +275,8 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         true
     }
 
-    /// Lowers corners that turn out to be on a bend, and the acceleration that it leaves. What the machine is too fast for
-    /// already is braked for, but not in time: that takes a queue shorter than the bend's span.
+    /// Lowers the corners of blocks that turn out to be on a bend, and the acceleration that remains there. Where the machine
+    /// is already too fast for it, it brakes, but too late: that happens only if the queue is shorter than the bend's span.
     #[inline(never)]
     pub(super) fn limit(&mut self, bend: &Bend) {
         let newest = self.len.saturating_sub(1);
@@ -303,9 +305,9 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         }
     }
 
-    /// What is settled counts on the entries of the last walk, which may only rise. Where blocks from `first` to `end` have been
-    /// lowered since, the entries before are, too, as far as they change. If that takes the settled one from its cap, or a block
-    /// is steep now, nothing is settled any more.
+    /// What is settled relies on the entries of the last walk, which may only rise. Where blocks from `first` to `end` have been
+    /// lowered since, the entries before them are lowered too, as far as they change. If the settled entry leaves its cap by
+    /// that, or a block has become steep, nothing is settled any more.
     #[inline(never)]
     fn lower_settled(&mut self, first: usize, end: usize) {
         let mut exit2 = self.block(end).map_or(0.0, |next| next.entry2);
@@ -339,8 +341,8 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         }
     }
 
-    /// Brings the exit of the first block into line with what has been appended and limited, and all entries up to the first
-    /// one at its cap that may be counted on. Without a jerk limit only.
+    /// Brings the exit of the first block up to date with what has been appended and limited, and with it all entries up to the
+    /// first one that is settled. Without a jerk limit only.
     #[inline]
     pub(super) fn settle(&mut self) {
         if self.changed == usize::MAX {
@@ -385,8 +387,8 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         self.plan();
     }
 
-    /// From the end of the queue towards the running block: over all that has changed, and on as far as entries change. Finds the
-    /// last entry that is settled.
+    /// Walks from the end of the queue towards the running block: over everything that has changed, and further as long as
+    /// entries change. Finds the last entry that is settled.
     #[inline(never)]
     fn reverse_pass(&mut self) {
         let wrapped = (self.first + self.len).saturating_sub(self.blocks.len());
@@ -401,8 +403,8 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         self.settled = walk.settled;
     }
 
-    /// The same with bounded jerk: finds the anchors, and notes for the entries between how far the next one is. As far
-    /// as anchors change; gives the first place that was looked at.
+    /// The same with bounded jerk, as far as anchors change: finds the anchors, and notes for the entries between them how far
+    /// the next one is. Gives the first place that was looked at.
     #[inline(never)]
     fn reverse_pass_to_anchors(&mut self) -> usize {
         let mut way = Way::to(0.0);
