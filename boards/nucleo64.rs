@@ -19,19 +19,12 @@ use stm32f4xx_hal::{
 };
 
 pub use crate::stm32f4::{
-    InputPins, SettingsFlash, SlowPins, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job, reset_cause,
-    restart, safe_state,
+    CLOCK_TICKS_PER_US, InputPins, SAMPLE_HZ, SettingsFlash, SlowPins, WATCHES_CLOCK, Watchdog, call_step, clock_ticks,
+    idle, job_done, preloaded_job, reset_cause, restart, safe_state,
 };
 use crate::stm32f4::{each, step::Rings};
 use crate::{AXES, NoPort, input_bits, stm32f4};
 pub use stm32f4xx_hal::pac;
-
-/// The clock counts microseconds.
-pub const CLOCK_TICKS_PER_US: u32 = 1;
-/// Samples of the inputs in a second.
-pub const SAMPLE_HZ: u32 = 20_000;
-/// By the clock security system.
-pub const WATCHES_CLOCK: bool = true;
 
 /// The vectors of the tasks, as literals: RTIC reads them before any constant or `cfg` is known.
 #[macro_export]

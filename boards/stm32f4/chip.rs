@@ -130,11 +130,18 @@ pub fn step_pins<const P: usize>(
     StepPins::at(at, turn_at, probe.probe(), clocks, rings, (pulse, clock, pwm, [a, b, c, d, e, f, g, h]))
 }
 
+/// Ticks of the clock in a microsecond.
+pub const CLOCK_TICKS_PER_US: u32 = 1;
+/// Samples of the inputs in a second, by SysTick.
+pub const SAMPLE_HZ: u32 = 20_000;
+/// The clock security system watches the oscillator.
+pub const WATCHES_CLOCK: bool = true;
+
 /// Starts TIM5 as the clock: 1 MHz, free-running.
 pub fn start_clock(timer: pac::TIM5, rcc: &mut Rcc) {
     pac::TIM5::enable(rcc);
     pac::TIM5::reset(rcc);
-    let prescaler = pac::TIM5::timer_clock(&rcc.clocks).raw() / 1_000_000 - 1;
+    let prescaler = pac::TIM5::timer_clock(&rcc.clocks).raw() / (CLOCK_TICKS_PER_US * 1_000_000) - 1;
     timer.psc().write(|w| w.psc().set(prescaler as u16));
     timer.arr().write(|w| raw!(w, u32::MAX));
     // The prescaler is taken over by an update.
