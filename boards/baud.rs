@@ -1,5 +1,5 @@
-//! `BaudGuard`: at which baud rate a serial port listens. That is the `home` rate that a setting chooses, but a host at
-//! the [`USUAL`] rate is heard, too: it looks `garbled` at any other.
+//! At which baud rate a serial port listens: the one that a setting chooses, or, for a host that does not know it, the
+//! usual one. A rate that no host can use would else lock everyone out, for settings come over the same line.
 //!
 //! ```text
 //!             garbled thrice, nothing heard lately          a line end or ? is heard
@@ -8,7 +8,8 @@
 //!    │  └──────── nothing heard within 5 s ──────────┘                                    │
 //!    └──────────────────── garbled thrice, nothing heard lately ──────────────────────────┘
 //! ```
-//! A rate that no host can use would else lock everyone out, for settings come over the same line.
+//!
+//! Names: `BaudGuard` has a `home` rate and the [`USUAL`] one; it is told what is `heard` and what is `garbled`.
 
 /// The rate of senders for Grbl, and of a new controller.
 pub const USUAL: u32 = 115_200;

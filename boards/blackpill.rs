@@ -1,8 +1,6 @@
-//! What the WeAct Black Pills V2/V3 share, with STM32F411CE or STM32F401CC. `setup` takes the `pac` `device` of an
-//! STM32F4, assigns the pins of ports A and B (`pb7`, `pa15`, `split`), takes the clocks (`rcc`, `Config`, `PWR`,
-//! `require_pll48clk`) from a 25 MHz crystal, and puts the `Parts` together: `StepPins<1>` with all step pins on one
-//! port, `USART1` (`SerialPort`, `tx`, `rx`), and the `UsbPort` on OTG_FS, which the Nucleo boards do not have. Compare
-//! the drawing with the print on yours before you wire it.
+//! What the WeAct Black Pills V2/V3 share, with STM32F411CE or STM32F401CC: the pin table below, and `setup`, which
+//! takes the processor's devices, starts the clocks from the 25 MHz crystal, assigns the pins and puts the `Parts`
+//! together. Compare the drawing with the print on yours before you wire it.
 //!
 //! ```text
 //!                              ┌──[USB-C]──┐
@@ -47,6 +45,11 @@
 //! | left alone | A13 A14, B2, C13-C15 | SWD, BOOT1, LED and crystal: no pin is left for a spindle that tells its speed |
 //!
 //! In reset all pins float: spindle, laser and coolant need pull-down resistors, driver enable a pull-up.
+//!
+//! Names: `setup` takes the `pac` `device` of an STM32F4, assigns the pins of ports A and B (`pb7`, `pa15`, `split`),
+//! takes the clocks (`rcc`, `Config`, `PWR`, `require_pll48clk`) from a 25 MHz crystal, and puts the `Parts` together:
+//! `StepPins<1>` with all step pins on one port, `USART1` (`SerialPort`, `tx`, `rx`), and the `UsbPort` on OTG_FS,
+//! which the Nucleo boards do not have. Compare the drawing with the print on yours before you wire it.
 
 use stm32f4xx_hal::{
     gpio::{PinState, Pull, Speed},
@@ -58,17 +61,10 @@ use stm32f4xx_hal::{
 use crate::input_bits;
 use crate::stm32f4::{self, each, step::Rings};
 pub use crate::stm32f4::{
-    InputPins, SettingsFlash, SlowPins, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job, reset_cause,
-    restart, safe_state,
+    CLOCK_TICKS_PER_US, InputPins, SAMPLE_HZ, SettingsFlash, SlowPins, WATCHES_CLOCK, Watchdog, call_step, clock_ticks,
+    idle, job_done, preloaded_job, reset_cause, restart, safe_state,
 };
 pub use stm32f4xx_hal::pac;
-
-/// The clock counts microseconds.
-pub const CLOCK_TICKS_PER_US: u32 = 1;
-/// Samples of the inputs in a second.
-pub const SAMPLE_HZ: u32 = 20_000;
-/// By the clock security system.
-pub const WATCHES_CLOCK: bool = true;
 
 /// The vectors of the tasks, as literals: RTIC reads them before any constant or `cfg` is known.
 #[macro_export]

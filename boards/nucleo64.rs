@@ -1,10 +1,14 @@
-//! What the Nucleo-64 boards share, with an Arduino CNC shield v3: `setup` takes the `pac` `device` of an STM32F4, sets
-//! `rcc` and its `Config` (`freeze`, oscillator bypassed) from `PWR`, assigns each pin of the header and of the Morpho
-//! connector (`pa0` to `pc11`; `split`, `into_pull_up_input`, `into_push_pull_output`), and puts the `Parts` together.
-//! Unlike on a Black Pill, the step pins are on two ports (`StepPins<2>`), the host is on `USART2` through the ST-Link
-//! (`SerialPort`, `tx`, `rx`), `UsbPort` is `NoPort`, and there are `input_bits` for `AT_SPEED` and for programs
-//! (`also`).
+//! What the Nucleo-64 boards share, with an Arduino CNC shield v3: the pins, and `setup`, which takes the processor's
+//! devices, sets the clocks, assigns each pin of the header and of the Morpho connector, and puts the `Parts` together.
+//! Unlike on a Black Pill, the step pins are on two ports, the host is on `USART2` through the ST-LINK, and there are
+//! inputs for a spindle's speed and for programs.
 //!
+//! Names: What the Nucleo-64 boards share, with an Arduino CNC shield v3: `setup` takes the `pac` `device` of an
+//! STM32F4, sets `rcc` and its `Config` (`freeze`, oscillator bypassed) from `PWR`, assigns each pin of the header and
+//! of the Morpho connector (`pa0` to `pc11`; `split`, `into_pull_up_input`, `into_push_pull_output`), and puts the
+//! `Parts` together. Unlike on a Black Pill, the step pins are on two ports (`StepPins<2>`), the host is on `USART2`
+//! through the ST-Link (`SerialPort`, `tx`, `rx`), `UsbPort` is `NoPort`, and there are `input_bits` for `AT_SPEED` and
+//! for programs (`also`).
 #![doc = include_str!("nucleo64.md")]
 
 use stm32f4xx_hal::{
@@ -15,19 +19,12 @@ use stm32f4xx_hal::{
 };
 
 pub use crate::stm32f4::{
-    InputPins, SettingsFlash, SlowPins, Watchdog, call_step, clock_ticks, idle, job_done, preloaded_job, reset_cause,
-    restart, safe_state,
+    CLOCK_TICKS_PER_US, InputPins, SAMPLE_HZ, SettingsFlash, SlowPins, WATCHES_CLOCK, Watchdog, call_step, clock_ticks,
+    idle, job_done, preloaded_job, reset_cause, restart, safe_state,
 };
 use crate::stm32f4::{each, step::Rings};
 use crate::{AXES, NoPort, input_bits, stm32f4};
 pub use stm32f4xx_hal::pac;
-
-/// The clock counts microseconds.
-pub const CLOCK_TICKS_PER_US: u32 = 1;
-/// Samples of the inputs in a second.
-pub const SAMPLE_HZ: u32 = 20_000;
-/// By the clock security system.
-pub const WATCHES_CLOCK: bool = true;
 
 /// The vectors of the tasks, as literals: RTIC reads them before any constant or `cfg` is known.
 #[macro_export]

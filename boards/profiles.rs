@@ -64,7 +64,7 @@ const NUCLEO_PROGRAM_PINS: [u8; 2] = [2, 2];
 
 /// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate, emulated,
 /// is that of the shortest pulse of 1 us and as long a pause: the events that are ahead and the processor would allow more
-/// (docs/how-it-works.md, "Step rates").
+/// (docs/cost.md, "Step rates").
 pub const BLACKPILL_F411: Board =
     Board { name: "blackpill_f411", step_clock_hz: 96_000_000, core_hz: 96_000_000, safe_step_hz: 490_000, ..HARDWARE };
 

@@ -1,9 +1,10 @@
-//! `Received`: the ring between the interrupt that a byte brings and the task that reads it. The interrupt `keep`s bytes
-//! and notes what it must `miss`; the task takes what is `ready` and hears of an `Error` at its place in the stream. What
-//! came while the processor stood is put behind the rest by `place` and `placed`.
+//! The ring between the interrupt that a byte brings and the task that reads it.
 //!
 //! One side never waits for the other: each variable has one writer, but for `error` and `drops`, which the interrupt sets
 //! and the task takes back. A place in the stream is the count of bytes before it, wrapping.
+//!
+//! Names: the interrupt `keep`s bytes and notes what it must `miss`; the task takes what is `ready` and hears of an
+//! `Error` at its place in the stream. What came while the processor stood is put behind the rest by `place` and `placed`.
 
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, Ordering::Relaxed, compiler_fence};
 

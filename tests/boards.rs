@@ -117,7 +117,7 @@ fn every_board_has_its_sizes_and_a_probe_profile() {
     }
 }
 
-/// The rule of docs/how-it-works.md, "Step rates": two of the longest runs of the step task and half a batch fit into the time
+/// The rule of docs/cost.md, "Step rates": two of the longest runs of the step task and half a batch fit into the time
 /// that the events of a full ring last, batches for three axes take no more than half of the processor, and the shortest pulse
 /// leaves a pause in which its timer comes to rest.
 #[test]

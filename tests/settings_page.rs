@@ -14,7 +14,7 @@ After this page you know each setting, what it does, its unit, its range and its
 the `ok` names the setting, and another one the first time that a line is refused for it with `error:9`. A door that opens then parks nothing (`$41`). No rate or acceleration is clamped silently. What cannot be run:
 
 * no steps/mm; a rate outside of 0.00003 to 6,000,000 mm/min, that of homing (`$22=1`) and of parking (`$41=1` besides) among them; an acceleration outside of 0.001 to 10,000,000 mm/s²; a jerk between 0 and 1
-* a rate times steps/mm beyond the step rate that the board can keep with the pulse `$0` ([what it costs](how-it-works.md#what-it-costs)), or a stored pulse shorter than the board makes
+* a rate times steps/mm beyond the step rate that the board can keep with the pulse `$0` ([what it costs](cost.md#step-rates)), or a stored pulse shorter than the board makes
 * a backlash of more than 10,000 steps, `$11` above 1000, `$12` below 0.0001
 * soft limits (`$20`) without homing (`$22`); a parking axis (`$42`) other than X, Y and Z; more axes (`$930`) than the board has
 * a second motor (`$905`) that the board has no pins for, of X or Y with CoreXY, or beside the axis A
@@ -26,7 +26,7 @@ After another `$3`, `$23`, `$100` to `$103`, `$904` or `$930`, and another trave
 refused and soft limits do not act (`$902`).
 
 When stored settings were damaged (flash that has lost a bit), the welcome line is followed by a message, and the machine is locked until they have been
-listed with `$$` and, 2 s later or more, confirmed with `$X`: [the settings log](how-it-works.md#the-settings-log). The same holds for a stored value out
+listed with `$$` and, 2 s later or more, confirmed with `$X`: [the settings log](storage.md#the-settings-log). The same holds for a stored value out
 of its range, as other firmware may have stored it: the setting has its default.
 
 In the dialect of Grbl (`$900=0`) `$$` lists Grbl's 34 numbers only, and the answer to a setting is `ok` alone. Clients that refuse what Grbl does not

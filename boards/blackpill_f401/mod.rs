@@ -4,7 +4,7 @@
 //!
 //! 84 MHz, the most of this part, and 48 MHz for USB from the same PLL (336 MHz by 4 and by 7). The image also runs on an
 //! STM32F401CE (512 KiB, 96 KiB), whose further memory it leaves unused. With 256 KiB, built for size, and a look-ahead of
-//! half the length; see "Small parts" in docs/how-it-works.md.
+//! half the length; see "Small parts" in docs/cost.md.
 
 use crate::{blackpill, profiles};
 use oxmill_controller::Profile;

@@ -1,12 +1,17 @@
-//! What the STM32F4 boards share in setting up: `step_pins` with `Rings` and the clocks of their timers TIM1 to TIM3
-//! (`rcc`, `psc`, `arr`, `cr1`, `ccr2`, `egr`, `write(|w| w.cen().set_bit())`, the `pwm`), the microsecond clock on
-//! TIM5 (`start_clock`), the serial port's `BAUD`, the `InputPins` (`MOST_INPUTS` `places` of `ErasedPin`s by `each_ref`, pulls, what is `fitted`), the
-//! `SlowPins` (`SLOW_OUTPUTS`) and their `levels`, the independent `Watchdog` that stops on debug, the `Parts`,
-//! `settings_flash`, `begin_with_reset` (`memrmp`, `mem_mode`, `syscfgen`), `watch_clock` (`csson`), `reset_cause` from the flags of `csr`, and `safe_state`, which writes each `SAFE` word
-//! (`write_bsrr`). `each!` (`$pin`, `$how`) and `raw!` shorten pins and register access.
+//! What the STM32F4 boards share in setting up the chip: step pins and their timers, the microsecond clock, input
+//! pins, slow outputs, the watchdog, the settings flash, the watch on the clock, the cause of a reset, and
+//! the safe state of the outputs.
 //!
 //! Clocks, pins and other set-up go through the HAL, whose types see to it that no pin is used twice; what the step
 //! interrupt touches is in `step.rs` and `chain.rs`.
+//!
+//! Names: What the STM32F4 boards share in setting up: `step_pins` with `Rings` and the clocks of their timers TIM1 to
+//! TIM3 (`rcc`, `psc`, `arr`, `cr1`, `ccr2`, `egr`, `write(|w| w.cen().set_bit())`, the `pwm`), the microsecond clock
+//! on TIM5 (`start_clock`), the serial port's `BAUD`, the `InputPins` (`MOST_INPUTS` `places` of `ErasedPin`s by `each_ref`, pulls, what is
+//! `fitted`), the `SlowPins` (`SLOW_OUTPUTS`) and their `levels`, the independent `Watchdog` that stops on debug, the
+//! `Parts`, `settings_flash`, `begin_with_reset` (`memrmp`, `mem_mode`, `syscfgen`), `watch_clock` (`csson`),
+//! `reset_cause` from the flags of `csr`, and `safe_state`, which writes each `SAFE` word (`write_bsrr`). `each!`
+//! (`$pin`, `$how`) and `raw!` shorten pins and register access.
 
 use core::sync::atomic::Ordering;
 use oxmill_controller::ResetCause;
@@ -124,11 +129,18 @@ pub fn step_pins<const P: usize>(
     StepPins::at(at, turn_at, probe.probe(), clocks, rings, (pulse, clock, pwm, [a, b, c, d, e, f, g, h]))
 }
 
+/// Ticks of the clock in a microsecond.
+pub const CLOCK_TICKS_PER_US: u32 = 1;
+/// Samples of the inputs in a second, by SysTick.
+pub const SAMPLE_HZ: u32 = 20_000;
+/// The clock security system watches the oscillator.
+pub const WATCHES_CLOCK: bool = true;
+
 /// Starts TIM5 as the clock: 1 MHz, free-running.
 pub fn start_clock(timer: pac::TIM5, rcc: &mut Rcc) {
     pac::TIM5::enable(rcc);
     pac::TIM5::reset(rcc);
-    let prescaler = pac::TIM5::timer_clock(&rcc.clocks).raw() / 1_000_000 - 1;
+    let prescaler = pac::TIM5::timer_clock(&rcc.clocks).raw() / (CLOCK_TICKS_PER_US * 1_000_000) - 1;
     timer.psc().write(|w| w.psc().set(prescaler as u16));
     timer.arr().write(|w| raw!(w, u32::MAX));
     // The prescaler is taken over by an update.

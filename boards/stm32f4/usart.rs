@@ -1,9 +1,6 @@
-//! The UART to the host. Its interrupt (`on_interrupt`) does nothing but put what has come into a ring (`RECEIVED`) and
-//! call the serial task where that has something to do; the `Usart` is that task's `Port`: it takes the bytes, sends,
-//! and listens at the rate that a `BaudGuard` says. While a flash operation stalls the processor, `shelter` has a DMA
-//! stream (`par`, `m0ar`, `ndtr`) fill the same ring while the `work` is done; `Sheltered` names the stream of each
-//! USART. Registers are read and written raw (`SR`, `DATA`, `BRR`, `CR_1`, `CR_3`), the stream's through the
-//! `RegisterBlock` of DMA1 or `DMA2` (`switch_on`, `LIFCR`, `HIFCR`).
+//! The UART to the host. Its interrupt does nothing but put what has come into a ring and call the serial task where that
+//! has something to do. The `Usart` is that task's port: it takes the bytes, sends, and listens at the rate that its
+//! `BaudGuard` says. While a flash operation stalls the processor, `shelter` has DMA fill the same ring.
 //!
 //! ```text
 //!  USART ──byte──▶ on_interrupt ──▶ ring ──▶ serial task      always
@@ -18,6 +15,11 @@
 //! flow control (at most the 255 bytes that `Bf:` counts are under way) loses nothing, and besides there is room for 64
 //! realtime commands (`REALTIME_DEPTH`). A host that sends more than 512 bytes in that time overruns the USART, which is
 //! reported like any other loss.
+//!
+//! Names: the interrupt is `on_interrupt`, the ring `RECEIVED`, the bytes that are not text `is_urgent`. `shelter` sets a
+//! stream up (`par`, `m0ar`, `ndtr`) while the `work` is done; `Sheltered` names the stream of each USART. Registers are
+//! read and written raw (`SR`, `DATA`, `BRR`, `CR_1`, `CR_3`), the stream's through the `RegisterBlock` of DMA1 or `DMA2`
+//! (`switch_on`, `LIFCR`, `HIFCR`).
 
 use super::registers::{read, write};
 use crate::baud::BaudGuard;

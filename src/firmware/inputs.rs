@@ -1,11 +1,13 @@
 //! `Inputs` has the input pins sampled and filtered, and tells `control` what has been `Sensed`; an armed input asks
 //! the step task for a stop from here. It gives pins their pull-ups (`set_pulls`), counts noise, asserts that
 //! `input_bits` of the board are in the controller's order, and each sample also looks at the alarm clock of `control`
-//! and at the `Supervisor`. What the filter has `rejected` is counted `Relaxed`; `wiring` comes by a `Receiver`,
-//! changes go by a `Sender`.
+//! and at the `Supervisor`.
 //!
 //! Sampling instead of edge interrupts: no pins clash on an interrupt line, and a bouncing switch cannot flood the CPU.
 //! A change passes after eight equal samples, 0.4 ms.
+//!
+//! Names: What the filter has `rejected` is counted `Relaxed`; `wiring` comes by a `Receiver`, changes go by a
+//! `Sender`.
 
 use crate::boards::{self, InputPins, input_bits};
 use crate::clock;

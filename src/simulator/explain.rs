@@ -1,4 +1,7 @@
-//! What each setting does and when a person changes it, in a sentence or two for every `Key` and `AxisKey`
+//! What each setting does and when a person changes it, in a sentence or two for every `Key` and `AxisKey`. Number,
+//! name, unit, range and default are in the controller's own table; boards do not have these sentences.
+//!
+//! Names: What each setting does and when a person changes it, in a sentence or two for every `Key` and `AxisKey`
 //! (`Key::StepPulse`, `Key::HomingSeek`). Number, name, unit, range and default are in the controller's own table;
 //! boards do not have these sentences. They say how far, how long or how fast, and what happens without it. Typical
 //! phrases: turns the level round, take what the data sheet of the driver asks for, set it for an axis that goes the

@@ -1,15 +1,16 @@
 //! The host's end of the link: bytes wait in its port, the boards' own `Link` fetches them, and the queues of realtime
 //! commands and line bytes (`ToControl`) follow; a second link is unused. A host can connect, disconnect, lose bytes
-//! and be silent; tells what is received, heard and unread. The `arbiter` of hosts is asked by `pass_on`, `command` and
-//! when the link `went`; realtime commands and each `LineByte` are in a `VecDeque` (`push_back`, `pop_front`) with its
-//! depth as room; `fetch` is told whether the `controller_is_free`, and `next_event` gives `Disconnected` or
-//! `Connected`.
+//! and be silent; tells what is received, heard and unread.
 //!
 //! ```text
 //!  host ──▶ port ──▶ Link ──▶ queues of commands and lines ──▶ control task
 //! ```
 //! The host is on a link like USB, which can wait: what has no room in the board's queues and in the link waits in the
 //! host's port.
+//!
+//! Names: The `arbiter` of hosts is asked by `pass_on`, `command` and when the link `went`; realtime commands and each
+//! `LineByte` are in a `VecDeque` (`push_back`, `pop_front`) with its depth as room; `fetch` is told whether the
+//! `controller_is_free`, and `next_event` gives `Disconnected` or `Connected`.
 
 use crate::boards::AXES;
 use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, REALTIME_DEPTH, Realtime};

@@ -1,8 +1,8 @@
 //! `serve`: the simulator as a Grbl device. It opens the link (TCP, a page, a pseudo terminal, or standard input and
-//! output) and has one loop, the `Device`, to which threads tell through a channel (`sender`, `receiver`) what happened:
-//! a client to admit, to turn away (`TURNED_AWAY`) or to keep waiting, one that has gone, lines that move pins. It records
-//! each `Input`, sends bytes to the simulator, and lets virtual time pass in a `SLICE` from its `anchor`, at a `Speed`.
-//! Also time-outs (`from_millis`) and notice of what went `UNRECORDED`.
+//! output) and has one loop, the `Device`, to which threads tell through a channel (`sender`, `receiver`) what
+//! happened: a client to admit, to turn away (`TURNED_AWAY`) or to keep waiting, one that has gone, lines that move
+//! pins. It records each `Input`, sends bytes to the simulator, and lets virtual time pass in a `SLICE` from its
+//! `anchor`, at a `Speed`.
 //!
 //! Threads do nothing but wait for bytes and hand them to the one loop that owns the simulator. Virtual time follows the
 //! host's clock times the speed; when the machine would fall behind, time slows down rather than pile up.
@@ -10,6 +10,8 @@
 //! One client is served at a time, as one program has a serial port open; on TCP another one is told so and turned away.
 //! A client has gone when it closes its side. Then the port is closed (`$914` says what becomes of the job), and what it
 //! sent and the board has no room for is thrown away. It is read ahead of the machine, so that its end is noticed.
+//!
+//! Names: Also time-outs (`from_millis`) and notice of what went `UNRECORDED`.
 
 use crate::clients::{
     ANSWERS, Client, Connection, ENDLESS, Happened, Inbox, Incoming, LONGEST_LINE, LOOK, PIECE, Writer, hung_up,

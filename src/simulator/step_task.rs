@@ -1,9 +1,11 @@
 //! `StepTask`: the controller's own stepper with a queue of messages in front of it, and a timer that is due at a tick
 //! of the virtual clock. Each tick steps the motors of the `World` (machine, fittings, meter, trace), looks at the
 //! probe, sets the power of the segment, and makes events of stops and underruns. It takes over the slow outputs, and
-//! after a stop its gate is `shut`. Segments and events are each in a `VecDeque` (`push_back`, `queued`, `next_event`);
-//! `is_done` says that nothing moves and nothing waits, `is_idle` that nothing is loaded either; `busy` counts the
-//! intervals, `segments_begun` the segments, and the probe is read with `probe_invert`.
+//! after a stop its gate is `shut`.
+//!
+//! Names: Segments and events are each in a `VecDeque` (`push_back`, `queued`, `next_event`); `is_done` says that
+//! nothing moves and nothing waits, `is_idle` that nothing is loaded either; `busy` counts the intervals,
+//! `segments_begun` the segments, and the probe is read with `probe_invert`.
 
 use crate::boards::AXES;
 use crate::clock::Clock;

@@ -1,13 +1,15 @@
 //! The flash `Image`: the two settings sectors of a board, in memory, under the log that the boards use (`Store`). A
 //! copy may be kept elsewhere word by word (`Keep`); a power cut can be ordered after so many operations and leaves a
 //! torn word or half an erased sector. Records are applied, restored and erased ahead. It fails with a `Failure`, and
-//! tells whether its power is gone. `spend` counts an operation and says whether it was `powered`; an image is `blank`,
-//! `in_memory`, `kept` (`from_bytes`, `Unusable`), or `power_cycled`, and `sync` has the file written out
-//! (`io::Result`, `anyhow!` for what is refused).
+//! tells whether its power is gone.
 //!
 //! Whoever keeps a copy is told of every word at once, so whatever ends the process leaves what a power cut would leave. A
 //! power cut can also be ordered: after so many words and erases, the next one is left half done and nothing is taken any
 //! more.
+//!
+//! Names: `spend` counts an operation and says whether it was `powered`; an image is `blank`, `in_memory`, `kept`
+//! (`from_bytes`, `Unusable`), or `power_cycled`, and `sync` has the file written out (`io::Result`, `anyhow!` for what
+//! is refused).
 
 use anyhow::{Context, Result, anyhow, bail};
 use oxmill_controller::messages::{Record, Store as Change};

@@ -1,13 +1,15 @@
 //! A job sent over a link of a baud rate by a sender that counts characters: how long it takes when bytes in flight and
 //! answers on the way back come no faster (`credit`, `carried`), and at which lines the machine lost time against a
 //! link without limit (`Streamed`, `Lost`). Bytes are outgoing, `in_flight` or read (`lines_before`); a place with a
-//! noticeable lag is kept; `forecast_s` is the expected time. `lines_of` the text are `waiting` in a `VecDeque` and go
-//! out while the board has room; what the machine says is `returning` (`drain`ed as the link carries it), and
-//! `hear_answer` counts each that `is_error` (`starts_with(b"error:")`). `run_slice` lets a `SLICE` pass; the ends of
-//! lines are compared with those of the `unlimited` link.
+//! noticeable lag is kept; `forecast_s` is the expected time.
 //!
 //! The sender counts characters: it sends a line as long as what the controller has not answered, with it, fits into the
 //! receive buffer. Answers need their time on the way back, too. Time passes in slices of a millisecond.
+//!
+//! Names: `lines_of` the text are `waiting` in a `VecDeque` and go out while the board has room; what the machine says
+//! is `returning` (`drain`ed as the link carries it), and `hear_answer` counts each that `is_error`
+//! (`starts_with(b"error:")`). `run_slice` lets a `SLICE` pass; the ends of lines are compared with those of the
+//! `unlimited` link.
 
 use crate::machine::linear;
 use crate::path::Drawing;

@@ -1,4 +1,7 @@
-//! `Summary`: what a job did, as fields of JSON (`Serialize`: `position_mm`, `peak_speed_mm_s`, `step_events`,
+//! `Summary`: what a job did, as fields of JSON and as rows of text for people: errors, alarm, messages, forecast,
+//! times, position, steps, distances, extents, peaks and hashes.
+//!
+//! Names: `Summary`: what a job did, as fields of JSON (`Serialize`: `position_mm`, `peak_speed_mm_s`, `step_events`,
 //! `host_s`) and as rows of text for people, written with `writeln!(f, ..)` and `format!` (`join`, `place_text`,
 //! `named_time`): lines, errors (`LineError`, `SHOWN_ERRORS`, `error_count`), alarm report (`AlarmReport`), messages
 //! and notes as `runs` of equal texts, with the count of more, forecast of the whole tape, times at feed, in rapids and

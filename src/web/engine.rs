@@ -1,4 +1,8 @@
-//! What the WebAssembly module does, without pointers: an `Order` in JSON says `board`, `dialect`, `settings`,
+//! What the WebAssembly module does, without pointers: `check` and `stream` run a job, `turn` runs a machine for so
+//! many microseconds, `rows` gives the path as numbers, and `describe` the tables of settings, errors and alarms.
+//! Orders come as JSON.
+//!
+//! Names: What the WebAssembly module does, without pointers: an `Order` in JSON says `board`, `dialect`, `settings`,
 //! `machine` and `baud`; `check` and `stream` run a job on a simulator after `power_up`, `turn` runs a `machine` for so
 //! many microseconds, `rows` gives the path as numbers (`RAPID`, `ARC`), and `describe` the tables of settings, errors
 //! and alarms. A row of it has name, unit, kind, least and greatest value and explanation. An order that is not

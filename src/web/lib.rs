@@ -2,9 +2,7 @@
 //! on, with pointers to the input and the answer and their lengths; a `panic` is caught as text. All state is in the
 //! module, which needs no imports, so it runs in a page, in Node, in Python; whoever wants two simulators makes two
 //! instances. The `Instance` keeps the job's length, a check, streams or a machine, and the `engine`'s answer as JSON
-//! bytes (`as_ptr`). A `HOOK` keeps the text of a `PANIC` (`with_borrow`); a share is in `PARTS` of 1000, `DONE` is
-//! 1001; the `limited` stream advances beside the `free` one by milliseconds, and its `summary` is made by
-//! `serde_json`.
+//! bytes (`as_ptr`).
 //!
 //! # How to call it
 //!
@@ -47,6 +45,9 @@
 //! Settings are applied in the order of their numbers, the dialect last.
 //!
 //! A panic ends the instance with a trap; its text can still be fetched.
+//!
+//! Names: A `HOOK` keeps the text of a `PANIC` (`with_borrow`); a share is in `PARTS` of 1000, `DONE` is 1001; the
+//! `limited` stream advances beside the `free` one by milliseconds, and its `summary` is made by `serde_json`.
 
 pub mod engine;
 

@@ -49,7 +49,9 @@ fn the_journey_passes_functions_that_exist() {
 #[test]
 fn paths_in_documents_exist() {
     let mut seen = 0;
-    for name in ["glossary.md", "how-it-works.md", "journey.md", "limits.md", "motion.md", "tests.md"] {
+    for name in
+        ["cost.md", "glossary.md", "how-it-works.md", "journey.md", "limits.md", "motion.md", "storage.md", "tests.md"]
+    {
         let text = document(name);
         for path in quoted(&text).filter(|text| !text.contains([' ', '*', '<', '$', '{'])) {
             let is_path = ["src/", "boards/", "tests/", "docs/", "xtask/"].iter().any(|room| path.starts_with(room));
@@ -108,40 +110,44 @@ const LISTED: [&str; 2] = ["boards", "src"];
 /// Files that docs/files.md lists, by the end of their names, and how the comment at their head begins.
 const KINDS: [(&str, &str); 5] = [("css", "/*"), ("html", "<!--"), ("mjs", "//"), ("rs", "//!"), ("ts", "//")];
 
-/// The first paragraph of the comment at a file's head: what it is about.
-fn head_of(file: &Path, text: &str) -> String {
+/// What begins the paragraph of a file's head that has the names to look for in it.
+const NAMES: &str = "Names: ";
+
+/// Two paragraphs of the comment at a file's head: the first, what the file is about, and the names to look for in it, if
+/// there are any.
+fn head_of(file: &Path, text: &str) -> (String, String) {
     let (_, mark) = KINDS.iter().find(|(kind, _)| file.extension().is_some_and(|e| e == *kind)).unwrap();
     let lines = text.lines().skip_while(|line| line.starts_with("<!doctype")).map_while(|line| line.strip_prefix(mark));
-    let words: Vec<&str> = lines
-        .map(|line| line.trim_end_matches("*/").trim_end_matches("-->").trim())
-        .take_while(|line| !line.is_empty())
-        .collect();
-    words.join(" ").replace('|', "\\|")
+    let lines: Vec<&str> = lines.map(|line| line.trim_end_matches("*/").trim_end_matches("-->").trim()).collect();
+    let mut paragraphs = lines.split(|line| line.is_empty()).map(|lines| lines.join(" ").replace('|', "\\|"));
+    let about = paragraphs.next().unwrap_or_default();
+    let names = paragraphs.find_map(|text| text.strip_prefix(NAMES).map(str::to_owned)).unwrap_or_default();
+    (about, names)
 }
 
 /// docs/files.md has each file with its own first words; `OXMILL_FILES=accept` writes it.
 #[test]
 fn every_file_is_listed_with_its_own_words() {
     let mut text = String::from(
-        "# Every file\n\nAfter this page you know where to look. What each file of `src/` and `boards/` is about, in its own first words. A test keeps this page true;\n\
+        "# Every file\n\nAfter this page you know where to look. What each file of `src/` and `boards/` is about, in its own first words, and names to look for in it. A test keeps this page true;\n\
          `OXMILL_FILES=accept cargo test --test architecture listed` writes it.\n\n\
          Where `src/controller/machine` and `src/controller/controller` have files of one name, the first is a state machine that gives orders and\n\
          never sees the controller; the second carries the orders out.\n",
     );
-    let mut folders: BTreeMap<String, Vec<(String, String)>> = BTreeMap::new();
+    let mut folders: BTreeMap<String, Vec<(String, String, String)>> = BTreeMap::new();
     for top in LISTED {
         for (file, source) in source::of_kinds(&root().join(top), &KINDS.map(|(kind, _)| kind)) {
             let path = format!("{top}/{}", file.display());
-            let head = head_of(&file, &source);
-            assert!(!head.is_empty(), "{path} does not say what it is about");
+            let (about, names) = head_of(&file, &source);
+            assert!(!about.is_empty(), "{path} does not say what it is about");
             let (folder, name) = path.rsplit_once('/').unwrap();
-            folders.entry(folder.to_owned()).or_default().push((name.to_owned(), head));
+            folders.entry(folder.to_owned()).or_default().push((name.to_owned(), about, names));
         }
     }
     for (folder, files) in &folders {
-        text += &format!("\n## {folder}\n\n| file | what it is about |\n|---|---|\n");
-        for (name, head) in files {
-            text += &format!("| `{name}` | {head} |\n");
+        text += &format!("\n## {folder}\n\n| file | what it is about | names in it |\n|---|---|---|\n");
+        for (name, about, names) in files {
+            text += &format!("| `{name}` | {about} | {names} |\n");
         }
     }
     let page = root().join("docs/files.md");

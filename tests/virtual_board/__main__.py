@@ -7,8 +7,9 @@ import sys
 import time
 from pathlib import Path
 
-from . import cases
 from .board import Failure, Image
+from .cases import KNOWN, all_cases
+from .cases.bench import STACK_LEFT, Bench, LeftOut
 from .parts import BOARDS
 
 
@@ -22,26 +23,26 @@ def chosen(cases, names):
 
 
 def main(board, elf, oxmill, *names):
-    bench = cases.Bench(BOARDS[board], Image(elf), oxmill)
+    bench = Bench(BOARDS[board], Image(elf), oxmill)
     root = Path(__file__).resolve().parents[2]
     failed = passed = missing = known = 0
     print(f"\nvirtual board {board} ({bench.wiring.part.name})", flush=True)
-    for name, case in chosen(cases.all_cases(root), names):
+    for name, case in chosen(all_cases(root), names):
         begin, lines, outcome = time.monotonic(), [], "ok"
         bench.origin, bench.case = 0, name
         try:
             lines.extend(case(bench))
             bench.note_stack()
             passed += 1
-            if (board, name) in cases.KNOWN:
+            if (board, name) in KNOWN:
                 outcome = "ok, although it is on the list of known faults: take it off"
         except Failure as failure:
-            if (board, name) in cases.KNOWN:
-                outcome = f"known fault: {cases.KNOWN[board, name]}\n  {failure}"
+            if (board, name) in KNOWN:
+                outcome = f"known fault: {KNOWN[board, name]}\n  {failure}"
                 known += 1
             else:
                 outcome, failed = f"FAILED\n  {failure}", failed + 1
-        except cases.LeftOut as why:
+        except LeftOut as why:
             outcome = f"left out: {why}"
             missing += 1
         print(f"case {name} ... {outcome} ({time.monotonic() - begin:.1f} s)")
@@ -49,8 +50,8 @@ def main(board, elf, oxmill, *names):
             print(f"  {line}", flush=True)
     used, size, where = bench.deepest
     print(f"deepest stack of all cases: {used} of {size} bytes ({where})")
-    if size - used < cases.STACK_LEFT:
-        print(f"FAILED: less than {cases.STACK_LEFT} bytes of the stack are left")
+    if size - used < STACK_LEFT:
+        print(f"FAILED: less than {STACK_LEFT} bytes of the stack are left")
         failed += 1
     print(f"virtual board {board}: {passed} passed, {failed} failed, {known} known faults, {missing} left out", flush=True)
     return 1 if failed or not passed else 0

@@ -9,8 +9,8 @@ import struct
 import sys
 import time
 
-from . import cases
 from .board import Image
+from .cases.bench import Bench
 from .parts import BOARDS
 from .scope import Scope
 
@@ -89,7 +89,7 @@ class Player:
 
 
 def main(board, elf, script, answers, report, wall="inf"):
-    bench = cases.Bench(BOARDS[board], Image(elf), None)
+    bench = Bench(BOARDS[board], Image(elf), None)
     if bench.wiring.usb:
         bench.boot_with_usb()
     else:

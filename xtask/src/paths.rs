@@ -11,7 +11,7 @@ use std::process::Command;
 
 /// What images that are built for speed are compiled with besides: instructions in the order that is best for the processor
 /// of all boards, and a limit of how costly a function may be, by LLVM's measure, to be inlined without `#[inline]`. Its own
-/// limit is about twice that: it makes images larger and hardly any path faster (docs/how-it-works.md, "Small parts").
+/// limit is about twice that: it makes images larger and hardly any path faster (docs/cost.md, "Small parts").
 const FOR_SPEED: [&str; 2] = ["-Ctarget-cpu=cortex-m4", "-Cllvm-args=-inline-threshold=120"];
 
 /// The same limit for images that are built for size, below the compiler's own for those, too.

@@ -32,6 +32,7 @@ const SIBLING: &[&str] = &[
     "turns",
     "trips",
     "spindle PWM",
+    "uart lines",
     "settings write",
     "fault",
     "lost clock",

@@ -1,12 +1,13 @@
-//! The safety door and its parking motion, phase by phase of `Mode::Door`: brake, retract (pull the tool out), switch spindle and coolant off,
-//! park; and at `~` all of it backwards: return, restore spindle and coolant, plunge into the cut, leave. Also for
-//! sleep and for a fault that retracts. The points and what the door interrupted are kept in `machine/door.rs`. It
-//! begins the `parking_move` to a `parking_point`, and falls asleep. In it are `open_door`, `close_door`,
-//! `brake_for_door`, `suspend_for_door`, `switch_off_and_park`, `begin_parking`, `parked`, `settle_door`, `plunge`,
-//! `leave_door`, `finish_soft_stop`; phases `PullingOut`, `Parking`, `Parked`, `Reopened`, `Returning`,
-//! `SpindleRestoring`, `CoolantRestoring`, `Plunging`. Rates and delays are `Key::ParkingFastRate`,
-//! `ParkingPullOutRate`, `DoorSpindleDelay`, `DoorCoolantDelay`. "Check Door" is said; in `Mode::Home` it is
-//! `Alarm::HomingDoor`; in a jog, `interrupt_jog` and `take_jog`.
+//! The safety door and its parking motion, phase by phase of `Mode::Door`: brake, retract (pull the tool out), switch
+//! spindle and coolant off, park; and at `~` all of it backwards: return, restore spindle and coolant, plunge into the
+//! cut, leave. Also for sleep and for a fault that retracts. The points and what the door interrupted are kept in
+//! `machine/door.rs`. It begins the `parking_move` to a `parking_point`, and falls asleep.
+//!
+//! Names: In it are `open_door`, `close_door`, `brake_for_door`, `suspend_for_door`, `switch_off_and_park`,
+//! `begin_parking`, `parked`, `settle_door`, `plunge`, `leave_door`, `finish_soft_stop`; phases `PullingOut`,
+//! `Parking`, `Parked`, `Reopened`, `Returning`, `SpindleRestoring`, `CoolantRestoring`, `Plunging`. Rates and delays
+//! are `Key::ParkingFastRate`, `ParkingPullOutRate`, `DoorSpindleDelay`, `DoorCoolantDelay`. "Check Door" is said; in
+//! `Mode::Home` it is `Alarm::HomingDoor`; in a jog, `interrupt_jog` and `take_jog`.
 
 use super::Controller;
 use crate::error::Alarm;

@@ -1,17 +1,19 @@
 //! How the machine stops for a fault (`$924` to `$928`): at once, or it brakes under control and perhaps retracts, and
 //! which alarm follows at rest. Whether it can brake, whether parking is blocked, whether a switch only bounces; a host
 //! that is gone or silent, and a spindle that has lost its speed. The laser is darkened, the spindle kept on while it
-//! brakes, and the `StopReason` kept. Functions are `fault`, `host_fault`, `brake_for`, `can_brake`, `settle_braking`,
-//! `look_for_spindle`, `is_bounce` and `is_parking_blocked` (the `closed` limit switches, a bit for each axis' `index`,
-//! and `Key::ParkingAxis`). It brakes by `Braking::AtOnce`, `Controlled` or `Retract` (an `Opening` of the door), then
-//! come `AfterBraking::Continue`, `Lock`, `Alarm` or `Retract` in `Mode::Stopping`. Alarms are `HardLimit`,
-//! `SpindleSpeed` and `AbortInMotion`.
+//! brakes, and the `StopReason` kept.
 //!
 //! ```text
 //!  switch, driver, spindle ──▶ fault ──┬── at once ───────────────────────────▶ stop ──▶ alarm
 //!                                      └── controlled ──▶ brake ──▶ [park] ─────┘
 //! ```
 //! Homing and parking moves have no room to brake: whatever the settings, they end at once.
+//!
+//! Names: Functions are `fault`, `host_fault`, `brake_for`, `can_brake`, `settle_braking`, `look_for_spindle`,
+//! `is_bounce` and `is_parking_blocked` (the `closed` limit switches, a bit for each axis' `index`, and
+//! `Key::ParkingAxis`). It brakes by `Braking::AtOnce`, `Controlled` or `Retract` (an `Opening` of the door), then come
+//! `AfterBraking::Continue`, `Lock`, `Alarm` or `Retract` in `Mode::Stopping`. Alarms are `HardLimit`, `SpindleSpeed`
+//! and `AbortInMotion`.
 
 use super::Controller;
 use super::stops::Stopped;

@@ -1,10 +1,12 @@
 //! First step: the text of a line to its words (`Parsed`), sorted by what they are: G words by group and claim, modal
 //! words, M words, words that Grbl lacks (`Extended`), axis words with their places, and a value for each letter.
 //! Refuses repeated, negative and too great values. Nothing here depends on the modal state. `take_g` and `take_m` sort
-//! a `GWord` or `MWord` by its code and dialect. `ModalWords` has an `Option` each of `MotionMode`, `Plane`,
-//! `Distance`, `ArcDistance`, `FeedMode`, `Units` and `CoordinateSystem`; `ValueWords` has the values. In it are also
-//! `is_move`, `cancels_only`, `ends_control_points`, `is_path_tolerance`, `parking_override`, `ToolLength`, coolant,
-//! `NoCutterCompensation` and `TOOL_MAX`; errors are `TwoAxisCommands` and `UnsupportedCommand`.
+//! a `GWord` or `MWord` by its code and dialect.
+//!
+//! Names: `ModalWords` has an `Option` each of `MotionMode`, `Plane`, `Distance`, `ArcDistance`, `FeedMode`, `Units`
+//! and `CoordinateSystem`; `ValueWords` has the values. In it are also `is_move`, `cancels_only`,
+//! `ends_control_points`, `is_path_tolerance`, `parking_override`, `ToolLength`, coolant, `NoCutterCompensation` and
+//! `TOOL_MAX`; errors are `TwoAxisCommands` and `UnsupportedCommand`.
 
 use super::Dialect;
 use super::code::Code;

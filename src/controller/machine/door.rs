@@ -1,9 +1,6 @@
 //! `SafetyDoor`: what an open safety door has interrupted (coolant, a jog, the job to be forgotten, sleep), and the
 //! parking moves to the points left, clear and park, in a motion of their own. `Opening` says whether the tool retracts
-//! and the spindle stays on. Which phase comes when is decided in `controller/door.rs`. `keep_coolant`, `fall_asleep`,
-//! `forget_job`, `parking_target` and `next_message` act on it. In it are `BY_DOOR`, `Parking`, `ParkingPoint`,
-//! `interrupt_jog`, `take_jog`, `kept_coolant`, `leave_job`, `is_asleep`, `is_parking`, `move_to`, `end_with_lead`,
-//! `discard`, `hold`, `observe`, `stopped`.
+//! and the spindle stays on. Which phase comes when is decided in `controller/door.rs`.
 //!
 //! The parking moves belong to a motion of their own, so that the job's look-ahead stays as it was. Afterwards the job's
 //! block is entered again at the very unit where it was left.
@@ -14,6 +11,10 @@
 //!               │ slow, spindle on
 //!  left (where the job was interrupted)
 //! ```
+//!
+//! Names: `keep_coolant`, `fall_asleep`, `forget_job`, `parking_target` and `next_message` act on it. In it are
+//! `BY_DOOR`, `Parking`, `ParkingPoint`, `interrupt_jog`, `take_jog`, `kept_coolant`, `leave_job`, `is_asleep`,
+//! `is_parking`, `move_to`, `end_with_lead`, `discard`, `hold`, `observe`, `stopped`.
 
 use crate::axes::{Axis, PerAxis};
 use crate::error::Alarm;

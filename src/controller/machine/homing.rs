@@ -1,9 +1,7 @@
 //! The homing cycle (`Homing`): which axes seek their switches, pull off and locate them how often, how an axis with
 //! two motors is squared (`lagging`), and where each axis then is. It moves nothing itself: it gives an [`Order`]
 //! (move, wait, done, failed) and is told how that ended; `HomingRun` keeps what it waits for. An `AxisMask` is a set
-//! of axes; an approach has a rate, a travel and the switches to watch, also those of ganged motors. In it are
-//! `HomingSettings`, `Pass`, `SEEK_TRAVELS`, `LOCATE_PULL_OFFS`, `switches_of_cycle`, `towards`, `locate`, `approach`,
-//! `pull_off`, `travel`, `places`; `HomingWait` (`wait_for`, `is_reached`, `wakeup`).
+//! of axes; an approach has a rate, a travel and the switches to watch, also those of ganged motors.
 //!
 //! ```text
 //!  each cycle ($44 and on; at first Z, then X and Y together):
@@ -15,6 +13,9 @@
 //!
 //! An axis with two motors and two switches is squared: the motor whose switch closes first holds still while the other
 //! moves alone, in each seek and each locate.
+//!
+//! Names: In it are `HomingSettings`, `Pass`, `SEEK_TRAVELS`, `LOCATE_PULL_OFFS`, `switches_of_cycle`, `towards`,
+//! `locate`, `approach`, `pull_off`, `travel`, `places`; `HomingWait` (`wait_for`, `is_reached`, `wakeup`).
 
 use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::error::Alarm;

@@ -1,14 +1,11 @@
-//! How fast a path may turn: one rule for every turn, from a single corner to a long curve of short chords. A `Chain`
-//! of straight path pieces is gathered into spans at several scales; each new `Span` (direction, noise, `fast2`,
-//! `turned2`, sine of its `turn2`) is compared with the `old` ones of its `History`, and each `Bend` found limits
-//! speed² and acceleration of the blocks from nearest to farthest. Turns that the rounding of the program's last digit
-//! explains are noise. `LastDigit` has the `finest` digit; there are `Scale` and `SCALES` (scales of a `SHORTEST`
-//! length and more), `PathPiece`, `note_turn`, `may_limit`, `may_be_limited`, `compare`, `limit_after`, `take_span`, `corner2`,
-//! `set_program_digit`, `end_before`; `VAGUE`, `STRAIGHTNESS`, `LARGE_TURN2`, `GENTLE2`, `NOTICEABLE`, `DIGITS_ASIDE`.
+//! How fast a path may turn: one rule for every turn, from a single corner to a long curve of short chords. The path is
+//! gathered into spans on several scales; each new span is compared with the ones before it, and each `Bend` found
+//! limits speed and acceleration of some blocks. Turns that the rounding of the program's last digit explains are
+//! ignored.
 //!
-//! A path that turns by an angle t within a length L asks of the axes a change of velocity of v·q in the time L/v, q being
-//! |difference of the unit vectors| = 2·sin(t/2). They give a·L/v, and the junction deviation d grants a jump of J·q on top,
-//! the same for the whole turn however it is distributed over L:
+//! A path that turns by an angle t within a length L demands of the axes a change of velocity of v·q in the time L/v, where
+//! q = |difference of the unit vectors| = 2·sin(t/2). The axes can provide a·L/v of it, and the junction deviation d permits
+//! a jump of J·q on top, the same for the whole turn however it is distributed over L:
 //!
 //! ```text
 //!   1        between two single pieces             v² - v·J = a·L/t      J² = a·d·s / (1 - s), s = cos(t/2)
@@ -16,16 +13,24 @@
 //!     '---.  a corner: L = 0                       v        = J
 //!          \ 3
 //! ```
-//! The first form is exact where both ends are single pieces, which turn at their ends only. A span of several pieces has
-//! the direction of the path in its middle; the second form is stricter, and tends to v² = a·R on a long curve.
+//! The first form is exact where both ends are single pieces, because these turn at their ends only. The direction of a span
+//! of several pieces is that of the path in its middle; the second form is stricter, and tends to v² = a·R on a long curve.
 //!
 //! The program's points are rounded: each may be off by half of the last digit on each axis. That turns a span of length l
-//! by 1.5 digits / l at most, and so much of q is left out (`noise`). So a straight line whose points are rounded is straight,
-//! and points that are finer than the path lose nothing.
+//! by 1.5 digits / l at most, and that much of q is ignored (`noise`). So a straight line whose points are rounded counts as
+//! straight, and a program with finer digits loses nothing.
 //!
-//! Short spans say little where the digit is coarse, long ones say little where a turn is short. So the path is looked at
-//! on several scales at once: on each it is cut into spans of at least that length, and a new span is compared with the last
-//! [`HISTORY`] before it. A piece longer than the scale is a span by itself; the one begun before it ends where it starts.
+//! Short spans say little where the digit is coarse, long ones say little where a turn is short. So the path is measured on
+//! several scales at once: on each scale it is cut into spans of at least that length, and a new span is compared with the
+//! last [`HISTORY`] before it. A piece longer than the scale is a span by itself; the span begun before it ends where it starts.
+//!
+//! Names: A `Chain` of straight path pieces is gathered into spans at several scales; each new `Span` (direction,
+//! noise, `fast2`, `turned2`, sine of its `turn2`) is compared with the `old` ones of its `History`, and each `Bend`
+//! found limits speed² and acceleration of the blocks from nearest to farthest. Turns that the rounding of the
+//! program's last digit explains are noise. `LastDigit` has the `finest` digit; there are `Scale` and `SCALES` (scales
+//! of a `SHORTEST` length and more), `PathPiece`, `note_turn`, `may_limit`, `may_be_limited`, `compare`, `limit_after`,
+//! `take_span`, `corner2`, `set_program_digit`, `end_before`; `VAGUE`, `STRAIGHTNESS`, `LARGE_TURN2`, `GENTLE2`,
+//! `NOTICEABLE`, `DIGITS_ASIDE`.
 
 use super::block::CurveLoad;
 use super::junction::{REVERSAL, SQUARE_CORNER, TurnRule, UNLIMITED2, certain, is_noise, radius_of, turn2};
@@ -78,8 +83,9 @@ const POINTS: u8 = 32;
 pub(super) struct Bend {
     /// Greatest speed² at their entries.
     pub speed2: f32,
-    /// One slower entry among these blocks, nearest and farthest, is enough: most of the turn may be a corner, for which the machine brakes and from which it speeds
-    /// up with the acceleration of the axes, so that the whole takes the time that it must.
+    /// If given: one slower entry among these blocks (nearest, farthest) is enough, and this limit does not apply. Then most of
+    /// the turn may be a corner, for which the machine brakes and from which it speeds up with the acceleration of the axes,
+    /// so that the whole turn takes the time that it needs.
     pub once: Option<(usize, usize)>,
     /// What the bend leaves of the acceleration.
     pub curve: CurveLoad,

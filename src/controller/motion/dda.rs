@@ -1,7 +1,6 @@
 //! The DDA (Bresenham's algorithm) of the step generator: which axes step at a tick. Each axis counts down what is left
 //! until its next step by its increment, and gets the threshold added when it is stepping: `step_axes` for one tick,
-//! `steps_into` for many ticks in a row, as words out of a table; axes that step always or never need no countdown. In
-//! it are `steps_next`, `count_down`, `MOST_AXES`, and the table `of_steps` of `WORDS` words.
+//! `steps_into` for many ticks in a row, as words out of a table; axes that step always or never need no countdown.
 //!
 //! One threshold serves all axes. A tick takes each axis' own rate (times the units the tick advances) off what is left
 //! until its next step; an axis with less than that left steps and gets the threshold added. On a line the rate is the axis'
@@ -13,6 +12,8 @@
 //!                                                                       Y     ^       ^     ^
 //! ```
 //! Rate and threshold of a block, and those of a chord that begins between steps, are those of `measure`.
+//!
+//! Names: In it are `steps_next`, `count_down`, `MOST_AXES`, and the table `of_steps` of `WORDS` words.
 
 use core::sync::atomic::{Ordering, compiler_fence};
 

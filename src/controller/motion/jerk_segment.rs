@@ -1,14 +1,15 @@
 //! Cuts the next segment with a jerk limit (S-curve): from the state that the machine is in (`SegmentStart`), as fast
 //! as the planner's bounds allow. It leaves rest, keeps moving to the nominal speed with the best acceleration or the
 //! one as before, ramps down to the speed aimed at, or comes to rest; `Travelled` is the time in seconds and the state
-//! at the end, and `ease_off_limit` what bounds the acceleration ahead. It works on the `PathState` of the `pace`, in
-//! units of a `millimetre` of the path (`within_jerk`, `leave_rest`, `to_nominal`, `ramp_down`, `land`,
-//! `come_to_rest`).
+//! at the end, and `ease_off_limit` what bounds the acceleration ahead.
 //!
 //! Each segment chooses the greatest of these for its end: the acceleration that leads to the nominal speed soonest; the
 //! one it has; or, if after either the machine could not meet the next anchors any more, that of a ramp down to them.
 //! Nothing but speed and acceleration is carried from one segment to the next. So an override, a hold, a start after it
 //! or moves that come late need no plan of their own: they change what is allowed, and the jerk stays bounded.
+//!
+//! Names: It works on the `PathState` of the `pace`, in units of a `millimetre` of the path (`within_jerk`,
+//! `leave_rest`, `to_nominal`, `ramp_down`, `land`, `come_to_rest`).
 
 use super::block::Block;
 use super::jerk::{Bounds, PathState, cube_root, landing, ramp_distance, ramp_speed};

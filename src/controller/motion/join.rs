@@ -1,8 +1,7 @@
 //! The `Join`: what is known of the last block of the queue, as long as short collinear moves may continue its line:
 //! whether it is open, kept from the chain or fresh, the slopes that all points passed so far allow, the path along
 //! them, what its moves have in common, and the end of the queue before the block. The look-ahead so reaches farther
-//! than its count of blocks. `short_moves` decides which moves continue. In common are speed, power, `scale_power` and
-//! line number; `half_mm` is half a step, `digit` the program's last one.
+//! than its count of blocks. `short_moves` decides which moves continue.
 //!
 //! ```text
 //!            P1 ───┐ half a step of each motor, and no more than the program's last digit can make
@@ -17,6 +16,9 @@
 //! a program that has the joined move in it. The chain of [`super::curvature`] gets a piece when nothing more is joined to it:
 //! until then the queue ends there, at rest. A block that is taken back has never begun, and what the blocks before it count
 //! on is kept: it can be entered as fast as before.
+//!
+//! Names: In common are speed, power, `scale_power` and line number; `half_mm` is half a step, `digit` the program's
+//! last one.
 
 use super::curvature::PathPiece;
 use super::kinematics::Kinematics;

@@ -1,12 +1,6 @@
-//! The look-ahead: `Planner` is a ring of blocks (`slot` of a place, `len`, `first`), and its reverse pass (`Walk`)
-//! gives each block the greatest entry speed (`max_entry2`, `exit2`, squares of `nominal` and `previous` speed) from
-//! which all queued behind it can be braked to a stop. `settled` entries are not walked over again; a `Bend` lowers
-//! corners. With a jerk limit the pass looks for anchors along a `Way` (distance, bounds, `ceiling2`, summit), and
-//! groups of blocks are a `Stretch`. After a lowered override entries follow a `Fall` (`raised`). A `Target` is the
-//! next anchor, `beyond` or `nearest`, and `is_met` or not by a `PathState`; `Lowered` is what a bend has lowered.
-//! Others are `end_at_border`, `sum_up`, `group_size`, `bounds_within`, `straight_acceleration`. Limits have `changed`
-//! from a place on; `lower_settled`, `replan`, `push`, `pop`, `take_back`, `newest` and `free` act on the ring. A
-//! block's own `Bounds`, its `valley`, `ramp_distance` and `ramp_speed` are from `jerk`.
+//! The look-ahead: `Planner` is a ring of blocks, and its reverse pass gives each block the greatest entry speed from
+//! which the machine can brake to a stop within all that is queued behind it. With a jerk limit the pass looks for
+//! anchors instead, where ramps end.
 //!
 //! ```text
 //!   v²   ___                 corner limits      |
@@ -14,16 +8,17 @@
 //!      /        \    /     \                     v²(entry) = min(corner, v²(exit) + 2·a·length)
 //!     /          \__/       \____ 0
 //! ```
-//! Only the reverse pass is kept here. Acceleration towards those speeds needs no pass: the running block accelerates from
-//! the speed it really has, so a speed that cannot be reached is just not reached, and holds, overrides and late blocks
-//! need no repair of the queue. A new block changes the entries behind it only as far as they were limited by the old end
-//! of the queue; the walk stops at the first that stays.
+//! There is no forward pass. The running block accelerates from the speed that it really has towards those speeds; a speed
+//! that cannot be reached is simply not reached, and holds, overrides and late blocks need no repair of the queue. A new
+//! block changes earlier entries only as far as these were limited by the old end of the queue; the walk stops at the
+//! first entry that stays.
 //!
-//! The walk is put off until an entry is asked for that it could change. An entry at its cap cannot rise, and neither can what
-//! has been planned before it: it is settled, whatever is appended. So in a long queue many blocks share one walk.
+//! The walk is postponed until an entry is needed that it could change. An entry at its cap (its corner and nominal
+//! speeds) cannot rise, and neither can the entries before it: they are settled, whatever is appended. So in a long queue
+//! many blocks share one walk.
 //!
-//! With a jerk limit a ramp, not a block, is the unit: its acceleration is zero at its two ends only, and it may span
-//! hundreds of blocks. The reverse pass then looks for anchors, the entries where a ramp ends:
+//! With a jerk limit the unit is a ramp and not a block: its acceleration is zero at its two ends only, and it may span
+//! hundreds of blocks. The reverse pass then looks for anchors, the entries at which a ramp ends:
 //!
 //! ```text
 //!        cap of the entries: corner and nominal speeds             speed
@@ -34,53 +29,27 @@
 //!            │         '  .           _ '                          The ramp before an anchor rises, seen backwards, by its
 //!            └────────────── o ────o                               own length formula until it meets the next cap.
 //! ```
-//! An entry whose cap is above all that any ramp to the anchor can have there (v² + 2·a·distance, no jerk limit) is passed
-//! by all of them. Any other one puts a ceiling on the ramp; where the way suffices to fall from the ceiling, that entry
-//! is the next anchor. So the pass computes no speed but those of anchors, and what lies between needs no repair when a
-//! ramp begins in the middle of a block or from another state.
+//! Where the cap of an entry is above the greatest speed that any ramp to the anchor can have there (v² + 2·a·distance,
+//! without a jerk limit), the entry does not limit the ramp. Any other entry puts a ceiling on it; the first entry from
+//! which the distance suffices to slow down from the ceiling is the next anchor. So the pass computes no speeds but those
+//! of anchors, and nothing between them has to be repaired when a ramp begins in the middle of a block or from another
+//! state.
+//!
+//! Names: the ring has `slot` of a place, `len`, `first`, `push`, `pop`, `take_back`, `newest` and `free`. A block has
+//! `max_entry2`, `exit2`, squares of `nominal` and `previous` speed; limits have `changed` from a place on, and up to
+//! `settled` entries are not walked over again (`reverse_pass`, `lower_settled`; [`super::reverse_walk`]); a `Bend`
+//! lowers corners. For jerk: `reverse_pass_to_anchors`, `end_at_border`, `sum_up`, `group_size`, `stretch`,
+//! `bounds_within` ([`super::jerk_anchors`]); a block's own `Bounds`, its `valley`, `summit`, `ramp_distance` and
+//! `ramp_speed` are from `jerk`, a `PathState` is what the machine is in. After a lowered override (`replan`) entries
+//! follow a `Fall` (`raised`).
 
-use super::block::{Block, CurveLoad, OverrideFactors, Ramp};
+use super::block::{Block, OverrideFactors, Ramp};
 use super::curvature::Bend;
 use super::jerk::{Bounds, PathState, ramp_distance, ramp_speed};
+use super::jerk_anchors::{Stretch, Target, Way};
+use super::reverse_walk::{Lowered, Walk};
 use super::trapezoid::{greater, lesser, square_root};
 use core::ops::Range;
-
-/// Bounds that differ by less than this factor are taken for the same: on a curve they change from block to block, and an
-/// anchor at each of them would cost more than the tighter bounds.
-const ALIKE: f32 = 0.8;
-
-/// The way back from an anchor, while the reverse pass goes along it.
-#[derive(Clone, Copy, Debug)]
-struct Way {
-    speed: f32,
-    distance: f32,
-    ceiling2: f32,
-    bounds: Bounds,
-}
-
-impl Way {
-    fn to(speed: f32) -> Self {
-        Self { speed, distance: 0.0, ceiling2: f32::INFINITY, bounds: Bounds::NONE }
-    }
-
-    /// Whether a block with these bounds is of another kind than those on the way.
-    #[inline]
-    fn differs(&self, own: Bounds) -> bool {
-        let apart = |a: f32, b: f32| a < ALIKE * b || b < ALIKE * a;
-        apart(own.acceleration, self.bounds.acceleration) || apart(own.jerk, self.bounds.jerk)
-    }
-
-    /// The speed of an anchor right here, if a ramp from `cap2` gets shorter by ending here and not with this way: a block
-    /// with tight bounds would else spoil all of a long ramp.
-    #[inline(never)]
-    fn better_anchor(&self, own: Bounds, cap2: f32) -> Option<f32> {
-        let ceiling = square_root(self.ceiling2);
-        let top = lesser(square_root(cap2), ceiling);
-        let here = lesser(ramp_speed(self.speed, self.distance, self.bounds), ceiling);
-        let joined = ramp_distance(top, self.speed, self.bounds.and(own)) - self.distance;
-        (ramp_distance(top, here, own) < joined).then_some(here)
-    }
-}
 
 /// A machine that is faster than a lowered override allows: it brakes with what bends leave of the acceleration, and the
 /// entries that it comes to meanwhile are not asked for less, or it would brake for them with all of it.
@@ -118,40 +87,6 @@ impl Fall {
 /// may span hundreds of blocks and is looked at with each segment. With 512 blocks two groups of 16 are walked through
 /// at most, the first and the last, and 31 taken as a whole.
 const GROUPS: usize = 32;
-
-/// One or more blocks in a row, as a machine sees them that eases off its acceleration meanwhile.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Stretch {
-    length: f32,
-    /// Speed² of the slowest anchor among the entries.
-    slowest2: f32,
-    bounds: Bounds,
-    /// The least acceleration without bends, and what all bends together leave.
-    straight_acceleration: f32,
-    curve: CurveLoad,
-}
-
-impl Stretch {
-    const NONE: Self = Self {
-        length: 0.0,
-        slowest2: f32::INFINITY,
-        bounds: Bounds::NONE,
-        straight_acceleration: f32::INFINITY,
-        curve: CurveLoad::NONE,
-    };
-
-    #[inline]
-    fn and<const N: usize>(self, block: &Block<N>) -> Self {
-        let anchor2 = if block.ramp.distance == 0.0 { block.entry2 } else { f32::INFINITY };
-        Self {
-            length: self.length + block.length,
-            slowest2: lesser(self.slowest2, anchor2),
-            bounds: self.bounds.and(block.bounds()),
-            straight_acceleration: lesser(self.straight_acceleration, block.acceleration),
-            curve: self.curve.and(block.curve),
-        }
-    }
-}
 
 /// The ring of blocks. The first one may be running; its entry speed is then history.
 #[derive(Debug)]
@@ -340,8 +275,8 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         true
     }
 
-    /// Lowers corners that turn out to be on a bend, and the acceleration that it leaves. What the machine is too fast for
-    /// already is braked for, but not in time: that takes a queue shorter than the bend's span.
+    /// Lowers the corners of blocks that turn out to be on a bend, and the acceleration that remains there. Where the machine
+    /// is already too fast for it, it brakes, but too late: that happens only if the queue is shorter than the bend's span.
     #[inline(never)]
     pub(super) fn limit(&mut self, bend: &Bend) {
         let newest = self.len.saturating_sub(1);
@@ -370,9 +305,9 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         }
     }
 
-    /// What is settled counts on the entries of the last walk, which may only rise. Where blocks from `first` to `end` have been
-    /// lowered since, the entries before are, too, as far as they change. If that takes the settled one from its cap, or a block
-    /// is steep now, nothing is settled any more.
+    /// What is settled relies on the entries of the last walk, which may only rise. Where blocks from `first` to `end` have been
+    /// lowered since, the entries before them are lowered too, as far as they change. If the settled entry leaves its cap by
+    /// that, or a block has become steep, nothing is settled any more.
     #[inline(never)]
     fn lower_settled(&mut self, first: usize, end: usize) {
         let mut exit2 = self.block(end).map_or(0.0, |next| next.entry2);
@@ -406,8 +341,8 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         }
     }
 
-    /// Brings the exit of the first block into line with what has been appended and limited, and all entries up to the first
-    /// one at its cap that may be counted on. Without a jerk limit only.
+    /// Brings the exit of the first block up to date with what has been appended and limited, and with it all entries up to the
+    /// first one that is settled. Without a jerk limit only.
     #[inline]
     pub(super) fn settle(&mut self) {
         if self.changed == usize::MAX {
@@ -452,8 +387,8 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         self.plan();
     }
 
-    /// From the end of the queue towards the running block: over all that has changed, and on as far as entries change. Finds the
-    /// last entry that is settled.
+    /// Walks from the end of the queue towards the running block: over everything that has changed, and further as long as
+    /// entries change. Finds the last entry that is settled.
     #[inline(never)]
     fn reverse_pass(&mut self) {
         let wrapped = (self.first + self.len).saturating_sub(self.blocks.len());
@@ -468,8 +403,8 @@ impl<const N: usize> Planner<N, [Block<N>]> {
         self.settled = walk.settled;
     }
 
-    /// The same with bounded jerk: finds the anchors, and notes for the entries between how far the next one is. As far
-    /// as anchors change; gives the first place that was looked at.
+    /// The same with bounded jerk, as far as anchors change: finds the anchors, and notes for the entries between them how far
+    /// the next one is. Gives the first place that was looked at.
     #[inline(never)]
     fn reverse_pass_to_anchors(&mut self) -> usize {
         let mut way = Way::to(0.0);
@@ -643,136 +578,6 @@ impl<const N: usize> Planner<N, [Block<N>]> {
             end += stretch.length;
         }
         Bounds { acceleration: curve.left(straight_acceleration, speed2), jerk }
-    }
-}
-
-/// A reverse pass on its way.
-struct Walk {
-    /// The speed² at which the last block before what has been walked over is left.
-    exit2: f32,
-    /// Whether it looks for an entry that is settled.
-    searching: bool,
-    /// That entry; 0: none.
-    settled: usize,
-}
-
-impl Walk {
-    /// Brings the entries of some blocks in a row, the first of which is at a place, into line, from the last of them to the
-    /// first. Ends with `false` at one that stays, in front of the place from which limits have `changed`.
-    #[inline(never)]
-    fn back<const N: usize>(&mut self, blocks: &mut [Block<N>], from: usize, changed: usize) -> bool {
-        let Self { mut exit2, mut searching, mut settled } = *self;
-        let mut place = from + blocks.len();
-        for block in blocks.iter_mut().rev() {
-            place -= 1;
-            let reach2 = block.braking_entry2(exit2);
-            let is_capped = reach2 >= block.max_entry2;
-            exit2 = if is_capped { block.max_entry2 } else { reach2 };
-            if place < changed && block.entry2 == exit2 {
-                self.settled = settled;
-                return false;
-            }
-            block.entry2 = exit2;
-            if searching {
-                // What is before a steep block may get slower by what is appended.
-                let is_steep = block.is_steep();
-                if is_steep || is_capped && block.is_surely_capped(reach2) {
-                    searching = false;
-                    settled = if is_steep { 0 } else { place };
-                }
-            }
-        }
-        *self = Self { exit2, searching, settled };
-        true
-    }
-}
-
-/// What bends have lowered.
-#[derive(Clone, Copy, Debug)]
-struct Lowered {
-    /// The first place; `usize::MAX`: none.
-    first: usize,
-    /// Behind the last one that has been walked over, 0 if none has.
-    planned_end: usize,
-}
-
-impl Lowered {
-    const NONE: Self = Self { first: usize::MAX, planned_end: 0 };
-
-    /// What either has.
-    #[inline]
-    fn and(self, other: Self) -> Self {
-        Self { first: self.first.min(other.first), planned_end: self.planned_end.max(other.planned_end) }
-    }
-
-    /// The first block of the queue has gone.
-    #[inline]
-    fn pop(&mut self) {
-        if self.first != usize::MAX {
-            self.first = self.first.saturating_sub(1);
-            self.planned_end = self.planned_end.saturating_sub(1);
-        }
-    }
-
-    /// Lowers blocks in a row, the first of which is at a place.
-    #[inline(never)]
-    fn lower<const N: usize>(&mut self, blocks: &mut [Block<N>], from: usize, bend: &Bend) {
-        // Positive numbers are ordered as their bits are.
-        let speed2 = bend.speed2.to_bits();
-        for (index, block) in blocks.iter_mut().enumerate() {
-            // Most blocks in a long bend are as low already. No entry is above its corner.
-            let is_tighter = bend.curve.is_tighter(block.curve);
-            if speed2 < block.corner2.to_bits() {
-                block.corner2 = bend.speed2;
-            } else if !is_tighter {
-                continue;
-            }
-            if speed2 < block.max_entry2.to_bits() {
-                block.max_entry2 = bend.speed2;
-            } else if !is_tighter {
-                continue;
-            }
-            block.curve = block.curve.tighter(bend.curve);
-            self.first = self.first.min(from + index);
-            // A block that came after the last walk has no entry.
-            if block.entry2 > 0.0 {
-                self.planned_end = from + index + 1;
-            }
-        }
-    }
-}
-
-/// The next anchor, seen from a place before it.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Target {
-    pub speed: f32,
-    pub distance: f32,
-    ceiling: f32,
-    pub bounds: Bounds,
-}
-
-impl Target {
-    /// Where the ramp has to come to first: down to the ceiling, in the same block as yet.
-    pub(super) fn nearest(&self, speed: f32) -> (f32, f32) {
-        self.beyond(speed, f32::NEG_INFINITY)
-    }
-
-    /// The same for what a machine does on the next way: if it comes to the ceiling within that, the ramp down from there
-    /// begins with it. Otherwise it would begin a segment late, which tells: a sixth of the way of a ramp has to make up for it.
-    pub(super) fn beyond(&self, speed: f32, way: f32) -> (f32, f32) {
-        if speed > self.ceiling {
-            let distance = self.distance - ramp_distance(self.ceiling, self.speed, self.bounds);
-            if distance > way {
-                return (self.ceiling, distance);
-            }
-        }
-        (self.speed, self.distance)
-    }
-
-    /// Whether a machine in this state, not accelerating, can come down in time.
-    pub(super) fn is_met(&self, state: PathState) -> bool {
-        let (speed, distance) = self.nearest(state.speed);
-        state.lands(speed, distance, self.bounds)
     }
 }
 

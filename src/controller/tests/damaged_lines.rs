@@ -1,23 +1,13 @@
 //! Bytes lost on the link: the line they belong to is refused, and no other.
 
-use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room, Sensed};
-use oxmill_controller::units::Instant;
-use oxmill_controller::{Controller, Profile, StepRates};
+mod board;
+
+use board::{NOW, PROFILE, started};
+use oxmill_controller::Controller;
+use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room};
 
 fn answers(bytes: &[(u8, bool)]) -> String {
-    let profile = Profile {
-        name: "test",
-        step_clock_hz: 1_000_000,
-        rates: StepRates { safe_hz: 100_000, least_pulse_tenths: 5 },
-        axes: 3,
-        has_second_motor: false,
-        program_pins: [0; 2],
-        has_store: false,
-    };
-    let mut controller = Box::new(Controller::<3, 16>::new(profile));
-    let now = Instant::from_ticks(0);
-    controller.start(now);
-    controller.event(now, Event::Signals(Sensed::default()));
+    let mut controller = started::<16>(PROFILE);
     let mut text = String::new();
     let mut pull = |controller: &mut Controller<3, 16>| {
         controller.observe(Observed {
@@ -27,7 +17,7 @@ fn answers(bytes: &[(u8, bool)]) -> String {
             received: 1,
             heard: 0,
         });
-        while let Some(output) = controller.output(now, Room { step: false, reply: true }) {
+        while let Some(output) = controller.output(NOW, Room { step: false, reply: true }) {
             if let Output::Reply(chunk) | Output::Answer(chunk) = output {
                 text.push_str(std::str::from_utf8(chunk.as_bytes()).unwrap());
             }
@@ -36,7 +26,7 @@ fn answers(bytes: &[(u8, bool)]) -> String {
     pull(&mut controller);
     for (byte, damaged) in bytes {
         assert!(controller.wants_line());
-        controller.event(now, Event::Line(LineByte { byte: *byte, epoch: 0, damaged: *damaged }));
+        controller.event(NOW, Event::Line(LineByte { byte: *byte, epoch: 0, damaged: *damaged }));
         pull(&mut controller);
     }
     text.split_once("help]\r\n").unwrap().1.to_string()

@@ -1,25 +1,15 @@
 //! A program begins to move when as many of its moves are queued as the look-ahead has blocks, joined or not.
 
-use oxmill_controller::messages::{Event, LineByte, Observed, Output, Room, Sensed, ToStep};
-use oxmill_controller::units::Instant;
-use oxmill_controller::{Controller, Profile, StepRates};
+mod board;
 
-const NOW: Instant = Instant::from_ticks(0);
+use board::{NOW, PROFILE, started};
+use oxmill_controller::messages::{Event, LineByte, Observed, Output, Room, ToStep};
+
 const BLOCKS: usize = 16;
 
 /// Moves along X of this length that are sent until the machine begins to move, while more are always waiting.
 fn moves_before_the_start(millimetres: f64) -> usize {
-    let mut controller = Box::new(Controller::<3, BLOCKS>::new(Profile {
-        name: "test",
-        step_clock_hz: 1_000_000,
-        rates: StepRates { safe_hz: 100_000, least_pulse_tenths: 5 },
-        axes: 3,
-        has_second_motor: false,
-        program_pins: [0; 2],
-        has_store: false,
-    }));
-    controller.start(NOW);
-    controller.event(NOW, Event::Signals(Sensed::default()));
+    let mut controller = started::<BLOCKS>(PROFILE);
     for count in 0..1000 {
         let line = format!("G1 F600 X{:.3}\n", millimetres * f64::from(count + 1));
         for byte in line.bytes() {

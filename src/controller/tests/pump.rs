@@ -1,12 +1,15 @@
 //! The pump's order, seen by one that writes down what it is asked for.
 
+mod board;
+
+use board::{PROFILE, started};
 use oxmill_controller::messages::{
     Event, LineByte, Observed, Output, PinView, Realtime, Room, SEGMENTS_DEPTH, Segment, Sensed, StepEvent, ToStep,
     input,
 };
 use oxmill_controller::pump::{Pump, Source, round};
 use oxmill_controller::units::Instant;
-use oxmill_controller::{Controller, Profile, StepRates};
+use oxmill_controller::{Controller, Profile};
 use std::collections::VecDeque;
 
 struct Scribe<const WOKEN: bool> {
@@ -26,17 +29,7 @@ struct Scribe<const WOKEN: bool> {
 
 impl<const WOKEN: bool> Scribe<WOKEN> {
     fn new() -> Self {
-        let mut controller = Controller::new(Profile {
-            name: "test",
-            step_clock_hz: 1_000_000,
-            rates: StepRates { safe_hz: 100_000, least_pulse_tenths: 5 },
-            axes: 3,
-            has_second_motor: false,
-            program_pins: [0; 2],
-            has_store: true,
-        });
-        controller.start(Instant::from_ticks(0));
-        controller.event(Instant::from_ticks(0), Event::Signals(Sensed::default()));
+        let controller = *started(Profile { has_store: true, ..PROFILE });
         let none = VecDeque::new();
         let mut scribe = Self {
             controller,

@@ -2,12 +2,15 @@
 
 #![cfg(feature = "recorder")]
 
+mod board;
+
+use board::{PROFILE, started};
+use oxmill_controller::Controller;
 use oxmill_controller::messages::{
     Crash, CrashKind, Event, LineByte, Noted, Realtime, Recorded, ResetCause, Restart, Room, Sensed, Signals,
 };
 use oxmill_controller::recorder::{Page, Recorder};
 use oxmill_controller::units::Instant;
-use oxmill_controller::{Controller, Profile, StepRates};
 use proptest::prelude::*;
 
 type Board = Controller<3, 16>;
@@ -16,19 +19,7 @@ type Ring = Recorder<Vec<Page>>;
 const SOFTWARE: Restart = Restart { cause: ResetCause::Software, crash: None, is_recorded: false };
 
 fn board() -> Box<Board> {
-    let rates = StepRates { safe_hz: 100_000, least_pulse_tenths: 5 };
-    let profile = Profile {
-        name: "test",
-        step_clock_hz: 1_000_000,
-        rates,
-        has_second_motor: false,
-        has_store: false,
-        program_pins: [0, 0],
-        axes: 3,
-    };
-    let mut board = Box::new(Controller::new(profile));
-    board.start(Instant::from_ticks(0));
-    board.event(Instant::from_ticks(0), Event::Signals(Sensed::default()));
+    let mut board = started(PROFILE);
     // As a pump does: welcome line and startup lines.
     while board.output(Instant::from_ticks(0), Room { step: true, reply: true }).is_some() {}
     board

@@ -1,22 +1,13 @@
 //! After a failure the host is told at each welcome line, until it has asked for the record; and the machine is locked.
 
+mod board;
+
+use board::{NOW, PROFILE};
+use oxmill_controller::Controller;
 use oxmill_controller::messages::{
     Crash, CrashKind, Event, LineByte, Observed, Output, Realtime, ResetCause, Restart, Room, Sensed, Signals,
     StepEvent,
 };
-use oxmill_controller::units::Instant;
-use oxmill_controller::{Controller, Profile, StepRates};
-
-const PROFILE: Profile = Profile {
-    name: "test",
-    step_clock_hz: 1_000_000,
-    rates: StepRates { safe_hz: 100_000, least_pulse_tenths: 5 },
-    axes: 3,
-    has_second_motor: false,
-    program_pins: [0; 2],
-    has_store: false,
-};
-const NOW: Instant = Instant::from_ticks(0);
 
 struct Board {
     controller: Box<Controller<3, 16>>,

@@ -1,10 +1,11 @@
 //! Words of motion, by the motion mode: straight lines (G0, G1), arcs (G2, G3) by radius or by centre I, J, K with
 //! their turns P, probing moves (G38); other modes are passed on to splines and cycles. `feed_to` gives the feed to the
 //! target; an arc whose only words are of its centre `is_circle`; chord and radius are `along` the first and second
-//! axis of the plane; used letters are removed from the `unused`. `MotionMode` (`Linear`, `ArcClockwise`,
-//! `ArcCounterClockwise`, `Cancelled`) is matched; functions are `straight`, `probe`, `arc`, `centre`, `turns`
-//! (`TURNS_MAX`), `centre_letter`; a `Vector` goes to `radii_agree` or `ray_crossing`, its `written_vector` is scaled
-//! or mirrored; `InvalidTarget`, `NoPlaneOffsets`.
+//! axis of the plane; used letters are removed from the `unused`.
+//!
+//! Names: `MotionMode` (`Linear`, `ArcClockwise`, `ArcCounterClockwise`, `Cancelled`) is matched; functions are
+//! `straight`, `probe`, `arc`, `centre`, `turns` (`TURNS_MAX`), `centre_letter`; a `Vector` goes to `radii_agree` or
+//! `ray_crossing`, its `written_vector` is scaled or mirrored; `InvalidTarget`, `NoPlaneOffsets`.
 
 use super::line::{CENTRE, Check};
 use crate::axes::Axis;

@@ -1,0 +1,45 @@
+//! How the picture of a job looks: units, colours, fonts and lines, and numbers as labels.
+
+use plotters::coord::Shift;
+use plotters::prelude::*;
+
+/// The plotting library puts everything on whole units: so many of them make a pixel of the drawing.
+pub(super) const FINE: i32 = 10;
+const INK: RGBColor = RGBColor(38, 42, 48);
+pub(super) const FAINT: RGBColor = RGBColor(228, 231, 235);
+pub(super) const FRAME: RGBColor = RGBColor(150, 156, 164);
+pub(super) const RAPID: RGBColor = RGBColor(120, 126, 134);
+pub(super) const START: RGBColor = RGBColor(22, 150, 72);
+pub(super) const END: RGBColor = RGBColor(208, 40, 44);
+pub(super) const CURVE: RGBColor = RGBColor(44, 98, 168);
+pub(super) const RAPID_CURVE: RGBColor = RGBColor(150, 156, 164);
+pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+
+pub(super) fn px(pixels: i32) -> i32 {
+    pixels * FINE
+}
+
+pub(super) fn font(size: i32) -> TextStyle<'static> {
+    ("sans-serif", px(size)).into_font().color(&INK)
+}
+
+pub(super) fn small() -> TextStyle<'static> {
+    font(13)
+}
+
+pub(super) fn line_style(color: RGBColor, tenths: i32) -> ShapeStyle {
+    color.stroke_width((tenths * FINE / 10) as u32)
+}
+
+pub(super) type Drawn = std::result::Result<(), Box<dyn std::error::Error>>;
+
+/// Digits after the point that labels over a range need.
+pub(super) fn decimals(range: f64) -> usize {
+    (1.0 - (range / 5.0).max(1e-6).log10().floor()).clamp(0.0, 5.0) as usize
+}
+
+pub(super) fn tidy(value: f64, places: usize) -> String {
+    let text = format!("{value:.places$}");
+    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    if text == "-0" { "0".into() } else { text.replace('-', "\u{2212}") }
+}

@@ -1,0 +1,187 @@
+//! A recording while it is written: `Recorder` writes each input as a line and, at rest, where the machine is;
+//! `RecordedJob` passes the lines of a job on and writes them.
+//!
+//! Names: `begin`, `write_to`, `input`, `time_passed`, `look` (`next_look`), `job_line`, `end`; `fill_buf` and `consume` of
+//! the job's `BufRead`.
+
+use super::entry::{Input, TITLE, place};
+use crate::simulator::Simulator;
+use std::cell::RefCell;
+use std::fmt::Write as _;
+use std::io::{self, BufRead, Read, Write};
+use std::rc::Rc;
+
+/// Writes a recording while it happens.
+pub struct Recorder {
+    /// What is not written yet.
+    held: Vec<u8>,
+    out: Option<Box<dyn Write>>,
+    last: String,
+    /// When the place of the machine is looked at again.
+    next_look: u64,
+}
+
+impl Recorder {
+    /// Begins the recording of a simulator that has just been powered up; `machine` describes what is fitted to it. It is kept
+    /// in memory until it is told where to write: a file that has an older recording loses it only to a machine that works.
+    pub fn begin(simulator: &mut Simulator, machine: &str) -> Self {
+        let (board, now) = (*simulator.board(), simulator.clock().now());
+        let mut head = format!("{TITLE}\nboard {} {}\n", board.name, board.step_clock_hz);
+        for record in simulator.store_mut().records() {
+            let _ = write!(head, "record {} ", record.key);
+            for byte in &record.value {
+                let _ = write!(head, "{byte:02x}");
+            }
+            head.push('\n');
+        }
+        for line in machine.lines() {
+            let _ = writeln!(head, "machine {line}");
+        }
+        let _ = writeln!(head, "begin {now}");
+        Self { held: head.into_bytes(), out: None, last: place(simulator), next_look: now }
+    }
+
+    /// Where it is written from here on, with all that has come in before.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn write_to(&mut self, out: Box<dyn Write>) -> io::Result<()> {
+        self.out = Some(out);
+        self.pass_on()?;
+        self.flush()
+    }
+
+    fn pass_on(&mut self) -> io::Result<()> {
+        if let Some(out) = &mut self.out {
+            out.write_all(&self.held)?;
+            self.held.clear();
+        }
+        Ok(())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.out.as_mut().map_or(Ok(()), |out| out.flush())
+    }
+
+    /// Something comes in now.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn input(&mut self, simulator: &Simulator, input: &Input) -> io::Result<()> {
+        self.look(simulator)?;
+        match input {
+            Input::Connect => self.write(simulator, "connect"),
+            Input::Disconnect => self.write(simulator, "disconnect"),
+            Input::Host(bytes) => self.write(simulator, &format!("host {}", bytes.escape_ascii())),
+            Input::Pin(line) => self.write(simulator, &format!("pin {}", line.trim())),
+            Input::At(place) => self.write(simulator, &format!("at {place}")),
+            Input::Job => self.write(simulator, "job"),
+            // Only boards tell that.
+            Input::Told(_) => Ok(()),
+        }
+    }
+
+    /// A line of now. Whatever ends the program, it is there.
+    fn write(&mut self, simulator: &Simulator, text: &str) -> io::Result<()> {
+        self.held.extend(format!("{} {text}\n", simulator.clock().now()).into_bytes());
+        self.pass_on()?;
+        self.flush()
+    }
+
+    /// Time has passed: where the machine is, once a second of its time.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn time_passed(&mut self, simulator: &Simulator) -> io::Result<()> {
+        let now = simulator.clock().now();
+        if now < self.next_look {
+            return Ok(());
+        }
+        self.next_look = now + u64::from(simulator.board().step_clock_hz);
+        self.look(simulator)
+    }
+
+    /// Where the machine is now, if it has moved.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn look(&mut self, simulator: &Simulator) -> io::Result<()> {
+        let here = place(simulator);
+        if here != self.last {
+            self.write(simulator, &format!("at {here}"))?;
+            self.last = here;
+        }
+        Ok(())
+    }
+
+    /// A line of a job.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn job_line(&mut self, line: &[u8]) -> io::Result<()> {
+        self.held.extend(format!("job {}\n", line.escape_ascii()).into_bytes());
+        self.pass_on()
+    }
+
+    /// The end: where the machine is.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn end(&mut self, simulator: &Simulator) -> io::Result<()> {
+        let here = place(simulator);
+        self.write(simulator, &format!("at {here}"))
+    }
+}
+
+/// A job that is recorded as it is read.
+pub struct RecordedJob<R> {
+    reader: R,
+    recorder: Rc<RefCell<Recorder>>,
+    line: Vec<u8>,
+    failed: Option<io::Error>,
+}
+
+impl<R: BufRead> RecordedJob<R> {
+    /// The job that comes from `reader`.
+    pub fn new(reader: R, recorder: Rc<RefCell<Recorder>>) -> Self {
+        Self { reader, recorder, line: Vec::new(), failed: None }
+    }
+
+    fn write_line(&mut self) {
+        let line = std::mem::take(&mut self.line);
+        if let Err(error) = self.recorder.borrow_mut().job_line(&line) {
+            self.failed.get_or_insert(error);
+        }
+    }
+}
+
+impl<R: BufRead> Read for RecordedJob<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.fill_buf()?.read(buffer)?;
+        self.consume(count);
+        Ok(count)
+    }
+}
+
+impl<R: BufRead> BufRead for RecordedJob<R> {
+    fn fill_buf(&mut self) -> io::Result<&[u8]> {
+        if let Some(error) = self.failed.take() {
+            return Err(io::Error::other(format!("the recording cannot be written: {error}")));
+        }
+        if self.reader.fill_buf()?.is_empty() && !self.line.is_empty() {
+            self.write_line();
+        }
+        self.reader.fill_buf()
+    }
+
+    fn consume(&mut self, count: usize) {
+        let bytes = self.reader.fill_buf().map_or_else(|_| Vec::new(), |bytes| bytes[..count].to_vec());
+        for byte in bytes {
+            self.line.push(byte);
+            if byte == b'\n' {
+                self.write_line();
+            }
+        }
+        self.reader.consume(count);
+    }
+}

@@ -1,0 +1,105 @@
+"""What must hold on the virtual boards. Each case gets a board that was just switched on, prints what it measured, and
+fails with a `Failure`."""
+
+from .beam import brown_out_of_a_beam, laser_start, raster
+from .commands import flood, override_bursts
+from .failures import (
+    brown_out,
+    deaf,
+    failed_twice,
+    faulted,
+    hung,
+    left_loader,
+    lost_clock,
+    low_at_power_up,
+    overflowed,
+    recorded,
+    unserved,
+)
+from .flash import power_cut, settings_write
+from .inputs import emergency_stop, noise, probe, trips
+from .jobs import boot, streamed, waiting_line
+from .outputs import fourth_axis, inverted_outputs, program_inputs, program_outputs, second_motor, spindle_pwm
+from .stepping import (
+    called_at_turns,
+    disturbed,
+    hard_start,
+    late_segments,
+    late_starts,
+    masked_long,
+    miscounts,
+    pulses,
+    safe_rate,
+    tight,
+    turns,
+)
+from .stops import hold, lines_at_stops, ring_stops, stops
+from .uart import baud_rates, fast_flood, uart_lines
+from .usb import usb_answers, usb_flood, usb_lines, usb_port, usb_set_up_again, usb_unplugged, usb_unread
+
+KNOWN = {}
+"""Faults of the firmware that are known, by board and case: shown, and no failure."""
+
+
+def all_cases(root):
+    jobs = root / "tests" / "jobs"
+    return [
+        ("boot", boot),
+        ("waiting line", waiting_line),
+        ("stream axes.nc", lambda bench: streamed(bench, jobs / "axes.nc")),
+        ("stream lines.nc", lambda bench: streamed(bench, jobs / "lines.nc")),
+        ("stream splines.nc", lambda bench: streamed(bench, jobs / "splines.nc")),
+        ("pulses", pulses),
+        ("safe rate", safe_rate),
+        ("safe rate, disturbed", disturbed),
+        ("safe rate, fast UART", fast_flood),
+        ("tight pulses", tight),
+        ("hard start", hard_start),
+        ("laser start", laser_start),
+        ("raster", raster),
+        ("turns", turns),
+        ("called at turns", called_at_turns),
+        ("hold", hold),
+        ("stops", stops),
+        ("stops on the ring", ring_stops),
+        ("masked for long", masked_long),
+        ("late segments", late_segments),
+        ("late starts", late_starts),
+        ("miscounts", miscounts),
+        ("trips", trips),
+        ("emergency stop", emergency_stop),
+        ("lines at stops", lines_at_stops),
+        ("switch noise", noise),
+        ("probe", probe),
+        ("flood of realtime commands", flood),
+        ("bursts of overrides", override_bursts),
+        ("second motor", second_motor),
+        ("fourth axis", fourth_axis),
+        ("spindle PWM", spindle_pwm),
+        ("outputs of programs", program_outputs),
+        ("inputs of programs", program_inputs),
+        ("baud rates", baud_rates),
+        ("uart lines", uart_lines),
+        ("settings write", settings_write),
+        ("power cut", power_cut),
+        ("fault", faulted),
+        ("stack overflow", overflowed),
+        ("failure in a failure", failed_twice),
+        ("hung control task", hung),
+        ("unserved tasks", unserved),
+        ("recorded failure", recorded),
+        ("masked for ever", deaf),
+        ("lost clock", lost_clock),
+        ("boot loader left", left_loader),
+        ("brown-out", brown_out),
+        ("brown-out of a beam", brown_out_of_a_beam),
+        ("low supply at power-up", low_at_power_up),
+        ("inverted outputs", inverted_outputs),
+        ("usb", usb_port),
+        ("usb flood", usb_flood),
+        ("usb lines", usb_lines),
+        ("usb answers", usb_answers),
+        ("usb unplugged", usb_unplugged),
+        ("usb unread", usb_unread),
+        ("usb set up again", usb_set_up_again),
+    ]

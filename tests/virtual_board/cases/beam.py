@@ -1,0 +1,261 @@
+"""The power of a laser, against the steps that it belongs to."""
+
+from random import Random
+
+from ..board import Failure
+from ..models import timer
+from ..scope import Scope
+from .bench import RUN_CYCLES, STOP_S, TRIP_S, US, duty, fast, stand_once, us
+from .failures import tell
+from .stops import StopWatch
+
+BEHIND_CYCLES = 400
+"""From there to where the beam is off: a change of power that is about to come is awaited."""
+
+
+def laser_start(bench):
+    """From rest so hard that many segments begin, each with a power of its own (M4), before the first step."""
+    bench.boot()
+    fast(bench, 10_000)
+    bench.settings(s100=1280, s110=9000, s30=1000, s31=0, s32=1)
+    bench.settings(s120=15_000)
+    scope = Scope(bench.board)
+    bench.ask("G91 M4 S800 F9000")
+    for _ in range(6):
+        bench.ask("G1 X2")
+        bench.wait_state("Idle", 1)
+    yield f"6 starts with 15 m/s² and 1280 steps/mm: {scope.counts()[0]} steps"
+    if scope.counts() != [6 * 2560, 0, 0] or bench.host.has_said("ALARM"):
+        raise Failure(f"the motor is at {scope.counts()}: {bytes(bench.host.text[-200:])}")
+
+BEAM_S = 0.2 * US
+"""Between the edge of the step that begins a segment and the change of its power."""
+
+
+class BeamWatch:
+    """The changes of the PWM's compare register, whoever writes it."""
+
+    def __init__(self, board):
+        self.board, self.pwm = board, board.peripherals["TIM3"]
+        self.changes = []
+        """(cycle, share of the period)."""
+        self.last = self.pwm.values[timer.CCR2]
+        by_program, by_dma = self.pwm.write, self.pwm.store_by_dma
+
+        def write(offset, value):
+            by_program(offset, value)
+            self.note(board.now)
+
+        def store(offset, value, at):
+            by_dma(offset, value, at)
+            self.note(at)
+
+        self.pwm.write, self.pwm.store_by_dma = write, store
+
+    def note(self, at):
+        value = self.pwm.values[timer.CCR2]
+        if value != self.last:
+            self.last = value
+            self.changes.append((at, value / (self.pwm.values[timer.ARR] + 1)))
+
+
+def raster(bench):
+    """A laser draws rows of 20 pixels/mm at 12 m/min, each pixel of another power: it changes with the edge of the step that begins
+    the pixel, also while interrupts are masked at random moments. And it is off after a stop, wherever that comes."""
+    bench.boot()
+    fast(bench, 10_000)
+    bench.settings(s100=80, s110=12_000, s30=1000, s31=0, s32=1)
+    yield from raster_rows(bench, "M3", 1, 0.0)
+    yield from raster_rows(bench, "M4", 1, 20 * US)
+    yield from raster_starts(bench)
+    yield from raster_stops(bench)
+
+
+def raster_rows(bench, mode, rows, masked_s):
+    """Rows, each with a way without power at both ends that is long enough for the speed, and for the pixels to come."""
+    board, hz, random = bench.board, bench.wiring.core_hz, Random(12)
+    scope, beam, pixels, masks = Scope(board), BeamWatch(board), 70, 0
+    begins = []
+    """The step with which each pixel begins, and its share."""
+    for row in range(rows):
+        shares = [0]
+        while len(shares) <= pixels:
+            share = random.choice((0, 1000, random.randrange(50, 950)))
+            if share != shares[-1] and (share or 1 < len(shares) < pixels):
+                shares.append(share)
+        # With the step that brings the tool to its edge.
+        first = row * (80 * (14 + 4) + 4 * pixels) + 80 * 14 - 1
+        begins += [(first + 4 * k, share / 1000) for k, share in enumerate([*shares[1:], 0])]
+        text = "".join(f"X.05S{share}\n" for share in shares[1:])
+        bench.host.stream(f"G91G1F12000{mode}\nX14S0\n{text}X4S0\n")
+        if masked_s:
+            bench.wait(lambda row=row: len(beam.changes) > row * (pixels + 1), 0.2, "the first pixel")
+        while masked_s and len(beam.changes) < len(begins):
+            board.run(seconds=random.uniform(60, 400) * US)
+            board.mask(masked_s)
+            masks += 1
+        bench.wait(lambda: bench.host.all_answered, 5, "the last answer")
+        bench.wait_state("Idle", 5)
+    steps = scope.steps()
+    if len(beam.changes) != len(begins):
+        raise Failure(f"{mode}: power changes {len(beam.changes)} times and not {len(begins)}")
+    late = []
+    for (step, share), (at, shown) in zip(begins, beam.changes, strict=True):
+        if abs(share - shown) > 0.01:
+            raise Failure(f"{mode}: power is {shown:.4f} and not {share} at step {step}")
+        late.append((at - steps[step].at) / hz)
+    pixel = (steps[begins[2][0]].at - steps[begins[1][0]].at) / hz
+    exact = sum(abs(by) <= BEAM_S for by in late)
+    yield (
+        f"{mode}, pixels of {us(pixel)}, masked {masks} times for {us(masked_s)}: {exact} of {len(late)} changes of power at their step, "
+        f"{us(min(late))} to {us(max(late))} from its edge"
+    )
+    if exact < len(late) * (0.97 if masked_s else 1) or min(late) < -BEAM_S or max(late) > pixel / 4:
+        raise Failure("power does not change with its step")
+
+
+def raster_starts(bench):
+    """Interrupts are masked where a motion begins, up to and beyond its first step: it is put off, and each step has the power that it
+    has else."""
+    bench.settings(s110=6_000)
+    bench.settings(s100=1280)
+    board, hz = bench.board, bench.wiring.core_hz
+    clock, beam = board.peripherals["TIM2"], BeamWatch(board)
+
+    def away():
+        return (clock.values[timer.CCR2] - clock.count() & 0xFFFF_FFFF) * clock.cycles / hz
+
+    def start(until_s=None):
+        """When the first step comes after the first segment is to begin, when the first power after that, and the power right behind
+        each step."""
+        board.run(seconds=0.002)
+        scope, known = Scope(board), len(beam.changes)
+        bench.host.send("G91G1X.1F6000M4S1000\n")
+        # The step task has itself called 450 us before the first event.
+        bench.wait(lambda: 1.3e-3 < away() < 1.6e-3, 0.1, "the first segment")
+        first = board.now + (away() + 450 * US) * hz
+        if until_s is not None:
+            board.run(seconds=(first - board.now) / hz - 460 * US)
+            board.mask(460 * US + until_s)
+        board.run(seconds=0.004)
+        bench.wait_state("Idle", 0.5)
+        steps = [step.at for step in scope.steps()]
+        changes = [*beam.changes[known:], (1 << 62, 0.0)]
+        powers, shown = [], 0.0
+        for at in steps:
+            while changes[0][0] < at + BEAM_S * hz:
+                shown = changes.pop(0)[1]
+            powers.append(shown)
+        return (steps[0] - first) / hz, (beam.changes[known][0] - steps[0]) / hz, powers
+
+    planned, lights, usual = start()
+    delays = []
+    for until in (-200, -40, 2, 30):
+        came, _, powers = start(planned + until * US)
+        delays.append(came - planned)
+        if powers != usual:
+            step = next(k for k, (a, b) in enumerate(zip(powers, usual, strict=True)) if a != b)
+            raise Failure(f"masked until {until} us from the first step: power is {powers[step]} at step {step + 1}, else {usual[step]}")
+    for until in (-4, 4):
+        stand_once(board, until * US)
+        came, early, powers = start()
+        delays.append(came - planned)
+        if powers != usual or early < lights - BEAM_S:
+            raise Failure(f"stood until {until} us from the first event: power comes {us(-early)} before the first step, else {us(-lights)}")
+    yield f"{len(delays)} starts with interrupts masked, put off by {us(min(delays))} to {us(max(delays))}: each of {len(usual)} steps with its power"
+    if max(delays) < US or len(set(usual)) < 5:
+        raise Failure("no start was put off, or power was always the same: this proves nothing")
+
+
+def raster_stops(bench):
+    """0x18 so that the beam goes off right before, at and behind the moment of a change, and emergency stops."""
+    bench.settings(s100=80, s30=10, s912=1)
+    board, hz, random = bench.board, bench.wiring.core_hz, Random(18)
+    clock, beam, worst, near, takes = board.peripherals["TIM2"], BeamWatch(board), {}, [], None
+    watch, behind = StopWatch(board), 0
+    # The host's line is free again before the first of these pixels.
+    row = "G91G1F6000M3S0\nX.6\n" + "".join(f"X.05S{2 + 6 * (k % 2)}\n" for k in range(10)) + "X9S7\n"
+    for k in range(15):
+        what = "emergency stop" if k % 5 == 4 else "0x18"
+        bench.ask("$X")
+        bench.host.send(row)
+        goal = len(beam.changes) + 2 + k % 4
+
+        def away():
+            return (clock.values[timer.CCR3] - clock.count() & 0xFFFF_FFFF) * clock.cycles
+
+        def is_due(goal=goal):
+            return beam.last and len(beam.changes) >= goal and 150 * US < away() / hz < 450 * US and bench.host.free_at < board.now
+
+        bench.wait(is_due, 0.1, "a change of power that is due")
+        moment = board.now + away()
+        if what == "0x18":
+            # The last bit of a byte is read 9.5 bits after it begins. From there it takes as long as it took at least so far: the
+            # first three tell.
+            lead = 40 * US * hz if k < 3 else takes + 240 - 30 * k
+            heard = bench.host.send(b"\x18", at=moment - 9.5 / 115_200 * hz - lead)
+        else:
+            board.run(seconds=random.uniform(0, 400) * US)
+            heard = board.now
+            board.drive(bench.wiring.reset, 0)
+        board.run(seconds=0.002)
+        after = [(at, share) for at, share in beam.changes if at > heard]
+        off = next((at for at, share in after if share == 0), None)
+        if off is None or after[-1][0] > off:
+            raise Failure(f"{what} {k + 1}: after it power is {after}")
+        if what == "0x18":
+            takes = min(takes or off - heard, off - heard)
+        near.append(off - moment)
+        behind = max(behind, off - watch.halted_at)
+        worst[what] = max(worst.get(what, 0), (off - heard) / hz)
+        if what != "0x18":
+            board.drive(bench.wiring.reset, None)
+            board.run(seconds=0.001)
+            bench.host.send("\x18")
+        board.run(seconds=0.001)
+    yield (
+        f"off at most {us(worst['0x18'])} after 0x18, {us(worst['emergency stop'])} after the contact of an emergency stop, and nothing behind it; "
+        f"at most {us(behind / hz)} after the last edge that was let out"
+    )
+    if not any(-250 < cycles < 0 for cycles in near) or not any(0 < cycles < 250 for cycles in near):
+        raise Failure("no stop came right before a change, or right behind one: this proves nothing")
+    if worst["0x18"] > STOP_S + RUN_CYCLES / hz or worst["emergency stop"] > TRIP_S + RUN_CYCLES / hz:
+        raise Failure("the beam is off too late")
+    if behind > BEHIND_CYCLES:
+        raise Failure("the beam burns where the tool is about to stand while undone events are counted")
+
+
+def brown_out_of_a_beam(bench):
+    """The supply sinks in mid-raster, and the next change of power comes while outputs are being made safe: no beam behind it, no
+    pulse."""
+    bench.boot()
+    board, hz = bench.board, bench.wiring.core_hz
+    fast(bench, 10_000)
+    bench.settings(s100=80, s110=12_000, s30=10, s31=0, s32=1)
+    clock, pwm, beam = board.peripherals["TIM2"], board.peripherals["TIM3"], BeamWatch(board)
+    bench.host.send("G91G1F6000M3S0\nX.6\n" + "".join(f"X.05S{2 + 6 * (k % 2)}\n" for k in range(10)) + "X9S7\n")
+
+    def away_s():
+        return (clock.values[timer.CCR3] - clock.count() & 0xFFFF_FFFF) * clock.cycles / hz
+
+    bench.wait(lambda: beam.last and len(beam.changes) > 2 and 150 * US < away_s() < 450 * US, 0.1, "a change of power that is due")
+    write, made_safe = pwm.write, []
+
+    def and_stand(offset, value):
+        write(offset, value)
+        if offset == timer.CCR2 and value == 0 and not made_safe:
+            made_safe.append(board.now)
+            board.stall(away_s() + 20 * US)
+
+    pwm.write = and_stand
+    scope = Scope(board)
+    board.set_supply(2.7)
+    board.run(seconds=0.005)
+    if not made_safe:
+        raise Failure("the beam was not switched off")
+    late = [step.at for step in scope.steps() if step.at > made_safe[0]]
+    if beam.last or duty(board) or late:
+        raise Failure(f"after the beam was switched off power is {beam.changes[-1][1]}, and {len(late)} pulses come")
+    board.set_supply(3.3)
+    tell(bench, "oltage", "upply")
+    yield "2.7 V, and the processor stands up to a change of power behind the beam's end: it stays off, and no pulse comes"

@@ -1,0 +1,269 @@
+"""A board with a host, and what the cases of several rooms share: bounds, settings, watching the outputs."""
+
+import csv
+import subprocess
+import tempfile
+from pathlib import Path
+
+from ..board import Board, Failure
+from ..host import Host
+from ..models.dma import M0AR
+from ..scope import Scope
+from ..usb import UsbHost
+
+US = 1e-6
+
+JITTER_S = 0.1 * US
+"""How far a period may be off: edges wait for other transfers of DMA, and for nothing that the program does."""
+
+SAMPLE_S, FILTER_SAMPLES = 50 * US, 8
+
+STOP_S = 20 * US
+"""From the moment a stop is known to the last rising edge."""
+
+RUN_CYCLES = 4450
+"""How long a byte may wait for a run of the step task, besides (`run_cycles` in profiles.rs)."""
+
+HOLD_S = 25e-3
+"""From `!` to the beginning of the ramp."""
+
+TRIP_S = FILTER_SAMPLES * SAMPLE_S + SAMPLE_S + STOP_S
+"""From a contact to the last rising edge: the filter, up to a sample before it begins, and the stop."""
+
+STACK_LEFT = 4096
+"""Bytes of the stack that no case may have used."""
+
+LATEST_PULSE_END_S = 0.15 * US
+"""How much longer than $0 a pulse may be: its end is a transfer of DMA, which may wait for others."""
+
+
+class Bench:
+    """A board with a host, and what the cases share."""
+
+    def __init__(self, wiring, image, oxmill):
+        self.wiring, self.image, self.oxmill = wiring, image, oxmill
+        self.masked = {}
+        self.board, self.deepest = None, (0, 0, "")
+        self.case = ""
+        self.fresh()
+
+    def fresh(self):
+        """Another board, not yet running."""
+        self.note_stack()
+        self.board = Board(self.wiring, self.image)
+        self.host = Host(self.board)
+        return self.board
+
+    def note_stack(self):
+        """Keeps the deepest stack; a board that was made to fail says nothing of it."""
+        if self.board is not None and not self.board.faults_expected:
+            used, size = self.board.stack_used()
+            self.deepest = max(self.deepest, (used, size, self.case))
+
+    def boot(self):
+        self.fresh()
+        self.wait_text("Grbl 1.1h", 1.0)
+        self.wait_text("\r\n", 0.1, after=len(self.host.text))
+        self.forget_masks()
+
+    def boot_with_usb(self):
+        """Another board, with a host that has opened its USB port. The host at the UART is `uart`."""
+        self.fresh()
+        self.uart, self.host = self.host, UsbHost(self.board)
+        self.wait(lambda: self.host.is_set_up, 1.0, "the set-up of the USB device")
+        self.board.run(seconds=0.02)
+        self.host.order("open")
+        self.wait_text("Grbl 1.1h ['$' for help]\r\n", 0.1)
+        self.forget_masks()
+
+    # Time and text.
+
+    def wait(self, condition, limit, what):
+        if not self.board.run(until=condition, limit=limit):
+            raise Failure(f"{what} did not come within {limit} s; the board has said {bytes(self.host.text[-300:])!r}")
+
+    def wait_text(self, text, limit, after=0):
+        self.wait(lambda: self.host.has_said(text, after), limit, repr(text))
+
+    def ask(self, line, limit=1.0):
+        """Sends a line and waits for its answer; the lines up to it."""
+        begin, answers = len(self.host.lines), len(self.host.answers)
+        self.host.send(line + "\n")
+        self.wait(lambda: len(self.host.answers) > answers, limit, f"an answer to {line}")
+        if self.host.answers[-1] != "ok":
+            raise Failure(f"{line} was answered by {self.host.answers[-1]}")
+        return [text for _, text in self.host.lines[begin:]]
+
+    def settings(self, **values):
+        for name, value in values.items():
+            self.ask(f"${name[1:]}={value}")
+        # Whatever the store does ahead of need, it does now.
+        self.board.run(seconds=0.01)
+
+    def status(self):
+        after = len(self.host.lines)
+        self.host.send(b"?")
+        self.wait(lambda: any(line.startswith("<") for _, line in self.host.lines[after:]), 0.2, "a status report")
+        return next(line for _, line in self.host.lines[after:] if line.startswith("<"))
+
+    def wait_state(self, state, limit):
+        """Polls like a sender; the report that had the state."""
+        for _ in range(round(limit / 0.02)):
+            status = self.status()
+            if status.startswith(f"<{state}"):
+                return status
+            self.board.run(seconds=0.02)
+        raise Failure(f"the state is {status} and not {state} after {limit} s")
+
+    def at_rest(self, seconds):
+        """Runs for a time in which nothing may step."""
+        scope = Scope(self.board)
+        self.board.run(seconds=seconds)
+        if scope.steps():
+            raise Failure("a step came at rest")
+
+    # Masks.
+
+    def forget_masks(self):
+        self.board.state.masked_longest = 0
+
+    def longest_mask(self):
+        """Longest time with interrupts masked since the last question, in s, and where it ended."""
+        state = self.board.state
+        cycles, where = state.masked_longest, self.image.place(state.slowest_to)
+        state.masked_longest = 0
+        return cycles / self.board.clocks[-1][2], where
+
+
+def us(seconds):
+    return f"{seconds / US:.2f} us"
+
+
+def duty(board):
+    """Share of the time that the spindle's PWM is high; 0 where its pin is not driven by the timer."""
+    if board.shown(board.wiring.pwm) != "AF":
+        return 0
+    return board.peripherals["TIM3"].duty(2)
+
+JOB_SETTINGS = {"s110": 3000, "s111": 3000, "s112": 3000, "s120": 1000, "s121": 1000, "s122": 1000}
+
+
+def in_simulator(bench, job, settings, *options):
+    """Runs a job in the simulator, as this board; what it says."""
+    command = [bench.oxmill, "run", str(job), "--board", bench.wiring.name, *options]
+    for name, value in settings.items():
+        command += ["--set", f"{name[1:]}={value}"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise Failure(f"the simulator failed: {done.stderr}")
+    return done.stdout
+
+
+def simulated(bench, job, settings=JOB_SETTINGS):
+    """(axes, negative) of each step event of the job in the simulator."""
+    with tempfile.TemporaryDirectory() as folder:
+        trace = Path(folder) / "trace.csv"
+        in_simulator(bench, job, settings, "--trace", str(trace))
+        rows, before = [], (0, 0, 0)
+        with open(trace, newline="") as file:
+            for row in csv.DictReader(file):
+                place = tuple(int(row[axis]) for axis in "xyz")
+                change = [b - a for a, b in zip(before, place, strict=True)]
+                before = place
+                if any(change):
+                    axes = sum(1 << k for k, c in enumerate(change) if c)
+                    rows.append((axes, sum(1 << k for k, c in enumerate(change) if c < 0)))
+    return rows, before
+
+
+def fast(bench, acceleration, pulse_us=2):
+    """1000 steps/mm, and axes as fast as the board's safe rate and the pulse allow. A greater rate would be refused."""
+    rate = int(bench.wiring.greatest_hz(pulse_us)) * 60 // 1000
+    bench.settings(s0=pulse_us, s110=rate, s111=rate, s112=rate)
+    bench.settings(s100=1000, s101=1000, s102=1000, s120=acceleration, s121=acceleration, s122=acceleration)
+
+
+def hard(bench, acceleration):
+    """An acceleration that brings a board of a greater rate than 490 kHz to it in the same time, mm/s²."""
+    return round(acceleration * max(1, bench.wiring.safe_step_hz / 490_000))
+
+
+def step_load(board, begin, end):
+    """Share of the processor that the step task takes between two cycles, and its longest run there."""
+    runs = [(entry, left) for entry, left in board.step_runs if begin <= entry < end]
+    return sum(left - entry for entry, left in runs) / (end - begin), max(left - entry for entry, left in runs)
+
+
+def moving(bench, feed=3000, way=100):
+    """Begins a long move of X and waits until it is at speed."""
+    bench.ask(f"G91 G1 X{way} F{feed}")
+    bench.board.run(seconds=feed / 60 / 1000 + 0.05)
+
+
+def stand_once(board, until):
+    """The processor stands as the next motion is about to begin, until so long after the first event."""
+    tim2, moments = board.peripherals["TIM2"], board.dma[0]
+    write = moments.write
+
+    def and_stand(offset, value):
+        write(offset, value)
+        if offset == 0x10 + 0x18 * 5 + M0AR:
+            moments.write = write
+            away = (board.word(value) - tim2.count() & 0xFFFF_FFFF) * tim2.cycles / board.clocks[-1][2]
+            board.stall(away + until)
+
+    moments.write = and_stand
+
+
+def error_of(bench, line):
+    """The error that a line is answered by."""
+    answers = len(bench.host.answers)
+    bench.host.send(line + "\n")
+    bench.wait(lambda: len(bench.host.answers) > answers, 1, f"an answer to {line}")
+    return bench.host.answers[-1]
+
+
+def busy(bench):
+    """Full motion, spindle, coolant and the outputs of programs on."""
+    fast(bench, 1000)
+    all_on(bench)
+    moving(bench)
+    if not duty(bench.board) or any(bench.board.level(pin) != 1 for pin in switched(bench.wiring)):
+        raise Failure("spindle, coolant and outputs are not on")
+
+
+def switched(wiring):
+    """Outputs that `all_on` switches on."""
+    return (wiring.spindle, wiring.flood, *wiring.program_outputs)
+
+
+def all_on(bench):
+    bench.ask("M3 S1000")
+    bench.ask("M8")
+    for number, _ in enumerate(bench.wiring.program_outputs):
+        bench.ask(f"M64 P{number}")
+
+
+def us_off(bench, begin):
+    """When all that `all_on` switches on, and the PWM, were off after a moment."""
+    board, wiring = bench.board, bench.wiring
+    moments = []
+    for name in switched(wiring):
+        moment = next((at for at, port, pin, level in board.edges if f"{port}{pin}" == name and at >= begin and level != 1), None)
+        if moment is None:
+            raise Failure(f"P{name} stays on")
+        moments.append(moment)
+    if duty(board):
+        raise Failure("the PWM stays on")
+    return us(board.seconds(max(moments)) - board.seconds(begin))
+
+
+def with_usb(bench):
+    if not bench.wiring.usb:
+        raise LeftOut("this board has no USB of its own")
+    bench.boot_with_usb()
+    return bench.board, bench.host
+
+
+class LeftOut(Exception):
+    """The board does not have it, by its row in parts.py; not a failure and not a pass."""

@@ -1,0 +1,277 @@
+"""Faults, hung tasks, clocks and supplies that fail: outputs go off, and the board tells of it after the reset."""
+
+import subprocess
+import tempfile
+from pathlib import Path
+
+from ..board import Failure
+from ..scope import Scope
+from .bench import JOB_SETTINGS, LeftOut, STOP_S, busy, duty, switched, us, us_off
+from .patching import control_body, hang, patch, put, unpatch
+
+
+def left_loader(bench):
+    """The chip's boot loader jumps into the program, as a host may order (`:leave` of dfu-util), with its own vectors and clocks: the
+    program starts over from a reset."""
+    for resets_clocks in (False, True):
+        board = bench.fresh()
+        board.jump_from_loader(resets_clocks)
+        begin = board.seconds()
+        bench.wait_text("Grbl 1.1h", 1.0)
+        if [why for _, why in board.resets] != ["software"]:
+            raise Failure(f"resets: {board.resets}")
+        if board.clocks[-1][2] != bench.wiring.core_hz:
+            raise Failure(f"the core runs at {board.clocks[-1][2]} Hz")
+        if any(at < board.resets[0][0] and level in (0, 1) for at, _, _, level in board.edges):
+            raise Failure("an output was driven before the reset")
+        yield f"left with clocks {'reset' if resets_clocks else 'on'}: reset after {us(board.seconds(board.resets[0][0]) - begin)}"
+
+
+def lost_clock(bench):
+    """The oscillator fails in full motion with the spindle on, also while interrupts are masked: everything safe at once, and the cause
+    is told once there is a clock again."""
+    for masked in (False, True):
+        bench.boot()
+        board = bench.board
+        busy(bench)
+        scope = Scope(board)
+        board.core.write("primask", int(masked))
+        begin = board.now
+        board.rcc.lose_hse()
+        bench.wait(lambda board=board: board.resets, 0.1, "a reset")
+        board.rcc.hse_stands = False
+        rising = [step.at for step in scope.steps()]
+        late = board.seconds(max([begin, *rising])) - board.seconds(begin)
+        off = us_off(bench, begin)
+        if late > STOP_S:
+            raise Failure(f"pulses for another {us(late)}")
+        tell(bench, "clock failure")
+        yield f"clock lost{', interrupts masked' * masked}: spindle off after {off}, last rising edge after {us(late)}; {cause(bench)}"
+
+
+def low_at_power_up(bench):
+    """A supply that is low from the beginning raises no edge; one that rises slowly is no failure."""
+    board = bench.fresh()
+    board.set_supply(2.7)
+    board.run(seconds=0.12)
+    board.set_supply(3.3)
+    bench.wait_text("Grbl 1.1h", 1)
+    board.run(seconds=0.02)
+    if board.resets or bench.host.has_said("failure"):
+        raise Failure("a supply that takes 120 ms to rise counts as a failure")
+    board = bench.fresh()
+    board.set_supply(2.7)
+    board.run(seconds=1.2)
+    if board.resets or bench.host.has_said("Grbl"):
+        raise Failure("the firmware runs on a supply of 2.7 V")
+    board.set_supply(3.3)
+    tell(bench, "oltage")
+    yield f"2.7 V for 120 ms: no failure; for 1.2 s: not started before the supply was good; {cause(bench)}"
+
+
+def overflowed(bench):
+    """The stack runs out of its memory in full motion with the spindle on: everything safe, and the cause is told."""
+    bench.boot()
+    board, wiring = bench.board, bench.wiring
+    busy(bench)
+    scope = Scope(board)
+    patch(bench, control_body(bench.image), b"\xff\xb4\xfd\xe7")  # push {r0-r7}; b .-2
+    board.faults_expected = True
+    bench.wait(lambda: board.faults, 0.1, "the fault")
+    at = board.faults[0][0]
+    board.run(seconds=0.001)
+    late = max(0, max((step.at for step in scope.steps()), default=0) - at) / wiring.core_hz
+    if late > STOP_S:
+        raise Failure(f"pulses for {us(late)} after the overflow")
+    off = us_off(bench, at)
+    bench.wait(lambda: board.resets, 1, "a reset")
+    unpatch(bench)
+    tell(bench, "stack overflow")
+    yield f"spindle and coolant off after {off}, last rising edge after {us(late)}; {cause(bench)}"
+
+
+def failed_twice(bench):
+    """A second failure while the first one is being logged: a reset, and the first one is told."""
+    bench.boot()
+    board, image = bench.board, bench.image
+    names = [start for start, _, name in image.functions if "stm32f4" in name and "restart" in name]
+    if not names:
+        raise Failure("the image has no function that logs a failure")
+    busy(bench)
+    board.faults_expected = True
+    hang(bench)
+    first = bench.patched
+    patch(bench, names[0], b"\x00\xde")  # udf
+    bench.wait(lambda: board.resets, 3, "a reset")
+    unpatch(bench)
+    put(bench, *first)
+    if not board.faults:
+        raise Failure("nothing failed for the second time: this proves nothing")
+    tell(bench, "stuck task")
+    yield f"{cause(bench)}"
+
+
+def hung(bench):
+    """The control task never comes back: the chip is reset, outputs are safe from before the reset on, the cause is told."""
+    bench.boot()
+    board, wiring = bench.board, bench.wiring
+    if not board.iwdg.started:
+        raise Failure("the watchdog is not started")
+    busy(bench)
+    scope = Scope(board)
+    hang(bench)
+    begin = board.now
+    bench.wait(lambda: board.resets, 5, "a reset")
+    unpatch(bench)
+    tell(bench, "stuck", "atchdog")
+    cycle, why = board.resets[0]
+    yield f"control task: outputs safe {us_off(bench, begin)} and reset by {why} {(cycle - begin) / wiring.core_hz * 1e3:.0f} ms after it hung; {cause(bench)}"
+    late = [step.at for step in scope.steps() if step.at > cycle]
+    if late:
+        raise Failure("steps after the reset")
+
+
+def unserved(bench):
+    """The interrupts of a task are off, as by a disturbed interrupt controller: the others see that it does not answer."""
+    for task, interrupts in (("serial", (36, 67)), ("receive", (37, 38)), ("step", (28,))):
+        yield f"{task} task: {without_interrupts(bench, interrupts)}"
+
+
+def without_interrupts(bench, numbers):
+    """What comes of it when these are off in full motion."""
+    bench.boot()
+    board = bench.board
+    if not board.iwdg.started:
+        raise Failure("the watchdog is not started")
+    busy(bench)
+    board.nvic.enabled -= {16 + number for number in numbers}
+    begin = board.now
+    bench.wait(lambda: board.resets, 5, "a reset")
+    tell(bench, "stuck")
+    cycle, why = board.resets[0]
+    return f"outputs safe {us_off(bench, begin)} and reset by {why} {(cycle - begin) / bench.wiring.core_hz * 1e3:.0f} ms after its interrupts went off; {cause(bench)}"
+
+
+def recorded(bench):
+    """A control task that hangs in mid-job: what the board has recorded leads the simulator to the place and line of the failure."""
+    bench.boot()
+    bench.settings(**JOB_SETTINGS)
+    board = bench.board
+    if not board.iwdg.started:
+        raise Failure("the watchdog is not started")
+    for line in ("G91", "N10 G1 X3 F1200", "N20 Y2", "N30 X40"):
+        bench.ask(line)
+    board.run(seconds=0.4)
+    hang(bench)
+    bench.wait(lambda: board.resets, 5, "a reset")
+    unpatch(bench)
+    tell(bench, "stuck", "atchdog")
+    told = cause(bench)
+    if "recording" in bench.wiring.left_out and "$REC" not in told:
+        raise LeftOut("this board has no room for a recording")
+    if "$REC" not in told:
+        raise Failure(f"nothing is recorded: {told}")
+    bench.ask("$X")
+    listing = bench.ask("$REC", 5.0)
+    end = next((line for line in listing if " ended " in line), None)
+    if end is None or listing[-1] != "ok" or "[REC:end]" not in listing:
+        raise Failure(f"the listing has no end: {listing[-5:]}")
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "board.log"
+        log.write_text("\n".join(listing) + "\n")
+        done = subprocess.run([bench.oxmill, "replay", str(log)], capture_output=True, text=True, check=False)
+    arrival = [line for line in done.stdout.splitlines() if "arrives at the place and line of the failure" in line]
+    if done.returncode not in (0, 1) or done.stderr or not arrival:
+        raise Failure(f"the replay parts: {done.stdout} {done.stderr}")
+    if f"N{told.split(', line ')[1].split(',')[0]} " not in arrival[0]:
+        raise Failure(f"the board failed at another line: {told}; {arrival[0]}")
+    yield f"{len(listing)} lines are listed; the replay {arrival[0].split('replay')[-1].strip()}"
+
+
+def deaf(bench):
+    """Interrupts are masked for ever: only the independent watchdog can help."""
+    bench.boot()
+    board, wiring = bench.board, bench.wiring
+    if not board.iwdg.started:
+        raise Failure("the watchdog is not started")
+    busy(bench)
+    patch(bench, control_body(bench.image), b"\x72\xb6\xfe\xe7")  # cpsid i; b .
+    begin = board.now
+    bench.wait(lambda: board.resets, 5, "a watchdog reset")
+    unpatch(bench)
+    cycle, why = board.resets[0]
+    tell(bench, "atchdog", "WDT")
+    yield f"masked for ever: reset by the {why} {(cycle - begin) / wiring.core_hz * 1e3:.0f} ms later; {cause(bench)}"
+
+
+def brown_out(bench):
+    """The supply sinks below the detector's threshold in full motion with the spindle on."""
+    bench.boot()
+    board, wiring = bench.board, bench.wiring
+    if not board.peripherals["PWR"].values[0] >> 4 & 1:
+        raise Failure("the supply is not watched")
+    whole = Scope(board)
+    busy(bench)
+    scope = Scope(board)
+    begin = board.now
+    board.set_supply(2.7)
+    board.run(seconds=0.02)
+    rising = [step.at for step in scope.steps()]
+    late = max(0, max(rising, default=0) - begin) / wiring.core_hz
+    off = us_off(bench, begin)
+    if late > STOP_S:
+        raise Failure(f"pulses for another {us(late)}")
+    if board.resets:
+        raise Failure("the chip begins anew while the supply is still low")
+    board.set_supply(3.3)
+    bench.wait(lambda: board.resets, 1, "a reset after the supply has come back")
+    tell(bench, "oltage", "upply")
+    told = cause(bench)
+    place, counted = float(told.split("at machine ")[1].split(",")[0]), whole.counts()[0] / 1000
+    # The control task looks every 2 ms, and the pieces that it knows of last a millisecond: 3 ms of 50 mm/s, and a margin.
+    if not -0.1 <= counted - place <= 0.4:
+        raise Failure(f"X{place} is reported after {counted} mm: {told}")
+    yield f"the place is the one {(counted - place) * 1e3:.0f} um before the last step"
+    yield f"2.7 V: spindle off after {off}, last rising edge after {us(late)}; {cause(bench)}"
+
+
+def tell(bench, *words):
+    """After the reset the welcome tells why, and nothing is on."""
+    board = bench.board
+    bench.wait_text("Grbl 1.1h", 2, bench.host.text.rfind(b"Grbl 1.1h") + 1)
+    board.run(seconds=0.05)
+    if any(board.level(pin) != 0 for pin in switched(bench.wiring)) or duty(board):
+        raise Failure("spindle, coolant or an output is on after the reset")
+    if not any(word in cause(bench) for word in words):
+        raise Failure(f"the cause is not told: {bench.host.lines[-6:]}")
+
+
+def cause(bench):
+    """What was said since the last welcome."""
+    lines = [text for _, text in bench.host.lines]
+    last = max(k for k, text in enumerate(lines) if text.startswith("Grbl 1.1h"))
+    return " ".join(text for text in lines[last + 1 :] if text.startswith("[MSG"))
+
+
+def faulted(bench):
+    """An undefined instruction in the control task, in full motion with the spindle on: everything safe at once."""
+    bench.boot()
+    board, wiring = bench.board, bench.wiring
+    busy(bench)
+    scope = Scope(board)
+    patch(bench, control_body(bench.image), b"\x00\xde")  # udf
+    board.faults_expected = True
+    bench.wait(lambda: board.faults, 0.1, "the fault")
+    at = board.faults[0][0]
+    board.run(seconds=0.001)
+    rising = [step.at for step in scope.steps()]
+    late = max(0, max(rising, default=0) - at) / wiring.core_hz
+    stuck = [name for name in wiring.step if board.level(name) == 1]
+    if late > STOP_S or stuck:
+        raise Failure(f"pulses for {us(late)} after the fault, step pins left high: {stuck}")
+    yield f"HardFault: spindle and coolant off after {us_off(bench, at)}, last rising edge after {us(late)}"
+    if board.resets:
+        # The injected instruction belongs to the emulation, not to what the firmware does about it.
+        unpatch(bench)
+        tell(bench, "ault")
+        yield f"then a reset; {cause(bench)}"

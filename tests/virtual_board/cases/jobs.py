@@ -1,0 +1,91 @@
+"""The start of a board, and whole jobs, step for step as in the simulator."""
+
+from pathlib import Path
+
+from ..board import Failure
+from ..scope import Scope
+from .bench import JOB_SETTINGS, LeftOut, duty, simulated, us
+
+
+def boot(bench):
+    """The welcome line, and outputs that never leave their safe levels on the way there."""
+    bench.boot()
+    board, wiring = bench.board, bench.wiring
+    cycle, line = next(entry for entry in bench.host.lines if entry[1])
+    if not line.startswith("Grbl 1.1h ['$' for help]"):
+        raise Failure(f"the first line is {line!r}")
+    if board.clocks[-1][2] != wiring.core_hz:
+        raise Failure(f"the core runs at {board.clocks[-1][2]} Hz and not at {wiring.core_hz}")
+    coolant = (wiring.flood, wiring.mist)
+    safe = {name: 0 for name in (*wiring.step, wiring.spindle, wiring.spindle_direction, *coolant, *wiring.program_outputs)}
+    safe[wiring.enable] = 1
+    for at, port, pin, level in board.edges:
+        wanted = safe.get(f"{port}{pin}")
+        if wanted is not None and level in (0, 1) and level != wanted:
+            raise Failure(f"P{port}{pin} was {level} at {board.seconds(at):.6f} s")
+    first = min(board.seconds(at) for at, port, pin, level in board.edges if f"{port}{pin}" in safe and level in (0, 1))
+    used, size = board.stack_used()
+    if duty(board):
+        raise Failure("the spindle's PWM is on")
+    yield f"clock {wiring.core_hz / 1e6:.0f} MHz; outputs driven from {first * 1e3:.2f} ms after reset, safe from then on"
+    yield f"welcome line complete {board.seconds(cycle) * 1e3:.1f} ms after reset, {board.usart.baud():.0f} baud"
+    yield f"stack at the start: {used} of {size} bytes"
+    if used > size - 1024:
+        raise Failure("less than 1 KiB of the stack is left")
+
+
+def streamed(bench, job):
+    """A job by character counting: the steps of the simulator, in its order."""
+    bench.boot()
+    bench.settings(**JOB_SETTINGS)
+    scope, host, board = Scope(bench.board), bench.host, bench.board
+    board.refill_stack()
+    bench.forget_masks()
+    lines = len(host.answers)
+    text = Path(job).read_text()
+    begin = board.now
+    host.stream(text)
+    bench.wait(lambda: host.all_answered, 60, "the last answer")
+    bench.wait_state("Idle", 60)
+    errors = [answer for answer in host.answers[lines:] if answer != "ok"]
+    if "splines" in bench.wiring.left_out and "error:141" in errors:
+        raise LeftOut("this board has no room for splines")
+    if errors:
+        raise Failure(f"answers: {errors}")
+    if board.usart.overruns or host.has_said("lost"):
+        raise Failure("received bytes were lost")
+    steps = [(step.axes, step.negative) for step in scope.steps()]
+    expected, end = simulated(bench, job)
+    if scope.counts() != list(end):
+        raise Failure(f"the motors are at {scope.counts()} and not at {end}")
+    first = next((k for k, (a, b) in enumerate(zip(steps, expected, strict=False)) if a != b), None)
+    if first is not None or len(steps) != len(expected):
+        raise Failure(f"step {first} of {len(steps)} differs from the simulator's {len(expected)} steps")
+    mask, where = bench.longest_mask()
+    used, size = board.stack_used()
+    yield f"{Path(job).name}: {len(steps)} step events as in the simulator, ends at {end}, {(board.now - begin) / bench.wiring.core_hz:.2f} s"
+    yield f"longest time masked {us(mask)} ({where}); stack {used} of {size} bytes"
+
+
+def waiting_line(bench):
+    """A line that comes a byte at a time in a hold: its last bytes are gathered in the serial task, and once the control task has
+    taken the first, nothing but that calls it: no answer is on its way out and no byte comes."""
+    bench.boot()
+    board, host = bench.board, bench.host
+    for line in ("G1X.01F600", "G1X.125F600"):
+        before = len(host.answers)
+        for text in ("!", line + "\n"):
+            host.send(text)
+            board.run(seconds=0.05)
+        if len(host.answers) != before:
+            raise Failure("a hold takes lines: this proves nothing")
+        # The watchdog calls the task, too, but seldom.
+        resumed = board.seconds(host.send("~"))
+        bench.wait(lambda wanted=before + 1: len(host.answers) >= wanted, 1, f"the answer to {line}")
+        took = board.seconds(host.lines[-1][0]) - resumed
+        yield f"{line} is answered {took * 1e3:.2f} ms after the end of a hold"
+        if took > 2e-3:
+            raise Failure("its last bytes have waited")
+        if host.answers[before:] != ["ok"]:
+            raise Failure(f"answers: {host.answers[before:]}")
+        board.run(seconds=0.5)

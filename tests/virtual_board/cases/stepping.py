@@ -1,0 +1,399 @@
+"""Pulses, periods and directions: what the outputs do at all rates, and when the step task or its data come late."""
+
+from itertools import pairwise
+from random import Random
+
+from ..board import Failure
+from ..models import timer
+from ..models.timer import EGR
+from ..parts import MHZ
+from ..scope import Scope, steady
+from .bench import JITTER_S, LATEST_PULSE_END_S, US, fast, hard, moving, stand_once, step_load, us, with_usb
+from .patching import hang, unpatch
+
+
+def pulses(bench):
+    """Width, direction set-up and period at 1, 10, 50 and 100 kHz (or the safe rate), all three axes together; and with the
+    longest pulse, which is longer than the time between ticks of which not each makes a step."""
+    yield from at_rates(bench, (1_000, 60, 10), (10_000, 400, 10), (50_000, 2500, 10), (100_000, 5000, 2), (3_000, 180, 255))
+
+
+def safe_rate(bench):
+    """The same with the shortest pulse at the rate that the board calls safe, together and with three rates, of which none divides
+    another."""
+    safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
+    acceleration = hard(bench, 6_000)
+    steps = round((1.1 * safe**2 / acceleration / 1000 + 2000) / 9) * 9
+    for ways in ((1, 1, 1), (9, 7, 5)):
+        yield from at_rates(bench, (safe, steps, pulse_us), acceleration=acceleration, ways=ways)
+
+
+def disturbed(bench):
+    """At the safe rate, interrupts masked for 20 us at random moments, and a USB host that floods: no period is off."""
+    if bench.wiring.usb:
+        with_usb(bench)
+    else:
+        bench.boot()
+    random, masks = Random(20), 0
+
+    def disturb():
+        nonlocal masks
+        bench.board.run(seconds=random.uniform(60, 400) * US)
+        bench.board.mask(20 * US)
+        masks += 1
+
+    lines = yield from flooded_at_safe_rate(bench, disturb)
+    yield f"masked {masks} times for 20 us, {lines} lines meanwhile{' over USB' if bench.wiring.usb else ''}"
+
+
+def flooded_at_safe_rate(bench, meanwhile):
+    """The safe rate under a flood of lines and status requests; how many lines there were."""
+    safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
+    acceleration = hard(bench, 6_000)
+    asked = len(bench.host.answers)
+
+    def flood():
+        nonlocal asked
+        meanwhile()
+        if len(bench.host.answers) >= asked - 5:
+            asked += 20
+            bench.host.send("(a)\n" * 20 + "?" * 5)
+
+    steps = round((1.1 * safe**2 / acceleration / 1000 + 9000 * safe / 490_000) / 9) * 9
+    yield from at_rates(bench, (safe, steps, pulse_us), acceleration=acceleration, ways=(9, 7, 5), meanwhile=flood, boots=False)
+    return asked
+
+
+def tight(bench):
+    """Longer pulses at the greatest rate that the settings allow with them."""
+    for pulse_us in (0.6, 0.9, 1.1, 2, 2.5, 3, 4, 5, 6, 7, 9, 10):
+        if pulse_us < bench.wiring.least_pulse_us:
+            continue
+        rate = round(bench.wiring.greatest_hz(pulse_us))
+        acceleration = max(3_000, round(rate / 100 * 3))
+        yield from at_rates(bench, (rate, round(1.1 * rate**2 / acceleration / 1000) + 1000, pulse_us), acceleration=acceleration)
+
+
+def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, boots=True):
+    """Back and forth at each (steps/s, steps one way, $0), the axes with these shares of the first one's steps."""
+    if boots:
+        bench.boot()
+    board, hz = bench.board, bench.wiring.core_hz
+    safe = bench.wiring.safe_step_hz
+    fast(bench, acceleration)
+    for wanted, steps, pulse_us in rates:
+        rate = min(wanted, safe)
+        greatest = round(min(rate * 1.001, safe) * 60 / 1000, 3)
+        bench.settings(s0=2, s110=greatest, s111=greatest, s112=greatest)
+        bench.settings(s0=pulse_us, s29=10)
+        bench.forget_masks()
+        scope = Scope(board)
+        x, y, z = (steps * share / ways[0] / 1000 for share in ways)
+        feed = rate / 1000 * 60 * sum((share / ways[0]) ** 2 for share in ways) ** 0.5
+        for sign in ("", "-"):
+            bench.ask(f"G91 G1 X{sign}{x:.3f} Y{sign}{y:.3f} Z{sign}{z:.3f} F{feed:.4f}")
+        if meanwhile:
+            end = board.seconds() + 2 * (steps / rate + rate / 1000 / acceleration)
+            while board.seconds() < end:
+                meanwhile()
+            board.run(seconds=0.1)
+        bench.wait_state("Idle", 5)
+        events, widths, setups, holds = scope.read()
+        # Those of the fastest axis: at low rates the others step between its steps, too.
+        events = [event for event in events if event.axes & 1]
+        if scope.counts() != [0, 0, 0] or len(events) != 2 * steps:
+            raise Failure(f"{rate} steps/s: {len(events)} steps, ends at {scope.counts()}")
+        least, most = min(widths), max(widths)
+        ramp = round(1.05 * rate**2 / 2 / (1000 * acceleration)) + 5
+        found = steady(events[:steps], hz, 1 / rate, ramp)
+        mask, where = bench.longest_mask()
+        line = f"{rate:>7} steps/s: $0={pulse_us} width {us(least)} to {us(most)}; $29=10 set-up from {us(min(setups))}, hold from {us(min(holds))}"
+        if found is None:
+            raise Failure(f"{line}: the rate is never reached")
+        busy, longest = step_load(board, events[ramp].at, events[steps - ramp].at)
+        yield f"{line}; period error {us(found['period_error'])}, drift over {found['steps']} steps {us(found['drift'])}, masked {us(mask)} ({where}); step task {busy:.0%}, longest run {longest} cycles"
+        # A pulse below 1 us is followed by a pause as short.
+        latest = LATEST_PULSE_END_S if pulse_us >= 1 else JITTER_S
+        if least < pulse_us * US or most > pulse_us * US + latest:
+            raise Failure(f"pulse width {us(least)} to {us(most)} with $0={pulse_us}")
+        if min(setups) < 10 * US:
+            raise Failure(f"direction set-up {us(min(setups))} with $29=10")
+        if min(holds) < pulse_us * US:
+            raise Failure(f"a direction changes {us(min(holds))} after the edge of a step, within its pulse")
+        if found["drift"] > 2 * US:
+            raise Failure(f"the period drifts by {us(found['drift'])} over {found['steps']} steps")
+        if found["period_error"] > JITTER_S:
+            raise Failure(f"a period is off by {us(found['period_error'])}, whatever is masked it may be {us(JITTER_S)}")
+        bench.ask("G90")
+
+
+def hard_start(bench):
+    """From rest with 10 m/s², several times: the step task must not outrun what is prepared for it."""
+    bench.boot()
+    fast(bench, 10_000)
+    rate = min(6006, int(bench.wiring.greatest_hz(5)) * 60 // 1000)
+    bench.settings(s0=2, s110=rate, s111=rate, s112=rate)
+    bench.settings(s0=5)
+    for attempt in range(8):
+        bench.board.run(seconds=attempt * 7e-6)
+        way = f"{'-' if attempt % 2 else ''}4"
+        # A sender asks for the state as soon as it has the answer, in the midst of the first segments.
+        bench.ask(f"G91 G1 X{way} Y{way} Z{way} F{rate * 3**0.5:.4f}")
+        bench.status()
+        bench.board.run(seconds=0.005)
+        if not bench.host.has_said("ALARM"):
+            bench.host.send(b"!")
+            bench.board.run(seconds=0.04)
+            bench.host.send(b"\x18")
+            bench.board.run(seconds=0.02)
+            bench.ask("$X")
+        else:
+            raise Failure(f"start {attempt + 1} of 8: {next(text for _, text in bench.host.lines if 'ALARM' in text)}")
+    yield "8 starts with 10 m/s², none ran dry"
+
+
+def turns(bench):
+    """Directions change in full motion: a zigzag whose corners are passed at speed; with long set-up times that put ticks
+    off. Those behind come later by as much: none comes closer to the one before it than was planned."""
+    for pulse_us, setup_us in ((2, 10), (1, 60), (1, 200), (4, 60)):
+        bench.boot()
+        fast(bench, 10_000, pulse_us)
+        bench.settings(s29=setup_us, s11=5)
+        scope = Scope(bench.board)
+        zigzag = "\n".join(f"X0.2 Y{'-' if k % 2 else ''}0.05 Z{'-' if k % 2 else ''}0.05" for k in range(40))
+        bench.host.stream("G91 G1 F4600\n" + zigzag)
+        bench.wait(lambda: bench.host.all_answered, 5, "the last answer")
+        bench.wait_state("Idle", 5)
+        events, widths, setups, holds = scope.read()
+        hz = bench.wiring.core_hz
+        fastest = min((b.at - a.at) / hz for a, b in pairwise(events))
+        yield f"$0={pulse_us}: {len(setups)} changes of direction, set-up from {us(min(setups))} with $29={setup_us}, hold from {us(min(holds))}; pulses from {us(min(widths))}, shortest period {us(fastest)}"
+        if scope.counts() != [8000, 0, 0] or len(setups) < 39:
+            raise Failure(f"the motors are at {scope.counts()} after {len(setups)} changes of direction")
+        if min(setups) < setup_us * US or min(holds) < pulse_us * US:
+            raise Failure("a direction output changes too late, or within a pulse")
+        if min(widths) < pulse_us * US or fastest < (pulse_us + min(pulse_us, 1.9)) * US:
+            raise Failure("a pulse or the pause after it is too short")
+        if fastest > 20 * US:
+            raise Failure("the corners were not passed at speed: this proves nothing")
+        # X has 0.2 mm of the path's 0.2 mm * sqrt(1 + 2/16), and a step is 0.001 mm.
+        planned = 60 / 4600 / 1000 * (1 + 2 / 16) ** 0.5
+        if fastest < planned - JITTER_S:
+            raise Failure(f"a step comes {us(fastest)} after the one before, {us(planned)} are planned")
+
+
+def called_at_turns(bench):
+    """Calls of other tasks right before ticks, in a zigzag that turns at every corner: no direction changes within a pulse."""
+    for pulse_us, lead_us in ((10, 1.0), (10, 2.5), (10, 3.75), (2, 1.0), (2, 2.5)):
+        bench.boot()
+        fast(bench, 10_000)
+        feed = 3000
+        bench.settings(s110=1.2 * feed, s111=1.2 * feed, s112=1.2 * feed)
+        bench.settings(s0=pulse_us, s29=0, s11=50)
+        board, scope, mhz = bench.board, Scope(bench.board), bench.wiring.core_hz // MHZ
+        lines = [f"X{0.007 + 0.001 * (k % 3):.3f} Y{'-' if k % 2 else ''}{0.007 + 0.001 * (k % 3):.3f}" for k in range(150)]
+        bench.host.stream(f"G91 G1 F{feed}\n" + "\n".join(lines))
+        board.run(seconds=0.02)
+        clock = board.peripherals["TIM2"]
+        calls, patience = 0, 0
+        while calls < 250 and patience < 4000:
+            ahead = clock.until_tick()
+            if ahead is None or ahead < lead_us * mhz:
+                board.run(cycles=5 * mhz)
+                patience += 1
+                continue
+            board.run(cycles=int(ahead - lead_us * mhz))
+            clock.write(EGR, 1 << 4)
+            calls += 1
+            board.run(cycles=int((lead_us + 2) * mhz))
+        bench.wait(lambda: bench.host.all_answered, 5, "the last answer")
+        bench.wait_state("Idle", 5)
+        _, widths, setups, holds = scope.read()
+        line = f"$0={pulse_us}, {calls} calls {lead_us} us before a tick, {len(holds)} turns: hold from {us(min(holds))}, set-up from {us(min(setups))}"
+        if min(holds) < pulse_us * US or min(setups) < 1.9 * US or len(holds) < 100:
+            raise Failure(line)
+        yield line
+
+
+def at_full_rate(bench, acceleration=10_000):
+    """X as fast as the board calls safe, with the shortest pulse: 490 mm/s or more, after 49 ms of 10,000 mm/s²."""
+    safe = bench.wiring.safe_step_hz
+    fast(bench, hard(bench, acceleration))
+    rate = safe * 60 // 1000
+    # The pulse first: with a longer one the rate would be refused.
+    bench.settings(s0=bench.wiring.least_pulse_us)
+    bench.settings(s110=rate)
+    return rate
+
+
+def masked_long(bench):
+    """Interrupts are masked for longer than events are ahead: slow moves go on later, with no step lost and none too soon; at
+    rates at which motors would not follow the machine stops and says so."""
+    bench.boot()
+    board, hz = bench.board, bench.wiring.core_hz
+    fast(bench, 10_000)
+    for step_hz, masked_s in ((1_000, 1500 * US), (5_000, 750 * US)):
+        bench.ask("G90 G1 X0 F3000")
+        bench.wait_state("Idle", 5)
+        scope = Scope(board)
+        steps = step_hz // 5
+        bench.ask(f"G1 X{steps / 1000} F{step_hz * 60 / 1000}")
+        board.run(seconds=0.005)
+        for k in range(12):
+            board.run(seconds=(3700 + 137 * k) * US)
+            board.mask(masked_s)
+        bench.wait_state("Idle", 5)
+        rising = [step.at for step in scope.steps()]
+        between = [(b - a) / hz for a, b in pairwise(rising[10:-10])]
+        yield f"masked 12 times for {us(masked_s)} at {step_hz} steps/s: {len(rising)} steps, {us(min(between))} to {us(max(between))} from one to the next"
+        if scope.counts() != [steps, 0, 0]:
+            raise Failure(f"the motors are at {scope.counts()}")
+        if min(between) < 1 / step_hz - JITTER_S:
+            raise Failure("a step comes too soon")
+        if max(between) > 1 / step_hz + masked_s + 150 * US:
+            raise Failure("a step comes later than the mask and a new beginning explain")
+        if max(between) < 1 / step_hz + 100 * US:
+            raise Failure("the ring never ran dry: this proves nothing")
+    place = round(float(bench.status().split("MPos:")[1].split(",")[0]) * 1000)
+    rate = at_full_rate(bench)
+    scope = Scope(board)
+    after = len(bench.host.text)
+    bench.ask(f"G91 G1 X60 F{rate}")
+    board.run(seconds=0.054)
+    board.mask(200 * US)
+    bench.wait_text("ALARM:100", 0.1, after)
+    bench.at_rest(0.005)
+    told = round(float(bench.status().split("MPos:")[1].split(",")[0]) * 1000)
+    counted = place + scope.counts()[0]
+    yield f"masked for 200 us at {bench.wiring.safe_step_hz} steps/s: ALARM:100 after {scope.counts()[0]} steps"
+    if told != counted:
+        raise Failure(f"X{told} is told after {counted} steps")
+
+
+def late_segments(bench):
+    """The control task hangs until the step task has nothing left but the events that are ahead. A segment that comes then is taken in
+    at once, and not when the last of these are coming out: interrupts that are masked behind it put no step off."""
+
+    def late(released_s=None):
+        """The step that comes last, and the longest time between two, if the control task goes on so long before that."""
+        bench.boot()
+        board, hz = bench.board, bench.wiring.core_hz
+        fast(bench, 10_000)
+        moving(bench, 6_000)
+        scope, after, begin = Scope(board), len(bench.host.text), board.now
+        hang(bench)
+        if released_s is None:
+            board.run(seconds=0.05)
+            return scope.steps()[-1].at - begin
+        board.run(seconds=(last - released_s * hz) / hz)
+        unpatch(bench)
+        board.run(seconds=100 * US)
+        board.mask(200 * US)
+        board.run(seconds=0.02)
+        rising = [step.at for step in scope.steps()]
+        said = bytes(bench.host.text[after:])
+        if b"ALARM" in said:
+            raise Failure(f"released {us(released_s)} before the last step: {said!r}")
+        return max(b - a for a, b in pairwise(rising)) / hz
+
+    last = late()
+    longest = {before: late(before * US) for before in (280, 265, 250)}
+    yield f"a segment up to {min(longest)} us before the last step, and interrupts masked behind it: at most {us(max(longest.values()))} between two steps"
+    if max(longest.values()) > 10 * US + JITTER_S:
+        raise Failure(f"steps were put off: {longest}")
+
+
+def late_starts(bench):
+    """Interrupts are masked right before a motion begins: it begins later, whole, and nothing is said about it."""
+    bench.boot()
+    board = bench.board
+    fast(bench, 10_000)
+
+    tim2, hz = board.peripherals["TIM2"], bench.wiring.core_hz
+
+    def start(before_s=None, masked_s=0.0, stands_until=None):
+        """How long after the first event the first step comes."""
+        # Until the next, and all there is to do at rest is done.
+        board.run(seconds=0.002)
+        scope, after = Scope(board), len(bench.host.text)
+        bench.host.send("G91 G1 X0.02 F3000\n")
+
+        def away():
+            return (tim2.values[timer.CCR2] - tim2.count() & 0xFFFF_FFFF) * tim2.cycles / hz
+
+        # The step task has itself called 450 us before the first event, which is 2 ms after the first segment.
+        bench.wait(lambda: 1.3e-3 < away() < 1.6e-3, 0.1, "the first segment")
+        begin = away() + 450 * US
+        moment = board.now + begin * hz
+        if stands_until is not None:
+            stand_once(board, stands_until)
+        if before_s is not None:
+            board.run(seconds=begin - before_s)
+            board.mask(masked_s)
+        board.run(seconds=0.004)
+        bench.wait_state("Idle", 0.5)
+        said = bytes(bench.host.text[after:])
+        if scope.counts() != [20, 0, 0] or b"ALARM" in said:
+            raise Failure(f"masked for {us(masked_s)} {us(before_s or 0)} before: the motor is at {scope.counts()}; {said!r}")
+        return (scope.steps()[0].at - moment) / hz
+
+    usual = [start() for _ in range(3)]
+    if max(usual) - min(usual) > US:
+        raise Failure(f"starts that nothing disturbs differ: {', '.join(map(us, usual))}")
+    harmless = [start(6 * k * US, 100 * US) - max(usual) for k in range(1, 81)]
+    if max(harmless) > US:
+        raise Failure(f"masked for 100 us up to 480 us before, a start is put off by {us(max(harmless))}")
+    # Masked from before the task is called, or while it makes the first events, to right before or after the moment itself, and
+    # to right after the first step: the first event is at one of these, or in between.
+    delays = {}
+    for before in range(200, 500, 6):
+        for end in (-60 * US, -2 * US, 5 * US, max(usual) + 5 * US):
+            delays[before, end] = start(before * US, before * US + end) - max(usual)
+    later = [delay for delay in delays.values() if delay > 0.1 * US]
+    yield (
+        f"masked for 100 us before the first step: 80 of 80 in time; for up to {us(max(usual) + 505 * US)}: {len(later)} of {len(delays)} put off, "
+        f"by {us(max(later, default=0))} at most; no step lost"
+    )
+    if not 5 < len(later) < len(delays):
+        raise Failure("no start was late, or all were: this proves nothing")
+    again = {end: start(stands_until=end) - max(usual) for end in (k * 0.25 * US for k in range(-40, 41))}
+    late = [delay for delay in again.values() if delay > 0.1 * US]
+    yield f"stopped while it begins, to 10 us before and after the first step: {len(late)} of {len(again)} put off, by {us(max(late, default=0))} at most"
+    if not 5 < len(late) < len(again) or max(late) > 45 * US:
+        raise Failure("no start was begun again, or all were, or too late")
+    for (before, end), delay in delays.items():
+        if delay > max(end, 0) + 250 * US:
+            raise Failure(f"masked from {before} us before to {us(end)} after the first moment, put off by {us(delay)}")
+
+
+def miscounts(bench):
+    """A trigger that TIM1 misses, a request too many, an error of a stream: the motion ends soon, and ALARM:103 says why."""
+
+    def miss(tim1):
+        trigger = tim1.trigger
+
+        def once(at):
+            tim1.trigger = trigger
+
+        tim1.trigger = once
+
+    faults = {
+        "a trigger is missed": lambda board: miss(board.peripherals["TIM1"]),
+        "a request too many": lambda board: board.dma[1].ask("TIM1_CH1", board.now + 1),
+        "a stream's error": lambda board: board.dma[1].values.__setitem__(0, board.dma[1].values[0] | 1 << 9),
+        "an error of the moments": lambda board: board.dma[0].values.__setitem__(4, board.dma[0].values[4] | 1 << 9),
+    }
+    for what, inject in faults.items():
+        bench.boot()
+        board, scope = bench.board, Scope(bench.board)
+        moving(bench)
+        begin, after = board.now, len(bench.host.text)
+        inject(board)
+        bench.wait_text("ALARM:103", 0.1, after)
+        late = max(0, scope.steps()[-1].at - begin) / bench.wiring.core_hz
+        bench.at_rest(0.005)
+        if not bench.status().startswith("<Alarm"):
+            raise Failure(f"{what}: {bench.status()}")
+        yield f"{what}: ALARM:103, steps for another {us(late)}"
+        if late > 2e-3:
+            raise Failure(f"{what}: steps for another {us(late)}")

@@ -1,0 +1,231 @@
+"""Holds, resets and stops: how soon the pulses end, and that the position reported is that of the pins."""
+
+import os
+from itertools import pairwise
+from random import Random
+
+from ..board import Failure
+from ..models import timer
+from ..models.dma import NDTR
+from ..models.timer import EGR, SMCR
+from ..scope import Scope
+from .bench import HOLD_S, RUN_CYCLES, STOP_S, TRIP_S, US, fast, moving, us
+from .stepping import at_full_rate
+
+CALL_CYCLES = 140
+"""From the call of the step task to where no event begins any more, when it is not running: less than 2 us on all boards."""
+
+
+def hold(bench):
+    """`!` brakes along a ramp, `~` goes on, and no step is lost."""
+    bench.boot()
+    fast(bench, 1000)
+    board, hz = bench.board, bench.wiring.core_hz
+    scope = Scope(board)
+    moving(bench, way=20)
+    speed, acceleration = 50_000, 1_000_000
+    heard = bench.host.send(b"!")
+    bench.wait_state("Hold:0", 2)
+    steps = [step.at for step in scope.steps()]
+    later = [at for at in steps if at > heard]
+    intervals = [(b - a) / hz for a, b in pairwise(later)]
+    # Single intervals carry the jitter of the interrupt: the ramp begins where twenty of them are longer by 1 % on average.
+    begin = next((k for k in range(len(intervals) - 20) if sum(intervals[k : k + 20]) > 20.2 / speed), None)
+    if begin is None:
+        raise Failure("there is no ramp")
+    took = (later[-1] - later[begin]) / hz
+    distance = len(later) - begin
+    latency = (later[begin] - heard) / hz
+    ideal = speed**2 / 2 / acceleration
+    yield f"ramp begins {latency * 1e3:.2f} ms after `!`, takes {took * 1e3:.2f} ms and {distance} steps (v²/2a = {ideal:.0f})"
+    if latency > HOLD_S or abs(distance / ideal - 1) > 0.03:
+        raise Failure("the hold does not brake as it should")
+    bench.at_rest(0.05)
+    bench.host.send(b"~")
+    bench.wait_state("Idle", 3)
+    if scope.counts() != [20_000, 0, 0]:
+        raise Failure(f"after the hold X is at {scope.counts()}")
+    yield "`~` goes on to the programmed place"
+
+
+def stops(bench):
+    """0x18 and a limit switch stop the pulses in time, at several moments of a motion."""
+    bench.boot()
+    fast(bench, 1000)
+    bench.settings(s21=1)
+    board, hz = bench.board, bench.wiring.core_hz
+    worst = {"0x18": 0.0, "limit": 0.0}
+    allowed = {"0x18": STOP_S, "limit": TRIP_S}
+    for feed, phase in ((3000, 0.0), (3000, 7.3e-6), (3000, 31e-6), (60, 123.4e-6), (6000, 49.9e-6)):
+        for what in ("0x18", "limit"):
+            bench.ask("$X")
+            scope = Scope(board)
+            moving(bench, feed)
+            board.run(seconds=phase)
+            if what == "0x18":
+                heard = bench.host.send(b"\x18")
+            else:
+                heard = board.now
+                board.drive(bench.wiring.limits[0], 0)
+            after = len(bench.host.text)
+            board.run(seconds=0.01)
+            if board.now <= heard:
+                raise Failure("the stop was not heard in time")
+            rising = [step.at for step in scope.steps()]
+            if not rising:
+                raise Failure("nothing moved before the stop")
+            late = max(0.0, (rising[-1] - heard) / hz)
+            worst[what] = max(worst[what], late)
+            if what == "0x18":
+                bench.wait_text("Grbl 1.1h", 0.5, after)
+            else:
+                bench.wait_text("ALARM:1", 0.5, after)
+                board.drive(bench.wiring.limits[0], None)
+                bench.host.send(b"\x18")
+                bench.wait_text("Grbl 1.1h", 0.5, after)
+            bench.at_rest(0.02)
+            place = float(bench.status().split("MPos:")[1].split(",")[0])
+            counted = sum(scope.counts())
+            if abs(place * 1000 - counted - bench.__dict__.setdefault("origin", 0)) > 0.5:
+                raise Failure(f"{what}: reported X{place}, {counted} pulses since X{bench.origin / 1000}")
+            bench.origin = round(place * 1000)
+            if late > allowed[what]:
+                raise Failure(f"{what} at F{feed}: pulses for another {us(late)}, allowed {us(allowed[what])}")
+    for what, late in worst.items():
+        yield f"{what:>5}: pulses end at most {us(late)} after it is heard, allowed {us(allowed[what])}; places as reported"
+
+
+class StopWatch:
+    """From the call of the step task to where no event begins any more, and the place of the ring at which that was. `halts`: how
+    often that was, for a stop or because the ring ran dry."""
+
+    def __init__(self, board):
+        self.board, self.called, self.stopped, self.halts, self.halted_at = board, None, [], 0, None
+        tim1, tim2, edges = board.peripherals["TIM1"], board.peripherals["TIM2"], board.dma[1]
+        to_tim1, to_tim2 = tim1.write, tim2.write
+
+        def call(offset, value):
+            if offset == EGR and value & 16:
+                self.called = board.now
+            elif offset == timer.CCR2:
+                # A run has ended: the call before it is not the one for a stop, which a later run may see before it is called.
+                self.called = None
+            to_tim2(offset, value)
+
+        def stop(offset, value):
+            if offset == SMCR and tim1.values[SMCR] & 7 and not value & 7:
+                self.halts += 1
+                self.halted_at = board.now
+                if self.called:
+                    self.stopped.append((board.now - self.called, edges.values[0x10 + 0x18 + NDTR]))
+                self.called = None
+            to_tim1(offset, value)
+
+        tim1.write, tim2.write = stop, call
+
+
+def ring_stops(bench):
+    """0x18 at random moments up to the safe rate, at every place of the ring: what is reported has come out, to the step."""
+    bench.boot()
+    board, hz, random = bench.board, bench.wiring.core_hz, Random(64)
+    rate = at_full_rate(bench, 50_000)
+    worst, place, watch, most = 0, 0, StopWatch(board), int(os.environ.get("OXMILL_RANDOM_STOPS", "48"))
+    for k in range(most):
+        bench.ask("$X")
+        # A long run would keep all edges there have ever been.
+        board.edges.clear()
+        scope, watch.halts = Scope(board), 0
+        sign = "-" if k % 2 else ""
+        bench.ask(f"G91 G1 X{sign}100 Y{sign}77 Z{sign}55 F{rate * 1.378:.0f}" if k % 4 < 2 else f"G91 G1 X{sign}100 F{rate}")
+        # At speed after 2 ms of waiting and 10 of acceleration; an event each 2.04 us. Some on the way there, or while it begins.
+        early = (1.5e-3, 2.6e-3) if k % 8 == 7 else (2.5e-3, 9e-3)
+        board.run(seconds=random.uniform(*early) if k % 2 else 0.013 + random.uniform(0, 140 * US))
+        after = len(bench.host.text)
+        heard = bench.host.send(b"\x18")
+        bench.wait_text("Grbl 1.1h", 0.5, after)
+        bench.at_rest(0.005)
+        rising = [step.at for step in scope.steps()]
+        worst = max([worst] + [(at - heard) / hz for at in rising[-1:]])
+        place += scope.counts()[0]
+        told = round(float(bench.status().split("MPos:")[1].split(",")[0]) * 1000)
+        if told != place:
+            raise Failure(f"stop {k + 1}: X{told} is told after {place} steps")
+        if watch.halts > 1:
+            raise Failure(f"stop {k + 1}: before it the ring ran dry, and the motion was begun again")
+    cycles = max(cycles for cycles, _ in watch.stopped)
+    slowest = cycles / hz
+    places = len({left for _, left in watch.stopped})
+    yield (
+        f"{most} stops, half of them at {bench.wiring.safe_step_hz} steps/s, at {places} of 128 places of the ring: counts exact; at most {us(slowest)} "
+        f"from the call, pulses end at most {us(max(worst, 0))} after the byte"
+    )
+    # Of 24 stops at random 22 places are to be expected, of 48 40.
+    if places < min(30, most // 2):
+        raise Failure("too few places: this proves little")
+    if cycles > CALL_CYCLES:
+        raise Failure(f"a stop takes {cycles} cycles from the call")
+    if worst > STOP_S + RUN_CYCLES / hz:
+        raise Failure("pulses after the stop")
+    yield from stops_with_backlash(bench, random, rate, most // 2)
+
+
+def stops_with_backlash(bench, random, rate, most):
+    """The tool is told where it is: behind the motor by the slack, which has been taken up long before."""
+    board, slack = bench.board, 20
+    bench.ask("$X")
+    bench.settings(s160=slack / 1000)
+    for k in range(most):
+        bench.ask("$X")
+        bench.ask("G91 G1 X-1 F6000")
+        bench.wait_state("Idle", 2)
+        begun = round(float(bench.status().split("MPos:")[1].split(",")[0]) * 1000)
+        board.edges.clear()
+        scope = Scope(board)
+        bench.ask(f"G1 X100 F{rate}")
+        board.run(seconds=random.uniform(0.006, 0.013))
+        after = len(bench.host.text)
+        bench.host.send(b"\x18")
+        bench.wait_text("Grbl 1.1h", 0.5, after)
+        bench.at_rest(0.005)
+        told = round(float(bench.status().split("MPos:")[1].split(",")[0]) * 1000)
+        tool = begun + scope.counts()[0] - slack
+        if told != tool:
+            raise Failure(f"stop {k + 1} with backlash: X{told} is told, the tool is at {tool}")
+    yield f"{most} stops with a backlash of {slack} steps: the tool is where it is told"
+
+
+def lines_at_stops(bench):
+    """Emergency stops in lines of 0.2 ms: the line that is told is the one that the last step belongs to, also where it has begun
+    since the step task was called last."""
+    bench.boot()
+    board, random = bench.board, Random(21)
+    fast(bench, 10_000)
+    bench.settings(s11=0.1, s912=1)
+    # Small turns keep lines from being joined.
+    job = "".join(f"N{line}X.02Y{'-' * (line % 2)}.002\n" for line in range(1, 121))
+    stops, wrong, runs = 14, [], []
+    for _ in range(stops):
+        bench.ask("$X")
+        board.edges.clear()
+        scope = Scope(board)
+        bench.host.stream(f"G91G1F400X1\nF6000\n{job}")
+        bench.wait(lambda: len(board.edges) > 2 * 2200, 1, "lines at speed")
+        board.run(seconds=random.uniform(0, 10e-3))
+        after = len(bench.host.text)
+        board.drive(bench.wiring.reset, 0)
+        bench.wait_text("Reset to continue", 0.5, after)
+        told = int(bytes(bench.host.text[after:]).decode().split("line ")[1].split("]")[0])
+        steps = scope.counts()[0] - 1000
+        last = scope.steps()[-1].at
+        runs.append(last - max(entry for entry, _ in board.step_runs if entry < last))
+        # A line begins with the last step of the one before it.
+        if told not in (steps // 20 + 1, max(steps - 1, 0) // 20 + 1):
+            wrong.append((told, steps / 20))
+        board.drive(bench.wiring.reset, None)
+        board.run(seconds=0.001)
+        after = len(bench.host.text)
+        bench.host.send(b"\x18")
+        bench.wait_text("to unlock", 0.5, after)
+    yield f"{stops} emergency stops, up to {us(max(runs) / bench.wiring.core_hz)} after a run of the step task: {stops - len(wrong)} told with their line"
+    if wrong:
+        raise Failure(f"the line that is told is not the last: {wrong}")

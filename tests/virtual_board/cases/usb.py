@@ -1,0 +1,344 @@
+"""A host at the USB port of a Black Pill."""
+
+import json
+import math
+import tempfile
+from pathlib import Path
+
+from ..board import Failure
+from ..models.otg import EPENA, NAKSTS, OUT
+from ..scope import Scope
+from .bench import JOB_SETTINGS, in_simulator, us, with_usb
+from .patching import hang, unpatch
+
+LINES_S = {"blackpill_f411": 4200, "blackpill_f401": 2800}
+"""Short lines a second that a board takes over USB while it moves."""
+
+
+def usb_port(bench):
+    """Enumeration, the welcome line when the port is opened, a job by character counting, and a second host at the UART."""
+    board, host = with_usb(bench)
+    device = host.descriptors[1, 0]
+    number = host.descriptors[3, 3][2:].decode("utf-16-le")
+    words = [board.word(0x1FFF_7A10 + 4 * k) for k in range(3)]
+    if device[8:12] != bytes([0x09, 0x12, 0x01, 0x00]) or number != "".join(f"{word:08X}" for word in words):
+        raise Failure(f"device {device.hex()}, serial number {number}")
+    if not bench.uart.has_said("Grbl 1.1h"):
+        raise Failure("the UART was not greeted at power-up")
+    yield f"set up and greeted; serial number {number}"
+    bench.settings(**JOB_SETTINGS)
+    scope = Scope(board)
+    bench.forget_masks()
+    before = len(host.answers)
+    host.stream("\n".join(["G91 F3000"] + [f"G1 X{'-' if k % 2 else ''}0.5 Y0.25" for k in range(20)]))
+    polls, moving, masks = 0, True, []
+    while moving:
+        # The log is written at rest only, and masks for longer than anything in motion.
+        masks.append(bench.longest_mask())
+        moving = not (bench.status().startswith("<Idle") and host.all_answered)
+        polls += 1
+        # Somebody else wants to drive: refused as long as this one has something to do.
+        if polls == 5:
+            bench.uart.send("G0X50\n")
+        board.run(seconds=0.01)
+    if any(answer != "ok" for answer in host.answers[before:]) or scope.counts() != [0, 20 * 250 // 4, 0]:
+        raise Failure(f"{host.answers[before:]}, motors at {scope.counts()}")
+    if bench.uart.lines[-1][1] != "error:8":
+        raise Failure(f"the UART was told {bench.uart.lines[-3:]}")
+    mask, where = max(entry for entry in masks if "defmt" not in entry[1])
+    yield f"20 lines and {polls} status reports while they moved; {host.waits} times told to wait; longest time masked {us(mask)} ({where})"
+    if host.waits:
+        raise Failure("a sender that counts had to wait")
+    uart, bench.host = bench.host, bench.uart
+    bench.ask("G4P0")
+    bench.host = uart
+    bench.ask("G4P0")
+    yield "at rest the UART takes over with a line, and USB again"
+    yield from usb_waits_for_answers(bench)
+
+
+def usb_waits_for_answers(bench):
+    """All is done that the UART's host has asked for, and its answer still on the way: a line of USB's host is refused, and no byte goes
+    astray."""
+    host, uart = bench.host, bench.uart
+    bench.host = uart
+    bench.ask("G4P0")
+    begin = len(uart.text)
+    bench.ask("$$")
+    listing, lefts = bytes(uart.text[begin:]), (400, 200, 100, 40)
+    for left in lefts:
+        begin, before = len(uart.text), len(host.answers)
+        uart.send("$$\n")
+        bench.wait(lambda begin=begin, left=left: len(uart.text) - begin >= len(listing) - left, 2, "most of the listing")
+        host.send("G4P0\n")
+        bench.wait(lambda before=before: len(host.answers) > before, 0.5, "an answer at USB")
+        bench.wait(lambda begin=begin: len(uart.text) - begin >= len(listing), 0.5, "the end of the listing")
+        if host.answers[-1] != "error:8" or bytes(uart.text[begin:]) != listing:
+            raise Failure(f"{left} bytes before the end: USB was told {host.answers[-1]}, the UART {bytes(uart.text[-100:])!r}")
+    bench.host = host
+    yield f"a line {max(lefts)} to {min(lefts)} bytes before the end of the other host's listing is refused, and that is whole"
+
+
+def usb_flood(bench):
+    """A host that does not count: it is told to wait, loses nothing, and commands within the promise act at once."""
+    board, host = with_usb(bench)
+    bench.settings(**JOB_SETTINGS)
+    # 255 bytes fill the queue, 128 more wait behind it; a dwell keeps the controller from reading them.
+    host.send("G4P0.3\n" + "G4P0\n" * 75)
+    board.run(seconds=0.02)
+    if len(host.answers) > 10 or host.waits:
+        raise Failure(f"{len(host.answers)} answers, {host.waits} waits: this proves nothing")
+    begin = board.now
+    bench.status()
+    yield f"380 bytes of lines under way: `?` answered after {us((board.now - begin) / bench.wiring.core_hz)}"
+    bench.wait(lambda: len(host.answers) >= 76 + len(JOB_SETTINGS), 3, "all answers")
+    before = len(host.answers)
+    bench.forget_masks()
+    text = "".join(f"G4P0.00{k % 9 + 1}\n" for k in range(600))
+    begin = board.now
+    host.send(text)
+    masks = []
+    while len(host.answers) < before + 600 and board.seconds(board.now) - board.seconds(begin) < 20:
+        board.run(seconds=0.005)
+        masks.append(bench.longest_mask())
+    if any(answer != "ok" for answer in host.answers[before:]) or host.has_said("lost") or host.packets:
+        raise Failure(f"answers {set(host.answers[before:])}, {len(host.packets)} packets left")
+    mask, where = max(entry for entry in masks if "defmt" not in entry[1])
+    yield f"{len(text)} bytes poured in: {host.waits} times told to wait, nothing lost, {(board.now - begin) / bench.wiring.core_hz:.2f} s; longest time masked {us(mask)} ({where})"
+    if not host.waits:
+        raise Failure("the host was never told to wait: this proves nothing")
+    # The port is closed while the host waits: DTR must be heard, and the next one find a free way.
+    host.send("G1X3F300\n" + "G4P0.01\n" * 100)
+    board.run(seconds=0.3)
+    if not host.packets:
+        raise Failure("the host does not wait: this proves nothing")
+    host.order("close")
+    bench.wait(lambda: not host.open, 0.1, "the end of the port")
+    host.packets.clear()
+    board.run(seconds=0.3)
+    host.order("open")
+    after = len(host.text)
+    bench.wait_text("Grbl 1.1h", 0.2, after)
+    if not (status := bench.status()).startswith("<Hold"):
+        raise Failure(f"after the port was closed: {status}")
+    host.send(b"\x18")
+    bench.wait_text("Grbl 1.1h", 0.2, len(host.text))
+    bench.ask("$X")
+    bench.ask("G4P0")
+    yield "closed while it waited: held; opened again, reset, and answered"
+
+
+def chords(count, chord_mm, feed):
+    """A program that moves along a circle of 100 mm in chords."""
+    lines = [f"G90G1F{feed:.0f}"]
+    for k in range(1, count + 1):
+        angle = k * chord_mm / 100
+        lines.append(f"X{100 * (math.cos(angle) - 1):.3f}Y{100 * math.sin(angle):.3f}")
+    return "\n".join(lines)
+
+BELTS = {"s0": 2, "s29": 0, "s100": 80, "s101": 80, "s110": 60000, "s111": 60000, "s120": 4000, "s121": 4000}
+"""A machine for many lines a second, whose motors have few steps to do for each."""
+
+
+def usb_lines(bench):
+    """Short lines over USB by character counting: up to the rate that is promised a job takes the time of its motion, because the
+    look-ahead never runs low. And how many a second there are when the motion would take more."""
+    with_usb(bench)
+    bench.settings(**BELTS)
+    yield from many_lines(bench, LINES_S[bench.wiring.name])
+
+
+def many_lines(bench, promised):
+    board, host = bench.board, bench.host
+    # Far more lines than the look-ahead has in advance.
+    for rate, count in ((promised, 4000), (4 * promised, 1200)):
+        text = chords(count, 0.05, 0.05 * rate * 60)
+        with tempfile.TemporaryDirectory() as folder:
+            job = Path(folder) / "chords.nc"
+            job.write_text(text)
+            expected = json.loads(in_simulator(bench, job, BELTS, "--json"))["duration_s"]
+        before, scope, begin = len(host.answers), Scope(board), board.now
+        host.stream(text)
+        bench.wait(lambda: host.all_answered, 60, "the last answer")
+        lines = (len(host.answers) - before) / ((board.now - begin) / bench.wiring.core_hz)
+        bench.wait_state("Idle", 60)
+        if any(answer != "ok" for answer in host.answers[before:]):
+            raise Failure(f"answers: {set(host.answers[before:])}")
+        rising = [step.at for step in scope.steps()]
+        took = (rising[-1] - rising[0]) / bench.wiring.core_hz
+        yield f"{rate} lines/s of {len(text) // text.count(chr(10))} bytes asked for: {lines:.0f} lines/s answered; {took:.3f} s of motion, {expected:.3f} s in the simulator"
+        if rate == promised and took > 1.002 * expected:
+            raise Failure("the machine has waited for lines")
+        bench.ask("G90G1X0Y0F9000")
+        bench.wait_state("Idle", 60)
+
+
+def usb_answers(bench):
+    """Answers of lines that wait one behind the other share packets, and none is held while the line behind it takes its time."""
+    board, host = with_usb(bench)
+    bench.settings(**BELTS)
+    text = chords(200, 0.05, 6000)
+    begin = len(host.lines)
+    host.stream(text)
+    bench.wait(lambda: host.all_answered, 5, "the last answer")
+    answered = [cycle for cycle, line in host.lines[begin:] if line == "ok"]
+    packets = len(set(answered))
+    if packets > len(answered) / 2:
+        raise Failure(f"{len(answered)} answers in {packets} packets")
+    bench.wait_state("Idle", 5)
+    begin, sent = len(host.lines), board.now
+    host.send("G21\n" * 3 + "G4P1\n" + "G21\n")
+    board.run(seconds=0.9)
+    held = [cycle for cycle, line in host.lines[begin:] if line == "ok"]
+    if len(held) != 3:
+        raise Failure(f"{len(held)} answers before the end of the dwell and not 3")
+    took = board.seconds(held[-1]) - board.seconds(sent)
+    yield f"{len(answered)} answers in {packets} packets; three in front of a dwell within {us(took)}"
+    if took > 3e-3:
+        raise Failure("an answer was held while nothing was to be done")
+    bench.wait(lambda: sum(line == "ok" for _, line in host.lines[begin:]) == 5, 1, "the answers behind the dwell")
+
+
+def usb_unplugged(bench):
+    """The cable is pulled in mid-job: a hold, and the UART or the next host takes over."""
+    board, host = with_usb(bench)
+    bench.settings(**JOB_SETTINGS)
+    scope = Scope(board)
+    bench.ask("G91 G1 X10 F600")
+    board.run(seconds=0.2)
+    host.order("unplug")
+    board.run(seconds=0.5)
+    steps = len(scope.steps())
+    board.run(seconds=0.5)
+    if len(scope.steps()) != steps or not steps:
+        raise Failure("the machine goes on without a host")
+    bench.host = bench.uart
+    if not (status := bench.status()).startswith("<Hold:0"):
+        raise Failure(f"the UART is told {status}")
+    bench.host = host
+    host.order("plug")
+    bench.wait(lambda: host.is_set_up, 1, "the set-up of the USB device")
+    host.order("open")
+    after = len(host.text)
+    bench.wait_text("Grbl 1.1h", 0.2, after)
+    host.send(b"~")
+    bench.wait_state("Idle", 5)
+    if scope.counts() != [2500, 0, 0]:
+        raise Failure(f"the motors are at {scope.counts()}")
+    yield "held after the cable was pulled, gone on after `~`, no step lost"
+    bench.settings(s914=0)
+    bench.ask("G91 G1 X-10 F600")
+    board.run(seconds=0.2)
+    host.order("unplug")
+    board.run(seconds=1.5)
+    if scope.counts() != [0, 0, 0]:
+        raise Failure(f"with $914=0 the motors are at {scope.counts()}")
+    yield "with $914=0 the move was finished"
+
+
+def usb_unread(bench):
+    """Packets that wait for room: they keep nobody from running, and go with their host."""
+    board, host = with_usb(bench)
+    otg, step = board.otg, Scope(board)
+    bench.settings(**JOB_SETTINGS)
+
+    def reopen():
+        after = len(host.text)
+        host.order("open")
+        bench.wait_text("Grbl 1.1h", 0.2, after)
+        bench.ask("G4P0")
+        bench.wait_state("Idle", 1)
+        if host.has_said("error", after) or step.steps():
+            raise Failure(f"something of the host that went has been read; the next one was told {bytes(host.text[after:])!r}")
+
+    # The queue of commands is full, one more waits, and what stands behind it is not fetched.
+    hang(bench)
+    host.send(64 * b"?")
+    host.send(b"?G1 X5 F100 Y")
+    board.run(seconds=0.02)
+    host.order("close")
+    bench.wait(lambda: not host.open, 0.1, "the end of the port")
+    board.run(seconds=0.01)
+    unpatch(bench)
+    board.run(seconds=0.05)
+    reopen()
+    yield "closed with half a line unfetched: the next host begins a line of its own"
+    # Answers that nobody has fetched: a packet of them is with the endpoint already.
+    host.reads = False
+    host.send(b"G4P0\n" * 20)
+    board.run(seconds=0.1)
+    host.order("close")
+    bench.wait(lambda: not host.open, 0.1, "the end of the port")
+    board.run(seconds=0.01)
+    host.reads = True
+    after = len(host.text)
+    reopen()
+    if not host.text[after:].startswith(b"\r\nGrbl"):
+        raise Failure(f"the next host got answers to the one before: {bytes(host.text[after:])!r}")
+    yield "closed with answers unread: the next host gets none of them"
+    # A program that pours a file in is ended: its port is closed first, and what it had under way is called back later.
+    bench.settings(s914=0)
+    host.send("G4P0.01\n" * 400 + "G1 X5 F100\n" * 20)
+    board.run(seconds=0.3)
+    if not host.packets:
+        raise Failure("the host does not wait: this proves nothing")
+    host.order("close")
+    bench.wait(lambda: not host.open, 0.1, "the end of the port")
+    board.run(seconds=0.15)
+    host.packets.clear()
+    board.run(seconds=3)
+    reopen()
+    yield "closed while it waited: what was still under way is thrown away, and the next host is greeted"
+    # Twice the driver has enabled the endpoint before the end of a packet was seen: one packet is with the driver, and one
+    # stays in the FIFO and keeps the interrupt pending.
+    hang(bench)
+    host.send(64 * b"?")
+    host.send(b"?")
+    board.run(seconds=0.02)
+    before = len(host.answers)
+    for _ in range(2):
+        otg.control[OUT, 1] = otg.control[OUT, 1] & ~NAKSTS | EPENA
+        if not otg.out(1, b"G4P0\n"):
+            raise Failure("the endpoint takes no packet: this proves nothing")
+        board.run(seconds=0.01)
+    unpatch(bench)
+    bench.wait(lambda: len(host.answers) >= before + 2 or board.resets, 3, "an answer to what waited")
+    if board.resets or host.answers[before:] != ["ok", "ok"]:
+        raise Failure(f"{host.answers[before:]}, resets {board.resets}")
+    bench.ask("G4P0")
+    yield "a packet in the FIFO that nobody can fetch: the other tasks go on, and it is read when there is room"
+
+
+def usb_set_up_again(bench):
+    """A host that sets the device up again, or clears halts, begins with DATA0: no packet is lost, and none waits for ever."""
+    board, host = with_usb(bench)
+
+    def asks(count):
+        for _ in range(count):
+            bench.ask("G4P0")
+            board.run(seconds=0.005)
+
+    for order in ("configure", "clear halts"):
+        for count in (1, 2, 1):
+            host.order(order)
+            board.run(seconds=0.005)
+            asks(count)
+        yield f"{order}: each packet has come, both ways"
+    # The endpoint waits for room when the configuration is taken back.
+    hang(bench)
+    host.send(64 * b"?")
+    host.send(b"?G4P0\n")
+    host.send(b"G4P0\n")
+    board.run(seconds=0.02)
+    if not host.packets:
+        raise Failure("the host does not wait: this proves nothing")
+    host.order("unconfigure")
+    host.order("configure")
+    board.run(seconds=0.01)
+    unpatch(bench)
+    bench.wait(lambda: host.is_set_up and not host.packets, 0.5, "room for what waits")
+    host.order("close")
+    host.order("open")
+    board.run(seconds=0.5)
+    asks(2)
+    yield "configuration taken back while the host waited: it goes on"
