@@ -1,6 +1,6 @@
 //! `CarriedTime`: what the length that is carried over to the next block is meant to take ([`super::path_end`] has the
 //! length). In moves of one feed that is the length at this feed. Where feeds differ along the path (F another one, A
-//! turning more or less, inverse time), a block gets the speed at which it takes the time of all moves that it stands for.
+//! turning more or less, inverse time), a block gets the speed at which it takes the time of its move and of those before it without a step.
 
 use super::Speed;
 use super::trapezoid::{greater, lesser};
@@ -17,9 +17,9 @@ pub(super) struct CarriedTime {
     feed: f32,
 }
 
-/// A block, and what it stands for.
+/// A block, the length of its move and what was carried over to it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Stretch {
+pub(super) struct BlockWay {
     /// Length of its move alone, mm.
     pub own: f32,
     /// Carried over to it; below 0: length that the last block was given too much.
@@ -53,8 +53,8 @@ impl CarriedTime {
 
     /// The speed of a block, where its move is of this speed. What the block is too long is carried on.
     #[inline]
-    pub(super) fn take(&mut self, speed: Speed, stretch: Stretch) -> Speed {
-        let Stretch { own, carried, length } = stretch;
+    pub(super) fn take(&mut self, speed: Speed, way: BlockWay) -> Speed {
+        let BlockWay { own, carried, length } = way;
         let (alone, feed) = time_and_feed(speed, own);
         let extra = length - (own + carried);
         let before = if carried == 0.0 { Self { seconds: 0.0, feed } } else { *self };
@@ -83,8 +83,8 @@ mod tests {
     const FAST: Speed = Speed::Feed(10.0);
     const SLOW: Speed = Speed::Feed(1.0);
 
-    fn stretch(own: f32, carried: f32, length: f32) -> Stretch {
-        Stretch { own, carried, length }
+    fn way(own: f32, carried: f32, length: f32) -> BlockWay {
+        BlockWay { own, carried, length }
     }
 
     #[track_caller]
@@ -98,9 +98,9 @@ mod tests {
         let mut time = CarriedTime::NONE;
         time.add(FAST, 0.004, 0.0);
         time.add(FAST, 0.004, 0.004);
-        assert_eq!(time.take(FAST, stretch(0.004, 0.008, 0.02)), FAST);
-        assert_eq!(time.take(FAST, stretch(0.02, -0.008, 0.012)), FAST);
-        assert_eq!(time.take(SLOW, stretch(1.0, 0.0, 1.0)), SLOW);
+        assert_eq!(time.take(FAST, way(0.004, 0.008, 0.02)), FAST);
+        assert_eq!(time.take(FAST, way(0.02, -0.008, 0.012)), FAST);
+        assert_eq!(time.take(SLOW, way(1.0, 0.0, 1.0)), SLOW);
     }
 
     #[test]
@@ -108,31 +108,31 @@ mod tests {
         let mut time = CarriedTime::NONE;
         time.add(SLOW, 0.004, 0.0);
         // 4 ms and 1 ms.
-        assert_near(time.take(FAST, stretch(0.01, 0.004, 0.014)), 0.014 / (0.001 + 0.004));
+        assert_near(time.take(FAST, way(0.01, 0.004, 0.014)), 0.014 / (0.001 + 0.004));
         time.add(Speed::Duration(0.5), 0.004, 0.0);
-        assert_near(time.take(Speed::Duration(0.25), stretch(0.01, 0.004, 0.014)), 0.014 / 0.75);
+        assert_near(time.take(Speed::Duration(0.25), way(0.01, 0.004, 0.014)), 0.014 / 0.75);
     }
 
     #[test]
     fn a_long_move_is_slowed_down_but_little() {
         let mut time = CarriedTime::NONE;
         time.add(Speed::Feed(0.001), 0.004, 0.0);
-        assert_near(time.take(FAST, stretch(10.0, 0.004, 10.004)), 10.004 / 2.0);
+        assert_near(time.take(FAST, way(10.0, 0.004, 10.004)), 10.004 / 2.0);
     }
 
     #[test]
     fn none_is_faster_for_a_block_that_was_longer() {
         let mut time = CarriedTime::NONE;
-        assert_eq!(time.take(SLOW, stretch(0.001, 0.0, 0.006)), SLOW);
-        assert_near(time.take(FAST, stretch(0.02, -0.005, 0.015)), 10.0);
+        assert_eq!(time.take(SLOW, way(0.001, 0.0, 0.006)), SLOW);
+        assert_near(time.take(FAST, way(0.02, -0.005, 0.015)), 10.0);
     }
 
     #[test]
     fn a_rapid_is_as_fast_as_what_follows() {
         let mut time = CarriedTime::NONE;
         time.add(Speed::Rapid, 0.004, 0.0);
-        assert_eq!(time.take(FAST, stretch(0.01, 0.004, 0.014)), FAST);
+        assert_eq!(time.take(FAST, way(0.01, 0.004, 0.014)), FAST);
         time.add(FAST, 0.004, 0.0);
-        assert_eq!(time.take(Speed::Rapid, stretch(0.01, 0.004, 0.014)), Speed::Rapid);
+        assert_eq!(time.take(Speed::Rapid, way(0.01, 0.004, 0.014)), Speed::Rapid);
     }
 }

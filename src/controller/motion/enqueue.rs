@@ -12,7 +12,7 @@ use super::arc::Curvature;
 use super::axis_limits::{GREATEST_ACCELERATION, bounded_speed, shares};
 use super::backlash::{self, Motors};
 use super::block::{Block, CurveLoad, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER};
-use super::carried_time::Stretch;
+use super::carried_time::BlockWay;
 use super::curvature::{NOTICEABLE, PathPiece, Span};
 use super::junction::UNLIMITED2;
 use super::measure::{Measure, signed_add};
@@ -263,7 +263,7 @@ impl<const N: usize> AnyQueue<N> {
     #[inline(never)]
     fn carry_over(&mut self, m: &Move<N>, path: &Path<N>, length: f32, most: f32) -> Speed {
         let carried = core::mem::replace(&mut self.end.length_carry, greater(path.length - length, -most));
-        let speed = self.carried_time.take(m.speed, Stretch { own: path.own, carried, length });
+        let speed = self.carried_time.take(m.speed, BlockWay { own: path.own, carried, length });
         if speed != m.speed {
             self.join.close();
         }
