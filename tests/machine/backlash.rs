@@ -417,3 +417,30 @@ fn home_is_true_and_parking_comes_back() {
         assert_eq!(mill.machine_position()[2], -30.5);
     }
 }
+
+/// The belts of a CoreXY machine pull X along while one of them takes up its slack for Y: X is reported where Y's cycle has
+/// left it.
+#[test]
+fn home_is_true_with_belts_that_have_slack() {
+    const AT: [f64; AXES] = [4.0, 5.0, 3.0];
+    let mut switches = String::from("kinematics = \"corexy\"\n");
+    for (axis, at) in ["x", "y", "z"].into_iter().zip(AT) {
+        write!(switches, "[[switch]]\naxis = \"{axis}\"\nat_mm = {at}\nside = \"positive\"\n").unwrap();
+    }
+    for (cycles, commands) in [("$44=4\n$45=3\n", "$H"), ("$44=4\n$45=1\n$46=2\n", "$H"), ("", "$HX\n$HY\n$HZ")] {
+        for from in ["", "$X\nG91 G0 X-3 Y-7", "$X\nG91 G0 X3 Y-7\nG0 X-2"] {
+            let settings = format!("$904=1\n$160=0.05\n$161=0.03\n$22=1\n$27=2\n$24=60\n{cycles}");
+            let mut mill = mill(&settings, &switches);
+            run(&mut mill, from);
+            run(&mut mill, commands);
+            let [a, b, z, ..] = mill.fittings().driven_mm();
+            let tool = [0.5 * (a + b), 0.5 * (a - b), z];
+            let reported = mill.machine_position();
+            for axis in 0..AXES {
+                let off = reported[axis] - (tool[axis] - AT[axis]);
+                // A switch closes at a whole or a half step of both motors.
+                assert!(off.abs() < 1.6 / STEPS, "{cycles:?} {commands:?} {from:?}: {reported:?} is {tool:?}");
+            }
+        }
+    }
+}

@@ -179,3 +179,57 @@ fn a_path_tolerance_leaves_moves_with_it_exact() {
     assert_eq!(digest("G64 P0.2", "A7"), digest("G61", "A7"));
     assert_eq!(digest("G64 P0.2", "A0.01"), digest("G61", "A0.01"));
 }
+
+/// A move of a chain: ways in 0.1 um and 0.1 millidegree, and F: mm/min, or moves a second with G93.
+type Link = ([i32; 4], u32);
+
+/// A chain of these moves again and again, and the seconds that it is meant to take.
+fn chain(links: &[Link], inverse_time: bool) -> (String, f64) {
+    let (mut text, mut seconds) = (String::from(if inverse_time { "G93\n" } else { "G94\n" }), 0.0);
+    for (way, feed) in links.iter().cycle().take(1500) {
+        let [x, y, z, a] = way.map(|part| f64::from(part) / 10_000.0);
+        let linear = (x * x + y * y + z * z).sqrt();
+        let feed = if inverse_time { feed * 60 } else { *feed };
+        text += &format!("G1 X{x:.4} Y{y:.4} Z{z:.4} A{a:.4} F{feed}\n");
+        seconds +=
+            60.0 / f64::from(feed) * if inverse_time { 1.0 } else { [a.abs(), linear][usize::from(linear > 0.0)] };
+    }
+    (text, seconds)
+}
+
+/// Moves of X, mostly shorter than a step, with Y and A in some of them.
+fn links(feed: core::ops::Range<u32>) -> impl Strategy<Value = Vec<Link>> {
+    let way = (1..25, 0..20, 0..100, prop_oneof![4 => Just(1), 1 => Just(10)], 0..4);
+    let way = way.prop_map(|(x, y, a, far, kind)| [x * far, y * far * (kind & 1), 0, a * far * (kind >> 1)]);
+    prop::collection::vec((way, feed), 2..7)
+}
+
+fn time_in_terms_of_meant(links: &[Link], inverse_time: bool) -> f64 {
+    let (text, meant) = chain(links, inverse_time);
+    let mut mill = mill();
+    run(&mut mill, &text);
+    seconds(&mill) / meant
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 48, rng_seed: RngSeed::Fixed(931), ..ProptestConfig::default() })]
+
+    /// Moves too short for a step take their time together with the next one that makes a step, whatever A does and however
+    /// long each of them takes.
+    #[test]
+    fn chains_of_moves_shorter_than_a_step_take_their_time(even in links(30..31), odd in links(30..120)) {
+        for links in [even, odd] {
+            let ratio = time_in_terms_of_meant(&links, false);
+            // A step needs its time at the feed that makes it: a chain may be slower for that, and not faster.
+            prop_assert!((0.99..1.2).contains(&ratio), "{ratio} of the time of {links:?}");
+        }
+    }
+
+    #[test]
+    fn chains_in_inverse_time_take_it(even in links(100..101), odd in links(100..400)) {
+        for links in [even, odd] {
+            let ratio = time_in_terms_of_meant(&links, true);
+            prop_assert!((0.97..1.04).contains(&ratio), "{ratio} of the time of {links:?}");
+        }
+    }
+}

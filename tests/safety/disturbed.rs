@@ -3,7 +3,7 @@
 //!
 //! `OXMILL_DISTURBED=N` plays N programs on each machine instead of the few of every run; `OXMILL_DISTURBED_SEED` begins elsewhere.
 
-use super::bench::{AXES, Bench, STEPS, assert_place};
+use super::bench::{AXES, Bench, STEPS};
 use oxmill_test_support::Random;
 use std::collections::{HashSet, VecDeque};
 
@@ -18,14 +18,23 @@ const MACHINE: &str = r#"
 "#;
 const SETTINGS: &str = "$0=1 $22=1 $24=600 $25=3000 $26=1 $110=6000 $111=5000 $112=4000 $120=900 $121=700 $122=500 $130=60 \
                         $131=60 $132=60 $20=1 $392=0.05 $393=0.02";
+const BELTS: &str = "$904=1";
+const TURNS: &str = "$930=4";
+/// Of `$160` to `$162` below, steps.
+const MOST_SLACK: f64 = 10.0;
 /// Settings of each machine, and whether it parks: then it leaves the path.
-const MACHINES: [(&str, bool); 6] = [
+const MACHINES: [(&str, bool); 11] = [
     ("", false),
     ("$220=9000 $221=8000 $222=7000", false),
     ("$32=1", false),
     ("$10=3 $919=1", false),
     ("$41=1 $56=0.3 $57=600 $58=-3 $59=2000", true),
     ("$41=1 $57=900 $58=-8 $59=3000 $222=3000", true),
+    ("$904=1", false),
+    ("$160=0.02 $161=0.03 $162=0.04", false),
+    ("$904=1 $160=0.02 $161=0.03 $220=5000 $919=1", false),
+    ("$930=4 $103=100 $113=9000 $123=900 $133=0", false),
+    ("$930=4 $103=100 $113=9000 $123=900 $133=0 $162=0.04 $223=4000 $41=1 $56=0.3 $57=600 $58=-3 $59=2000", true),
 ];
 const BEGIN: [&str; 4] = ["G10 L2 P1 X-30 Y-30 Z-20", "G10 L2 P2 X-28 Y-31 Z-21", "G0 X0 Y0 Z0", "F1000"];
 /// Lines of a program, at least.
@@ -37,21 +46,60 @@ const LONGEST: f64 = 30.0;
 const CELL: i32 = 10;
 const ROUNDED_CELL: i32 = 30;
 
+const TOOLS_AND_PLACES: &str =
+    "G49|G43.2 H1|G43.2 H2|M61 Q2|M6 T3|T1 M6|G92.2|G92.3|G28.1|G30.1|G30|G53 G0 Z-2|G53 G0 X-20 Y-20";
+const PINS_AND_OVERRIDES: &str = "M62 P0|M63 P0|M64 P0|M65 P0|M66 P0 L3 Q0.05|M66 P0 L0|M56 P0|M56|M50 P0|M50 P1|M51 P0|M51 P1|M53 P0|\
+                                  #1=5\nG91 G1 X[#1/10]\nG90|(MSG, x)|G64|G64 P0.05 Q0.01";
+
 fn mm(random: &mut Random, reach: u64) -> f64 {
     let scale = [0.05, 0.5, 1.0][random.below(3) as usize];
     (random.below(reach * 2000) as f64 / 1000.0 - reach as f64) * scale
 }
 
+/// The same of tools, kept states, subroutines, inverse time, moves shorter than a step, pins, overrides and NURBS. `a`: a word
+/// of A or nothing.
+fn more_lines(r: &mut Random, a: &str, feed: u64) -> Vec<String> {
+    let text = match r.below(8) {
+        0 => format!("G10 L1 P{} Z{:.3}|T{} G43", 1 + r.below(3), mm(r, 2), 1 + r.below(3)),
+        1 => r.of(&TOOLS_AND_PLACES.split('|').collect::<Vec<_>>()).to_string(),
+        2 => format!("M70|G91 G1 X{:.3}{a} F{feed}|{}", mm(r, 3), r.of(&["M72", "M72", "M71"])),
+        3 => format!("O7 SUB\nM73\nG91 G1 X{:.3}{a} F{feed}\nG20 G1 Y0.01\nO7 ENDSUB|O7 CALL|O7 CALL", mm(r, 2)),
+        4 => {
+            let inverse = format!("G93|G1 X{:.3} Y{:.3}{a} F{}", mm(r, 9), mm(r, 9), 10 + r.below(300));
+            format!("{inverse}|G91 G1 X{:.4}{a} F4000|G90 G94|F{feed}", mm(r, 1))
+        }
+        5 => {
+            let short = |i| {
+                format!(
+                    "G91 G1 X{:.4} Y{:.4}{} F{feed}|",
+                    0.02 * mm(r, 1),
+                    0.02 * mm(r, 1),
+                    ["", a][usize::from(i % 2 == 1)]
+                )
+            };
+            (0..8).map(short).collect::<String>() + "G90"
+        }
+        6 => r.of(&PINS_AND_OVERRIDES.split('|').collect::<Vec<_>>()).to_string(),
+        _ => {
+            let [x, y, u, v] = std::array::from_fn(|_| mm(r, 5));
+            format!("G5.2 X{x:.2} Y{y:.2} P1 L3|X{u:.2} Y{v:.2} P2|X{y:.2} Y{u:.2} P1|G5.3|G1 X1 F{feed}")
+        }
+    };
+    text.split('|').map(str::to_string).collect()
+}
+
 /// Lines that belong together. Whether the machine can carry them out is seen when it does.
-fn lines(random: &mut Random) -> Vec<String> {
+fn lines(random: &mut Random, turns: bool) -> Vec<String> {
     let r = random;
+    let a = if turns && r.below(2) == 0 { format!(" A{:.2}", mm(r, 40)) } else { String::new() };
     let feed = 200 + r.below(4500);
     let one = |line: &str| vec![line.to_string()];
     let relative = |line: String| vec!["G91".to_string(), line, "G90".to_string()];
-    match r.below(20) {
-        0..=3 => vec![format!("G1 X{:.3} Y{:.3} Z{:.3} F{feed}", mm(r, 12), mm(r, 12), mm(r, 12))],
-        4 => vec![format!("G0 X{:.3} Y{:.3} Z{:.3}", mm(r, 12), mm(r, 12), mm(r, 12))],
-        5 => relative(format!("G{} X{:.3} Y{:.3} R8 F{feed}", 2 + r.below(2), mm(r, 5), mm(r, 5))),
+    match r.below(28) {
+        20.. => more_lines(r, &a, feed),
+        0..=3 => vec![format!("G1 X{:.3} Y{:.3} Z{:.3}{a} F{feed}", mm(r, 12), mm(r, 12), mm(r, 12))],
+        4 => vec![format!("G0 X{:.3} Y{:.3} Z{:.3}{a}", mm(r, 12), mm(r, 12), mm(r, 12))],
+        5 => relative(format!("G{} X{:.3} Y{:.3} R8{a} F{feed}", 2 + r.below(2), mm(r, 5), mm(r, 5))),
         6 => vec![format!("G2 I{:.3} J{:.3} P{} F{feed}", mm(r, 5), mm(r, 5), 1 + r.below(3))],
         7 => (0..12).map(|i| format!("G1 X{:.3} Y{:.3} F{feed}", 0.4 * f64::from(i), f64::from(i).sin())).collect(),
         8 => relative(format!(
@@ -99,9 +147,16 @@ fn lines(random: &mut Random) -> Vec<String> {
     }
 }
 
+/// The tool on its motors, in steps.
+fn tool(bench: &Bench, settings: &str) -> [f64; AXES] {
+    let [x, y, z] = bench.place().map(f64::from);
+    if settings.contains(BELTS) { [0.5 * (x + y), 0.5 * (x - y), z] } else { [x, y, z] }
+}
+
 #[derive(Clone)]
 struct Mill {
     bench: Bench,
+    settings: &'static str,
     /// From the count of steps to machine coordinates, steps.
     zero: [f64; AXES],
     answers: Vec<String>,
@@ -114,14 +169,15 @@ struct Mill {
 }
 
 impl Mill {
-    fn new(settings: &str) -> Mill {
-        let mut bench = Bench::new(MACHINE, &format!("{SETTINGS} {settings}"));
+    fn new(settings: &'static str) -> Mill {
+        let kinematics = if settings.contains(BELTS) { "kinematics = \"corexy\"" } else { "" };
+        let mut bench = Bench::new(&format!("{kinematics}\n{MACHINE}"), &format!("{SETTINGS} {settings}"));
         bench.carry_out("$H");
-        let (reported, place) = (bench.reported(), bench.place());
-        let zero = std::array::from_fn(|axis| reported[axis] - f64::from(place[axis]));
+        let (reported, place) = (bench.reported(), tool(&bench, settings));
+        let zero = std::array::from_fn(|axis| reported[axis] - place[axis]);
         bench.mill.begin_job();
         let before = (String::new(), 0, false);
-        Mill { bench, zero, answers: Vec::new(), sent: 0, alarm: false, before, log: settings.into() }
+        Mill { bench, zero, answers: Vec::new(), sent: 0, alarm: false, before, settings, log: settings.into() }
     }
 
     fn hear(&mut self) {
@@ -161,6 +217,17 @@ impl Mill {
         matches!(self.bench.state().as_str(), "Hold:0" | "Door:0")
     }
 
+    /// Belts come to half steps, and slack is taken up on the way.
+    fn assert_place(&mut self) {
+        let (reported, place) = (self.bench.reported(), tool(&self.bench, self.settings));
+        let half = if self.settings.contains(BELTS) { 0.51 } else { 0.01 };
+        let slack = if self.settings.contains("$16") { MOST_SLACK } else { 0.0 };
+        for axis in 0..AXES {
+            let off = reported[axis] - self.zero[axis] - place[axis];
+            assert!(off.abs() < half + slack, "reported {reported:?}, is {place:?}: {}", self.log);
+        }
+    }
+
     /// Some time passes; and what holds at each moment is looked at.
     fn pass(&mut self, milliseconds: u64) {
         self.bench.wait(milliseconds as f64 / 1000.0);
@@ -173,8 +240,7 @@ impl Mill {
         let dark = mill.power() == 0 || !(self.log.starts_with("$32=1") || state.starts_with("Door"));
         assert!(!rests || dark, "power in {state}: {}", self.log);
         if !mill.is_stepping() {
-            let (reported, place) = (self.bench.reported(), self.bench.place());
-            assert_place(std::array::from_fn(|axis| reported[axis] - self.zero[axis]), place, &self.log);
+            self.assert_place();
         }
         self.before = (state, events, true);
     }
@@ -255,7 +321,7 @@ fn program(homed: &Mill, random: &mut Random) -> (Vec<String>, Mill) {
             program.append(&mut next);
             mill = copy;
         }
-        next = lines(random);
+        next = lines(random, homed.settings.contains(TURNS));
     }
     (program, mill)
 }

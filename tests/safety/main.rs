@@ -2,6 +2,7 @@
 
 mod anything;
 mod bench;
+mod combined;
 mod disturbed;
 mod emergency;
 mod homing;

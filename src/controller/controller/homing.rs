@@ -2,7 +2,7 @@
 //! squared axis; a switch that closes stops it; at the end the position is set and the startup lines run.
 //!
 //! Names: Homing is carried out: `HomingSettings` are made from `$22` to `$27`, each `Order` of `machine/homing.rs`
-//! (move, wait, done, failed) becomes a motion of one or both motors of a squared axis, a switch that closes stops it,
+//! (move, wait, reached, done, failed) becomes a motion of one or both motors of a squared axis, a switch that closes stops it,
 //! and at the end the position is set and the startup lines run. In it are `begin_homing`, `advance_homing`,
 //! `carry_out`, `homing_waits`, `home_switch`, `squared_axis`. Keys are `HomingSeek`, `HomingLocate`, `HomingDebounce`,
 //! `HomingPullOff`, `HomingPasses`, `HomingDirection`, `GangedSwitch`, `SquaringShare`, `SquaringLeast` and
@@ -83,16 +83,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.homing_waits(HomingWait::Motion(watch));
             }
             Order::Wait(time) => self.homing_waits(HomingWait::Until(self.now + time)),
-            Order::Done(axes, home) => {
+            Order::Reached(axes, home) => {
                 let mut position = self.motion.machine_position();
                 for axis in Axis::of_machine::<N>().filter(|axis| axes.has(*axis)) {
                     if let Some(home) = home.get(axis) {
                         position.set(axis, home);
                     }
                 }
+                self.motion.set_machine_position(&position);
+                self.homing_waits(HomingWait::Stop);
+            }
+            Order::Done(axes) => {
                 self.reference.homed(axes, self.settings.homing_cycles().iter().copied());
                 self.pins.drive(GangedMotors::Both);
-                self.motion.set_machine_position(&position);
                 self.interpreter.set_position(self.motion.machine_position());
                 self.interpreter.end_cycles();
                 self.mode = Mode::Normal;

@@ -1,6 +1,6 @@
 //! The homing cycle (`Homing`): which axes seek their switches, pull off and locate them how often, how an axis with
 //! two motors is squared (`lagging`), and where each axis then is. It moves nothing itself: it gives an [`Order`]
-//! (move, wait, done, failed) and is told how that ended; `HomingRun` keeps what it waits for. An `AxisMask` is a set
+//! (move, wait, reached, done, failed) and is told how that ended; `HomingRun` keeps what it waits for. An `AxisMask` is a set
 //! of axes; an approach has a rate, a travel and the switches to watch, also those of ganged motors.
 //!
 //! ```text
@@ -9,7 +9,8 @@
 //!                                                                   └──────────────── $43 times ────────────────┘
 //! ```
 //! Motion stops dead at a switch (as the rates of homing allow; a ramp would run into the switch's end). Axes of a cycle
-//! that have not reached theirs continue. The position of an axis is then the pull-off away from its switch.
+//! that have not reached theirs continue. The position of an axis is then the pull-off away from its switch, and is so from
+//! the end of its cycle on: what drags it in the cycles of others, such as slack in the belts of both, is known.
 //!
 //! An axis with two motors and two switches is squared: the motor whose switch closes first holds still while the other
 //! moves alone, in each seek and each locate.
@@ -69,8 +70,10 @@ pub enum Order<const N: usize> {
     },
     /// Wait.
     Wait(Duration),
-    /// The axes of the mask stand at the given machine coordinates; homing is over.
-    Done(AxisMask, PerAxis<Coordinate, N>),
+    /// The axes of the mask, those of a cycle, stand at the given machine coordinates.
+    Reached(AxisMask, PerAxis<Coordinate, N>),
+    /// These axes have been homed; homing is over.
+    Done(AxisMask),
     /// It failed.
     Failed(Alarm),
 }
@@ -81,6 +84,7 @@ enum Pass {
     SeekPullOff,
     Locate,
     LocatePullOff,
+    Reached,
 }
 
 /// A homing cycle under way.
@@ -125,7 +129,7 @@ impl<const N: usize> Homing<N> {
     /// The first order; `switches` are the limit switches that are closed now.
     pub fn begin(&mut self, switches: AxisMask) -> Order<N> {
         if self.cycles.is_empty() {
-            return Order::Done(self.homed, self.places());
+            return Order::Done(self.homed);
         }
         self.locates_left = self.settings.passes;
         self.approach_anew(Pass::Seek, switches)
@@ -151,10 +155,13 @@ impl<const N: usize> Homing<N> {
             (false, Pass::SeekPullOff) => self.locate(switches),
             (false, Pass::LocatePullOff) if self.locates_left > 0 => self.locate(switches),
             (false, Pass::LocatePullOff) => {
-                self.homed = AxisMask(self.homed.0 | self.cycle().0);
+                let reached = self.cycle();
+                self.homed = AxisMask(self.homed.0 | reached.0);
                 self.cycles.pop_front();
-                self.begin(switches)
+                self.pass = Pass::Reached;
+                Order::Reached(reached, self.places())
             }
+            (_, Pass::Reached) => self.begin(switches),
         }
     }
 
@@ -358,6 +365,8 @@ mod tests {
         assert_eq!(h.next(Z), wait);
         expect_move(h.next(Z), [0.0, 0.0, -2.0], AxisMask::NONE);
         assert_eq!(h.next(AxisMask::NONE), wait);
+        let places = PerAxis([Coordinate::mm(-2), Coordinate::mm(-98), Coordinate::mm(-2)]);
+        assert_eq!(h.next(AxisMask::NONE), Order::Reached(Z, places));
         // X and Y together; Y reaches its switch first and X moves on alone.
         expect_move(h.next(AxisMask::NONE), [300.0, -300.0, 0.0], AxisMask(3));
         expect_move(h.next(Y), [300.0, 0.0, 0.0], X);
@@ -368,8 +377,8 @@ mod tests {
         assert_eq!(h.next(AxisMask(3)), wait);
         expect_move(h.next(AxisMask(3)), [-2.0, 2.0, 0.0], AxisMask::NONE);
         assert_eq!(h.next(AxisMask::NONE), wait);
-        let done = PerAxis([Coordinate::mm(-2), Coordinate::mm(-98), Coordinate::mm(-2)]);
-        assert_eq!(h.next(AxisMask::NONE), Order::Done(AxisMask(7), done));
+        assert_eq!(h.next(AxisMask::NONE), Order::Reached(AxisMask(3), places));
+        assert_eq!(h.next(AxisMask::NONE), Order::Done(AxisMask(7)));
     }
 
     #[test]
@@ -400,10 +409,11 @@ mod tests {
         h.next(X);
         h.next(X);
         h.next(AxisMask::NONE);
+        assert!(matches!(h.next(AxisMask::NONE), Order::Reached(X, _)));
         // Y has no cycle.
         expect_move(h.next(AxisMask::NONE), [0.0, 0.0, 75.0], Z);
         let none = HomingSettings { cycles: [AxisMask::NONE; 3], ..settings };
-        assert!(matches!(Homing::new(none, None).begin(AxisMask::NONE), Order::Done(AxisMask::NONE, _)));
+        assert!(matches!(Homing::new(none, None).begin(AxisMask::NONE), Order::Done(AxisMask::NONE)));
     }
 
     #[test]

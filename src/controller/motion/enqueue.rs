@@ -12,6 +12,7 @@ use super::arc::Curvature;
 use super::axis_limits::{GREATEST_ACCELERATION, bounded_speed, shares};
 use super::backlash::{self, Motors};
 use super::block::{Block, CurveLoad, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER};
+use super::carried_time::BlockWay;
 use super::curvature::{NOTICEABLE, PathPiece, Span};
 use super::junction::UNLIMITED2;
 use super::measure::{Measure, signed_add};
@@ -206,6 +207,7 @@ impl<const N: usize> AnyQueue<N> {
         self.end.planned = m.target;
         let (mut motors, sizes) = self.steps_to(target_steps);
         if sizes.dominant == 0 {
+            self.carried_time.add(m.speed, path.own, self.end.length_carry);
             self.end.length_carry = path.length;
             self.end.is_past_block = true;
             return;
@@ -213,7 +215,7 @@ impl<const N: usize> AnyQueue<N> {
         // Rounding can turn a move of 0.1 nm into a whole step. In the time of the programmed length that step would be far
         // too fast, so the block is taken as longer, and the next one as shorter by as much.
         let length = greater(path.length, sizes.least_mm);
-        self.end.length_carry = greater(path.length - length, -sizes.least_mm);
+        let speed = if path.own == length { m.speed } else { self.carry_over(m, &path, length, sizes.least_mm) };
         let start = core::mem::replace(&mut self.end.block_end, m.target);
         self.end.planned_steps = *target_steps;
         self.end.is_past_block = false;
@@ -227,7 +229,7 @@ impl<const N: usize> AnyQueue<N> {
         }
         let is_straight = path.straight == length && path.length == length;
         let shares = if is_straight { unit.map(f32::abs) } else { shares(&path.way, length) };
-        let rapid = self.set_speeds(&mut block, m, &path, &shares, &mut motors, curve_speed2);
+        let rapid = self.set_speeds(&mut block, speed, &path, &shares, &mut motors, curve_speed2);
         block.flags = rapid
             | if m.no_feed_override { NO_OVERRIDE } else { 0 }
             | if m.scale_power { SCALE_POWER } else { 0 }
@@ -256,13 +258,25 @@ impl<const N: usize> AnyQueue<N> {
         self.push(block, &piece, span);
     }
 
+    /// The speed of a block with a `length` that is not that of its move. What it is too long is carried on, up to `most`.
+    #[cold]
+    #[inline(never)]
+    fn carry_over(&mut self, m: &Move<N>, path: &Path<N>, length: f32, most: f32) -> Speed {
+        let carried = core::mem::replace(&mut self.end.length_carry, greater(path.length - length, -most));
+        let speed = self.carried_time.take(m.speed, BlockWay { own: path.own, carried, length });
+        if speed != m.speed {
+            self.join.close();
+        }
+        speed
+    }
+
     /// Sets what bounds a block's speed, with the shares of the axes in it, and how fast it is meant to be; with backlash adds
     /// what it takes up to the motors' steps. Gives the flag of a rapid.
     #[inline]
     fn set_speeds(
         &mut self,
         block: &mut Block<N>,
-        m: &Move<N>,
+        speed: Speed,
         path: &Path<N>,
         moved: &[f32; N],
         motors: &mut MotorSteps<N>,
@@ -271,10 +285,10 @@ impl<const N: usize> AnyQueue<N> {
         let length = block.length;
         let (mut acceleration, mut limit) = self.limits.along_shares(moved);
         block.jerk = self.limits.jerk_along(moved, acceleration);
-        let (programmed, rapid) = match m.speed {
+        let (programmed, rapid) = match speed {
             Speed::Rapid => (limit, RAPID),
             Speed::Feed(feed) => (feed, 0),
-            Speed::Duration(seconds) => (if path.length < length { length } else { path.own } / seconds, 0),
+            Speed::Duration(seconds) => (length / seconds, 0),
         };
         if self.backlash.is_on() {
             let speed = lesser(programmed, limit);

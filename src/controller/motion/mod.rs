@@ -30,6 +30,7 @@ mod axis_limits;
 mod backlash;
 mod blend;
 mod block;
+mod carried_time;
 mod course;
 mod curvature;
 mod curve;

@@ -8,6 +8,7 @@ use super::axis_limits::AxisLimits;
 use super::backlash::{Backlash, Motors};
 use super::blend::Blend;
 use super::block::{Block, OverrideFactors};
+use super::carried_time::CarriedTime;
 use super::curvature::Chain;
 use super::join::Join;
 use super::kinematics::Kinematics;
@@ -51,6 +52,8 @@ pub(super) struct MoveQueue<const N: usize, R: ?Sized> {
     pub limits: AxisLimits<N>,
     pub overrides: OverrideFactors,
     pub end: PathEnd<N>,
+    /// Of the length that is carried over, which alone is restored when a block is taken back: it is of one feed then.
+    pub carried_time: CarriedTime,
     /// How far the end is beyond its steps, in substeps (sevenths of a step); known after a chord of an arc only.
     pub substep_offset: Option<[i32; N]>,
     pub long: Option<LongMove<N>>,
@@ -78,6 +81,7 @@ impl<const N: usize, const BLOCKS: usize> MoveQueue<N, [Block<N>; BLOCKS]> {
             limits: AxisLimits::ONE,
             overrides: OverrideFactors::NONE,
             end: PathEnd::ZERO,
+            carried_time: CarriedTime::NONE,
             substep_offset: None,
             long: None,
             numbering: Numbering::Words,
@@ -99,6 +103,7 @@ impl<const N: usize, const BLOCKS: usize> Clone for MoveQueue<N, [Block<N>; BLOC
             limits: self.limits,
             overrides: self.overrides,
             end: self.end,
+            carried_time: self.carried_time,
             substep_offset: self.substep_offset,
             long: self.long,
             numbering: self.numbering,
