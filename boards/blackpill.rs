@@ -61,8 +61,8 @@ use stm32f4xx_hal::{
 use crate::input_bits;
 use crate::stm32f4::{self, each, step::Rings};
 pub use crate::stm32f4::{
-    CLOCK_TICKS_PER_US, InputPins, SAMPLE_HZ, SettingsFlash, SlowPins, WATCHES_CLOCK, Watchdog, call_step, clock_ticks,
-    idle, job_done, preloaded_job, reset_cause, restart, safe_state,
+    CLOCK_TICKS_PER_US, InputPins, SAMPLE_HZ, SettingsFlash, SlowPins, USUAL_BAUD, WATCHES_CLOCK, Watchdog,
+    call_for_received, call_step, clock_ticks, idle, job_done, preloaded_job, reset_cause, restart, safe_state,
 };
 pub use stm32f4xx_hal::pac;
 
@@ -129,7 +129,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     let rings = cortex_m::singleton!(: Rings<1> = Rings::EMPTY);
     let timers = (device.TIM1, device.TIM2, device.TIM3);
     let step_pins = stm32f4::step_pins(steps, directions, &inputs, timers, rings, &mut rcc);
-    let link = serial::Config::default().baudrate(stm32f4::BAUD.bps());
+    let link = serial::Config::default().baudrate(stm32f4::USUAL_BAUD.bps());
     // With no host on the UART its input must idle high, or noise would be taken for commands.
     let mut rx = a.pa10.into_alternate::<7>();
     rx.set_internal_resistor(Pull::Up);

@@ -9,9 +9,7 @@
 #![no_std]
 
 pub mod profiles;
-// On a host for their tests.
-#[cfg(any(not(feature = "board"), feature = "stm32f4"))]
-pub mod baud;
+// On a host for its tests.
 #[cfg(any(not(feature = "board"), feature = "stm32f4"))]
 pub mod received;
 #[cfg(any(not(feature = "board"), feature = "usb"))]

@@ -19,8 +19,8 @@ use stm32f4xx_hal::{
 };
 
 pub use crate::stm32f4::{
-    CLOCK_TICKS_PER_US, InputPins, SAMPLE_HZ, SettingsFlash, SlowPins, WATCHES_CLOCK, Watchdog, call_step, clock_ticks,
-    idle, job_done, preloaded_job, reset_cause, restart, safe_state,
+    CLOCK_TICKS_PER_US, InputPins, SAMPLE_HZ, SettingsFlash, SlowPins, USUAL_BAUD, WATCHES_CLOCK, Watchdog,
+    call_for_received, call_step, clock_ticks, idle, job_done, preloaded_job, reset_cause, restart, safe_state,
 };
 use crate::stm32f4::{each, step::Rings};
 use crate::{AXES, NoPort, input_bits, stm32f4};
@@ -93,7 +93,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     let rings = cortex_m::singleton!(: Rings<2> = Rings::EMPTY);
     let timers = (device.TIM1, device.TIM2, device.TIM3);
     let step_pins = stm32f4::step_pins(steps, directions, &inputs, timers, rings, &mut rcc);
-    let link = serial::Config::default().baudrate(stm32f4::BAUD.bps());
+    let link = serial::Config::default().baudrate(stm32f4::USUAL_BAUD.bps());
     let Ok(usart) = serial::Serial::new(device.USART2, (a.pa2, a.pa3), link, &mut rcc) else {
         // 115200 divides the 42 to 50 MHz of the slower bus to within 0.2 %.
         unreachable!()

@@ -3,24 +3,15 @@
 //! One side never waits for the other: each variable has one writer, but for `error` and `drops`, which the interrupt sets
 //! and the task takes back. A place in the stream is the count of bytes before it, wrapping.
 //!
-//! Names: the interrupt `keep`s bytes and notes what it must `miss`; the task takes what is `ready` and hears of an
-//! `Error` at its place in the stream. What came while the processor stood is put behind the rest by `place` and `placed`.
+//! Names: the interrupt `keep`s bytes and notes what it must `miss`; the task takes what is `ready` and hears of
+//! what is missing at its place in the stream. What came while the processor stood is put behind the rest by `place` and `placed`.
 
-use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, Ordering::Relaxed, compiler_fence};
+use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, Ordering::Relaxed, fence};
 
 /// Bytes of the ring: a power of two.
 pub const ROOM: u32 = 512;
 /// Most bytes that [`Received::place`] moves.
 const MOVED: usize = 64;
-
-/// What went wrong in the stream.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Error {
-    /// One or more bytes were overwritten, or disturbed.
-    Lost = 1,
-    /// A stop bit was none: a disturbance, a break, or another baud rate.
-    Garbled = 2,
-}
 
 /// What is next in the stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,7 +19,7 @@ pub enum Next {
     /// A byte.
     Byte(u8),
     /// Bytes are missing here.
-    Missing(Error),
+    Missing,
     /// Nothing has come.
     Nothing,
 }
@@ -40,8 +31,8 @@ pub struct Received {
     come: AtomicU32,
     /// Bytes that have been taken out: never beyond `error_at` while there is an error.
     taken: AtomicU32,
-    /// What is missing at `error_at`, as an [`Error`]; 0: nothing.
-    error: AtomicU8,
+    /// Bytes are missing at `error_at`: overwritten, or disturbed.
+    error: AtomicBool,
     error_at: AtomicU32,
     /// There was another error before that one was told: all that comes is dropped until the ring is empty.
     drops: AtomicBool,
@@ -54,7 +45,7 @@ impl Received {
             bytes: [const { AtomicU8::new(0) }; ROOM as usize],
             come: AtomicU32::new(0),
             taken: AtomicU32::new(0),
-            error: AtomicU8::new(0),
+            error: AtomicBool::new(false),
             error_at: AtomicU32::new(0),
             drops: AtomicBool::new(false),
         }
@@ -66,27 +57,35 @@ impl Received {
         &self.bytes[(at % ROOM) as usize]
     }
 
-    /// For the interrupt: a byte. Gives how many waited before it, or `None` if it is missing now.
+    /// For the interrupt: a byte, one that stops the machine also where others are dropped. Gives how many waited before it,
+    /// or `None` if it is missing now.
     #[inline(always)]
-    pub fn keep(&self, byte: u8) -> Option<u32> {
+    pub fn keep(&self, byte: u8, is_stop: bool) -> Option<u32> {
         let come = self.come.load(Relaxed);
         let waiting = come.wrapping_sub(self.taken.load(Relaxed));
-        if waiting >= ROOM || self.drops.load(Relaxed) {
-            self.miss(Error::Lost);
+        if waiting >= ROOM || (self.drops.load(Relaxed) && !is_stop) {
+            self.miss();
             return None;
         }
         self.slot(come).store(byte, Relaxed);
-        compiler_fence(Ordering::Release);
+        fence(Ordering::Release);
         self.come.store(come.wrapping_add(1), Relaxed);
         Some(waiting)
     }
 
+    /// Nothing has come: at the start, while neither side runs.
+    pub fn clear(&self) {
+        self.taken.store(self.come.load(Relaxed), Relaxed);
+        self.error.store(false, Relaxed);
+        self.drops.store(false, Relaxed);
+    }
+
     /// For the interrupt: bytes are missing here.
-    pub fn miss(&self, error: Error) {
-        if self.error.load(Relaxed) == 0 && !self.drops.load(Relaxed) {
+    pub fn miss(&self) {
+        if !self.error.load(Relaxed) && !self.drops.load(Relaxed) {
             self.error_at.store(self.come.load(Relaxed), Relaxed);
-            compiler_fence(Ordering::Release);
-            self.error.store(error as u8, Relaxed);
+            fence(Ordering::Release);
+            self.error.store(true, Relaxed);
         } else {
             self.drops.store(true, Relaxed);
         }
@@ -98,8 +97,8 @@ impl Received {
         let taken = self.taken.load(Relaxed);
         // In this order: an error that comes between the two lies behind these bytes.
         let mut count = self.come.load(Relaxed).wrapping_sub(taken);
-        compiler_fence(Ordering::Acquire);
-        if self.error.load(Relaxed) != 0 {
+        fence(Ordering::Acquire);
+        if self.error.load(Relaxed) {
             count = count.min(self.error_at.load(Relaxed).wrapping_sub(taken));
         }
         let from = taken % ROOM;
@@ -114,6 +113,7 @@ impl Received {
     /// For the task: so many of [`Received::ready`] have been read.
     #[inline]
     pub fn pass(&self, count: usize) {
+        fence(Ordering::Release);
         self.taken.store(self.taken.load(Relaxed).wrapping_add(count as u32), Relaxed);
     }
 
@@ -126,18 +126,18 @@ impl Received {
                 return Next::Byte(byte);
             }
             let (error, taken) = (self.error.load(Relaxed), self.taken.load(Relaxed));
-            compiler_fence(Ordering::Acquire);
-            if error != 0 && self.error_at.load(Relaxed) == taken {
-                self.error.store(0, Relaxed);
-                return Next::Missing(if error == Error::Garbled as u8 { Error::Garbled } else { Error::Lost });
+            fence(Ordering::Acquire);
+            if error && self.error_at.load(Relaxed) == taken {
+                self.error.store(false, Relaxed);
+                return Next::Missing;
             }
-            // While it drops, nothing comes.
+            // While it drops, nothing comes but stops.
             let drops = self.drops.load(Relaxed);
-            compiler_fence(Ordering::Acquire);
-            if self.error.load(Relaxed) == 0 && self.come.load(Relaxed) == taken {
+            fence(Ordering::Acquire);
+            if !self.error.load(Relaxed) && self.come.load(Relaxed) == taken {
                 if drops {
                     self.drops.store(false, Relaxed);
-                    return Next::Missing(Error::Lost);
+                    return Next::Missing;
                 }
                 return Next::Nothing;
             }
@@ -152,8 +152,8 @@ impl Received {
         let waiting = self.come.load(Relaxed).wrapping_sub(taken);
         let mut moved = [0; MOVED];
         if let Some(moved) = moved.get_mut(..waiting as usize) {
-            for (at, byte) in (taken..).zip(moved.iter_mut()) {
-                *byte = self.slot(at).load(Relaxed);
+            for (at, byte) in (0..).zip(moved.iter_mut()) {
+                *byte = self.slot(taken.wrapping_add(at)).load(Relaxed);
             }
             for (slot, byte) in self.bytes.iter().zip(moved) {
                 slot.store(*byte, Relaxed);

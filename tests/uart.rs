@@ -1,8 +1,7 @@
-//! The UART of a board without its registers: of the ring between its interrupt and the task that reads it nothing comes out
-//! of order, and no byte is missing without a word at its place; and no baud rate locks a host out.
+//! The UART of a board without its registers: out of the ring between its interrupt and the task that reads it nothing comes
+//! out of order, and no byte is missing without a word at its place.
 
-use oxmill_boards::baud::{BaudGuard, USUAL};
-use oxmill_boards::received::{Error, Next, ROOM, Received};
+use oxmill_boards::received::{Next, ROOM, Received};
 use proptest::prelude::*;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,7 +13,7 @@ enum Step {
     /// So many bytes come.
     Come(usize),
     /// One is missing.
-    Miss(Error),
+    Miss,
     /// The task takes so many, one by one.
     Take(usize),
     /// The task takes so many of those that are ready in a row.
@@ -27,7 +26,7 @@ fn step() -> impl Strategy<Value = Step> {
     prop_oneof![
         4 => (1_usize..40).prop_map(Step::Come),
         1 => (1_usize..600).prop_map(Step::Come),
-        1 => prop_oneof![Just(Error::Lost), Just(Error::Garbled)].prop_map(Step::Miss),
+        1 => Just(Step::Miss),
         4 => (1_usize..40).prop_map(Step::Take),
         2 => (1_usize..600).prop_map(Step::Pass),
         1 => (0_u32..600).prop_map(Step::Stand),
@@ -62,7 +61,7 @@ impl Stream {
             let byte = self.sent as u8;
             self.sent += 1;
             let waiting = self.expected.iter().flatten().count();
-            let kept = self.ring.keep(byte);
+            let kept = self.ring.keep(byte, false);
             assert_eq!(kept, (waiting < ROOM as usize && !self.drops).then_some(waiting as u32));
             if kept.is_some() { self.expected.push_back(Some(byte)) } else { self.miss() }
         }
@@ -77,7 +76,7 @@ impl Stream {
     fn take(&mut self) {
         let told = match self.ring.next() {
             Next::Byte(byte) => Some(Some(byte)),
-            Next::Missing(_) => Some(None),
+            Next::Missing => Some(None),
             Next::Nothing => None,
         };
         assert_eq!(told, self.next());
@@ -117,8 +116,8 @@ proptest! {
         for step in steps {
             match step {
                 Step::Come(count) => stream.come(count),
-                Step::Miss(error) => {
-                    stream.ring.miss(error);
+                Step::Miss => {
+                    stream.ring.miss();
                     stream.miss();
                 }
                 Step::Take(count) => (0..count).for_each(|_| stream.take()),
@@ -134,6 +133,16 @@ proptest! {
     }
 }
 
+/// A command that stops the machine is kept where all else is dropped.
+#[test]
+fn a_stop_is_not_dropped() {
+    let ring = Received::new();
+    ring.miss();
+    ring.miss();
+    assert_eq!((ring.keep(b'X', false), ring.keep(b'!', true), ring.keep(b'X', false)), (None, Some(0), None));
+    assert_eq!([0; 4].map(|_| ring.next()), [Next::Missing, Next::Byte(b'!'), Next::Missing, Next::Nothing]);
+}
+
 /// The interrupt comes between any two accesses of the task: here it is another thread.
 #[test]
 fn nothing_is_missing_without_a_word_whenever_it_comes() {
@@ -144,9 +153,9 @@ fn nothing_is_missing_without_a_word_whenever_it_comes() {
         scope.spawn(|| {
             for k in 0..SENT {
                 if k % 97 == 50 {
-                    ring.miss(Error::Garbled)
+                    ring.miss()
                 } else {
-                    let _ = ring.keep((k % 251) as u8);
+                    let _ = ring.keep((k % 251) as u8, false);
                 }
                 if k % 64 == 0 {
                     thread::yield_now();
@@ -171,60 +180,11 @@ fn nothing_is_missing_without_a_word_whenever_it_comes() {
                     hear(byte, &mut missing);
                     taken += 1;
                 }
-                Next::Missing(_) => (missing, gaps) = (true, gaps + 1),
+                Next::Missing => (missing, gaps) = (true, gaps + 1),
                 Next::Nothing if was_last => break (taken, gaps),
                 Next::Nothing => thread::yield_now(),
             }
         }
     });
     assert!(taken > SENT / 10 && gaps > 10 && taken + gaps <= SENT, "{taken} bytes and {gaps} gaps");
-}
-
-const FAST: u32 = 1_000_000;
-const SECOND: u32 = 1_000_000;
-
-fn fast() -> BaudGuard {
-    let mut guard = BaudGuard::new();
-    guard.choose(FAST);
-    guard
-}
-
-#[test]
-fn a_host_at_the_usual_rate_is_heard() {
-    let mut guard = fast();
-    assert_eq!([1, 2, 3].map(|now| guard.garbled(now)), [None, None, Some(USUAL)]);
-    guard.heard(4);
-    // It stays, however long that host is silent.
-    assert_eq!(guard.home_again(u32::MAX), None);
-    // Until another one comes.
-    assert_eq!([20, 21, 22].map(|s| guard.garbled(s * SECOND)), [None, None, Some(FAST)]);
-}
-
-#[test]
-fn a_disturbance_changes_nothing() {
-    let mut guard = fast();
-    guard.heard(0);
-    // Garbled bytes within lines, however many.
-    assert!((1..1000).all(|k| guard.garbled(k * 9_000).is_none()));
-    // Few of them at rest.
-    assert_eq!([30, 40].map(|s| guard.garbled(s * SECOND)), [None, None]);
-    guard.heard(50 * SECOND);
-    assert_eq!([70, 71].map(|s| guard.garbled(s * SECOND)), [None, None]);
-}
-
-#[test]
-fn a_change_for_nobody_is_taken_back() {
-    let mut guard = fast();
-    assert_eq!((0..3).filter_map(|now| guard.garbled(now)).collect::<Vec<_>>(), [USUAL]);
-    // The rest of what was being sent is as garbled.
-    assert!((3..1000).all(|now| guard.garbled(now).is_none()));
-    assert_eq!((guard.home_again(4 * SECOND), guard.home_again(6 * SECOND)), (None, Some(FAST)));
-    assert_eq!(guard.home_again(20 * SECOND), None);
-}
-
-#[test]
-fn the_usual_rate_has_no_other() {
-    let mut guard = BaudGuard::new();
-    assert!(guard.is_settled() && (0..1000).all(|now| guard.garbled(now).is_none()));
-    assert_eq!(guard.home_again(u32::MAX), None);
 }

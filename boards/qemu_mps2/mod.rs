@@ -113,6 +113,13 @@ pub fn call_receive() -> bool {
 #[inline(always)]
 pub fn on_receive() {}
 
+/// It is called for each byte.
+#[inline(always)]
+pub fn call_for_received() {}
+
+/// No rate is set.
+pub const USUAL_BAUD: u32 = 115_200;
+
 /// Starts timers and UARTs. There is no supply to watch.
 pub fn setup(mut device: pac::Peripherals, _low_voltage: fn() -> !) -> Parts {
     device.UART0.set_divider(16);

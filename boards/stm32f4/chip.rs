@@ -7,7 +7,7 @@
 //!
 //! Names: What the STM32F4 boards share in setting up: `step_pins` with `Rings` and the clocks of their timers TIM1 to
 //! TIM3 (`rcc`, `psc`, `arr`, `cr1`, `ccr2`, `egr`, `write(|w| w.cen().set_bit())`, the `pwm`), the microsecond clock
-//! on TIM5 (`start_clock`), the serial port's `BAUD`, the `InputPins` (`MOST_INPUTS` `places` of `ErasedPin`s by `each_ref`, pulls, what is
+//! on TIM5 (`start_clock`), the serial port's `USUAL_BAUD`, the `InputPins` (`MOST_INPUTS` `places` of `ErasedPin`s by `each_ref`, pulls, what is
 //! `fitted`), the `SlowPins` (`SLOW_OUTPUTS`) and their `levels`, the independent `Watchdog` that stops on debug, the
 //! `Parts`, `settings_flash`, `begin_with_reset` (`memrmp`, `mem_mode`, `syscfgen`), `watch_clock` (`csson`),
 //! `reset_cause` from the flags of `csr`, and `safe_state`, which writes each `SAFE` word (`write_bsrr`). `each!`
@@ -177,7 +177,7 @@ pub fn clock_ticks() -> u32 {
 }
 
 /// Baud rate of the link, if no setting says another: what Grbl's senders expect.
-pub const BAUD: u32 = 115_200;
+pub const USUAL_BAUD: u32 = 115_200;
 
 /// Inputs at most.
 const MOST_INPUTS: usize = crate::PROFILE.program_pins[1] as usize + if crate::AXES > 3 { 12 } else { 11 };

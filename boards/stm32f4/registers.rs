@@ -71,7 +71,7 @@ pub mod timer {
 #[inline(always)]
 pub(super) fn write(address: usize, value: u32) {
     // SAFETY: unsafe because a raw address is written; safe because only the files of this folder call it, with addresses of
-    // registers of ports, timers, DMA controllers and RCC that have one owner each and whose clocks are on since `setup`
+    // registers of ports, timers, DMA controllers, RCC and the USART that have one owner each and whose clocks are on since `setup`
     // (BSRR changes the pins it names and no others, EGR is a request that whoever may make). Of these, only DMA streams
     // reach memory: `chain` alone switches them on, to read its own rings and to write registers.
     unsafe { (address as *mut u32).write_volatile(value) }
@@ -80,7 +80,7 @@ pub(super) fn write(address: usize, value: u32) {
 #[inline(always)]
 pub(super) fn read(address: usize) -> u32 {
     // SAFETY: unsafe because a raw address is read; safe because only the files of this folder call it, with addresses of
-    // registers that may be read at any time without effect.
+    // registers that may be read at any time without effect, or of the USART, by its interrupt or while no task runs.
     unsafe { (address as *const u32).read_volatile() }
 }
 

@@ -1,13 +1,14 @@
 //! The UART to the host. Its interrupt does nothing but put what has come into a ring and call the serial task where that
-//! has something to do. The `Usart` is that task's port: it takes the bytes, sends, and listens at the rate that its
-//! `BaudGuard` says. While a flash operation stalls the processor, `shelter` has DMA fill the same ring.
+//! has something to do: for a command that stops the machine at once, for all else twice between two samples of the inputs
+//! at most, so that no flood of bytes takes all of the processor. The `Usart` is that task's port: it takes
+//! the bytes and sends. While a flash operation stalls the processor, `shelter` has DMA fill the same ring.
 //!
 //! ```text
 //!  USART ──byte──▶ on_interrupt ──▶ ring ──▶ serial task      always
 //!  USART ──byte──▶ DMA ───────────▶ ring ──▶ serial task      while flash is written or erased
 //! ```
 //! A USART holds one byte, and at 1 Mbaud the next one comes 10 us later; a run of the step task may take 50 us. So this
-//! interrupt alone has a higher priority than that task: some 60 cycles for each byte, and edges, which timers and DMA
+//! interrupt alone has a higher priority than that task: some 180 cycles for each byte, and edges, which timers and DMA
 //! put out, wait for neither. (DMA alone would not do: the one stream that the receiver of USART2 can have puts out the
 //! steps of a Nucleo.)
 //!
@@ -16,16 +17,15 @@
 //! realtime commands (`REALTIME_DEPTH`). A host that sends more than 512 bytes in that time overruns the USART, which is
 //! reported like any other loss.
 //!
-//! Names: the interrupt is `on_interrupt`, the ring `RECEIVED`, the bytes that are not text `is_urgent`. `shelter` sets a
+//! Names: the interrupt is `on_interrupt`, the ring `RECEIVED`, what must not wait `is_stop` and what is more than text `is_more_than_text`. `shelter` sets a
 //! stream up (`par`, `m0ar`, `ndtr`) while the `work` is done; `Sheltered` names the stream of each USART. Registers are
 //! read and written raw (`SR`, `DATA`, `BRR`, `CR_1`, `CR_3`), the stream's through the `RegisterBlock` of DMA1 or `DMA2`
 //! (`switch_on`, `LIFCR`, `HIFCR`).
 
 use super::registers::{read, write};
-use crate::baud::BaudGuard;
-use crate::received::{Error, Next, Received};
-use crate::{Incoming, Port, clock_ticks};
-use core::sync::atomic::{AtomicBool, Ordering, compiler_fence};
+use crate::received::{Next, Received};
+use crate::{Incoming, Port};
+use core::sync::atomic::{AtomicBool, Ordering, fence};
 use stm32f4xx_hal::{
     pac,
     prelude::*,
@@ -34,8 +34,10 @@ use stm32f4xx_hal::{
 };
 
 static RECEIVED: Received = Received::new();
-/// The end of a line or a `?` has come.
-static MAKES_SENSE: AtomicBool = AtomicBool::new(false);
+/// The serial task has been called since the last sample of the inputs, for what could have waited.
+static IS_CALLED: AtomicBool = AtomicBool::new(false);
+/// It has more of that to do, and is called with the next sample.
+static IS_DUE: AtomicBool = AtomicBool::new(false);
 
 /// Bytes of text that may wait in the ring for the end of their line.
 const GATHERED: u32 = 32;
@@ -58,47 +60,70 @@ const ON: u32 = 1 << 13;
 // CR3
 const DMA_RECEIVES: u32 = 1 << 6;
 
-/// Keeps what the USART has received, and calls the serial task if that has something to do: for text alone it has not
-/// before the end of the line, or some bytes of it. The highest priority of all tasks.
+/// Keeps what the USART has received. The highest priority of all tasks.
 #[inline(always)]
 pub fn on_interrupt<U: Sheltered>() {
     let usart = U::PTR as usize;
     let status = read(usart + SR);
-    let mut calls = false;
     if status & (ARRIVED | OVERRUN) != 0 {
         let byte = read(usart + DATA) as u8;
         if status & (FRAMING | NOISE) != 0 {
-            RECEIVED.miss(if status & FRAMING != 0 { Error::Garbled } else { Error::Lost });
-            calls = true;
+            RECEIVED.miss();
+            call_soon();
         } else if status & ARRIVED != 0 {
-            calls = is_urgent(byte) | RECEIVED.keep(byte).is_none_or(|waiting| waiting >= GATHERED);
+            let is_stop = is_stop(byte);
+            let waiting = RECEIVED.keep(byte, is_stop);
+            if is_stop {
+                crate::call_serial();
+            } else if is_more_than_text(byte) || waiting.is_none_or(|waiting| waiting >= GATHERED) {
+                call_soon();
+            }
         }
         // The byte that has been read came before the one that is lost.
         if status & OVERRUN != 0 {
-            RECEIVED.miss(Error::Lost);
-            calls = true;
+            RECEIVED.miss();
+            call_soon();
         }
     }
     if status & SEND_FREE != 0 {
         let control = read(usart + CR_1);
         if control & CALL_WHEN_FREE != 0 {
             write(usart + CR_1, control & !CALL_WHEN_FREE);
-            calls = true;
+            crate::call_serial();
         }
     }
-    if calls {
+}
+
+/// Calls the serial task, at once or with the next sample of the inputs.
+fn call_soon() {
+    if IS_CALLED.load(Ordering::Relaxed) {
+        IS_DUE.store(true, Ordering::Relaxed);
+    } else {
+        IS_CALLED.store(true, Ordering::Relaxed);
         crate::call_serial();
     }
 }
 
-/// Whether a byte is more than text of a line.
+/// Calls the serial task if it has something to do that it was not called for. To be called with each sample of the inputs.
 #[inline(always)]
-fn is_urgent(byte: u8) -> bool {
-    if matches!(byte, b'\n' | b'\r' | b'?') {
-        MAKES_SENSE.store(true, Ordering::Relaxed);
-        return true;
+pub fn call_for_received() {
+    IS_CALLED.store(false, Ordering::Relaxed);
+    if IS_DUE.load(Ordering::Relaxed) {
+        IS_DUE.store(false, Ordering::Relaxed);
+        crate::call_serial();
     }
-    !(b' '..=b'}').contains(&byte) || byte == b'!'
+}
+
+/// Whether a byte stops the machine: hold, reset, stop, door, the end of a jog.
+#[inline(always)]
+fn is_stop(byte: u8) -> bool {
+    matches!(byte, b'!' | 0x18 | 0x19 | 0x84 | 0x85)
+}
+
+/// Whether a byte is more than text of a line, for which the serial task has nothing to do before the end of the line.
+#[inline(always)]
+fn is_more_than_text(byte: u8) -> bool {
+    !(b' '..=b'}').contains(&byte) || byte == b'?'
 }
 
 /// A USART whose receiver has a DMA stream (reference manual, "DMA request mapping").
@@ -148,6 +173,10 @@ macro_rules! raw {
 
 /// Works with the DMA standing in for the interrupt. No task runs meanwhile.
 pub fn shelter<U: Sheltered>(work: &mut dyn FnMut()) {
+    // What waits is taken before: moving it would take longer than a byte does to come.
+    crate::call_serial();
+    cortex_m::asm::dsb();
+    cortex_m::asm::isb();
     critical_section::with(|_| {
         let usart = U::PTR as usize;
         let stream = U::dma().st(U::STREAM);
@@ -168,12 +197,17 @@ pub fn shelter<U: Sheltered>(work: &mut dyn FnMut()) {
         // It ends the byte that it is at.
         while stream.cr().read().bits() & STREAM_ON != 0 {}
         let left = stream.ndtr().read().bits();
-        compiler_fence(Ordering::SeqCst);
+        fence(Ordering::SeqCst);
+        // DMA reads no status: somewhere among these bytes one was disturbed, and the mark of it would be taken for the next one's.
+        let status = read(usart + SR);
+        if status & (FRAMING | NOISE | OVERRUN) != 0 && status & ARRIVED == 0 {
+            let _ = read(usart + DATA);
+            RECEIVED.miss();
+        }
         RECEIVED.placed(room - left.min(room));
         clear_flags::<U>();
     });
-    // Ends of lines may be among them.
-    MAKES_SENSE.store(true, Ordering::Relaxed);
+    crate::call_serial();
 }
 
 fn clear_flags<U: Sheltered>() {
@@ -193,50 +227,38 @@ pub struct Usart<U: Instance> {
     _rx: Rx<U>,
     /// Hz of its bus.
     clock: u32,
-    guard: BaudGuard,
 }
 
 impl<U: Sheltered + BusClock> Usart<U> {
     /// Begins to listen.
     pub fn new((tx, mut rx): (Tx<U>, Rx<U>), rcc: &Rcc) -> Self {
         rx.listen();
-        Usart { tx, _rx: rx, clock: U::clock(&rcc.clocks).raw(), guard: BaudGuard::new() }
-    }
-
-    /// Changes to a rate. What is being sent is garbled.
-    fn listen_at(&mut self, baud: u32) {
-        let usart = U::PTR as usize;
-        critical_section::with(|_| {
-            let control = read(usart + CR_1);
-            write(usart + CR_1, control & !ON);
-            // Sixteen samples a bit: the register is the quotient, in sixteenths of sixteen.
-            write(usart + BRR, (self.clock + baud / 2) / baud);
-            write(usart + CR_1, control);
-        });
+        Usart { tx, _rx: rx, clock: U::clock(&rcc.clocks).raw() }
     }
 }
 
 impl<U: Sheltered + BusClock> Port for Usart<U> {
     const WAITS: bool = false;
 
+    /// Before anything is sent, and before the interrupt is enabled.
     fn set_baud(&mut self, baud: u32) {
-        self.guard.choose(baud);
-        self.listen_at(baud);
+        let usart = U::PTR as usize;
+        let control = read(usart + CR_1);
+        write(usart + CR_1, control & !ON);
+        // Sixteen samples a bit: the quotient has four bits of fraction, and so has the register.
+        write(usart + BRR, (self.clock + baud / 2) / baud);
+        write(usart + CR_1, control);
+        // What has come so far came at another rate, perhaps.
+        let _ = (read(usart + SR), read(usart + DATA));
+        RECEIVED.clear();
     }
 
     #[inline]
     fn receive(&mut self) -> Incoming {
         match RECEIVED.next() {
             Next::Byte(byte) => Incoming::Byte(byte),
+            Next::Missing => Incoming::Lost,
             Next::Nothing => Incoming::Nothing,
-            Next::Missing(error) => {
-                if error == Error::Garbled
-                    && let Some(baud) = self.guard.garbled(clock_ticks())
-                {
-                    self.listen_at(baud);
-                }
-                Incoming::Lost
-            }
         }
     }
 
@@ -252,16 +274,7 @@ impl<U: Sheltered + BusClock> Port for Usart<U> {
 
     /// Every byte is fetched at once.
     #[inline]
-    fn allow(&mut self, _room: usize) {
-        if self.guard.is_settled() {
-            return;
-        }
-        if MAKES_SENSE.swap(false, Ordering::Relaxed) {
-            self.guard.heard(clock_ticks());
-        } else if let Some(baud) = self.guard.home_again(clock_ticks()) {
-            self.listen_at(baud);
-        }
-    }
+    fn allow(&mut self, _room: usize) {}
 
     /// Sends a byte if the data register is free.
     #[inline]

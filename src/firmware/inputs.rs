@@ -73,6 +73,7 @@ impl Inputs {
         if self.inputs.is_untold() {
             self.tell();
         }
+        boards::call_for_received();
         if !self.wiring.is_empty()
             && let Ok(wiring) = self.wiring.try_recv()
         {
@@ -85,6 +86,8 @@ impl Inputs {
     #[inline(never)]
     fn tell(&mut self) {
         let Some(sensed) = self.inputs.sensed() else { return };
+        // What has been received by now belongs before it: the serial task passes it on before `control` hears of this.
+        boards::call_serial();
         let is_known = self.sent == Some(sensed);
         if is_known || self.signals.try_send(sensed).is_ok() {
             self.inputs.told();

@@ -94,20 +94,20 @@ macro_rules! firmware {
                 cx.local.step.run();
             }
 
-            #[task(binds = $serial, priority = 3, shared = [serial])]
+            #[task(binds = $serial, priority = 2, shared = [serial])]
             fn serial(cx: serial::Context) {
                 cx.shared.serial.run();
             }
 
             // The same work for another vector.
             $(
-                #[task(binds = $usb, priority = 3, shared = [serial])]
+                #[task(binds = $usb, priority = 2, shared = [serial])]
                 fn usb(cx: usb::Context) {
                     cx.shared.serial.run();
                 }
             )?
 
-            #[task(binds = SysTick, priority = 2, local = [inputs])]
+            #[task(binds = SysTick, priority = 3, local = [inputs])]
             fn inputs(cx: inputs::Context) {
                 cx.local.inputs.sample();
             }

@@ -124,6 +124,17 @@ pub unsafe fn build<const BLOCKS: usize>(
     }
 }
 
+/// The rate of the UART: the usual one with hold and start both active, for a host that cannot have the chosen one.
+fn baud(controller: &BoardController, low: u32) -> u32 {
+    let inverted = controller.settings().whole(Key::ControlInvert);
+    let is_active = |pin: u32, bit: u32| (low >> pin ^ inverted >> bit) & 1 != 0;
+    if is_active(boards::input_bits::HOLD, 1) && is_active(boards::input_bits::START, 2) {
+        boards::USUAL_BAUD
+    } else {
+        controller.settings().whole(Key::Baud)
+    }
+}
+
 /// Sets the board up and deals everything out. Called once; in its place it needs one copy of the tasks less on the stack.
 #[inline(always)]
 pub fn start(
@@ -152,7 +163,7 @@ pub fn start(
     restart.is_recorded = recorder.is_kept();
     controller.restarted(restart);
     let settings = Settings::open(parts.settings_flash, controller);
-    parts.serial.set_baud(controller.settings().whole(Key::Baud));
+    parts.serial.set_baud(baud(controller, parts.inputs.read()));
     let tasks = Tasks {
         step: Step::new(parts.step_pins, segments_out, step_wiring_out, events_in, wake.clone()),
         serial: Serial::new(parts.serial, parts.usb, realtime_in, lines_in, replies_out, wake.clone()),

@@ -239,7 +239,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     ),
     (
         Key::Baud,
-        "At which rate the UART of a board listens from its next start (power, NRST) on; over USB it means nothing. A host at 115200 baud is heard all the same, once a few of its bytes could not be read.",
+        "At which rate the UART of a board listens from its next start (power, NRST) on; over USB it means nothing. With the hold and the start input both active at the start it is 115200.",
     ),
 ];
 

@@ -207,5 +207,5 @@ fn facts_of_the_page_of_boards_are_those_of_the_code() {
     }
     let chip = file("boards/stm32f4/chip.rs");
     assert!(chip.contains("pub const SAMPLE_HZ: u32 = 20_000;") && page.contains("20,000 times a second"));
-    assert!(chip.contains("pub const BAUD: u32 = 115_200;") && page.contains("115200 baud"));
+    assert!(chip.contains("pub const USUAL_BAUD: u32 = 115_200;") && page.contains("115200 baud"));
 }

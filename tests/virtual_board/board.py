@@ -23,7 +23,7 @@ from .models.exti import Exti
 from .models.flash import Flash
 from .models.gpio import Gpio
 from .models.iwdg import Iwdg
-from .models.nvic import HARD_FAULT, Nvic
+from .models.nvic import HARD_FAULT, SYSTICK, Nvic
 from .models.otg import OtgFs
 from .models.peripheral import Misuse, Peripheral, Unmodelled
 from .models.pulse import PulseTimer
@@ -113,7 +113,9 @@ class Board:
         self.ended = None
         """The status that it has ended with."""
         self.step_runs = []
-        """(cycle of entry, cycle after the return) of each run of the step interrupt; nothing preempts it."""
+        """(cycle of entry, cycle after the return) of each run of the step interrupt, with what the UART's has taken of it."""
+        self.samples = []
+        """Cycle of entry of each sample of the inputs."""
         self.held = False
         """No interrupt is taken, as if some code masked them; the program's own masks come and go beneath."""
         self._asleep = False
@@ -541,6 +543,8 @@ class Board:
         self.nvic.begin(number)
         if number == 16 + self.wiring.step_irq:
             self._step_began = self.now
+        if number == SYSTICK:
+            self.samples.append(self.now)
         if not self.core.enter(number, vector, thread) and number != HARD_FAULT:
             self._fault(0)
             return

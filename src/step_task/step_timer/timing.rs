@@ -41,8 +41,7 @@ pub const HALF_IS_SHORT: bool =
     PROFILE.step_clock_hz / PROFILE.rates.safe_hz * (StepPins::DEPTH as u32 / 2) < 2 * RUN_TICKS;
 /// So much earlier from rest, for interrupts may be masked meanwhile.
 pub const SPARE_TICKS: u32 = 100 * TICKS_PER_US;
-/// From the end of a run to the next that it asks for at least: time for other tasks, of which a byte of the UART waits for 87 us
-/// at most.
+/// From the end of a run to the next that it asks for at least: time for other tasks.
 pub const PAUSE_TICKS: u32 = RUN_TICKS / 4;
 /// How soon to try again to report to `control`, when nothing else calls.
 pub const RETRY_TICKS: u32 = 1_000 * TICKS_PER_US;

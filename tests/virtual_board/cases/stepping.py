@@ -12,6 +12,10 @@ from .bench import JITTER_S, LATEST_PULSE_END_S, US, fast, hard, moving, stand_o
 from .patching import hang, unpatch
 
 
+LONGEST_RUN = (5530, 5740)
+"""Cycles of a run of the step task at most, and on the board with four axes (`run_cycles` in profiles.rs)."""
+
+
 def pulses(bench):
     """Width, direction set-up and period at 1, 10, 50 and 100 kHz (or the safe rate), all three axes together; and with the
     longest pulse, which is longer than the time between ticks of which not each makes a step."""
@@ -120,6 +124,8 @@ def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, 
             raise Failure(f"direction set-up {us(min(setups))} with $29=10")
         if min(holds) < pulse_us * US:
             raise Failure(f"a direction changes {us(min(holds))} after the edge of a step, within its pulse")
+        if longest > LONGEST_RUN[bench.wiring.core_hz > 100 * MHZ]:
+            raise Failure(f"a run of the step task of {longest} cycles")
         if found["drift"] > 2 * US:
             raise Failure(f"the period drifts by {us(found['drift'])} over {found['steps']} steps")
         if found["period_error"] > JITTER_S:

@@ -1,7 +1,9 @@
 """The UART: its rate, and how many lines a second it carries."""
 
+from itertools import pairwise
+
 from ..board import Failure
-from .bench import US
+from .bench import US, fast, moving, us
 from .stepping import flooded_at_safe_rate
 from .usb import BELTS, many_lines
 
@@ -9,6 +11,9 @@ UART_LINES_S = {"blackpill_f411": 3000, "blackpill_f401": 2000, "nucleo_f446re":
 """Short lines a second that a board takes over the UART at its greatest rate, while it moves."""
 
 FAST_BAUD = 1_000_000
+
+LONGEST_GAP_S = 120 * US
+"""Between two samples of the inputs: a run of the step task may be in between."""
 
 
 def restart_at(bench, baud):
@@ -22,7 +27,7 @@ def restart_at(bench, baud):
 
 
 def baud_rates(bench):
-    """$931: another rate from the next start on. A host at the usual rate is heard all the same, and the board comes back to its own."""
+    """$931: another rate from the next start on, but with hold and start both active then; and settings that are stored while bytes come."""
     bench.boot()
     board, host = bench.board, bench.host
     bench.ask(f"$931={FAST_BAUD}")
@@ -30,48 +35,52 @@ def baud_rates(bench):
     restart_at(bench, FAST_BAUD)
     bench.ask("$I")
     yield f"after a start at {board.usart.baud():.0f} baud"
-
-    def tries_of(text, every=0.3, most=20):
-        """How often a host has to say something until it is answered."""
-        for tries in range(1, most):
-            after = len(host.answers)
-            host.send(text + "\n")
-            board.run(seconds=every)
-            if "ok" in host.answers[after:]:
-                return tries
-        raise Failure(f"{text!r} was not answered")
-
-    # The last line was heard just now: what is garbled is a disturbance.
-    host.baud = 115_200
-    host.send("$$\n")
-    board.run(seconds=0.1)
-    host.baud = FAST_BAUD
-    host.send("\n")
-    board.run(seconds=0.1)
-    bench.ask("$I")
-    board.run(seconds=10.1)
-    host.baud = 115_200
-    yield f"a host at 115200 baud that says $$ is answered at try {tries_of('$$')}"
-    # It stays heard, however long it is silent.
-    board.run(seconds=10.1)
-    bench.ask("G21")
-    restart_at(bench, FAST_BAUD)
-    host.baud = 115_200
-    yield f"one that ends lines and says $I, at try {tries_of(2 * chr(10) + '$I')}"
-    restart_at(bench, FAST_BAUD)
-    # Disturbances while nobody listens.
-    host.baud = 115_200
-    host.send(b"$$$$")
-    board.run(seconds=1)
-    if abs(board.usart.baud() / 115_200 - 1) > 0.01:
-        raise Failure("the board does not listen at 115200 baud: this proves nothing")
-    host.baud = FAST_BAUD
-    # At the usual rate its bits are too short to be noticed.
-    tries = tries_of("", every=1)
-    yield f"back at {board.usart.baud():.0f} baud after {tries} s"
+    overruns, lines = board.usart.overruns, [f"${130 + k % 3}={200 + k}.5" for k in range(150)]
+    begin = len(host.answers)
+    host.stream("\n".join(lines))
+    bench.wait(lambda: host.all_answered, 5, "the last answer")
+    if host.answers[begin:] != ["ok"] * len(lines) or board.usart.overruns != overruns:
+        raise Failure(f"{set(host.answers[begin:])}, {board.usart.overruns - overruns} overruns while settings are stored")
+    yield f"{len(lines)} settings stored one behind the other, no byte lost"
+    for pins, baud in (("hold",), FAST_BAUD), (("start",), FAST_BAUD), (("hold", "start"), 115_200):
+        for pin in pins:
+            board.drive(getattr(bench.wiring, pin), 0)
+        restart_at(bench, baud)
+        for pin in pins:
+            board.drive(getattr(bench.wiring, pin), None)
+        yield f"started with {' and '.join(pins)} active: {board.usart.baud():.0f} baud"
+    board.run(seconds=0.05)
     bench.ask("$931=115200")
-    restart_at(bench, 115_200)
-    bench.ask("$I")
+
+
+FLOODS = {"?": b"?", "ends of lines": b"\n", "0xFF": b"\xff", "NUL": b"\0", "comments": b"(a)\n"}
+"""What a host, or a wire on which there is noise, may say at the greatest rate without flow control."""
+
+
+def sampled(bench):
+    """A UART that is flooded at its greatest rate keeps no input from being sampled, and motion goes on."""
+    bench.boot()
+    bench.ask(f"$931={FAST_BAUD}")
+    restart_at(bench, FAST_BAUD)
+    board, host, hz = bench.board, bench.host, bench.wiring.core_hz
+    fast(bench, 2_000)
+    bench.settings(s0=2)
+    for name, text in FLOODS.items():
+        moving(bench, feed=6000, way=30)
+        board.samples.clear()
+        after = len(host.text)
+        host.send(text * (2000 // len(text)))
+        board.run(seconds=0.02)
+        gap = max(later - before for before, later in pairwise(board.samples)) / hz
+        yield f"{name}: the inputs were sampled at least every {us(gap)}"
+        if gap > LONGEST_GAP_S:
+            raise Failure(f"no sample for {us(gap)} while {name} came")
+        if host.has_said("ALARM", after):
+            raise Failure(f"an alarm while {name} came")
+        host.send(b"\x18")
+        board.run(seconds=0.1)
+        host.send("\n\n$X\n")
+        board.run(seconds=0.1)
 
 
 def uart_lines(bench):
@@ -79,7 +88,7 @@ def uart_lines(bench):
     bench.boot()
     bench.settings(**BELTS, s931=FAST_BAUD)
     restart_at(bench, FAST_BAUD)
-    yield from many_lines(bench, UART_LINES_S[bench.wiring.name])
+    yield from many_lines(bench, UART_LINES_S[bench.wiring.name], begin_s=0.015)
     if bench.board.usart.overruns or bench.host.has_said("lost"):
         raise Failure(f"{bench.board.usart.overruns} overruns")
 
