@@ -310,7 +310,8 @@ mod held {
     const _: fn() -> u32 = board::clock_ticks;
     const _: [fn(); 5] = [board::call_step, board::call_serial, board::safe_state, board::job_done, board::idle];
     const _: u32 = board::USUAL_BAUD;
-    const _: ([fn(); 2], fn() -> bool) = ([board::on_receive, board::call_for_received], board::call_receive);
+    const _: [fn(); 2] = [board::on_receive, board::call_for_received];
+    const _: fn() -> bool = board::call_receive;
     const _: fn() -> Option<&'static [u8]> = board::preloaded_job;
     const _: fn() -> ResetCause = board::reset_cause;
     const _: fn(Arguments<'_>) -> ! = board::restart;

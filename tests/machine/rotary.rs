@@ -211,7 +211,7 @@ fn time_in_terms_of_meant(links: &[Link], inverse_time: bool) -> (f64, f64) {
     let mut mill = mill();
     run(&mut mill, &text);
     let way: f64 = links.iter().cycle().take(1500).map(|(way, _)| f64::from(way[0]) / 10_000.0).sum();
-    (seconds(&mill) / meant, 1.0 / (STEPS[0] as f64 * way))
+    (seconds(&mill) / meant, 1.0 / (STEPS[0] * way))
 }
 
 proptest! {
