@@ -34,7 +34,7 @@ from .stepping import (
     turns,
 )
 from .stops import hold, lines_at_stops, ring_stops, stops
-from .uart import baud_rates, fast_flood, sampled, uart_lines
+from .uart import baud_rates, fast_flood, sampled, torn_line, uart_lines
 from .usb import usb_answers, usb_flood, usb_lines, usb_port, usb_set_up_again, usb_unplugged, usb_unread
 
 KNOWN = {}
@@ -81,6 +81,7 @@ def all_cases(root):
         ("baud rates", baud_rates),
         ("uart lines", uart_lines),
         ("uart flooded", sampled),
+        ("torn line", torn_line),
         ("settings write", settings_write),
         ("power cut", power_cut),
         ("fault", faulted),

@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 from ..board import Failure
+from ..scope import Scope
 from .bench import US, fast, moving, us
 from .stepping import flooded_at_safe_rate
 from .usb import BELTS, many_lines
@@ -81,6 +82,27 @@ def sampled(bench):
         board.run(seconds=0.1)
         host.send("\n\n$X\n")
         board.run(seconds=0.1)
+
+
+def torn_line(bench):
+    """A line that has not ended goes with the reset button: what comes behind is no part of it."""
+    for text in ("G91G1X1F1000", "G91 G1 X1 F1000 (a remark that is longer than what waits)"):
+        bench.boot()
+        board, host = bench.board, bench.host
+        scope = Scope(board)
+        host.send(text)
+        # Soon: from time to time all that waits is read anyway.
+        board.run(seconds=len(text) * 10 / host.baud + 0.0005)
+        after = len(host.text)
+        board.drive(bench.wiring.reset, 0)
+        bench.wait_text("Grbl 1.1h", 0.5, after)
+        board.drive(bench.wiring.reset, None)
+        board.run(seconds=0.01)
+        host.send("\n")
+        board.run(seconds=0.1)
+        if scope.counts() != [0, 0, 0] or not bench.status().startswith("<Idle"):
+            raise Failure(f"{text!r} was carried out behind the reset: {scope.counts()}")
+        yield f"{text!r} has gone with the reset"
 
 
 def uart_lines(bench):
