@@ -22,7 +22,7 @@ pub struct Board {
     /// Clock of the processor.
     pub core_hz: u32,
     /// More cycles than the longest run of the step task takes that makes events (a stop takes longer): what `cargo xtask count`
-    /// says, times 1.1 for the flash, and 180 for each byte of the UART that may come in it, one in 10 us.
+    /// says, times 1.1 for the flash. Bytes of a fast UART come on top (docs/cost.md).
     pub run_cycles: u32,
     /// Axes.
     pub axes: usize,
@@ -45,7 +45,7 @@ pub const DESK: Board = Board {
     name: "desk",
     step_clock_hz: 100_000_000,
     core_hz: 100_000_000,
-    run_cycles: 5_530,
+    run_cycles: 4_450,
     axes: AXES,
     blocks: BLOCKS,
     safe_step_hz: 1_000_000,
@@ -86,7 +86,7 @@ pub const NUCLEO_F446RE: Board = Board {
     name: "nucleo_f446re",
     step_clock_hz: 90_000_000,
     core_hz: 180_000_000,
-    run_cycles: 5_740,
+    run_cycles: 5_200,
     axes: AXES,
     safe_step_hz: 1_000_000,
     least_pulse_tenths: 5,

@@ -12,7 +12,7 @@ from .bench import JITTER_S, LATEST_PULSE_END_S, US, fast, hard, moving, stand_o
 from .patching import hang, unpatch
 
 
-LONGEST_RUN = (5530, 5740)
+LONGEST_RUN = (4450, 5200)
 """Cycles of a run of the step task at most, and on the board with four axes (`run_cycles` in profiles.rs)."""
 
 
