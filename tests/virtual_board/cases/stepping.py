@@ -8,11 +8,11 @@ from ..models import timer
 from ..models.timer import EGR
 from ..parts import MHZ
 from ..scope import Scope, steady
-from .bench import JITTER_S, LATEST_PULSE_END_S, US, fast, hard, moving, stand_once, step_load, us, with_usb
+from .bench import JITTER_S, LATEST_PULSE_END_S, RUN_CYCLES, US, fast, hard, moving, stand_once, step_load, us, with_usb
 from .patching import hang, unpatch
 
 
-LONGEST_RUN = (4450, 5200)
+LONGEST_RUN = (RUN_CYCLES, 5200)
 """Cycles of a run of the step task at most, and on the board with four axes (`run_cycles` in profiles.rs)."""
 
 

@@ -51,7 +51,13 @@ def baud_rates(bench):
             board.drive(getattr(bench.wiring, pin), None)
         yield f"started with {' and '.join(pins)} active: {board.usart.baud():.0f} baud"
     board.run(seconds=0.05)
-    bench.ask("$931=115200")
+    # Switches that open when they are pressed, as $14 says.
+    bench.ask("$14=6")
+    for baud, level in (FAST_BAUD, 0), (115_200, None):
+        for pin in ("hold", "start"):
+            board.drive(getattr(bench.wiring, pin), level)
+        restart_at(bench, baud)
+    yield f"the same with inverted inputs: {board.usart.baud():.0f} baud"
 
 
 FLOODS = {"?": b"?", "ends of lines": b"\n", "0xFF": b"\xff", "NUL": b"\0", "comments": b"(a)\n"}

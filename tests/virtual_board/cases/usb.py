@@ -167,7 +167,7 @@ def many_lines(bench, promised, begin_s=0.0):
             raise Failure(f"answers: {set(host.answers[before:])}")
         rising = [step.at for step in scope.steps()]
         took = (rising[-1] - rising[0]) / bench.wiring.core_hz
-        yield f"{rate} lines/s of {len(text) // text.count(chr(10))} bytes asked for: {lines:.0f} lines/s answered; {took:.3f} s of motion, {expected:.3f} s in the simulator"
+        yield f"{rate} lines/s of {len(text) / text.count(chr(10)):.0f} bytes asked for: {lines:.0f} lines/s answered; {took:.3f} s of motion, {expected:.3f} s in the simulator"
         if rate == promised and took > 1.002 * expected + begin_s:
             raise Failure("the machine has waited for lines")
         bench.ask("G90G1X0Y0F9000")
