@@ -61,8 +61,8 @@ use stm32f4xx_hal::{
 use crate::input_bits;
 use crate::stm32f4::{self, each, step::Rings};
 pub use crate::stm32f4::{
-    CLOCK_TICKS_PER_US, InputPins, SAMPLE_HZ, SettingsFlash, SlowPins, USUAL_BAUD, WATCHES_CLOCK, Watchdog,
-    call_for_received, call_step, clock_ticks, idle, job_done, preloaded_job, reset_cause, restart, safe_state,
+    CLOCK_TICKS_PER_US, InputPins, SAMPLE_HZ, SettingsFlash, SlowPins, USUAL_BAUD, WATCHES_CLOCK, Watchdog, call_step,
+    clock_ticks, idle, job_done, preloaded_job, reset_cause, restart, safe_state,
 };
 pub use stm32f4xx_hal::pac;
 

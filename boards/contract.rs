@@ -20,7 +20,6 @@
 //! | `WATCHES_CLOCK` | whether the non-maskable interrupt tells that the clock of the processor has failed, and nothing else |
 //! | `setup(device, low_voltage) -> Parts` | everything below, set up once; outputs are off |
 //! | `USUAL_BAUD` | the rate of the UART if no setting says another |
-//! | `call_for_received()` | calls the serial task if something has been received that it was not called for |
 //! | `on_receive()` | what the interrupt `receive` of `vectors!` does, on a board that has one: it keeps a byte, and calls the serial task |
 //! | `call_receive()` | makes that interrupt pending; false if there is none |
 //! | `call_step()` | makes the interrupt of the step task pending, from any task |
@@ -310,8 +309,7 @@ mod held {
     const _: fn() -> u32 = board::clock_ticks;
     const _: [fn(); 5] = [board::call_step, board::call_serial, board::safe_state, board::job_done, board::idle];
     const _: u32 = board::USUAL_BAUD;
-    const _: [fn(); 2] = [board::on_receive, board::call_for_received];
-    const _: fn() -> bool = board::call_receive;
+    const _: (fn(), fn() -> bool) = (board::on_receive, board::call_receive);
     const _: fn() -> Option<&'static [u8]> = board::preloaded_job;
     const _: fn() -> ResetCause = board::reset_cause;
     const _: fn(Arguments<'_>) -> ! = board::restart;

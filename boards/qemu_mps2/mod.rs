@@ -113,10 +113,6 @@ pub fn call_receive() -> bool {
 #[inline(always)]
 pub fn on_receive() {}
 
-/// It is called for each byte.
-#[inline(always)]
-pub fn call_for_received() {}
-
 /// No rate is set.
 pub const USUAL_BAUD: u32 = 115_200;
 

@@ -23,4 +23,4 @@ pub use flash::SettingsFlash;
 #[cfg(feature = "stm32f4")]
 pub use supply::*;
 #[cfg(feature = "stm32f4")]
-pub use usart::{Usart, call_for_received, on_interrupt};
+pub use usart::{Usart, on_interrupt};

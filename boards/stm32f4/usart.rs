@@ -1,7 +1,6 @@
 //! The UART to the host. Its interrupt does nothing but put what has come into a ring and call the serial task where that
-//! has something to do: for a command that stops the machine at once, for all else twice between two samples of the inputs
-//! at most, so that no flood of bytes takes all of the processor. The `Usart` is that task's port: it takes
-//! the bytes and sends. While a flash operation stalls the processor, `shelter` has DMA fill the same ring.
+//! has something to do: text alone waits for the end of its line. The `Usart` is that task's port: it takes the bytes and
+//! sends. While a flash operation stalls the processor, `shelter` has DMA fill the same ring.
 //!
 //! ```text
 //!  USART ──byte──▶ on_interrupt ──▶ ring ──▶ serial task      always
@@ -17,7 +16,7 @@
 //! realtime commands (`REALTIME_DEPTH`). A host that sends more than 512 bytes in that time overruns the USART, which is
 //! reported like any other loss.
 //!
-//! Names: the interrupt is `on_interrupt`, the ring `RECEIVED`, what must not wait `is_stop` and what is more than text `is_more_than_text`. `shelter` sets a
+//! Names: the interrupt is `on_interrupt`, the ring `RECEIVED`, what stops the machine `is_stop` and what is more than text `is_more_than_text`. `shelter` sets a
 //! stream up (`par`, `m0ar`, `ndtr`) while the `work` is done; `Sheltered` names the stream of each USART. Registers are
 //! read and written raw (`SR`, `DATA`, `BRR`, `CR_1`, `CR_3`), the stream's through the `RegisterBlock` of DMA1 or `DMA2`
 //! (`switch_on`, `LIFCR`, `HIFCR`).
@@ -25,7 +24,7 @@
 use super::registers::{read, write};
 use crate::received::{Next, Received};
 use crate::{Incoming, Port};
-use core::sync::atomic::{AtomicBool, Ordering, fence};
+use core::sync::atomic::{Ordering, fence};
 use stm32f4xx_hal::{
     pac,
     prelude::*,
@@ -34,10 +33,6 @@ use stm32f4xx_hal::{
 };
 
 static RECEIVED: Received = Received::new();
-/// The serial task has been called since the last sample of the inputs, for what could have waited.
-static IS_CALLED: AtomicBool = AtomicBool::new(false);
-/// It has more of that to do, and is called with the next sample.
-static IS_DUE: AtomicBool = AtomicBool::new(false);
 
 /// Bytes of text that may wait in the ring for the end of their line.
 const GATHERED: u32 = 32;
@@ -65,51 +60,31 @@ const DMA_RECEIVES: u32 = 1 << 6;
 pub fn on_interrupt<U: Sheltered>() {
     let usart = U::PTR as usize;
     let status = read(usart + SR);
+    let mut calls = false;
     if status & (ARRIVED | OVERRUN) != 0 {
         let byte = read(usart + DATA) as u8;
         if status & (FRAMING | NOISE) != 0 {
             RECEIVED.miss();
-            call_soon();
+            calls = true;
         } else if status & ARRIVED != 0 {
             let is_stop = is_stop(byte);
             let waiting = RECEIVED.keep(byte, is_stop);
-            if is_stop {
-                crate::call_serial();
-            } else if is_more_than_text(byte) || waiting.is_none_or(|waiting| waiting >= GATHERED) {
-                call_soon();
-            }
+            calls = is_stop || is_more_than_text(byte) || waiting.is_none_or(|waiting| waiting >= GATHERED);
         }
         // The byte that has been read came before the one that is lost.
         if status & OVERRUN != 0 {
             RECEIVED.miss();
-            call_soon();
+            calls = true;
         }
     }
     if status & SEND_FREE != 0 {
         let control = read(usart + CR_1);
         if control & CALL_WHEN_FREE != 0 {
             write(usart + CR_1, control & !CALL_WHEN_FREE);
-            crate::call_serial();
+            calls = true;
         }
     }
-}
-
-/// Calls the serial task, at once or with the next sample of the inputs.
-fn call_soon() {
-    if IS_CALLED.load(Ordering::Relaxed) {
-        IS_DUE.store(true, Ordering::Relaxed);
-    } else {
-        IS_CALLED.store(true, Ordering::Relaxed);
-        crate::call_serial();
-    }
-}
-
-/// Calls the serial task if it has something to do that it was not called for. To be called with each sample of the inputs.
-#[inline(always)]
-pub fn call_for_received() {
-    IS_CALLED.store(false, Ordering::Relaxed);
-    if IS_DUE.load(Ordering::Relaxed) {
-        IS_DUE.store(false, Ordering::Relaxed);
+    if calls {
         crate::call_serial();
     }
 }

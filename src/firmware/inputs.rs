@@ -73,7 +73,6 @@ impl Inputs {
         if self.inputs.is_untold() {
             self.tell();
         }
-        boards::call_for_received();
         if !self.wiring.is_empty()
             && let Ok(wiring) = self.wiring.try_recv()
         {

@@ -35,6 +35,8 @@ from .models.usart import Usart
 
 ENTRY_CYCLES, RETURN_CYCLES, CHAIN_CYCLES = 12, 12, 6
 HOT, COLD = round(1.1 * 256), round(1.3 * 256)
+SERIAL = 16 + 36
+"""The serial task: the vector of SPI2."""
 FILL = b"\xa5"
 """What RAM holds at power-up."""
 PAINTS = (4 * FILL, (0xA5C3_5A3C).to_bytes(4, "little"))
@@ -114,8 +116,8 @@ class Board:
         """The status that it has ended with."""
         self.step_runs = []
         """(cycle of entry, cycle after the return) of each run of the step interrupt, with what the UART's has taken of it."""
-        self.samples = []
-        """Cycle of entry of each sample of the inputs."""
+        self.begins = {SYSTICK: [], SERIAL: []}
+        """Cycles of entry: of the samples of the inputs, and of the runs of the serial task."""
         self.held = False
         """No interrupt is taken, as if some code masked them; the program's own masks come and go beneath."""
         self._asleep = False
@@ -543,8 +545,8 @@ class Board:
         self.nvic.begin(number)
         if number == 16 + self.wiring.step_irq:
             self._step_began = self.now
-        if number == SYSTICK:
-            self.samples.append(self.now)
+        if number in self.begins:
+            self.begins[number].append(self.now)
         if not self.core.enter(number, vector, thread) and number != HARD_FAULT:
             self._fault(0)
             return

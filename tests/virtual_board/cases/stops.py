@@ -4,7 +4,7 @@ import os
 from itertools import pairwise
 from random import Random
 
-from ..board import Failure
+from ..board import SERIAL, Failure
 from ..models import timer
 from ..models.dma import NDTR
 from ..models.timer import EGR, SMCR
@@ -15,6 +15,9 @@ from .stepping import at_full_rate
 CALL_CYCLES = 140
 """From the call of the step task to where no event begins any more, when it is not running: less than 2 us on all boards."""
 
+SERIAL_S = 100e-6
+"""From the last bit of a command that stops the machine to the serial task: the longest runs of the tasks above it."""
+
 
 def hold(bench):
     """`!` brakes along a ramp, `~` goes on, and no step is lost."""
@@ -24,7 +27,13 @@ def hold(bench):
     scope = Scope(board)
     moving(bench, way=20)
     speed, acceleration = 50_000, 1_000_000
+    board.begins[SERIAL].clear()
     heard = bench.host.send(b"!")
+    board.run(until=lambda: board.now > heard, limit=0.001)
+    board.run(seconds=0.001)
+    called = next((at - heard for at in board.begins[SERIAL] if at >= heard), hz) / hz
+    if called > SERIAL_S:
+        raise Failure(f"the serial task is called {us(called)} after `!`")
     bench.wait_state("Hold:0", 2)
     steps = [step.at for step in scope.steps()]
     later = [at for at in steps if at > heard]
@@ -37,6 +46,7 @@ def hold(bench):
     distance = len(later) - begin
     latency = (later[begin] - heard) / hz
     ideal = speed**2 / 2 / acceleration
+    yield f"the serial task is called {us(called)} after `!`"
     yield f"ramp begins {latency * 1e3:.2f} ms after `!`, takes {took * 1e3:.2f} ms and {distance} steps (v²/2a = {ideal:.0f})"
     if latency > HOLD_S or abs(distance / ideal - 1) > 0.03:
         raise Failure("the hold does not brake as it should")

@@ -1,10 +1,12 @@
 """The UART: its rate, and how many lines a second it carries."""
 
 from itertools import pairwise
+from random import Random
 
 from ..board import Failure
+from ..models.nvic import SYSTICK
 from ..scope import Scope
-from .bench import US, fast, moving, us
+from .bench import US, fast, hard, us
 from .stepping import flooded_at_safe_rate
 from .usb import BELTS, many_lines
 
@@ -36,7 +38,9 @@ def baud_rates(bench):
     restart_at(bench, FAST_BAUD)
     bench.ask("$I")
     yield f"after a start at {board.usart.baud():.0f} baud"
-    overruns, lines = board.usart.overruns, [f"${130 + k % 3}={200 + k}.5" for k in range(150)]
+    # Remarks of any length, so that a store finds any number of bytes waiting.
+    random, overruns = Random(931), board.usart.overruns
+    lines = [f"${130 + k % 3}={200 + k}.5({random.randrange(40) * 'a'})" for k in range(300)]
     begin = len(host.answers)
     host.stream("\n".join(lines))
     bench.wait(lambda: host.all_answered, 5, "the last answer")
@@ -70,20 +74,27 @@ def sampled(bench):
     bench.ask(f"$931={FAST_BAUD}")
     restart_at(bench, FAST_BAUD)
     board, host, hz = bench.board, bench.host, bench.wiring.core_hz
-    fast(bench, 2_000)
-    bench.settings(s0=2)
+    safe, acceleration = bench.wiring.safe_step_hz, hard(bench, 6_000)
+    fast(bench, acceleration)
+    greatest = round(safe * 60 / 1000, 3)
+    bench.settings(s110=greatest, s111=greatest, s112=greatest)
+    bench.settings(s0=bench.wiring.least_pulse_us, s29=10)
+    way, feed = 0.2 * safe / 1000, safe / 1000 * 60 * 3**0.5
     for name, text in FLOODS.items():
-        moving(bench, feed=6000, way=30)
-        board.samples.clear()
+        bench.ask(f"G91G1X{way:.3f}Y{way:.3f}Z{way:.3f}F{feed:.1f}")
+        board.run(seconds=safe / 1000 / acceleration + 0.02)
+        board.begins[SYSTICK].clear()
         after = len(host.text)
+        begin = board.now
         host.send(text * (2000 // len(text)))
         board.run(seconds=0.02)
-        gap = max(later - before for before, later in pairwise(board.samples)) / hz
+        samples = [begin, *board.begins[SYSTICK], board.now]
+        gap = max(later - before for before, later in pairwise(samples)) / hz
         yield f"{name}: the inputs were sampled at least every {us(gap)}"
         if gap > LONGEST_GAP_S:
             raise Failure(f"no sample for {us(gap)} while {name} came")
         if host.has_said("ALARM", after):
-            raise Failure(f"an alarm while {name} came")
+            raise Failure(f"an alarm while {name} came: {bytes(host.text[after:][-200:])!r}")
         host.send(b"\x18")
         board.run(seconds=0.1)
         host.send("\n\n$X\n")
