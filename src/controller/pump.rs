@@ -35,6 +35,9 @@ pub enum Source {
     Pins,
 }
 
+/// Most realtime commands of a round: those of a host that floods must not keep the step task waiting for segments.
+const MOST_COMMANDS: u32 = 16;
+
 /// What carries a controller: it has the queues, the time and the outputs, and decides nothing.
 pub trait Pump<const N: usize, const BLOCKS: usize> {
     /// Whether something wakes the pump when more comes in or room is made while a round lasts. If not, a round in which
@@ -83,15 +86,17 @@ pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut
     let mut events = tell(pump, now, Source::Step);
     events |= tell(pump, now, Source::Store);
     events |= tell(pump, now, Source::Hosts);
-    events |= tell(pump, now, Source::Commands);
+    let (commands, more) = tell_some(pump, now, Source::Commands, MOST_COMMANDS);
+    events |= commands;
     events |= tell(pump, now, Source::Inputs);
     events |= tell(pump, now, Source::Pins);
     let mut again = events && !P::IS_WOKEN;
-    // A host that sends faster than lines are taken in must not starve the step task: segments first, then a line.
+    // A host that sends faster than lines are taken in must not starve the step task: segments first, then a line. Nor do lines
+    // come before commands that were received before them.
     let is_short = pump.controller().is_short_of_segments();
-    if is_short {
+    if is_short || more {
         again |= pump.make_room(events);
-        if put_out(pump, now, &mut again) {
+        if put_out(pump, now, &mut again) || more {
             return true;
         }
     }
@@ -163,15 +168,28 @@ fn next_byte_past_text<const N: usize, const BLOCKS: usize>(
 /// Tells the events of a source; whether there were any.
 #[inline(always)]
 fn tell<const N: usize, const BLOCKS: usize>(pump: &mut impl Pump<N, BLOCKS>, now: Instant, source: Source) -> bool {
-    let mut told = false;
-    while let Some(event) = pump.next_event(source) {
+    tell_some(pump, now, source, u32::MAX).0
+}
+
+/// Tells the events of a source, up to `most` of them; whether there were any, and whether there may be more.
+#[inline(always)]
+fn tell_some<const N: usize, const BLOCKS: usize>(
+    pump: &mut impl Pump<N, BLOCKS>,
+    now: Instant,
+    source: Source,
+    most: u32,
+) -> (bool, bool) {
+    let mut told = 0;
+    while told < most
+        && let Some(event) = pump.next_event(source)
+    {
         // What has been received before an event is taken, has come before it.
         observe(pump);
         pump.record(now, &event);
         pump.controller().event(now, event);
-        told = true;
+        told += 1;
     }
-    told
+    (told > 0, told == most)
 }
 
 #[inline]

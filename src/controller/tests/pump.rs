@@ -25,6 +25,8 @@ struct Scribe<const WOKEN: bool> {
     said: String,
     /// The greatest power of the spindle that was put out.
     power: u16,
+    /// A command that is there however often it is taken.
+    flood: Option<Realtime>,
 }
 
 impl<const WOKEN: bool> Scribe<WOKEN> {
@@ -41,6 +43,7 @@ impl<const WOKEN: bool> Scribe<WOKEN> {
             late: none,
             said: String::new(),
             power: 0,
+            flood: None,
         };
         while round(&mut scribe) {}
         scribe.log.clear();
@@ -83,8 +86,11 @@ impl<const WOKEN: bool> Pump<3, 16> for Scribe<WOKEN> {
     }
 
     fn next_event(&mut self, source: Source) -> Option<Event<3>> {
-        let at = self.events.iter().position(|(s, _)| *s == source)?;
-        let (_, event) = self.events.remove(at);
+        let event = match (self.events.iter().position(|(s, _)| *s == source), self.flood) {
+            (Some(at), _) => self.events.remove(at).1,
+            (None, Some(command)) if source == Source::Commands => Event::Realtime(command),
+            _ => return None,
+        };
         self.log.push(format!("{source:?}"));
         Some(event)
     }
@@ -253,6 +259,34 @@ fn a_pump_that_is_woken_makes_no_round_for_nothing() {
     let mut other = Scribe::<false>::new();
     other.events.push((Source::Commands, Event::Realtime(Realtime::Status)));
     assert_eq!(rounds(round(&mut other), &other.log), (true, 1));
+}
+
+/// A flood of `?` over a fast line: the step task gets its segments between them.
+#[test]
+fn segments_go_out_though_commands_do_not_end() {
+    let mut scribe = Scribe::<true>::new();
+    scribe.send("G1X1F600\n");
+    while scribe.controller.wants_line() && !scribe.lines.is_empty() {
+        round(&mut scribe);
+    }
+    scribe.log.clear();
+    scribe.flood = Some(Realtime::Status);
+    for _ in 0..20 {
+        assert!(round(&mut scribe), "the commands have not ended");
+    }
+    let count = |name| scribe.log.iter().filter(|entry| *entry == name).count();
+    assert!(count("step") > 3, "{:?}", scribe.log);
+    assert!(count("Commands") < 1000, "{} commands in 20 rounds", count("Commands"));
+}
+
+#[test]
+fn lines_come_behind_all_commands_that_wait() {
+    let mut scribe = Scribe::<true>::new();
+    scribe.send("$G\n");
+    scribe.events = (0..100).map(|_| (Source::Commands, Event::Realtime(Realtime::FeedUp1))).collect();
+    while round(&mut scribe) {}
+    let last = scribe.log.iter().rposition(|entry| entry == "Commands");
+    assert!(last < Some(scribe.position("line")), "{:?}", scribe.log);
 }
 
 const NOT_STORED: &str = "[MSG:The setting holds but could not be stored]\r\n";
