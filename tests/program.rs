@@ -480,7 +480,8 @@ fn a_device_on_standard_input_loses_nothing_silently() {
         // Its input stays open.
         let mut program = oxmill(&[&["serve", "--stdio", "--speed", "max"], pins].concat());
         let mut program = program.stdin(Stdio::piped()).stdout(full()).spawn().expect("it starts");
-        program.stdin.as_mut().expect("a pipe").write_all(b"G1 X1 F1000\n").expect("the device reads");
+        // Even the greeting is lost: it may have ended already.
+        let _ = program.stdin.as_mut().expect("a pipe").write_all(b"G1 X1 F1000\n");
         let (code, said) = ended(program);
         assert!(code == Some(2) && said.contains("cannot write the answers"), "{pins:?}: {code:?}, {said}");
     }
