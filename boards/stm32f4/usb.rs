@@ -15,7 +15,7 @@
 //!
 //! Names: `UsbPort` holds the `class`, the `device` with its `strings` and serial number (`UNIQUE_ID`), one `received`
 //! packet, what is `outgoing`, and whether its interrupt is `masked` or the bus `resetting` (`USBRST`). It reads some
-//! OTG registers itself (`GINTSTS`, `GINTMSK`, `GRXSTSP`, `DOEPCTL`), to hold the endpoint back. `SerialClass` hears of
+//! OTG registers itself (`GINTSTS`, `GINTMSK`, `GRXSTSP`, `DOEPCTL`), to hold the endpoint back; `DAINTMSK` says whether the end of a packet calls. `SerialClass` hears of
 //! requests after which an endpoint begins with DATA0 (`SD0PID` of `DOEPCTL` and `DIEPCTL`), and `forget_sent` takes a
 //! packet back (`SNAK`, `DIEPINT`, `TXFFLSH` of `GRSTCTL`, `await_bits`) that was not fetched. What a closed port still
 //! sends is dropped. `entry` is what `GRXSTSR` says of a packet (`PKTSTS`, `OUT_DATA`, `OUT_COMPLETED`);
@@ -57,6 +57,8 @@ const GINTSTS: usize = 0x014;
 const GINTMSK: usize = 0x018;
 const GRXSTSR: usize = 0x01C;
 const GRXSTSP: usize = 0x020;
+/// Which endpoints call; those to the host are its lowest bits.
+const DAINTMSK: usize = 0x81C;
 const DIEPCTL: usize = 0x900;
 const DOEPCTL: usize = 0xB00;
 /// Bytes from the register of one endpoint to that of the next.
@@ -109,8 +111,8 @@ fn read(offset: usize) -> u32 {
 fn write(offset: usize, word: u32) {
     let address = (pac::OTG_FS_GLOBAL::ptr() as usize + offset) as *mut u32;
     // SAFETY: unsafe because a register is written by its address past the driver that owns it; safe because only GINTMSK,
-    // GRSTCTL and the registers of the data endpoints are written, by the serial task, in between the driver's calls, and
-    // what the driver finds there afterwards is what it would find behind a packet or a reset of the bus.
+    // DAINTMSK, GRSTCTL and the registers of the data endpoints are written, by the serial task, in between the driver's calls,
+    // and what the driver finds there afterwards is what it would find behind a packet or a reset of the bus.
     unsafe { address.write_volatile(word) }
 }
 
@@ -425,9 +427,15 @@ impl Port for UsbPort {
     }
 
     fn call_when_free(&mut self, _wanted: bool) {
-        // The end of each packet calls.
         if self.is_configured() {
             self.flush();
+            // The end of a packet calls if something has had to wait for it.
+            let endpoint = 1 << self.class.port.write_ep().address().index();
+            let mask = read(DAINTMSK);
+            let calls = if self.outgoing.is_empty() { mask & !endpoint } else { mask | endpoint };
+            if calls != mask {
+                write(DAINTMSK, calls);
+            }
         }
     }
 }
