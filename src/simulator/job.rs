@@ -87,10 +87,7 @@ pub fn power_up_as_board(options: &MachineOptions, recorded: bool) -> Result<(Si
     apply_settings(&mut simulator, &mut None, &settings)?;
     // A cut that has been ordered may still come, and damage has to be confirmed.
     if !(settings.is_empty() || options.cut_power.is_some() || simulator.controller().is_store_damaged()) {
-        let store = simulator.store().power_cycled().context("the settings are lost")?;
-        let fittings = simulator.fittings().clone();
-        simulator = Simulator::new(Options { board: options.board(), store, fittings, keep_steps: false });
-        simulator.run_until_idle();
+        simulator = simulator.powered_again().context("the settings are lost")?;
     }
     let recorder = begin_recorder(&mut simulator, &machine, options, recorded)?;
     Ok((simulator, recorder))

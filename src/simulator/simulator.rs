@@ -419,6 +419,18 @@ impl Simulator {
         &mut self.world.trace
     }
 
+    /// Another one with the same flash and fittings, at the moment after it has been powered up: idle, or locked if homing is on.
+    ///
+    /// # Errors
+    /// When the file of its store cannot be written.
+    pub fn powered_again(&self) -> anyhow::Result<Self> {
+        let store = self.store().power_cycled()?;
+        let (board, fittings) = (*self.board(), self.fittings().clone());
+        let mut simulator = Self::new(Options { board, store, fittings, keep_steps: false });
+        simulator.run_until_idle();
+        Ok(simulator)
+    }
+
     /// The machine.
     pub fn fittings(&self) -> &Fittings {
         &self.world.fittings

@@ -159,12 +159,12 @@ pub fn resume(order: &Order, job: &[u8]) -> Result<Value, String> {
     Ok(json!({ "program": program, "line": rest.line, "lines": rest.lines, "prologue": rest.prologue }))
 }
 
-/// A machine that a host has been connected to.
+/// A machine that has been powered up with its settings, and that a host has been connected to.
 ///
 /// # Errors
 /// As [`power_up`].
 pub fn machine(order: &Order) -> Result<Simulator, String> {
-    let mut simulator = power_up(order)?;
+    let mut simulator = power_up(order)?.powered_again().map_err(|error| format!("{error:#}"))?;
     simulator.take_output();
     simulator.connect();
     Ok(simulator)
@@ -282,6 +282,15 @@ mod tests {
         assert!(refused(r#"{"dialect":"x"}"#).contains("no dialect"));
         let plate = r#"{"machine":{"steps_per_mm":[1,1,1],"plate":{"axis":"q","at_mm":1,"side":"negative"}}}"#;
         assert!(refused(plate).contains("not an axis"));
+    }
+
+    #[test]
+    fn a_machine_with_homing_is_locked_until_it_is_unlocked() {
+        let mut machine = machine(&parse(br#"{"settings":{"22":1,"100":80}}"#).unwrap().0).unwrap();
+        assert_eq!(machine.take_output(), "\r\nGrbl 1.1h ['$' for help]\r\n[MSG:'$H'|'$X' to unlock]\r\n");
+        assert!(turn(&mut machine, b"?", 100_000).starts_with("<Alarm|"));
+        assert!(turn(&mut machine, b"$X\n", 100_000).ends_with("ok\r\n"));
+        assert!(turn(&mut machine, b"?", 100_000).starts_with("<Idle|"));
     }
 
     #[test]
