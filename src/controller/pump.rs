@@ -15,7 +15,7 @@
 //! for, and there is never more than one of a kind under way.
 
 use crate::controller::Controller;
-use crate::messages::{Event, LineByte, Observed, Output, Room};
+use crate::messages::{Event, LineByte, Observed, Output, REALTIME_DEPTH, Room};
 use crate::units::Instant;
 
 /// Where events come from.
@@ -35,8 +35,10 @@ pub enum Source {
     Pins,
 }
 
-/// Most realtime commands of a round: those of a host that floods must not keep the step task waiting for segments.
-const MOST_COMMANDS: u32 = 16;
+/// Realtime commands between two looks at whether the step task is short of segments: a host that floods must not keep it waiting.
+const COMMANDS_AT_ONCE: u32 = 16;
+/// Most realtime commands of a round: more than can have waited when it began. These come before inputs and lines.
+const MOST_COMMANDS: u32 = 2 * REALTIME_DEPTH as u32;
 
 /// What carries a controller: it has the queues, the time and the outputs, and decides nothing.
 pub trait Pump<const N: usize, const BLOCKS: usize> {
@@ -86,17 +88,27 @@ pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut
     let mut events = tell(pump, now, Source::Step);
     events |= tell(pump, now, Source::Store);
     events |= tell(pump, now, Source::Hosts);
-    let (commands, more) = tell_some(pump, now, Source::Commands, MOST_COMMANDS);
-    events |= commands;
+    let mut again = false;
+    let mut told = 0;
+    while told < MOST_COMMANDS {
+        let some = tell_some(pump, now, Source::Commands, COMMANDS_AT_ONCE);
+        events |= some > 0;
+        told += some;
+        if some < COMMANDS_AT_ONCE {
+            break;
+        }
+        if pump.controller().is_short_of_segments() {
+            let goes_on = put_out(pump, now, &mut again);
+            again |= goes_on;
+        }
+    }
     events |= tell(pump, now, Source::Inputs);
     events |= tell(pump, now, Source::Pins);
-    let mut again = events && !P::IS_WOKEN;
-    // A host that sends faster than lines are taken in must not starve the step task: segments first, then a line. Nor do lines
-    // come before commands that were received before them.
-    let is_short = pump.controller().is_short_of_segments();
-    if is_short || more {
+    again |= told >= MOST_COMMANDS || events && !P::IS_WOKEN;
+    // A host that sends faster than lines are taken in must not starve the step task: segments first, then a line.
+    if pump.controller().is_short_of_segments() {
         again |= pump.make_room(events);
-        if put_out(pump, now, &mut again) || more {
+        if put_out(pump, now, &mut again) {
             return true;
         }
     }
@@ -105,17 +117,18 @@ pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut
         && let Some(byte) = next_byte_past_text(pump, now, &mut lines)
     {
         pump.controller().event(now, Event::Line(byte));
-        if matches!(byte.byte, b'\n' | b'\r') {
-            if observe(pump).received > 0 {
-                pump.record_more();
-            }
-            if pump.controller().is_short_of_segments() {
-                break;
-            }
+        if matches!(byte.byte, b'\n' | b'\r') && observe(pump).received > 0 {
+            pump.record_more();
+        }
+        // A line may be long in coming to its end, or have none.
+        if pump.controller().is_short_of_segments() {
+            break;
         }
     }
     again |= pump.make_room(events || lines) || lines;
-    put_out(pump, now, &mut again) || again
+    let wanted = pump.controller().wants_line();
+    // Answers that go out may make room for those of lines that wait.
+    put_out(pump, now, &mut again) || again || !wanted && pump.controller().wants_line()
 }
 
 /// Carries outputs until there is none, or one that begins another round: then true. `again`: outputs make others possible.
@@ -168,17 +181,17 @@ fn next_byte_past_text<const N: usize, const BLOCKS: usize>(
 /// Tells the events of a source; whether there were any.
 #[inline(always)]
 fn tell<const N: usize, const BLOCKS: usize>(pump: &mut impl Pump<N, BLOCKS>, now: Instant, source: Source) -> bool {
-    tell_some(pump, now, source, u32::MAX).0
+    tell_some(pump, now, source, u32::MAX) > 0
 }
 
-/// Tells the events of a source, up to `most` of them; whether there were any, and whether there may be more.
+/// Tells the events of a source, up to `most` of them; how many there were.
 #[inline(always)]
 fn tell_some<const N: usize, const BLOCKS: usize>(
     pump: &mut impl Pump<N, BLOCKS>,
     now: Instant,
     source: Source,
     most: u32,
-) -> (bool, bool) {
+) -> u32 {
     let mut told = 0;
     while told < most
         && let Some(event) = pump.next_event(source)
@@ -189,7 +202,7 @@ fn tell_some<const N: usize, const BLOCKS: usize>(
         pump.controller().event(now, event);
         told += 1;
     }
-    (told > 0, told == most)
+    told
 }
 
 #[inline]

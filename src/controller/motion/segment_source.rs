@@ -31,7 +31,7 @@ const WAIT_MS: u32 = 1;
 const JOIN_MS: u32 = 2;
 /// With less than this queued of a motion that continues, segments come before lines: more than a line takes, and the segments of
 /// a stop from there.
-const SHORT_MS: u32 = 5;
+const SHORT_MS: u32 = 8;
 /// Length of the segment that tells the step task to rest when there is nothing to brake, in microseconds.
 const REST_US: u32 = 20;
 

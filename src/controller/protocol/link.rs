@@ -204,6 +204,8 @@ impl<const HELD: usize> Link<HELD> {
                     arbiter.turn_to(other, |floor| floor.seize(self.number));
                     self.mid_line = false;
                     self.after_cr = false;
+                    // What was lost so far goes with it.
+                    self.lost = false;
                 }
                 if matches!(command, Realtime::Reset | Realtime::Stop) {
                     other.void_line(arbiter);
@@ -254,7 +256,8 @@ impl<const HELD: usize> Link<HELD> {
             return 0;
         }
         let other = bytes.iter().position(|byte| !is_plain(*byte) && *byte != b'\n');
-        let taken = queues.text(arbiter.epoch, bytes.get(..other.unwrap_or(bytes.len())).unwrap_or_default());
+        let text = bytes.get(..other.unwrap_or(bytes.len())).unwrap_or_default();
+        let taken = if text.is_empty() { 0 } else { queues.text(arbiter.epoch, text) };
         if let Some(last) = taken.checked_sub(1).and_then(|last| bytes.get(last)) {
             self.mid_line = *last != b'\n';
         }
@@ -473,6 +476,23 @@ mod tests {
         assert_eq!(both.queues.commands, [Realtime::Reset]);
         both.uart(b"G");
         assert!(both.queues.lines[0].damaged && !both.uart.is_waiting(), "the others are lost, and that is said");
+    }
+
+    /// What was lost belonged to lines that the reset makes void.
+    #[test]
+    fn bytes_lost_before_a_reset_refuse_no_line_behind_it() {
+        for is_lost_behind in [false, true] {
+            let mut both = Both::<16>::new(8, 4);
+            both.uart(b"G1X10Y10\nG1X");
+            both.queues.lines.clear();
+            both.pass_on();
+            both.uart(b"\x18");
+            if is_lost_behind {
+                both.uart.lose();
+            }
+            both.uart(b"$X\n");
+            assert_eq!(both.queues.lines.iter().any(|byte| byte.damaged && byte.epoch > 0), is_lost_behind);
+        }
     }
 
     #[test]
