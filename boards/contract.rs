@@ -203,6 +203,11 @@ pub trait Port {
     /// So many of these have been taken.
     #[inline]
     fn pass(&mut self, _count: usize) {}
+    /// Whether a command that stops the machine is among what has come.
+    #[inline]
+    fn is_urgent(&self) -> bool {
+        false
+    }
     /// For so many bytes there is room; with too little the sender is to wait, if it can. Called after each round of
     /// [`Port::receive`].
     fn allow(&mut self, room: usize);

@@ -12,9 +12,13 @@ pub mod profiles;
 // On a host for its tests.
 #[cfg(any(not(feature = "board"), feature = "stm32f4"))]
 pub mod received;
+#[cfg(any(not(feature = "board"), feature = "stm32f4"))]
+pub mod sent;
 #[cfg(any(not(feature = "board"), feature = "usb"))]
 pub mod usb_host;
 
+#[cfg(feature = "board")]
+pub mod calls;
 #[cfg(feature = "board")]
 pub mod contract;
 #[cfg(feature = "board")]

@@ -10,6 +10,8 @@ use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, Ordering::Re
 
 /// Bytes of the ring: a power of two.
 pub const ROOM: u32 = 512;
+/// Places that only what stops the machine may take.
+pub const FOR_STOPS: u32 = 16;
 /// Most bytes that [`Received::place`] moves.
 const MOVED: usize = 64;
 
@@ -34,6 +36,8 @@ pub struct Received {
     /// Bytes are missing at `error_at`: overwritten, or disturbed.
     error: AtomicBool,
     error_at: AtomicU32,
+    /// Where the last byte ends that stops the machine.
+    stop_to: AtomicU32,
     /// There was another error before that one was told: all that comes is dropped until the ring is empty.
     drops: AtomicBool,
 }
@@ -47,6 +51,7 @@ impl Received {
             taken: AtomicU32::new(0),
             error: AtomicBool::new(false),
             error_at: AtomicU32::new(0),
+            stop_to: AtomicU32::new(0),
             drops: AtomicBool::new(false),
         }
     }
@@ -57,20 +62,37 @@ impl Received {
         &self.bytes[(at % ROOM) as usize]
     }
 
-    /// For the interrupt: a byte, one that stops the machine also where others are dropped. Gives how many waited before it,
+    /// For the interrupt: a byte, one that stops the machine also where others are dropped or have no room. Gives how many waited before it,
     /// or `None` if it is missing now.
     #[inline(always)]
     pub fn keep(&self, byte: u8, is_stop: bool) -> Option<u32> {
         let come = self.come.load(Relaxed);
         let waiting = come.wrapping_sub(self.taken.load(Relaxed));
-        if waiting >= ROOM || (self.drops.load(Relaxed) && !is_stop) {
+        let has_place = if is_stop { waiting < ROOM } else { waiting < ROOM - FOR_STOPS && !self.drops.load(Relaxed) };
+        if !has_place {
             self.miss();
             return None;
         }
         self.slot(come).store(byte, Relaxed);
+        if is_stop {
+            self.stop_to.store(come.wrapping_add(1), Relaxed);
+        }
         fence(Ordering::Release);
         self.come.store(come.wrapping_add(1), Relaxed);
         Some(waiting)
+    }
+
+    /// Whether a byte has not been taken yet.
+    #[inline(always)]
+    pub fn is_waiting(&self) -> bool {
+        self.come.load(Relaxed) != self.taken.load(Relaxed)
+    }
+
+    /// Whether what stops the machine waits.
+    #[inline]
+    pub fn has_stop(&self) -> bool {
+        let ahead = self.stop_to.load(Relaxed).wrapping_sub(self.taken.load(Relaxed));
+        (1..=ROOM).contains(&ahead)
     }
 
     /// Nothing has come: at the start, while neither side runs.
@@ -158,12 +180,26 @@ impl Received {
             for (slot, byte) in self.bytes.iter().zip(moved) {
                 slot.store(*byte, Relaxed);
             }
-            self.error_at.store(self.error_at.load(Relaxed).wrapping_sub(taken), Relaxed);
+            for at in [&self.error_at, &self.stop_to] {
+                at.store(at.load(Relaxed).wrapping_sub(taken), Relaxed);
+            }
             self.taken.store(0, Relaxed);
             self.come.store(waiting, Relaxed);
         }
         let at = self.come.load(Relaxed) % ROOM;
         (self.bytes.as_ptr() as usize + at as usize, (ROOM - at).min(ROOM - waiting))
+    }
+
+    /// While neither side runs: of so many bytes of that room, which have been filled, some are missing or disturbed, and it is
+    /// not known which. `refused` gives what each becomes.
+    pub fn placed_disturbed(&self, count: u32, refused: fn(u8) -> u8) {
+        self.miss();
+        let come = self.come.load(Relaxed);
+        for at in 0..count {
+            let slot = self.slot(come.wrapping_add(at));
+            slot.store(refused(slot.load(Relaxed)), Relaxed);
+        }
+        self.placed(count);
     }
 
     /// While neither side runs: so many bytes of that room have been filled.

@@ -124,10 +124,15 @@ fn every_board_has_its_sizes_and_a_probe_profile() {
 fn step_rates_follow_the_rule() {
     const DEPTH: u64 = 96;
     const BATCH: u64 = 32;
+    /// Cycles of the UART's interrupt for a byte that comes and one that goes, with their entries.
+    const BYTE: u64 = 283;
     for board in oxmill_boards::profiles::ALL.iter().filter(|board| !["desk", "qemu_mps2"].contains(&board.name)) {
         let (hz, core_hz) = (u64::from(board.safe_step_hz), u64::from(board.core_hz));
         let runs = 2 * u64::from(board.run_cycles) * hz;
         assert!(runs <= (DEPTH - BATCH / 2) * core_hz, "{board:?}");
+        // The same with a UART at 1 Mbaud that is full both ways.
+        let byte = core_hz / 100_000;
+        assert!(runs * byte / (byte - BYTE) <= (DEPTH - BATCH / 2) * core_hz, "{board:?}");
         // `cargo xtask count`, times 1.1.
         assert!(1_815 * hz / BATCH <= core_hz / 2, "{board:?}");
         let rates = StepRates { safe_hz: u32::MAX, least_pulse_tenths: board.least_pulse_tenths };

@@ -1,10 +1,12 @@
 //! The UART to the host. Its interrupt does nothing but put what has come into a ring and call the serial task where that
-//! has something to do: text alone waits for the end of its line. The `Usart` is that task's port: it takes the bytes and
-//! sends. While a flash operation stalls the processor, `shelter` has DMA fill the same ring.
+//! has something to do: text alone waits for the end of its line. It calls at once for a command that stops the machine, and
+//! for all else once in 800 us, so that no flood of bytes takes all of the processor. The `Usart` is that task's port: it
+//! takes the bytes, and puts answers into another ring, from which the interrupt sends. While a flash operation stalls the processor, `shelter` has DMA fill the first ring.
 //!
 //! ```text
 //!  USART ──byte──▶ on_interrupt ──▶ ring ──▶ serial task      always
 //!  USART ──byte──▶ DMA ───────────▶ ring ──▶ serial task      while flash is written or erased
+//!  USART ◀──byte── on_interrupt ◀── ring ◀── serial task
 //! ```
 //! A USART holds one byte, and at 1 Mbaud the next one comes 10 us later; a run of the step task may take 50 us. So this
 //! interrupt alone has a higher priority than that task: some 180 cycles for each byte, and edges, which timers and DMA
@@ -16,26 +18,35 @@
 //! realtime commands (`REALTIME_DEPTH`). A host that sends more than 512 bytes in that time overruns the USART, which is
 //! reported like any other loss.
 //!
-//! Names: the interrupt is `on_interrupt`, the ring `RECEIVED`, what stops the machine `is_stop` and what is more than text `is_more_than_text`. `shelter` sets a
+//! Names: the interrupt is `on_interrupt`, the ring `RECEIVED`, what can wait for the end of a line `is_text`.
+//! `call_serial` calls the serial task, `call_soon` if it may be called yet. `SENT` is the ring of answers; the task `IS_WAITING` for room in it. `shelter` sets a
 //! stream up (`par`, `m0ar`, `ndtr`) while the `work` is done; `Sheltered` names the stream of each USART. Registers are
 //! read and written raw (`SR`, `DATA`, `BRR`, `CR_1`, `CR_3`), the stream's through the `RegisterBlock` of DMA1 or `DMA2`
 //! (`switch_on`, `LIFCR`, `HIFCR`).
 
 use super::registers::{read, write};
+use crate::calls::{call_soon, is_stop};
 use crate::received::{Next, Received};
+use crate::sent::Sent;
 use crate::{Incoming, Port};
-use core::sync::atomic::{Ordering, fence};
+use core::sync::atomic::{AtomicBool, AtomicU8, Ordering::Relaxed, Ordering::SeqCst, fence};
 use stm32f4xx_hal::{
     pac,
-    prelude::*,
     rcc::{BusClock, Enable, Rcc},
     serial::{Instance, Rx, RxListen, Tx, TxListen},
 };
 
 static RECEIVED: Received = Received::new();
+/// The byte before.
+static BEFORE: AtomicU8 = AtomicU8::new(0);
+static SENT: Sent = Sent::new();
+/// The serial task has more to send, and is called when there is room.
+static IS_WAITING: AtomicBool = AtomicBool::new(false);
 
 /// Bytes of text that may wait in the ring for the end of their line.
 const GATHERED: u32 = 32;
+/// Bytes that are still to be sent when the task is called for more.
+const FEW: u32 = 16;
 
 /// Registers of a USART.
 const SR: usize = 0x00;
@@ -60,45 +71,64 @@ const DMA_RECEIVES: u32 = 1 << 6;
 pub fn on_interrupt<U: Sheltered>() {
     let usart = U::PTR as usize;
     let status = read(usart + SR);
-    let mut calls = false;
     if status & (ARRIVED | OVERRUN) != 0 {
         let byte = read(usart + DATA) as u8;
         if status & (FRAMING | NOISE) != 0 {
             RECEIVED.miss();
-            calls = true;
+            call_soon();
         } else if status & ARRIVED != 0 {
-            let is_stop = is_stop(byte);
-            let waiting = RECEIVED.keep(byte, is_stop);
-            calls = is_stop || is_more_than_text(byte) || waiting.is_none_or(|waiting| waiting >= GATHERED);
+            keep(byte);
         }
         // The byte that has been read came before the one that is lost.
         if status & OVERRUN != 0 {
             RECEIVED.miss();
-            calls = true;
+            call_soon();
         }
     }
     if status & SEND_FREE != 0 {
         let control = read(usart + CR_1);
         if control & CALL_WHEN_FREE != 0 {
-            write(usart + CR_1, control & !CALL_WHEN_FREE);
-            calls = true;
+            match SENT.take() {
+                Some(byte) => write(usart + DATA, u32::from(byte)),
+                None => write(usart + CR_1, control & !CALL_WHEN_FREE),
+            }
+            if IS_WAITING.load(Relaxed) && SENT.waiting() <= FEW {
+                IS_WAITING.store(false, Relaxed);
+                call_soon();
+            }
         }
     }
-    if calls {
-        crate::call_serial();
+}
+
+#[inline(always)]
+fn keep(byte: u8) {
+    let before = BEFORE.load(Relaxed);
+    BEFORE.store(byte, Relaxed);
+    if is_text(byte) {
+        if RECEIVED.keep(byte, false).is_none_or(|waiting| waiting >= GATHERED) {
+            call_soon();
+        }
+        return;
     }
+    let is_stop = is_stop(byte);
+    let repeats = byte == before && (is_stop || byte == b'?');
+    if repeats && RECEIVED.is_waiting() {
+        // The one before has not been heard yet: it says the same.
+        return;
+    }
+    RECEIVED.keep(byte, is_stop);
+    if is_stop && !repeats { crate::call_serial() } else { call_soon() }
 }
 
-/// Whether a byte stops the machine: hold, reset, stop, door, the end of a jog.
+/// Whether a byte is text of a line, with which the serial task has nothing to do before the end of the line.
 #[inline(always)]
-fn is_stop(byte: u8) -> bool {
-    matches!(byte, b'!' | 0x18 | 0x19 | 0x84 | 0x85)
+fn is_text(byte: u8) -> bool {
+    (b' '..=b'}').contains(&byte) && !matches!(byte, b'!' | b'?')
 }
 
-/// Whether a byte is more than text of a line, for which the serial task has nothing to do before the end of the line.
-#[inline(always)]
-fn is_more_than_text(byte: u8) -> bool {
-    !(b' '..=b'}').contains(&byte) || byte == b'?'
+/// What is left of a byte where one of several was disturbed: no line but an empty one is carried out that has one of them.
+fn refused(byte: u8) -> u8 {
+    if is_stop(byte) || matches!(byte, b'\n' | b'\r') { byte } else { b'@' }
 }
 
 /// A USART whose receiver has a DMA stream (reference manual, "DMA request mapping").
@@ -171,18 +201,22 @@ pub fn shelter<U: Sheltered>(work: &mut dyn FnMut()) {
         stream.cr().write(|w| raw!(w, STREAM));
         // It ends the byte that it is at.
         while stream.cr().read().bits() & STREAM_ON != 0 {}
-        let left = stream.ndtr().read().bits();
-        fence(Ordering::SeqCst);
-        // DMA reads no status: somewhere among these bytes one was disturbed. If none waits, the mark of it is wiped here, or it
-        // would be taken for the next one's; a byte that comes between the two accesses is then among those that are missing.
+        let count = room - stream.ndtr().read().bits().min(room);
+        fence(SeqCst);
+        // DMA reads no status: somewhere among these bytes, or behind them, one was disturbed.
         let status = read(usart + SR);
         if status & (FRAMING | NOISE) != 0 {
-            RECEIVED.miss();
-            if status & ARRIVED == 0 {
-                let _ = read(usart + DATA);
+            RECEIVED.placed_disturbed(count, refused);
+            // Its mark goes with the byte behind them, or would be taken for that of the next.
+            let byte = refused(read(usart + DATA) as u8);
+            if status & ARRIVED != 0 {
+                RECEIVED.keep(byte, is_stop(byte));
             }
+        } else {
+            RECEIVED.placed(count);
         }
-        RECEIVED.placed(room - left.min(room));
+        // None of these bytes has been seen.
+        BEFORE.store(0, Relaxed);
         clear_flags::<U>();
     });
     crate::call_serial();
@@ -250,19 +284,26 @@ impl<U: Sheltered + BusClock> Port for Usart<U> {
         RECEIVED.pass(count);
     }
 
+    #[inline]
+    fn is_urgent(&self) -> bool {
+        RECEIVED.has_stop()
+    }
+
     /// Every byte is fetched at once.
     #[inline]
     fn allow(&mut self, _room: usize) {}
 
-    /// Sends a byte if the data register is free.
+    /// Puts a byte behind those that wait to be sent, if there is room.
     #[inline]
     fn send(&mut self, byte: u8) -> bool {
-        self.tx.write(byte).is_ok()
+        SENT.put(byte)
     }
 
-    /// Whether to be called when the data register becomes free.
     #[inline]
     fn call_when_free(&mut self, wanted: bool) {
-        if wanted { self.tx.listen() } else { self.tx.unlisten() }
+        IS_WAITING.store(wanted, Relaxed);
+        if SENT.waiting() > 0 {
+            self.tx.listen();
+        }
     }
 }

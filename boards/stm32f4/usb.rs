@@ -39,6 +39,7 @@ use usb_device::prelude::*;
 use usbd_serial::{CdcAcmClass, USB_CLASS_CDC};
 
 use super::clock_ticks;
+use crate::calls::is_stop;
 use crate::usb_host::{LATE_BYTES_US, UsbHost};
 use crate::{Incoming, Port};
 
@@ -391,6 +392,10 @@ impl Port for UsbPort {
 
     fn pass(&mut self, count: usize) {
         self.received.next += count;
+    }
+
+    fn is_urgent(&self) -> bool {
+        self.fetched().iter().any(|byte| is_stop(*byte))
     }
 
     fn allow(&mut self, room: usize) {

@@ -73,6 +73,7 @@ impl Inputs {
         if self.inputs.is_untold() {
             self.tell();
         }
+        boards::calls::call_if_due();
         if !self.wiring.is_empty()
             && let Ok(wiring) = self.wiring.try_recv()
         {

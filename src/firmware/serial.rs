@@ -29,6 +29,9 @@ const USB_HELD: usize = 3 * 64;
 /// A UART's sender does not wait: the queue is all that it may fill.
 const UART_HELD: usize = 1;
 
+/// Most bytes of a run, of each link, that are no text: nothing of a run is to last long, whatever comes.
+const MOST_OTHERS: u32 = 4;
+
 /// Number of the USART among the links, and of USB.
 const UART: usize = 0;
 const USB: usize = 1;
@@ -153,10 +156,16 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
     ) -> bool {
         queues.may_owe = !P::WAITS;
         let mut news = self.link.pass_on(arbiter, queues);
+        let mut others = 0;
         while self.link.room() > 0 || !P::WAITS {
             let text = self.link.take_text(self.port.fetched(), arbiter, queues);
             self.port.pass(text);
             news |= text > 0;
+            if others == MOST_OTHERS && !self.port.is_urgent() {
+                boards::calls::call_soon();
+                break;
+            }
+            others = MOST_OTHERS.min(others + 1);
             match self.port.receive() {
                 Incoming::Nothing => break,
                 Incoming::Lost => self.link.lose(),
@@ -218,7 +227,7 @@ impl Serial {
         }
     }
 
-    /// Called for a received byte or packet, for a sender that has become free, and by `control` (an answer to send; room
+    /// Called for a received byte or packet, for room to send, and by `control` (an answer to send; room
     /// in the queues). Once in the image, and not in each of two vectors.
     #[inline(never)]
     pub fn run(&mut self) {

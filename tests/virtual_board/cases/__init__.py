@@ -34,8 +34,8 @@ from .stepping import (
     turns,
 )
 from .stops import hold, lines_at_stops, ring_stops, stops
-from .uart import baud_rates, fast_flood, sampled, torn_line, uart_lines
-from .usb import usb_answers, usb_flood, usb_lines, usb_port, usb_set_up_again, usb_unplugged, usb_unread
+from .uart import baud_rates, disturbed_line, fast_flood, sampled, torn_line, uart_lines
+from .usb import usb_answers, usb_flood, usb_lines, usb_port, usb_set_up_again, usb_stop, usb_unplugged, usb_unread
 
 KNOWN = {}
 """Faults of the firmware that are known, by board and case: shown, and no failure."""
@@ -82,6 +82,7 @@ def all_cases(root):
         ("uart lines", uart_lines),
         ("uart flooded", sampled),
         ("torn line", torn_line),
+        ("disturbed line", disturbed_line),
         ("settings write", settings_write),
         ("power cut", power_cut),
         ("fault", faulted),
@@ -101,6 +102,7 @@ def all_cases(root):
         ("usb flood", usb_flood),
         ("usb lines", usb_lines),
         ("usb answers", usb_answers),
+        ("usb stop", usb_stop),
         ("usb unplugged", usb_unplugged),
         ("usb unread", usb_unread),
         ("usb set up again", usb_set_up_again),

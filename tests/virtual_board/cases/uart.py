@@ -5,6 +5,7 @@ from random import Random
 
 from ..board import Failure
 from ..models.nvic import SYSTICK
+from ..models.usart import CR3, DMAR, FE
 from ..scope import Scope
 from .bench import US, fast, hard, us
 from .stepping import flooded_at_safe_rate
@@ -64,6 +65,44 @@ def baud_rates(bench):
     yield f"the same with inverted inputs: {board.usart.baud():.0f} baud"
 
 
+def disturbed_line(bench):
+    """A bit of a byte is wrong, and seen to be, while flash is written: none of the lines that come then is carried out with
+    another value than was sent, and each is answered."""
+    bench.boot()
+    bench.ask(f"$931={FAST_BAUD}")
+    restart_at(bench, FAST_BAUD)
+    board, host = bench.board, bench.host
+    receive, disturbed, ends = board.usart._receive, [], 0
+
+    def receive_disturbed(byte, error):
+        nonlocal ends
+        # Now and then a digit, while DMA receives.
+        if board.usart.values[CR3] & DMAR and chr(byte).isdigit() and host.bytes_sent - len(host.outgoing) > 40 * len(disturbed):
+            disturbed.append(ends)
+            byte, error = byte ^ 1, FE
+        ends += byte == ord("\n")
+        receive(byte, error)
+
+    board.usart._receive = receive_disturbed
+    begin = len(host.answers)
+    values = [f"{100 + 2 * k}.000" for k in range(200)]
+    host.stream("\n".join(f"${130 + k % 3}={value}" for k, value in enumerate(values)))
+    bench.wait(lambda: host.all_answered, 5, "the last answer")
+    board.usart._receive = receive
+    answers = host.answers[begin:]
+    refused = sum(answer != "ok" for answer in answers)
+    yield f"{len(disturbed)} bytes of {len(values)} lines disturbed, {refused} lines refused"
+    if carried_out := [line for line in disturbed if answers[line] == "ok"]:
+        raise Failure(f"disturbed lines {carried_out} were carried out")
+    if len(set(disturbed)) < 5:
+        raise Failure("that few prove nothing")
+    listing = bench.ask("$$")
+    for number in range(3):
+        right = [value for value, answer in zip(values[number::3], answers[number::3], strict=True) if answer == "ok"][-1]
+        if f"${130 + number}={right}" not in listing:
+            raise Failure(f"${130 + number} is not {right}: {listing[-12:]}")
+
+
 FLOODS = {"?": b"?", "ends of lines": b"\n", "0xFF": b"\xff", "NUL": b"\0", "comments": b"(a)\n"}
 """What a host, or a wire on which there is noise, may say at the greatest rate without flow control."""
 
@@ -79,21 +118,23 @@ def sampled(bench):
     greatest = round(safe * 60 / 1000, 3)
     bench.settings(s110=greatest, s111=greatest, s112=greatest)
     bench.settings(s0=bench.wiring.least_pulse_us, s29=10)
-    way, feed = 0.2 * safe / 1000, safe / 1000 * 60 * 3**0.5
+    way, feed = 0.3 * safe / 1000, safe / 1000 * 60 * sum((share / 9) ** 2 for share in (9, 7, 5)) ** 0.5
     for name, text in FLOODS.items():
-        bench.ask(f"G91G1X{way:.3f}Y{way:.3f}Z{way:.3f}F{feed:.1f}")
+        bench.ask(f"G91G1X{way:.3f}Y{way * 7 / 9:.3f}Z{way * 5 / 9:.3f}F{feed:.1f}")
         board.run(seconds=safe / 1000 / acceleration + 0.02)
         board.begins[SYSTICK].clear()
         after = len(host.text)
         begin = board.now
-        host.send(text * (2000 // len(text)))
-        board.run(seconds=0.02)
+        # Longer than the step task has segments for.
+        host.send(text * (6000 // len(text)))
+        board.run(seconds=0.06)
         samples = [begin, *board.begins[SYSTICK], board.now]
         gap = max(later - before for before, later in pairwise(samples)) / hz
         yield f"{name}: the inputs were sampled at least every {us(gap)}"
         if gap > LONGEST_GAP_S:
             raise Failure(f"no sample for {us(gap)} while {name} came")
-        if host.has_said("ALARM", after):
+        board.run(seconds=0.05)
+        if host.has_said("ALARM", after) or not bench.status().startswith("<Run"):
             raise Failure(f"an alarm while {name} came: {bytes(host.text[after:][-200:])!r}")
         host.send(b"\x18")
         board.run(seconds=0.1)
@@ -137,7 +178,9 @@ def fast_flood(bench):
     bench.boot()
     bench.ask(f"$931={FAST_BAUD}")
     restart_at(bench, FAST_BAUD)
-    lines = yield from flooded_at_safe_rate(bench, lambda: bench.board.run(seconds=200 * US))
+    # The interrupt of each byte that comes or goes makes a run longer: two of them have to fit into the events of a ring.
+    longest = bench.wiring.core_hz * 40 // bench.wiring.safe_step_hz
+    lines = yield from flooded_at_safe_rate(bench, lambda: bench.board.run(seconds=200 * US), longest)
     yield f"{lines} lines meanwhile at {bench.board.usart.baud():.0f} baud, {bench.host.bytes_sent} bytes"
     if bench.board.usart.overruns or bench.host.has_said("lost"):
         raise Failure(f"{bench.board.usart.overruns} overruns")

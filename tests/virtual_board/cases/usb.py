@@ -174,6 +174,21 @@ def many_lines(bench, promised, begin_s=0.0):
         bench.wait_state("Idle", 60)
 
 
+def usb_stop(bench):
+    """A command that stops the machine does not wait for the other commands of its packet."""
+    board, host = with_usb(bench)
+    bench.settings(**JOB_SETTINGS)
+    bench.ask("G91 G1 X20 F3000")
+    board.run(seconds=0.1)
+    scope, sent = Scope(board), board.now
+    host.send(b"\x91" * 60 + b"\x18")
+    board.run(seconds=0.05)
+    took = (max((step.at for step in scope.steps()), default=sent) - sent) / bench.wiring.core_hz
+    yield f"60 overrides and a reset in one packet: the last step comes {us(took)} behind it"
+    if took > 1e-3:
+        raise Failure("the reset has waited")
+
+
 def usb_answers(bench):
     """Answers of lines that wait one behind the other share packets, and none is held while the line behind it takes its time."""
     board, host = with_usb(bench)
