@@ -13,14 +13,14 @@ const HEAD: &str = "# Settings
 After this page you know each setting, what it does, its unit, its range and its default, and when a set of them is refused. `$$` lists them, `$n=v` sets one. A setting that is legal alone is stored, as senders restore them one by one; if the *set* cannot be run, motion is locked until it is mended: a message after
 the `ok` names the setting, and another one the first time that a line is refused for it with `error:9`. A door that opens then parks nothing (`$41`). No rate or acceleration is clamped silently. What cannot be run:
 
-* no steps/mm; a rate outside of 0.00003 to 6,000,000 mm/min, that of homing (`$22=1`) and of parking (`$41=1` besides) among them; an acceleration outside of 0.001 to 10,000,000 mm/s²; a jerk between 0 and 1
-* a rate times steps/mm beyond the step rate that the board can keep with the pulse `$0` ([what it costs](cost.md#step-rates)), or a stored pulse shorter than the board makes
+* steps/mm outside of 0.001 to 40,000; a rate outside of 0.00003 to 6,000,000 mm/min, that of homing (`$22=1`) and of parking (`$41=1` besides) among them; an acceleration outside of 0.001 to 10,000,000 mm/s²; a jerk between 0 and 1 or above 10,000,000,000
+* a rate times steps/mm (with CoreXY the rates of X and Y added up) beyond the step rate that the board can keep with the pulse `$0` ([what it costs](cost.md#step-rates)), or a stored pulse shorter than the board makes
 * a backlash of more than 10,000 steps, `$11` above 1000, `$12` below 0.0001
-* soft limits (`$20`) without homing (`$22`); a parking axis (`$42`) other than X, Y and Z; more axes (`$930`) than the board has
+* soft limits (`$20`) without homing (`$22`); with parking a parking axis (`$42`) other than X, Y and Z; more axes (`$930`) than the board has
 * a second motor (`$905`) that the board has no pins for, of X or Y with CoreXY, or beside the axis A
 
 Values are read as Grbl reads them. Where only whole numbers count, a fraction is cut off (`$1=25.5` is 25). *0 or 1*: any number from 1 to 255 is 1. *Sum of*: `$2`, `$3`, `$10` and `$23` take
-any sum up to 255, and bits that the table does not name do nothing; other masks refuse them, but for the axis A where there is one. A value below 0 is `error:4` (but for `$58`), another one out of the range `error:3`, of `$0` `error:6`.
+any sum up to 255, and bits that the table does not name do nothing; other masks refuse them, but for the axis A where there is one. A value below 0 is `error:4` (but for `$58`), another one out of the range `error:3`, of `$0` `error:6` (`error:3` if it is no whole number of tenths).
 
 After another `$3`, `$23`, `$100` to `$103`, `$904` or `$930`, and another travel (`$130` to `$133`) of an axis that `$23` names, places have other names than homing gave them: with `$22=1` the machine is to be homed again. Until then G53, G28 and G30 are
 refused and soft limits do not act (`$902`).

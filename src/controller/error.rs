@@ -53,7 +53,6 @@ codes! {
     Locked = 9, "G-code is locked out in the alarm or jog state";
     SoftLimitNeedsHoming = 10, "soft limits need homing to be enabled";
     LineTooLong = 11, "the line is too long; it was not executed";
-    StepRateTooHigh = 12, "the setting exceeds the greatest step rate";
     DoorOpen = 13, "the safety door is open";
     JogOutsideTravel = 15, "the jog target lies outside the machine's travel";
     InvalidJog = 16, "a jog takes axis words, F, G20, G21, G90, G91 and G53 only";

@@ -128,7 +128,6 @@ pub fn for_error(error: Error) -> &'static str {
         Error::ExpectedLetter
         | Error::BadNumber
         | Error::UnsupportedCommand
-        | Error::InvalidLineNumber
         | Error::NotSupported
         | Error::CutterCompensation => {
             "Choose a post-processor for Grbl in the CAM program, or correct the line; docs/gcode.md lists the words that are known."
@@ -139,21 +138,20 @@ pub fn for_error(error: Error) -> &'static str {
         }
         Error::HomingDisabled => "Switch homing on with $22=1, if limit switches are fitted.",
         Error::StepPulseTooShort => {
-            "Set $0 to 3 us or more in the dialect of Grbl, otherwise to 1 us or more (0.5 on a Nucleo F446RE)."
+            "Set $0 to 1 us or more (0.5 on a Nucleo F446RE, 3 in the dialect of Grbl), and to 255 us at most."
         }
         Error::StoreReadFailed => {
             "Read the settings with $$, restore what is wrong, and confirm with $X two seconds later."
         }
-        Error::NotIdle => "Wait until the machine is idle, or stop it with a reset.",
+        Error::NotIdle => {
+            "Wait until the machine is idle, or stop it with a reset. In an alarm, unlock it with $X before a jog."
+        }
         Error::Locked => {
             "Unlock with $X, or home with $H. A message before the error says which setting locks the motion, if one does."
         }
         Error::SoftLimitNeedsHoming => "Switch homing on ($22=1) before the soft limits ($20=1).",
         Error::LineTooLong => {
-            "Shorten the line: 256 characters, 79 in the dialect of Grbl. Blanks and remarks do not count."
-        }
-        Error::StepRateTooHigh => {
-            "Lower the rate ($110 to $112) or the steps/mm ($100 to $102), or choose a faster board."
+            "Shorten the line: 256 characters, 79 in the dialect of Grbl, and 80 behind the = of $I, $N and $M. Blanks and remarks do not count."
         }
         Error::DoorOpen => "Close the door; $903=0 if the machine has none.",
         Error::JogOutsideTravel => "Jog less far, or let jogs end at the soft limits with $40=1.",
@@ -164,8 +162,9 @@ pub fn for_error(error: Error) -> &'static str {
         Error::UndefinedFeed => "Put an F word in this line or before it. G93 needs one in each line.",
         Error::IntegerRequired => "Give the word a whole number.",
         Error::NoAxisWords => "Add the axis words that the command needs.",
+        Error::InvalidLineNumber => "Write N with 10,000,000 at most, or leave it out.",
         Error::ValueWordMissing => "Add the missing word; docs/gcode.md has those of each command.",
-        Error::UnsupportedCoordinateSystem => "Use G54 to G59.3.",
+        Error::UnsupportedCoordinateSystem => "Use G54 to G59.3 (P1 to P9 of G10), in the dialect of Grbl G54 to G59.",
         Error::G53NeedsMotion => "Put G0 or G1 in the line with G53.",
         Error::AxisWordsUnused => "Take the axis words out, or choose a motion mode instead of G80.",
         Error::NoPlaneAxisForArc | Error::NoPlaneOffsets => {
@@ -241,7 +240,7 @@ pub fn for_error(error: Error) -> &'static str {
 pub fn for_alarm(alarm: Alarm) -> &'static str {
     match alarm {
         Alarm::HardLimit => {
-            "Find out which switch has tripped ($PINS), reset, unlock with $X, move away from it, and home."
+            "Reset, find out which switch has tripped ($PINS), unlock with $X, move away from it, and home."
         }
         Alarm::SoftLimit => {
             "Compare the job's extents and the work zero with the travel ($130 to $132); then reset, and $X."
@@ -263,7 +262,7 @@ pub fn for_alarm(alarm: Alarm) -> &'static str {
         Alarm::SpindleSpeed => "Check the spindle and its at-speed signal ($915), or allow it more time ($916).",
         Alarm::Underrun => "Home, and report this: the controller should have braked.",
         Alarm::EmergencyStop => "Make the machine safe, release the stop, reset, and home.",
-        Alarm::DriverFault => "Find out what the motor driver reports, switch it off and on, and home.",
+        Alarm::DriverFault => "Find out what the motor driver reports, switch it off and on, reset, and home.",
         Alarm::Miscounted => "Home, and report this: an edge was lost or is one too many on the controller's chip.",
     }
 }

@@ -62,7 +62,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     ),
     (
         Key::Homing,
-        "Switches homing on: from the next reset on, the machine is locked until $H has found the switches. Soft limits and parking need it.",
+        "Switches homing on: from its next start (power, NRST) on, the machine is locked until $H has found the switches, or $X. Soft limits and parking need it.",
     ),
     (
         Key::HomingDirection,
@@ -158,7 +158,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     ),
     (
         Key::StopOnError,
-        "A refused line ends the job: the machine brakes, and moves that were accepted before it and have not been made are dropped. With 0 the lines after it are carried out, as with Grbl.",
+        "A refused line ends the job: the machine brakes, moves that were accepted before it and have not been made are dropped, and it is locked until $X. With 0 the lines after it are carried out, as with Grbl.",
     ),
     (
         Key::TrustNeeded,

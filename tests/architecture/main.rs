@@ -5,6 +5,7 @@ mod shape;
 mod source;
 mod walls;
 
+use oxmill_controller::error::{Alarm, Error};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -245,6 +246,26 @@ fn board_faults(_: &Path, text: &str) -> Vec<String> {
 #[test]
 fn boards_know_pins_only() {
     report(&root().join("boards"), board_faults);
+}
+
+/// A page of errors that names one which nobody gives sends a reader looking for it.
+#[test]
+fn each_error_and_alarm_is_given_somewhere() {
+    let texts: String = sources(&root().join("src/controller"))
+        .iter()
+        .map(|(_, text)| source::bare(text))
+        .collect::<Vec<_>>()
+        .join("\n");
+    let given: BTreeSet<String> = source::lex(&texts)
+        .windows(4)
+        .filter(|tokens| matches!(tokens[0].text.as_str(), "Error" | "Alarm"))
+        .filter_map(|tokens| tokens[1..].iter().find(|token| token.text != ":" && token.text != "::"))
+        .map(|token| token.text.clone())
+        .collect();
+    let errors = Error::ALL.iter().map(|error| format!("{error:?}"));
+    let alarms = Alarm::ALL.iter().map(|alarm| format!("{alarm:?}"));
+    let never: Vec<String> = errors.chain(alarms).filter(|name| !given.contains(name)).collect();
+    assert!(never.is_empty(), "nobody gives {never:?}");
 }
 
 #[test]
