@@ -62,7 +62,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     ),
     (
         Key::Homing,
-        "Switches homing on: from the next reset on, the machine is locked until $H has found the switches. Soft limits and parking need it.",
+        "Switches homing on: from the next power-up on, the machine begins locked, until $H has found the switches. Soft limits and parking need it.",
     ),
     (
         Key::HomingDirection,
