@@ -77,6 +77,7 @@ const fn profile(board: &profiles::Board, has_second_motor: bool) -> oxmill_cont
         },
         axes: board.axes,
         has_second_motor,
+        has_at_speed: board.has_at_speed,
         program_pins: board.program_pins,
         has_store: true,
     }

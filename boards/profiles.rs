@@ -1,6 +1,6 @@
 //! What the boards are to a program: numbers only, shared by the firmware and by the simulator of a board. Each `Board`
 //! (`DESK`, `BLACKPILL_F411`, `NUCLEO_F446RE`, `QEMU_MPS2` ...) is a table of `name`, `axes`, `blocks`, `core_hz`,
-//! `step_clock_hz`, `run_cycles`, `safe_step_hz`, `received_bytes`, `recording_pages` and `program_pins`, over the
+//! `step_clock_hz`, `run_cycles`, `safe_step_hz`, `received_bytes`, `recording_pages`, `program_pins` and `has_at_speed`, over the
 //! defaults of `HARDWARE`.
 //!
 //! Pins, clocks and memory belong to each board's own folder.
@@ -36,6 +36,8 @@ pub struct Board {
     pub received_bytes: usize,
     /// Outputs and inputs for programs (M62 to M66).
     pub program_pins: [u8; 2],
+    /// A pin on which a spindle tells that it is up to speed (`$915`).
+    pub has_at_speed: bool,
     /// Pages of 256 bytes of RAM for the recording of what comes in; 0 = there is no room for it.
     pub recording_pages: usize,
 }
@@ -52,15 +54,17 @@ pub const DESK: Board = Board {
     least_pulse_tenths: 5,
     received_bytes: 255,
     program_pins: [4, 2],
+    has_at_speed: true,
     recording_pages: 64,
 };
 
 /// What is so on most boards with hardware: three axes, no pulse below 1 us unless a board has been tried with it, and no pins left for
-/// programs.
-const HARDWARE: Board = Board { axes: AXES_OF_BOARDS, least_pulse_tenths: 10, program_pins: [0, 0], ..DESK };
+/// programs or a spindle that tells its speed.
+const HARDWARE: Board =
+    Board { axes: AXES_OF_BOARDS, least_pulse_tenths: 10, program_pins: [0, 0], has_at_speed: false, ..DESK };
 
-/// What programs have on the Nucleos: a corner of the outer connectors that no shield covers.
-const NUCLEO_PROGRAM_PINS: [u8; 2] = [2, 2];
+/// The Nucleos have more pins: those of programs are in a corner of the outer connectors that no shield covers.
+const NUCLEO: Board = Board { program_pins: [2, 2], has_at_speed: true, ..HARDWARE };
 
 /// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate, emulated,
 /// is that of the shortest pulse of 1 us and as long a pause: the events that are ahead and the processor would allow more
@@ -90,13 +94,11 @@ pub const NUCLEO_F446RE: Board = Board {
     axes: AXES,
     safe_step_hz: 1_000_000,
     least_pulse_tenths: 5,
-    program_pins: NUCLEO_PROGRAM_PINS,
-    ..HARDWARE
+    ..NUCLEO
 };
 
 /// ST Nucleo-64 with STM32F411RE: 100 MHz core and step clock.
-pub const NUCLEO_F411RE: Board =
-    Board { name: "nucleo_f411re", safe_step_hz: 490_000, program_pins: NUCLEO_PROGRAM_PINS, ..HARDWARE };
+pub const NUCLEO_F411RE: Board = Board { name: "nucleo_f411re", safe_step_hz: 490_000, ..NUCLEO };
 
 /// ST Nucleo-64 with STM32F401RE: 84 MHz core and step clock.
 pub const NUCLEO_F401RE: Board = Board {
@@ -104,9 +106,8 @@ pub const NUCLEO_F401RE: Board = Board {
     step_clock_hz: 84_000_000,
     core_hz: 84_000_000,
     safe_step_hz: 490_000,
-    program_pins: NUCLEO_PROGRAM_PINS,
     recording_pages: 6,
-    ..HARDWARE
+    ..NUCLEO
 };
 
 /// QEMU's `mps2-an386`: Cortex-M4F, timers at 25 MHz.

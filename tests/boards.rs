@@ -2,6 +2,7 @@
 
 use oxmill_controller::{StepRates, StepTiming};
 use oxmill_images::{BOARDS, SMALL};
+use oxmill_simulator::{Options, Simulator};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::PathBuf;
@@ -141,5 +142,32 @@ fn step_rates_follow_the_rule() {
         // the timer of the pulses counts with the step clock or faster.
         let timing = StepTiming::new(board.step_clock_hz / 1_000_000, board.least_pulse_tenths, 0);
         assert!(timing.gap > timing.pulse + 7, "{board:?}");
+    }
+}
+
+/// What a board says to a line.
+fn said(board: oxmill_boards::profiles::Board, line: &str) -> String {
+    let mut mill = Simulator::new(Options { board, ..Options::default() });
+    mill.run_until_idle();
+    mill.take_output();
+    mill.send(format!("{line}\n"));
+    mill.run_until_idle();
+    mill.take_output()
+}
+
+/// A spindle that tells its speed needs a pin: without one a setting that asks for it would count any spindle as up to speed, or none.
+#[test]
+fn a_board_without_a_pin_for_the_speed_takes_no_setting_for_it() {
+    for (wiring, code, _) in wirings() {
+        let has_pin = code.contains("input_bits::AT_SPEED, ");
+        let boards = oxmill_boards::profiles::ALL.into_iter().filter(|board| board.name.starts_with(&wiring[..6]));
+        for board in boards {
+            let lock = "[MSG:Motion is locked until this setting is mended: $915]";
+            for value in [1, 2] {
+                assert_eq!(said(board, &format!("$915={value}")).contains(lock), !has_pin, "{} {value}", board.name);
+            }
+            assert!(!said(board, "$915=0").contains(lock), "{}", board.name);
+            assert_eq!(said(board, "$PINS").contains("[PIN:at speed,"), has_pin, "{}", board.name);
+        }
     }
 }

@@ -17,7 +17,7 @@ the `ok` names the setting, and another one the first time that a line is refuse
 * a rate times steps/mm (with CoreXY the rates of X and Y added up) beyond the step rate that the board can keep with the pulse `$0` ([what it costs](cost.md#step-rates)), or a stored pulse shorter than the board makes
 * a backlash of more than 10,000 steps, `$11` above 1000, `$12` below 0.0001
 * soft limits (`$20`) without homing (`$22`); with parking a parking axis (`$42`) other than X, Y and Z; more axes (`$930`) than the board has
-* a second motor (`$905`) that the board has no pins for, of X or Y with CoreXY, or beside the axis A
+* a second motor (`$905`) that the board has no pins for, of X or Y with CoreXY, or beside the axis A; an at-speed input (`$915`) that the board has no pin for
 
 Values are read as Grbl reads them. Where only whole numbers count, a fraction is cut off (`$1=25.5` is 25). *0 or 1*: any number from 1 to 255 is 1. *Sum of*: `$2`, `$3`, `$10` and `$23` take
 any sum up to 255, and bits that the table does not name do nothing; other masks refuse them, but for the axis A where there is one. A value below 0 is `error:4` (but for `$58`), another one out of the range `error:3`, of `$0` `error:6` (`error:3` if it is no whole number of tenths).

@@ -127,11 +127,11 @@ impl Simulator {
         recorder.read(first, (board.name, board.step_clock_hz), record, |piece| controller.recorded(piece));
     }
 
-    /// The inputs that this machine has: those of its axes and of programs, a second switch, and all others.
+    /// The inputs that this machine has: those of its axes, of programs and of a spindle, a second switch, and all others.
     fn view_of_pins(&self) -> PinView {
         const { assert!(input::COUNT == 17) };
         let axes = (1 << self.board.axes) - 1;
-        let others = 0xFF << input::PROBE;
+        let others = 0x7F << input::PROBE | u32::from(self.board.has_at_speed) << input::AT_SPEED;
         let [_, inputs] = self.board.program_pins;
         let program = [input::PROGRAM, input::SECOND_PROGRAM].into_iter().take(usize::from(inputs));
         let fitted = program.fold(axes | u32::from(SECOND_SWITCH) | others, |word, bit| word | 1 << bit);

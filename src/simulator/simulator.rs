@@ -99,6 +99,7 @@ impl Simulator {
             rates: StepRates { safe_hz: board.safe_step_hz, least_pulse_tenths: board.least_pulse_tenths },
             axes: board.axes,
             has_second_motor: true,
+            has_at_speed: board.has_at_speed,
             program_pins: board.program_pins,
             has_store: true,
         }));

@@ -285,18 +285,19 @@ fn runs(texts: &[String]) -> impl Iterator<Item = (&str, usize)> {
     texts.chunk_by(|a, b| a == b).map(|run| (run[0].as_str(), run.len()))
 }
 
-/// Seconds as people read them.
+/// Seconds as people read them. Rounded first: 59.98 s behind a minute are another minute.
 pub fn clock_time(seconds: f64) -> String {
-    let minutes = (seconds / 60.0).floor();
-    if minutes < 1.0 {
+    let tenths = (seconds * 10.0).round();
+    if (seconds * 1000.0).round() < 60_000.0 {
         return format!("{seconds:.3} s");
     }
-    let rest = seconds - minutes * 60.0;
-    if minutes < 60.0 {
-        return format!("{minutes:.0} min {rest:.1} s");
+    if tenths < 36_000.0 {
+        let minutes = (tenths / 600.0).floor();
+        return format!("{minutes:.0} min {:.1} s", (tenths - minutes * 600.0) / 10.0);
     }
-    let hours = (minutes / 60.0).floor();
-    format!("{hours:.0} h {:.0} min {rest:.0} s", minutes - hours * 60.0)
+    let whole = seconds.round();
+    let (hours, minutes) = ((whole / 3600.0).floor(), (whole / 60.0).floor());
+    format!("{hours:.0} h {:.0} min {:.0} s", minutes - hours * 60.0, whole - minutes * 60.0)
 }
 
 #[cfg(test)]
@@ -407,6 +408,10 @@ pub(crate) mod tests {
         assert_eq!(clock_time(1.5), "1.500 s");
         assert_eq!(clock_time(95.0), "1 min 35.0 s");
         assert_eq!(clock_time(3725.5), "1 h 2 min 6 s");
+        assert_eq!(clock_time(59.9996), "1 min 0.0 s");
+        assert_eq!(clock_time(599.98), "10 min 0.0 s");
+        assert_eq!(clock_time(3599.97), "1 h 0 min 0 s");
+        assert_eq!(clock_time(7199.6), "2 h 0 min 0 s");
         assert!(example().to_string().contains("line 2: error:20 (unknown): G1 Q1"));
         assert!(example().to_string().contains("26.500 s standing (20.000 s dwell, 6.500 s spindle)"));
     }

@@ -41,6 +41,7 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
         has_store: false,
         axes: 3,
         has_second_motor: false,
+        has_at_speed: true,
         program_pins: [0; 2],
     };
     let mut controller = Box::new(Controller::<AXES, BLOCKS>::new(profile));

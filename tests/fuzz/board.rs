@@ -168,6 +168,7 @@ impl Board {
             rates: StepRates { safe_hz: 100_000, least_pulse_tenths: 5 },
             axes: AXES,
             has_second_motor: false,
+            has_at_speed: true,
             program_pins: [0; 2],
             has_store: true,
         }));

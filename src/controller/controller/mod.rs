@@ -113,6 +113,8 @@ pub struct Profile {
     pub axes: usize,
     /// Whether there are pins for a motor more than X, Y and Z.
     pub has_second_motor: bool,
+    /// Whether there is a pin on which a spindle tells that it is up to speed.
+    pub has_at_speed: bool,
     /// Whether settings outlive the power: if not, nothing is handed to a store.
     pub has_store: bool,
 }
@@ -190,7 +192,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             stops: Stops::NONE,
             replies: Replies::new(),
             pins: Pins::UNKNOWN,
-            settings_lock: SettingsLock::new(profile.rates, profile.has_second_motor, profile.program_pins),
+            settings_lock: SettingsLock::new(&profile),
             records: Records::new(profile.has_store),
             now: Instant::from_ticks(0),
         }

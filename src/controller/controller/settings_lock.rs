@@ -1,4 +1,4 @@
-//! `SettingsLock`: which setting, if any, makes motion impossible with the board's step rates and motors (looked for
+//! `SettingsLock`: which setting, if any, makes motion impossible with the board's step rates, motors and inputs (looked for
 //! once per `revision`), and whether the host has been told its name: after a change, or at a refused line. Also the
 //! number of program pins.
 //!
@@ -7,7 +7,8 @@
 //! Neither is repeated for what follows: a sender that restores one setting after the other would read it at each line,
 //! and so would one that streams a job into a locked machine.
 
-use crate::settings::Settings;
+use super::Profile;
+use crate::settings::{Key, Settings};
 use crate::step_rates::StepRates;
 
 /// The setting that locks motion.
@@ -16,6 +17,7 @@ pub(super) struct SettingsLock {
     /// What the board can do.
     rates: StepRates,
     has_second_motor: bool,
+    has_at_speed: bool,
     program_pins: [u8; 2],
     /// Revision of the settings that were looked at last.
     revision: Option<u32>,
@@ -28,9 +30,11 @@ pub(super) struct SettingsLock {
 }
 
 impl SettingsLock {
-    /// For a board of these rates. Nothing has been looked at.
-    pub(super) const fn new(rates: StepRates, has_second_motor: bool, program_pins: [u8; 2]) -> Self {
-        Self { rates, has_second_motor, program_pins, revision: None, setting: None, named: None, refused: false }
+    /// For a board. Nothing has been looked at.
+    pub(super) const fn new(profile: &Profile) -> Self {
+        let Profile { rates, has_second_motor, has_at_speed, program_pins, .. } = *profile;
+        let (revision, setting, named, refused) = (None, None, None, false);
+        Self { rates, has_second_motor, has_at_speed, program_pins, revision, setting, named, refused }
     }
 
     /// How many outputs and inputs the board has for programs.
@@ -46,8 +50,11 @@ impl SettingsLock {
     /// The setting that locks motion.
     #[inline]
     pub(super) fn setting<const N: usize>(&mut self, settings: &Settings<N>) -> Option<u16> {
-        let (rates, has_second_motor) = (self.rates, self.has_second_motor);
-        self.look(settings.revision(), || settings.unrunnable(rates, has_second_motor))
+        let (rates, has_second_motor, has_at_speed) = (self.rates, self.has_second_motor, self.has_at_speed);
+        self.look(settings.revision(), || {
+            let unheard = !has_at_speed && settings.is_on(Key::AtSpeed);
+            if unheard { Some(const { Key::AtSpeed.number() }) } else { settings.unrunnable(rates, has_second_motor) }
+        })
     }
 
     /// `unrunnable` looks for the setting, once for each revision.
@@ -87,7 +94,19 @@ mod tests {
 
     /// A lock after these revisions, each of which locks by a setting or not.
     fn after(settings: &[Option<u16>]) -> SettingsLock {
-        let mut lock = SettingsLock::new(StepRates { safe_hz: 0, least_pulse_tenths: 5 }, false, [0; 2]);
+        let rates = StepRates { safe_hz: 0, least_pulse_tenths: 5 };
+        let (name, step_clock_hz, axes, program_pins) = ("", 0, 3, [0; 2]);
+        let (has_second_motor, has_at_speed, has_store) = (false, false, false);
+        let mut lock = SettingsLock::new(&Profile {
+            name,
+            step_clock_hz,
+            rates,
+            axes,
+            has_second_motor,
+            has_at_speed,
+            program_pins,
+            has_store,
+        });
         for (revision, setting) in settings.iter().enumerate() {
             assert_eq!(lock.look(revision as u32, || *setting), *setting);
         }

@@ -42,6 +42,7 @@ impl Rig {
             rates: StepRates { safe_hz: 200_000, least_pulse_tenths: 10 },
             axes: 3,
             has_second_motor: false,
+            has_at_speed: true,
             program_pins: [0; 2],
             has_store: false,
         };

@@ -12,6 +12,7 @@ pub const PROFILE: Profile = Profile {
     rates: StepRates { safe_hz: 100_000, least_pulse_tenths: 5 },
     axes: 3,
     has_second_motor: false,
+    has_at_speed: true,
     program_pins: [0; 2],
     has_store: false,
 };
