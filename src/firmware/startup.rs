@@ -110,7 +110,7 @@ pub unsafe fn build<const BLOCKS: usize>(
     place: &mut MaybeUninit<Controller<AXES, BLOCKS>>,
 ) -> &mut Controller<AXES, BLOCKS> {
     const { assert!(LOOK_AHEAD_AT == Controller::<AXES, BLOCKS>::LOOK_AHEAD_AT && LOOK_AHEAD_AT <= size_of::<Head>()) };
-    let stretches: [_; WRITTEN.len()] = stretches!(0 1 2 3 4 5 6 7);
+    let stretches: [_; WRITTEN.len()] = stretches!(0 1 2 3 4 5 6 7 8 9);
     // SAFETY: unsafe because a controller is taken to begin as one without look-ahead does, and its blocks and what is not written
     // to be valid when all bytes are 0; safe because fields have the order of C throughout and those before the look-ahead the
     // same types, blocks are plain numbers, and what is not written is 0 in a new one (a test on the target compares) as it is in

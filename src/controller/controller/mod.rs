@@ -79,7 +79,7 @@ use crate::machine::reference::Reference;
 use crate::machine::state::{Door, Mode};
 use crate::machine::stops::Stops;
 use crate::messages::{Event, LineByte, Observed, Output, Record, Restart, Room, Store, ToStep};
-use crate::motion::Motion;
+use crate::motion::{Motion, behind};
 use crate::protocol::line_intake::LineIntake;
 use crate::protocol::recorded::RECORDER;
 use crate::protocol::replies::Replies;
@@ -119,11 +119,6 @@ pub struct Profile {
     pub has_store: bool,
 }
 
-/// The same bytes, counted from where the field begins that they lie in.
-const fn behind(field: usize, (at, bytes): (usize, usize)) -> (usize, usize) {
-    (field + at, bytes)
-}
-
 /// Decides everything. `N` axes, look-ahead of `BLOCKS` moves.
 // In this order, small things first: one instruction reaches 4 KiB from the base.
 #[derive(Clone)]
@@ -158,16 +153,20 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Bytes of a new one that are all 0, before the look-ahead, in no order: from where, and how many. In memory that is 0
     /// they need not be written.
-    pub const ZEROS: [(usize, usize); 7] = {
+    pub const ZEROS: [(usize, usize); 9] = {
         let [computed, tools, saved] = Interpreter::<N>::ZEROS;
+        let [parked, parking_chain] = SafetyDoor::<N>::ZEROS;
+        let [in_flight, chain] = Motion::<N, BLOCKS>::ZEROS;
         [
             behind(offset_of!(Self, interpreter), computed),
             behind(offset_of!(Self, interpreter), tools),
             behind(offset_of!(Self, interpreter), saved),
             behind(offset_of!(Self, replies), Replies::ZEROS),
             behind(offset_of!(Self, records), Records::ZEROS),
-            behind(offset_of!(Self, door), SafetyDoor::<N>::ZEROS),
-            behind(offset_of!(Self, motion), Motion::<N, BLOCKS>::ZEROS),
+            behind(offset_of!(Self, door), parked),
+            behind(offset_of!(Self, door), parking_chain),
+            behind(offset_of!(Self, motion), in_flight),
+            behind(offset_of!(Self, motion), chain),
         ]
     };
 

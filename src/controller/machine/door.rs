@@ -19,7 +19,7 @@
 use crate::axes::{Axis, PerAxis};
 use crate::error::Alarm;
 use crate::messages::{Coolant, Observed, ToStep};
-use crate::motion::{Motion, Move, Speed, Tolerance};
+use crate::motion::{Motion, Move, Speed, Tolerance, behind};
 use crate::settings::{AxisKey, Key, Settings};
 use crate::units::{Coordinate, per_second};
 use core::mem::offset_of;
@@ -83,9 +83,9 @@ pub enum ParkingPoint {
 
 impl<const N: usize> SafetyDoor<N> {
     /// Bytes of a new one that are all 0: from where, and how many.
-    pub(crate) const ZEROS: (usize, usize) = {
-        let (at, bytes) = Motion::<N, 2>::ZEROS;
-        (offset_of!(Self, motion) + at, bytes)
+    pub(crate) const ZEROS: [(usize, usize); 2] = {
+        let [in_flight, chain] = Motion::<N, 2>::ZEROS;
+        [behind(offset_of!(Self, motion), in_flight), behind(offset_of!(Self, motion), chain)]
     };
 
     /// A door that has not been opened.

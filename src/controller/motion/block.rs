@@ -78,11 +78,15 @@ fn of_upper(upper: u16) -> f32 {
     f32::from_bits(u32::from(upper) << 16)
 }
 
+/// [`upper`] of what is beyond all numbers.
+const INFINITY: u16 = 0x7F80;
+
 /// A bend on which the block lies. At its full speed v² = a·R it takes all of the acceleration a, at a lower one the share
 /// r = v²/(a·R); what is left is for speeding up and braking.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CurveLoad {
-    speed2: u16,
+    /// Bits by which the speed² is below that of none, so that none is 0.
+    below: u16,
     acceleration: u16,
 }
 
@@ -98,21 +102,21 @@ const RAMP_SHARE: f32 = 0.9;
 
 impl CurveLoad {
     /// Straight.
-    pub(super) const NONE: Self = Self { speed2: 0x7F80, acceleration: 0 };
+    pub(super) const NONE: Self = Self { below: 0, acceleration: 0 };
 
     /// A bend that takes all of `acceleration` (mm/s²) at the speed².
     pub(super) fn new(speed2: f32, acceleration: f32) -> Self {
-        Self { speed2: upper(speed2), acceleration: upper(acceleration) }
+        Self { below: INFINITY - upper(speed2), acceleration: upper(acceleration) }
     }
 
     #[inline]
     pub(super) fn is_none(self) -> bool {
-        self.speed2 == Self::NONE.speed2
+        self.below == 0
     }
 
     /// The speed² at which it takes all of the acceleration, and that acceleration, mm/s².
     pub(super) fn speed2(self) -> f32 {
-        of_upper(self.speed2)
+        of_upper(INFINITY - self.below)
     }
 
     pub(super) fn acceleration(self) -> f32 {
@@ -128,7 +132,7 @@ impl CurveLoad {
     /// Positive numbers are ordered as their bits are.
     #[inline]
     pub(super) fn is_tighter(self, other: Self) -> bool {
-        self.speed2 < other.speed2
+        self.below > other.below
     }
 
     /// One that leaves no more than either: the lower speed² and the lesser acceleration, which may be those of different
@@ -138,16 +142,16 @@ impl CurveLoad {
         if self.is_none() || other.is_none() {
             return self.tighter(other);
         }
-        Self { speed2: self.speed2.min(other.speed2), acceleration: self.acceleration.min(other.acceleration) }
+        Self { below: self.below.max(other.below), acceleration: self.acceleration.min(other.acceleration) }
     }
 
     /// The middle one of three; none if one of them is none.
     #[inline]
     pub(super) fn middle(self, second: Self, third: Self) -> Self {
-        let (tight, gentle) = if self.speed2 < second.speed2 { (self, second) } else { (second, self) };
+        let (tight, gentle) = if self.is_tighter(second) { (self, second) } else { (second, self) };
         if gentle.is_none() || third.is_none() {
             Self::NONE
-        } else if third.speed2 < tight.speed2 {
+        } else if third.is_tighter(tight) {
             tight
         } else {
             gentle.tighter(third)
@@ -170,7 +174,7 @@ impl CurveLoad {
 
     #[inline(always)]
     pub(super) fn left_of(self, along: f32, speed2: f32) -> f32 {
-        let share = lesser(speed2 / of_upper(self.speed2), 1.0);
+        let share = lesser(speed2 / self.speed2(), 1.0);
         let circle = greater(square_root(1.0 - share * share), LEAST_SHARE);
         lesser(greater(along * (1.0 - share), of_upper(self.acceleration) * circle), along)
     }

@@ -38,6 +38,7 @@ use super::path_end::way_mm;
 use super::trapezoid::{greater, lesser, square_root};
 use crate::axes::PerAxis;
 use crate::units::Coordinate;
+use core::mem::offset_of;
 
 /// Lengths of the spans: powers of two from [`SHORTEST`] (mm) to 32 mm. With the spans before it the longest measures a
 /// radian of a bend of R = 100 mm.
@@ -418,6 +419,9 @@ pub(super) struct Chain<const N: usize> {
 }
 
 impl<const N: usize> Chain<N> {
+    /// Bytes of a new one that are all 0: from where, and how many.
+    pub(super) const ZEROS: (usize, usize) = (offset_of!(Self, scales), size_of::<[Scale<N>; SCALES]>());
+
     pub(super) const fn new() -> Self {
         let none = History([Span::NONE; HISTORY]);
         let scale = Scale { history: none, start: PerAxis::all(Coordinate::ZERO), path: 0.0, fast2: 0.0, blocks: 0 };

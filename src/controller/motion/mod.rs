@@ -188,16 +188,21 @@ impl<const N: usize, const BLOCKS: usize> Clone for Motion<N, BLOCKS> {
     }
 }
 
+/// Bytes of a field, counted from where what has that field begins.
+pub(crate) const fn behind(field: usize, (at, bytes): (usize, usize)) -> (usize, usize) {
+    (field + at, bytes)
+}
+
 impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
     /// Where the blocks lie in it, to its end.
     pub(crate) const BLOCKS_AT: usize =
         offset_of!(Self, queue.planner) + planner::Planner::<N, [Block<N>; BLOCKS]>::BLOCKS_AT;
 
     /// Bytes of one without settings that are all 0: from where, and how many.
-    pub(crate) const ZEROS: (usize, usize) = {
-        let (at, bytes) = in_flight::SegmentsInFlight::<N>::ZEROS;
-        (offset_of!(Self, source.in_flight) + at, bytes)
-    };
+    pub(crate) const ZEROS: [(usize, usize); 2] = [
+        behind(offset_of!(Self, source.in_flight), in_flight::SegmentsInFlight::<N>::ZEROS),
+        behind(offset_of!(Self, queue.chain), curvature::Chain::<N>::ZEROS),
+    ];
 
     /// At rest at machine position 0.
     pub fn new(settings: MotionSettings<N>) -> Self {
