@@ -11,7 +11,7 @@ from .bench import US, fast, hard, us
 from .stepping import flooded_at_safe_rate
 from .usb import BELTS, many_lines
 
-UART_LINES_S = {"blackpill_f411": 3000, "blackpill_f401": 2000, "nucleo_f446re": 5500, "nucleo_f411re": 3700, "nucleo_f401re": 2500}
+UART_LINES_S = {"blackpill_f411": 3200, "blackpill_f401": 2050, "nucleo_f446re": 5700, "nucleo_f411re": 4000, "nucleo_f401re": 2600}
 """Short lines a second that a board takes over the UART at its greatest rate, while it moves."""
 
 FAST_BAUD = 1_000_000
