@@ -29,16 +29,20 @@ pub fn call_if_due() {
     let rests = RESTS.load(Relaxed);
     if rests > 0 {
         RESTS.store(rests - 1, Relaxed);
-        if rests == 1 && IS_DUE.load(Relaxed) {
-            // In this order: what comes between the two is heard by the call that follows.
-            IS_DUE.store(false, Relaxed);
-            call_soon();
-        }
+    }
+    // Also where nothing rests: a task may have noted it after this has counted the last one down.
+    if rests <= 1 && IS_DUE.load(Relaxed) {
+        // In this order: what comes between the two is heard by the call that follows.
+        IS_DUE.store(false, Relaxed);
+        call_soon();
     }
 }
+
+/// The byte that resets.
+pub const RESET: u8 = 0x18;
 
 /// Whether a byte stops the machine: hold, reset, stop, door, the end of a jog.
 #[inline(always)]
 pub fn is_stop(byte: u8) -> bool {
-    matches!(byte, b'!' | 0x18 | 0x19 | 0x84 | 0x85)
+    matches!(byte, b'!' | RESET | 0x19 | 0x84 | 0x85)
 }

@@ -102,6 +102,11 @@ impl Received {
         self.drops.store(false, Relaxed);
     }
 
+    /// For the interrupt: a command comes that makes void what came before, and what was lost of it.
+    pub fn forget_losses(&self) {
+        self.drops.store(false, Relaxed);
+    }
+
     /// For the interrupt: bytes are missing here.
     pub fn miss(&self) {
         if !self.error.load(Relaxed) && !self.drops.load(Relaxed) {

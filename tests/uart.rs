@@ -143,6 +143,18 @@ fn a_stop_is_not_dropped() {
     assert_eq!([0; 4].map(|_| ring.next()), [Next::Missing, Next::Byte(b'!'), Next::Missing, Next::Nothing]);
 }
 
+/// What was lost before a reset is void with all else.
+#[test]
+fn losses_before_a_reset_are_told_in_front_of_it() {
+    let ring = Received::new();
+    ring.miss();
+    ring.miss();
+    ring.forget_losses();
+    assert_eq!((ring.keep(0x18, true), ring.keep(b'$', false)), (Some(0), Some(1)));
+    let told = [Next::Missing, Next::Byte(0x18), Next::Byte(b'$'), Next::Nothing];
+    assert_eq!([0; 4].map(|_| ring.next()), told);
+}
+
 /// Nor is it by a flood that has filled the ring.
 #[test]
 fn a_stop_has_a_place_in_a_ring_that_is_full() {
@@ -192,6 +204,10 @@ fn nothing_is_missing_without_a_word_whenever_it_comes() {
                     let _ = ring.keep((k % 251) as u8, false);
                 }
                 if k % 64 == 0 {
+                    thread::yield_now();
+                }
+                // The other thread has its share, however busy the machine is.
+                while k % 2000 == 0 && ring.is_waiting() {
                     thread::yield_now();
                 }
             }

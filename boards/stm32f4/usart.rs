@@ -25,7 +25,7 @@
 //! (`switch_on`, `LIFCR`, `HIFCR`).
 
 use super::registers::{read, write};
-use crate::calls::{call_soon, is_stop};
+use crate::calls::{RESET, call_soon, is_stop};
 use crate::received::{Next, Received};
 use crate::sent::Sent;
 use crate::{Incoming, Port};
@@ -94,7 +94,7 @@ pub fn on_interrupt<U: Sheltered>() {
             }
             if IS_WAITING.load(Relaxed) && SENT.waiting() <= FEW {
                 IS_WAITING.store(false, Relaxed);
-                call_soon();
+                crate::call_serial();
             }
         }
     }
@@ -115,6 +115,9 @@ fn keep(byte: u8) {
     if repeats && RECEIVED.is_waiting() {
         // The one before has not been heard yet: it says the same.
         return;
+    }
+    if byte == RESET {
+        RECEIVED.forget_losses();
     }
     RECEIVED.keep(byte, is_stop);
     if is_stop && !repeats { crate::call_serial() } else { call_soon() }
@@ -203,14 +206,17 @@ pub fn shelter<U: Sheltered>(work: &mut dyn FnMut()) {
         while stream.cr().read().bits() & STREAM_ON != 0 {}
         let count = room - stream.ndtr().read().bits().min(room);
         fence(SeqCst);
-        // DMA reads no status: somewhere among these bytes, or behind them, one was disturbed.
+        // DMA reads no status: somewhere among these bytes, or behind them, one was disturbed. Its mark goes with the byte that
+        // waits, or would be taken for that of the next; at once, or a byte that comes meanwhile would go, too.
         let status = read(usart + SR);
         if status & (FRAMING | NOISE) != 0 {
-            RECEIVED.placed_disturbed(count, refused);
-            // Its mark goes with the byte behind them, or would be taken for that of the next.
             let byte = refused(read(usart + DATA) as u8);
+            RECEIVED.placed_disturbed(count, refused);
             if status & ARRIVED != 0 {
                 RECEIVED.keep(byte, is_stop(byte));
+            }
+            if status & OVERRUN != 0 {
+                RECEIVED.miss();
             }
         } else {
             RECEIVED.placed(count);
@@ -302,7 +308,7 @@ impl<U: Sheltered + BusClock> Port for Usart<U> {
     #[inline]
     fn call_when_free(&mut self, wanted: bool) {
         IS_WAITING.store(wanted, Relaxed);
-        if SENT.waiting() > 0 {
+        if wanted || SENT.waiting() > 0 {
             self.tx.listen();
         }
     }

@@ -431,13 +431,13 @@ impl Port for UsbPort {
         text.len()
     }
 
-    fn call_when_free(&mut self, _wanted: bool) {
+    fn call_when_free(&mut self, wanted: bool) {
         if self.is_configured() {
             self.flush();
             // The end of a packet calls if something has had to wait for it.
             let endpoint = 1 << self.class.port.write_ep().address().index();
             let mask = read(DAINTMSK);
-            let calls = if self.outgoing.is_empty() { mask & !endpoint } else { mask | endpoint };
+            let calls = if self.outgoing.is_empty() && !wanted { mask & !endpoint } else { mask | endpoint };
             if calls != mask {
                 write(DAINTMSK, calls);
             }

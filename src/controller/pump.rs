@@ -117,7 +117,7 @@ pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut
         && let Some(byte) = next_byte_past_text(pump, now, &mut lines)
     {
         pump.controller().event(now, Event::Line(byte));
-        if matches!(byte.byte, b'\n' | b'\r') && observe(pump).received > 0 {
+        if observe(pump).received > 0 && matches!(byte.byte, b'\n' | b'\r') {
             pump.record_more();
         }
         // A line may be long in coming to its end, or have none.

@@ -29,8 +29,10 @@ const USB_HELD: usize = 3 * 64;
 /// A UART's sender does not wait: the queue is all that it may fill.
 const UART_HELD: usize = 1;
 
-/// Most bytes of a run, of each link, that are no text: nothing of a run is to last long, whatever comes.
-const MOST_OTHERS: u32 = 4;
+/// Bytes that are no text which are taken at once, and how many microseconds make up for one of them: a host, or noise on a wire,
+/// that sends them without end is not to take all of the processor.
+const MOST_OTHERS: u32 = 128;
+const OTHER_US: u32 = 200;
 
 /// Number of the USART among the links, and of USB.
 const UART: usize = 0;
@@ -47,9 +49,21 @@ struct ToControl {
     line_sender: LineSender,
     /// Line bytes queued in this run.
     bytes_queued: u32,
+    /// Bytes that are no text that may still be taken, and since when one has been made up for.
+    others: u32,
+    others_since: u32,
+    /// Others have come that may not be taken yet.
+    left_unread: bool,
 }
 
 impl ToControl {
+    /// Counts what may be taken again of bytes that are no text.
+    fn allow_others(&mut self) {
+        let more = boards::clock_ticks().wrapping_sub(self.others_since) / (OTHER_US * boards::CLOCK_TICKS_PER_US);
+        self.others = MOST_OTHERS.min(self.others.saturating_add(more));
+        self.others_since = self.others_since.wrapping_add(more * OTHER_US * boards::CLOCK_TICKS_PER_US);
+    }
+
     /// No more bytes come in this run. Whether there is news for `control`.
     fn flush(&mut self) -> bool {
         let Self { lines, line_sender, .. } = self;
@@ -156,23 +170,28 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
     ) -> bool {
         queues.may_owe = !P::WAITS;
         let mut news = self.link.pass_on(arbiter, queues);
-        let mut others = 0;
+        let mut limited = false;
         while self.link.room() > 0 || !P::WAITS {
             let text = self.link.take_text(self.port.fetched(), arbiter, queues);
             self.port.pass(text);
             news |= text > 0;
-            if others == MOST_OTHERS && !self.port.is_urgent() {
-                boards::calls::call_soon();
-                break;
-            }
-            others = MOST_OTHERS.min(others + 1);
             match self.port.receive() {
                 Incoming::Nothing => break,
                 Incoming::Lost => self.link.lose(),
-                Incoming::Byte(byte) => news |= self.link.take(byte, arbiter, other, queues),
+                Incoming::Byte(byte) => {
+                    news |= self.link.take(byte, arbiter, other, queues);
+                    queues.others = queues.others.saturating_sub(1);
+                }
+            }
+            limited = queues.others == 0 && !self.port.is_urgent();
+            if limited {
+                queues.left_unread = true;
+                boards::calls::call_soon();
+                break;
             }
         }
-        self.port.allow(self.link.room());
+        // Until the rest has been taken there is no room for more.
+        self.port.allow(if limited { 0 } else { self.link.room() });
         news
     }
 
@@ -218,6 +237,9 @@ impl Serial {
                 lines,
                 line_sender: LineSender::default(),
                 bytes_queued: 0,
+                others: MOST_OTHERS,
+                others_since: 0,
+                left_unread: false,
             },
             replies,
             sending: Chunk { len: 0, bytes: [0; 15] },
@@ -233,7 +255,10 @@ impl Serial {
     pub fn run(&mut self) {
         ASKED.serial.store(false, Ordering::Relaxed);
         let Serial { arbiter, uart, usb, queues, .. } = self;
-        queues.flushed = self.sent >= self.sending.as_bytes().len() && self.replies.is_empty();
+        queues.flushed = self.sent >= self.sending.as_bytes().len()
+            && self.replies.is_empty()
+            && !core::mem::take(&mut queues.left_unread);
+        queues.allow_others();
         let mut news = uart.receive(arbiter, &mut usb.link, queues);
         news |= usb.look(arbiter, &mut uart.link, queues);
         news |= usb.receive(arbiter, &mut uart.link, queues);

@@ -249,9 +249,12 @@ impl<const HELD: usize> Link<HELD> {
     /// there is room. Gives how many.
     #[inline]
     pub fn take_text(&mut self, bytes: &[u8], arbiter: &HostArbiter, queues: &mut impl Queues) -> usize {
-        let is_text = !(self.refusing_line || self.lost || self.after_cr || arbiter.cut)
-            && self.held.is_empty()
-            && arbiter.floor.is_held_by(self.number);
+        let has_floor = !arbiter.cut && arbiter.floor.is_held_by(self.number);
+        let has_no_room = self.held.is_full() && !queues.waits() && has_floor;
+        if self.mid_line && (self.refusing_line || has_no_room) {
+            return self.drop_text(bytes);
+        }
+        let is_text = has_floor && !(self.refusing_line || self.lost || self.after_cr) && self.held.is_empty();
         if !is_text {
             return 0;
         }
@@ -262,6 +265,16 @@ impl<const HELD: usize> Link<HELD> {
             self.mid_line = *last != b'\n';
         }
         taken
+    }
+
+    /// Drops the text that comes next of a line that is refused, or for which there is no room. Gives how many bytes.
+    fn drop_text(&mut self, bytes: &[u8]) -> usize {
+        let dropped = bytes.iter().take_while(|byte| is_plain(**byte)).count();
+        if dropped > 0 {
+            self.after_cr = false;
+            self.lost |= !self.refusing_line;
+        }
+        dropped
     }
 
     fn command(&mut self, command: Realtime, arbiter: &mut HostArbiter, queues: &mut impl Queues) -> bool {

@@ -175,18 +175,27 @@ def many_lines(bench, promised, begin_s=0.0):
 
 
 def usb_stop(bench):
-    """A command that stops the machine does not wait for the other commands of its packet."""
-    board, host = with_usb(bench)
+    """A command that stops the machine does not wait for long behind other commands, nor behind lines that are refused."""
+    board, usb = with_usb(bench)
     bench.settings(**JOB_SETTINGS)
-    bench.ask("G91 G1 X20 F3000")
-    board.run(seconds=0.1)
-    scope, sent = Scope(board), board.now
-    host.send(b"\x91" * 60 + b"\x18")
-    board.run(seconds=0.05)
-    took = (max((step.at for step in scope.steps()), default=sent) - sent) / bench.wiring.core_hz
-    yield f"60 overrides and a reset in one packet: the last step comes {us(took)} behind it"
-    if took > 1e-3:
-        raise Failure("the reset has waited")
+    refused = b"G1 X1 Y2 Z3\n" * 21
+    for name, text, mover in (
+        ("60 overrides", b"\x91" * 60, usb),
+        ("130 bytes 0xFF", b"\xff" * 130, usb),
+        (f"{len(refused)} bytes of lines, while the UART's host has the machine", refused, bench.uart),
+    ):
+        bench.host = mover
+        bench.ask("G91 G1 X20 F3000")
+        board.run(seconds=0.1)
+        scope, sent = Scope(board), board.now
+        usb.send(text + b"\x18")
+        board.run(seconds=0.05)
+        took = (max((step.at for step in scope.steps()), default=sent) - sent) / bench.wiring.core_hz
+        yield f"{name} and a reset over USB: the last step comes {us(took)} later"
+        if took > 2e-3:
+            raise Failure("the reset has waited")
+        bench.ask("$X")
+    bench.host = usb
 
 
 def usb_answers(bench):
