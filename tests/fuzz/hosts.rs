@@ -66,6 +66,7 @@ enum Action {
 #[derive(Default)]
 struct Reader {
     half: Vec<LineByte>,
+    epoch: u16,
     /// Letters of the lines that the hosts have sent and that have not been read, and of what a reset within leaves of them.
     sent: [VecDeque<[usize; 2]>; 2],
     /// Realtime commands sent and not read.
@@ -92,7 +93,7 @@ impl Reader {
         }
         match byte {
             b'\n' | b'\r' => self.sent[host].extend([[middle; 2], [whole - middle; 2]]),
-            HOST_CHANGED => self.sent[host].push_back([whole, whole - middle]),
+            HOST_CHANGED | 0x18 | 0x19 | 0x85 => self.sent[host].push_back([whole, whole - middle]),
             _ => self.sent[host].push_back([whole; 2]),
         }
         if let Received::Realtime(command) = Received::of(byte) {
@@ -104,6 +105,10 @@ impl Reader {
 
     fn read_lines(&mut self, queues: &mut Depths, most: usize) {
         for byte in queues.lines.drain(..most.min(queues.lines.len())) {
+            // What came before a reset is void, as it is to the controller.
+            if byte.byte != HOST_CHANGED && std::mem::replace(&mut self.epoch, byte.epoch) != byte.epoch {
+                self.half.clear();
+            }
             match byte.byte {
                 HOST_CHANGED => self.half.clear(),
                 b'\n' | b'\r' => {
