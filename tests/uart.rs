@@ -1,7 +1,8 @@
 //! The UART of a board without its registers: out of the ring between its interrupt and the task that reads it nothing comes
-//! out of order, and no byte is missing without a word at its place.
+//! out of order, and no byte is missing without a word at its place; and what is sent leaves the other ring as it was put in.
 
 use oxmill_boards::received::{FOR_STOPS, Next, ROOM, Received};
+use oxmill_boards::sent::{self, Sent};
 use proptest::prelude::*;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -237,4 +238,36 @@ fn nothing_is_missing_without_a_word_whenever_it_comes() {
         }
     });
     assert!(taken > SENT / 10 && gaps > 10 && taken + gaps <= SENT, "{taken} bytes and {gaps} gaps");
+}
+
+/// The interrupt takes answers out between any two accesses of the task that puts them in: each byte once, in order.
+#[test]
+fn answers_go_out_as_they_were_put() {
+    let ring = Sent::new();
+    assert_eq!(ring.take(), None);
+    let put = (0..=255).take_while(|byte| ring.put(*byte)).count();
+    assert_eq!((put, ring.waiting()), (sent::ROOM as usize, sent::ROOM));
+    for byte in 0..put as u8 {
+        assert_eq!(ring.take(), Some(byte));
+    }
+    assert_eq!((ring.take(), ring.waiting()), (None, 0));
+    const SENT: usize = 100_000;
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            for k in 0..SENT {
+                while !ring.put((k % 251) as u8) {
+                    thread::yield_now();
+                }
+            }
+        });
+        for k in 0..SENT {
+            let byte = loop {
+                match ring.take() {
+                    Some(byte) => break byte,
+                    None => thread::yield_now(),
+                }
+            };
+            assert_eq!(byte, (k % 251) as u8);
+        }
+    });
 }

@@ -37,7 +37,7 @@ use stm32f4xx_hal::{
 };
 
 static RECEIVED: Received = Received::new();
-/// The byte before.
+/// The byte before, if it was kept.
 static BEFORE: AtomicU8 = AtomicU8::new(0);
 static SENT: Sent = Sent::new();
 /// The serial task has more to send, and is called when there is room.
@@ -119,7 +119,10 @@ fn keep(byte: u8) {
     if byte == RESET {
         RECEIVED.forget_losses();
     }
-    RECEIVED.keep(byte, is_stop);
+    if RECEIVED.keep(byte, is_stop).is_none() {
+        // What is lost says nothing: the same again is to be kept.
+        BEFORE.store(0, Relaxed);
+    }
     if is_stop && !repeats { crate::call_serial() } else { call_soon() }
 }
 
