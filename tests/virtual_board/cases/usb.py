@@ -11,7 +11,7 @@ from ..scope import Scope
 from .bench import JOB_SETTINGS, in_simulator, us, with_usb
 from .patching import hang, unpatch
 
-LINES_S = {"blackpill_f411": 4300, "blackpill_f401": 2850}
+LINES_S = {"blackpill_f411": 4200, "blackpill_f401": 2850}
 """Short lines a second that a board takes over USB while it moves."""
 
 
