@@ -93,7 +93,7 @@ impl Reader {
         }
         match byte {
             b'\n' | b'\r' => self.sent[host].extend([[middle; 2], [whole - middle; 2]]),
-            HOST_CHANGED | 0x18 | 0x19 | 0x85 => self.sent[host].push_back([whole, whole - middle]),
+            0x18 | 0x19 | 0x85 => self.sent[host].push_back([whole, whole - middle]),
             _ => self.sent[host].push_back([whole; 2]),
         }
         if let Received::Realtime(command) = Received::of(byte) {
