@@ -1,12 +1,13 @@
 """Runs the cases on one board: `python -m virtual_board BOARD ELF OXMILL [CASE ...]`, as `cargo xtask virtual` does.
 
-All of them if none is named; without those that are named behind a `-`.
+All of them if none is named; without those that are named behind a `-`. `--profile` behind the names: where their cycles went.
 """
 
 import sys
 import time
 from pathlib import Path
 
+from . import profile
 from .board import Failure, Image
 from .cases import KNOWN, all_cases
 from .cases.bench import STACK_LEFT, Bench, LeftOut
@@ -26,6 +27,9 @@ def main(board, elf, oxmill, *names):
     bench = Bench(BOARDS[board], Image(elf), oxmill)
     root = Path(__file__).resolve().parents[2]
     failed = passed = missing = known = 0
+    if is_profiled := "--profile" in names:
+        profile.begin()
+        names = [name for name in names if name != "--profile"]
     print(f"\nvirtual board {board} ({bench.wiring.part.name})", flush=True)
     for name, case in chosen(all_cases(root), names):
         begin, lines, outcome = time.monotonic(), [], "ok"
@@ -48,6 +52,8 @@ def main(board, elf, oxmill, *names):
         print(f"case {name} ... {outcome} ({time.monotonic() - begin:.1f} s)")
         for line in lines:
             print(f"  {line}", flush=True)
+    if is_profiled:
+        print("\n".join(profile.table(bench.image)))
     used, size, where = bench.deepest
     print(f"deepest stack of all cases: {used} of {size} bytes ({where})")
     if size - used < STACK_LEFT:

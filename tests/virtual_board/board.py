@@ -73,11 +73,21 @@ class Image:
 
     def place(self, address):
         """Function and offset of an address."""
-        index = bisect.bisect_right(self.starts, address) - 1
-        if index >= 0 and address < self.functions[index][0] + max(self.functions[index][1], 2):
-            start, _, name = self.functions[index]
+        if found := self._find(address):
+            start, _, name = found
             return f"{name}+{address - start:#x}"
         return f"{address:#010x}"
+
+    def function(self, address):
+        """The symbol of the function at an address."""
+        found = self._find(address)
+        return found[2] if found else "elsewhere"
+
+    def _find(self, address):
+        index = bisect.bisect_right(self.starts, address) - 1
+        if index >= 0 and address < self.functions[index][0] + max(self.functions[index][1], 2):
+            return self.functions[index]
+        return None
 
 
 UNIQUE_ID = bytes.fromhex("3300210007504b4b38373320")

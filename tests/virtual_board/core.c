@@ -39,6 +39,10 @@ typedef struct {
 } state;
 
 state core;
+/* Where a profile is wanted: cycles at each half-word of flash, and in each exception (0: in none), without entries and returns. */
+uint32_t is_profiled;
+uint64_t spent_at[1 << 18], spent_in[512];
+static uint32_t exception;
 instruction flash[1 << 18], ram[1 << 17]; /* one for each half-word */
 void (*decode)(uint32_t address, instruction *into);
 int (*emu_stop)(void *);
@@ -91,6 +95,7 @@ void on_instruction(void *uc, uint64_t address, uint32_t size, void *data) {
     else if (at - 0x20000000u < sizeof ram / sizeof *ram * 2) i = &ram[(at - 0x20000000u) >> 1];
     else { core.fault = 0; stop(uc, FAULT); return; }
     if (!i->cost) decode(at, i);
+    uint64_t before = core.now;
     if (core.wait) {
         core.now += core.wait;
         core.wait = 0;
@@ -114,6 +119,10 @@ void on_instruction(void *uc, uint64_t address, uint32_t size, void *data) {
     core.fraction += cost * core.margin;
     core.now += core.fraction >> 8;
     core.fraction &= 255;
+    if (is_profiled) {
+        spent_in[exception] += core.now - before;
+        if (at - 0x08000000u < sizeof flash / sizeof *flash * 2) spent_at[(at - 0x08000000u) >> 1] += core.now - before;
+    }
 }
 
 void on_exception(void *uc, uint32_t number, void *data) {
@@ -158,6 +167,7 @@ uint32_t enter(void *uc, uint32_t number, uint32_t vector, uint32_t thread) {
     set(uc, PC, vector & ~1u);
     core.fpu_used = 0;
     core.next = 0;
+    exception = number & 0x1FF;
     return error ? 0 : sp;
 }
 
@@ -176,7 +186,8 @@ uint32_t leave(void *uc, uint32_t code) {
     }
     core.fpu_used = fpu;
     core.next = 0;
-    return frame[7] & 0x1FF;
+    exception = frame[7] & 0x1FF;
+    return exception;
 }
 
 /* What a new processor knows. */
@@ -186,4 +197,5 @@ void reset(void) {
     core.now = now;
     core.deadline = now;
     core.margin = 256;
+    exception = 0;
 }

@@ -10,6 +10,7 @@ from .host import Host
 from .models import dma, exti, flash, gpio, iwdg, nvic, otg, pulse, pwr, rcc, timer, usart
 from .models.peripheral import NEVER, Misuse, Unmodelled
 from .parts import BLACKPILL_F411, NUCLEO_F446RE
+from .profile import readable
 from .usb import SHORT_S, UsbHost
 
 
@@ -1063,6 +1064,12 @@ class UsbHostPolls(unittest.TestCase):
             wait = host.step(poll)
         self.assertEqual(wait, poll + period, "and then each is played")
 
+
+class ProfileTest(unittest.TestCase):
+    def test_names_are_those_of_the_source(self):
+        self.assertEqual(readable("_ZN14oxmill_control4pump5round17h0123456789abcdefE"), "oxmill_control::pump::round")
+        self.assertEqual(readable("_ZN29_$LT$a..B$u20$as$u20$c..D$GT$1f17h0123456789abcdefE"), "<a::B as c::D>::f")
+        self.assertEqual(readable("memcpy"), "memcpy")
 
 if __name__ == "__main__":
     unittest.main()

@@ -51,7 +51,8 @@ usage:
   cargo xtask converse       the conversations with the firmware on QEMU alone
   cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
-  cargo xtask virtual [BOARD [CASE..]]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3)
+  cargo xtask virtual [BOARD [CASE..]]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3);
+                             `--profile` behind a case: where its cycles went
   cargo xtask soak qemu|BOARD [--minutes N|--seconds N] [--wall N] [--seed N]  a job with holds, overrides, resets and hosts that come and go, so
                              long in machine time, in QEMU or on a virtual board: every step accounted for, and the deepest stack
   cargo xtask web            the page, target/web/oxmill.html (needs Node.js and the target wasm32-unknown-unknown);
