@@ -142,7 +142,7 @@ fn down(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String>
         }
         // The series began at this level, which G98 goes back to.
         let mut place = *state.position();
-        place.set(Axis::Z, words.level);
+        place.set(Axis::Z, state.cycle_level());
         let level = state.to_program(&place).get(Axis::Z).unwrap_or(clearance);
         if entry.place.get(Axis::Z).is_some_and(|reached| level < reached) {
             return Err("the canned cycles in force there began below their R".into());

@@ -80,8 +80,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Err(error) => Err(error),
         };
         if let Err(error) = result {
-            self.refuse(error);
-            self.stop_at_error();
+            self.refuse_program_line(error);
         }
     }
 
@@ -113,8 +112,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             _ if taken.verdict != Verdict::Valid => self.answer_invalid(taken.verdict),
             Pushed::TooLong => {
                 self.lines.clear();
-                self.refuse(Error::LineTooLong);
-                self.stop_at_error();
+                self.refuse_program_line(Error::LineTooLong);
             }
             Pushed::Complete => self.complete(),
         }
@@ -195,12 +193,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Some(_) if self.mode.is_alarm() || matches!(self.mode, Mode::Jog { .. }) => Err(Error::Locked),
             _ => self.program_line(line, remark),
         };
-        if let Err(error) = result {
-            self.refuse(error);
-            if line.first() != Some(&b'$') {
-                self.stop_at_error();
-            }
+        match result {
+            Ok(()) => {}
+            Err(error) if line.first() == Some(&b'$') => self.refuse(error),
+            Err(error) => self.refuse_program_line(error),
         }
+    }
+
+    /// What is kept of a subroutine or loop lacks the line, and what it would have set is not set.
+    fn refuse_program_line(&mut self, error: Error) {
+        self.refuse(error);
+        self.interpreter.line_refused(error);
+        self.stop_at_error();
     }
 
     /// Between two programs nothing may be open. A word on the line would be lost.

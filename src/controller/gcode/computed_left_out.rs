@@ -56,6 +56,9 @@ impl<const N: usize> Interpreter<N> {
         Ok(false)
     }
 
+    /// Nothing is kept.
+    pub fn line_refused(&mut self, _: Error) {}
+
     /// There are no blocks.
     pub fn open_since(&self) -> Option<u32> {
         None

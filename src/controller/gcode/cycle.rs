@@ -34,7 +34,7 @@ pub struct CycleWords {
     pub peck: Coordinate,
     /// P.
     pub dwell: Duration,
-    /// Machine coordinate at which the series of cycles began.
+    /// Machine coordinate at which the series of cycles began, less the tool offset: a longer tool goes back to a higher one.
     pub level: Coordinate,
 }
 

@@ -167,6 +167,8 @@ impl<const N: usize> Interpreter<N> {
                 modal: checked.modal,
                 tool_length: checked.tool_length,
                 g92_acts: checked.after.g92_acts,
+                spindle_tool: self.spindle_tool,
+                is_measured_anew: false,
                 level,
                 until_return,
                 is_forgotten: false,

@@ -17,6 +17,10 @@ pub(super) struct Saved<const N: usize> {
     pub modal: Modal,
     pub tool_length: PerAxis<Coordinate, N>,
     pub g92_acts: bool,
+    /// What the spindle held. Of another tool the length is not restored.
+    pub spindle_tool: u32,
+    /// The length of the tool has been measured since, so that what was saved of it is no longer true.
+    pub is_measured_anew: bool,
     /// Calls under way when it was saved.
     pub level: u8,
     /// M73: it is restored at the end of its call.
@@ -59,6 +63,11 @@ impl<const N: usize> SavedStates<N> {
         saved.until_return |= self.saved_at(saved.level).is_some_and(|before| before.until_return);
         self.0.retain(|before| before.level != saved.level);
         let _ = self.0.push(saved);
+    }
+
+    /// The tool in the spindle has been measured.
+    pub fn tool_measured(&mut self) {
+        self.0.iter_mut().for_each(|saved| saved.is_measured_anew = true);
     }
 
     /// M71.

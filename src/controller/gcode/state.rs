@@ -21,7 +21,7 @@ use super::rotation::{Angle, Reached, RotatedPlane, Rotation};
 use super::saved::SavedStates;
 use super::scaling::{NO_REST, Rest, Scaling};
 use super::tools::{self, Measured, Tool, ToolTable};
-use super::values::in_xy;
+use super::values::{along, in_xy};
 use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::{Coordinate, WeightedPoint};
@@ -185,6 +185,7 @@ impl<const N: usize> Interpreter<N> {
         let (offset, is_first) = self.measured.touched(place, before);
         self.spindle_tool = number;
         self.offsets.tool_length.set(TOOL_AXIS, offset);
+        self.saved.tool_measured();
         is_first
     }
 
@@ -255,6 +256,11 @@ impl<const N: usize> Interpreter<N> {
     /// Of the latest canned cycle, what stays in force while its word does.
     pub fn cycle_words(&self) -> &CycleWords {
         &self.cycle
+    }
+
+    /// Machine coordinate that G98 leads back to in the series of canned cycles in force.
+    pub fn cycle_level(&self) -> Coordinate {
+        self.cycle.level + along(&self.offsets.tool_length, self.cycle.plane.axes().linear)
     }
 
     /// What stays in force.

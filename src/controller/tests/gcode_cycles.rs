@@ -177,6 +177,23 @@ fn levels_of_g98_and_g99() {
     ]);
 }
 
+/// What G98 clears it clears with the next tool, too: the level and the R of G91 belong to the tip.
+#[test]
+fn a_longer_tool_goes_back_to_a_higher_level() {
+    play(&[
+        ("G10 L1 P2 Z5", ""),
+        ("G81 X2 Z-1 R2", "r 2 1 10, r 2 1 2, f 2 1 -1, r 2 1 10"),
+        ("G43 H2", ""),
+        ("X3", "r 3 1 10, r 3 1 7, f 3 1 4, r 3 1 15"),
+        ("G49 G81 X4 Z-1 R2", "r 4 1 15, r 4 1 2, f 4 1 -1, r 4 1 10"),
+        ("G91 G43 H2 G81 X1 Z-1 R-3", "r 4 1 12, r 5 1 12, f 5 1 11, r 5 1 15"),
+        ("G49 X1", "r 6 1 15, r 6 1 7, f 6 1 6, r 6 1 10"),
+        // In the line with which a series begins nothing has been cleared yet.
+        ("G90 G0 Z10", ""),
+        ("G43 H2 G81 X7 Z-1 R2", "r 7 1 10, r 7 1 7, f 7 1 4, r 7 1 10"),
+    ]);
+}
+
 /// As in LinuxCNC: its `rs274`, asked line by line, drills from and to the same levels before and behind M2.
 #[test]
 fn the_end_of_a_program_leaves_the_retract_mode() {

@@ -325,6 +325,35 @@ fn a_tool_that_was_taken_out_is_not_there() {
     assert_eq!(tool_length(&program), 0.0);
 }
 
+/// M72 brings no length back that is another tool's, or that a setter has found to be another one since.
+#[test]
+fn a_restored_state_has_the_length_of_the_tool_in_the_spindle() {
+    let mut program = ready(Dialect::Oxmill);
+    measure(&mut program, 1, -20);
+    program.run_all("M70\nG91 G49\nM72");
+    assert_eq!((tool_length(&program), program.error("G43 H1")), (0.0, 0));
+    measure(&mut program, 2, -10);
+    program.run_all("M70\nG49\nM72");
+    assert_eq!(tool_length(&program), 10.0);
+    program.run("M70");
+    measure(&mut program, 1, -13);
+    program.run("M72");
+    assert_eq!(tool_length(&program), 7.0);
+    program.run("M70");
+    measure(&mut program, 1, -15);
+    program.run("M72");
+    assert_eq!(tool_length(&program), 5.0, "it has been put in otherwise");
+    for tool in ["T3 M6", "M61 Q3"] {
+        let mut program = ready(Dialect::Oxmill);
+        program.run_all("G10 L1 P3 Z3\nG43.1 X1 Z2\nM70\nG20");
+        program.run(tool);
+        program.run_all("G43 H3\nM72");
+        assert_eq!(tool_length(&program), 3.0, "{tool}");
+        program.run_all("M70\nG49\nM72");
+        assert_eq!(tool_length(&program), 3.0);
+    }
+}
+
 #[test]
 fn a_check_measures_nothing_and_forgets_nothing() {
     let mut program = ready(Dialect::Oxmill);

@@ -47,7 +47,7 @@ impl<const N: usize> Check<'_, N> {
         if r < bottom {
             return Err(Error::RetractBelowBottom);
         }
-        let clear = if modal.retract_to_r { r } else { words.level.max(r) };
+        let clear = if modal.retract_to_r { r } else { self.level_of(&words, axes).max(r) };
         let cycle = Cycle {
             kind,
             axes,
@@ -89,7 +89,8 @@ impl<const N: usize> Check<'_, N> {
         if incremental {
             let place = &self.state.position;
             let pitch = [axes.first, axes.second].map(|axis| along(hole, axis) - along(place, axis));
-            Ok((pitch, [words.level + r, words.level + r + depth], peck))
+            let level = self.level_of(words, axes);
+            Ok((pitch, [level + r, level + r + depth], peck))
         } else {
             let origin = self.work_offset(axes.linear);
             Ok(([Coordinate::ZERO; 2], [origin + r, origin + depth], peck))
@@ -104,7 +105,7 @@ impl<const N: usize> Check<'_, N> {
         let mut words = if series {
             self.state.cycle
         } else {
-            let level = along(&self.state.position, axes.linear);
+            let level = along(&self.state.position, axes.linear) - self.tool_offset(axes.linear);
             CycleWords { plane: modal.plane, level, ..CycleWords::NONE }
         };
         let line = self.line;
@@ -130,6 +131,11 @@ impl<const N: usize> Check<'_, N> {
             words.dwell = seconds(line.value(b'P'));
         }
         Ok(words)
+    }
+
+    /// Where the series of cycles began, as a place of the machine.
+    fn level_of(&self, words: &CycleWords, axes: PlaneAxes) -> Coordinate {
+        words.level + self.tool_offset(axes.linear)
     }
 
     /// L: how many holes, all in one place with G90, in a row with G91.

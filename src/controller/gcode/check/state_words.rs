@@ -51,7 +51,9 @@ impl<const N: usize> Check<'_, N> {
                 let checked = &mut *self.checked;
                 checked.modal =
                     Modal { motion: before.motion, straight: before.straight, tool: before.tool, ..saved.modal };
-                checked.tool_length = saved.tool_length;
+                if saved.spindle_tool == self.state.spindle_tool && !saved.is_measured_anew {
+                    checked.tool_length = saved.tool_length;
+                }
                 // G92 is not restored, but whether it acts: as by G92.2 or G92.3.
                 if checked.after.g92_acts != saved.g92_acts {
                     self.let_offset_act(saved.g92_acts);

@@ -200,6 +200,15 @@ impl<const N: usize> Interpreter<N> {
         self.saved.abandon(0);
     }
 
+    /// A line of the host was refused, maybe before it came here: a subroutine or loop that lacks it is refused to its end.
+    pub fn line_refused(&mut self, error: Error) {
+        self.computed.begin();
+        let flow = &mut self.computed.flow;
+        if let State::Recording(from, None) = flow.state {
+            flow.state = State::Recording(from, Some(error));
+        }
+    }
+
     /// The rest of the program is not run, or it is another host's: conditions and loops under way are forgotten, and what
     /// is held. G68 ends, which no other program expects.
     pub fn abandon_program(&mut self) {
