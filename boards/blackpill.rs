@@ -103,6 +103,7 @@ pub type Parts = stm32f4::Parts<pac::USART1, UsbPort, 1>;
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> Parts {
     stm32f4::begin_with_reset(&device.RCC, &device.SYSCFG);
+    stm32f4::await_voltage(&device.PWR);
     #[cfg(feature = "stm32f411")]
     stm32f4::full_core_voltage(&device.PWR);
     let mut rcc = device.RCC.freeze(Config::hse(25.MHz()).sysclk(core_hz.Hz()).require_pll48clk());

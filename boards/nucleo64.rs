@@ -12,7 +12,7 @@
 #![doc = include_str!("nucleo64.md")]
 
 use stm32f4xx_hal::{
-    gpio::{PinState, Speed},
+    gpio::{PinState, Pull, Speed},
     prelude::*,
     rcc::Config,
     serial,
@@ -63,6 +63,7 @@ pub type Parts = stm32f4::Parts<pac::USART2, NoPort, 2>;
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> Parts {
     stm32f4::begin_with_reset(&device.RCC, &device.SYSCFG);
+    stm32f4::await_voltage(&device.PWR);
     #[cfg(feature = "stm32f411")]
     stm32f4::full_core_voltage(&device.PWR);
     let mut rcc = device.RCC.freeze(Config::hse(8.MHz()).bypass_hse_oscillator().sysclk(core_hz.Hz()));
@@ -94,7 +95,10 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     let timers = (device.TIM1, device.TIM2, device.TIM3);
     let step_pins = stm32f4::step_pins(steps, directions, &inputs, timers, rings, &mut rcc);
     let link = serial::Config::default().baudrate(stm32f4::USUAL_BAUD.bps());
-    let Ok(usart) = serial::Serial::new(device.USART2, (a.pa2, a.pa3), link, &mut rcc) else {
+    // Where the ST-LINK does not drive its line (its bridges are open, or it has no power), the input must idle high.
+    let mut rx = a.pa3.into_alternate::<7>();
+    rx.set_internal_resistor(Pull::Up);
+    let Ok(usart) = serial::Serial::new(device.USART2, (a.pa2, rx), link, &mut rcc) else {
         // 115200 divides the 42 to 50 MHz of the slower bus to within 0.2 %.
         unreachable!()
     };

@@ -48,9 +48,11 @@ pub fn safe_state() {
     for (port, safe) in SAFE.iter().enumerate() {
         write_bsrr::<Chip>(port, safe.load(Ordering::Relaxed));
     }
-    // SAFETY: unsafe because the owners of the timers are by-passed; safe because a compare value of 0 and a stopped
-    // counter are right at any moment that this function is called, and nothing runs after it.
+    // The PWM's output is forced low, too: without preload the manual does not say when a compare value acts (TIMx_CCMR1, OC1PE, note 2).
+    // SAFETY: unsafe because the owners of the timers are by-passed; safe because an output that is low, a compare value of 0 and a
+    // stopped counter are right at any moment that this function is called, and nothing runs after it.
     unsafe {
+        (*pac::TIM3::ptr()).ccmr1_output().write(|w| w.bits(0b100 << 12));
         (*pac::TIM3::ptr()).ccr2().write(|w| w.bits(0));
         (*pac::TIM2::ptr()).cr1().write(|w| w.bits(0));
     }

@@ -2,8 +2,8 @@
 //! and a restart that waits until it has risen again.
 //!
 //! Names: The supply of an STM32F4: `full_core_voltage` sets the scale of the core's own, `watch_voltage` has the
-//! programmable voltage detector (PVD, EXTI line 16) call `LOW_VOLTAGE` when the board's falls, and `restart` waits
-//! until `voltage_is_low` no more, for `RISE_MS`, before it resets. `PWR` is clocked by `clock_supply` (`apb1enr`,
+//! programmable voltage detector (PVD, EXTI line 16) call `LOW_VOLTAGE` when the board's falls; `await_voltage` waits at power-up,
+//! and `restart` before it resets, until `voltage_is_low` no more. `PWR` is clocked by `clock_supply` (`apb1enr`,
 //! `pwren`, `modify(|_, w| w..set_bit())`, `enable`), `pls` and `pvde` switch the detector on, `pvdo` is its bit; the
 //! vector has the `export_name` `PVD` or, on F401, `EXTI16_PVD`.
 
@@ -56,12 +56,11 @@ fn unwatched() -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// Watches the supply: below 2.9 V (its highest threshold, PLS = 7) `low_voltage` is called, which is to make everything
+/// Watches the supply: below 2.9 V `low_voltage` is called, which is to make everything
 /// safe while there still is power. Its vector has the highest priority of all; it runs once and does not return.
 pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI, low_voltage: fn() -> !) {
     critical_section::with(|cs| LOW_VOLTAGE.borrow(cs).set(low_voltage));
-    clock_supply();
-    pwr.cr().modify(|_, w| raw!(w.pvde().set_bit().pls(), 7));
+    detect_voltage(pwr);
     // Rising edge of the detector's output: the voltage falls.
     exti.rtsr().modify(|r, w| raw!(w, r.bits() | VOLTAGE_LINE));
     exti.pr().write(|w| raw!(w, VOLTAGE_LINE));
@@ -72,21 +71,29 @@ pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI, low_voltage: fn() -> !) {
         cortex_m::Peripherals::steal().NVIC.set_priority(VOLTAGE_VECTOR, 0);
         pac::NVIC::unmask(VOLTAGE_VECTOR);
     }
-    // A supply that is low already raises no edge. At power-up it may still be rising, which is no failure.
-    for _ in 0..RISE_MS {
-        if !voltage_is_low() {
-            return;
-        }
-        cortex_m::asm::delay(crate::CORE_HZ / 1_000);
-    }
+    // A supply that has fallen before the edge was looked for raises none.
     if voltage_is_low() {
         pac::NVIC::pend(VOLTAGE_VECTOR);
     }
 }
 
-/// How long a supply may take at least from 1.7 V, where the chip wakes up, to 2.9 V: capacitors of some millifarads behind a small
-/// supply.
-const RISE_MS: u32 = 200;
+/// Waits until the supply has risen to 2.9 V. To be called before the clocks are set: the chip wakes up at 1.7 V, and the wait
+/// states of flash for a clock beyond the 16 MHz of a reset are those for 2.7 V or more (reference manual, "Relation between CPU clock
+/// frequency and flash memory read time"). Capacitors of some millifarads behind a small supply take a tenth of a second.
+pub fn await_voltage(pwr: &pac::PWR) {
+    detect_voltage(pwr);
+    while voltage_is_low() {}
+}
+
+/// Switches the detector on, at its highest threshold (PLS = 7): 2.9 V.
+fn detect_voltage(pwr: &pac::PWR) {
+    clock_supply();
+    pwr.cr().modify(|_, w| raw!(w.pvde().set_bit().pls(), 7));
+    cortex_m::asm::delay(SETTLED_CYCLES);
+}
+
+/// For the detector's first comparison, at the 16 MHz of a reset: 10 us, which is more than its own delay.
+const SETTLED_CYCLES: u32 = 160;
 
 fn voltage_is_low() -> bool {
     // SAFETY: unsafe because the owner is by-passed; safe because reading CSR has no effect.

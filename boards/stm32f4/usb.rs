@@ -62,6 +62,9 @@ const GRXSTSP: usize = 0x020;
 const DAINTMSK: usize = 0x81C;
 const DIEPCTL: usize = 0x900;
 const DOEPCTL: usize = 0xB00;
+/// DOEPTSIZ, behind DOEPCTL: one packet of [`PACKET`] bytes.
+const DOEPTSIZ: usize = 0xB10;
+const ONE_PACKET: u32 = 1 << 19 | PACKET as u32;
 /// Bytes from the register of one endpoint to that of the next.
 const NEXT_ENDPOINT: usize = 0x20;
 /// GINTSTS and GINTMSK: the receive FIFO is not empty; and all that the driver attends to, with suspend, reset, enumeration,
@@ -255,9 +258,12 @@ impl UsbPort {
         }
     }
 
-    /// Lets the host send the next packet.
+    /// Lets the host send the next packet, and no other behind it: its end is that of a transfer of one packet (RM0383, 22.17.6,
+    /// "Generic non-isochronous OUT data transfers"). The driver leaves the size open when it enables the endpoint for the first time.
     fn enable_endpoint(&mut self) {
-        let control = DOEPCTL + self.class.port.read_ep().address().index() * NEXT_ENDPOINT;
+        let at = self.class.port.read_ep().address().index() * NEXT_ENDPOINT;
+        let control = DOEPCTL + at;
+        write(DOEPTSIZ + at, ONE_PACKET);
         write(control, read(control) | ENABLED_AGAIN);
         self.received.ended = false;
     }

@@ -28,12 +28,14 @@ from .models.otg import OtgFs
 from .models.peripheral import Misuse, Peripheral, Unmodelled
 from .models.pulse import PulseTimer
 from .models.pwr import Pwr
-from .models.rcc import Rcc
+from .models.rcc import HSI_HZ, Rcc
 from .models.syscfg import SYSTEM_MEMORY, Syscfg
 from .models.timer import FUNCTION, INPUTS, Timer
 from .models.usart import Usart
 
 ENTRY_CYCLES, RETURN_CYCLES, CHAIN_CYCLES = 12, 12, 6
+WAIT_STATES_FROM_V = 2.7
+"""The limits of `parts.py` for wait states hold from this supply on."""
 HOT, COLD = round(1.1 * 256), round(1.3 * 256)
 SERIAL = 16 + 36
 """The serial task: the vector of SPI2."""
@@ -298,6 +300,8 @@ class Board:
         limit = self.peripherals["PWR"].limit()
         if hclk > limit:
             raise Misuse(f"core clock {hclk} Hz beyond the {limit} Hz of the supply's scale")
+        if hclk > HSI_HZ and self.supply_v < WAIT_STATES_FROM_V:
+            raise Misuse(f"core clock {hclk} Hz at {self.supply_v} V: the wait states are those for {WAIT_STATES_FROM_V} V or more")
         self.flash.check(hclk)
 
     def power_left(self, _):

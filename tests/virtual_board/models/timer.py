@@ -2,7 +2,7 @@
 
 Modelled: counting up from the internal clock, prescaler (taken over at an update), auto-reload, compare flags of channels
 1 to 4 (set when the counter arrives at CCRx, not when CCRx is written to where it is), flags by EGR, flags cleared by
-writing 0, interrupt enables, PWM mode 1 as a duty cycle of the output; capture of both edges of a channel's own pin, with
+writing 0, interrupt enables, PWM mode 1 as a duty cycle of the output, and that forced low; capture of both edges of a channel's own pin, with
 its DMA request, and overcapture; the DMA requests of the compare events of channels 1 and 3; that of channel 1 as the trigger
 of other timers (CR2, MMS = 011).
 Not modelled: capture of one edge or of another channel's pin, the delay of synchronizer and filter (the same for every
@@ -12,6 +12,8 @@ triggers, DMA of other channels' compare events and of updates, counting down, e
 
 from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
 
+FORCED_LOW = 4
+"""OCxM: the output is inactive, whatever is compared."""
 CR1, CR2, SMCR, DIER, SR, EGR, CCMR1, CCMR2, CCER = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14, 0x18, 0x1C, 0x20
 CNT, PSC, ARR, CCR1, CCR2, CCR3, CCR4 = 0x24, 0x28, 0x2C, 0x34, 0x38, 0x3C, 0x40
 COMPARE = (CCR1, CCR2, CCR3, CCR4)
@@ -257,6 +259,8 @@ class Timer(Peripheral):
     def duty(self, channel):
         """Share of the time that a PWM output is high, 0 to 1; None if the channel is not a PWM output."""
         mode = self.values[CCMR1 if channel <= 2 else CCMR2] >> (8 * ((channel - 1) & 1)) + 4 & 7
+        if mode == FORCED_LOW:
+            return 0.0
         if mode != 6 or not self.values[CCER] >> 4 * (channel - 1) & 1 or not self.running:
             return None
         return min(1.0, self.values[COMPARE[channel - 1]] / (self.values[ARR] + 1))
