@@ -56,6 +56,10 @@ pub trait Pump<const N: usize, const BLOCKS: usize> {
     fn next_event(&mut self, source: Source) -> Option<Event<N>>;
     /// Takes the next byte of a line, if it may be taken now.
     fn next_line_byte(&mut self) -> Option<LineByte>;
+    /// Takes the next byte of a line if that is one that the controller would drop.
+    fn next_old_byte(&mut self) -> Option<LineByte> {
+        None
+    }
     /// Gives the controller text of a line that comes next and may be taken now, several bytes at a time. Only what
     /// [`Pump::next_line_byte`] would give can be text; what is not, that gives. It records what it gives, as [`Pump::record`]
     /// would. Whether there was any.
@@ -112,7 +116,7 @@ pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut
             return true;
         }
     }
-    let mut lines = false;
+    let mut lines = pump.controller().lets_lines_wait() && drop_old_bytes(pump, now);
     while pump.controller().wants_line()
         && let Some(byte) = next_byte_past_text(pump, now, &mut lines)
     {
@@ -129,6 +133,20 @@ pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut
     let wanted = pump.controller().wants_line();
     // Answers that go out may make room for those of lines that wait.
     put_out(pump, now, &mut again) || again || !wanted && pump.controller().wants_line()
+}
+
+/// Drops what was received before a reset, though lines wait, behind an open door for instance: it would take up the room of what
+/// comes behind it, and in the end of another reset. Whether there was any.
+#[cold]
+#[inline(never)]
+fn drop_old_bytes<const N: usize, const BLOCKS: usize>(pump: &mut impl Pump<N, BLOCKS>, now: Instant) -> bool {
+    let mut any = false;
+    while let Some(byte) = pump.next_old_byte() {
+        pump.record(now, &Event::Line(byte));
+        pump.controller().drop_old(byte);
+        any = true;
+    }
+    any
 }
 
 /// Carries outputs until there is none, or one that begins another round: then true. `again`: outputs make others possible.

@@ -371,6 +371,19 @@ impl Pump<AXES, BLOCKS> for Control {
         Some(byte)
     }
 
+    fn next_old_byte(&mut self) -> Option<LineByte> {
+        if self.job.is_some() || !self.lines_wait() {
+            return None;
+        }
+        let byte = self.line_reader.peek(|| self.ends.lines.try_recv().ok())?;
+        if !self.controller.is_old(byte) {
+            return None;
+        }
+        self.line_reader.pass(1);
+        self.line_bytes_out = self.line_bytes_out.wrapping_add(1);
+        Some(byte)
+    }
+
     #[inline(always)]
     fn record(&mut self, now: Instant, event: &Event<AXES>) {
         self.recorder.record(now, event, self.controller);

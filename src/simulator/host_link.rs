@@ -178,6 +178,11 @@ impl HostLink {
         self.queues.realtime.pop_front()
     }
 
+    /// The next byte of a line, which stays.
+    pub fn line_byte_ahead(&self) -> Option<LineByte> {
+        self.queues.lines.front().copied()
+    }
+
     /// The next byte of a line.
     pub fn next_line_byte(&mut self) -> Option<LineByte> {
         self.queues.lines.pop_front()

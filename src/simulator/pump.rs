@@ -64,6 +64,11 @@ impl Pump<AXES, BLOCKS> for Simulator {
         }
     }
 
+    fn next_old_byte(&mut self) -> Option<LineByte> {
+        let byte = if self.job.0.is_none() { self.host.line_byte_ahead()? } else { return None };
+        if self.controller.is_old(byte) { self.host.next_line_byte() } else { None }
+    }
+
     fn record(&mut self, now: Instant, event: &Event<AXES>) {
         self.recorder.record(now, event, &self.controller);
     }

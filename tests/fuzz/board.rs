@@ -521,6 +521,11 @@ impl Pump<AXES, BLOCKS> for Board {
         Some(byte)
     }
 
+    fn next_old_byte(&mut self) -> Option<LineByte> {
+        let (byte, _) = self.lines.front()?;
+        if self.controller.is_old(*byte) { self.next_line_byte() } else { None }
+    }
+
     /// As many as a message of the firmware has.
     fn give_text(&mut self, now: Instant) -> bool {
         let Some((LineByte { epoch, .. }, _)) = self.lines.front().copied() else { return false };

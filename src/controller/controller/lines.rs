@@ -14,7 +14,7 @@ use super::view::dialect;
 use crate::error::Error;
 use crate::gcode::{AS_WRITTEN, Dialect, Direction, WITH_VALUES};
 use crate::machine::state::Mode;
-use crate::messages::LineByte;
+use crate::messages::{HOST_CHANGED, LineByte};
 use crate::protocol::checked_line::Verdict;
 use crate::protocol::line::{self, Pushed};
 use crate::protocol::line_intake::Taken;
@@ -30,6 +30,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(byte) = self.lines.release() {
             self.line_byte(self.now, byte);
         }
+    }
+
+    /// Whether a byte that comes next would be dropped, as it was received before a reset or a stop.
+    pub fn is_old(&self, byte: LineByte) -> bool {
+        if byte.byte == HOST_CHANGED {
+            // It comes before such bytes, and where nothing of the host before is in work it may be taken like them.
+            let waits = matches!(self.mode, Mode::Door(_));
+            return waits && matches!(self.task, Task::None | Task::Startup(_, None));
+        }
+        self.lines.is_old(byte)
+    }
+
+    /// Drops such a byte, also while no line is wanted.
+    pub fn drop_old(&mut self, byte: LineByte) {
+        self.other_byte(byte);
     }
 
     #[inline(never)]

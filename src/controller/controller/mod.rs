@@ -301,6 +301,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && self.replies.has_room()
     }
 
+    /// Whether received lines wait for an operator or for the end of a motion, and bytes from before a reset with them.
+    #[inline]
+    pub fn lets_lines_wait(&self) -> bool {
+        !self.mode.takes_lines()
+    }
+
     /// Whether the step task will soon have done all that it has been given of a motion that continues.
     #[inline]
     pub fn is_short_of_segments(&self) -> bool {

@@ -233,6 +233,12 @@ impl LineIntake {
         self.check.answer(text)
     }
 
+    /// Whether a byte that comes next would be dropped, as it was received before a reset or a stop.
+    pub fn is_old(&self, byte: LineByte) -> bool {
+        let by_button = self.drop_bytes > 0 || self.drop_rest;
+        by_button || is_before(byte.epoch, self.reset_epoch)
+    }
+
     /// Whether a byte waits for its realtime command: no other may come before it.
     pub fn holds(&self) -> bool {
         self.held.is_some()

@@ -111,17 +111,21 @@ impl LineReader {
         self.next += count;
     }
 
+    /// The next byte, which stays. `receive` takes a message out of the queue if there is one.
+    #[inline]
+    pub fn peek(&mut self, receive: impl FnOnce() -> Option<LineBytes>) -> Option<LineByte> {
+        if let Some(byte) = self.message.get(self.next) {
+            return Some(byte);
+        }
+        self.message = receive()?;
+        self.next = 0;
+        self.message.get(0)
+    }
+
     /// The next byte. `receive` takes a message out of the queue if there is one.
     #[inline]
     pub fn next(&mut self, receive: impl FnOnce() -> Option<LineBytes>) -> Option<LineByte> {
-        let byte = match self.message.get(self.next) {
-            Some(byte) => byte,
-            None => {
-                self.message = receive()?;
-                self.next = 0;
-                self.message.get(0)?
-            }
-        };
+        let byte = self.peek(receive)?;
         self.next += 1;
         Some(byte)
     }
