@@ -51,7 +51,7 @@ pub struct Received {
     /// Bytes are missing at `error_at`: overwritten, or disturbed.
     error: AtomicBool,
     error_at: AtomicU32,
-    /// Where the last byte ends that stops the machine.
+    /// Where the last byte ends that stops the machine, or may do so.
     stop_to: AtomicU32,
     /// There was another error before that one was told: all that comes is dropped until the ring is empty.
     drops: AtomicBool,
@@ -128,11 +128,16 @@ impl Received {
         self.come.load(Relaxed) != self.taken.load(Relaxed)
     }
 
-    /// Whether what stops the machine waits.
+    /// Whether what stops the machine, or may do so, waits.
     #[inline]
     pub fn has_stop(&self) -> bool {
         let ahead = self.stop_to.load(Relaxed).wrapping_sub(self.taken.load(Relaxed));
         (1..=ROOM).contains(&ahead)
+    }
+
+    /// While the interrupt does not run: as many bytes as the ring holds are as urgent as a stop.
+    pub fn hurry(&self) {
+        self.stop_to.store(self.taken.load(Relaxed).wrapping_add(ROOM), Relaxed);
     }
 
     /// Nothing has come: at the start, while neither side runs.
@@ -251,9 +256,11 @@ impl Received {
 
     /// While neither side runs: so many bytes of that room have been filled.
     pub fn placed(&self, count: u32) {
-        // None of them has been looked at.
+        // None of them has been looked at: a stop may be among them.
         self.before.store(0, Relaxed);
-        self.come.store(self.come.load(Relaxed).wrapping_add(count), Relaxed);
+        let come = self.come.load(Relaxed).wrapping_add(count);
+        self.stop_to.store(come, Relaxed);
+        self.come.store(come, Relaxed);
     }
 }
 

@@ -217,6 +217,27 @@ fn a_stop_has_a_place_in_a_ring_that_is_full() {
     assert!(!ring.has_stop());
 }
 
+/// Nobody has looked at the bytes that came by DMA; and before they come all is taken.
+#[test]
+fn what_may_be_a_stop_is_read_like_one() {
+    let ring = Received::new();
+    assert_eq!([b'~', b'~'].map(|byte| ring.hear(byte)), [Call::Soon; 2]);
+    assert!(!ring.has_stop());
+    // Also what comes while the task reads what was there.
+    ring.hurry();
+    assert_eq!(ring.hear(b'~'), Call::Soon);
+    for _ in 0..3 {
+        assert!(ring.has_stop());
+        assert_eq!(ring.next(), Next::Byte(b'~'));
+    }
+    let (address, _) = ring.place();
+    // SAFETY: as in `Stream::stand`.
+    unsafe { (address as *mut u8).write(0x18) };
+    ring.placed(1);
+    assert!(ring.has_stop());
+    assert_eq!((ring.next(), ring.has_stop()), (Next::Byte(0x18), false));
+}
+
 /// Which of the bytes that came by DMA was disturbed is not known.
 #[test]
 fn of_disturbed_bytes_each_becomes_one_that_is_refused() {

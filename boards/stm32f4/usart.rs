@@ -105,10 +105,17 @@ fn keep(byte: u8) {
     }
 }
 
+#[inline(never)]
+fn keep_unheard(byte: u8) {
+    RECEIVED.keep(byte, is_stop(byte));
+}
+
 /// What is left of a byte where one of several was disturbed: no line but an empty one is carried out that has one of them.
 fn refused(byte: u8) -> u8 {
-    if is_stop(byte) || matches!(byte, b'\n' | b'\r') { byte } else { b'@' }
+    if is_stop(byte) || matches!(byte, b'\n' | b'\r') { byte } else { REFUSED }
 }
+
+const REFUSED: u8 = b'@';
 
 /// A USART whose receiver has a DMA stream (reference manual, "DMA request mapping").
 pub trait Sheltered: Instance {
@@ -157,7 +164,9 @@ macro_rules! raw {
 
 /// Works with the DMA standing in for the interrupt. No task runs meanwhile.
 pub fn shelter<U: Sheltered>(work: &mut dyn FnMut()) {
-    // What waits is taken before: moving it would take longer than a byte does to come.
+    // What waits is taken before, all of it and what comes meanwhile: moving it would take longer than a byte does to come, and where
+    // it is much there may be little room behind it.
+    critical_section::with(|_| RECEIVED.hurry());
     crate::call_serial();
     cortex_m::asm::dsb();
     cortex_m::asm::isb();
@@ -188,9 +197,11 @@ pub fn shelter<U: Sheltered>(work: &mut dyn FnMut()) {
         if status & (FRAMING | NOISE) != 0 {
             let byte = refused(read(usart + DATA) as u8);
             RECEIVED.placed_disturbed(count, refused);
+            // The last of them may have become the end of a line: what comes behind is refused up to its own.
             if status & ARRIVED != 0 {
-                RECEIVED.keep(byte, is_stop(byte));
+                keep_unheard(byte);
             }
+            keep_unheard(REFUSED);
             if status & OVERRUN != 0 {
                 RECEIVED.miss();
             }
