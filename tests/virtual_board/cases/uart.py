@@ -16,7 +16,7 @@ UART_LINES_S = {"blackpill_f411": 3200, "blackpill_f401": 2050, "nucleo_f446re":
 
 FAST_BAUD = 1_000_000
 
-LONGEST_GAP_S = 120 * US
+LONGEST_GAP_S = 125 * US
 """Between two samples of the inputs: a run of the step task may be in between."""
 
 
