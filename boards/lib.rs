@@ -8,6 +8,7 @@
 //! and `qemu_mps2` (`cfg`, `target_os`).
 #![no_std]
 
+pub mod calls;
 pub mod profiles;
 // On a host for its tests.
 #[cfg(any(not(feature = "board"), feature = "stm32f4"))]
@@ -17,8 +18,6 @@ pub mod sent;
 #[cfg(any(not(feature = "board"), feature = "usb"))]
 pub mod usb_host;
 
-#[cfg(feature = "board")]
-pub mod calls;
 #[cfg(feature = "board")]
 pub mod contract;
 #[cfg(feature = "board")]

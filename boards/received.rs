@@ -3,9 +3,11 @@
 //! One side never waits for the other: each variable has one writer, but for `error` and `drops`, which the interrupt sets
 //! and the task takes back. A place in the stream is the count of bytes before it, wrapping.
 //!
-//! Names: the interrupt `keep`s bytes and notes what it must `miss`; the task takes what is `ready` and hears of
+//! Names: the interrupt has the ring `hear` a byte, which `keep`s it and gives the `Call` that is due, and notes what it must
+//! `miss`; what can wait for the end of a line `is_text`. The task takes what is `ready` and hears of
 //! what is missing at its place in the stream. What came while the processor stood is put behind the rest by `place` and `placed`.
 
+use crate::calls::{RESET, is_stop};
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, Ordering::Relaxed, fence};
 
 /// Bytes of the ring: a power of two.
@@ -14,6 +16,19 @@ pub const ROOM: u32 = 512;
 pub const FOR_STOPS: u32 = 16;
 /// Most bytes that [`Received::place`] moves.
 const MOVED: usize = 64;
+/// Bytes of text that may wait for the end of their line.
+const GATHERED: u32 = 32;
+
+/// Whether the task is to be called for a byte.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Call {
+    /// It stops the machine.
+    AtOnce,
+    /// When it may be called.
+    Soon,
+    /// Not for this one.
+    NotYet,
+}
 
 /// What is next in the stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,10 +51,12 @@ pub struct Received {
     /// Bytes are missing at `error_at`: overwritten, or disturbed.
     error: AtomicBool,
     error_at: AtomicU32,
-    /// Where the last byte ends that stops the machine.
+    /// Where the last byte ends that stops the machine, or may do so.
     stop_to: AtomicU32,
     /// There was another error before that one was told: all that comes is dropped until the ring is empty.
     drops: AtomicBool,
+    /// The byte before, if it was kept and nothing is missing behind it.
+    before: AtomicU8,
 }
 
 impl Received {
@@ -53,6 +70,7 @@ impl Received {
             error_at: AtomicU32::new(0),
             stop_to: AtomicU32::new(0),
             drops: AtomicBool::new(false),
+            before: AtomicU8::new(0),
         }
     }
 
@@ -60,6 +78,28 @@ impl Received {
     #[inline(always)]
     fn slot(&self, at: u32) -> &AtomicU8 {
         &self.bytes[(at % ROOM) as usize]
+    }
+
+    /// For the interrupt: a byte has come. Gives whether the task is to be called for it.
+    #[inline(always)]
+    pub fn hear(&self, byte: u8) -> Call {
+        let before = self.before.load(Relaxed);
+        self.before.store(byte, Relaxed);
+        if is_text(byte) {
+            let is_due = self.keep(byte, false).is_none_or(|waiting| waiting >= GATHERED);
+            return if is_due { Call::Soon } else { Call::NotYet };
+        }
+        let is_stop = is_stop(byte);
+        let repeats = byte == before && (is_stop || byte == b'?');
+        if repeats && self.is_waiting() {
+            // The one before has not been heard yet: it says the same.
+            return Call::NotYet;
+        }
+        if byte == RESET {
+            self.forget_losses();
+        }
+        self.keep(byte, is_stop);
+        if is_stop && !repeats { Call::AtOnce } else { Call::Soon }
     }
 
     /// For the interrupt: a byte, one that stops the machine also where others are dropped or have no room. Gives how many waited before it,
@@ -88,11 +128,16 @@ impl Received {
         self.come.load(Relaxed) != self.taken.load(Relaxed)
     }
 
-    /// Whether what stops the machine waits.
+    /// Whether what stops the machine, or may do so, waits.
     #[inline]
     pub fn has_stop(&self) -> bool {
         let ahead = self.stop_to.load(Relaxed).wrapping_sub(self.taken.load(Relaxed));
         (1..=ROOM).contains(&ahead)
+    }
+
+    /// While the interrupt does not run: as many bytes as the ring holds are as urgent as a stop.
+    pub fn hurry(&self) {
+        self.stop_to.store(self.taken.load(Relaxed).wrapping_add(ROOM), Relaxed);
     }
 
     /// Nothing has come: at the start, while neither side runs.
@@ -109,6 +154,8 @@ impl Received {
 
     /// For the interrupt: bytes are missing here.
     pub fn miss(&self) {
+        // What is lost says nothing: the same again is to be kept.
+        self.before.store(0, Relaxed);
         if !self.error.load(Relaxed) && !self.drops.load(Relaxed) {
             self.error_at.store(self.come.load(Relaxed), Relaxed);
             fence(Ordering::Release);
@@ -209,8 +256,18 @@ impl Received {
 
     /// While neither side runs: so many bytes of that room have been filled.
     pub fn placed(&self, count: u32) {
-        self.come.store(self.come.load(Relaxed).wrapping_add(count), Relaxed);
+        // None of them has been looked at: a stop may be among them.
+        self.before.store(0, Relaxed);
+        let come = self.come.load(Relaxed).wrapping_add(count);
+        self.stop_to.store(come, Relaxed);
+        self.come.store(come, Relaxed);
     }
+}
+
+/// Whether a byte is text of a line, with which the task has nothing to do before the end of the line.
+#[inline(always)]
+fn is_text(byte: u8) -> bool {
+    (b' '..=b'}').contains(&byte) && !matches!(byte, b'!' | b'?')
 }
 
 impl Default for Received {

@@ -1,7 +1,8 @@
 //! The UART of a board without its registers: out of the ring between its interrupt and the task that reads it nothing comes
 //! out of order, and no byte is missing without a word at its place; and what is sent leaves the other ring as it was put in.
 
-use oxmill_boards::received::{FOR_STOPS, Next, ROOM, Received};
+use oxmill_boards::calls::is_stop;
+use oxmill_boards::received::{Call, FOR_STOPS, Next, ROOM, Received};
 use oxmill_boards::sent::{self, Sent};
 use proptest::prelude::*;
 use std::collections::VecDeque;
@@ -156,6 +157,50 @@ fn losses_before_a_reset_are_told_in_front_of_it() {
     assert_eq!([0; 4].map(|_| ring.next()), told);
 }
 
+/// A `?` or a stop that repeats the byte before is dropped as long as that waits. What has been lost waits for nobody: the same
+/// again is kept.
+#[test]
+fn a_repetition_of_what_was_lost_is_kept() {
+    for byte in [b'?', b'!', 0x18, 0x19, 0x84, 0x85] {
+        let ring = Received::new();
+        let room = if is_stop(byte) { ROOM } else { ROOM - FOR_STOPS };
+        for _ in 0..room {
+            // Each of them is kept, and none of them repeats one.
+            assert!(ring.keep(b'~', true).is_some());
+        }
+        ring.hear(byte);
+        ring.pass(1);
+        assert_eq!(ring.hear(byte), if is_stop(byte) { Call::AtOnce } else { Call::Soon }, "{byte:#x} was lost");
+        assert_eq!(ring.hear(byte), Call::NotYet, "{byte:#x} waits");
+        let told: Vec<Next> = std::iter::repeat_with(|| ring.next()).take(ROOM as usize + 3).collect();
+        let heard = told.iter().filter(|next| **next == Next::Byte(byte)).count();
+        assert_eq!((heard, told.contains(&Next::Missing), told.last()), (1, true, Some(&Next::Nothing)), "{byte:#x}");
+        // Nobody waits for it any more.
+        assert_eq!(ring.hear(byte), Call::Soon, "{byte:#x} again");
+        assert_eq!((ring.next(), ring.next()), (Next::Byte(byte), Next::Nothing), "{byte:#x} again");
+    }
+}
+
+/// Behind a byte that is disturbed, or those that have come by DMA, nothing repeats what was before.
+#[test]
+fn what_is_missing_ends_a_row_of_repetitions() {
+    let ring = Received::new();
+    assert_eq!([0x18, 0x18].map(|byte| ring.hear(byte)), [Call::AtOnce, Call::NotYet]);
+    ring.miss();
+    ring.miss();
+    // What was lost is void with this one, and the line behind it is whole.
+    assert_eq!([0x18, b'$', b'\n'].map(|byte| ring.hear(byte)), [Call::AtOnce, Call::NotYet, Call::Soon]);
+    let told = [Next::Byte(0x18), Next::Missing, Next::Byte(0x18), Next::Byte(b'$'), Next::Byte(b'\n'), Next::Nothing];
+    assert_eq!([0; 6].map(|_| ring.next()), told);
+    assert_eq!(ring.hear(b'!'), Call::AtOnce);
+    let (address, _) = ring.place();
+    // SAFETY: as in `Stream::stand`.
+    unsafe { (address as *mut u8).write(b'~') };
+    ring.placed(1);
+    assert_eq!(ring.hear(b'!'), Call::AtOnce);
+    assert_eq!([0; 3].map(|_| ring.next()), [b'!', b'~', b'!'].map(Next::Byte));
+}
+
 /// Nor is it by a flood that has filled the ring.
 #[test]
 fn a_stop_has_a_place_in_a_ring_that_is_full() {
@@ -170,6 +215,27 @@ fn a_stop_has_a_place_in_a_ring_that_is_full() {
     assert!(ring.has_stop());
     assert_eq!([0; 4].map(|_| ring.next()), [Next::Missing, Next::Byte(0x18), Next::Nothing, Next::Nothing]);
     assert!(!ring.has_stop());
+}
+
+/// Nobody has looked at the bytes that came by DMA; and before they come all is taken.
+#[test]
+fn what_may_be_a_stop_is_read_like_one() {
+    let ring = Received::new();
+    assert_eq!([b'~', b'~'].map(|byte| ring.hear(byte)), [Call::Soon; 2]);
+    assert!(!ring.has_stop());
+    // Also what comes while the task reads what was there.
+    ring.hurry();
+    assert_eq!(ring.hear(b'~'), Call::Soon);
+    for _ in 0..3 {
+        assert!(ring.has_stop());
+        assert_eq!(ring.next(), Next::Byte(b'~'));
+    }
+    let (address, _) = ring.place();
+    // SAFETY: as in `Stream::stand`.
+    unsafe { (address as *mut u8).write(0x18) };
+    ring.placed(1);
+    assert!(ring.has_stop());
+    assert_eq!((ring.next(), ring.has_stop()), (Next::Byte(0x18), false));
 }
 
 /// Which of the bytes that came by DMA was disturbed is not known.

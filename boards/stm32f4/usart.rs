@@ -18,18 +18,18 @@
 //! realtime commands (`REALTIME_DEPTH`). A host that sends more than 512 bytes in that time overruns the USART, which is
 //! reported like any other loss.
 //!
-//! Names: the interrupt is `on_interrupt`, the ring `RECEIVED`, what can wait for the end of a line `is_text`.
+//! Names: the interrupt is `on_interrupt`, the ring `RECEIVED`, which says whether a `Call` is due.
 //! `call_serial` calls the serial task, `call_soon` if it may be called yet. `SENT` is the ring of answers; the task `IS_WAITING` for room in it. `shelter` sets a
 //! stream up (`par`, `m0ar`, `ndtr`) while the `work` is done; `Sheltered` names the stream of each USART. Registers are
 //! read and written raw (`SR`, `DATA`, `BRR`, `CR_1`, `CR_3`), the stream's through the `RegisterBlock` of DMA1 or `DMA2`
 //! (`switch_on`, `LIFCR`, `HIFCR`).
 
 use super::registers::{read, write};
-use crate::calls::{RESET, call_soon, is_stop};
-use crate::received::{Next, Received};
+use crate::calls::{call_soon, is_stop};
+use crate::received::{Call, Next, Received};
 use crate::sent::Sent;
 use crate::{Incoming, Port};
-use core::sync::atomic::{AtomicBool, AtomicU8, Ordering::Relaxed, Ordering::SeqCst, fence};
+use core::sync::atomic::{AtomicBool, Ordering::Relaxed, Ordering::SeqCst, fence};
 use stm32f4xx_hal::{
     pac,
     rcc::{BusClock, Enable, Rcc},
@@ -37,14 +37,10 @@ use stm32f4xx_hal::{
 };
 
 static RECEIVED: Received = Received::new();
-/// The byte before, if it was kept.
-static BEFORE: AtomicU8 = AtomicU8::new(0);
 static SENT: Sent = Sent::new();
 /// The serial task has more to send, and is called when there is room.
 static IS_WAITING: AtomicBool = AtomicBool::new(false);
 
-/// Bytes of text that may wait in the ring for the end of their line.
-const GATHERED: u32 = 32;
 /// Bytes that are still to be sent when the task is called for more.
 const FEW: u32 = 16;
 
@@ -102,40 +98,24 @@ pub fn on_interrupt<U: Sheltered>() {
 
 #[inline(always)]
 fn keep(byte: u8) {
-    let before = BEFORE.load(Relaxed);
-    BEFORE.store(byte, Relaxed);
-    if is_text(byte) {
-        if RECEIVED.keep(byte, false).is_none_or(|waiting| waiting >= GATHERED) {
-            call_soon();
-        }
-        return;
+    match RECEIVED.hear(byte) {
+        Call::AtOnce => crate::call_serial(),
+        Call::Soon => call_soon(),
+        Call::NotYet => {}
     }
-    let is_stop = is_stop(byte);
-    let repeats = byte == before && (is_stop || byte == b'?');
-    if repeats && RECEIVED.is_waiting() {
-        // The one before has not been heard yet: it says the same.
-        return;
-    }
-    if byte == RESET {
-        RECEIVED.forget_losses();
-    }
-    if RECEIVED.keep(byte, is_stop).is_none() {
-        // What is lost says nothing: the same again is to be kept.
-        BEFORE.store(0, Relaxed);
-    }
-    if is_stop && !repeats { crate::call_serial() } else { call_soon() }
 }
 
-/// Whether a byte is text of a line, with which the serial task has nothing to do before the end of the line.
-#[inline(always)]
-fn is_text(byte: u8) -> bool {
-    (b' '..=b'}').contains(&byte) && !matches!(byte, b'!' | b'?')
+#[inline(never)]
+fn keep_unheard(byte: u8) {
+    RECEIVED.keep(byte, is_stop(byte));
 }
 
 /// What is left of a byte where one of several was disturbed: no line but an empty one is carried out that has one of them.
 fn refused(byte: u8) -> u8 {
-    if is_stop(byte) || matches!(byte, b'\n' | b'\r') { byte } else { b'@' }
+    if is_stop(byte) || matches!(byte, b'\n' | b'\r') { byte } else { REFUSED }
 }
+
+const REFUSED: u8 = b'@';
 
 /// A USART whose receiver has a DMA stream (reference manual, "DMA request mapping").
 pub trait Sheltered: Instance {
@@ -184,7 +164,9 @@ macro_rules! raw {
 
 /// Works with the DMA standing in for the interrupt. No task runs meanwhile.
 pub fn shelter<U: Sheltered>(work: &mut dyn FnMut()) {
-    // What waits is taken before: moving it would take longer than a byte does to come.
+    // What waits is taken before, all of it and what comes meanwhile: moving it would take longer than a byte does to come, and where
+    // it is much there may be little room behind it.
+    critical_section::with(|_| RECEIVED.hurry());
     crate::call_serial();
     cortex_m::asm::dsb();
     cortex_m::asm::isb();
@@ -215,17 +197,17 @@ pub fn shelter<U: Sheltered>(work: &mut dyn FnMut()) {
         if status & (FRAMING | NOISE) != 0 {
             let byte = refused(read(usart + DATA) as u8);
             RECEIVED.placed_disturbed(count, refused);
+            // The last of them may have become the end of a line: what comes behind is refused up to its own.
             if status & ARRIVED != 0 {
-                RECEIVED.keep(byte, is_stop(byte));
+                keep_unheard(byte);
             }
+            keep_unheard(REFUSED);
             if status & OVERRUN != 0 {
                 RECEIVED.miss();
             }
         } else {
             RECEIVED.placed(count);
         }
-        // None of these bytes has been seen.
-        BEFORE.store(0, Relaxed);
         clear_flags::<U>();
     });
     crate::call_serial();

@@ -29,8 +29,8 @@ const USB_HELD: usize = 3 * 64;
 /// A UART's sender does not wait: the queue is all that it may fill.
 const UART_HELD: usize = 1;
 
-/// Bytes that are no text which are taken at once, and how many microseconds make up for one of them: a host, or noise on a wire,
-/// that sends them without end is not to take all of the processor.
+/// Bytes that are not queued as parts of lines which are taken at once, and how many microseconds make up for one of them: a host, or
+/// noise on a wire, that sends them without end is not to take all of the processor.
 const MOST_OTHERS: u32 = 128;
 const OTHER_US: u32 = 200;
 
@@ -49,7 +49,7 @@ struct ToControl {
     line_sender: LineSender,
     /// Line bytes queued in this run.
     bytes_queued: u32,
-    /// Bytes that are no text that may still be taken, and since when one has been made up for.
+    /// Bytes that are no parts of lines that may still be taken, and since when one has been made up for.
     others: u32,
     others_since: u32,
     /// Others have come that may not be taken yet.
@@ -57,7 +57,7 @@ struct ToControl {
 }
 
 impl ToControl {
-    /// Counts what may be taken again of bytes that are no text.
+    /// Counts what may be taken again of bytes that are no parts of lines.
     fn allow_others(&mut self) {
         let more = boards::clock_ticks().wrapping_sub(self.others_since) / (OTHER_US * boards::CLOCK_TICKS_PER_US);
         self.others = MOST_OTHERS.min(self.others.saturating_add(more));
@@ -175,15 +175,15 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
             let text = self.link.take_text(self.port.fetched(), arbiter, queues);
             self.port.pass(text);
             news |= text > 0;
+            let queued = queues.bytes_queued;
             match self.port.receive() {
                 Incoming::Nothing => break,
                 Incoming::Lost => self.link.lose(),
-                Incoming::Byte(byte) => {
-                    news |= self.link.take(byte, arbiter, other, queues);
-                    queues.others = queues.others.saturating_sub(1);
-                }
+                Incoming::Byte(byte) => news |= self.link.take(byte, arbiter, other, queues),
             }
-            limited = queues.others == 0 && !self.port.is_urgent();
+            // Of lines no more is queued than there is room for, however they end.
+            queues.others = queues.others.saturating_sub(u32::from(queues.bytes_queued == queued));
+            limited = queues.others == 0 && queues.bytes_queued == queued && !self.port.is_urgent();
             if limited {
                 queues.left_unread = true;
                 boards::calls::call_soon();

@@ -86,9 +86,9 @@ class Host:
         board.usart.listen()
         return self.outgoing[-1][0] if self.outgoing else board.now
 
-    def stream(self, text):
+    def stream(self, text, end="\n"):
         """Begins to send a job by character counting."""
-        self._job.extend(line.encode() + b"\n" for line in text.splitlines())
+        self._job.extend((line + end).encode() for line in text.splitlines())
         self._feed()
 
     def _feed(self):

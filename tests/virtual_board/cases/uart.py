@@ -16,7 +16,7 @@ UART_LINES_S = {"blackpill_f411": 3200, "blackpill_f401": 2050, "nucleo_f446re":
 
 FAST_BAUD = 1_000_000
 
-LONGEST_GAP_S = 120 * US
+LONGEST_GAP_S = 125 * US
 """Between two samples of the inputs: a run of the step task may be in between."""
 
 
@@ -39,15 +39,16 @@ def baud_rates(bench):
     restart_at(bench, FAST_BAUD)
     bench.ask("$I")
     yield f"after a start at {board.usart.baud():.0f} baud"
-    # Remarks of any length, so that a store finds any number of bytes waiting.
+    # Remarks of any length, so that a store finds any number of bytes waiting: of text, and of bytes of which few are read at once.
     random, overruns = Random(931), board.usart.overruns
-    lines = [f"${130 + k % 3}={200 + k}.5({random.randrange(40) * 'a'})" for k in range(300)]
-    begin = len(host.answers)
-    host.stream("\n".join(lines))
-    bench.wait(lambda: host.all_answered, 5, "the last answer")
-    if host.answers[begin:] != ["ok"] * len(lines) or board.usart.overruns != overruns:
-        raise Failure(f"{set(host.answers[begin:])}, {board.usart.overruns - overruns} overruns while settings are stored")
-    yield f"{len(lines)} settings stored one behind the other, no byte lost"
+    for letter, count in ("a", 300), ("\u00e4", 200):
+        lines = [f"${130 + k % 3}={200 + k}.5({random.randrange(40) * letter})" for k in range(count)]
+        begin = len(host.answers)
+        host.stream("\n".join(lines))
+        bench.wait(lambda: host.all_answered, 5, "the last answer")
+        if host.answers[begin:] != ["ok"] * count or board.usart.overruns != overruns:
+            raise Failure(f"{set(host.answers[begin:])}, {board.usart.overruns - overruns} overruns while settings are stored")
+        yield f"{count} settings stored one behind the other, with remarks of the letter {letter}, no byte lost"
     for pins, baud in (("hold",), FAST_BAUD), (("start",), FAST_BAUD), (("hold", "start"), 115_200):
         for pin in pins:
             board.drive(getattr(bench.wiring, pin), 0)
@@ -65,46 +66,68 @@ def baud_rates(bench):
     yield f"the same with inverted inputs: {board.usart.baud():.0f} baud"
 
 
+class Disturbed:
+    """Now and then a digit of what the host sends becomes another byte, and is seen to be wrong, while DMA receives."""
+
+    def __init__(self, usart, become):
+        self.usart, self.become, self.receive = usart, become, usart._receive
+        self.ends, self.lines = 0, []
+        """Numbers of the lines in which that was."""
+        usart._receive = self
+
+    def __call__(self, byte, error):
+        # The loss before has been told by then.
+        is_due = not self.lines or self.ends >= self.lines[-1] + 10
+        if is_due and self.usart.values[CR3] & DMAR and chr(byte).isdigit():
+            self.lines.append(self.ends)
+            self.receive(self.become(byte), FE)
+        else:
+            self.receive(byte, error)
+        self.ends += byte == ord("\n")
+
+    def end(self):
+        self.usart._receive = self.receive
+        if not self.lines:
+            raise Failure("this proves nothing")
+
+
 def disturbed_line(bench):
-    """A bit of a byte is wrong, and seen to be, while flash is written: none of the lines that come then is carried out with
-    another value than was sent, and each is answered."""
+    """A byte is wrong, and seen to be, while flash is written: none of the lines that come then is carried out with
+    another value than was sent, nor as two, and each is answered."""
     bench.boot()
     bench.ask(f"$931={FAST_BAUD}")
     restart_at(bench, FAST_BAUD)
     board, host = bench.board, bench.host
-    receive, disturbed, ends = board.usart._receive, [], 0
-
-    def receive_disturbed(byte, error):
-        nonlocal ends
-        # Now and then a digit, while DMA receives: the loss before has been told by then.
-        is_due = not disturbed or ends >= disturbed[-1] + 10
-        if is_due and board.usart.values[CR3] & DMAR and chr(byte).isdigit():
-            disturbed.append(ends)
-            byte, error = byte ^ 1, FE
-        ends += byte == ord("\n")
-        receive(byte, error)
-
-    board.usart._receive = receive_disturbed
+    disturbed = Disturbed(board.usart, lambda byte: byte ^ 1)
     begin = len(host.answers)
     values = [f"{100 + 2 * k}.000" for k in range(400)]
     host.stream("\n".join(f"${130 + k % 3}={value}" for k, value in enumerate(values)))
     bench.wait(lambda: host.all_answered, 5, "the last answer")
-    board.usart._receive = receive
+    disturbed.end()
     answers = host.answers[begin:]
     refused = sum(answer != "ok" for answer in answers)
-    yield f"{len(disturbed)} bytes of {len(values)} lines disturbed, {refused} lines refused"
-    if carried_out := [line for line in disturbed if answers[line] == "ok"]:
+    yield f"{len(disturbed.lines)} bytes of {len(values)} lines disturbed, {refused} lines refused"
+    if carried_out := [line for line in disturbed.lines if answers[line] == "ok"]:
         raise Failure(f"disturbed lines {carried_out} were carried out")
-    if not disturbed:
-        raise Failure("this proves nothing")
     listing = bench.ask("$$")
     for number in range(3):
         right = [value for value, answer in zip(values[number::3], answers[number::3], strict=True) if answer == "ok"][-1]
         if f"${130 + number}={right}" not in listing:
             raise Failure(f"${130 + number} is not {right}: {listing[-12:]}")
+    # Of a line that is cut in two the second half would move.
+    bench.ask("$X")
+    scope = Scope(board)
+    disturbed = Disturbed(board.usart, lambda byte: ord("\n"))
+    host.stream("\n".join(f"G10L2P{k % 6 + 1}X{k}Y1Z2" for k in range(1000)))
+    bench.wait(lambda: host.all_answered, 9, "the last answer")
+    disturbed.end()
+    board.run(seconds=0.1)
+    yield f"{len(disturbed.lines)} bytes have become ends of lines"
+    if scope.steps():
+        raise Failure(f"half a line was carried out: the motors are at {scope.counts()}")
 
 
-FLOODS = {"?": b"?", "ends of lines": b"\n", "0xFF": b"\xff", "NUL": b"\0", "comments": b"(a)\n"}
+FLOODS = {"?": b"?", "ends of lines": b"\n", "ends by CR LF": b"\r\n", "0xFF": b"\xff", "NUL": b"\0", "comments": b"(a)\n"}
 """What a host, or a wire on which there is noise, may say at the greatest rate without flow control."""
 
 
