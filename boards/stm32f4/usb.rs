@@ -263,8 +263,12 @@ impl UsbPort {
     fn enable_endpoint(&mut self) {
         let at = self.class.port.read_ep().address().index() * NEXT_ENDPOINT;
         let control = DOEPCTL + at;
-        write(DOEPTSIZ + at, ONE_PACKET);
-        write(control, read(control) | ENABLED_AGAIN);
+        let before = read(control);
+        // The driver may have enabled it: then its size is not to be touched.
+        if before & ENABLED == 0 {
+            write(DOEPTSIZ + at, ONE_PACKET);
+        }
+        write(control, before | ENABLED_AGAIN);
         self.received.ended = false;
     }
 

@@ -178,7 +178,8 @@ class OtgFs(Peripheral):
             if side == IN:
                 self.complete[number] &= ~value
         elif register == 0x10:
-            if side == OUT and self.control[side, number] & EPENA:
+            # The driver does so with endpoint 0 at a bus reset, for its next SETUP packets.
+            if side == OUT and number and self.control[side, number] & EPENA:
                 raise Misuse(f"OTG_FS: the size of OUT endpoint {number} is written while it is enabled")
             self.size[side, number] = value
         else:
