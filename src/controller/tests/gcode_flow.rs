@@ -311,6 +311,37 @@ fn memory_for_text() {
     assert_eq!((sender.errors, sender.went.len()), (vec![2; 100], 500));
 }
 
+/// However full the memory is, no line of a refused block runs by itself, and a subroutine that is refused again and again
+/// takes no more of it.
+#[test]
+fn refused_in_full_memory() {
+    let line = |length: usize| format!("G0X1Y{:0width$}\n", 0, width = length - "G0X1Y".len());
+    for free in 0..300 {
+        for label in ["2", "<a_name>", &format!("<{}>", "a".repeat(70)), &format!("<{}>", "a".repeat(150))] {
+            let mut sender = Sender::new();
+            // Each line takes one byte more than it is long; the first and the last of the subroutine take 15.
+            let body = 6144 - 64 - 15 - free;
+            let body = line(61).repeat(body / 62 - 1) + &line(61 + body % 62);
+            sender.send_all(&format!("o1 sub\n{body}o1 endsub"));
+            assert_eq!(sender.errors, [], "{free}");
+            for _ in 0..3 {
+                sender.send_all(&format!("o{label} sub\n{}o{label} endsub", line(240)));
+                sender.send_all(&format!("o{label} repeat [2]\n{}o{label} endrepeat", line(240)));
+            }
+            if free < 100 {
+                assert_eq!(sender.went, [], "{free} {label}");
+            }
+        }
+    }
+    let mut sender = Sender::new();
+    for _ in 0..500 {
+        sender.send_all("o1 sub\no2 sub\nX1\no1 endsub");
+    }
+    sender.errors.clear();
+    sender.send_all(&format!("o1 sub\n{}o1 endsub\no1 call", line(61).repeat(97)));
+    assert_eq!((sender.errors.as_slice(), sender.went.len()), (&[][..], 97));
+}
+
 #[test]
 fn the_end_of_a_program() {
     // M2 within a call and a condition: nothing of it is left.

@@ -16,7 +16,7 @@
 //! streaming, recording, running or skipped. The `Keyword` table, an `OWord` with label and arguments cut from a line
 //! without its remarks, and finding, pushing, dropping and going back behind or after a place of the held text;
 //! `OutOfMemory` and `TooDeep`. Functions are `find_sub`, `find_own`, `find_from`, `end_of_sub`, `drop_sub`,
-//! `ends_skipping`, `is_ended_by`, `is_well_formed`, `has_computed_label`, `label_length`, `ends_program`,
+//! `refuse_sub`, `ends_skipping`, `is_ended_by`, `is_well_formed`, `has_computed_label`, `label_length`, `ends_program`,
 //! `leaves_lines_out`, `is_of_last`, `of_stream`, `recorded_from`, `go_back` and `hold`. `EndSub` closes a sub;
 //! `PASSES`, `LABELS`, `ARGUMENTS`, `DEPTH`, `TEXT`, `SPARE` and `MOST_MACROS` are the room that there is.
 
@@ -382,6 +382,18 @@ impl FlowControl {
         {
             self.text.copy_within(usize::from(end).., usize::from(from));
             self.text.truncate(self.text.len() - usize::from(end - from));
+        }
+    }
+
+    /// Drops a refused subroutine, whose text begins at a position, and an older one. Its label stays, with an end that is an
+    /// error: a call runs neither the older one nor a macro.
+    pub(super) fn refuse_sub(&mut self, from: u16, label: &[u8], end: &[u8]) {
+        let opening = 1 + self.line(from).map_or(0, <[u8]>::len);
+        self.text.truncate(usize::from(from) + opening);
+        self.drop_sub(label);
+        let behind = self.text.len();
+        if self.hold(end, b"]", SPARE).is_err() {
+            self.text.truncate(behind.saturating_sub(opening));
         }
     }
 

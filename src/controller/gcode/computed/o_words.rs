@@ -122,13 +122,13 @@ impl<const N: usize> Interpreter<N> {
             Keyword::Sub | Keyword::Do | Keyword::While | Keyword::Repeat => {
                 let from = flow.text.len() as u16;
                 let held = order.must_be_well_formed().and_then(|()| flow.hold(line, remark, 0));
+                flow.state = State::Recording(from, held.err());
+                flow.recorded_from = flow.line;
                 if held.is_err() {
-                    // What is refused needs its label and kind.
+                    // What is refused needs its label and kind: without room for them all that follows is refused.
                     let length = line.len() - order.arguments.len();
                     flow.hold(line.get(..length).unwrap_or(&[]), &[], 0)?;
                 }
-                flow.state = State::Recording(from, held.err());
-                flow.recorded_from = flow.line;
                 held?;
                 return Ok(Direction::LeftOut);
             }
@@ -162,12 +162,16 @@ impl<const N: usize> Interpreter<N> {
             false => State::Recording(from, error),
         };
         match (error, order) {
-            (Some(error), _) => {
-                if ends {
+            (Some(error), Some(order)) if ends => {
+                if of_sub {
+                    let end = line.get(..line.len() - order.arguments.len());
+                    flow.refuse_sub(from, order.label, end.unwrap_or(line));
+                } else {
                     flow.text.truncate(usize::from(from));
                 }
                 Err(error)
             }
+            (Some(error), _) => Err(error),
             (None, Some(order)) if ends && of_sub => {
                 // The older one is found first.
                 if flow.find_own(order.label).is_some_and(|(at, _)| at < from) {
