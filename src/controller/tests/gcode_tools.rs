@@ -343,6 +343,14 @@ fn a_restored_state_has_the_length_of_the_tool_in_the_spindle() {
     measure(&mut program, 1, -15);
     program.run("M72");
     assert_eq!(tool_length(&program), 5.0, "it has been put in otherwise");
+    // Nor does the length stay away that was measured.
+    for line in ["G49", "G43.1 Z99"] {
+        program.run("M70");
+        measure(&mut program, 2, -10);
+        program.run(line);
+        program.run("M72");
+        assert_eq!(tool_length(&program), 10.0, "{line}");
+    }
     for tool in ["T3 M6", "M61 Q3"] {
         let mut program = ready(Dialect::Oxmill);
         program.run_all("G10 L1 P3 Z3\nG43.1 X1 Z2\nM70\nG20");

@@ -5,6 +5,7 @@ use super::line::Check;
 use crate::error::Error;
 use crate::gcode::checked::Keeping;
 use crate::gcode::modal::{EXTENDED, Modal, OverridesHeld};
+use crate::gcode::offsets::TOOL_AXIS;
 use crate::gcode::word::{Groups, Letters};
 use crate::units::Decimal;
 
@@ -53,6 +54,8 @@ impl<const N: usize> Check<'_, N> {
                     Modal { motion: before.motion, straight: before.straight, tool: before.tool, ..saved.modal };
                 if saved.spindle_tool == self.state.spindle_tool && !saved.is_measured_anew {
                     checked.tool_length = saved.tool_length;
+                } else if let Some(measured) = self.state.measured_offset(self.state.spindle_tool) {
+                    checked.tool_length.set(TOOL_AXIS, measured.get(TOOL_AXIS).unwrap_or_default());
                 }
                 // G92 is not restored, but whether it acts: as by G92.2 or G92.3.
                 if checked.after.g92_acts != saved.g92_acts {
