@@ -36,7 +36,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub fn is_old(&self, byte: LineByte) -> bool {
         if byte.byte == HOST_CHANGED {
             // It comes before such bytes, and where nothing of the host before is in work it may be taken like them.
-            let waits = matches!(self.mode, Mode::Door(_));
+            let waits = matches!(self.mode, Mode::Door(_)) && !self.lines.holds();
             return waits && matches!(self.task, Task::None | Task::Startup(_, None));
         }
         self.lines.is_old(byte)

@@ -235,6 +235,9 @@ impl LineIntake {
 
     /// Whether a byte that comes next would be dropped, as it was received before a reset or a stop.
     pub fn is_old(&self, byte: LineByte) -> bool {
+        if self.holds() || is_before(self.epoch, byte.epoch) {
+            return false;
+        }
         let by_button = self.drop_bytes > 0 || self.drop_rest;
         by_button || is_before(byte.epoch, self.reset_epoch)
     }
@@ -410,6 +413,22 @@ mod tests {
         assert_eq!(give(&mut intake, b"G4\n", 1), ["G4"]);
         intake.cancel_jogs();
         assert_eq!(give(&mut intake, b"G0X2\n", 1), ["G0X2"], "whole lines are none of a jog cancel's business");
+    }
+
+    /// What waits for its command is none of what a button drops, nor is what comes behind it.
+    #[test]
+    fn a_byte_of_a_later_epoch_is_not_old() {
+        let mut intake = LineIntake::new();
+        intake.drop_received(10);
+        assert!(intake.is_old(byte(b'G', 0)));
+        assert!(!intake.is_old(byte(b'G', 1)));
+        intake.take(byte(b'G', 1), rules);
+        assert!(intake.holds());
+        assert!(!intake.is_old(byte(b'0', 0)) && !intake.is_old(byte(b'0', 1)));
+        intake.reset();
+        let held = intake.release().unwrap();
+        intake.take(held, rules);
+        assert_eq!(give(&mut intake, b"0\n", 1), ["G0"]);
     }
 
     #[test]
