@@ -114,11 +114,13 @@ impl Received {
             return None;
         }
         self.slot(come).store(byte, Relaxed);
-        if is_stop {
-            self.stop_to.store(come.wrapping_add(1), Relaxed);
+        let behind = come.wrapping_add(1);
+        // Unless bytes behind it are as urgent.
+        if is_stop && !(1..=ROOM).contains(&self.stop_to.load(Relaxed).wrapping_sub(behind)) {
+            self.stop_to.store(behind, Relaxed);
         }
         fence(Ordering::Release);
-        self.come.store(come.wrapping_add(1), Relaxed);
+        self.come.store(behind, Relaxed);
         Some(waiting)
     }
 

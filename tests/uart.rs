@@ -230,6 +230,11 @@ fn what_may_be_a_stop_is_read_like_one() {
         assert!(ring.has_stop());
         assert_eq!(ring.next(), Next::Byte(b'~'));
     }
+    ring.hurry();
+    // A stop among them does not end the hurry.
+    assert_eq!([b'!', b'~'].map(|byte| ring.hear(byte)), [Call::AtOnce, Call::Soon]);
+    assert_eq!((ring.next(), ring.has_stop()), (Next::Byte(b'!'), true));
+    assert_eq!(ring.next(), Next::Byte(b'~'));
     let (address, _) = ring.place();
     // SAFETY: as in `Stream::stand`.
     unsafe { (address as *mut u8).write(0x18) };

@@ -56,7 +56,7 @@ fn unwatched() -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// Watches the supply: below 2.9 V `low_voltage` is called, which is to make everything
+/// Watches the supply: below 2.9 V (2.85 to 2.99 V, falling) `low_voltage` is called, which is to make everything
 /// safe while there still is power. Its vector has the highest priority of all; it runs once and does not return.
 pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI, low_voltage: fn() -> !) {
     critical_section::with(|cs| LOW_VOLTAGE.borrow(cs).set(low_voltage));
@@ -77,15 +77,19 @@ pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI, low_voltage: fn() -> !) {
     }
 }
 
-/// Waits until the supply has risen to 2.9 V. To be called before the clocks are set: the chip wakes up at 1.7 V, and the wait
+/// Waits until the supply has risen to 3 V (the detector's threshold, rising: 2.95 to 3.09 V). To be called before the clocks are set: the chip wakes up at 1.7 V, and the wait
 /// states of flash for a clock beyond the 16 MHz of a reset are those for 2.7 V or more (reference manual, "Relation between CPU clock
 /// frequency and flash memory read time"). Capacitors of some millifarads behind a small supply take a tenth of a second.
 pub fn await_voltage(pwr: &pac::PWR) {
     detect_voltage(pwr);
-    while voltage_is_low() {}
+    if voltage_is_low() {
+        defmt::warn!("waits for a supply of 3.1 V");
+        while voltage_is_low() {}
+    }
 }
 
-/// Switches the detector on, at its highest threshold (PLS = 7): 2.9 V.
+/// Switches the detector on, at its highest threshold (PLS = 7): 2.9 V while the supply falls, and 0.1 V more while it rises (data
+/// sheets, "Embedded reset and power control block characteristics").
 fn detect_voltage(pwr: &pac::PWR) {
     clock_supply();
     pwr.cr().modify(|_, w| raw!(w.pvde().set_bit().pls(), 7));
