@@ -175,6 +175,7 @@ def raster_stops(bench):
     watch, behind = StopWatch(board), 0
     # The host's line is free again before the first of these pixels.
     row = "M3S0\nX.6\n" + "".join(f"X.05S{2 + 6 * (k % 2)}\n" for k in range(10)) + "X9S7\n"
+
     def are_near():
         return any(-250 < cycles < 0 for cycles in near) and any(0 < cycles < 250 for cycles in near)
 
