@@ -187,11 +187,17 @@ pub(super) fn cut<M: Map>() {
         write(stream(dma, number) + CR, 0);
     }
     for (dma, number) in streams {
-        // A write under way ends before the stream is off. A stream that never ends would be the last thing to wait for.
-        let mut looks = SERVED_CYCLES;
-        while read(stream(dma, number) + CR) & EN != 0 && looks > 0 {
-            looks -= 1;
-        }
+        await_off(stream(dma, number));
+    }
+}
+
+/// A transfer under way ends before a stream is off, which EN tells (reference manual, "Stream configuration procedure"). One that
+/// never ends would be the last thing to wait for.
+#[inline(always)]
+fn await_off(stream: usize) {
+    let mut looks = SERVED_CYCLES;
+    while read(stream + CR) & EN != 0 && looks > 0 {
+        looks -= 1;
     }
 }
 
@@ -557,8 +563,7 @@ fn switch_on(dma: usize, number: usize, peripheral: usize, memory: usize, how: u
     let at = stream(dma, number);
     write(at + CR, 0);
     let clear = if number < 4 { LIFCR } else { HIFCR };
-    // A stream that was on ends its transfer first.
-    cortex_m::asm::delay(APART_CYCLES);
+    await_off(at);
     write(dma + clear, FLAGS << flags_at(number));
     write(at + PAR, peripheral as u32);
     write(at + M0AR, memory as u32);

@@ -692,6 +692,22 @@ class ChainTraces(unittest.TestCase):
         self.until(1250)
         self.tim2.write(timer.DIER, 0)
 
+    def test_a_stream_that_is_switched_off_ends_its_transfer(self):
+        self.begin([1000, 1200, 1400, 1600], [2, 2, 2, 2])
+        self.until(1208)
+        base = 0x10 + 0x18
+        # The second word is on its way to the port.
+        self.dma2.write(base + dma.CR, 0)
+        self.assertEqual(self.dma2.read(base + dma.CR), 1)
+        with self.assertRaises(Misuse):
+            self.dma2.write(base + dma.NDTR, 4)
+        with self.assertRaises(Misuse):
+            self.dma2.write(base + dma.CR, self.ON | 1)
+        self.until(1220)
+        self.assertEqual((self.bench.edges[-1], self.dma2.read(base + dma.CR)), ((1217, "A", 1, 1), 0))
+        self.assertEqual(self.dma2.read(base + dma.NDTR), 2)
+        self.dma2.write(base + dma.NDTR, 4)
+
     def test_a_pulse_that_is_cut(self):
         self.begin([1000, 1200, 1400, 1600], [2, 2, 2, 2])
         self.until(1210)

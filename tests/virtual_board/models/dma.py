@@ -4,8 +4,9 @@ through them.
 Modelled: streams from a peripheral to memory, bytes or half-words on both sides, memory address counting up, once; number
 of data, end of a transfer with its flag, clearing of flags, switching off. Such a transfer is done at the moment of the
 request. For compare events of timers: words in direct mode, either direction, either address counting up, circular, one
-transfer after the other with a delay; from memory to a peripheral the next word is fetched right after the one before,
-and the first at the enable. A request that no stream takes stays until its timer is reset.
+transfer after the other with a delay; a stream that is switched off ends the transfer that it is at, and EN tells until
+then; from memory to a peripheral the next word is fetched right after the one before, and the first at the enable. A
+request that no stream takes stays until its timer is reset.
 Not modelled: other sizes, double-buffer mode, FIFO, priorities of streams other than by their number, bus load, interrupts.
 
 Misuse is what parts punish without a word: GPIO reached through DMA2's peripheral port (ES0287 2.2.11: data may be
@@ -73,6 +74,10 @@ class Dma(Peripheral):
         self.fetched = [None] * 8
         """(index, word) that a stream to a peripheral holds; the index is that of the ring."""
         self.switched_on = [-SETTLE] * 8
+        self.taken = [0] * 8
+        """Requests that each stream has taken and not served."""
+        self.ending = [0] * 8
+        """CR of a stream that was switched off with a transfer under way, up to its end."""
         self.under_way = {}
         """Requests that have been made and not been served, by who made them."""
         self.unserved = set()
@@ -83,6 +88,8 @@ class Dma(Peripheral):
             stream, register = divmod(offset - 0x10, 0x18)
             if register == CR and self.board.now - self.switched_on[stream] < SETTLE:
                 raise Misuse(f"{self.name}: CR of stream {stream} is read right after it was switched on")
+            if register == CR and self.ending[stream]:
+                return super().read(offset) | EN
         return super().read(offset)
 
     @staticmethod
@@ -99,8 +106,10 @@ class Dma(Peripheral):
             stream, register = divmod(offset - 0x10, 0x18)
             base = offset - register
             on = self.values[base + CR] & EN
-            if on and register != CR:
+            if (on or self.ending[stream]) and register != CR:
                 raise Misuse(f"{self.name}: a register of stream {stream} is written while it is on")
+            if register == CR and value & EN and self.ending[stream]:
+                raise Misuse(f"{self.name}: stream {stream} is switched on while it ends a transfer")
             if register == CR and value & EN and not on:
                 flags = 0x3D << self._shift(stream)
                 if self.values[LISR if stream < 4 else HISR] & flags:
@@ -108,7 +117,10 @@ class Dma(Peripheral):
                 self._begin(stream, base, value)
             if register == CR and on and not value & EN:
                 self._check_fetched(stream, base)
-                self.fetched[stream] = None
+                if self.taken[stream]:
+                    self.ending[stream] = self.values[base + CR]
+                else:
+                    self.fetched[stream] = None
         super().write(offset, value)
 
     def _begin(self, stream, base, cr):
@@ -189,6 +201,7 @@ class Dma(Peripheral):
             base = 0x10 + 0x18 * stream
             cr = self.values[base + CR]
             if cr & EN and REQUESTS.get((self.name, stream, (cr & CHANNEL) >> 25)) == who:
+                self.taken[stream] += 1
                 done = max(at + (TO_APB if cr & TO_PERIPHERAL else TO_AHB), self.busy_until + BUSY)
                 self.busy_until = done
                 self._later(done, functools.partial(self._transfer, who, stream, base))
@@ -198,7 +211,9 @@ class Dma(Peripheral):
 
     def _transfer(self, who, stream, base, at):
         self.under_way[who] -= 1
-        cr = self.values[base + CR]
+        self.taken[stream] -= 1
+        ending, self.ending[stream] = self.ending[stream], 0
+        cr = self.values[base + CR] | ending
         if not cr & EN:
             return
         whole = self.whole[stream]
@@ -208,7 +223,10 @@ class Dma(Peripheral):
             if self.fetched[stream] is None or self.fetched[stream][0] != index:
                 raise Misuse(f"{self.name}: stream {stream} is asked before it has fetched a word")
             self.board.store_by_dma(par, self.fetched[stream][1], at)
-            self._later(at + FETCH, lambda at: self._fetch(stream, base, (index + 1) % whole))
+            if ending:
+                self.fetched[stream] = None
+            else:
+                self._later(at + FETCH, lambda at: self._fetch(stream, base, (index + 1) % whole))
         else:
             word = self.board.dma_load(par + (4 * index if cr & PINC else 0))
             self.board.store_by_dma(memory + (4 * index if cr & MINC else 0), word, at)
