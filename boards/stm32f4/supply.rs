@@ -112,8 +112,20 @@ extern "C" fn voltage_low() {
     critical_section::with(|cs| LOW_VOLTAGE.borrow(cs).get())()
 }
 
-/// The firmware has failed: logs why and resets, as soon as the supply is good.
+/// The core's clock is the one of a reset (HSI). To be called when nothing is timed any more.
+fn slow_down() {
+    // SAFETY: unsafe because the owner of the clocks is by-passed; safe because the program has ended.
+    let rcc = unsafe { &*pac::RCC::ptr() };
+    rcc.cr().modify(|_, w| w.hsion().set_bit());
+    while rcc.cr().read().hsirdy().bit_is_clear() {}
+    rcc.cfgr().modify(|_, w| w.sw().hsi());
+    while !rcc.cfgr().read().sws().is_hsi() {}
+}
+
+/// The firmware has failed: logs why and resets, as soon as the supply is good. It does so at 16 MHz, for which the wait states
+/// are enough on any supply; outputs stay driven, which they would not in a reset.
 pub fn restart(why: core::fmt::Arguments<'_>) -> ! {
+    slow_down();
     defmt::error!("{}", defmt::Display2Format(&why));
     while voltage_is_low() {}
     cortex_m::peripheral::SCB::sys_reset()

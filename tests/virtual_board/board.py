@@ -265,6 +265,11 @@ class Board:
                 peripheral.clock_changed()
             self.clocks.append((self.now, seconds + (self.now - last) / before, hz))
 
+    def slow_down(self, hz):
+        """The core's clock changes while models run, of which the watchdog follows."""
+        self.iwdg.slowed_down(hz / self.clocks[-1][2])
+        self.clocks.append((self.now, self.seconds(), hz))
+
     def seconds(self, cycle=None):
         """Time since power-up of a cycle."""
         cycle = self.now if cycle is None else cycle

@@ -28,7 +28,7 @@ class Bench:
             hclk=hclk, pclk1=pclk1, pclk2=hclk, values={0: 0}, timer_clock=lambda bus: bus if bus == hclk else 2 * bus
         )
         self.dma = []
-        self.stalled = 0.0
+        self.stalled, self.slow = 0.0, []
         self.limit = 1 << 40
         self.supply_v = 3.3
         self.exti = SimpleNamespace(edge=lambda line, rising: None)
@@ -47,6 +47,9 @@ class Bench:
 
     def change_clock(self, hz):
         self.clock = hz
+
+    def slow_down(self, hz):
+        self.slow.append(hz)
 
     def check_supply(self, hclk):
         if hclk > self.limit:
@@ -208,8 +211,7 @@ class RccTraces(unittest.TestCase):
 
     def test_a_crystal_that_fails(self):
         bench = Bench()
-        bench.nvic, bench.clocks, bench.failure = nvic.Nvic(bench, 86), [], None
-        bench.seconds = lambda: 0.25
+        bench.nvic, bench.failure = nvic.Nvic(bench, 86), None
         model = rcc.Rcc("RCC", bench)
         model.write(rcc.CR, model.read(rcc.CR) | 1 << 16)
         model.write(rcc.PLLCFGR, 25 | 192 << 6 | 1 << 22 | 4 << 24 | 2 << 28)
@@ -225,8 +227,18 @@ class RccTraces(unittest.TestCase):
         self.assertIsNone(bench.failure)
         self.assertEqual((model.read(rcc.CR) >> 16 & 0x303, model.read(rcc.CFGR) & 0xF), (0, 0))
         self.assertEqual((model.hclk, model.pclk1, model.pclk2), (16_000_000, 8_000_000, 16_000_000))
-        self.assertEqual(bench.clocks, [(0, 0.25, 16_000_000)])
+        self.assertEqual(bench.slow, [16_000_000])
         self.assertEqual(bench.nvic.takeable(1, 0x10), (nvic.NMI, False))
+
+    def test_back_to_the_clock_of_a_reset(self):
+        bench = Bench()
+        model = rcc.Rcc("RCC", bench)
+        model.write(rcc.PLLCFGR, 16 | 192 << 6 | 4 << 24 | 2 << 28)
+        model.write(rcc.CR, model.read(rcc.CR) | 1 << 24)
+        model.write(rcc.CFGR, 0b100 << 10 | 2)
+        self.assertEqual((bench.clock, model.pclk1), (96_000_000, 48_000_000))
+        model.write(rcc.CFGR, 0b100 << 10)
+        self.assertEqual((model.hclk, model.pclk1, bench.slow), (16_000_000, 8_000_000, [16_000_000]))
 
 
 class PwrTraces(unittest.TestCase):
@@ -889,6 +901,10 @@ class IwdgTraces(unittest.TestCase):
         self.assertEqual(model.due, 89_152_000)
         with self.assertRaises(Misuse):
             model.write(iwdg.KR, 0x1234)
+        # Half of the time has gone; the rest takes a sixth of the cycles at a sixth of the clock.
+        bench.now += 24_576_000
+        model.slowed_down(1 / 6)
+        self.assertEqual(model.due, bench.now + 4_096_000)
 
 
 class OtgTraces(unittest.TestCase):

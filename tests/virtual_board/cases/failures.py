@@ -219,6 +219,8 @@ def brown_out(bench):
         raise Failure(f"pulses for another {us(late)}")
     if board.resets:
         raise Failure("the chip begins anew while the supply is still low")
+    if board.rcc.hclk != HSI_HZ:
+        raise Failure(f"the core runs at {board.rcc.hclk} Hz on a supply below that of the flash's wait states")
     board.set_supply(3.3)
     bench.wait(lambda: board.resets, 1, "a reset after the supply has come back")
     tell(bench, "oltage", "upply")

@@ -50,6 +50,12 @@ class Iwdg(Peripheral):
         if self.started:
             raise Misuse("the watchdog is started before the clocks are set: its model cannot follow")
 
+    def slowed_down(self, ratio):
+        """Core cycles are longer from here on."""
+        if self.started:
+            now = self.board.now
+            self.plan(now + round((self.due - now) * ratio))
+
     def advance(self, now):
         self.plan(NEVER)
         self.board.request_reset(WATCHDOG_RESET, "independent watchdog")

@@ -130,21 +130,24 @@ class Rcc(Peripheral):
                 raise Misuse(f"the processor sleeps, and the clock of {', '.join(names)} stands (RCC, {asleep:#x})")
 
     def lose_hse(self):
-        """The oscillator fails in operation, the PLL with it: the system clock is HSI from here on, and the NMI is taken. Ratios of clocks
-        stay. What has been planned in core cycles for a moment of another clock (the watchdog) comes later by as much."""
+        """The oscillator fails in operation, the PLL with it: the system clock is HSI from here on, and the NMI is taken."""
         self.hse_stands = True
         if not self.values[CR] & CLOCK_SECURITY:
             self.board.failure = "the core has no clock any more: outputs stay as they are until the watchdog resets"
             return
         self.values[CR] &= ~(HSE_ON | PLL_ON)
         self.values[CFGR] &= ~3
+        self._slow_down()
+        self.board.nvic.pending.add(NMI)
+        self.board.look()
+
+    def _slow_down(self):
+        """The system clock is HSI from here on, whatever runs. Ratios of clocks stay. The watchdog's time does; what else has been
+        planned in core cycles for a moment of another clock comes later."""
         divider1, divider2 = self.hclk // self.pclk1, self.hclk // self.pclk2
         self.hclk = HSI_HZ
         self.pclk1, self.pclk2 = HSI_HZ // divider1, HSI_HZ // divider2
-        board = self.board
-        board.clocks.append((board.now, board.seconds(), HSI_HZ))
-        board.nvic.pending.add(NMI)
-        board.look()
+        self.board.slow_down(HSI_HZ)
 
     def timer_clock(self, bus_clock):
         """Clock of the timers of a bus: twice the bus clock if that is divided; TIMPRE makes it the core's, up to 4."""
@@ -169,6 +172,9 @@ class Rcc(Peripheral):
         value = self.values[CFGR]
         source = value & 3
         if source == 0:
+            if self.hclk > HSI_HZ:
+                self._slow_down()
+                return
             system = HSI_HZ
         elif source == 1:
             if not self.read(CR) >> 17 & 1:
