@@ -112,6 +112,8 @@ impl Model {
     /// It has not been heard for too long.
     pub(super) fn host_is_silent(&mut self, also: &mut Vec<Model>) {
         self.say("[MSG:The host is silent]");
+        // It is told once; for lines behind a jog the time begins again.
+        self.heard = self.now;
         self.host_fails(also);
         if self.mode == Mode::Jog && self.braking.is_some_and(|rest| rest.from <= self.now.to) {
             // A jog that has not moved may be over before a line that waits is read.
