@@ -30,6 +30,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         spun_up == SpinUp::UpToSpeed
     }
 
+    /// Whether a spindle that was switched on again in this hold is not up to speed yet.
+    pub(super) fn is_spinning_up(&self) -> bool {
+        let at_speed = self.accessories.is_at_speed(self.inputs.signals().at_speed, &self.settings);
+        self.accessories.turns_at().is_some_and(|at| self.now < at || !at_speed)
+    }
+
     /// Outputs follow the motion that has begun; they are off where the machine is locked.
     #[inline]
     pub(super) fn settle_outputs(&mut self) {
