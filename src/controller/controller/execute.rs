@@ -214,11 +214,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn advance_stage(&mut self, job: &mut Job, checking: bool) -> Option<Stage> {
         match job.stage {
             Stage::Drain if self.motion.is_idle() => Some(self.begin_tool_change(job)),
-            Stage::ToolChange => {
-                // They have stayed on for the operator.
-                self.start_idle_delay();
-                Some(Stage::Apply)
-            }
+            Stage::ToolChange => Some(Stage::Apply),
             Stage::SpinningDown => (self.now >= job.until).then(|| self.leave_for_tool()),
             Stage::Measuring => self.advance_tool_change(),
             Stage::Drain => {

@@ -63,6 +63,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.start_motion();
             }
         }
+        if self.motion.is_idle() {
+            // The drivers have stayed on for the operator, or since the tool was parked.
+            self.start_idle_delay();
+        }
     }
 
     /// Spindle stop in a hold: at once at rest, and while the machine brakes when it comes to rest; until then a second one
