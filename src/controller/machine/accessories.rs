@@ -139,6 +139,11 @@ impl Accessories {
         self.direction != SpindleDirection::Off
     }
 
+    /// Whether the program has the spindle on, with S0.
+    pub fn is_on_without_speed(&self) -> bool {
+        self.is_on() && self.speed == 0.0
+    }
+
     /// Whether the spindle is stopped although the program has it on.
     #[inline]
     pub fn is_suspended(&self) -> bool {
