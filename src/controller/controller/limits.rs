@@ -14,7 +14,7 @@ use crate::gcode::{self, ArcMove, Dialect, NurbsMove, SPLINES, SplineMove};
 use crate::motion::{ArcGeometry, NurbsGeometry, SplineGeometry, extent};
 use crate::protocol::report;
 use crate::settings::{AxisKey, Key};
-use crate::units::{Coordinate, StepsPerMm};
+use crate::units::Coordinate;
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Why the line may not be carried out though it is correct, if so.
@@ -137,20 +137,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let travel = self.settings.axes(AxisKey::Travel);
         let axes = Axis::ALL.into_iter().take(self.settings.axes_in_use());
         axes.zip(position.iter().zip(travel.iter())).any(|(axis, (place, travel))| {
-            let end = -Coordinate::from_mm_f32(*travel);
-            let beyond = *place > Coordinate::ZERO || *place < end && *place < self.last_place(axis, end);
+            let below = |end: f32| *place < -Coordinate::from_mm_f32(end);
+            let beyond = *place > Coordinate::ZERO || below(*travel) && below(self.reach(axis, *travel));
             beyond && axis.has_ends(*travel)
         })
     }
 
-    /// How far an axis may be told to go at the negative `end` of its travel. Where that is no whole number of steps, a machine
-    /// that was sent there stands up to half a step beyond, and other axes must move from there.
-    #[cold]
-    fn last_place(&self, axis: Axis, end: Coordinate) -> Coordinate {
-        let resolution = self.settings.axes(AxisKey::Resolution).get(axis);
-        let Some(scale) = resolution.and_then(StepsPerMm::new) else { return end };
-        let is_whole = scale.coordinate(scale.steps(end)) == end;
-        if is_whole { end } else { end - Coordinate::from_mm_f32(0.5 / scale.to_f32()) }
+    /// How far (mm) an axis may be told to go for this travel. Where that is no whole number of steps, a machine that was sent to
+    /// its end stands up to half a step beyond, and other axes must move from there.
+    #[inline(never)]
+    fn reach(&self, axis: Axis, travel: f32) -> f32 {
+        let resolution = self.settings.axes(AxisKey::Resolution).get(axis).unwrap_or(0.0);
+        let steps = travel * resolution;
+        // What is whole may be so by its rounding only.
+        let share = if steps as i32 as f32 == steps { 0.02 } else { 0.5 };
+        travel + share / resolution
     }
 
     /// The setting that allows no motion at all.
