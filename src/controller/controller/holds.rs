@@ -155,13 +155,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.interpreter.set_accessories(self.accessories.spindle(), self.accessories.coolant());
         self.replies.overrides_changed();
         self.interpreter.abandon_program();
-        self.mode = if locked { Mode::Alarm(None) } else { Mode::Normal };
-        if let Task::Storing(answer) = self.task {
-            // What is set is set: the restart that follows defaults is no part of the job.
-            self.finish(answer);
-        } else if self.task.abandon() {
+        if self.task.abandon() {
             self.say_ok();
         }
+        self.mode = if locked { Mode::Alarm(None) } else { Mode::Normal };
         if locked {
             self.say(|out| report::message(out, "Job stopped at an error, $X to go on"));
         }

@@ -144,7 +144,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     /// How far (mm) an axis may be told to go for this travel. Where that is no whole number of steps, a machine that was sent to
-    /// its end stands up to half a step beyond, and other axes must move from there.
+    /// its end is up to half a step beyond it, and other axes must move from there.
     #[inline(never)]
     fn reach(&self, axis: Axis, travel: f32) -> f32 {
         let resolution = self.settings.axes(AxisKey::Resolution).get(axis).unwrap_or(0.0);

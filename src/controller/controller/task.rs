@@ -219,8 +219,12 @@ impl Task {
         job.until = now + job.left;
     }
 
-    /// What was under way cannot be carried out any more. Whether the host waits for an answer.
+    /// What was under way cannot be carried out any more. Whether the host waits for an answer. Defaults that are restored
+    /// already still act, with a restart.
     pub(super) fn abandon(&mut self) -> bool {
+        if let Task::Storing(Answer::Restart) = self {
+            return false;
+        }
         let answers = self.answers_host();
         *self = Task::None;
         answers
