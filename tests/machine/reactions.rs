@@ -767,3 +767,19 @@ fn a_reset_on_the_way_back_from_a_door_forgets_that_the_host_has_gone() {
     mill.run_for(Duration::from_secs(3));
     assert!(status(&mut mill).contains("<Idle|"), "{}", mill.take_output());
 }
+
+/// A tool that is parked from rest needs the drivers; when it is back they go off after `$1`.
+#[test]
+fn the_drivers_go_off_behind_a_door_that_parked_the_tool() {
+    let mut mill = homed();
+    mill.run_for(Duration::from_millis(100));
+    let drivers = |mill: &Simulator| mill.outputs().is_some_and(|outputs| outputs.drivers);
+    assert!(!drivers(&mill));
+    mill.send([0x84]);
+    mill.run_for(Duration::from_secs(10));
+    assert!(drivers(&mill) && status(&mut mill).starts_with("<Door:0"));
+    mill.send("~");
+    mill.run_for(Duration::from_secs(10));
+    assert!(!drivers(&mill), "{}", status(&mut mill));
+    assert!(status(&mut mill).starts_with("<Idle"));
+}

@@ -53,6 +53,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             || matches!(checked.pins(), Some(gcode::ProgramPins::Wait { .. }))
             || checked.modal().overrides_held != self.interpreter.modal().overrides_held
             || self.speed_needs_rest()
+            || self.starts_to_turn()
     }
 
     /// Whether a line comes before which G61.1, in force for the one before it, brings the machine to rest.
@@ -64,6 +65,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// S rides with the motion. Only a laser without a motion to ride with changes its power at rest.
     fn speed_needs_rest(&self) -> bool {
         self.settings.is_on(Key::Laser) && self.shows_speed()
+    }
+
+    /// Whether S makes a spindle turn that M3 or M4 has switched on with S0, and motion has to wait for it.
+    fn starts_to_turn(&self) -> bool {
+        let (checked, settings) = (&self.line.checked, &self.settings);
+        checked.speed_changed
+            && checked.spindle.is_none()
+            && self.accessories.is_on_without_speed()
+            && (settings.is_on(Key::SpinUp) || self.accessories.must_tell_speed(settings))
+            && !settings.is_on(Key::Laser)
     }
 
     /// Whether the next report shows the accessories because of S.
@@ -214,11 +225,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn advance_stage(&mut self, job: &mut Job, checking: bool) -> Option<Stage> {
         match job.stage {
             Stage::Drain if self.motion.is_idle() => Some(self.begin_tool_change(job)),
-            Stage::ToolChange => {
-                // They have stayed on for the operator.
-                self.start_idle_delay();
-                Some(Stage::Apply)
-            }
+            Stage::ToolChange => Some(Stage::Apply),
             Stage::SpinningDown => (self.now >= job.until).then(|| self.leave_for_tool()),
             Stage::Measuring => self.advance_tool_change(),
             Stage::Drain => {
@@ -290,7 +297,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn begin_dwell(&self, job: &mut Job, checking: bool) -> Stage {
         let dwell = self.line.checked.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
         let wait = dwell + job.spindle_delay;
-        if self.accessories.must_tell_speed(&self.settings) && self.line.checked.spindle.is_some() && !checking {
+        let switched = self.line.checked.spindle.is_some() || !job.spindle_delay.is_zero();
+        if switched && self.accessories.must_tell_speed(&self.settings) && !checking {
             job.wait(Stage::SpinningUp, self.now + wait)
         } else if wait.is_zero() {
             Stage::Via
@@ -364,6 +372,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         if self.interpreter.modal().overrides_held != held {
             self.apply_overrides();
+        }
+        if self.starts_to_turn() {
+            // None to wait for would be no spindle to look at.
+            delay = self.settings.seconds(Key::SpinUp).max(Duration::from_ticks(1));
         }
         self.accessories.set_speed(self.line.checked.speed);
         if self.shows_speed() {

@@ -44,7 +44,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.cancel_jog();
                 self.forget_received_jogs();
             }
-            Mode::Hold => self.accessories.end_spin_up(),
+            Mode::Hold => self.accessories.leave_hold(false),
             _ => {}
         }
     }
@@ -53,6 +53,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[inline(never)]
     pub(super) fn leave_hold(&mut self) {
         self.restore_spindle();
+        self.accessories.end_spin_up();
         self.mode = Mode::Normal;
         self.task.resume(self.now);
         // After a contact, or before a soft-limit alarm, there is nothing to resume.
@@ -61,6 +62,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             if !self.motion.is_idle() {
                 self.start_motion();
             }
+        }
+        if self.motion.is_idle() {
+            // The drivers have stayed on for the operator, or since the tool was parked.
+            self.start_idle_delay();
         }
     }
 
@@ -78,11 +83,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// A spindle that was stopped in a hold turns again.
+    /// A spindle that was stopped in a hold turns again, and a cut waits until it is up to speed.
     pub(super) fn restore_spindle(&mut self) {
         if self.accessories.restore() {
             self.replies.overrides_changed();
             if matches!(self.mode, Mode::Hold) && self.accessories.is_on() {
+                if !self.settings.is_on(Key::Laser) {
+                    self.accessories.spin_up(self.now + self.settings.seconds(Key::SpinUp));
+                }
                 self.say(|out| report::message(out, "Restoring spindle"));
             }
         }
@@ -109,7 +117,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         let going = matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Hold);
         if going && (!self.motion.is_idle() || !self.task.is_none() || locked || !matches!(self.mode, Mode::Normal)) {
-            self.accessories.end_spin_up();
+            self.accessories.leave_hold(false);
             self.motion.hold();
             self.mode = Mode::Stopping { then: if locked { AfterBraking::Lock } else { AfterBraking::Continue } };
         } else if matches!(self.mode, Mode::Normal | Mode::Check) {
@@ -133,8 +141,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.door.take_jog();
         self.interpreter.set_position(self.motion.machine_position());
         self.start_idle_delay();
-        // A beam must not rest on one point, and a locked machine does not turn; else the spindle stays as it is.
-        if locked || self.settings.is_on(Key::Laser) || self.accessories.is_suspended() {
+        // A beam must not rest on one point, a locked machine does not turn, and no cut waits any more for a spindle that is
+        // getting up; else the spindle stays as it is.
+        let turns = !self.accessories.is_suspended() && !self.is_spinning_up() && !self.task.waits_for_spindle();
+        self.accessories.end_spin_up();
+        if locked || !turns || self.settings.is_on(Key::Laser) {
             self.accessories.stop_spindle();
         }
         if locked {

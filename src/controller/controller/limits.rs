@@ -137,9 +137,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let travel = self.settings.axes(AxisKey::Travel);
         let axes = Axis::ALL.into_iter().take(self.settings.axes_in_use());
         axes.zip(position.iter().zip(travel.iter())).any(|(axis, (place, travel))| {
-            let beyond = *place > Coordinate::ZERO || *place < -Coordinate::from_mm_f32(*travel);
+            let below = |end: f32| *place < -Coordinate::from_mm_f32(end);
+            let beyond = *place > Coordinate::ZERO || below(*travel) && below(self.reach(axis, *travel));
             beyond && axis.has_ends(*travel)
         })
+    }
+
+    /// How far (mm) an axis may be told to go for this travel. Where that is no whole number of steps, a machine that was sent to
+    /// its end is up to half a step beyond it, and other axes must move from there.
+    #[inline(never)]
+    fn reach(&self, axis: Axis, travel: f32) -> f32 {
+        let resolution = self.settings.axes(AxisKey::Resolution).get(axis).unwrap_or(0.0);
+        let steps = travel * resolution;
+        // What is whole may be so by its rounding only.
+        let share = if steps as i32 as f32 == steps { 0.02 } else { 0.5 };
+        travel + share / resolution
     }
 
     /// The setting that allows no motion at all.

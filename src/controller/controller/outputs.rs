@@ -23,11 +23,26 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Whether a spindle that should have turned long enough at a moment has, and is up to speed. If it is not within
     /// `$916` after that moment, an alarm is on its way.
     pub(super) fn has_spun_up(&mut self, until: Instant) -> bool {
+        if self.now >= until && self.has_no_speed_to_reach() {
+            return true;
+        }
         let spun_up = self.accessories.spun_up(until, self.now, self.inputs.signals().at_speed, &self.settings);
         if spun_up == SpinUp::Late {
             self.stops.order(StopReason::Alarm(Alarm::SpindleSpeed));
         }
         spun_up == SpinUp::UpToSpeed
+    }
+
+    /// Whether the spindle is on with S0: it tells of no speed.
+    fn has_no_speed_to_reach(&self) -> bool {
+        self.resting_power() == 0
+    }
+
+    /// Whether a spindle that was switched on again in this hold is not up to speed yet.
+    pub(super) fn is_spinning_up(&self) -> bool {
+        let at_speed = self.has_no_speed_to_reach()
+            || self.accessories.is_at_speed(self.inputs.signals().at_speed, &self.settings);
+        self.accessories.turns_at().is_some_and(|at| self.now < at || !at_speed)
     }
 
     /// Outputs follow the motion that has begun; they are off where the machine is locked.

@@ -93,15 +93,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Mode::Normal => self.start_motion(),
             Mode::Hold if self.accessories.spinning_up().is_some() => {}
             Mode::Hold if self.motion.is_at_rest() => {
-                let delay = self.settings.seconds(Key::SpinUp);
-                let spin_up = self.accessories.is_suspended() && self.accessories.is_on();
                 self.restore_spindle();
-                if spin_up
-                    && !self.settings.is_on(Key::Laser)
-                    && (delay > Duration::from_ticks(0)
-                        || !self.accessories.is_at_speed(self.inputs.signals().at_speed, &self.settings))
-                {
-                    self.accessories.spin_up(self.now + delay);
+                if self.is_spinning_up() {
+                    self.accessories.leave_hold(true);
                 } else {
                     self.leave_hold();
                 }

@@ -187,6 +187,17 @@ impl Task {
         matches!(self, Task::Job(Job { stage: Stage::SpinningUp, .. }))
     }
 
+    /// Whether a line has switched the spindle, and waits until it turns or rests.
+    pub(super) fn waits_for_spindle(&self) -> bool {
+        match self {
+            Task::Job(Job { stage: Stage::SpinningUp, .. }) => true,
+            Task::Job(Job { stage: Stage::Storing | Stage::Dwell | Stage::DwellSuspended, spindle_delay, .. }) => {
+                !spindle_delay.is_zero()
+            }
+            _ => false,
+        }
+    }
+
     /// A hold stops the clock of a dwell.
     pub(super) fn suspend(&mut self, now: Instant) {
         let Task::Job(job) = self else { return };
@@ -208,8 +219,12 @@ impl Task {
         job.until = now + job.left;
     }
 
-    /// What was under way cannot be carried out any more. Whether the host waits for an answer.
+    /// What was under way cannot be carried out any more. Whether the host waits for an answer. Defaults that are restored
+    /// already still act, with a restart.
     pub(super) fn abandon(&mut self) -> bool {
+        if let Task::Storing(Answer::Restart) = self {
+            return false;
+        }
         let answers = self.answers_host();
         *self = Task::None;
         answers

@@ -35,8 +35,10 @@ pub struct Accessories {
     stops_at_rest: bool,
     /// S of the last line, rpm.
     speed: f32,
-    /// A hold is being left: motion resumes when the spindle turns (`$394`), at this moment at the earliest.
-    spinning_up: Option<Instant>,
+    /// The spindle was switched on again in this hold: it turns (`$394`) at this moment at the earliest.
+    turns_at: Option<Instant>,
+    /// The hold is being left: motion resumes then.
+    leaves_hold: bool,
     watch: SpeedWatch,
     digital: DigitalOutputs,
 }
@@ -80,7 +82,8 @@ impl Accessories {
         suspended: false,
         stops_at_rest: false,
         speed: 0.0,
-        spinning_up: None,
+        turns_at: None,
+        leaves_hold: false,
         watch: SpeedWatch::NONE,
         digital: DigitalOutputs::OFF,
     };
@@ -134,6 +137,11 @@ impl Accessories {
     #[inline]
     pub fn is_on(&self) -> bool {
         self.direction != SpindleDirection::Off
+    }
+
+    /// Whether the program has the spindle on, with S0.
+    pub fn is_on_without_speed(&self) -> bool {
+        self.is_on() && self.speed == 0.0
     }
 
     /// Whether the spindle is stopped although the program has it on.
@@ -214,17 +222,28 @@ impl Accessories {
     /// When the spindle for which the end of a hold waits turns, at the earliest.
     #[inline]
     pub fn spinning_up(&self) -> Option<Instant> {
-        self.spinning_up
+        self.turns_at.filter(|_| self.leaves_hold)
     }
 
-    /// The end of a hold waits for the spindle.
+    /// When a spindle that was switched on again in this hold turns, at the earliest.
+    pub fn turns_at(&self) -> Option<Instant> {
+        self.turns_at
+    }
+
+    /// The spindle is switched on again in a hold.
     pub fn spin_up(&mut self, until: Instant) {
-        self.spinning_up = Some(until);
+        self.turns_at = Some(until);
     }
 
-    /// The end of a hold does not wait for the spindle, or is called off.
+    /// Whether the hold is being left: its end waits for the spindle.
+    pub fn leave_hold(&mut self, leaves: bool) {
+        self.leaves_hold = leaves;
+    }
+
+    /// The hold has ended, or its spindle has been stopped again.
     pub fn end_spin_up(&mut self) {
-        self.spinning_up = None;
+        self.turns_at = None;
+        self.leaves_hold = false;
     }
 
     /// Whether a cut has to wait for the input that tells of the spindle's speed (`$915`).

@@ -95,7 +95,7 @@ pub struct Arc<const N: usize> {
 
 /// Length of an integer vector, exact before rounding down.
 #[inline(never)]
-fn integer_length(x: i64, y: i64) -> i64 {
+pub(super) fn integer_length(x: i64, y: i64) -> i64 {
     let square = u128::from(x.unsigned_abs()).pow(2) + u128::from(y.unsigned_abs()).pow(2);
     integer_root(square) as i64
 }

@@ -1,7 +1,7 @@
 //! The `extent` of an arc, its least and greatest coordinates: the start, the target, and each quarter point of the
 //! circle (centre plus or minus radius), farthest along an axis, to which the angle leads forward within the sweep.
 
-use super::arc::ArcGeometry;
+use super::arc::{ArcGeometry, integer_length};
 use crate::axes::{Axis, PerAxis};
 use crate::units::Coordinate;
 
@@ -15,9 +15,8 @@ pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, 
     let mut greatest = arc.start.zip(&arc.target, |a, b| a.max(b));
     let of = |place: &PerAxis<Coordinate, N>, axis| place.get(axis).unwrap_or(Coordinate::ZERO);
     let centre = [of(&arc.start, arc.axis_0) + arc.offset_0, of(&arc.start, arc.axis_1) + arc.offset_1];
-    let from = [-arc.offset_0.to_mm(), -arc.offset_1.to_mm()];
-    let to = [(of(&arc.target, arc.axis_0) - centre[0]).to_mm(), (of(&arc.target, arc.axis_1) - centre[1]).to_mm()];
-    let first = libm::atan2f(from[1], from[0]);
+    let to = [of(&arc.target, arc.axis_0) - centre[0], of(&arc.target, arc.axis_1) - centre[1]];
+    let first = libm::atan2f(-arc.offset_1.to_mm(), -arc.offset_0.to_mm());
     // The way from one angle to another in the arc's sense, 0 to a turn; the angles are less than two turns apart.
     let forward = |from: f32, to: f32| {
         let mut way = if arc.clockwise { from - to } else { to - from };
@@ -28,8 +27,9 @@ pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, 
     };
     // The same that the chords go by: an arc of nearly no angle and one of nearly a turn end in the same place.
     let sweep = if arc.turns > 0 { TURN } else { arc.sweep() };
-    let radius = |v: [f32; 2]| oxmill_sqrt::square_root(v[0] * v[0] + v[1] * v[1]);
-    let radius = Coordinate::from_mm_f32(radius(from).max(radius(to)));
+    // In whole units: a circle that touches the end of the travel does not leave it.
+    let radius = integer_length(arc.offset_0.0, arc.offset_1.0).max(integer_length(to[0].0, to[1].0));
+    let radius = Coordinate(radius);
     // The circle's farthest points lie at 0, 90, 180 and 270 degrees from axis 0.
     let farthest: [(f32, Axis, Coordinate); 4] = [
         (0.0, arc.axis_0, centre[0] + radius),
@@ -114,6 +114,15 @@ mod tests {
             assert_eq!(is_whole, greatest.0[0].0 - least.0[0].0 > (radius * 1.0e7) as i64, "{k}");
         }
         assert!(whole > 500 && whole < 3500, "{whole}");
+    }
+
+    #[test]
+    fn a_circle_that_touches_an_end_does_not_leave_it() {
+        for micrometres in 1..2000 {
+            let radius = f64::from(micrometres) * 0.333;
+            let (least, greatest) = extent(&arc([-2.0 * radius, 0.0], [-2.0 * radius, 0.0], [-radius, 0.0], true));
+            assert_eq!((greatest.0[0], least.0[0]), (Coordinate::ZERO, Coordinate(-(20.0e6 * radius).round() as i64)));
+        }
     }
 
     #[test]

@@ -349,6 +349,20 @@ fn a_reset_while_a_setting_is_stored_leaves_no_failure_behind() {
     assert_eq!(scribe.answer_to("G10L2P1X1\n"), "ok\r\n");
 }
 
+/// A stop ends motion and programs. What is being stored is neither, and a restart that follows it comes.
+#[test]
+fn a_stop_while_defaults_are_stored_does_not_keep_them_from_acting() {
+    for held in [&[][..], &[Realtime::FeedHold][..]] {
+        let mut scribe = Scribe::<false>::new();
+        assert_eq!(scribe.answer_to("$100=80\n"), "ok\r\n");
+        let commands = held.iter().chain(&[Realtime::Stop]);
+        scribe.with_store = commands.map(|command| (Source::Commands, Event::Realtime(*command))).collect();
+        scribe.with_store.push((Source::Store, Event::Stored));
+        let said = scribe.answer_to("$RST=$\n");
+        assert_eq!(said, "[MSG:Restoring defaults]\r\nok\r\n\r\nGrbl 1.1h ['$' for help]\r\n", "{held:?}");
+    }
+}
+
 /// A host that sends comments without end, each of which takes as long to read as a segment takes to step.
 struct Flooded {
     controller: Controller<3, 16>,
