@@ -298,12 +298,14 @@ impl Tree {
                 let per_degree = 1_f64.to_radians();
                 // What the reduction of a large angle costs `f64`.
                 let turned = error * per_degree + radians.abs() * 3e-16;
+                // An angle that differs by less than 10⁻¹⁴ of a turn from a whole number of right angles counts as that.
+                let rounding = |value: f64| if value.abs() < 1e-10 { 360e-14 * per_degree } else { ROUNDING };
                 match *name {
-                    "SIN" => Estimate::new(radians.sin(), turned + ROUNDING),
-                    "COS" => Estimate::new(radians.cos(), turned + ROUNDING),
+                    "SIN" => Estimate::new(radians.sin(), turned + rounding(radians.sin())),
+                    "COS" => Estimate::new(radians.cos(), turned + rounding(radians.cos())),
                     "TAN" => {
                         let slope = 1.0 + radians.tan().powi(2);
-                        Estimate::new(radians.tan(), (turned + ROUNDING) * slope)
+                        Estimate::new(radians.tan(), (turned + rounding(radians.tan())) * slope)
                     }
                     "ASIN" => Estimate::new(x.asin().to_degrees(), error / (1.0 - x * x).sqrt() / per_degree + 1e-13),
                     "ACOS" => Estimate::new(x.acos().to_degrees(), error / (1.0 - x * x).sqrt() / per_degree + 1e-13),
@@ -339,6 +341,14 @@ fn tree() -> impl Strategy<Value = Tree> {
             1 => (inner.clone(), inner).prop_map(|(y, x)| Tree::Atan(Box::new(y), Box::new(x))),
         ]
     })
+}
+
+/// Found at random: the error that was allowed was less than the rounding of differences.
+#[test]
+fn nearly_no_angle_is_none() {
+    exact("[TAN[[SIN[83702]/96956509885]]]", "0");
+    exact("[SIN[180.0000000000001]]", "0");
+    exact("[COS[90.0000000000001]]", "0");
 }
 
 #[test]
