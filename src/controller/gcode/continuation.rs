@@ -1,7 +1,8 @@
 //! Whether the lines that follow mean the same to two interpreters: `differs_from` names the first part of the state
 //! (modal state, place, offsets, tool, parameters, a curve or a cycle in force) that a program could notice.
 
-use super::modal::{FeedMode, Modal, MotionMode};
+use super::control_points::ControlPoints;
+use super::modal::{FeedMode, Modal, MotionMode, SplineKind};
 use super::state::Interpreter;
 use super::values::in_xy;
 use crate::units::{Coordinate, Decimal};
@@ -25,9 +26,15 @@ impl<const N: usize> Interpreter<N> {
             (self.scaling != other.scaling || self.rest != other.rest, "a scaling (G51)"),
             (in_cycle && self.cycle != other.cycle, "the canned cycle in force"),
             (self.next_way() != other.next_way(), "the direction of the curve in front"),
-            (self.control_points() != other.control_points(), "a curve whose control points are being read"),
+            (self.waiting_points() != other.waiting_points(), "a curve whose control points are being read"),
         ];
         parts.into_iter().find_map(|(differs, part)| differs.then_some(part))
+    }
+
+    /// The control points, with their order, that wait for a G5.3.
+    fn waiting_points(&self) -> Option<&ControlPoints> {
+        let waits = self.modal.motion == MotionMode::Spline(SplineKind::Nurbs);
+        self.control_points.first().filter(|points| waits && points.begin_at(in_xy(&self.position)))
     }
 
     /// How a G5 without I and J would leave from here.

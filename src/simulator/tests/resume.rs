@@ -246,6 +246,21 @@ fn what_cannot_be_known_is_refused() {
     refused("G21 G90 G0 X0 Y0 Z1\nG2 X2 I1 F100\nG17\n", 3, "no line moves");
 }
 
+/// The points of a curve that is done are nothing to the lines behind it; of one that is being read the order counts, too.
+#[test]
+fn curves_of_control_points() {
+    let job = |order: &str| {
+        let curve = format!("G5.2 P1{order}\nX1 Y2 P1\nX3 Y4 P1\nX5 Y0 P1\nG5.3");
+        format!("G21 G90 G0 X0 Y0 Z5\nG1 Z0 F100\n{curve}\nG1 X10\nX20\n")
+    };
+    let behind = resumed(&[], &job(" L4"), &wish(9)).unwrap();
+    assert_eq!(behind.prologue.last().map(String::as_str), Some("G1 F100"), "{behind:?}");
+    let why = resumed(&[], &job(" L4"), &wish(4)).unwrap_err();
+    assert!(why.contains("control points are being read"), "{why}");
+    // Order 3 is the one without L.
+    assert!(resumed(&[], &job(" L3"), &wish(4)).is_ok());
+}
+
 /// Neither homing nor limits of travel hinder it.
 #[test]
 fn limits_of_travel_do_not_hinder_it() {
