@@ -201,10 +201,13 @@ class Sender:
     def begin(self):
         """Asks for checked lines until the machine wants the line 0. An empty line ends what may stand before it."""
         for _ in range(20):
-            self.link.send(b"\n$LC=ON\n")
+            # A machine that holds answers no line, but tells its state.
+            self.link.send(b"\n$LC=ON\n?")
             until = time.monotonic() + 2 * PATIENCE
             while time.monotonic() < until:
                 for line in self.receive():
+                    if line.startswith("<"):
+                        self.read_other(line)
                     if answer_in(line) == (0, "ok"):
                         self.last_answer = time.monotonic()
                         return

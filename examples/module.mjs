@@ -8,7 +8,15 @@ import { readFileSync } from "node:fs";
 import { stderr, argv, exit } from "node:process";
 
 const [wasm, name, ...pairs] = argv.slice(2);
-const { exports } = (await WebAssembly.instantiate(readFileSync(wasm))).instance;
+if (name === undefined || pairs.some(pair => !/^\d+=-?[\d.]+$/.test(pair))) {
+  console.error("usage: node examples/module.mjs target/web/oxmill.wasm JOB.nc [110=5000 ...]");
+  exit(2);
+}
+const load = async () => (await WebAssembly.instantiate(readFileSync(wasm))).instance;
+const { exports } = await load().catch(error => {
+  console.error(`${wasm}: ${error.message}`);
+  exit(2);
+});
 
 /** What the module has put ready. Addresses are told as signed numbers. */
 const text = what => {

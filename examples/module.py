@@ -10,7 +10,7 @@ Prints the summary as `oxmill run JOB.nc --json` does. The functions of the modu
 import json
 import sys
 
-from wasmtime import Instance, Module, Store, Trap
+from wasmtime import Instance, Module, Store, Trap, WasmtimeError
 
 
 class Refused(Exception):
@@ -55,16 +55,19 @@ class Oxmill:
 
 
 def main(module, name, *pairs):
-    with open(name, "rb") as file:
-        job = file.read()
-    settings = {number: float(value) for number, value in (pair.split("=") for pair in pairs)}
     try:
+        with open(name, "rb") as file:
+            job = file.read()
+        settings = {number: float(value) for number, value in (pair.split("=") for pair in pairs)}
         summary = Oxmill(module).check(job, name=name, board="blackpill_f411", settings=settings)
-    except Refused as why:
+    except (Refused, OSError, ValueError, WasmtimeError) as why:
         print(why, file=sys.stderr)
         return 2
     print(json.dumps(summary, indent=2))
     return 1 if summary["errors"] or summary["alarm"] or not summary["complete"] else 0
 
 
+if len(sys.argv) < 3:
+    print("usage: module.py OXMILL.wasm JOB.nc [110=5000 ...]", file=sys.stderr)
+    sys.exit(2)
 sys.exit(main(*sys.argv[1:]))

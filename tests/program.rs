@@ -145,7 +145,7 @@ fn settings_may_be_what_a_machine_has_said() {
     child.stdin.take().expect("a pipe").write_all(b"$$\n").expect("a listener");
     let said = String::from_utf8(child.wait_with_output().expect("an end").stdout).expect("text");
     assert!(said.contains("Grbl 1.1h") && said.contains("$110=3000.000") && said.contains("ok"), "{said}");
-    let saved = file("said.txt", &format!("{said}[MSG:so]\n<Idle|MPos:0.000,0.000,0.000>\n"));
+    let saved = file("said.txt", &format!("$$\n{said}[MSG:so]\n<Idle|MPos:0.000,0.000,0.000>\n"));
     let seconds = |with: &[&str]| json(&run(&[&["run", text(&job), "--json"], with].concat()))["duration_s"].as_f64();
     assert_eq!(seconds(&["--settings", text(&saved)]), seconds(&["--set", "110=3000"]));
     assert_ne!(seconds(&["--settings", text(&saved)]), seconds(&[]));

@@ -158,10 +158,11 @@ fn apply_settings(
     Ok(())
 }
 
-/// Whether a line is what a machine says before and behind the answer to `$$`, which a saved answer may have too.
+/// Whether a line is the question or what a machine says before and behind the answer to `$$`: what a terminal has shown
+/// may have both.
 fn is_said_around_settings(line: &str) -> bool {
     let line = line.trim();
-    line == "ok" || ["Grbl ", "[", "<"].iter().any(|begin| line.starts_with(begin))
+    matches!(line, "ok" | "$$") || ["Grbl ", "[", "<"].iter().any(|begin| line.starts_with(begin))
 }
 
 /// How a command has ended.

@@ -214,8 +214,8 @@ impl fmt::Display for Summary {
             writeln!(f, "    and {} more", self.error_count() - SHOWN_ERRORS as u64)?;
         }
         row(f, "forecast", format!("{} from the first line to rest", clock_time(self.forecast_s)))?;
-        let duration = format!("{}, moving for {}", clock_time(self.duration_s), clock_time(self.moving_s));
-        row(f, "duration", format!("{duration} (first to last step)"))?;
+        let (first_to_last, moving) = (clock_time(self.duration_s), clock_time(self.moving_s));
+        row(f, "duration", format!("{first_to_last} from the first step to the last, moving for {moving}"))?;
         row(f, "", self.parts())?;
         for tool in self.several_tools() {
             row(f, "", tool)?;

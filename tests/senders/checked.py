@@ -294,6 +294,30 @@ def dead(until):
     return None
 
 
+def held(program):
+    """What is wrong if the sender does not say that the machine holds, as after a host that went in mid-job. Else nothing."""
+    told = []
+    with machine.Machine(program, "--tcp", "127.0.0.1:0") as mill:
+        host, _, port = mill.address.rpartition(":")
+        with socket.create_connection((host, int(port))) as first:
+            first.sendall(b"G1 X50 F100\n")
+            while b"ok" not in first.recv(4096):
+                pass
+        link = checked_sender.Tcp(mill.address)
+        sender = checked_sender.Sender(link, [(1, "G1X1F100")], tell=told.append)
+        silence, checked_sender.SILENCE = checked_sender.SILENCE, 3.0
+        why = None
+        try:
+            sender.run()
+        except checked_sender.Stopped as stopped:
+            why = str(stopped)
+        checked_sender.SILENCE = silence
+        link.socket.close()
+    if "the machine is in Hold: Enter resumes" not in told or why is None or "it holds" not in why:
+        return f"a machine that holds: {told}, {why}"
+    return None
+
+
 def answer(number):
     """The checked answer `ok` behind which line `number` is wanted."""
     covered = checked_sender.digits(number, 3) + checked_sender.digits(2, 2)
@@ -308,8 +332,9 @@ def main():
     parser.add_argument("--plain", action="store_true", help="also without checks")
     parser.add_argument("--program", default=str(ROOT / "target/release/oxmill"))
     options = parser.parse_args()
-    if wrong := left_at_the_end(options.program):
-        sys.exit(wrong)
+    for test in (left_at_the_end, held):
+        if wrong := test(options.program):
+            sys.exit(wrong)
     for until in ([answer(0)], [answer(0), answer(1)], [answer(number) for number in range(4)] + ["ok"]):
         if wrong := dead(until):
             sys.exit(wrong)

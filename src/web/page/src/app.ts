@@ -16,9 +16,10 @@ import { tabs } from "./tabs";
 const QUIET = 150;
 
 export interface Job { name: string; bytes: Uint8Array; text: string; lines: string[] }
+const NO_JOB: Job = { name: "", bytes: new Uint8Array(0), text: "", lines: [] };
 
 export class App {
-  job: Job = { name: "", bytes: new Uint8Array(0), text: "", lines: [] };
+  job = NO_JOB;
   checked?: firmware.Checked;
   readonly settings: SettingsPanel;
   readonly player: Player;
@@ -57,6 +58,20 @@ export class App {
     $("name").textContent = name;
     this.clear("Checking");
     void this.check();
+  }
+
+  /** A file that cannot be read is no job, and leaves none of before. */
+  private unread(name: string, why: string): void {
+    this.running?.abort(new Error("another file was chosen"));
+    clearTimeout(this.timer);
+    this.job = { ...NO_JOB, name };
+    this.checked = undefined;
+    $("name").textContent = name;
+    $<HTMLProgressElement>("progress").hidden = true;
+    this.forecasts.clear();
+    this.material.clear();
+    this.rest.clear();
+    this.clear(el("span", { className: "bad", textContent: `Not read: ${why}` }));
   }
 
   /** Checks the job, once nothing has changed for a while. */
@@ -108,7 +123,11 @@ export class App {
     const openFile = async (chosen?: File) => {
       if (!chosen) return;
       example.selectedIndex = -1;
-      this.open(chosen.name, new Uint8Array(await chosen.arrayBuffer()));
+      try {
+        this.open(chosen.name, new Uint8Array(await chosen.arrayBuffer()));
+      } catch (error) {
+        this.unread(chosen.name, (error as Error).message);
+      }
     };
     const openExample = () => this.open(example.value, new TextEncoder().encode(firmware.examples[example.value]));
     example.addEventListener("change", openExample);

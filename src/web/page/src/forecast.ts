@@ -1,7 +1,7 @@
 // What if: the whole job again, with other settings, or over a slow link.
 import type { App } from "./app";
 import { $, clock, el } from "./dom";
-import type { Streamed } from "./engine";
+import type { Streamed, Summary } from "./engine";
 import * as firmware from "./firmware";
 
 /** What may be varied: the settings that a value goes to, and the parts of today's values that are tried. */
@@ -25,6 +25,13 @@ const STARVED = 1.005;
 function partOf(today: number, part: number, least: number): number {
   if (part === 1 && today > 0) return today;
   return Number(((today > 0 ? today : least) * part).toPrecision(3));
+}
+
+/** Why the time of a job is none of the whole job, if it is not. */
+function whyNot({ errors, alarm, complete, messages }: Summary): string | undefined {
+  if (errors.length === 0 && !alarm && complete) return undefined;
+  const locked = messages.find(message => message.startsWith("[MSG:Motion is locked"));
+  return locked ?? (alarm ? `the job ends in ALARM:${alarm.code}` : errors.length ? "the job has errors" : "the job does not come to its end");
 }
 
 export class ForecastPanels {
@@ -64,7 +71,7 @@ export class ForecastPanels {
         const settings = Object.fromEntries(parameter.numbers.map((number, axis) => [String(number), value[axis]]));
         try {
           const { summary } = await firmware.check(this.app.order({ settings }), this.app.job.bytes, signal);
-          return summary.errors.length || summary.alarm ? (summary.messages[0] ?? "the job has errors") : summary.forecast_s;
+          return whyNot(summary) ?? summary.forecast_s;
         } catch (error) {
           if (signal.aborted) throw error;
           return (error as Error).message;

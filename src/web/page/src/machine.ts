@@ -149,7 +149,7 @@ export class MachinePanel {
   private attach(link: Link): void {
     this.link = link;
     const sender = (this.sender = new Sender(link));
-    link.onlost = why => this.link === link && this.detach(`The machine is gone: ${why}`);
+    link.onlost = why => this.link === link && this.lost(why);
     sender.onstatus = status => this.show(status);
     sender.onmessage = text => this.say(text);
     sender.onrefused = (line, answer) => this.say(`line ${line}: ${answer}`, "wrong");
@@ -168,11 +168,19 @@ export class MachinePanel {
     void this.greet();
   }
 
-  /** Disconnects; a machine that moves is held. */
+  /** Disconnects; a machine that moves is held. A homing cycle takes no hold, and ends at its switches. */
   private leave(): void {
+    const homes = /^Home/.test(this.status?.state ?? "");
     const moves = this.moves();
     if (moves) this.sender?.realtime(REALTIME.hold);
-    this.detach(moves ? "Disconnected. The machine was moving, and is held." : "Disconnected.");
+    this.detach(homes ? "Disconnected. The machine is homing, and goes on with it." : moves ? "Disconnected. The machine was moving, and is held." : "Disconnected.");
+  }
+
+  /** A link that has failed in one direction may still work in the other. */
+  private lost(why: string): void {
+    const moves = this.moves();
+    if (moves) this.sender?.realtime(REALTIME.hold);
+    this.detach(`The machine is gone${moves ? " in motion, and is held if it still hears that" : ""}: ${why}`);
   }
 
   private detach(why: string): void {

@@ -301,6 +301,28 @@ const VARIED = [
   { numbers: [220, 221], parts: [0, 2500, 5000, 10_000, 20_000, 40_000], absolute: true },
 ];
 
+/** A program ends with a message; it is no reason. */
+export async function a_job_without_a_time_has_a_reason_instead(browser) {
+  const { page, faults } = await open(browser, file);
+  const shown = async (text, settings = {}) => {
+    await page.evaluate(settings => {
+      oxmill.app.checked = undefined;
+      oxmill.app.settings.replace(settings);
+    }, settings);
+    // Behind it no check comes any more that would end the forecast.
+    await checked(page);
+    await openJob(page, "without.nc", text);
+    await page.click("#vary");
+    await page.waitForFunction(() => document.getElementById("whatif-note").textContent.includes("whole jobs"));
+    return page.locator("#whatif-table tbody tr td:nth-child(2)").allInnerTexts();
+  };
+  await page.click("#tab-whatif");
+  assert.deepEqual(new Set(await shown("G21 G90\nG1 X1 F500\nG999\nM30\n")), new Set(["the job has errors"]));
+  assert.deepEqual(new Set(await shown("M3 S1\nG38.2 Z-1 F100\nM30\n")), new Set(["the job ends in ALARM:5"]));
+  assert.match((await shown("G1 X1 F500\nM30\n", { 100: 0 }))[0], /^\[MSG:Motion is locked/);
+  assert.deepEqual(faults, []);
+}
+
 /** Each parameter, with values of today that no rounding leaves as they are, and that differ from axis to axis. */
 export async function forecasts_are_those_of_single_runs(browser) {
   const { page, faults } = await open(browser, file);

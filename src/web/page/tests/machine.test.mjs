@@ -269,7 +269,7 @@ async function fakeSerial(page, port) {
         [made.opened, made.closed] = [options, false];
         this.readable = new ReadableStream({ start(to) {
           globalThis.__said = bytes => to.enqueue(new Uint8Array(bytes));
-          globalThis.__unplug = () => to.error(new DOMException("The device has been lost.", "NetworkError"));
+          globalThis.__unplug = (why = "NetworkError") => to.error(new DOMException("The device has been lost.", why));
         } });
         this.writable = new WritableStream({ write: bytes => __write([...bytes]) });
         await __listen();
@@ -413,6 +413,31 @@ export async function a_board_that_is_left_in_motion_is_held(browser) {
     await state(page, "^Hold");
     assert(await page.locator("#silent").isHidden());
   });
+}
+
+/** A byte that is damaged on its way to the page, as the browser tells it: the other way still works. */
+export async function a_board_that_cannot_be_heard_any_more_is_held(browser) {
+  await connected(browser, "1", async (page, order, wire) => {
+    await openJob(page, "long.nc", "G21 G91\nG1 X50 F60\n");
+    await page.waitForFunction(() => !document.getElementById("start").disabled);
+    await page.click("#start");
+    await state(page, "^Run");
+    await page.evaluate(() => __unplug("FramingError"));
+    await page.waitForFunction(() => __port.closed);
+    assert.equal(wire.realtime.at(-1), 0x21);
+    assert.match(await page.locator("#machine-note").innerText(), /is gone in motion, and is held if it still hears that: FramingError/);
+    await page.click("#connect");
+    await state(page, "^Hold");
+  });
+}
+
+export async function a_machine_that_is_left_while_it_homes_is_not_said_to_be_held(browser) {
+  const { page, faults } = await powered(browser);
+  await page.click("[data-line='$H']");
+  await state(page, "^Home");
+  await page.click("#leave");
+  assert.equal(await page.locator("#machine-note").innerText(), "Disconnected. The machine is homing, and goes on with it.");
+  assert.deepEqual(faults, []);
 }
 
 export async function a_page_that_goes_leaves_the_machine_in_a_hold(browser) {

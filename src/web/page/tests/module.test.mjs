@@ -57,6 +57,11 @@ export async function examples_of_programs_call_the_module() {
     const wrong = runs(caller, bad, "7=1");
     assert.deepEqual([wrong.status, wrong.stdout], [2, ""]);
     assert.match(wrong.stderr, /was refused with error:3/);
+    for (const more of [[join(folder, "none.nc")], [bad, "110"], [bad, "110=x"], [bad, "110="], []]) {
+      const { status, stdout } = runs(caller, ...more);
+      assert.deepEqual([status, stdout], [2, ""], `${caller[1]} ${more}`);
+    }
+    assert.equal(spawnSync(caller[0], [join(root, "examples", caller[1]), bad, bad], { stdio: "ignore" }).status, 2);
   }
 }
 

@@ -171,6 +171,21 @@ export async function a_job_is_played_at_a_thousand_times_its_speed(browser) {
   assert.deepEqual(faults, []);
 }
 
+/** Such as a folder: nothing of the job before is shown, or run, in its place. */
+export async function a_file_that_cannot_be_read_is_named(browser) {
+  const { page, faults } = await open(browser, file);
+  await page.evaluate(() => {
+    const folder = new File([], "folder");
+    folder.arrayBuffer = () => Promise.reject(new DOMException("It could not be found.", "NotFoundError"));
+    dispatchEvent(Object.assign(new Event("drop"), { dataTransfer: { files: [folder] } }));
+  });
+  await page.waitForFunction(() => document.getElementById("verdict").textContent === "Not read: It could not be found.");
+  assert.deepEqual(await page.evaluate(() => [document.getElementById("name").textContent, oxmill.app.job.text, oxmill.app.checked === undefined]), ["folder", "", true]);
+  assert.equal(await page.locator("#facts dd").count(), 0);
+  await openJob(page, "after.nc", "G21 G91\nG1 X1 F600\n");
+  assert.deepEqual(faults, []);
+}
+
 /** A file that is dropped, as a browser tells of it. */
 export async function a_dropped_file_is_checked(browser) {
   const { page, faults } = await open(browser, file);
