@@ -40,6 +40,8 @@ pub struct Board {
     pub has_at_speed: bool,
     /// Pages of 256 bytes of RAM for the recording of what comes in; 0 = there is no room for it.
     pub recording_pages: usize,
+    /// Expressions, parameters, O words, rotations, scaling, splines and rounded corners: a small flash has no room for them.
+    pub has_all_words: bool,
 }
 
 /// No hardware: the simulator's own board. Its step task costs nothing, so the rate is bounded by the step clock alone.
@@ -56,6 +58,7 @@ pub const DESK: Board = Board {
     program_pins: [4, 2],
     has_at_speed: true,
     recording_pages: 64,
+    has_all_words: true,
 };
 
 /// What is so on most boards with hardware: three axes, no pulse below 1 us unless a board has been tried with it, and no pins left for
@@ -81,6 +84,7 @@ pub const BLACKPILL_F401: Board = Board {
     safe_step_hz: 400_000,
     blocks: 256,
     recording_pages: 0,
+    has_all_words: false,
     ..HARDWARE
 };
 

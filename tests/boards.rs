@@ -171,3 +171,17 @@ fn a_board_without_a_pin_for_the_speed_takes_no_setting_for_it() {
         }
     }
 }
+
+/// What a check for a board tells of words that it leaves out is what its image is built with.
+#[test]
+fn boards_have_the_words_of_their_images() {
+    let manifest = include_str!("../src/firmware/Cargo.toml");
+    for board in oxmill_boards::profiles::ALL.into_iter().filter(|board| board.name != "desk") {
+        let features = manifest.lines().find(|line| line.starts_with(&format!("{} = [", board.name)));
+        let features = features.unwrap_or_else(|| panic!("no features of {}", board.name));
+        for feature in ["expressions", "rotation", "splines", "blending"] {
+            let has = features.contains(&format!("\"oxmill-controller/{feature}\""));
+            assert_eq!(has, board.has_all_words, "{feature} of {}", board.name);
+        }
+    }
+}

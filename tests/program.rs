@@ -153,6 +153,23 @@ fn settings_may_be_what_a_machine_has_said() {
     assert_eq!(run(&["run", text(&job), "--settings", text(&other)]).status.code(), Some(2));
 }
 
+/// The simulator has all words; a check for a board that lacks some says what it would answer.
+#[test]
+fn a_check_for_a_small_board_refuses_what_it_leaves_out() {
+    let job = file("small.nc", "$110=1000\nG21 G90\nG1 X1 F100\n%\nG999\n#1=2 (two)\nG68 X0 Y0 R45\nG1 X#1\nG69\nM2\n");
+    let codes = |board: &str| {
+        let output = run(&["run", text(&job), "--json", "--board", board]);
+        assert_eq!(output.status.code(), Some(1));
+        let summary = json(&output);
+        let errors = summary["errors"].as_array().expect("a list").clone();
+        errors.iter().map(|error| (error["line"].as_u64(), error["code"].as_u64())).collect::<Vec<_>>()
+    };
+    let refused =
+        |errors: &[(u64, u64)]| errors.iter().map(|(line, code)| (Some(*line), Some(*code))).collect::<Vec<_>>();
+    assert_eq!(codes("blackpill_f411"), refused(&[(5, 20)]));
+    assert_eq!(codes("blackpill_f401"), refused(&[(5, 20), (6, 201), (7, 128), (8, 201)]));
+}
+
 #[test]
 fn plot_draws_the_job() {
     let job = file("plot.nc", "G21 G91\nG1 X10 Y5 F600\n");

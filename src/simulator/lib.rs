@@ -38,6 +38,7 @@ pub mod host_link;
 pub mod input_task;
 #[cfg(feature = "program")]
 pub mod job;
+mod left_out;
 pub mod machine;
 #[cfg(feature = "program")]
 mod manual;

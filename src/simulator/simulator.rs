@@ -517,7 +517,7 @@ impl Simulator {
 
     /// Gives the controller a job, whose lines it takes whenever it wants one.
     pub fn load_job(&mut self, mut job: JobText) {
-        job.begin(self.controller.lines_read());
+        job.begin(self.controller.lines_read(), self.board.has_all_words);
         self.job = Sole(Some(job));
         self.turn();
     }

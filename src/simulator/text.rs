@@ -13,6 +13,8 @@
 //! `reply_line`, `without_header`) is matched to the `oldest_unanswered` line, and gives errors with their code and
 //! messages (`Said`), the line of an alarm (`alarmed_at`), and the openers of O-word blocks.
 
+use crate::left_out;
+use oxmill_controller::error::Error;
 use oxmill_controller::protocol::checked_line::ANSWER_HEADER;
 use std::collections::VecDeque;
 use std::io::{self, BufRead};
@@ -46,10 +48,12 @@ pub struct JobText {
     after_cr: bool,
     stopped: bool,
     failed: Option<io::Error>,
-    /// Lines that were begun to be taken or wait to be, with their numbers.
-    unanswered: VecDeque<(u64, String)>,
+    /// Lines that were begun to be taken or wait to be, with their numbers; and the error of a board that refuses what the simulator
+    /// takes.
+    unanswered: VecDeque<(u64, String, Option<Error>)>,
+    /// The board has all words that the simulator has.
+    has_all_words: bool,
     lines: u64,
-    tape_marks: u64,
     answers: u64,
     /// The oldest line without an answer when an alarm was told, once one was.
     alarmed_at: Option<u64>,
@@ -101,8 +105,8 @@ impl JobText {
             stopped: false,
             failed: None,
             unanswered: VecDeque::new(),
+            has_all_words: true,
             lines: 0,
-            tape_marks: 0,
             answers: 0,
             alarmed_at: None,
             consumed: 0,
@@ -117,9 +121,11 @@ impl JobText {
         }
     }
 
-    /// The controller has read so many lines (wrapping) before the first of these.
-    pub fn begin(&mut self, lines_before: u32) {
+    /// The controller has read so many lines (wrapping) before the first of these. `has_all_words`: of a board that has not, its
+    /// errors are told with those of the controller.
+    pub fn begin(&mut self, lines_before: u32, has_all_words: bool) {
         self.lines_before = lines_before;
+        self.has_all_words = has_all_words;
     }
 
     /// The line of the file, and its number, which was this one to the controller; as far as it may have begun a block.
@@ -149,7 +155,7 @@ impl JobText {
 
     /// Lines of `%` and nothing but remarks: marks of a punched tape's ends, not for the controller.
     pub fn tape_marks(&self) -> u64 {
-        self.tape_marks
+        self.marks.len() as u64
     }
 
     /// Lines answered.
@@ -164,7 +170,7 @@ impl JobText {
 
     /// Number of the oldest line without an answer.
     pub fn oldest_unanswered(&self) -> Option<u64> {
-        self.unanswered.front().map(|(number, _)| *number)
+        self.unanswered.front().map(|(number, ..)| *number)
     }
 
     /// The line that an alarm belongs to which has been told, or may be told yet: some lines are answered behind it.
@@ -253,8 +259,7 @@ impl JobText {
         let text = String::from_utf8_lossy(line);
         let text = if self.lines == 1 { text.trim_start_matches('\u{FEFF}') } else { &text };
         if is_tape_mark(text) {
-            self.marks.push(self.lines - 1 - self.tape_marks);
-            self.tape_marks += 1;
+            self.marks.push(self.lines - 1 - self.tape_marks());
             if self.has_words && self.ended_at.is_none() {
                 self.ended_at = Some(ProgramEnd { line: self.lines, is_tape_mark: true });
             }
@@ -263,8 +268,9 @@ impl JobText {
         self.has_words |= !is_remark(text);
         self.bytes.extend(text.chars().map(plain));
         self.bytes.push_back(b'\n');
+        let left_out = if self.has_all_words { None } else { left_out::error_of(text) };
         let shown = text.trim().chars().take(120).map(shown_character).collect();
-        self.unanswered.push_back((self.lines, shown));
+        self.unanswered.push_back((self.lines, shown, left_out));
     }
 
     /// A part of what the controller says.
@@ -295,7 +301,7 @@ impl JobText {
         };
         let code = reply.strip_prefix("error:").and_then(|code| code.parse().ok());
         if reply == PROGRAM_END
-            && let Some((line, _)) = self.unanswered.front()
+            && let Some((line, ..)) = self.unanswered.front()
             // A tape mark behind it may have been read already.
             && self.ended_at.is_none_or(|end| *line < end.line)
         {
@@ -303,9 +309,9 @@ impl JobText {
         }
         if reply == "ok" || code.is_some() {
             self.answers += 1;
-            let (line, text) = self.unanswered.pop_front().unwrap_or_default();
+            let (line, text, left_out) = self.unanswered.pop_front().unwrap_or_default();
             self.behind_end += u64::from(!is_remark(&text) && self.ended_at.is_some_and(|end| line > end.line));
-            if let Some(code) = code {
+            if let Some(code) = code.or(left_out.map(Error::code)) {
                 self.said.push(Said::Error { line, code, text: text.clone() });
             }
             if text.contains(['o', 'O']) {
@@ -446,7 +452,7 @@ mod tests {
     #[test]
     fn lines_of_the_controller_are_lines_of_the_file() {
         let mut job = JobText::new(&b"%\nG0\nG1\n%\n\nG2\n"[..]);
-        job.begin(40);
+        job.begin(40, true);
         drain(&mut job);
         assert_eq!([0, 40, 41, 42, 43, 44].map(|line| job.file_line(line)), [0, 0, 2, 3, 5, 6]);
         assert_eq!((job.file_line(41_000), job.file_line(7)), (0, 0));

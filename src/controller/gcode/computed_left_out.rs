@@ -1,7 +1,7 @@
 //! In place of `computed` where expressions, parameters and O words are left out to save flash: functions of the same
 //! names that do nothing, and refuse what needs them by an error of its own (`ExpressionsLeftOut`).
 //!
-//! Names: They are `direct`, `begin_call`, `next_held`, `is_blank`, `assigns`, `open_since`, `tape_mark`, `skipped`,
+//! Names: They are `direct` (`is_o_word`, `behind_digits`), `begin_call`, `next_held`, `is_blank`, `assigns`, `open_since`, `tape_mark`, `skipped`,
 //! `abandon_held`, `is_within_block`, `macro_line`, `set_macro_line`, `clear_macros`, `set_probed`, `set_input_read`,
 //! `expand`, `compute`, `assign`; parameters are `_`, and a `HeldLine` has room for one byte.
 
@@ -42,13 +42,26 @@ impl<const N: usize> Computed<N> {
     }
 }
 
+#[inline(never)]
+fn is_o_word(line: &[u8]) -> bool {
+    let line = line.strip_prefix(b"N").map_or(line, behind_digits);
+    let behind = line.strip_prefix(b"O").map(behind_digits);
+    matches!(behind, Some([b'A'..=b'Z', b'A'..=b'Z', ..] | [b'<' | b'#' | b'[', ..]))
+}
+
+#[inline(never)]
+fn behind_digits(text: &[u8]) -> &[u8] {
+    let digits = text.iter().take_while(|byte| byte.is_ascii_digit()).count();
+    text.get(digits..).unwrap_or_default()
+}
+
 /// A line of held text, of which there is none.
 pub type HeldLine = heapless::Vec<u8, 1>;
 
 impl<const N: usize> Interpreter<N> {
-    /// Every line is to be checked.
-    pub fn direct(&mut self, _: &[u8], _: &[u8], _: u32) -> Result<Direction, Error> {
-        Ok(Direction::Check)
+    /// Every line is to be checked, but for those with O words. A number alone is that of a program.
+    pub fn direct(&mut self, line: &[u8], _: &[u8], _: u32) -> Result<Direction, Error> {
+        if is_o_word(line) { Err(Error::ExpressionsLeftOut) } else { Ok(Direction::Check) }
     }
 
     /// There are no subroutines.

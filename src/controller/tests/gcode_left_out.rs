@@ -4,6 +4,8 @@ mod program;
 
 use oxmill_controller::error::Error;
 use oxmill_controller::gcode::Dialect;
+#[cfg(not(feature = "expressions"))]
+use oxmill_controller::gcode::{Direction, Interpreter};
 use program::Program;
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
@@ -61,6 +63,13 @@ fn rounded_corners() {
 #[test]
 fn expressions_and_parameters() {
     refuses(&["#1=2", "G0 X[1+1]", "G0 X#1"], Error::ExpressionsLeftOut);
+    let mut interpreter = Interpreter::<3>::new();
+    for line in ["O1SUB", "O<A>CALL[2]", "O100IF[1]", "O1ENDSUB", "N5O7CALL", "O#1CALL", "O[1]CALL"] {
+        assert_eq!(interpreter.direct(line.as_bytes(), &[], 1), Err(Error::ExpressionsLeftOut), "{line}");
+    }
+    for line in ["O1000", "N5", "G0X1", "O7G0X1", ""] {
+        assert_eq!(interpreter.direct(line.as_bytes(), &[], 1), Ok(Direction::Check), "{line}");
+    }
 }
 
 /// With all of them nothing is left out.
