@@ -56,8 +56,8 @@ fn unwatched() -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// Watches the supply: below 2.9 V (2.85 to 2.99 V, falling) `low_voltage` is called, which is to make everything
-/// safe while there still is power. Its vector has the highest priority of all; it runs once and does not return.
+/// Watches the supply: below 2.9 V (2.85 to 2.99 V, falling) `low_voltage` is called, which is to make everything safe while there
+/// still is power. Its vector has the highest priority of all; it runs once and does not return.
 pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI, low_voltage: fn() -> !) {
     critical_section::with(|cs| LOW_VOLTAGE.borrow(cs).set(low_voltage));
     detect_voltage(pwr);
@@ -77,9 +77,10 @@ pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI, low_voltage: fn() -> !) {
     }
 }
 
-/// Waits until the supply has risen to 3 V (the detector's threshold, rising: 2.95 to 3.09 V). To be called before the clocks are set: the chip wakes up at 1.7 V, and the wait
-/// states of flash for a clock beyond the 16 MHz of a reset are those for 2.7 V or more (reference manual, "Relation between CPU clock
-/// frequency and flash memory read time"). Capacitors of some millifarads behind a small supply take a tenth of a second.
+/// Waits until the supply has risen to 3 V (the detector's threshold, rising: 2.95 to 3.09 V). To be called before the clocks are
+/// set: the chip wakes up at 1.7 V, and the wait states of flash for a clock beyond the 16 MHz of a reset are those for 2.7 V or
+/// more (reference manual, "Relation between CPU clock frequency and flash memory read time"). Capacitors of some millifarads
+/// behind a small supply take a tenth of a second.
 pub fn await_voltage(pwr: &pac::PWR) {
     detect_voltage(pwr);
     if voltage_is_low() {

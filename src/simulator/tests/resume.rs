@@ -257,6 +257,8 @@ fn curves_of_control_points() {
     assert_eq!(behind.prologue.last().map(String::as_str), Some("G1 F100"), "{behind:?}");
     let why = resumed(&[], &job(" L4"), &wish(4)).unwrap_err();
     assert!(why.contains("control points are being read"), "{why}");
+    let closed = "G21 G90 G0 X0 Y0 Z5\nG1 Z0 F100\nG5.2 P1 L3\nX1 Y2 P1\nX3 Y4 P1\nX0 Y0 P1\nG5.3\nG1 Z-1\nX20\n";
+    assert!(resumed(&[], closed, &wish(8)).is_ok(), "a curve that is done, in front of a line at its first point");
     // Order 3 is the one without L.
     assert!(resumed(&[], &job(" L3"), &wish(4)).is_ok());
 }
