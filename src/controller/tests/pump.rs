@@ -4,8 +4,8 @@ mod board;
 
 use board::{PROFILE, started};
 use oxmill_controller::messages::{
-    Event, LineByte, Observed, Output, PinView, Realtime, Room, SEGMENTS_DEPTH, Segment, Sensed, StepEvent, ToStep,
-    input,
+    Event, HOST_CHANGED, LineByte, Observed, Output, PinView, Realtime, Room, SEGMENTS_DEPTH, Segment, Sensed,
+    StepEvent, ToStep, input,
 };
 use oxmill_controller::pump::{Pump, Source, round};
 use oxmill_controller::units::Instant;
@@ -347,6 +347,20 @@ fn a_reset_while_a_setting_is_stored_leaves_no_failure_behind() {
     scribe.epoch += 1;
     assert_eq!(scribe.answer_to("$101=82\n"), "ok\r\n");
     assert_eq!(scribe.answer_to("G10L2P1X1\n"), "ok\r\n");
+}
+
+/// The change of hosts comes behind a byte that waits for its command: dropped at an open door it would overtake it.
+#[test]
+fn a_change_of_hosts_is_not_taken_in_front_of_a_byte_that_waits() {
+    let mut controller = started::<16>(PROFILE);
+    let now = Instant::from_ticks(0);
+    while controller.output(now, Room { step: true, reply: true }).is_some() {}
+    controller.event(now, Event::Realtime(Realtime::SafetyDoor));
+    while controller.output(now, Room { step: true, reply: true }).is_some() {}
+    let change = LineByte { byte: HOST_CHANGED, epoch: 1, damaged: false };
+    assert!(controller.is_old(change));
+    controller.event(now, Event::Line(LineByte { byte: b'G', epoch: 1, damaged: false }));
+    assert!(!controller.is_old(change));
 }
 
 /// A stop ends motion and programs. What is being stored is neither, and a restart that follows it comes.
