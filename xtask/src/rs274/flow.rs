@@ -586,7 +586,8 @@ impl Writer {
         if calls_itself {
             let inner = self.label();
             lines.extend([
-                format!("{inner} if [#3 GT 0 AND #3 LT 4]"),
+                // Its body may change #3.
+                format!("{inner} if [#3 GT 0 AND #3 LT 4 AND #<_call_level> LT 4]"),
                 format!("{label} call [#1 / 2] [#2 + #3] [#3 - 1]"),
                 "#5=[#<_value> / 2 + #3]".into(),
                 format!("{inner} endif"),
