@@ -63,13 +63,13 @@ pub struct Arc<const N: usize> {
     geometry: ArcGeometry<N>,
     centre: [Coordinate; 2],
     /// Direction from the centre to the start, where each full turn ends.
-    first: [i64; 2],
+    first: [i32; 2],
     /// Direction from the centre to the last point.
-    unit: [i64; 2],
+    unit: [i32; 2],
     /// Sine of a chord's angle (signed) and 1 - its cosine, in fixed point with as many bits as 2^31 allows, so that
     /// thousands of tiny angles add up right.
-    sine: i64,
-    versine: i64,
+    sine: i32,
+    versine: i32,
     turn_bits: u32,
     start_radius: i64,
     radius_change: f32,
@@ -102,24 +102,34 @@ pub(super) fn integer_length(x: i64, y: i64) -> i64 {
 
 /// `value` × `unit`, rounded to nearest.
 #[inline]
-pub(super) fn scale(value: i64, unit: i64) -> i64 {
+pub(super) fn scale(value: i64, unit: i32) -> i64 {
     // The upper half of the value by itself: 2^32 of it are whole multiples of what is cut off, and no product is wide.
-    let (upper, lower) = (value >> 32, value & i64::from(u32::MAX));
-    ((upper * unit) << (32 - UNIT_BITS)) + ((lower * unit + UNIT / 2) >> UNIT_BITS)
+    let (upper, lower) = ((value >> 32) as i32, value as u32);
+    (product(upper, unit) << (32 - UNIT_BITS)) + ((i64::from(lower) * i64::from(unit) + UNIT / 2) >> UNIT_BITS)
 }
 
 /// Cut towards zero. The machine converts to 32 bits in one instruction.
 #[inline]
 fn whole(value: f32) -> i64 {
-    if value.abs() < 2.0e9 { i64::from(value as i32) } else { value as i64 }
+    #[inline(never)]
+    fn far(value: f32) -> i64 {
+        value as i64
+    }
+    if value.abs() < 2.0e9 { i64::from(value as i32) } else { far(value) }
+}
+
+/// In 64 bits: one instruction.
+#[inline]
+fn product(a: i32, b: i32) -> i64 {
+    i64::from(a) * i64::from(b)
 }
 
 #[inline(never)]
-fn direction(x: i64, y: i64, length: i64) -> [i64; 2] {
+fn direction(x: i64, y: i64, length: i64) -> [i32; 2] {
     if length == 0 {
-        return [UNIT, 0];
+        return [UNIT as i32, 0];
     }
-    let part = |value: i64| ((i128::from(value) << UNIT_BITS) / i128::from(length)) as i64;
+    let part = |value: i64| ((i128::from(value) << UNIT_BITS) / i128::from(length)) as i32;
     [part(x), part(y)]
 }
 
@@ -127,7 +137,7 @@ fn direction(x: i64, y: i64, length: i64) -> [i64; 2] {
 /// ends.
 struct Plain {
     centre: [Coordinate; 2],
-    first: [i64; 2],
+    first: [i32; 2],
     start_radius: i64,
     end_radius: i64,
     sweep: f32,
@@ -147,8 +157,8 @@ impl<const N: usize> ArcGeometry<N> {
         let first = direction(from[0].0, from[1].0, start_radius);
         let last = direction(to[0].0, to[1].0, end_radius);
         // Products of 2^-30 fractions: 60 bits, their sums 61.
-        let cross = (first[0] * last[1] - first[1] * last[0]) as f32;
-        let dot = (first[0] * last[0] + first[1] * last[1]) as f32;
+        let cross = (product(first[0], last[1]) - product(first[1], last[0])) as f32;
+        let dot = (product(first[0], last[0]) + product(first[1], last[1])) as f32;
         let mut sweep = libm::atan2f(cross, dot);
         if self.clockwise {
             if sweep >= -FULL_CIRCLE {
@@ -251,8 +261,8 @@ impl<const N: usize> Arc<N> {
             turn_bits += 1;
         }
         let one = (1_u64 << turn_bits) as f32;
-        self.sine = (libm::sinf(step) * one) as i64;
-        self.versine = (2.0 * half_sine * half_sine * one) as i64;
+        self.sine = (libm::sinf(step) * one) as i32;
+        self.versine = (2.0 * half_sine * half_sine * one) as i32;
         self.turn_bits = turn_bits;
     }
 
@@ -279,16 +289,17 @@ impl<const N: usize> Arc<N> {
     #[inline(always)]
     fn turn(&mut self) {
         let [x, y] = self.unit;
-        // 2^30 × 2^31 twice: below 2^62.
-        let half = 1_i64 << (self.turn_bits - 1);
-        let x_turned = x - ((x * self.versine + y * self.sine + half) >> self.turn_bits);
-        let y_turned = y + ((x * self.sine - y * self.versine + half) >> self.turn_bits);
+        // A chord is 2^30 × √2 long at most, times 2^30: with a half below 2^61, so the upper bits are 32.
+        let beyond = self.turn_bits - UNIT_BITS;
+        let half = i64::from(1_u32 << beyond) << (UNIT_BITS - 1);
+        let rounded = |sum: i64| ((sum + half) >> UNIT_BITS) as i32 >> beyond;
+        let x_turned = x - rounded(product(x, self.versine) + product(y, self.sine));
+        let y_turned = y + rounded(product(x, self.sine) - product(y, self.versine));
         // One Newton step towards length 1.
-        let excess = (x_turned * x_turned + y_turned * y_turned - UNIT * UNIT) >> (UNIT_BITS + 1);
-        let half = UNIT / 2;
-        let x = x_turned - ((x_turned * excess + half) >> UNIT_BITS);
-        let y = y_turned - ((y_turned * excess + half) >> UNIT_BITS);
-        self.unit = [x, y];
+        let square = product(x_turned, x_turned) + product(y_turned, y_turned);
+        let excess = ((square - UNIT * UNIT) >> (UNIT_BITS + 1)) as i32;
+        let share = |part: i32| ((product(part, excess) + UNIT / 2) >> UNIT_BITS) as i32;
+        self.unit = [x_turned - share(x_turned), y_turned - share(y_turned)];
     }
 
     /// The place in the present direction from the centre, after this share of the way.
@@ -360,7 +371,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn scaled_as_by_the_wide_product(value: i64, bits in 22_u32..64, unit in -UNIT..=UNIT) {
+        fn scaled_as_by_the_wide_product(value: i64, bits in 22_u32..64, unit in -(UNIT as i32)..=UNIT as i32) {
             let value = value >> bits;
             let wide = ((i128::from(value) * i128::from(unit) + i128::from(UNIT / 2)) >> UNIT_BITS) as i64;
             prop_assert_eq!(scale(value, unit), wide);

@@ -222,12 +222,12 @@ impl<const N: usize> NurbsGeometry<'_, N> {
 /// The point at a share of the way between two of different weights; the weight of the second becomes its own.
 fn weighted((before, light): (Place, f32), (place, heavy): (&Place, &mut f32), part: i64) -> Place {
     let share = if light.to_bits() == heavy.to_bits() {
-        part
+        part as i32
     } else {
         let part = part as f32 / UNIT as f32;
         let (ahead, behind) = (part * *heavy, (1.0 - part) * light);
         *heavy = ahead + behind;
-        (ahead / *heavy * UNIT as f32) as i64
+        (ahead / *heavy * UNIT as f32) as i32
     };
     let [a, b] = before;
     let [c, d] = *place;

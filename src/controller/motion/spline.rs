@@ -65,7 +65,7 @@ pub struct Spline<const N: usize> {
 #[derive(Clone, Copy, Debug)]
 struct Polygon([[i64; 2]; 3]);
 
-fn between([a, b]: [i64; 2], [c, d]: [i64; 2], share: i64) -> [i64; 2] {
+fn between([a, b]: [i64; 2], [c, d]: [i64; 2], share: i32) -> [i64; 2] {
     [a + scale(c - a, share), b + scale(d - b, share)]
 }
 
@@ -126,7 +126,7 @@ impl<const N: usize> SplineGeometry<N> {
 impl Polygon {
     /// The point at a share of the parameter, in 2^-30, and the derivative there but for a factor.
     #[inline(never)]
-    fn point_at(&self, share: i64) -> ([i64; 2], [i64; 2]) {
+    fn point_at(&self, share: i32) -> ([i64; 2], [i64; 2]) {
         let [b, c, d] = self.0;
         let (ab, bc, cd) = (between([0; 2], b, share), between(b, c, share), between(c, d, share));
         let (abc, bcd) = (between(ab, bc, share), between(bc, cd, share));
@@ -144,14 +144,14 @@ impl Polygon {
     /// The derivative is quadratic: p·(1-t)² + 2·q·t·(1-t) + r·t² with the sides p, q, r. Near an extremum the coordinate
     /// changes with the square of an error of t: what f32 leaves in t, 1e-6, is nothing.
     #[inline(never)]
-    fn turning_points([p, q, r]: [f32; 3]) -> [i64; 2] {
+    fn turning_points([p, q, r]: [f32; 3]) -> [i32; 2] {
         let (square, half_linear) = (p - 2.0 * q + r, q - p);
         let root = square_root((q * q - p * r).max(0.0));
         // The two roots without a difference of nearly equal numbers.
         let sum = if half_linear < 0.0 { root - half_linear } else { -root - half_linear };
         [sum / square, p / sum].map(|share| {
             // A root that does not exist is no number, or lies outside: an end of the curve takes its place.
-            if share > 0.0 && share < 1.0 { (share * UNIT as f32) as i64 } else { 0 }
+            if share > 0.0 && share < 1.0 { (share * UNIT as f32) as i32 } else { 0 }
         })
     }
 
@@ -212,7 +212,7 @@ impl<const N: usize> Spline<N> {
         }
         self.done += 1;
         let share = (u64::from(self.done) << UNIT_BITS) / u64::from(self.chords);
-        let (point, derivative) = self.polygon.point_at(share as i64);
+        let (point, derivative) = self.polygon.point_at(share as i32);
         let tangent = unit(derivative);
         let turn = length([tangent[0] - self.tangent[0], tangent[1] - self.tangent[1]]);
         let has_both = tangent != [0.0; 2] && self.tangent != [0.0; 2];
