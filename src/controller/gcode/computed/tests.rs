@@ -318,6 +318,10 @@ impl Tree {
             }
             Tree::Atan(y, x) => {
                 let (y, x) = (y.estimate()?, x.estimate()?);
+                // From -180 to 180 degrees: which of the two, an error of the ordinate decides.
+                if y.value.abs() <= 2.0 * y.error && x.value < 0.0 {
+                    return None;
+                }
                 let size = x.value.hypot(y.value);
                 Estimate::new(y.value.atan2(x.value).to_degrees(), (x.error + y.error) / size * 60.0 + 1e-13)
             }
@@ -349,6 +353,7 @@ fn nearly_no_angle_is_none() {
     exact("[TAN[[SIN[83702]/96956509885]]]", "0");
     exact("[SIN[180.0000000000001]]", "0");
     exact("[COS[90.0000000000001]]", "0");
+    exact("[ATAN[COS[40770]]/[-1]]", "180");
 }
 
 #[test]
