@@ -62,67 +62,74 @@ pub(super) fn steps_into<const N: usize, const WORDS: usize>(
 ) {
     const { assert!(N <= MOST_AXES && WORDS == 1 << N, "a word for each combination of axes") };
     let mut always = 0_usize;
-    let mut counting = [(0_usize, 0_u32, 0_u32); MOST_AXES];
+    // Shifted in, the last axis first, and not written to a place that is counted: so they stay in registers.
+    let mut counting = [Countdown::NONE; MOST_AXES];
     let mut count = 0_usize;
-    for (axis, (left, increment)) in left.iter().zip(increments).enumerate() {
+    for (axis, (left, increment)) in left.iter().zip(increments).enumerate().rev() {
         if *increment == threshold {
             always |= 1 << axis;
-        } else if *increment != 0
-            && let Some(slot) = counting.get_mut(count)
-        {
-            *slot = (axis, *left, *increment);
+        } else if *increment != 0 {
+            let [a, b, c, _] = counting;
+            counting = [Countdown { axis, left: *left, increment: *increment }, a, b, c];
             count += 1;
         }
     }
-    // Of the steps of the counting axes, one bit each in their order: the word with all axes.
-    let of_counting: [u32; WORDS] = core::array::from_fn(|steps| {
-        let all = counting.iter().enumerate().take(count);
-        let axes = all.fold(always, |axes, (bit, (axis, ..))| axes | (steps >> bit & 1) << axis);
-        table.get(axes % WORDS).copied().unwrap_or(0)
-    });
-    let [a, b, c, d] = counting.map(|(_, left, increment)| (left, increment));
-    let counted = match count {
-        0 => {
-            words.fill(table.get(always % WORDS).copied().unwrap_or(0));
-            return;
-        }
+    let [a, b, c, d] = counting;
+    match count {
+        0 => words.fill(table.get(always % WORDS).copied().unwrap_or(0)),
         // For one counting axis a loop of its own would save little: the other one takes nothing off.
-        1 | 2 => count_down([a, b], threshold, &of_counting, words),
-        4 if N > 3 => count_down([a, b, c, d], threshold, &of_counting, words),
-        _ => count_down([a, b, c], threshold, &of_counting, words),
-    };
-    for ((axis, ..), new) in counting.iter().zip(counted).take(count) {
-        if let Some(left) = left.get_mut(*axis) {
-            *left = new;
-        }
+        1 | 2 => count_down::<_, 2, 4, _>(left, [a, b], always, threshold, table, words),
+        4 if N > 3 => count_down::<_, 4, 16, _>(left, [a, b, c, d], always, threshold, table, words),
+        _ => count_down::<_, 3, 8, _>(left, [a, b, c], always, threshold, table, words),
     }
 }
 
-/// The countdown of `K` axes, each with what is left until its next step and with its increment, over as many ticks as there
-/// are words: for each the word of the axes that step. What is left of each axis after them.
+/// An axis that counts down to its next step: what is left until then, and its increment.
+#[derive(Clone, Copy)]
+struct Countdown {
+    axis: usize,
+    left: u32,
+    increment: u32,
+}
+
+impl Countdown {
+    /// No axis.
+    const NONE: Self = Self { axis: MOST_AXES, left: 0, increment: 0 };
+}
+
+/// The countdown of `K` axes over as many ticks as there are words: for each the word of the axes that step, those that
+/// `always` do among them.
 #[inline(always)]
-fn count_down<const K: usize, const WORDS: usize>(
-    axes: [(u32, u32); K],
+fn count_down<const N: usize, const K: usize, const OF_THEM: usize, const WORDS: usize>(
+    left: &mut [u32; N],
+    mut axes: [Countdown; K],
+    always: usize,
     threshold: u32,
-    of_steps: &[u32; WORDS],
+    table: &[u32; WORDS],
     words: &mut [u32],
-) -> [u32; MOST_AXES] {
-    let mut axes = axes;
+) {
+    const { assert!(OF_THEM == 1 << K, "a word for each combination of them") };
+    // Of their steps, one bit each in their order: the word with all axes.
+    let of_steps: [u32; OF_THEM] = core::array::from_fn(|steps| {
+        let all = axes.iter().enumerate().filter(|(bit, _)| steps >> bit & 1 != 0);
+        let stepping = all.fold(always, |stepping, (_, of)| stepping | 1_usize.wrapping_shl(of.axis as u32));
+        table.get(stepping % WORDS).copied().unwrap_or(0)
+    });
     for word in words {
         let mut steps = 0_usize;
-        for (bit, (left, increment)) in axes.iter_mut().enumerate() {
+        for (bit, of) in axes.iter_mut().enumerate() {
             // As in `step_axes`: the sign says whether the axis steps.
-            *left = left.wrapping_sub(*increment);
-            if (*left as i32) < 0 {
-                *left = left.wrapping_add(threshold);
+            of.left = of.left.wrapping_sub(of.increment);
+            if (of.left as i32) < 0 {
+                of.left = of.left.wrapping_add(threshold);
                 steps |= 1 << bit;
             }
         }
-        *word = of_steps.get(steps % WORDS).copied().unwrap_or(0);
+        *word = of_steps.get(steps % OF_THEM).copied().unwrap_or(0);
     }
-    let mut left = [0; MOST_AXES];
-    for (slot, (new, _)) in left.iter_mut().zip(axes) {
-        *slot = new;
+    for of in axes {
+        if let Some(left) = left.get_mut(of.axis) {
+            *left = of.left;
+        }
     }
-    left
 }

@@ -311,13 +311,15 @@ impl<const N: usize> Stepper<N> {
 
     #[inline(always)]
     fn moments_into(&mut self, moments: &mut [u32]) {
-        let (mut moment, mut interval, ramp) = (self.moment, self.piece.interval, self.piece.ramp);
+        // The interval with as many fraction bits as the moment has, so that two sums of 64 bits are all there is for each.
+        let (mut moment, ramp) = (self.moment, i64::from(self.piece.ramp) << FRACTION_SHIFT);
+        let mut interval = u64::from(self.piece.interval) << FRACTION_SHIFT;
         for at in moments {
             *at = (moment >> 32) as u32;
-            moment = moment.wrapping_add(u64::from(interval) << FRACTION_SHIFT);
+            moment = moment.wrapping_add(interval);
             interval = interval.wrapping_add_signed(ramp);
         }
-        (self.moment, self.piece.interval) = (moment, interval);
+        (self.moment, self.piece.interval) = (moment, (interval >> FRACTION_SHIFT) as u32);
     }
 
     /// Whether the next tick is one for [`Stepper::plain_ticks`].
