@@ -60,12 +60,12 @@ const UNBOUNDED: Cost = (u64::MAX, u64::MAX);
 /// The rows. Peers: Grbl 1.1h and grblHAL, their own code compiled with `arm-none-eabi-gcc -O2` for the same core and
 /// counted in the same way.
 const ROWS: [Row; 20] = [
-    row("batch_3", "32 events, 3 axes stepping", Figure::Mean, None, (1_150, 1_510))
+    row("batch_3", "32 events, 3 axes stepping", Figure::Mean, None, (1_125, 1_460))
         .beside("3360 / 4416", "4384 / 6240"),
-    row("batch_1", "32 events, 1 axis stepping", Figure::Mean, None, (786, 1_115)).beside("2656 / 3808", "3520 / 5440"),
+    row("batch_1", "32 events, 1 axis stepping", Figure::Mean, None, (765, 1_070)).beside("2656 / 3808", "3520 / 5440"),
     // Times 1.1 for the flash at most `run_cycles` of the boards (boards/profiles.rs).
-    row("segment", "longest run: another direction, other power, both messages", Figure::Worst, None, (2_520, 3_640)),
-    row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (535, 870)),
+    row("segment", "longest run: another direction, other power, both messages", Figure::Worst, None, (2_500, 3_590)),
+    row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (505, 810)),
     row("stop", "stop with a full ring, 96 events undone, with its report", Figure::Worst, None, (4_615, 5_985)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
     row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (585, 955)).beside("205 / 329", "196 / 313"),

@@ -352,6 +352,7 @@ impl Maker {
     }
 
     /// Less is ahead of a moment than there should be, and there is more to be made, and room for it.
+    #[inline(always)]
     fn wants_more(&self, from: u32, ahead: usize) -> bool {
         let has_room = ahead + MOST_EVENTS <= StepPins::DEPTH;
         let is_stopped = self.one_by_one || self.is_out_of_segments() || self.is_marked_full();
