@@ -468,7 +468,8 @@ impl<F: Flash> Log<F> {
         };
         // What is damaged cannot be written again where it is.
         let cleans = self.unsound && entry.kind == REMOVE && entry.replaces(STORE_DAMAGED);
-        if !cleans && self.holds(&entry)? {
+        // Behind a write that failed, what is read now need not be what a restart finds.
+        if !cleans && self.appendable && self.holds(&entry)? {
             return Ok(());
         }
         if cleans || !self.appendable || self.end + entry.size() > self.flash.sector_size() {
@@ -486,9 +487,9 @@ impl<F: Flash> Log<F> {
         !self.spare_erased
     }
 
-    /// Whether only a few more records fit before the spare sector has to be erased, or damage has to be left behind.
+    /// Whether no record fits before the spare sector has been erased, or only a few, or damage has to be left behind.
     pub fn needs_erase_soon(&self) -> bool {
-        !self.spare_erased && (self.unsound || self.end + RESERVE > self.flash.sector_size())
+        !self.spare_erased && (!self.appendable || self.unsound || self.end + RESERVE > self.flash.sector_size())
     }
 
     /// Erases the spare sector, which holds nothing that counts. Takes hundreds of milliseconds on real flash.
@@ -529,6 +530,8 @@ impl<F: Flash> Log<F> {
             end = self.copy(target, end, coming)?;
         }
         let sequence = self.sequence.wrapping_add(1);
+        // A header of which the last word fails may count after a restart, and what were appended here would not.
+        self.appendable = false;
         self.write_header(target, sequence)?;
         self.sector = target;
         self.sequence = sequence;
