@@ -23,6 +23,7 @@ struct Worn {
     faults: Vec<(u32, Fault)>,
     left: u32,
     gone: bool,
+    reads: u32,
 }
 
 impl Worn {
@@ -48,6 +49,7 @@ impl Flash for Worn {
         4 * self.sectors[0].len() as u32
     }
     fn read(&mut self, sector: Sector, address: u32) -> Result<u32, ()> {
+        self.reads += 1;
         Ok(self.sectors[sector as usize][address as usize / 4])
     }
     fn write(&mut self, sector: Sector, address: u32, word: u32) -> Result<(), ()> {
@@ -84,7 +86,7 @@ fn worn() -> Log<Worn> {
 
 fn with_sectors_of(size: u32) -> Log<Worn> {
     let words = vec![ERASED; size as usize / 4];
-    Log::open(Worn { sectors: [words.clone(), words], faults: Vec::new(), left: 0, gone: false }).unwrap()
+    Log::open(Worn { sectors: [words.clone(), words], faults: Vec::new(), left: 0, gone: false, reads: 0 }).unwrap()
 }
 
 type Map = BTreeMap<u16, Vec<u8>>;
@@ -142,7 +144,7 @@ fn a_move_that_fails_takes_nothing_along() {
         let taken = log.store(&put(9, b"on")).is_ok();
         let mut log = Log::open(log.flash).unwrap();
         let found = stored(&mut log);
-        assert_eq!(found.get(&9).is_some(), taken, "word {word}, {fault:?}");
+        assert_eq!(found.contains_key(&9), taken, "word {word}, {fault:?}");
         let old = found.get(&0).is_some_and(|value| value == b"older");
         assert!(old || found.get(&0).is_some_and(|value| *value == [7; 92]), "word {word}, {fault:?}");
     }
@@ -164,6 +166,33 @@ fn what_failed_needs_an_erase_soon() {
     assert!(!log.needs_erase_soon());
     log.store(&put(1, b"new")).unwrap();
     assert_eq!(stored(&mut log), BTreeMap::from([(1, b"new".to_vec())]));
+}
+
+/// On a board a read is some hundred cycles, behind more than eight damaged stretches some thousand, and the control task has
+/// half a second to answer for itself: a log is not looked through for each of its records.
+#[test]
+fn a_full_log_is_soon_looked_through() {
+    let mut log = with_sectors_of(16 * 1024);
+    log.erase_spare().unwrap();
+    for n in 0_u32..1364 {
+        let key = if n < 120 { 400 + n } else { 600 + n % 120 };
+        log.store(&put(key as u16, &n.to_le_bytes())).unwrap();
+    }
+    for gap in 0..12 {
+        log.flash.sectors[0][3 + 3 * (200 + 2 * gap)] ^= 1;
+    }
+    let mut log = Log::open(log.flash).unwrap();
+    assert!(log.unmapped < log.end);
+    let mut reads = |what, act: &mut dyn FnMut(&mut Log<Worn>)| {
+        let before = log.flash.reads;
+        act(&mut log);
+        let reads = log.flash.reads - before;
+        assert!(reads < 200_000, "{what}: {reads} reads");
+    };
+    reads("power-up", &mut |log| assert_eq!(stored(log).len(), 240));
+    reads("nothing to remove", &mut |log| log.store(&Store::Remove { from: 0, until: 400 }).unwrap());
+    reads("move", &mut |log| log.store(&Store::Remove { from: STORE_DAMAGED, until: STORE_DAMAGED + 1 }).unwrap());
+    assert_eq!(stored(&mut log).len(), 240);
 }
 
 /// A record is taken by the memory, which reports a failure: it counts after a restart, unless it is replaced.
@@ -216,7 +245,37 @@ fn play(series: Vec<(Store, u8)>, faults: Vec<(u32, Fault)>) -> Result<(), TestC
     Ok(())
 }
 
+/// Changes of more keys than are found in one walk.
+fn many_keys() -> impl Strategy<Value = Vec<Store>> {
+    let one = prop_oneof![
+        20 => (0_u16..3 * KEYS as u16, proptest::collection::vec(any::<u8>(), 0..5)).prop_map(|(key, v)| put(key, &v)),
+        1 => (0_u16..3 * KEYS as u16, 0..3 * KEYS as u16).prop_map(|(a, b)| Store::Remove { from: a, until: b.min(a + 200) }),
+        1 => Just(put(u16::MAX, b"last")),
+    ];
+    proptest::collection::vec(one, 1..1500)
+}
+
 proptest! {
+    #[test]
+    fn a_log_of_many_keys_is_a_map(changes in many_keys()) {
+        let mut log = with_sectors_of(8192);
+        let mut model = Map::new();
+        for next in &changes {
+            if log.needs_erase() {
+                log.erase_spare().unwrap();
+            }
+            log.store(next).unwrap();
+            apply(&mut model, next);
+        }
+        prop_assert_eq!(stored(&mut log), model.clone());
+        let before = log.end;
+        for (from, until) in [(u16::MAX, u16::MAX), (3 * KEYS as u16, u16::MAX)] {
+            log.store(&Store::Remove { from, until }).unwrap();
+        }
+        prop_assert_eq!(log.end, before, "nothing is removed and nothing written");
+        prop_assert_eq!(stored(&mut Log::open(log.flash).unwrap()), model);
+    }
+
     #[test]
     fn what_was_taken_is_found_again(series in series(), faults in faults()) {
         play(series, faults)?;
