@@ -36,10 +36,10 @@
 //! key, value and `crc` (`POLYNOMIAL`), written in words (`first_word`, `LONGEST_WORDS`, `to_le_bytes`,
 //! `from_le_bytes`) at the next `address` of one of two sectors of a `Flash` (`F`, `F::Error`, `StoreError`,
 //! `sector_size`, `erase`). A header has a `sequence`; a full sector is compacted with the `coming` entry into the
-//! `spare`, which is erased before (`wipe`, `needs_erase`). `survey` reads the `Outline` of each entry, finds what it
-//! replaces, `look_behind` the end reads whether that is clean (`Ok((false, true))`), and damage is noted as a `Gap`,
-//! as not `appendable`, `unmapped` or `unsound`; one `wrong_byte` is mended by the `difference` of the CRC `sum` from
-//! the words `covered`. It takes the place of the EEPROM of Grbl.
+//! `spare`, which is erased before (`wipe`, `needs_erase`). `survey` reads the `Outline` of each entry, `counting` finds
+//! those that no later one replaces, `look_behind` the end reads whether that is clean (`Ok((false, true))`), and damage
+//! is noted as a `Gap`, as not `appendable`, `unmapped` or `unsound`; one `wrong_byte` is mended by the `difference` of
+//! the CRC `sum` from the words `covered`. It takes the place of the EEPROM of Grbl.
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
@@ -130,6 +130,10 @@ const LONGEST: u32 = 100;
 const LONGEST_WORDS: usize = 27;
 /// Damaged stretches that are remembered; behind more of them every record is checked again each time.
 const GAPS: usize = 8;
+/// Keys whose records are looked for in one walk over the log.
+const KEYS: usize = 128;
+/// In place of the address of a record: none is in the header.
+const NOWHERE: u32 = 0;
 /// Of the crc, bits reflected.
 const POLYNOMIAL: u32 = 0xEDB8_8320;
 /// Kinds of record; both differ from erased and zeroed memory in several bits.
@@ -153,6 +157,14 @@ pub struct Log<F> {
     unmapped: u32,
     /// The spare sector holds its mark and nothing else.
     spare_erased: bool,
+}
+
+/// Where the records of keys that follow each other are.
+type Places = [u32; KEYS];
+
+/// The keys from `from` on that have a record, and its address.
+fn stored(from: u16, places: &Places) -> impl Iterator<Item = (u16, u32)> {
+    (from..=u16::MAX).zip(places.iter().copied()).filter(|(_, address)| *address != NOWHERE)
 }
 
 /// Bytes between records that hold none.
@@ -438,14 +450,14 @@ impl<F: Flash> Log<F> {
     /// If the flash cannot be read.
     pub fn for_each(&mut self, mut take: impl FnMut(Record)) -> Result<(), F::Error> {
         let mut damage = self.unsound;
-        let mut next = HEADER;
-        while let Some((address, outline)) = self.record_from(next)? {
-            next = address + outline.size();
-            if outline.kind == PUT && !self.is_replaced(outline.key, next)? {
-                let entry = self.entry(address)?;
-                damage &= entry.key != STORE_DAMAGED;
-                take(Record { key: entry.key, value: entry.value });
+        let mut from = Some(0);
+        while let Some(first) = from {
+            let (places, next) = self.counting(first)?;
+            for (key, address) in stored(first, &places) {
+                damage &= key != STORE_DAMAGED;
+                take(Record { key, value: self.entry(address)?.value });
             }
+            from = next;
         }
         if damage {
             take(Record { key: STORE_DAMAGED, value: heapless::Vec::new() });
@@ -468,7 +480,8 @@ impl<F: Flash> Log<F> {
         };
         // What is damaged cannot be written again where it is.
         let cleans = self.unsound && entry.kind == REMOVE && entry.replaces(STORE_DAMAGED);
-        if !cleans && self.holds(&entry)? {
+        // Behind a write that failed, what is read now need not be what a restart finds.
+        if !cleans && self.appendable && self.holds(&entry)? {
             return Ok(());
         }
         if cleans || !self.appendable || self.end + entry.size() > self.flash.sector_size() {
@@ -486,9 +499,9 @@ impl<F: Flash> Log<F> {
         !self.spare_erased
     }
 
-    /// Whether only a few more records fit before the spare sector has to be erased, or damage has to be left behind.
+    /// Whether no record fits before the spare sector has been erased, or only a few, or damage has to be left behind.
     pub fn needs_erase_soon(&self) -> bool {
-        !self.spare_erased && (self.unsound || self.end + RESERVE > self.flash.sector_size())
+        !self.spare_erased && (!self.appendable || self.unsound || self.end + RESERVE > self.flash.sector_size())
     }
 
     /// Erases the spare sector, which holds nothing that counts. Takes hundreds of milliseconds on real flash.
@@ -509,15 +522,18 @@ impl<F: Flash> Log<F> {
         let target = self.sector.other();
         self.spare_erased = false;
         let mut damage = self.unsound && !coming.replaces(STORE_DAMAGED);
-        let mut next = HEADER;
+        let mut from = Some(0);
         let mut end = HEADER;
-        while let Some((address, outline)) = self.record_from(next)? {
-            next = address + outline.size();
-            if outline.kind == PUT && !coming.replaces(outline.key) && !self.is_replaced(outline.key, next)? {
-                let entry = self.entry(address)?;
-                damage &= entry.key != STORE_DAMAGED;
-                end = self.copy(target, end, &entry)?;
+        while let Some(first) = from {
+            let (places, next) = self.counting(first)?;
+            for (key, address) in stored(first, &places) {
+                if !coming.replaces(key) {
+                    damage &= key != STORE_DAMAGED;
+                    let entry = self.entry(address)?;
+                    end = self.copy(target, end, &entry)?;
+                }
             }
+            from = next;
         }
         if damage {
             // It has not been confirmed.
@@ -529,6 +545,8 @@ impl<F: Flash> Log<F> {
             end = self.copy(target, end, coming)?;
         }
         let sequence = self.sequence.wrapping_add(1);
+        // A header of which the last word fails may count after a restart, and what were appended here would not.
+        self.appendable = false;
         self.write_header(target, sequence)?;
         self.sector = target;
         self.sequence = sequence;
@@ -626,34 +644,50 @@ impl<F: Flash> Log<F> {
         Ok(None)
     }
 
-    /// Whether a record counts no more because of one from `from` on.
-    fn is_replaced(&mut self, key: u16, from: u32) -> Result<bool, F::Error> {
-        let mut next = from;
+    /// Where the records are that count, of as many keys from `from` on; and the first key behind these that has a record. To look
+    /// for what replaces each record would take seconds in a full log.
+    fn counting(&mut self, from: u16) -> Result<(Places, Option<u16>), F::Error> {
+        let mut places = [NOWHERE; KEYS];
+        let index = |key: u16| usize::from(key.saturating_sub(from)).min(KEYS);
+        let mut more = None;
+        let mut next = HEADER;
         while let Some((address, outline)) = self.record_from(next)? {
-            let replaces = match outline.kind {
-                PUT => outline.key == key,
-                _ => outline.key <= key && self.entry(address)?.replaces(key),
-            };
-            if replaces {
-                return Ok(true);
-            }
             next = address + outline.size();
+            let key = outline.key;
+            if outline.kind != PUT {
+                let until = self.entry(address)?.until();
+                if let Some(removed) = places.get_mut(index(key)..index(until)) {
+                    removed.fill(NOWHERE);
+                }
+            } else if let Some(place) = places.get_mut(index(key)) {
+                if key >= from {
+                    *place = address;
+                }
+            } else if more.is_none_or(|more| key < more) {
+                more = Some(key);
+            }
         }
-        Ok(false)
+        Ok((places, more))
     }
 
     /// Whether storing an entry would change nothing.
     fn holds(&mut self, coming: &Entry) -> Result<bool, F::Error> {
-        let mut holds = coming.kind == REMOVE;
+        if coming.kind == REMOVE {
+            let mut from = Some(coming.key);
+            while let Some(first) = from.filter(|key| coming.replaces(*key)) {
+                let (places, next) = self.counting(first)?;
+                if stored(first, &places).any(|(key, _)| coming.replaces(key)) {
+                    return Ok(false);
+                }
+                from = next;
+            }
+            return Ok(true);
+        }
+        let mut holds = false;
         let mut next = HEADER;
         while let Some((address, outline)) = self.record_from(next)? {
             next = address + outline.size();
-            if coming.kind == REMOVE {
-                let holds_it = outline.kind == PUT && coming.replaces(outline.key);
-                if holds_it && !self.is_replaced(outline.key, next)? {
-                    return Ok(false);
-                }
-            } else if outline.kind == REMOVE || outline.key == coming.key {
+            if outline.kind == REMOVE || outline.key == coming.key {
                 let entry = self.entry(address)?;
                 if entry.replaces(coming.key) {
                     holds = entry.kind == PUT && entry.value == coming.value;

@@ -2,6 +2,8 @@
 
 #[path = "damage_tests.rs"]
 mod damage;
+#[path = "failure_tests.rs"]
+mod failure;
 
 use super::*;
 use proptest::prelude::*;

@@ -96,7 +96,8 @@ fn the_simulator_as_a_library_has_no_files_threads_or_clock() {
 
 /// Files that are compiled where they do not lie, and why.
 const INCLUDED: &[(&str, &str, &str)] = &[
-    ("src/store/tests.rs", "damage_tests.rs", "tests of one module in two files"),
+    ("src/store/tests.rs", "damage_tests.rs", "tests of one module in three files"),
+    ("src/store/tests.rs", "failure_tests.rs", "tests of one module in three files"),
     ("tests/bench/motion.rs", "../../xtask/src/programs/mod.rs", "the same programs as `cargo xtask job`"),
     ("tests/machine/examples.rs", "../../xtask/src/programs/mod.rs", "the same programs as `cargo xtask job`"),
     ("tests/on_target/src/count.rs", "../../../src/step_task/shared.rs", "the step task for registers in memory"),

@@ -171,10 +171,14 @@ impl Records {
         self.unstored == 0
     }
 
-    /// At most four of these come from one command, and the next is read when they are answered: there is room.
+    /// At most four of these come from one command, and the next is read when they are answered: there is room. Behind a reset
+    /// the next may be read before; what finds no room then is told as what could not be stored.
     fn hand_over(&mut self, store: Store) {
-        if self.has_store && self.stores.push_back(store).is_ok() {
-            self.unstored += 1;
+        if self.has_store {
+            match self.stores.push_back(store) {
+                Ok(()) => self.unstored += 1,
+                Err(_) => self.failed = true,
+            }
         }
     }
 
@@ -397,6 +401,25 @@ mod tests {
         assert_eq!(after.startup_line(1).unwrap(), b"G21");
         assert_eq!(after.build_info(), b"mill");
         assert!(after.startup_line(0).unwrap().is_empty() && after.startup_line(2).is_none());
+    }
+
+    /// A reset in the confirmation of three values, and a setting behind it that takes two changes.
+    #[test]
+    fn a_change_that_finds_no_room_is_told() {
+        let mut records = Records::new(true);
+        let settings = Settings::<3>::default();
+        for number in [0, 1, 2, 3] {
+            records.save_setting(number, &settings);
+        }
+        assert!(records.next_store().is_some() && !records.answered(true));
+        records.save_setting(20, &settings);
+        records.save_setting(22, &settings);
+        let mut told = 0;
+        while records.next_store().is_some() {
+            told += u32::from(records.answered(true));
+        }
+        assert!(records.are_stored());
+        assert_eq!(told, 1);
     }
 
     #[test]
