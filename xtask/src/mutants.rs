@@ -87,14 +87,6 @@ const MUTANTS: &[Mutant] = &[
         }],
     },
     Mutant {
-        name: "settled-with-a-jerk-limit",
-        edits: &[Edit {
-            file: PLANNER,
-            find: "        self.changed = usize::MAX;\n        self.settled = 0;\n",
-            replace: "        self.changed = usize::MAX;\n",
-        }],
-    },
-    Mutant {
         name: "walk-put-off-for-good",
         edits: &[Edit {
             file: PLANNER,
