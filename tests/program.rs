@@ -651,6 +651,16 @@ fn a_recorded_job_is_played_again() {
     assert_eq!(run(&["run", text(&job), "--record", text(&job)]).status.code(), Some(2), "the job itself");
 }
 
+/// Its end is not waited for.
+#[test]
+fn a_recorded_job_with_a_very_long_dwell_is_played_again() {
+    let job = file("long_dwell.nc", "G0 X1\nG4 P10000000\nG0 X2\n");
+    let recording = file("long_dwell.rec", "");
+    assert!(run(&["run", text(&job), "--record", text(&recording)]).status.success());
+    let output = run(&["replay", text(&recording)]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
 /// What hinders the machine is found before an older recording is lost.
 #[test]
 fn a_recording_is_kept_until_there_is_a_new_one() {

@@ -35,6 +35,7 @@ use crate::messages::{
     CrashKind, Event, HOST_CHANGED, LineByte, Noted, Realtime, Record, Recorded, Restart, Sensed, Standing, StepEvent,
     Stopping, ToStep,
 };
+use crate::protocol::line_intake::EPOCHS;
 use crate::protocol::realtime;
 use crate::units::{Coordinate, Instant};
 use core::sync::atomic::{Ordering, compiler_fence};
@@ -413,6 +414,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     fn put_end(&mut self, time: u64, byte: u8) {
         if self.time < time {
             self.put_time(time);
+        } else if self.next.is_full() {
+            self.flush();
         }
         let _ = self.next.push(byte);
         self.flush();
@@ -550,6 +553,10 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.expect_plain();
         if let Event::Realtime(Realtime::Reset | Realtime::Stop) = event {
             self.reset_epoch = self.epoch;
+        }
+        // Epochs are compared by their signed difference: the older one must not fall behind by half of the range.
+        if self.epoch.wrapping_sub(self.reset_epoch) > EPOCHS {
+            self.reset_epoch = self.epoch.wrapping_sub(EPOCHS);
         }
         if self.kept {
             return;

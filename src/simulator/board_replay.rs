@@ -23,6 +23,10 @@ use oxmill_controller::protocol::realtime;
 
 /// How much earlier or later than the board the simulator may be, in parts of a second.
 const SLACK_PARTS: u64 = 20;
+/// Lines that were taken one right after the other, in parts of a second, had all been there when the first was taken.
+const AT_ONCE_PARTS: u64 = 1000;
+/// Of the words of a state in which F is undefined.
+const NO_FEED: &str = "F0.0000000S";
 
 /// What came of a replay.
 #[derive(Debug, Default)]
@@ -45,7 +49,7 @@ pub fn play(
     if !recording.is_whole() {
         arrival.notes.push("the listing breaks off: what came later is not known".into());
     }
-    let inputs = in_order(recording.inputs());
+    let mut inputs = in_order(recording.inputs());
     let begin = match begin_of(&inputs) {
         Ok(begin) => begin,
         Err(why) => {
@@ -53,6 +57,8 @@ pub fn play(
             return arrival;
         }
     };
+    let at_once = u64::from(simulator.board().step_clock_hz) / AT_ONCE_PARTS;
+    let inputs = at_once_together(inputs.split_off(begin), at_once);
     let mut replay = Playing { simulator, hear, pass, begin: 0, shift: 0, offset: Vec::new(), cuts: 1, met: 0 };
     let played = replay.play(&inputs, begin, &mut arrival.notes);
     arrival.parted = played.err();
@@ -107,6 +113,28 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
         since = cut + 1;
     }
     ordered
+}
+
+/// Lines of which each waited behind the one before come in one piece: what the machine does with a line may depend on the next.
+fn at_once_together(inputs: Vec<(u64, Input)>, at_once: u64) -> Vec<(u64, Input)> {
+    let mut together: Vec<(u64, Input)> = Vec::new();
+    // When the last line of the piece was taken.
+    let mut last = 0;
+    for (time, input) in inputs {
+        if let Input::Host(more) = &input
+            && let [.., (_, Input::Host(lines)), (_, Input::Told(Told::Noted(Noted::More)))] = &mut together[..]
+            && is_of_line(&input)
+            && time <= last + at_once
+        {
+            lines.extend(more);
+            together.pop();
+            last = time;
+            continue;
+        }
+        last = if matches!(input, Input::Host(_)) { time } else { last };
+        together.push((time, input));
+    }
+    together
 }
 
 /// Whether it is of a line of the host, and no command.
@@ -178,10 +206,10 @@ struct Playing<'a, H, P> {
 }
 
 impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
-    fn play(&mut self, inputs: &[(u64, Input)], begin: usize, notes: &mut Vec<String>) -> Result<(), String> {
+    fn play(&mut self, inputs: &[(u64, Input)], left_out: usize, notes: &mut Vec<String>) -> Result<(), String> {
         self.simulator.hear_always();
-        self.start(inputs, begin, notes)?;
-        for (at, (time, input)) in inputs.iter().enumerate().skip(begin + 1) {
+        self.start(inputs, left_out, notes)?;
+        for (at, (time, input)) in inputs.iter().enumerate().skip(1) {
             // The begin of a line has the time of what came behind it, and was there already if it waited behind the line before.
             let waited = at > 0 && matches!(inputs[at - 1].1, Input::Told(Told::Noted(Noted::More))) && is_begin(input);
             let time = if waited { self.simulator.clock().now() } else { time + self.shift };
@@ -203,13 +231,15 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         Ok(())
     }
 
-    /// Brings the state about from which it begins.
-    fn start(&mut self, inputs: &[(u64, Input)], begin: usize, notes: &mut Vec<String>) -> Result<(), String> {
-        let Some((time, input)) = inputs.get(begin) else { return Err("nothing is recorded".into()) };
+    /// Brings the state about from which it begins, with so many lines before it.
+    fn start(&mut self, inputs: &[(u64, Input)], left_out: usize, notes: &mut Vec<String>) -> Result<(), String> {
+        let Some((time, input)) = inputs.first() else { return Err("nothing is recorded".into()) };
         let mut counters = Vec::new();
         if let Input::Told(Told::Noted(Noted::Standing { standing, blocks })) = input {
-            if begin > 0 {
-                notes.push(format!("begins at a state at rest; {begin} lines of the recording before it are left out"));
+            if left_out > 0 {
+                notes.push(format!(
+                    "begins at a state at rest; {left_out} lines of the recording before it are left out"
+                ));
             }
             self.stand(standing)?;
             self.simulator.follow_blocks(*blocks);
@@ -232,9 +262,13 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.set_pins(Signals::of_word(standing.active ^ inverted));
         self.simulator.stand(standing, false);
         self.simulator.take_output();
-        let mut words = [standing.words.as_slice(), b"\n"].concat();
+        let mut words = String::from_utf8_lossy(&standing.words).into_owned() + "\n";
+        if words.contains(NO_FEED) {
+            // G1 with no feed is in force behind M30 or G94, and no line may say so.
+            words = words.replace(NO_FEED, "F1S") + "F0\n";
+        }
         if standing.inches {
-            words.extend(b"G20\n");
+            words.push_str("G20\n");
         }
         self.simulator.send(&words);
         self.simulator.run_until_idle();

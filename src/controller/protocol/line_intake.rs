@@ -22,7 +22,7 @@ use crate::error::Error;
 use crate::messages::{HOST_CHANGED, LineByte};
 
 /// Epochs by which an older one may fall behind: resets, stops and jog cancels while a line waits unread.
-const EPOCHS: u16 = 1 << 14;
+pub(crate) const EPOCHS: u16 = 1 << 14;
 
 /// What a byte has brought about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -182,6 +182,55 @@ fn a_page_that_is_not_what_was_written_is_none() {
     assert!(ring.is_kept() && left > 0 && left < whole, "{left} of {whole}");
 }
 
+/// Jog cancels open epochs, and these wrap; a machine may be jogged for weeks without a reset.
+#[test]
+fn lines_behind_very_many_jog_cancels_are_recorded() {
+    let board = board();
+    let mut ring = Ring::begin(vec![Page::EMPTY; 4], &Restart::POWER);
+    let mut epoch = 0_u16;
+    for n in 0..200_000_u64 {
+        ring.record(Instant::from_ticks(n), &Event::<3>::Realtime(Realtime::JogCancel), &board);
+        epoch = epoch.wrapping_add(1);
+        if n % 1_000 == 0 {
+            line(&mut ring, &board, n, epoch, "G1X10\n");
+            assert_eq!(entries(&mut ring).last(), Some(&(n, host("G1X10\n"))), "behind {n} jog cancels");
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
+    /// Whatever comes at whatever time, in pieces or byte by byte: all of it is listed, and nothing else.
+    #[test]
+    fn nothing_is_left_out(script in prop::collection::vec((prop_oneof![Just(0_u64), 1..200_u64, any::<u32>().prop_map(u64::from)], 0..6_u8, prop_oneof![0..20_usize, 60..70_usize, 120..140_usize, 0..260_usize], 1..40_usize), 1..40)) {
+        let board = board();
+        let mut ring = Ring::begin(vec![Page::EMPTY; 64], &Restart::POWER);
+        let (mut now, mut expected) = (0, Vec::new());
+        for (number, (pause, kind, length, piece)) in script.into_iter().enumerate() {
+            now += pause;
+            let text: Vec<u8> = (0..length).map(|at| b'A' + ((number + at) % 26) as u8).collect();
+            match kind {
+                0 => ring.record(Instant::from_ticks(now), &Event::<3>::Realtime(Realtime::FeedHold), &board),
+                1 => line(&mut ring, &board, now, 0, std::str::from_utf8(&text).unwrap()),
+                _ => text.chunks(piece).for_each(|piece| ring.record_text(Instant::from_ticks(now), 0, piece, &board)),
+            }
+            if kind == 0 {
+                expected.push(b'!');
+            } else {
+                expected.extend(&text);
+                line(&mut ring, &board, now, 0, "\n");
+                expected.push(b'\n');
+            }
+        }
+        let listed: Vec<u8> = entries(&mut ring).into_iter().flat_map(|(_, entry)| match entry {
+            Noted::Host(bytes) => bytes.to_vec(),
+            Noted::Command(byte) => vec![byte],
+            _ => Vec::new(),
+        }).collect();
+        prop_assert_eq!(String::from_utf8(listed).unwrap(), String::from_utf8(expected).unwrap());
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
     /// What RAM holds after power-up, or after anything at all, is listed or forgotten, and recorded over.

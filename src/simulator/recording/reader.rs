@@ -65,7 +65,8 @@ impl Recording {
     fn parse_time(&self, text: &str) -> Result<u64, String> {
         let time = number(text)?;
         let last = LONGEST * u64::from(self.board.step_clock_hz);
-        if time <= last { Ok(time) } else { Err(format!("`{time}` is later than 100 days")) }
+        // A job passes its dwells at once, however long they are.
+        if time <= last || self.job.is_some() { Ok(time) } else { Err(format!("`{time}` is later than 100 days")) }
     }
 
     fn parse_line(&mut self, line: &str) -> Result<(), String> {

@@ -321,6 +321,41 @@ fn a_replay_says_how_much_it_has_compared() {
     assert!(arrival(cut).unwrap().notes[0].starts_with("the listing breaks off"));
 }
 
+/// What a board lists to which a host has sent this, each with the milliseconds until the next, and what comes of playing it.
+fn played_of_board(sent: &[(u64, &str)]) -> (String, oxmill_simulator::board_replay::Arrival) {
+    let (mut mill, _, _, _) = machine();
+    for (milliseconds, text) in sent {
+        mill.send(text);
+        mill.run_for(Duration::from_millis(*milliseconds));
+    }
+    mill.run_for(Duration::from_secs(3));
+    let log = listing(&mut mill);
+    let arrival = arrival(&log).unwrap_or_else(|| panic!("{sent:?}: {log}"));
+    (log, arrival)
+}
+
+/// M30 leaves G1, and a change of the feed mode no F: a job that ended so, and a new zero before the next one.
+#[test]
+fn a_replay_begins_in_g1_without_a_feed() {
+    for end in ["M30\n", "G93 G1 Y0.1 F60\nG94\n", "G20 M30\n"] {
+        let (log, arrival) = played_of_board(&[(1500, end), (100, "G10 L20 P1 X0\n"), (10, "G1 Y0.05 F500\nG0 Y0\n")]);
+        assert!(log.contains("G1G54G17G90F0.0000000S"), "{log}");
+        assert_eq!(arrival.parted, None, "{log}");
+        assert!(arrival.notes.iter().any(|note| note.starts_with("the motors come to")), "{:?}", arrival.notes);
+    }
+}
+
+/// A corner is rounded by the move behind it, if that was there when the one before it was begun.
+#[test]
+fn lines_that_came_at_once_are_played_at_once() {
+    let burst = "G64 P0.1\nG1 X1 F900\nY1\nX0\nY0\n";
+    for pause in (400..520).step_by(7) {
+        let script = [(652, "$J=G91 X1 F300\n"), (1121, "$RST=$\n"), (pause, "G0 X0.1\n"), (10, burst)];
+        let (log, arrival) = played_of_board(&script);
+        assert_eq!(arrival.parted, None, "{pause} ms, {log}");
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
     /// A listing that was damaged on its way is refused or played: nothing breaks by it.
