@@ -58,6 +58,9 @@ const GINTSTS: usize = 0x014;
 const GINTMSK: usize = 0x018;
 const GRXSTSR: usize = 0x01C;
 const GRXSTSP: usize = 0x020;
+/// The bus is suspended.
+const DSTS: usize = 0x808;
+const SUSPENDED: u32 = 1;
 /// Which endpoints call; those to the host are its lowest bits.
 const DAINTMSK: usize = 0x81C;
 const DIEPCTL: usize = 0x900;
@@ -293,8 +296,10 @@ impl UsbPort {
         }
     }
 
+    /// Whether there is a host that has set the device up. The driver takes also what came before the bus went idle for a sign of
+    /// one, if it reads that afterwards.
     fn is_configured(&self) -> bool {
-        self.device.state() == UsbDeviceState::Configured && !self.resetting
+        self.device.state() == UsbDeviceState::Configured && !self.resetting && read(DSTS) & SUSPENDED == 0
     }
 
     /// The host has gone, and what it has sent goes with it: here, and in the driver's buffer.
@@ -348,7 +353,11 @@ impl Port for UsbPort {
         self.hold_endpoint();
         // The driver masks interrupts for as long as it looks: not for nothing.
         let events = read(GINTSTS);
-        self.resetting |= events & USBRST != 0;
+        if events & USBRST != 0 {
+            self.resetting = true;
+            // The driver disables its endpoints without the NAK that has to be in force before.
+            self.forget_sent();
+        }
         if events & EVENTS != 0 {
             self.device.poll(&mut [&mut self.class]);
             self.begin_toggles();
@@ -381,8 +390,8 @@ impl Port for UsbPort {
             received.length = packet.unwrap_or(0);
             if received.length > 0 {
                 let is_known = self.host.is_listening();
-                if !self.host.speaks(LATE_BYTES_TICKS, clock_ticks) {
-                    received.length = 0;
+                if !self.is_configured() || !self.host.speaks(LATE_BYTES_TICKS, clock_ticks) {
+                    self.received.length = 0;
                 } else if !is_known {
                     // It is seen to come before its bytes are read: behind them it would cut its own line in two.
                     crate::call_serial();

@@ -954,6 +954,13 @@ class OtgTraces(unittest.TestCase):
         model.out(1, b"G", 0)
         self.assertEqual(len(model.fifo), 2)
 
+    def test_a_suspended_bus_is_told_until_it_is_used_again(self):
+        _, model = self.fresh()
+        # GINTSTS: USBSUSP, and then WKUPINT. DSTS: full speed in bits 2:1, SUSPSTS in bit 0.
+        for flag, status in ((1 << 11, 7), (1 << 31, 6), (1 << 11, 7), (1 << 12, 6)):
+            model.flag(flag)
+            self.assertEqual(model.read(0x808), status)
+
     def test_an_in_endpoint_is_disabled_behind_its_nak_and_then_emptied(self):
         _, model = self.fresh()
         # DIEPCTL1: active, CNAK, EPENA. Its DIEPINT has INEPNE and EPDISD; GRSTCTL flushes its FIFO.

@@ -77,7 +77,7 @@ class UsbHost(Host):
         return self.board.now
 
     def order(self, what):
-        """`open`, `close`, `unplug`, `plug`, `configure`, `unconfigure`, `clear halts`: done when what runs now is done."""
+        """`open`, `close`, `unplug`, `plug`, `reset`, `configure`, `unconfigure`, `clear halts`: done when what runs now is done."""
         self._orders.append(what)
         self.wake()
 
@@ -162,6 +162,10 @@ class UsbHost(Host):
                     self.open = self.is_set_up = False
                 elif order == "plug":
                     self.otg.flag(WKUPINT)
+                    yield from self._enumerate()
+                elif order == "reset":
+                    # Of the bus, while the cable is plugged in: there is no suspend before.
+                    self.open = self.is_set_up = False
                     yield from self._enumerate()
                 elif order in ("configure", "unconfigure"):
                     yield from self._configure(int(order == "configure"))

@@ -138,7 +138,7 @@ pub struct Link<const HELD: usize> {
     /// The byte before was a CR.
     after_cr: bool,
     /// What is left of the refusals to be sent: so many, less so many bytes of the first.
-    refusals: u8,
+    refusals: u16,
     refused_bytes: usize,
 }
 
@@ -474,7 +474,7 @@ mod tests {
         }
 
         /// How often each has been refused a line.
-        fn refusals(&self) -> (u8, u8) {
+        fn refusals(&self) -> (u16, u16) {
             (self.uart.refusals, self.usb.refusals)
         }
     }
@@ -780,6 +780,20 @@ mod tests {
             rounds += 1;
         }
         assert_eq!(sent, REFUSAL.repeat(2));
+    }
+
+    /// A host may pour its lines in and read later.
+    #[test]
+    fn each_refused_line_is_answered_however_late_the_host_reads() {
+        let mut both = Both::<16>::new(8, 100);
+        both.usb(b"G0\n");
+        both.uart(&b"G1\n".repeat(1000));
+        let mut sent = Vec::new();
+        assert!(both.uart.refuse(|byte| {
+            sent.push(byte);
+            true
+        }));
+        assert_eq!(sent.len(), 1000 * REFUSAL.len());
     }
 
     /// What may happen to two links.

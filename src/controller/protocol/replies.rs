@@ -11,6 +11,9 @@ use core::mem::offset_of;
 const BYTES: usize = 1024;
 /// Free bytes that a listing, a status report or a line asks for before it begins.
 const RESERVE: usize = 2 * PIECE;
+/// Free bytes that a report asks for beyond these where the text before it was one, too: lines and listings come in between, however
+/// often a host asks.
+const BETWEEN_REPORTS: usize = 64;
 /// Bytes that only the answer to the line in work may fill. The longest is that to a checked line.
 const ANSWER: usize = 64;
 
@@ -25,6 +28,8 @@ pub struct Replies {
     echoed: bool,
     /// `?` has been asked and not yet answered.
     status_due: bool,
+    /// The text that was queued last is a status report.
+    reported: bool,
     rare_fields: RareFields,
     /// The host knows of the failure before this start.
     restart_told: bool,
@@ -51,6 +56,7 @@ impl Replies {
             hosts_gone: 0,
             echoed: false,
             status_due: false,
+            reported: false,
             rare_fields: RareFields::DUE,
             restart_told: false,
             restart: Restart::POWER,
@@ -102,6 +108,7 @@ impl Replies {
             return;
         }
         self.echoed = text.last() == Some(&b':');
+        self.reported = text.first() == Some(&b'<');
         let end = self.first + self.waiting;
         for (place, byte) in (end..).zip(text) {
             if let Some(slot) = self.ring.get_mut(place % BYTES) {
@@ -138,7 +145,8 @@ impl Replies {
     /// Whether a status report has to be made now.
     #[inline]
     pub fn take_status(&mut self) -> bool {
-        let now = self.status_due && self.has_room();
+        let needed = if self.reported { RESERVE + BETWEEN_REPORTS } else { RESERVE };
+        let now = self.status_due && BYTES - self.waiting >= needed;
         self.status_due &= !now;
         now
     }

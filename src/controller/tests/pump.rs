@@ -29,6 +29,8 @@ struct Scribe<const WOKEN: bool> {
     flood: Option<Realtime>,
     /// There is no room for text.
     mute: bool,
+    /// There is room for so many pieces of it.
+    pieces: u32,
 }
 
 impl<const WOKEN: bool> Scribe<WOKEN> {
@@ -47,6 +49,7 @@ impl<const WOKEN: bool> Scribe<WOKEN> {
             power: 0,
             flood: None,
             mute: false,
+            pieces: u32::MAX,
         };
         while round(&mut scribe) {}
         scribe.log.clear();
@@ -112,7 +115,7 @@ impl<const WOKEN: bool> Pump<3, 16> for Scribe<WOKEN> {
     }
 
     fn room(&mut self) -> Room {
-        Room { step: true, reply: !self.mute }
+        Room { step: true, reply: !self.mute && self.pieces > 0 }
     }
 
     fn carry(&mut self, output: Output) {
@@ -121,6 +124,7 @@ impl<const WOKEN: bool> Pump<3, 16> for Scribe<WOKEN> {
             Output::Step(_) => "step",
             Output::Reply(chunk) | Output::Answer(chunk) => {
                 self.said += std::str::from_utf8(chunk.as_bytes()).unwrap();
+                self.pieces -= 1;
                 "reply"
             }
             Output::Pins(pins) => {
@@ -464,4 +468,23 @@ fn a_host_that_floods_does_not_starve_the_step_task() {
     // A segment lasts 2 ms at most, and a line comes first only where more than 5 ms are queued.
     assert!((2..=6).contains(&pump.fewest), "{} segments were left", pump.fewest);
     assert!(pump.lines > 200, "{} lines were read meanwhile", pump.lines);
+}
+
+/// A host asks for more reports than its line carries: its lines are answered between them, and its listings go on.
+#[test]
+fn a_host_that_floods_does_not_starve_its_own_lines() {
+    for most in [1, 4, 20] {
+        let mut scribe = Scribe::<true>::new();
+        for turn in 0..3000 / most {
+            if turn == 300 / most {
+                scribe.send("G21\n$G\n$$\nG4P0\n");
+            }
+            scribe.events.extend(vec![(Source::Commands, Event::Realtime(Realtime::Status)); 10]);
+            scribe.pieces = most;
+            while round(&mut scribe) {}
+        }
+        let (answers, reports) = (scribe.said.matches("ok\r\n").count(), scribe.said.matches('<').count());
+        assert_eq!((answers, scribe.lines.len()), (4, 0), "{most}: {reports} reports");
+        assert!(reports > 100 && scribe.said.contains("$132=200.000\r\n"), "{most}: {reports} reports");
+    }
 }

@@ -35,7 +35,7 @@ from .stepping import (
 )
 from .stops import hold, lines_at_stops, ring_stops, stops
 from .uart import baud_rates, disturbed_line, fast_flood, sampled, torn_line, uart_lines
-from .usb import usb_answers, usb_flood, usb_lines, usb_port, usb_set_up_again, usb_stop, usb_unplugged, usb_unread
+from .usb import usb_answers, usb_flood, usb_lines, usb_port, usb_reset, usb_set_up_again, usb_stop, usb_unplugged, usb_unread
 
 KNOWN = {}
 """Faults of the firmware that are known, by board and case: shown, and no failure."""
@@ -105,5 +105,6 @@ def all_cases(root):
         ("usb stop", usb_stop),
         ("usb unplugged", usb_unplugged),
         ("usb unread", usb_unread),
+        ("usb reset", usb_reset),
         ("usb set up again", usb_set_up_again),
     ]

@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 
 from ..board import Failure
-from ..models.otg import EPENA, NAKSTS, OUT
+from ..models.otg import EPENA, IN, NAKSTS, OUT, USBSUSP
 from ..scope import Scope
 from .bench import JOB_SETTINGS, in_simulator, us, with_usb
 from .patching import hang, unpatch
@@ -259,6 +259,22 @@ def usb_unplugged(bench):
     if scope.counts() != [0, 0, 0]:
         raise Failure(f"with $914=0 the motors are at {scope.counts()}")
     yield "with $914=0 the move was finished"
+    # The processor stands while flash is erased: a line comes, and then the cable is pulled, before either is seen.
+    host.order("plug")
+    bench.wait(lambda: host.is_set_up, 1, "the set-up of the USB device")
+    host.order("open")
+    bench.settings(s914=1)
+    board.stall(0.3)
+    if not board.otg.out(1, b"G91 G1 X10 F600\n"):
+        raise Failure("the endpoint takes no packet: this proves nothing")
+    board.otg.flag(USBSUSP)
+    host.open = host.is_set_up = False
+    board.run(seconds=0.5)
+    bench.host = bench.uart
+    if scope.counts() != [0, 0, 0] or not (status := bench.status()).startswith("<Idle"):
+        raise Failure(f"pulled while the processor stood: {status}, the motors are at {scope.counts()}")
+    bench.ask("G4P0")
+    yield "pulled while the processor stood: what was not read yet has gone with its host, and the UART has the machine"
 
 
 def usb_unread(bench):
@@ -367,3 +383,36 @@ def usb_set_up_again(bench):
     board.run(seconds=0.5)
     asks(2)
     yield "configuration taken back while the host waited: it goes on"
+
+
+def usb_reset(bench):
+    """A host resets the bus in the middle of a job and sets the device up again, with answers that nobody has fetched: the machine
+    is held, and the port works as before."""
+    board, host = with_usb(bench)
+    bench.settings(**JOB_SETTINGS)
+    scope = Scope(board)
+    for reads in (True, False):
+        bench.ask("G91 G1 X10 F600")
+        board.run(seconds=0.2)
+        host.reads = reads
+        host.send("G4P0\n" if reads else "$G\n$G\n")
+        board.run(seconds=0.02)
+        if not reads and not board.otg.control[IN, 2] & EPENA:
+            raise Failure("no packet waits to be fetched: this proves nothing")
+        host.order("reset")
+        board.run(seconds=0.005)
+        host.reads = True
+        bench.wait(lambda: host.is_set_up, 1, "the set-up of the USB device")
+        after = len(host.text)
+        host.order("open")
+        bench.wait_text("Grbl 1.1h", 0.2, after)
+        if not host.text[after:].startswith(b"\r\nGrbl"):
+            raise Failure(f"behind the reset: {bytes(host.text[after:])!r}")
+        bench.wait_state("Hold:0", 0.2)
+        host.send(b"~")
+        bench.wait_state("Idle", 5)
+        for _ in range(3):
+            bench.ask("G4P0")
+        yield f"{'all read' if reads else 'a packet unread'}: held behind the reset, and gone on after `~`"
+    if scope.counts() != [5000, 0, 0]:
+        raise Failure(f"the motors are at {scope.counts()}")

@@ -42,6 +42,7 @@ class OtgFs(Peripheral):
         # Not connected until DCTL.SDIS is cleared by software.
         self.values[DCTL] = 2
         self.flags = 0
+        self.suspended = False
         self.fifo, self.words = [], []
         """Entries (cycle, endpoint, bytes, status), and the words of the data entry that was popped last."""
         self.control = {(side, n): 0 for side in (IN, OUT) for n in range(ENDPOINTS)}
@@ -87,7 +88,7 @@ class OtgFs(Peripheral):
         if offset == CID:
             return 0x1200
         if offset == DSTS:
-            return 3 << 1
+            return 3 << 1 | self.suspended
         if offset in (GRXSTSR, GRXSTSP):
             entries = self._entries()
             if not entries:
@@ -193,6 +194,7 @@ class OtgFs(Peripheral):
 
     def flag(self, flag):
         self.flags |= flag
+        self.suspended = flag == USBSUSP
         self.call()
 
     def setup(self, data):
