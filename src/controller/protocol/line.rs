@@ -48,6 +48,8 @@ pub struct Line {
     /// The latest remark in parentheses, as far as there is room.
     remark: heapless::Vec<u8, MESSAGE_LENGTH>,
     overflow: bool,
+    /// Bytes of it were lost.
+    damaged: bool,
     after_cr: bool,
     /// Up to this length bytes of text may follow for which nothing else need be looked at.
     plain: u8,
@@ -93,6 +95,7 @@ impl Line {
             comment: Comment::None,
             remark: heapless::Vec::new(),
             overflow: false,
+            damaged: false,
             after_cr: false,
             plain: 0,
         }
@@ -124,6 +127,7 @@ impl Line {
         self.remark.clear();
         self.comment = Comment::None;
         self.overflow = false;
+        self.damaged = false;
     }
 
     /// Whether text may follow for which nothing else need be looked at, once it has begun. To be told after each
@@ -152,11 +156,12 @@ impl Line {
         self.remark.is_empty()
     }
 
-    /// Bytes of this line were lost on the way: whatever comes, it will not be executed.
-    pub fn damage(&mut self) {
+    /// Bytes of this line were lost on the way: whatever comes, it will not be executed. Whether they are the first ones.
+    pub fn damage(&mut self) -> bool {
         self.overflow = true;
         // The LF that follows may be the end of another line than the CR before the loss.
         self.after_cr = false;
+        !core::mem::replace(&mut self.damaged, true)
     }
 
     /// A byte has come that is neither of the text nor its end: an LF after it is not the second half of a line end.

@@ -27,7 +27,7 @@ pub(crate) const EPOCHS: u16 = 1 << 14;
 /// What a byte has brought about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Taken {
-    /// Bytes before it were lost on the way.
+    /// Bytes before it were lost on the way, the first ones of their line.
     pub lost: bool,
     /// What follows is another host's: it was a [`HOST_CHANGED`].
     pub cut: bool,
@@ -167,8 +167,9 @@ impl LineIntake {
             self.check.end();
             return Taken { cut: true, ..Taken::NOTHING };
         }
+        // Told once for each line, however many are lost.
+        let lost = byte.damaged && self.line.damage();
         if byte.damaged {
-            self.line.damage();
             self.check.damage();
         }
         if self.line.is_empty() && !self.check.has_begun() {
@@ -178,7 +179,7 @@ impl LineIntake {
         let (pushed, verdict) = self.push(byte.byte, rules);
         self.line.expect_line(self.jog_bytes == 0 && !self.check.is_on());
         self.lines_read = self.lines_read.wrapping_add(u32::from(pushed != Pushed::More));
-        Taken { lost: byte.damaged, cut: false, pushed, verdict }
+        Taken { lost, cut: false, pushed, verdict }
     }
 
     fn push(&mut self, byte: u8, rules: impl Fn() -> LineRules) -> (Pushed, Verdict) {
@@ -513,6 +514,7 @@ mod tests {
         let damaged = LineByte { damaged: true, ..byte(b'5', 0) };
         assert!(!intake.take_plain(damaged));
         assert_eq!(intake.take(damaged, rules), Taken { lost: true, ..Taken::NOTHING });
+        assert_eq!(intake.take(damaged, rules), Taken { lost: false, ..Taken::NOTHING }, "they have been told");
         assert_eq!(intake.take(byte(b'\n', 0), rules), Taken { pushed: Pushed::TooLong, ..Taken::NOTHING });
     }
 

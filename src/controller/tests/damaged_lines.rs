@@ -55,6 +55,8 @@ fn a_gap_in_a_line_refuses_that_line_only() {
     // The gap is at the beginning of a line, or just before its end.
     assert_eq!(with_gap("G21\n~X1\nG90\n"), format!("ok\r\n{lost}error:11\r\nok\r\n"));
     assert_eq!(with_gap("G21~\nG90\n"), format!("{lost}error:11\r\nok\r\n"));
+    // Several gaps: said once for each line.
+    assert_eq!(with_gap("G2~1 ~X~1\n~G9~0\n"), format!("{lost}error:11\r\n{lost}error:11\r\n"));
 }
 
 #[test]
