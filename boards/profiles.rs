@@ -81,7 +81,7 @@ pub const BLACKPILL_F401: Board = Board {
     name: "blackpill_f401",
     step_clock_hz: 84_000_000,
     core_hz: 84_000_000,
-    safe_step_hz: 400_000,
+    safe_step_hz: 490_000,
     blocks: 256,
     recording_pages: 0,
     has_all_words: false,

@@ -33,6 +33,10 @@ const UART_HELD: usize = 1;
 /// noise on a wire, that sends them without end is not to take all of the processor.
 const MOST_OTHERS: u32 = 128;
 const OTHER_US: u32 = 200;
+/// Bytes of a link that cannot wait which a run takes one by one, as they are no plain text: twice as many as there are in short lines that end by CR LF and come
+/// from one call to the next (`boards::calls::REST`) at 1 Mbaud, and so few that `control` has its turn before that. A host that
+/// counts what it sends has no more under way than there is room for.
+const MOST_SINGLY: usize = 24;
 
 /// Number of the USART among the links, and of USB.
 const UART: usize = 0;
@@ -170,7 +174,7 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
     ) -> bool {
         queues.may_owe = !P::WAITS;
         let mut news = self.link.pass_on(arbiter, queues);
-        let mut limited = false;
+        let (mut limited, mut singly) = (false, 0);
         while self.link.room() > 0 || !P::WAITS {
             let text = self.link.take_text(self.port.fetched(), arbiter, queues);
             self.port.pass(text);
@@ -183,7 +187,9 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
             }
             // Of lines no more is queued than there is room for, however they end.
             queues.others = queues.others.saturating_sub(u32::from(queues.bytes_queued == queued));
-            limited = queues.others == 0 && queues.bytes_queued == queued && !self.port.is_urgent();
+            singly += 1;
+            let is_long = !P::WAITS && singly == MOST_SINGLY;
+            limited = (is_long || queues.others == 0 && queues.bytes_queued == queued) && !self.port.is_urgent();
             if limited {
                 queues.left_unread = true;
                 boards::calls::call_soon();
