@@ -75,8 +75,7 @@ const NUCLEO: Board = Board { program_pins: [2, 2], has_at_speed: true, ..HARDWA
 pub const BLACKPILL_F411: Board =
     Board { name: "blackpill_f411", step_clock_hz: 96_000_000, core_hz: 96_000_000, safe_step_hz: 490_000, ..HARDWARE };
 
-/// WeAct Black Pill, STM32F401CC: 84 MHz, and half the look-ahead, for 64 KiB of RAM. Built for size, but for the step task:
-/// the control task takes longer, and so has more of the processor left.
+/// WeAct Black Pill, STM32F401CC: 84 MHz, and half the look-ahead, for 64 KiB of RAM. Built for size, but for the step task.
 pub const BLACKPILL_F401: Board = Board {
     name: "blackpill_f401",
     step_clock_hz: 84_000_000,

@@ -33,9 +33,9 @@ const UART_HELD: usize = 1;
 /// noise on a wire, that sends them without end is not to take all of the processor.
 const MOST_OTHERS: u32 = 128;
 const OTHER_US: u32 = 200;
-/// Bytes of a link that cannot wait which a run takes one by one, as they are no plain text: twice as many as there are in short lines that end by CR LF and come
-/// from one call to the next (`boards::calls::REST`) at 1 Mbaud, and so few that `control` has its turn before that. A host that
-/// counts what it sends has no more under way than there is room for.
+/// Bytes of a link that cannot wait which a run takes one by one, as they are no plain text: twice as many as short lines that end by
+/// CR LF have between two calls (`boards::calls::REST`) at 1 Mbaud, and so few that `control` has its turn before the next call. A host
+/// that counts what it sends has no more under way than there is room for.
 const MOST_SINGLY: usize = 24;
 
 /// Number of the USART among the links, and of USB.
@@ -188,7 +188,7 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
             // Of lines no more is queued than there is room for, however they end.
             queues.others = queues.others.saturating_sub(u32::from(queues.bytes_queued == queued));
             singly += 1;
-            let is_long = !P::WAITS && singly == MOST_SINGLY;
+            let is_long = !P::WAITS && singly >= MOST_SINGLY;
             limited = (is_long || queues.others == 0 && queues.bytes_queued == queued) && !self.port.is_urgent();
             if limited {
                 queues.left_unread = true;

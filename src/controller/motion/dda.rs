@@ -112,7 +112,7 @@ fn count_down<const N: usize, const K: usize, const OF_THEM: usize, const WORDS:
     // Of their steps, one bit each in their order: the word with all axes.
     let of_steps: [u32; OF_THEM] = core::array::from_fn(|steps| {
         let all = axes.iter().enumerate().filter(|(bit, _)| steps >> bit & 1 != 0);
-        let stepping = all.fold(always, |stepping, (_, of)| stepping | 1_usize.wrapping_shl(of.axis as u32));
+        let stepping = all.fold(always, |stepping, (_, of)| stepping | 1 << of.axis);
         table.get(stepping % WORDS).copied().unwrap_or(0)
     });
     for word in words {

@@ -224,7 +224,7 @@ impl Step {
             self.make(now);
             self.count_anew();
         }
-        self.call_next();
+        self.call_again_here();
     }
 
     /// Makes events until enough of them are ahead of a moment, or the motion ends.
@@ -369,12 +369,12 @@ impl Step {
     /// Says when to be called next, if no other task calls before.
     #[inline(never)]
     fn call_again(&mut self) {
-        self.call_next();
+        self.call_again_here();
     }
 
     /// The same without a call, for runs that make events.
     #[inline(always)]
-    fn call_next(&mut self) {
+    fn call_again_here(&mut self) {
         if let Some(at) = self.next_call() {
             self.asked = at;
             self.maker.output.call_at(at);
