@@ -23,9 +23,13 @@
     deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing, clippy::unreachable)
 )]
 
+#[cfg(feature = "alloc")]
+extern crate alloc;
+
 pub mod axes;
 pub mod digest;
 pub mod error;
+pub mod lent;
 pub mod messages;
 pub mod units;
 

@@ -41,12 +41,12 @@ const COMMANDS_AT_ONCE: u32 = 16;
 const MOST_COMMANDS: u32 = 2 * REALTIME_DEPTH as u32;
 
 /// What carries a controller: it has the queues, the time and the outputs, and decides nothing.
-pub trait Pump<const N: usize, const BLOCKS: usize> {
+pub trait Pump<const N: usize> {
     /// Whether something wakes the pump when more comes in or room is made while a round lasts. If not, a round in which
     /// anything was done is followed by another.
     const IS_WOKEN: bool;
     /// The controller that is carried.
-    fn controller(&mut self) -> &mut Controller<N, BLOCKS>;
+    fn controller(&mut self) -> &mut Controller<N>;
     /// A round begins; gives the time for all of it. Of the line bytes only those that are queued now belong to the round:
     /// so a report asked for by `?` comes before the answer to a line that ends after it.
     fn begin(&mut self) -> Instant;
@@ -84,7 +84,7 @@ pub trait Pump<const N: usize, const BLOCKS: usize> {
 
 /// One round; whether another one may find more to do.
 #[inline]
-pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut P) -> bool {
+pub fn round<const N: usize, P: Pump<N>>(pump: &mut P) -> bool {
     let now = pump.begin();
     observe(pump);
     // A command is told after the reports of the step task and the store of what came before it, and a host that has gone
@@ -139,7 +139,7 @@ pub fn round<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(pump: &mut
 /// comes behind it, and in the end of another reset. Whether there was any.
 #[cold]
 #[inline(never)]
-fn drop_old_bytes<const N: usize, const BLOCKS: usize>(pump: &mut impl Pump<N, BLOCKS>, now: Instant) -> bool {
+fn drop_old_bytes<const N: usize>(pump: &mut impl Pump<N>, now: Instant) -> bool {
     let mut any = false;
     while let Some(byte) = pump.next_old_byte() {
         pump.record(now, &Event::Line(byte));
@@ -151,7 +151,7 @@ fn drop_old_bytes<const N: usize, const BLOCKS: usize>(pump: &mut impl Pump<N, B
 
 /// Carries outputs until there is none, or one that begins another round: then true. `again`: outputs make others possible.
 #[inline(never)]
-fn put_out<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(
+fn put_out<const N: usize, P: Pump<N>>(
     pump: &mut P,
     now: Instant,
     again: &mut bool,
@@ -180,8 +180,8 @@ fn put_out<const N: usize, const BLOCKS: usize, P: Pump<N, BLOCKS>>(
 
 /// The next byte that is not plain text. Text makes a line longer, and changes nothing of whether lines are wanted.
 #[inline(always)]
-fn next_byte_past_text<const N: usize, const BLOCKS: usize>(
-    pump: &mut impl Pump<N, BLOCKS>,
+fn next_byte_past_text<const N: usize>(
+    pump: &mut impl Pump<N>,
     now: Instant,
     took: &mut bool,
 ) -> Option<LineByte> {
@@ -198,14 +198,14 @@ fn next_byte_past_text<const N: usize, const BLOCKS: usize>(
 
 /// Tells the events of a source; whether there were any.
 #[inline(always)]
-fn tell<const N: usize, const BLOCKS: usize>(pump: &mut impl Pump<N, BLOCKS>, now: Instant, source: Source) -> bool {
+fn tell<const N: usize>(pump: &mut impl Pump<N>, now: Instant, source: Source) -> bool {
     tell_some(pump, now, source, u32::MAX) > 0
 }
 
 /// Tells the events of a source, up to `most` of them; how many there were.
 #[inline(always)]
-fn tell_some<const N: usize, const BLOCKS: usize>(
-    pump: &mut impl Pump<N, BLOCKS>,
+fn tell_some<const N: usize>(
+    pump: &mut impl Pump<N>,
     now: Instant,
     source: Source,
     most: u32,
@@ -224,7 +224,7 @@ fn tell_some<const N: usize, const BLOCKS: usize>(
 }
 
 #[inline]
-fn observe<const N: usize, const BLOCKS: usize>(pump: &mut impl Pump<N, BLOCKS>) -> Observed {
+fn observe<const N: usize>(pump: &mut impl Pump<N>) -> Observed {
     let observed = pump.observed();
     pump.controller().observe(observed);
     observed

@@ -446,12 +446,12 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     /// Text of an epoch that the controller has taken at `now`. It may be recorded behind that: of what is asked of the
     /// controller, text changes nothing.
     #[inline]
-    pub fn record_text<const N: usize, const BLOCKS: usize>(
+    pub fn record_text<const N: usize>(
         &mut self,
         now: Instant,
         epoch: u16,
         text: &[u8],
-        controller: &Controller<N, BLOCKS>,
+        controller: &Controller<N>,
     ) {
         // All of it is plain.
         let is_expected = word_of(LineByte { byte: b' ', epoch, damaged: false }) == self.plain_from;
@@ -468,11 +468,11 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 
     /// What the controller is told at `now`. To be called in front of it.
     #[inline(always)]
-    pub fn record<const N: usize, const BLOCKS: usize>(
+    pub fn record<const N: usize>(
         &mut self,
         now: Instant,
         event: &Event<N>,
-        controller: &Controller<N, BLOCKS>,
+        controller: &Controller<N>,
     ) {
         match event {
             // Nearly all events.
@@ -499,11 +499,11 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     }
 
     #[inline(never)]
-    fn line_byte<const N: usize, const BLOCKS: usize>(
+    fn line_byte<const N: usize>(
         &mut self,
         now: Instant,
         byte: LineByte,
-        controller: &Controller<N, BLOCKS>,
+        controller: &Controller<N>,
     ) {
         let LineByte { byte: text, epoch, damaged } = byte;
         if self.kept {
@@ -635,14 +635,14 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 
     /// Nothing is under way: where the motors are, and now and then the state from which a replay can begin.
     #[inline]
-    pub fn at_rest<const N: usize, const BLOCKS: usize>(&mut self, now: Instant, controller: &Controller<N, BLOCKS>) {
+    pub fn at_rest<const N: usize>(&mut self, now: Instant, controller: &Controller<N>) {
         if self.news && !self.kept {
             self.record_rest(now, controller);
         }
     }
 
     #[inline(never)]
-    fn record_rest<const N: usize, const BLOCKS: usize>(&mut self, now: Instant, controller: &Controller<N, BLOCKS>) {
+    fn record_rest<const N: usize>(&mut self, now: Instant, controller: &Controller<N>) {
         self.news = false;
         if self.blocks != self.blocks_recorded {
             self.blocks_recorded = self.blocks;
@@ -659,10 +659,10 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     }
 
     #[inline(never)]
-    fn record_standing<const N: usize, const BLOCKS: usize>(
+    fn record_standing<const N: usize>(
         &mut self,
         now: Instant,
-        controller: &Controller<N, BLOCKS>,
+        controller: &Controller<N>,
     ) {
         let Some(standing) = controller.standing() else { return };
         let mut rest = Rest::new();

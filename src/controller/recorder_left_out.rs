@@ -31,22 +31,22 @@ impl<P> Recorder<P> {
 
     /// Does nothing.
     #[inline(always)]
-    pub fn record<const N: usize, const BLOCKS: usize>(
+    pub fn record<const N: usize>(
         &mut self,
         _now: Instant,
         _event: &Event<N>,
-        _controller: &Controller<N, BLOCKS>,
+        _controller: &Controller<N>,
     ) {
     }
 
     /// Does nothing.
     #[inline(always)]
-    pub fn record_text<const N: usize, const BLOCKS: usize>(
+    pub fn record_text<const N: usize>(
         &mut self,
         _now: Instant,
         _epoch: u16,
         _text: &[u8],
-        _controller: &Controller<N, BLOCKS>,
+        _controller: &Controller<N>,
     ) {
     }
 
@@ -60,7 +60,7 @@ impl<P> Recorder<P> {
 
     /// Does nothing.
     #[inline(always)]
-    pub fn at_rest<const N: usize, const BLOCKS: usize>(&mut self, _now: Instant, _controller: &Controller<N, BLOCKS>) {
+    pub fn at_rest<const N: usize>(&mut self, _now: Instant, _controller: &Controller<N>) {
     }
 
     /// Tells nothing.

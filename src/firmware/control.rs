@@ -10,7 +10,7 @@
 //! `carry` for each `Output` (segments, replies, wakeup, `ReadPins`, `clear_noise`). A `turn` notes when the
 //! `round_began` and its place; it sends `unsent_wiring`, and `erase_ahead` erases flash when `nothing_waits`.
 
-use crate::boards::{self, AXES, BLOCKS};
+use crate::boards::{self, AXES};
 use crate::clock::Clock;
 use crate::flash::Settings;
 use crate::outputs::Outputs;
@@ -32,7 +32,7 @@ use rtic_sync::channel::{Receiver, Sender};
 const FULL_QUEUE_WAKEUP: Duration = Duration::from_ticks(500);
 
 /// The controller of this board.
-pub type BoardController = Controller<AXES, BLOCKS>;
+pub type BoardController = Controller<AXES>;
 
 /// The ends of the channels that `control` holds.
 pub struct Ends {
@@ -295,7 +295,7 @@ impl Control {
     }
 }
 
-impl Pump<AXES, BLOCKS> for Control {
+impl Pump<AXES> for Control {
     const IS_WOKEN: bool = true;
 
     #[inline(always)]

@@ -17,14 +17,15 @@ macro_rules! firmware {
     (serial: $serial:ident $(, receive: $receive:ident)? $(, usb: $usb:ident)?, step: $step:ident, dispatcher: $dispatcher:ident) => {
         #[rtic::app(device = oxmill_boards::pac, peripherals = true, dispatchers = [$dispatcher])]
         mod app {
-            use oxmill_boards::{self as boards, AXES};
+            use oxmill_boards::{self as boards, AXES, BLOCKS};
             use oxmill_controller::messages::*;
+            use oxmill_controller::motion::Storage;
             use core::mem::MaybeUninit;
             use oxmill_firmware::control::{BoardController, Control};
             use oxmill_firmware::inputs::Inputs;
             use oxmill_firmware::serial::Serial;
             use oxmill_firmware::stack;
-            use oxmill_firmware::startup::{self, Channels};
+            use oxmill_firmware::startup::{self, Channels, Memory};
             use oxmill_firmware::step_timer::Step;
             use rtic_sync::channel::Channel;
             use rtic_sync::signal::{Signal, SignalReader};
@@ -55,8 +56,10 @@ macro_rules! firmware {
                 step_wiring: Channel<Wiring, 2> = Channel::new(),
                 input_wiring: Channel<Wiring, 2> = Channel::new(),
                 wake: Signal<()> = Signal::new(),
-                // All bytes 0 until it is built: what RAM begins with needs no flash then.
-                controller: MaybeUninit<BoardController> = MaybeUninit::zeroed(),
+                controller: MaybeUninit<BoardController> = MaybeUninit::uninit(),
+                // What is lent to it, for the motion of jobs and for that of parking.
+                job: Storage<AXES, BLOCKS> = Storage::EMPTY,
+                parking: Storage<AXES, 2> = Storage::EMPTY,
             ])]
             fn init(cx: init::Context) -> (Shared, Local) {
                 boards::stack::paint();
@@ -72,7 +75,9 @@ macro_rules! firmware {
                     input_wiring: local.input_wiring,
                     wake: local.wake,
                 };
-                let tasks = startup::start(cx.device, cx.core.SYST, channels, local.controller);
+                let memory =
+                    Memory { controller: local.controller, job: local.job.lend(), parking: local.parking.lend() };
+                let tasks = startup::start(cx.device, cx.core.SYST, channels, memory);
                 let woken = local.wake.take_reader();
                 defmt::info!("{} is up", boards::PROFILE.name);
                 // Cannot fail: it has not been spawned before.

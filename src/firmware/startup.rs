@@ -3,9 +3,7 @@
 //!
 //! Names: From reset to running tasks: `start` sets the board up, splits the `Channels` into their two ends
 //! (`realtime_in`, `lines_in`, `events_in`, `segments_out`, `replies_out`), builds the controller in its place in RAM,
-//! restores the settings, starts the sampling by `SYST`, and puts together what each of the `Tasks` owns. What a new
-//! controller is (`Head`, without look-ahead) is `written` from constants as `stretches` of bytes (`bytes_of_new`,
-//! `LOOK_AHEAD_AT`, `ZEROS`, `MaybeUninit`, `copy_nonoverlapping`) between the zeros. A `Restart` names the `cause` and
+//! restores the settings, starts the sampling by `SYST`, and puts together what each of the `Tasks` owns. A `Restart` names the `cause` and
 //! whether the recorder `is_recorded`.
 
 use crate::boards::{self, AXES, Port};
@@ -19,13 +17,14 @@ use crate::serial::Serial;
 use crate::shared::Wake;
 use crate::step_timer::Step;
 use crate::watchdog::Supervisor;
-use core::mem::{ManuallyDrop, MaybeUninit};
+use core::mem::MaybeUninit;
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
 use oxmill_controller::Controller;
 use oxmill_controller::messages::{
     Chunk, EVENTS_DEPTH, LINE_MESSAGES, LineBytes, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, Restart, SEGMENTS_DEPTH,
     SIGNALS_DEPTH, Sensed, StepEvent, ToStep, Wiring,
 };
+use oxmill_controller::motion::Workspace;
 use oxmill_controller::settings::Key;
 use rtic_sync::channel::Channel;
 use rtic_sync::signal::Signal;
@@ -44,6 +43,14 @@ pub struct Channels {
     pub wake: &'static Signal<()>,
 }
 
+/// Where the controller and its look-ahead lie.
+#[allow(missing_docs, reason = "named and described in `main`")]
+pub struct Memory {
+    pub controller: &'static mut MaybeUninit<BoardController>,
+    pub job: Workspace<AXES>,
+    pub parking: Workspace<AXES>,
+}
+
 /// What the tasks own.
 #[allow(missing_docs, reason = "one for each task")]
 pub struct Tasks {
@@ -51,77 +58,6 @@ pub struct Tasks {
     pub serial: Serial,
     pub inputs: Inputs,
     pub control: Control,
-}
-
-/// A new controller but for its look-ahead.
-type Head = Controller<AXES, 0>;
-/// Where that begins in a whole one.
-const LOOK_AHEAD_AT: usize = Head::LOOK_AHEAD_AT;
-
-/// Stretches of a new controller that are not 0 throughout: from where, and how many bytes.
-const WRITTEN: [(usize, usize); Head::ZEROS.len() + 1] = {
-    let mut written = [(0, 0); Head::ZEROS.len() + 1];
-    let (mut at, mut place) = (0, 0);
-    while place < written.len() {
-        // The zeros that come next; behind the last of them comes the look-ahead.
-        let (mut next, mut other) = ((LOOK_AHEAD_AT, 0), 0);
-        while other < Head::ZEROS.len() {
-            let zeros = Head::ZEROS[other];
-            if zeros.1 > 0 && zeros.0 >= at && zeros.0 < next.0 {
-                next = zeros;
-            }
-            other += 1;
-        }
-        written[place] = (at, next.0 - at);
-        at = next.0 + next.1;
-        place += 1;
-    }
-    written
-};
-
-/// Bytes of a new controller, as they lie in flash; padding among them.
-#[repr(C, align(4))]
-struct Bytes<const LENGTH: usize>([MaybeUninit<u8>; LENGTH]);
-
-const fn bytes_of_new<const LENGTH: usize>(from: usize) -> Bytes<LENGTH> {
-    let new = ManuallyDrop::new(Head::new(boards::PROFILE));
-    assert!(from + LENGTH <= size_of::<Head>());
-    // SAFETY: unsafe because of a raw pointer; safe because what is read lies in `new`, and any bytes are valid ones. A controller
-    // owns nothing that a copy of its bytes would double.
-    unsafe { (&raw const new).cast::<u8>().add(from).cast::<Bytes<LENGTH>>().read_unaligned() }
-}
-
-/// The stretches of [`WRITTEN`] that are named, each in flash.
-macro_rules! stretches {
-    ($($place:literal)*) => {
-        [$({
-            static BYTES: Bytes<{ WRITTEN[$place].1 }> = bytes_of_new(WRITTEN[$place].0);
-            (WRITTEN[$place].0, &BYTES.0 as &[MaybeUninit<u8>])
-        }),*]
-    };
-}
-
-/// Builds the controller in its place, of which all bytes are 0: it is too big for the stack, and tens of kilobytes of zeros would
-/// be for flash.
-///
-/// # Safety
-/// All bytes of `place` are 0: what is 0 in a new controller is not written.
-pub unsafe fn build<const BLOCKS: usize>(
-    place: &mut MaybeUninit<Controller<AXES, BLOCKS>>,
-) -> &mut Controller<AXES, BLOCKS> {
-    const { assert!(LOOK_AHEAD_AT == Controller::<AXES, BLOCKS>::LOOK_AHEAD_AT && LOOK_AHEAD_AT <= size_of::<Head>()) };
-    let stretches: [_; WRITTEN.len()] = stretches!(0 1 2 3 4 5 6 7 8 9);
-    // SAFETY: unsafe because a controller is taken to begin as one without look-ahead does, and its blocks and what is not written
-    // to be valid when all bytes are 0; safe because fields have the order of C throughout and those before the look-ahead the
-    // same types, blocks are plain numbers, and what is not written is 0 in a new one (a test on the target compares) as it is in
-    // `place`.
-    unsafe {
-        for (at, bytes) in stretches {
-            let to = place.as_mut_ptr().cast::<MaybeUninit<u8>>().add(at);
-            core::ptr::copy_nonoverlapping(bytes.as_ptr(), to, bytes.len());
-        }
-        place.assume_init_mut()
-    }
 }
 
 /// The rate of the UART: the usual one with hold and start both active, for a host that cannot have the chosen one.
@@ -141,11 +77,9 @@ pub fn start(
     device: boards::pac::Peripherals,
     mut sampling: SYST,
     channels: Channels,
-    controller: &'static mut MaybeUninit<BoardController>,
+    memory: Memory,
 ) -> Tasks {
-    // SAFETY: unsafe because `build` takes memory that is 0 for granted; safe because RTIC keeps this place in .bss, which the start-up
-    // code has cleared, and gives it out once.
-    let controller = unsafe { build(controller) };
+    let controller = memory.controller.write(Controller::new(boards::PROFILE, memory.job, memory.parking));
     let mut parts = boards::setup(device, failure::low_voltage);
     let (realtime_in, realtime) = channels.realtime.split();
     let (lines_in, lines) = channels.lines.split();

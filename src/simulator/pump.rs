@@ -8,7 +8,7 @@
 //! `pins_asked`), stored records. It reads the job ahead, bytes of lines (`next_line_byte`), the recording
 //! (`record_more`, `read_recording` from the `recorder`), settles the inputs, and gives the view of pins.
 
-use crate::boards::{AXES, BLOCKS};
+use crate::boards::AXES;
 use crate::marks::Mark;
 use crate::simulator::{OUTGOING, Simulator};
 use oxmill_controller::Controller;
@@ -18,10 +18,10 @@ use oxmill_controller::messages::{
 use oxmill_controller::pump::{Pump, Source};
 use oxmill_controller::units::Instant;
 
-impl Pump<AXES, BLOCKS> for Simulator {
+impl Pump<AXES> for Simulator {
     const IS_WOKEN: bool = false;
 
-    fn controller(&mut self) -> &mut Controller<AXES, BLOCKS> {
+    fn controller(&mut self) -> &mut Controller<AXES> {
         &mut self.controller
     }
 

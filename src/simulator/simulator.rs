@@ -30,6 +30,7 @@ use crate::step_task::{StepTask, World};
 use crate::store::Store;
 use crate::text::JobText;
 use crate::trace::{Sole, Trace};
+use oxmill_controller::motion::lent;
 use oxmill_controller::axes::LINEAR;
 use oxmill_controller::machine::filter::SAMPLE_HZ;
 use oxmill_controller::messages::{Realtime, Restart, Signals, SlowOutputs, Standing, Wiring};
@@ -68,7 +69,7 @@ impl Default for Options {
 pub struct Simulator {
     pub(crate) board: Board,
     pub(crate) clock: Clock,
-    pub(crate) controller: Box<Controller<AXES, BLOCKS>>,
+    pub(crate) controller: Box<Controller<AXES>>,
     pub(crate) store: Store,
     pub(crate) host: HostLink,
     pub(crate) inputs: InputTask,
@@ -93,7 +94,7 @@ impl Simulator {
     /// Powers the board up and lets the controller say its welcome.
     pub fn new(options: Options) -> Self {
         let Options { board, mut store, fittings, keep_steps } = options;
-        let mut controller = Box::new(Controller::new(Profile {
+        let profile = Profile {
             name: board.name,
             step_clock_hz: board.step_clock_hz,
             rates: StepRates { safe_hz: board.safe_step_hz, least_pulse_tenths: board.least_pulse_tenths },
@@ -102,7 +103,8 @@ impl Simulator {
             has_at_speed: board.has_at_speed,
             program_pins: board.program_pins,
             has_store: true,
-        }));
+        };
+        let mut controller = Box::new(Controller::new(profile, lent(BLOCKS), lent(2)));
         for record in store.records() {
             controller.restore(&record);
         }
@@ -406,7 +408,7 @@ impl Simulator {
     }
 
     /// The controller.
-    pub fn controller(&self) -> &Controller<AXES, BLOCKS> {
+    pub fn controller(&self) -> &Controller<AXES> {
         &self.controller
     }
 

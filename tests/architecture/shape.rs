@@ -76,7 +76,7 @@ fn parts_have_few_fields() {
         }
     }
     assert!(found.len() > 40, "{} structs", found.len());
-    for name in ["controller/mod.rs Controller", "motion/mod.rs MotionWith", "motion/queue.rs MoveQueue"] {
+    for name in ["controller/mod.rs Controller", "motion/mod.rs Motion", "motion/queue.rs MoveQueue"] {
         assert!(found.contains_key(&format!("src/controller/{name}")), "{name} in {:?}", found.keys());
     }
     judge("fields", &found, MOST_FIELDS, MANY_FIELDS);

@@ -6,6 +6,7 @@
 //! answered once.
 
 use super::work;
+use oxmill_controller::motion::lent;
 use oxmill_controller::messages::{
     Event, HOST_CHANGED, LINES_DEPTH, LineByte, LineBytes, Observed, Output, PinView, REALTIME_DEPTH, REPLIES_DEPTH,
     Realtime, Record, Restart, Room, SEGMENTS_DEPTH, STORE_DAMAGED, Sensed, Signals, StepEvent, Store, ToStep, input,
@@ -50,7 +51,7 @@ type Queued = (LineByte, bool);
 
 #[derive(Clone)]
 pub struct Board {
-    pub controller: Box<Controller<AXES, BLOCKS>>,
+    pub controller: Box<Controller<AXES>>,
     pub stepper: Box<Stepper<AXES>>,
     /// Microseconds, and ticks of the step clock.
     now: u64,
@@ -162,7 +163,7 @@ impl Book {
 impl Board {
     /// Powered up, with what its store has.
     pub fn new(records: BTreeMap<u16, Vec<u8>>) -> Board {
-        let mut controller = Box::new(Controller::new(Profile {
+        let profile = Profile {
             name: "test",
             step_clock_hz: 1_000_000,
             rates: StepRates { safe_hz: 100_000, least_pulse_tenths: 5 },
@@ -171,7 +172,8 @@ impl Board {
             has_at_speed: true,
             program_pins: [0; 2],
             has_store: true,
-        }));
+        };
+        let mut controller = Box::new(Controller::new(profile, lent(BLOCKS), lent(2)));
         for (key, value) in &records {
             let value = heapless::Vec::from_slice(value).expect("a value that was stored");
             controller.restore(&oxmill_controller::messages::Record { key: *key, value });
@@ -456,10 +458,10 @@ impl Board {
     }
 }
 
-impl Pump<AXES, BLOCKS> for Board {
+impl Pump<AXES> for Board {
     const IS_WOKEN: bool = false;
 
-    fn controller(&mut self) -> &mut Controller<AXES, BLOCKS> {
+    fn controller(&mut self) -> &mut Controller<AXES> {
         &mut self.controller
     }
 

@@ -23,7 +23,7 @@ use crate::units::per_minute;
 /// Longest message of a program with the values of its parameters.
 const MESSAGE_WITH_VALUES: usize = 160;
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     /// Makes a piece of answer.
     pub(super) fn say(&mut self, make: impl FnOnce(&mut Text)) {
         let mut text = Text::new();

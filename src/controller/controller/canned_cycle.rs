@@ -12,7 +12,7 @@ use crate::protocol::report;
 use crate::settings::Key;
 use crate::units::{Coordinate, Duration};
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     /// Does the next step of the line's cycle. What follows; `None` if something has to be waited for.
     #[inline(never)]
     pub(super) fn go_on_cycle(&mut self, job: &mut Job) -> Option<Stage> {

@@ -40,7 +40,7 @@ const SPINDLE_MAXIMUM: u16 = Key::SpindleMaximum.number();
 const SPINDLE_MINIMUM: u16 = Key::SpindleMinimum.number();
 const STEP_PULSE: u16 = Key::StepPulse.number();
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     /// A line that begins with `$`.
     pub(super) fn system(&mut self, line: &[u8]) -> Result<(), Error> {
         let resting = matches!(self.mode, Mode::Normal) && !self.step_supply.is_running();

@@ -19,7 +19,7 @@ use crate::protocol::report;
 use crate::settings::Key;
 use crate::units::Duration;
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     /// The door input or 0x84.
     pub(super) fn open_door(&mut self) {
         self.switch_off_for_door();

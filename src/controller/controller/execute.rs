@@ -26,7 +26,7 @@ use crate::protocol::report;
 use crate::settings::Key;
 use crate::units::Duration;
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     /// The checked line begins. Jogs have been allowed by the caller.
     ///
     /// Nothing is done here: the line is kept as [`Task::Job`], and its path continues in [`Controller::output`], which

@@ -27,7 +27,7 @@ use crate::machine::stops::StopReason;
 use crate::protocol::report;
 use crate::settings::Key;
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     /// Stops for a fault as its setting says; the alarm follows at rest.
     pub(super) fn fault(&mut self, alarm: Alarm, stopped: &mut Stopped) {
         let under_way = self.stop_under_way();

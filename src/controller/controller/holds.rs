@@ -17,7 +17,7 @@ use crate::messages::Coolant;
 use crate::protocol::report;
 use crate::settings::Key;
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     pub(super) fn start_motion(&mut self) {
         if matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Home(_)) {
             self.step_supply.start();

@@ -22,7 +22,7 @@ use crate::motion::Speed;
 use crate::settings::{AxisKey, Key};
 use crate::units::{Coordinate, Duration, per_second};
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     pub(super) fn begin_homing(&mut self, only: Option<Axis>) -> Result<(), Error> {
         if self.inputs.signals().door {
             return Err(Error::DoorOpen);

@@ -11,7 +11,7 @@ use crate::machine::state::Mode;
 use crate::machine::stops::StopReason;
 use crate::messages::{Sensed, Signals};
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     pub(super) fn signals_changed(&mut self, sensed: &Sensed) {
         let InputChange { stops, came } = self.inputs.take(sensed, &self.settings);
         self.stops.count(stops);

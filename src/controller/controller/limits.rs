@@ -16,7 +16,7 @@ use crate::protocol::report;
 use crate::settings::{AxisKey, Key};
 use crate::units::Coordinate;
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     /// Why the line may not be carried out though it is correct, if so.
     pub(super) fn refuse_line(&mut self) -> Option<Error> {
         if self.line.checked.motion != gcode::Motion::None

@@ -25,7 +25,7 @@ use crate::units::Instant;
 /// The message of a line, with its mark.
 type Remark = heapless::Vec<u8, { line::MESSAGE_LENGTH + 1 }>;
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     pub(super) fn release_held(&mut self) {
         if let Some(byte) = self.lines.release() {
             self.line_byte(self.now, byte);

@@ -21,7 +21,7 @@ use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::Described;
 use crate::settings::Key;
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     #[inline(never)]
     pub(super) fn advance_listing(&mut self, listing: Listing, line: usize) -> bool {
         if !self.replies.has_room() {
@@ -148,8 +148,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             (false, false) => &[],
         };
         let info = self.records.build_info().clone();
-        let letters = self.option_letters();
-        self.say(|out| report::build_info(out, &info, &letters, BLOCKS, LINES_DEPTH));
+        let (letters, blocks) = (self.option_letters(), self.motion.blocks());
+        self.say(|out| report::build_info(out, &info, &letters, blocks, LINES_DEPTH));
         // Grbl has two lines, and strict senders count on it.
         if self.dialect() != Dialect::Grbl {
             self.say(report::firmware);

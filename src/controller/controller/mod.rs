@@ -37,8 +37,7 @@
 //! `Pins`, `Step`, `Stored`, `Connected` or `Disconnected`; `Output` is `Reply`, `Answer`, `Wiring`, `Store`, `Stop` or
 //! `Worked`. `step_message` gives a `ToStep` (`Watch`, `Resume`, `Segment`) in its turn (`message_in_turn`);
 //! `wants_line`, `is_short_of_segments`, `may_have_changed` and `auto_start` ask; `settle` matches each `Mode` and a
-//! jog that is `cancelling`. Also `accessories`, `interpreter`, `records`, `settings_lock`, `reference`, `ZEROS` by
-//! `offset_of`, and what it has `stored` and does `restore`.
+//! jog that is `cancelling`. Also `accessories`, `interpreter`, `records`, `settings_lock`, `reference`, and what it has `stored` and does `restore`.
 
 mod answers;
 mod canned_cycle;
@@ -79,7 +78,7 @@ use crate::machine::reference::Reference;
 use crate::machine::state::{Door, Mode};
 use crate::machine::stops::Stops;
 use crate::messages::{Event, LineByte, Observed, Output, Record, Restart, Room, Store, ToStep};
-use crate::motion::{Motion, behind};
+use crate::motion::{Motion, Workspace};
 use crate::protocol::line_intake::LineIntake;
 use crate::protocol::recorded::RECORDER;
 use crate::protocol::replies::Replies;
@@ -87,7 +86,6 @@ use crate::protocol::report;
 use crate::settings::{Key, Settings};
 use crate::step_rates::StepRates;
 use crate::units::{Duration, Instant};
-use core::mem::offset_of;
 use line_in_work::LineInWork;
 use pins::Pins;
 use records::Records;
@@ -119,11 +117,10 @@ pub struct Profile {
     pub has_store: bool,
 }
 
-/// Decides everything. `N` axes, look-ahead of `BLOCKS` moves.
-// In this order, small things first: one instruction reaches 4 KiB from the base.
-#[derive(Clone)]
+/// Decides everything. `N` axes; the look-ahead is lent.
+#[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
-pub struct Controller<const N: usize, const BLOCKS: usize> {
+pub struct Controller<const N: usize> {
     settings: Settings<N>,
     mode: Mode<N>,
     reference: Reference,
@@ -143,41 +140,18 @@ pub struct Controller<const N: usize, const BLOCKS: usize> {
     replies: Replies,
     records: Records,
     door: SafetyDoor<N>,
-    motion: Motion<N, BLOCKS>,
+    motion: Motion<N>,
 }
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
-    /// Where the blocks of the look-ahead lie in it, to its end: plain numbers, of which only those are read that have been
-    /// written. All before them is the same whatever their count.
-    pub const LOOK_AHEAD_AT: usize = offset_of!(Self, motion) + Motion::<N, BLOCKS>::BLOCKS_AT;
-
-    /// Bytes of a new one that are all 0, before the look-ahead, in no order: from where, and how many. In memory that is 0
-    /// they need not be written.
-    pub const ZEROS: [(usize, usize); 9] = {
-        let [computed, tools, saved] = Interpreter::<N>::ZEROS;
-        let [parked, parking_chain] = SafetyDoor::<N>::ZEROS;
-        let [in_flight, chain] = Motion::<N, BLOCKS>::ZEROS;
-        [
-            behind(offset_of!(Self, interpreter), computed),
-            behind(offset_of!(Self, interpreter), tools),
-            behind(offset_of!(Self, interpreter), saved),
-            behind(offset_of!(Self, replies), Replies::ZEROS),
-            behind(offset_of!(Self, records), Records::ZEROS),
-            behind(offset_of!(Self, door), parked),
-            behind(offset_of!(Self, door), parking_chain),
-            behind(offset_of!(Self, motion), in_flight),
-            behind(offset_of!(Self, motion), chain),
-        ]
-    };
-
+impl<const N: usize> Controller<N> {
     /// A controller with default settings. Stored records follow with [`Controller::restore`], then
     /// [`Controller::start`]. Can be computed by the compiler: tens of kilobytes need not pass over a stack.
-    pub const fn new(profile: Profile) -> Self {
+    pub fn new(profile: Profile, job: Workspace<N>, parking: Workspace<N>) -> Self {
         Self {
             settings: Settings::of_board(profile.axes),
             interpreter: Interpreter::new(),
-            motion: Motion::unconfigured(profile.step_clock_hz),
-            door: SafetyDoor::new(profile.step_clock_hz),
+            motion: Motion::unconfigured(profile.step_clock_hz, job),
+            door: SafetyDoor::new(profile.step_clock_hz, parking),
             lines: LineIntake::new(),
             mode: Mode::Normal,
             reference: Reference::ASSUMED,

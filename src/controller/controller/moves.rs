@@ -18,7 +18,7 @@ use crate::motion::{ArcGeometry, Move, NurbsGeometry, Speed, SplineGeometry, Tol
 use crate::settings::Key;
 use crate::units::Coordinate;
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     /// The look-ahead is full, or the line has to wait for its end: what is queued must move.
     pub(super) fn start_queued(&mut self) {
         if !self.step_supply.is_running() && !self.motion.is_idle() {

@@ -19,7 +19,7 @@ use crate::messages::{Coolant, SlowOutputs, SpindleDirection, Wiring};
 use crate::settings::Key;
 use crate::units::Instant;
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     /// Whether a spindle that should have turned long enough at a moment has, and is up to speed. If it is not within
     /// `$916` after that moment, an alarm is on its way.
     pub(super) fn has_spun_up(&mut self, until: Instant) -> bool {

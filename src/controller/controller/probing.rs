@@ -10,7 +10,7 @@ use crate::motion::{Move, Speed, Tolerance};
 use crate::protocol::report;
 use crate::units::Coordinate;
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     /// Begins a probe at rest. Whether there is one to wait for; if not, the line is to be answered.
     #[inline(never)]
     pub(super) fn begin_probe(

@@ -6,7 +6,7 @@ use super::Controller;
 use super::task::{Job, Stage};
 use crate::gcode::ProgramPins;
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     /// Whether the line asks for a pin that the board does not have. None has analog ones.
     pub(super) fn lacks_pin(&self) -> bool {
         let [outputs, inputs] = self.settings_lock.program_pins();

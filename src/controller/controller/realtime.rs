@@ -19,7 +19,7 @@ use crate::protocol::report;
 use crate::settings::Key;
 use crate::units::Duration;
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     pub(super) fn realtime(&mut self, command: Realtime) {
         match command {
             Realtime::Reset => {

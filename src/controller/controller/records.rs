@@ -15,7 +15,6 @@ use crate::messages::{Record, STORE_DAMAGED, Store};
 use crate::protocol::system::Restore;
 use crate::settings::{Key, Settings};
 use crate::units::{Coordinate, Duration, Instant};
-use core::mem::offset_of;
 
 /// Longest startup line and build info that is stored.
 pub(super) const STORED_TEXT: usize = 80;
@@ -74,9 +73,6 @@ pub(super) struct Records {
 }
 
 impl Records {
-    /// Bytes of a new one that are all 0: from where, and how many.
-    pub(super) const ZEROS: (usize, usize) = (offset_of!(Self, stores), size_of::<Self>() - offset_of!(Self, stores));
-
     /// Nothing is stored.
     pub(super) const fn new(has_store: bool) -> Self {
         Self {

@@ -15,7 +15,7 @@ use crate::protocol::report;
 use crate::settings::{AxisKey, Key, Settings};
 use crate::units::{StepsPerMm, per_second};
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     /// What every power-up and reset ends with.
     pub(super) fn initialise(&mut self) {
         self.pins.drive(GangedMotors::Both);

@@ -14,7 +14,7 @@ use crate::protocol::recorded;
 use crate::protocol::text::{Text, fixed, put, real};
 use crate::units::Coordinate;
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     /// Step counters, net steps of each motor since power-up, as the step task counts them; at rest.
     pub fn step_counters(&self) -> PerAxis<i32, N> {
         self.motion.step_counters()

@@ -19,7 +19,7 @@ use crate::messages::StepEvent;
 use crate::protocol::report;
 use crate::settings::Key;
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     /// Stops for an input, unless it has already been done.
     pub(super) fn stop_for(&mut self, reason: StopReason, stopped: &mut Stopped) {
         if stopped.already {

@@ -25,7 +25,7 @@ use crate::protocol::report;
 use crate::settings::Key;
 use crate::units::{Coordinate, per_second};
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     /// Whether M6 stops (`$918`).
     pub(super) fn prompts_for_tools(&self) -> bool {
         EXTENDED && self.settings.is_on(Key::ToolChange)

@@ -23,7 +23,7 @@ use crate::units::{Coordinate, Instant};
 /// A moment that does not come: instants of more than half of the range would count as past.
 const NEVER: Instant = Instant::from_ticks(u64::MAX / 4);
 
-impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
+impl<const N: usize> Controller<N> {
     /// Whether nothing is queued, moving, waited for or unanswered.
     pub fn is_idle(&self) -> bool {
         self.has_nothing_to_do()

@@ -8,8 +8,7 @@
 //! Fields and tables are `ToolTable`, `Measured`, `SavedStates`, `ControlPoints`, `CycleWords`, `Computed`, and
 //! `BeforeCheck`, what check mode leaves to the machine. There is `NO_TANGENT` before the first G5. Functions are
 //! `set_stored`, `clear_stored`, `work_offset`, `tool_removed`, `tool_measured`, `measured_offset`, `hold_tool`,
-//! `acting_modal`, `set_accessories`, `is_checking`, `end_cycles`, `in_program` and `set_axes`; `ZEROS` is by
-//! `offset_of` and `size_of`.
+//! `acting_modal`, `set_accessories`, `is_checking`, `end_cycles`, `in_program` and `set_axes`.
 
 use super::Dialect;
 use super::computed::Computed;
@@ -25,7 +24,6 @@ use super::values::{along, in_xy};
 use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::{Coordinate, WeightedPoint};
-use core::mem::offset_of;
 
 /// Modal state, offsets and the position at the end of all lines that were committed.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,15 +56,6 @@ pub struct Interpreter<const N: usize> {
     pub(super) control_points: [ControlPoints; SPLINES as usize],
     /// Of the last G5; no memory where there are no splines.
     pub(super) tangent: [Option<Tangent>; SPLINES as usize],
-}
-
-impl<const N: usize> Interpreter<N> {
-    /// Bytes of a new one that are all 0: from where, and how many.
-    pub(crate) const ZEROS: [(usize, usize); 3] = [
-        (offset_of!(Self, computed), size_of::<Computed<N>>()),
-        (offset_of!(Self, tools), size_of::<ToolTable<N>>()),
-        (offset_of!(Self, saved), size_of::<SavedStates<N>>()),
-    ];
 }
 
 /// How another G5 continues smoothly where the last one has ended, in X and Y of the machine.

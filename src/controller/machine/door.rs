@@ -19,14 +19,12 @@
 use crate::axes::{Axis, PerAxis};
 use crate::error::Alarm;
 use crate::messages::{Coolant, Observed, ToStep};
-use crate::motion::{Motion, Move, Speed, Tolerance, behind};
+use crate::motion::{Motion, Move, Speed, Tolerance, Workspace};
 use crate::settings::{AxisKey, Key, Settings};
 use crate::units::{Coordinate, per_second};
-use core::mem::offset_of;
 
 /// What the door took away and where parking leads.
-// Small things first: see `Controller`.
-#[derive(Clone)]
+#[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
 pub struct SafetyDoor<const N: usize> {
     /// Coolant that comes back; `None` while nothing has been switched off.
@@ -40,7 +38,7 @@ pub struct SafetyDoor<const N: usize> {
     opening: Opening,
     /// The parking moves, if the tool was parked.
     parking: Option<Parking<N>>,
-    motion: Motion<N, 2>,
+    motion: Motion<N>,
 }
 
 /// What is done at an open door; a fault may do the same.
@@ -82,14 +80,8 @@ pub enum ParkingPoint {
 }
 
 impl<const N: usize> SafetyDoor<N> {
-    /// Bytes of a new one that are all 0: from where, and how many.
-    pub(crate) const ZEROS: [(usize, usize); 2] = {
-        let [in_flight, chain] = Motion::<N, 2>::ZEROS;
-        [behind(offset_of!(Self, motion), in_flight), behind(offset_of!(Self, motion), chain)]
-    };
-
     /// A door that has not been opened.
-    pub const fn new(step_clock_hz: u32) -> Self {
+    pub fn new(step_clock_hz: u32, room: Workspace<N>) -> Self {
         Self {
             coolant: None,
             forget_job: false,
@@ -97,7 +89,7 @@ impl<const N: usize> SafetyDoor<N> {
             jog_interrupted: false,
             opening: Opening::BY_DOOR,
             parking: None,
-            motion: Motion::unconfigured(step_clock_hz),
+            motion: Motion::unconfigured(step_clock_hz, room),
         }
     }
 
@@ -170,7 +162,7 @@ impl<const N: usize> SafetyDoor<N> {
 
     /// Plans where parking leads from the end of the job's `motion`. Whether there is parking: not with homing off, with a
     /// laser, where it is not `allowed`, and where the tool is beyond the parking point already.
-    pub fn leave_job<const B: usize>(&mut self, allowed: bool, settings: &Settings<N>, motion: &Motion<N, B>) -> bool {
+    pub fn leave_job(&mut self, allowed: bool, settings: &Settings<N>, motion: &Motion<N>) -> bool {
         self.parking = if allowed { Parking::from(motion.machine_position(), settings) } else { None };
         if self.is_parking() {
             self.motion.configure(motion.settings());
@@ -218,7 +210,7 @@ impl<const N: usize> SafetyDoor<N> {
 
     /// The motion of parking.
     #[inline]
-    pub fn motion(&self) -> &Motion<N, 2> {
+    pub fn motion(&self) -> &Motion<N> {
         &self.motion
     }
 
@@ -235,7 +227,7 @@ impl<const N: usize> SafetyDoor<N> {
 
     /// The step task has stopped there. After a parking move the job's `motion` adopts the position, for this one knows on
     /// which side the slack is.
-    pub fn stopped<const B: usize>(&mut self, position: &PerAxis<i32, N>, motion: &mut Motion<N, B>) {
+    pub fn stopped(&mut self, position: &PerAxis<i32, N>, motion: &mut Motion<N>) {
         self.motion.stopped(position);
         if self.is_parking() {
             motion.stand_where(&self.motion);
@@ -299,7 +291,7 @@ mod tests {
 
     #[test]
     fn coolant_of_the_first_opening_comes_back() {
-        let mut door = SafetyDoor::<3>::new(84_000_000);
+        let mut door = SafetyDoor::<3>::new(84_000_000, crate::motion::lent(2));
         let flood = Coolant { flood: true, mist: false };
         door.keep_coolant(flood);
         door.keep_coolant(Coolant::default());

@@ -209,6 +209,14 @@ impl Ramp {
 }
 
 impl<const N: usize> Block<N> {
+    /// What a ring is made of before it has blocks: all 0, so that it needs no flash.
+    pub const NONE: Self = Self {
+        acceleration: 0.0,
+        jerk: 0.0,
+        ramp: Ramp { distance: 0.0, ceiling2: 0.0, acceleration: 0, jerk: 0 },
+        ..Self::EMPTY
+    };
+
     pub(super) const EMPTY: Self = Self {
         steps_by_axis: [AxisSteps::on_steps(0); N],
         line_number: 0,

@@ -36,13 +36,13 @@ use super::block::CurveLoad;
 use super::junction::{REVERSAL, SQUARE_CORNER, TurnRule, UNLIMITED2, certain, is_noise, radius_of, turn2};
 use super::path_end::way_mm;
 use super::trapezoid::{greater, lesser, square_root};
+use crate::lent::Lent;
 use crate::axes::PerAxis;
 use crate::units::Coordinate;
-use core::mem::offset_of;
 
 /// Lengths of the spans: powers of two from [`SHORTEST`] (mm) to 32 mm. With the spans before it the longest measures a
 /// radian of a bend of R = 100 mm.
-const SCALES: usize = 14;
+pub(super) const SCALES: usize = 14;
 const SHORTEST: f32 = 1.0 / 256.0;
 /// Length of the spans of a scale, mm.
 #[inline]
@@ -345,7 +345,7 @@ impl<const N: usize> History<N> {
 
 /// One scale: the spans before, and the one that has been begun.
 #[derive(Clone, Copy, Debug)]
-struct Scale<const N: usize> {
+pub struct Scale<const N: usize> {
     history: History<N>,
     /// Where it begins, how long its path is, its greatest speed² and its blocks.
     start: PerAxis<Coordinate, N>,
@@ -407,11 +407,12 @@ impl LastDigit {
 }
 
 /// The end of the queue as a chain of points.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
+#[cfg_attr(feature = "alloc", derive(Clone))]
 pub(super) struct Chain<const N: usize> {
     /// The last single pieces.
     pieces: History<N>,
-    scales: [Scale<N>; SCALES],
+    scales: Lent<[Scale<N>; SCALES]>,
     /// So many scales are no longer than the last piece: their spans are the single pieces. On moves that are long
     /// anyway nothing is gathered at all.
     whole: usize,
@@ -419,20 +420,22 @@ pub(super) struct Chain<const N: usize> {
 }
 
 impl<const N: usize> Chain<N> {
-    /// Bytes of a new one that are all 0: from where, and how many.
-    pub(super) const ZEROS: (usize, usize) = (offset_of!(Self, scales), size_of::<[Scale<N>; SCALES]>());
-
-    pub(super) const fn new() -> Self {
+    /// What its scales are before there is a path.
+    pub(super) const SCALES: [Scale<N>; SCALES] = {
         let none = History([Span::NONE; HISTORY]);
         let scale = Scale { history: none, start: PerAxis::all(Coordinate::ZERO), path: 0.0, fast2: 0.0, blocks: 0 };
-        Self { pieces: none, scales: [scale; SCALES], whole: 0, digit: LastDigit::NONE }
+        [scale; SCALES]
+    };
+
+    pub(super) fn new(scales: Lent<[Scale<N>; SCALES]>) -> Self {
+        Self { pieces: History([Span::NONE; HISTORY]), scales, whole: 0, digit: LastDigit::NONE }
     }
 
     /// Forgets what lies before this point: the machine comes to rest there.
     pub(super) fn restart(&mut self, start: &PerAxis<Coordinate, N>) {
         self.whole = 0;
         self.pieces = History([Span::NONE; HISTORY]);
-        for scale in &mut self.scales {
+        for scale in self.scales.iter_mut() {
             scale.history = self.pieces;
             scale.begin(start);
         }

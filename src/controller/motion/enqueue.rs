@@ -17,7 +17,7 @@ use super::curvature::{NOTICEABLE, PathPiece, Span};
 use super::junction::UNLIMITED2;
 use super::measure::{Measure, signed_add};
 use super::path_end::way_mm;
-use super::queue::{AnyQueue, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE};
+use super::queue::{MoveQueue, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE};
 use super::trapezoid::{greater, lesser, square_root};
 use super::{Move, Speed};
 use crate::axes::{Axis, PerAxis};
@@ -95,7 +95,7 @@ struct StepSizes {
     coarsest_mm: f32,
 }
 
-impl<const N: usize> AnyQueue<N> {
+impl<const N: usize> MoveQueue<N> {
     /// Queues a move. `false`: no room, nothing done. A move without a step makes no block; its length goes to the next.
     pub(super) fn line(&mut self, m: &Move<N>) -> bool {
         self.queue(m, UNLIMITED2, false)

@@ -2,18 +2,18 @@
 //! end position, lead, speed, clocks, line number, power and mark of each. `observe` removes those that have begun; the
 //! current one gives the reported position and speed, and `queued` is the time of all that have not begun.
 
+use crate::lent::Lent;
 use crate::axes::PerAxis;
 use crate::messages::SEGMENTS_DEPTH;
-use core::mem::offset_of;
 
 /// The queue to the step task, its prefetched segment, and some that it has made ahead of their time or that are on their way.
 const MOST: usize = SEGMENTS_DEPTH + 4;
 /// The same, the segment begun last and the one before it.
-const RING: usize = MOST + 2;
+pub(super) const RING: usize = MOST + 2;
 
 /// A segment in words of the machine.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct InFlightSegment<const N: usize> {
+pub struct InFlightSegment<const N: usize> {
     /// Machine steps of the tool at its end, and how far the motors lead it.
     pub position: PerAxis<i32, N>,
     pub lead: [i32; N],
@@ -42,10 +42,11 @@ impl<const N: usize> InFlightSegment<N> {
 }
 
 /// The records of segments not begun, and that of the one begun last.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
+#[cfg_attr(feature = "alloc", derive(Clone))]
 pub(super) struct SegmentsInFlight<const N: usize> {
     /// A ring buffer. In the two slots before `first` are the segment begun last and the one before it.
-    ring: [InFlightSegment<N>; RING],
+    ring: Lent<[InFlightSegment<N>; RING]>,
     first: usize,
     len: usize,
     /// Time of all records in the ring.
@@ -57,12 +58,13 @@ pub(super) struct SegmentsInFlight<const N: usize> {
 }
 
 impl<const N: usize> SegmentsInFlight<N> {
-    /// Bytes of a new one at position 0 that are all 0: from where, and how many.
-    pub(super) const ZEROS: (usize, usize) = (offset_of!(Self, ring), size_of::<[InFlightSegment<N>; RING]>());
+    /// What its ring is made of.
+    pub(super) const RING: [InFlightSegment<N>; RING] = [InFlightSegment::NONE; RING];
 
-    pub(super) const fn new(position: PerAxis<i32, N>) -> Self {
+    /// At position 0.
+    pub(super) fn new(ring: Lent<[InFlightSegment<N>; RING]>) -> Self {
         Self {
-            ring: [InFlightSegment::still(position, [0; N]); RING],
+            ring,
             first: 0,
             len: 0,
             queued: 0,

@@ -11,7 +11,6 @@
 //! Names: It works on the `PathState` of the `pace`, in units of a `millimetre` of the path (`within_jerk`,
 //! `leave_rest`, `to_nominal`, `ramp_down`, `land`, `come_to_rest`).
 
-use super::block::Block;
 use super::jerk::{Bounds, PathState, cube_root, landing, ramp_distance, ramp_speed};
 use super::planner::Planner;
 use super::running::{PathMotion, Running};
@@ -37,7 +36,7 @@ pub(super) fn next_cut<const N: usize>(
     run: &Running<N>,
     motion: &mut PathMotion,
     braking: bool,
-    planner: &Planner<N, [Block<N>]>,
+    planner: &Planner<N>,
 ) -> Option<Cut> {
     let bounds = planner.first()?.bounds();
     let millimetre = 1.0 / run.scale;
@@ -80,7 +79,7 @@ struct SegmentStart<'a, const N: usize> {
     /// About how long it takes, s, and by how much the acceleration may change meanwhile.
     guess: f32,
     change: f32,
-    planner: &'a Planner<N, [Block<N>]>,
+    planner: &'a Planner<N>,
 }
 
 impl<'a, const N: usize> SegmentStart<'a, N> {
@@ -91,7 +90,7 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         left: f32,
         nominal: f32,
         bounds: Bounds,
-        planner: &'a Planner<N, [Block<N>]>,
+        planner: &'a Planner<N>,
     ) -> Self {
         let time = way / state.speed;
         let guess = way / greater(state.speed + 0.5 * state.acceleration * time, 0.5 * state.speed);
@@ -221,7 +220,7 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
 
     /// The end of a way on which the braking comes to rest: to its end, which it leaves no faster than planned.
     #[inline(never)]
-    fn come_to_rest(planner: &Planner<N, [Block<N>]>, speed: f32, way: f32, left: f32, bounds: Bounds) -> Travelled {
+    fn come_to_rest(planner: &Planner<N>, speed: f32, way: f32, left: f32, bounds: Bounds) -> Travelled {
         let exit = if left > way { speed } else { lesser(speed, planner.target(0, left, bounds).speed) };
         // To rest with an even jerk.
         let seconds = if exit > 0.0 { 2.0 * way / (speed + exit) } else { 3.0 * way / speed };

@@ -19,8 +19,7 @@
 //! `MotionSettings` (steps per mm, junction deviation, backlash), the origin of the step counters and whether the step
 //! task is idle: `line` and `chord` queue a `Move`; `start`, `hold`, `resume`, `replan`, `discard` and `stopped`
 //! control it; `observe` and `next_message` hand over. It tells position, lead, current speed, power, line number and
-//! mark (`set_mark`, `takes_mark`), free blocks, and `is_at_rest`. `AnyMotion` is `MotionWith` blocks of any number
-//! (`BLOCKS_AT`). `configure` takes settings, `plan_from` and `stand_where` say where the `Motors` are, `prepared`
+//! mark (`set_mark`, `takes_mark`), free blocks, and `is_at_rest`. `configure` takes settings, `plan_from` and `stand_where` say where the `Motors` are, `prepared`
 //! gives them at the end of what was handed over, overrides are between `LEAST_OVERRIDE` and `GREATEST_OVERRIDE`. It
 //! asks `has_joined_enough`, `ends_at_rest`, `is_short_of_segments`, `hands_over`, `braking`, `reenter`; tells
 //! `planned_position`, `machine_steps`, `step_counters`, `running_line_number` and `queued_us`.
@@ -69,13 +68,15 @@ pub use spline::{Spline, SplineGeometry};
 pub use stepper::{Stepper, Tick};
 
 use crate::axes::{Arrangement, PerAxis};
+use crate::lent::Lent;
 use crate::messages::{Observed, ToStep, UNITS_PER_STEP};
 use crate::units::{Coordinate, StepsPerMm};
 use axis_limits::bounded;
 use backlash::Motors;
-use block::{Block, MARK_SHIFT, NO_OVERRIDE, OverrideFactors};
-use core::mem::offset_of;
-use core::ops::{Deref, DerefMut};
+pub use block::Block;
+use block::{MARK_SHIFT, NO_OVERRIDE, OverrideFactors};
+use curvature::{Chain, SCALES, Scale};
+use in_flight::{InFlightSegment, RING, SegmentsInFlight};
 use queue::{MoveQueue, Numbering};
 use segment_source::SegmentSource;
 
@@ -140,80 +141,67 @@ pub struct Move<const N: usize> {
     pub tolerance: Tolerance,
 }
 
-/// The facade of this room, with a look-ahead ring of so many blocks.
-pub type Motion<const N: usize, const BLOCKS: usize> = MotionWith<N, [Block<N>; BLOCKS]>;
-
-/// The same whatever the length of its ring: all that it does is in the program once, for the unsized ring.
-pub type AnyMotion<const N: usize> = MotionWith<N, [Block<N>]>;
-
-/// See [`Motion`].
-// In this order, small things first: one instruction reaches 4 KiB from the base.
+/// The facade of this room.
 #[derive(Debug)]
+#[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
-pub struct MotionWith<const N: usize, R: ?Sized> {
+pub struct Motion<const N: usize> {
     step_idle: bool,
     /// Machine steps when the step counters are 0.
     origin: PerAxis<i32, N>,
     settings: MotionSettings<N>,
     source: SegmentSource<N>,
-    queue: MoveQueue<N, R>,
+    queue: MoveQueue<N>,
 }
 
-impl<const N: usize, const BLOCKS: usize> Deref for Motion<N, BLOCKS> {
-    type Target = AnyMotion<N>;
+/// Where a motion works: memory that is lent to it.
+#[derive(Debug)]
+pub struct Workspace<const N: usize> {
+    blocks: Lent<[Block<N>]>,
+    ring: Lent<[InFlightSegment<N>; RING]>,
+    scales: Lent<[Scale<N>; SCALES]>,
+}
 
-    #[inline(always)]
-    fn deref(&self) -> &AnyMotion<N> {
-        self
+/// That memory, to be lent: all 0, so that it needs no flash.
+#[derive(Debug)]
+pub struct Storage<const N: usize, const BLOCKS: usize> {
+    blocks: [Block<N>; BLOCKS],
+    ring: [InFlightSegment<N>; RING],
+    scales: [Scale<N>; SCALES],
+}
+
+impl<const N: usize, const BLOCKS: usize> Storage<N, BLOCKS> {
+    /// Nothing in it counts.
+    pub const EMPTY: Self =
+        Self { blocks: [Block::NONE; BLOCKS], ring: SegmentsInFlight::RING, scales: Chain::SCALES };
+
+    /// For good.
+    #[cfg(not(feature = "alloc"))]
+    pub fn lend(&'static mut self) -> Workspace<N> {
+        Workspace { blocks: &mut self.blocks, ring: &mut self.ring, scales: &mut self.scales }
     }
 }
 
-impl<const N: usize, const BLOCKS: usize> DerefMut for Motion<N, BLOCKS> {
-    #[inline(always)]
-    fn deref_mut(&mut self) -> &mut AnyMotion<N> {
-        self
+/// A workspace on the heap, with a look-ahead of so many blocks.
+#[cfg(feature = "alloc")]
+pub fn lent<const N: usize>(blocks: usize) -> Workspace<N> {
+    Workspace {
+        blocks: alloc::vec![Block::NONE; blocks].into_boxed_slice(),
+        ring: alloc::boxed::Box::new(SegmentsInFlight::RING),
+        scales: alloc::boxed::Box::new(Chain::SCALES),
     }
 }
 
-// Not derived: what may be unsized cannot be cloned.
-impl<const N: usize, const BLOCKS: usize> Clone for Motion<N, BLOCKS> {
-    fn clone(&self) -> Self {
-        Self {
-            step_idle: self.step_idle,
-            origin: self.origin,
-            settings: self.settings,
-            source: self.source.clone(),
-            queue: self.queue.clone(),
-        }
-    }
-}
-
-/// Bytes of a field, counted from where what has that field begins.
-pub(crate) const fn behind(field: usize, (at, bytes): (usize, usize)) -> (usize, usize) {
-    (field + at, bytes)
-}
-
-impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
-    /// Where the blocks lie in it, to its end.
-    pub(crate) const BLOCKS_AT: usize =
-        offset_of!(Self, queue.planner) + planner::Planner::<N, [Block<N>; BLOCKS]>::BLOCKS_AT;
-
-    /// Bytes of one without settings that are all 0: from where, and how many.
-    pub(crate) const ZEROS: [(usize, usize); 2] = [
-        behind(offset_of!(Self, source.in_flight), in_flight::SegmentsInFlight::<N>::ZEROS),
-        behind(offset_of!(Self, queue.chain), curvature::Chain::<N>::ZEROS),
-    ];
-
+impl<const N: usize> Motion<N> {
     /// At rest at machine position 0.
-    pub fn new(settings: MotionSettings<N>) -> Self {
-        let mut motion = Self::unconfigured(settings.step_clock_hz);
+    pub fn new(settings: MotionSettings<N>, room: Workspace<N>) -> Self {
+        let mut motion = Self::unconfigured(settings.step_clock_hz, room);
         motion.configure(settings);
         motion
     }
 
-    /// The same before [`Motion::configure`], which must come before the first move. Can be computed by the compiler, so
-    /// that a static one needs no stack to be built on.
-    pub const fn unconfigured(step_clock_hz: u32) -> Self {
+    /// The same before [`Motion::configure`], which must come before the first move. 
+    pub fn unconfigured(step_clock_hz: u32, room: Workspace<N>) -> Self {
         Self {
             settings: MotionSettings {
                 arrangement: Arrangement::Cartesian,
@@ -227,15 +215,13 @@ impl<const N: usize, const BLOCKS: usize> Motion<N, BLOCKS> {
                 arc_tolerance: 0.0,
                 step_clock_hz,
             },
-            source: SegmentSource::new(step_clock_hz),
-            queue: MoveQueue::new(),
+            source: SegmentSource::new(step_clock_hz, room.ring),
+            queue: MoveQueue::new(room.blocks, room.scales),
             step_idle: true,
             origin: PerAxis::all(0),
         }
     }
-}
 
-impl<const N: usize> AnyMotion<N> {
     /// Takes over settings; at rest with an empty queue only. The machine position stays the same in steps.
     pub fn configure(&mut self, settings: MotionSettings<N>) {
         let before = self.prepared();
@@ -264,7 +250,7 @@ impl<const N: usize> AnyMotion<N> {
         self.queue.take(m)
     }
 
-    /// Queues a chord of a curve: [`AnyMotion::line`], not faster than the curve allows, and stepped along its true ends
+    /// Queues a chord of a curve: [`Motion::line`], not faster than the curve allows, and stepped along its true ends
     /// instead of the steps next to them.
     pub fn chord(&mut self, m: &Move<N>, curvature: Curvature) -> bool {
         self.queue.take_chord(m, curvature)
@@ -274,6 +260,11 @@ impl<const N: usize> AnyMotion<N> {
     /// queue has room: reason enough to start.
     pub fn has_joined_enough(&self) -> bool {
         self.queue.has_joined_enough()
+    }
+
+    /// Blocks that the look-ahead has in all.
+    pub fn blocks(&self) -> usize {
+        self.queue.planner.capacity()
     }
 
     /// Room for moves. None while a move of more than 2^26 steps is still being cut.

@@ -49,6 +49,7 @@ use super::jerk::{Bounds, PathState, ramp_distance, ramp_speed};
 use super::jerk_anchors::{Stretch, Target, Way};
 use super::reverse_walk::{Lowered, Walk};
 use super::trapezoid::{greater, lesser, square_root};
+use crate::lent::Lent;
 use core::ops::Range;
 
 /// A machine that is faster than a lowered override allows: it brakes with what bends leave of the acceleration, and the
@@ -90,8 +91,9 @@ const GROUPS: usize = 32;
 
 /// The ring of blocks. The first one may be running; its entry speed is then history.
 #[derive(Debug)]
+#[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
-pub(super) struct Planner<const N: usize, R: ?Sized> {
+pub(super) struct Planner<const N: usize> {
     first: usize,
     len: usize,
     /// The first block is running, or the machine comes to it with a speed: it stays as it is.
@@ -102,22 +104,18 @@ pub(super) struct Planner<const N: usize, R: ?Sized> {
     settled: usize,
     /// Blocks that have been lowered since entries were last brought into line, and on which what is settled counts.
     lowered: Lowered,
-    /// Of the groups that are in the queue as a whole; with a jerk limit only.
-    groups: [Stretch; GROUPS],
     /// Whether ramps have bounded jerk.
     pub jerk_limited: bool,
     /// Entries are above what the overrides allow, for a machine that has to fall first.
     pub raised: bool,
-    blocks: R,
+    blocks: Lent<[Block<N>]>,
+    /// Of the groups that are in the queue as a whole; with a jerk limit only.
+    groups: [Stretch; GROUPS],
 }
 
-impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
-    /// Where the blocks lie in it, to its end.
-    pub(super) const BLOCKS_AT: usize = core::mem::offset_of!(Self, blocks);
-
+impl<const N: usize> Planner<N> {
     #[inline(always)]
-    pub(super) const fn new() -> Self {
-        let groups = [Stretch::NONE; GROUPS];
+    pub(super) fn new(blocks: Lent<[Block<N>]>) -> Self {
         Self {
             first: 0,
             len: 0,
@@ -125,34 +123,13 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
             changed: usize::MAX,
             settled: 0,
             lowered: Lowered::NONE,
-            groups,
+            groups: [Stretch::NONE; GROUPS],
             jerk_limited: false,
             raised: false,
-            blocks: [Block::EMPTY; BLOCKS],
+            blocks,
         }
     }
-}
 
-// Not derived: what may be unsized cannot be cloned.
-impl<const N: usize, const BLOCKS: usize> Clone for Planner<N, [Block<N>; BLOCKS]> {
-    fn clone(&self) -> Self {
-        let Self { first, len, entered, changed, settled, lowered, groups, jerk_limited, raised, blocks } = self;
-        Self {
-            first: *first,
-            len: *len,
-            entered: *entered,
-            changed: *changed,
-            settled: *settled,
-            lowered: *lowered,
-            groups: *groups,
-            jerk_limited: *jerk_limited,
-            raised: *raised,
-            blocks: *blocks,
-        }
-    }
-}
-
-impl<const N: usize> Planner<N, [Block<N>]> {
     /// Blocks that the ring has room for.
     #[inline]
     pub(super) fn capacity(&self) -> usize {
@@ -582,16 +559,15 @@ impl<const N: usize> Planner<N, [Block<N>]> {
 }
 
 #[cfg(test)]
-impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
+impl<const N: usize> Planner<N> {
     /// Asserts that what is asked for next is what one pass over all blocks gives, and so is all that is settled; with a jerk
     /// limit, that everything is what is planned at once, and what the groups say of it.
     pub(super) fn assert_consistent(&self) {
         let mut copy = self.clone();
-        let copy: &mut Planner<N, [Block<N>]> = &mut copy;
         if self.jerk_limited {
             copy.changed = 0;
             copy.plan();
-            self.assert_anchors(copy);
+            self.assert_anchors(&copy);
             return;
         }
         copy.settle();
@@ -605,8 +581,8 @@ impl<const N: usize, const BLOCKS: usize> Planner<N, [Block<N>; BLOCKS]> {
         }
     }
 
-    fn assert_anchors(&self, fresh: &Planner<N, [Block<N>]>) {
-        let own: &Planner<N, [Block<N>]> = self;
+    fn assert_anchors(&self, fresh: &Planner<N>) {
+        let own = self;
         for place in 1..own.len {
             let (block, other) = (own.block(place).unwrap(), fresh.block(place).unwrap());
             assert_eq!((block.entry2, block.ramp), (other.entry2, other.ramp), "entry {place} of {}", own.len);

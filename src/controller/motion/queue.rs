@@ -9,13 +9,14 @@ use super::backlash::{Backlash, Motors};
 use super::blend::Blend;
 use super::block::{Block, OverrideFactors};
 use super::carried_time::CarriedTime;
-use super::curvature::Chain;
+use super::curvature::{Chain, SCALES, Scale};
 use super::join::Join;
 use super::kinematics::Kinematics;
 use super::path_end::PathEnd;
 use super::planner::Planner;
 use super::{MotionSettings, Move};
 use crate::axes::PerAxis;
+use crate::lent::Lent;
 use crate::units::Coordinate;
 
 /// Most steps of slack that are compensated: a hundredth of an inch with 40,000 steps/mm.
@@ -43,10 +44,10 @@ pub(super) enum Numbering {
 }
 
 /// What a move becomes a block with, and the blocks.
-// In this order, small things first: one instruction reaches 4 KiB from the base.
 #[derive(Debug)]
+#[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
-pub(super) struct MoveQueue<const N: usize, R: ?Sized> {
+pub(super) struct MoveQueue<const N: usize> {
     pub kinematics: Kinematics<N>,
     pub backlash: Backlash<N>,
     pub limits: AxisLimits<N>,
@@ -66,15 +67,12 @@ pub(super) struct MoveQueue<const N: usize, R: ?Sized> {
     pub join: Join<N>,
     /// Moves that are not queued yet: corners may be rounded.
     pub blend: Blend<N>,
-    pub planner: Planner<N, R>,
+    pub planner: Planner<N>,
 }
 
-/// The same whatever the length of its ring.
-pub(super) type AnyQueue<const N: usize> = MoveQueue<N, [Block<N>]>;
-
-impl<const N: usize, const BLOCKS: usize> MoveQueue<N, [Block<N>; BLOCKS]> {
+impl<const N: usize> MoveQueue<N> {
     /// Empty, before there are settings.
-    pub(super) const fn new() -> Self {
+    pub(super) fn new(blocks: Lent<[Block<N>]>, scales: Lent<[Scale<N>; SCALES]>) -> Self {
         Self {
             kinematics: Kinematics::ONE,
             backlash: Backlash::NONE,
@@ -86,37 +84,13 @@ impl<const N: usize, const BLOCKS: usize> MoveQueue<N, [Block<N>; BLOCKS]> {
             long: None,
             numbering: Numbering::Words,
             marked: 0,
-            chain: Chain::new(),
+            chain: Chain::new(scales),
             join: Join::NONE,
             blend: Blend::NONE,
-            planner: Planner::new(),
+            planner: Planner::new(blocks),
         }
     }
-}
 
-// Not derived: what may be unsized cannot be cloned.
-impl<const N: usize, const BLOCKS: usize> Clone for MoveQueue<N, [Block<N>; BLOCKS]> {
-    fn clone(&self) -> Self {
-        Self {
-            kinematics: self.kinematics,
-            backlash: self.backlash,
-            limits: self.limits,
-            overrides: self.overrides,
-            end: self.end,
-            carried_time: self.carried_time,
-            substep_offset: self.substep_offset,
-            long: self.long,
-            numbering: self.numbering,
-            marked: self.marked,
-            chain: self.chain.clone(),
-            join: self.join.clone(),
-            blend: self.blend.clone(),
-            planner: self.planner.clone(),
-        }
-    }
-}
-
-impl<const N: usize> AnyQueue<N> {
     /// Takes over settings; empty only, and [`MoveQueue::restart`] has to follow.
     pub(super) fn configure(&mut self, settings: &MotionSettings<N>) {
         self.kinematics = Kinematics::new(settings.arrangement, settings.steps_per_mm);
@@ -196,11 +170,12 @@ impl<const N: usize> AnyQueue<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::motion::lent;
 
     #[test]
     fn backlash_keeps_blocks_back_for_what_a_move_takes_up() {
-        let mut queue = MoveQueue::<2, [Block<2>; 8]>::new();
-        let any: &mut AnyQueue<2> = &mut queue;
+        let room = lent(8);
+        let mut any = MoveQueue::<2>::new(room.blocks, room.scales);
         assert_eq!((any.free_blocks(), any.is_empty()), (8, true));
         any.backlash.configure([5, 0]);
         assert_eq!(any.free_blocks(), 6);

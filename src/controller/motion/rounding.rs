@@ -13,7 +13,7 @@ use super::arc::Curvature;
 use super::blend::{BLENDING, Blend, HeldMove};
 use super::block::MAX_STEPS;
 use super::junction::UNLIMITED2;
-use super::queue::{AnyQueue, Numbering};
+use super::queue::{MoveQueue, Numbering};
 use super::trapezoid::{greater, lesser};
 use super::{Move, Speed};
 use crate::axes::{LINEAR, PerAxis};
@@ -25,7 +25,7 @@ const MOST_ENTRIES: usize = 64;
 /// As fast as it can be: with a jerk limit the speed of an entry is a root that is squared again.
 const FULL: f32 = 0.999;
 
-impl<const N: usize> AnyQueue<N> {
+impl<const N: usize> MoveQueue<N> {
     /// Queues a move, or holds it back. `false`: no room, nothing done.
     #[inline]
     pub(super) fn take(&mut self, m: &Move<N>) -> bool {

@@ -241,7 +241,7 @@ impl<const N: usize> Running<N> {
         &self,
         pace: Pace,
         braking: bool,
-        planner: &Planner<N, [Block<N>]>,
+        planner: &Planner<N>,
     ) -> Option<(Trapezoid, u32)> {
         let left = self.left();
         let planned2 = planner.exit2();
@@ -283,7 +283,7 @@ impl<const N: usize> Running<N> {
     /// speed², as the reverse pass has counted on. A machine that is too fast for that exit, because the bend was seen when
     /// the blocks behind had counted on all of the acceleration, brakes as hard as it needs.
     #[inline]
-    fn acceleration_towards(&self, exit2: f32, pace: Pace, planner: &Planner<N, [Block<N>]>) -> f32 {
+    fn acceleration_towards(&self, exit2: f32, pace: Pace, planner: &Planner<N>) -> f32 {
         match planner.first() {
             Some(block) if !block.curve.is_none() => {
                 let speed2 = pace.speed2 / (self.scale * self.scale);

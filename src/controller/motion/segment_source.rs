@@ -10,14 +10,14 @@
 
 use super::backlash::{Backlash, Motors};
 use super::block::{Block, OverrideFactors};
-use super::in_flight::{InFlightSegment, SegmentsInFlight};
+use super::in_flight::{InFlightSegment, RING, SegmentsInFlight};
 use super::jerk::PathState;
 use super::jerk_segment;
 use super::planner::Planner;
 use super::running::{BlockStage, PathMotion, Running};
 use super::segment::{self, Cut, Pacer};
 use super::trapezoid::{Pace, greater, lesser, square_root};
-use crate::axes::PerAxis;
+use crate::lent::Lent;
 use crate::messages::{Segment, ToStep, UNITS_PER_STEP};
 
 /// Milliseconds of motion handed to the step task in advance (the segment buffer): enough for a control task that is late, and the latency of a hold.
@@ -61,7 +61,8 @@ const fn at_least_one(clocks: u32) -> u32 {
 }
 
 /// The running block, and what has been handed over to the segment buffer.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
+#[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
 pub(super) struct SegmentSource<const N: usize> {
     state: FeedState,
@@ -84,7 +85,7 @@ pub(super) struct SegmentSource<const N: usize> {
 
 impl<const N: usize> SegmentSource<N> {
     /// At rest with nothing to do.
-    pub(super) const fn new(step_clock_hz: u32) -> Self {
+    pub(super) fn new(step_clock_hz: u32, ring: Lent<[InFlightSegment<N>; RING]>) -> Self {
         Self {
             state: FeedState::Idle,
             rest: true,
@@ -97,7 +98,7 @@ impl<const N: usize> SegmentSource<N> {
             clocks_per_ms: step_clock_hz / 1000,
             clocks_per_us: at_least_one(step_clock_hz / 1_000_000),
             pacer: Pacer::new(step_clock_hz),
-            in_flight: SegmentsInFlight::new(PerAxis::all(0)),
+            in_flight: SegmentsInFlight::new(ring),
         }
     }
 
@@ -274,7 +275,7 @@ impl<const N: usize> SegmentSource<N> {
     #[inline]
     pub(super) fn next_message(
         &mut self,
-        planner: &mut Planner<N, [Block<N>]>,
+        planner: &mut Planner<N>,
         overrides: OverrideFactors,
         backlash: &Backlash<N>,
     ) -> Option<ToStep> {
@@ -287,7 +288,7 @@ impl<const N: usize> SegmentSource<N> {
     }
 
     /// Begins the first block of the queue; `false` without one.
-    pub(super) fn begin_block(&mut self, planner: &mut Planner<N, [Block<N>]>, overrides: OverrideFactors) -> bool {
+    pub(super) fn begin_block(&mut self, planner: &mut Planner<N>, overrides: OverrideFactors) -> bool {
         let Some(block) = planner.begin() else { return false };
         self.running = Running::of(block, overrides);
         if self.motion.pace.speed2 <= 0.0 {
@@ -301,7 +302,7 @@ impl<const N: usize> SegmentSource<N> {
 
     /// The next segment of the running block: a piece of it, or of the time until a tick that is far away, or that tick.
     #[inline]
-    fn segment(&mut self, planner: &mut Planner<N, [Block<N>]>, backlash: &Backlash<N>) -> Segment {
+    fn segment(&mut self, planner: &mut Planner<N>, backlash: &Backlash<N>) -> Segment {
         let braking = self.state == FeedState::Braking;
         let (cut, time) = match self.long_tick {
             Some(LongTick { cut, time }) => (cut, time),
@@ -330,7 +331,7 @@ impl<const N: usize> SegmentSource<N> {
 
     /// The next piece of the running block; `None` for a stop at this very position.
     #[inline]
-    fn next_cut(&mut self, braking: bool, planner: &mut Planner<N, [Block<N>]>) -> Option<Cut> {
+    fn next_cut(&mut self, braking: bool, planner: &mut Planner<N>) -> Option<Cut> {
         if planner.jerk_limited {
             return jerk_segment::next_cut(&self.running, &mut self.motion, braking, planner);
         }
@@ -367,7 +368,7 @@ impl<const N: usize> SegmentSource<N> {
 
     /// Hands over a cut with its time. After the last one of a block the next block is the first.
     #[inline]
-    fn emit(&mut self, cut: &Cut, time: u32, planner: &mut Planner<N, [Block<N>]>, backlash: &Backlash<N>) -> Segment {
+    fn emit(&mut self, cut: &Cut, time: u32, planner: &mut Planner<N>, backlash: &Backlash<N>) -> Segment {
         let intervals = self.pacer.intervals(time, cut.ticks, cut.ramp);
         self.running.done += cut.units;
         self.motion.pace = cut.end;
@@ -437,7 +438,7 @@ mod tests {
 
     #[test]
     fn a_hold_at_rest_is_held_at_once_and_only_resume_ends_it() {
-        let mut feed = SegmentSource::<3>::new(1_000_000);
+        let mut feed = SegmentSource::<3>::new(1_000_000, super::super::lent(1).ring);
         assert!(!feed.is_on() && !feed.is_held());
         feed.hold();
         assert!(feed.is_held() && !feed.wants_more());
@@ -452,7 +453,7 @@ mod tests {
 
     #[test]
     fn a_hold_in_motion_brakes_first() {
-        let mut feed = SegmentSource::<3>::new(1_000_000);
+        let mut feed = SegmentSource::<3>::new(1_000_000, super::super::lent(1).ring);
         feed.start();
         feed.rest = false;
         feed.hold();
@@ -466,7 +467,7 @@ mod tests {
 
     #[test]
     fn a_resume_without_blocks_starts_nothing() {
-        let mut feed = SegmentSource::<3>::new(1_000_000);
+        let mut feed = SegmentSource::<3>::new(1_000_000, super::super::lent(1).ring);
         feed.hold();
         feed.resume(false);
         assert!(!feed.is_on() && !feed.is_held());

@@ -6,7 +6,7 @@
 use super::Move;
 use super::axis_limits::shares;
 use super::curvature::{PathPiece, Span};
-use super::queue::AnyQueue;
+use super::queue::MoveQueue;
 use super::trapezoid::{lesser, square_root};
 use crate::axes::PerAxis;
 use crate::units::{Coordinate, DECIMAL_ONE};
@@ -19,7 +19,7 @@ const MOST_JOINED: f32 = 0.5;
 /// Path by straight line beyond which points wind for a purpose: rounding to digits makes it the square root of 3 at most.
 const MOST_WINDING: f32 = 1.75;
 
-impl<const N: usize> AnyQueue<N> {
+impl<const N: usize> MoveQueue<N> {
     /// Before a move is made a block: takes back the last block if this move continues it, so that the new block begins where
     /// that one did. Gives the speed² at which the blocks before may already count on entering it.
     #[inline]

@@ -5,7 +5,6 @@
 use super::report::{RareFields, is_answer, is_of_one_host};
 use super::text::PIECE;
 use crate::messages::{Chunk, Restart};
-use core::mem::offset_of;
 
 /// Bytes of answers that wait for the serial task.
 const BYTES: usize = 1024;
@@ -47,9 +46,6 @@ impl Default for Replies {
 }
 
 impl Replies {
-    /// Bytes of a new one that are all 0: from where, and how many.
-    pub(crate) const ZEROS: (usize, usize) = (offset_of!(Self, ring), BYTES);
-
     /// Nothing to say.
     pub const fn new() -> Self {
         Self {

@@ -17,7 +17,7 @@ use oxmill_boards::stm32f4::step::{Clocks, Place, Rings};
 use oxmill_controller::axes::{Arrangement, Axis, PerAxis};
 use oxmill_controller::gcode::{Checked, Dialect, Interpreter};
 use oxmill_controller::messages::*;
-use oxmill_controller::motion::{Arc, ArcGeometry, Motion, MotionSettings, Move, Speed, Tolerance};
+use oxmill_controller::motion::{Storage, Workspace, Arc, ArcGeometry, Motion, MotionSettings, Move, Speed, Tolerance};
 use oxmill_controller::recorder::{Page, Recorder};
 use oxmill_controller::units::{Coordinate, Instant, StepsPerMm};
 use oxmill_controller::{Controller, Profile, StepRates};
@@ -361,7 +361,7 @@ fn motion_settings() -> MotionSettings<3> {
     }
 }
 
-type Planner = Motion<3, 150>;
+type Planner = Motion<3>;
 
 #[unsafe(no_mangle)]
 #[inline(never)]
@@ -455,7 +455,7 @@ fn run_out(motion: &mut Planner, observed: &mut Observed) {
 }
 
 /// A look-ahead as on the large boards.
-type FarPlanner = Motion<3, 512>;
+type FarPlanner = Motion<3>;
 
 #[unsafe(no_mangle)]
 #[inline(never)]
@@ -560,7 +560,7 @@ fn text_and_arcs() {
 }
 
 /// With the look-ahead of the smallest board.
-type Whole = Controller<3, 256>;
+type Whole = Controller<3>;
 
 /// Segments that the step task has been given with one line each, their clocks, and all segments that have begun.
 #[derive(Default)]
@@ -631,11 +631,10 @@ fn unit_line(controller: &mut Whole, line: &[u8], segments_begun: u32) -> Outcom
 }
 
 /// Chords of 0.1 mm at 100 mm/s, with a full look-ahead: one block goes for each line that comes.
-fn whole_line(place: &'static mut MaybeUninit<Whole>) -> &'static Whole {
+fn whole_line(place: &'static mut MaybeUninit<Whole>, job: Workspace<3>, parking: Workspace<3>) -> &'static Whole {
     const PROFILE: Profile =
         Profile { rates: StepRates { safe_hz: 1_000_000, ..boards::PROFILE.rates }, ..boards::PROFILE };
-    // Computed by the compiler: the stack has no room for it.
-    let controller = place.write(const { Controller::new(PROFILE) });
+    let controller = place.write(Controller::new(PROFILE, job, parking));
     let now = Instant::from_ticks(0);
     controller.start(now);
     controller.event(now, Event::Signals(Sensed::default()));
@@ -731,16 +730,18 @@ fn recording(controller: &Whole) {
 fn main() -> ! {
     step_task();
     let motion = cortex_m::singleton!(: MaybeUninit<Planner> = MaybeUninit::uninit()).expect("main runs once");
-    planning(motion.write(Motion::new(motion_settings())));
+    let blocks = cortex_m::singleton!(: Storage<3, 150> = Storage::EMPTY).expect("main runs once").lend();
+    planning(motion.write(Motion::new(motion_settings(), blocks)));
     // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses.
-    let far = unsafe { (boards::FAR_PLANNER as *mut MaybeUninit<FarPlanner>).as_mut_unchecked() };
-    // Computed by the compiler: the stack has no room for it.
-    let far = far.write(const { Motion::unconfigured(boards::PROFILE.step_clock_hz) });
+    let far = unsafe { (boards::FAR_PLANNER as *mut (MaybeUninit<FarPlanner>, MaybeUninit<Storage<3, 512>>)).as_mut_unchecked() };
+    let (far, blocks) = (&mut far.0, far.1.write(Storage::EMPTY).lend());
+    let far = far.write(Motion::unconfigured(boards::PROFILE.step_clock_hz, blocks));
     far.configure(MotionSettings { jerk: PerAxis([10_000.0, 8_000.0, 10_000.0]), ..motion_settings() });
     planning_with_jerk(far);
     text_and_arcs();
     // SAFETY: as above.
-    let place = unsafe { (boards::CONTROLLER as *mut MaybeUninit<Whole>).as_mut_unchecked() };
-    recording(whole_line(place));
+    let place = unsafe { (boards::CONTROLLER as *mut (MaybeUninit<Whole>, MaybeUninit<Storage<3, 256>>, MaybeUninit<Storage<3, 2>>)).as_mut_unchecked() };
+    let (place, blocks, parking) = (&mut place.0, place.1.write(Storage::EMPTY).lend(), place.2.write(Storage::EMPTY).lend());
+    recording(whole_line(place, blocks, parking));
     semihosting::process::exit(0)
 }

@@ -3,6 +3,7 @@
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::digest::Digest;
 use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, LineBytes, Observed, Output, Room, Sensed};
+use oxmill_controller::motion::Storage;
 use oxmill_controller::pump::{Pump, Source, round};
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile, StepRates, Stepper};
@@ -16,7 +17,7 @@ const STEP_CLOCK_HZ: u32 = 25_000_000;
 
 /// The pair, and what came out of it.
 pub struct Rig {
-    controller: Controller<AXES, BLOCKS>,
+    controller: Controller<AXES>,
     stepper: Stepper<AXES>,
     /// Ticks for which the stepper was busy.
     busy: u64,
@@ -46,7 +47,10 @@ impl Rig {
             program_pins: [0; 2],
             has_store: false,
         };
-        let mut controller = Controller::new(profile);
+        static mut LENT: [Storage<AXES, BLOCKS>; 2] = [Storage::EMPTY; 2];
+        // SAFETY: for the prototype: the tests make one rig at a time.
+        let [job, parking] = unsafe { &mut *(&raw mut LENT) };
+        let mut controller = Controller::new(profile, job.lend(), parking.lend());
         controller.start(Instant::from_ticks(0));
         controller.event(Instant::from_ticks(0), Event::Signals(Sensed::default()));
         Rig {
@@ -130,10 +134,10 @@ impl Rig {
     }
 }
 
-impl Pump<AXES, BLOCKS> for Rig {
+impl Pump<AXES> for Rig {
     const IS_WOKEN: bool = false;
 
-    fn controller(&mut self) -> &mut Controller<AXES, BLOCKS> {
+    fn controller(&mut self) -> &mut Controller<AXES> {
         &mut self.controller
     }
 

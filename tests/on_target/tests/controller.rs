@@ -7,12 +7,9 @@ use oxmill_on_target as _;
 
 #[defmt_test::tests]
 mod suite {
-    use core::mem::MaybeUninit;
-    use oxmill_boards::{AXES, PROFILE};
     use oxmill_controller::messages::Realtime;
     use oxmill_controller::units::{Coordinate, Decimal, StepsPerMm};
-    use oxmill_controller::{Controller, Received};
-    use oxmill_firmware::startup::build;
+    use oxmill_controller::Received;
     use oxmill_on_target::rig::Rig;
 
     #[test]
@@ -99,25 +96,5 @@ mod suite {
         rig.run("G1X1\nG1X1F1X2\nG999\nX\n", |_| {});
         defmt::assert_eq!(rig.net, [0, 0, 0]);
         defmt::assert_eq!(rig.answers, (0, 4));
-    }
-
-    /// What [`build`] does not write is 0 in a new controller.
-    #[test]
-    fn the_firmware_builds_a_new_controller_in_memory_that_is_0() {
-        static NEW: Controller<AXES, 1> = Controller::new(PROFILE);
-        let mut place = MaybeUninit::zeroed();
-        // SAFETY: unsafe because `build` takes memory that is 0 for granted; safe because this is.
-        let built: &mut Controller<AXES, 1> = unsafe { build(&mut place) };
-        let (built, new) = ((&raw const *built).cast::<u8>(), (&raw const NEW).cast::<u8>());
-        let mut written = 0;
-        for at in 0..Controller::<AXES, 1>::LOOK_AHEAD_AT {
-            // SAFETY: unsafe because of raw pointers, and padding among what they are read of; safe because both controllers have
-            // so many bytes, all of which the linker, or zeroes and `build`, have given a value.
-            let (is, expected) = unsafe { (built.add(at).read_volatile(), new.add(at).read_volatile()) };
-            defmt::assert_eq!(is, expected, "byte {}", at);
-            written += usize::from(is != 0);
-        }
-        // Defaults of settings at least.
-        defmt::assert!(written > 100, "{} bytes", written);
     }
 }

@@ -1,5 +1,6 @@
 //! Chords against the exact circle, and through the steps.
 
+use super::super::lent;
 use super::super::{Arc, ArcGeometry, Motion, Speed};
 use super::rig::{Rig, mm, settings, to};
 use crate::axes::{Arrangement, Axis, PerAxis};
@@ -346,7 +347,7 @@ fn six_axes_have_their_ends() {
         arc_tolerance: 0.002,
         step_clock_hz: 84_000_000,
     };
-    let mut motion = Motion::<6, 8>::new(config);
+    let mut motion = Motion::<6>::new(config, lent(8));
     let zero = PerAxis::all(Coordinate::ZERO);
     let offsets = (Coordinate::mm(50), Coordinate::ZERO);
     let geometry: ArcGeometry<6> = ArcGeometry {
@@ -390,7 +391,7 @@ fn six_axes_have_their_ends() {
 
 #[test]
 fn a_chord_of_very_many_steps_is_a_line() {
-    let mut motion = Motion::<3, 8>::new(settings(10_000.0, 800.0, 5000.0));
+    let mut motion = Motion::<3>::new(settings(10_000.0, 800.0, 5000.0), lent(8));
     let g = geometry(0, 1.0e5, 0.0, 0.1, 0.0, 0, [-1.0e5, 0.0]);
     let arc = Arc::new(&g, 10.0);
     for x in [958.698_035, 1_917.396_14, 1_917.396_14] {

@@ -1,6 +1,7 @@
 //! Ramps with bounded jerk, followed segment by segment without the step task.
 
-use super::super::{AnyMotion, Motion, MotionSettings, Move, Speed};
+use super::super::lent;
+use super::super::{Motion, MotionSettings, Move, Speed};
 use super::rig::{settings, to};
 use crate::axes::PerAxis;
 use crate::messages::{Observed, Segment, ToStep};
@@ -26,7 +27,7 @@ struct Point {
 }
 
 struct Course<const B: usize> {
-    motion: Motion<3, B>,
+    motion: Motion<3>,
     moves: std::vec::IntoIter<Move<3>>,
     next: Option<Move<3>>,
     observed: Observed,
@@ -39,7 +40,7 @@ struct Course<const B: usize> {
 
 impl<const B: usize> Course<B> {
     fn new(settings: MotionSettings<3>, moves: Vec<Move<3>>) -> Self {
-        let mut motion = Motion::new(settings);
+        let mut motion = Motion::new(settings, lent(B));
         motion.start();
         let mut moves = moves.into_iter();
         let next = moves.next();
@@ -92,7 +93,7 @@ impl<const B: usize> Course<B> {
         let scale = f64::from(run.scale);
         let speed = f64::from(self.motion.source.motion.pace.speed) / if run.is_active() { scale } else { 1.0 };
         let old = self.points.last().filter(|p| p.block == self.blocks).copied();
-        let motion: &AnyMotion<3> = &self.motion;
+        let motion: &Motion<3> = &self.motion;
         let first = motion.queue.planner.first();
         let (jerk, corner) = match (old, first) {
             (Some(old), _) => (old.jerk, old.corner),

@@ -1,5 +1,6 @@
 //! A machine on a desk: pumps `Motion` into `Stepper`, records each tick, and measures speed and acceleration.
 
+use super::super::lent;
 use super::super::{Arc, Curvature, Motion, MotionSettings, Move, Speed, Stepper, Tolerance};
 use crate::axes::{Arrangement, PerAxis};
 use crate::messages::{AxisSteps, Observed, SEGMENTS_DEPTH, Segment, StepEvent, ToStep};
@@ -34,7 +35,7 @@ pub struct BlockFacts {
 }
 
 pub struct Rig<const N: usize, const B: usize> {
-    pub motion: Motion<N, B>,
+    pub motion: Motion<N>,
     pub stepper: Stepper<N>,
     pub queue: VecDeque<ToStep>,
     shadow: VecDeque<(Segment, usize)>,
@@ -97,7 +98,7 @@ pub fn to<const N: usize>(target: [f64; N], speed: Speed) -> Move<N> {
 impl<const N: usize, const B: usize> Rig<N, B> {
     pub fn new(settings: MotionSettings<N>) -> Self {
         Self {
-            motion: Motion::new(settings),
+            motion: Motion::new(settings, lent(B)),
             stepper: Stepper::new(),
             queue: VecDeque::new(),
             shadow: VecDeque::new(),
