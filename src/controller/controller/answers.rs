@@ -9,11 +9,11 @@
 //! asked. `Alarm::Underrun` and `Alarm::Miscounted` have a message.
 
 use super::Controller;
+use super::states::Mode;
 use super::task::Task;
 use crate::error::{Alarm, Error};
 use crate::gcode::{Dialect, WITH_VALUES};
 use crate::machine::inputs;
-use crate::machine::state::Mode;
 use crate::messages::Signals;
 use crate::protocol::report::{self, PlaceForm};
 use crate::protocol::text::Text;
@@ -39,18 +39,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     // Once, and not in each of the forty calls that say something.
     #[inline(never)]
     fn queue_text(&mut self, text: &[u8]) {
-        if self.lines.is_checking() && report::is_answer(text) && !self.replies.is_echoing() {
+        if self.m.lines.is_checking() && report::is_answer(text) && !self.m.replies.is_echoing() {
             return self.answer_checked(text);
         }
-        self.replies.push(text, self.lines.hosts_cut());
+        self.m.replies.push(text, self.m.lines.hosts_cut());
     }
 
     /// The answer to a checked line.
     // By itself: a text has 320 bytes of stack.
     #[inline(never)]
     fn answer_checked(&mut self, text: &[u8]) {
-        if let Some(checked) = self.lines.checked_answer(text) {
-            self.replies.push(&checked, self.lines.hosts_cut());
+        if let Some(checked) = self.m.lines.checked_answer(text) {
+            self.m.replies.push(&checked, self.m.lines.hosts_cut());
         }
     }
 
@@ -71,7 +71,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         let mut text = heapless::Vec::<u8, MESSAGE_WITH_VALUES>::new();
         if mark == WITH_VALUES {
-            self.interpreter.expand(written, &mut text);
+            self.m.interpreter.expand(written, &mut text);
         } else {
             let _ = text.extend_from_slice(written);
         }
@@ -81,14 +81,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The answer to a line that is not carried out, or not to its end.
     pub(super) fn refuse(&mut self, error: Error) {
         // Not that to a startup line, which no host has sent.
-        if !self.replies.is_echoing() {
-            self.lines.fail(error);
+        if !self.m.replies.is_echoing() {
+            self.m.lines.fail(error);
         }
         self.say(|out| report::error(out, error.code()));
     }
 
     pub(super) fn tell_alarm(&mut self, alarm: Alarm) {
-        self.interpreter.abandon_program();
+        self.m.interpreter.abandon_program();
         self.say(|out| report::alarm(out, alarm.code()));
         match alarm {
             Alarm::Underrun => self.say(|out| report::message(out, "Motion data ran out")),
@@ -99,14 +99,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Another dialect: a host that checks its lines is told that it is no longer asked for.
     pub(super) fn end_check(&mut self) {
-        if self.lines.end_check() {
+        if self.m.lines.end_check() {
             self.tell_unchecked();
         }
     }
 
     /// A reset or a stop, at which the rest of a line may be under way.
     pub(super) fn lapse_check(&mut self) {
-        if self.lines.lapse_check() {
+        if self.m.lines.lapse_check() {
             self.tell_unchecked();
         }
     }
@@ -117,7 +117,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Which inputs caused the alarm, where, and at which line, if that has not been told yet.
     pub(super) fn tell_trip(&mut self, line: u32) {
-        if let Some(tripped) = self.inputs.take_tripped()
+        if let Some(tripped) = self.m.inputs.take_tripped()
             && self.dialect() != Dialect::Grbl
         {
             let position = self.machine_position();
@@ -135,7 +135,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// What a host has to do to unlock the machine.
     pub(super) fn tell_lock(&mut self) {
         match self.mode {
-            Mode::Alarm(_) if self.records.are_damaged() => self.tell_damage(),
+            Mode::Alarm(_) if self.m.records.are_damaged() => self.tell_damage(),
             Mode::Alarm(_) => self.say(|out| report::message(out, "'$H'|'$X' to unlock")),
             Mode::Critical(_) => self.say(|out| report::message(out, "Reset to continue")),
             _ => {}
@@ -144,18 +144,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The welcome line. What a host is told once, it may not have heard before.
     pub(super) fn greet(&mut self) {
-        self.records.host_greeted();
+        self.m.records.host_greeted();
         self.say(report::welcome);
-        if let Some(failure) = self.replies.failure().cloned() {
+        if let Some(failure) = self.m.replies.failure().cloned() {
             let grbl = self.dialect() == Dialect::Grbl;
             self.say(|out| report::failure(out, &failure, grbl));
         }
-        self.settings_lock.host_greeted();
+        self.m.settings_lock.host_greeted();
     }
 
     /// The report that a `?` has asked for, if there is room for it.
     pub(super) fn answer_status(&mut self) {
-        if self.replies.take_status() {
+        if self.m.replies.take_status() {
             self.report_status();
         }
     }
@@ -164,32 +164,36 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[cold]
     #[inline(never)]
     fn report_status(&mut self) {
-        let busy = self.step_supply.is_running()
+        let busy = self.m.step_supply.is_running()
             || matches!(
                 self.mode,
                 Mode::Hold | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home(_)
             );
-        let (show_offset, show_overrides) = self.replies.rare_fields(busy);
-        let mask = self.settings.whole(Key::StatusReport);
+        let (show_offset, show_overrides) = self.m.replies.rare_fields(busy);
+        let mask = self.m.settings.whole(Key::StatusReport);
         let (spindle, speed) = self.spindle_now();
         let grbl = self.dialect() == Dialect::Grbl;
-        let line = self.motion.line_number();
-        let overrides = self.accessories.overrides();
+        let line = self.m.motion.line_number();
+        let overrides = self.m.accessories.overrides();
         let status = report::Status {
-            state: self.mode.name(self.motion.is_at_rest(), self.step_supply.is_running(), self.inputs.signals().door),
+            state: self.mode.name(
+                self.m.motion.is_at_rest(),
+                self.m.step_supply.is_running(),
+                self.m.inputs.signals().door,
+            ),
             machine: self.machine_position(),
-            offset: self.interpreter.work_zero(self.dialect()),
+            offset: self.m.interpreter.work_zero(self.dialect()),
             show_machine: mask & 1 != 0,
-            buffer: (mask & 2 != 0).then_some((self.motion.free_blocks(), self.step_supply.observed().rx_free)),
+            buffer: (mask & 2 != 0).then_some((self.m.motion.free_blocks(), self.m.step_supply.observed().rx_free)),
             line: (line > 0 && !grbl).then_some(line),
-            feed: per_minute(self.motion.speed().max(self.door.motion().speed())),
+            feed: per_minute(self.m.motion.speed().max(self.m.door.motion().speed())),
             speed,
             pins: self.shown_signals(),
             show_offset,
             overrides: show_overrides.then_some((
                 [overrides.feed, overrides.rapid, overrides.spindle],
                 spindle,
-                self.accessories.coolant(),
+                self.m.accessories.coolant(),
             )),
         };
         let form = self.place_form();
@@ -198,12 +202,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// How the host is told of places.
     pub(super) fn place_form(&self) -> PlaceForm {
-        PlaceForm { axes: self.settings.axes_in_use(), inches: self.settings.is_on(Key::ReportInches) }
+        PlaceForm { axes: self.m.settings.axes_in_use(), inches: self.m.settings.is_on(Key::ReportInches) }
     }
 
     /// The inputs as a report shows them.
     fn shown_signals(&self) -> Signals {
-        let signals = *self.inputs.signals();
-        Signals { limits: inputs::axes_of_switches(signals.limits, &self.settings), ..signals }
+        let signals = *self.m.inputs.signals();
+        Signals { limits: inputs::axes_of_switches(signals.limits, &self.m.settings), ..signals }
     }
 }

@@ -3,9 +3,9 @@
 //! `gcode/cycle.rs`.
 
 use super::Controller;
+use super::states::Mode;
 use super::task::{Job, Stage};
 use crate::gcode::{CycleStep, EXTENDED, Motion};
-use crate::machine::state::Mode;
 use crate::messages::SpindleDirection;
 use crate::motion::Speed;
 use crate::protocol::report;
@@ -19,9 +19,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if !EXTENDED {
             return Some(Stage::Flow);
         }
-        let clearance = Coordinate::from_mm_f32(self.settings.value(Key::PeckClearance));
+        let clearance = Coordinate::from_mm_f32(self.m.settings.value(Key::PeckClearance));
         let Motion::Cycle(cycle) = &mut self.line.checked.motion else { return Some(Stage::Flow) };
-        let ready = if cycle.next_rests() { self.motion.is_idle() } else { self.motion.free_blocks() > 0 };
+        let ready = if cycle.next_rests() { self.m.motion.is_idle() } else { self.m.motion.free_blocks() > 0 };
         if !ready {
             self.start_queued();
             return None;
@@ -43,7 +43,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Some(CycleStep::SpindleOn(direction)) => return Some(self.cycle_switches_spindle(direction, job)),
             Some(CycleStep::Pause) => {
                 self.say(|out| report::message(out, "Cycle paused, ~ draws the tool back"));
-                self.mode = Mode::Hold;
+                self.enter(Mode::Hold);
                 return Some(Stage::CyclePaused);
             }
         }
@@ -51,17 +51,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn cycle_waits(&self, time: Duration, job: &mut Job) -> Stage {
-        if time.is_zero() { Stage::Target } else { job.wait(Stage::Dwell, self.now + time) }
+        if time.is_zero() { Stage::Target } else { job.wait(Stage::Dwell, self.m.now + time) }
     }
 
     /// With the delays of M3 to M5.
     fn cycle_switches_spindle(&mut self, direction: SpindleDirection, job: &mut Job) -> Stage {
-        let delay = self.accessories.set_spindle(direction, &self.settings);
+        let delay = self.m.accessories.set_spindle(direction, &self.m.settings);
         job.spindle_delay = delay;
-        self.interpreter.set_accessories(direction, self.accessories.coolant());
-        self.replies.overrides_changed();
-        if self.accessories.must_tell_speed(&self.settings) {
-            job.wait(Stage::SpinningUp, self.now + delay)
+        self.m.interpreter.set_accessories(direction, self.m.accessories.coolant());
+        self.m.replies.overrides_changed();
+        if self.m.accessories.must_tell_speed(&self.m.settings) {
+            job.wait(Stage::SpinningUp, self.m.now + delay)
         } else {
             self.cycle_waits(delay, job)
         }

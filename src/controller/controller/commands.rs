@@ -14,11 +14,11 @@
 //! `report_build_info` and `ask_view`. Too long a text is `LineTooLong`.
 
 use super::Controller;
+use super::states::{Homing, Mode};
 use super::task::{Answer, Ask, Caller, Listing, Task};
 use crate::axes::{Axis, AxisMask};
 use crate::error::Error;
 use crate::gcode::Dialect;
-use crate::machine::state::Mode;
 use crate::protocol::descriptions::DESCRIPTIONS;
 use crate::protocol::recorded::RECORDER;
 use crate::protocol::report;
@@ -43,8 +43,8 @@ const STEP_PULSE: u16 = Key::StepPulse.number();
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A line that begins with `$`.
     pub(super) fn system(&mut self, line: &[u8]) -> Result<(), Error> {
-        let resting = matches!(self.mode, Mode::Normal) && !self.step_supply.is_running();
-        let idle = resting && self.motion.is_idle();
+        let resting = matches!(self.mode, Mode::Normal) && !self.m.step_supply.is_running();
+        let idle = resting && self.m.motion.is_idle();
         match system::allowed(line) {
             Allowed::AtRest if !(idle || matches!(self.mode, Mode::Alarm(_))) => return Err(Error::NotIdle),
             Allowed::ForJog if !(idle || matches!(self.mode, Mode::Jog { .. })) => return Err(Error::NotIdle),
@@ -71,7 +71,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             System::Describe(what) => self.task = Task::Listing(Listing::Descriptions(what), 0),
             System::SetBuildInfo(text) => {
                 let text = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
-                self.records.save_build_info(text);
+                self.m.records.save_build_info(text);
                 self.task = Task::Storing(Answer::Host);
             }
             System::SetStartupLine(index, text) => self.set_startup_line(index, text)?,
@@ -83,17 +83,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             System::Jog(text) => return self.jog(text),
             System::Restore(what) => self.restore_defaults(what),
             System::ResetCause => {
-                let restart = self.replies.tell_restart().clone();
+                let restart = self.m.replies.tell_restart().clone();
                 self.say(|out| report::restart(out, &restart));
                 self.say_ok();
             }
             System::Recording => self.list_recording()?,
             System::Pins => {
-                self.inputs.ask_view(false);
+                self.m.inputs.ask_view(false);
                 self.task = Task::Listing(Listing::Pins, 0);
             }
             System::ClearNoise => {
-                self.inputs.ask_view(true);
+                self.m.inputs.ask_view(true);
                 self.say_ok();
             }
             System::CheckLines(on) => self.check_lines(on),
@@ -106,9 +106,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The answer has the form that lines have from now on.
     fn check_lines(&mut self, on: bool) {
         if on {
-            self.lines.begin_check();
+            self.m.lines.begin_check();
         } else {
-            self.lines.end_check();
+            self.m.lines.end_check();
         }
         self.say_ok();
     }
@@ -133,11 +133,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         let stored = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
         if text.is_empty() {
-            self.records.save_startup_line(index, stored);
+            self.m.records.save_startup_line(index, stored);
             self.task = Task::Storing(Answer::Host);
             return Ok(());
         }
-        self.records.validate(stored);
+        self.m.records.validate(stored);
         self.startup_line(text, Caller::Validation(index))
     }
 
@@ -146,53 +146,65 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return Err(Error::NotIdle);
         }
         let stored = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
-        self.interpreter.set_macro_line(index, text)?;
-        self.records.save_macro(index, &stored);
+        self.m.interpreter.set_macro_line(index, text)?;
+        self.m.records.save_macro(index, &stored);
         self.task = Task::Storing(Answer::Host);
         Ok(())
     }
 
     fn home(&mut self, axis: Option<Axis>) -> Result<(), Error> {
-        if !self.settings.is_on(Key::Homing) {
+        if !self.m.settings.is_on(Key::Homing) {
             return Err(Error::HomingDisabled);
         }
-        if axis.is_some_and(|axis| self.dialect() == Dialect::Grbl || axis.index() >= self.settings.axes_in_use()) {
+        if axis.is_some_and(|axis| self.dialect() == Dialect::Grbl || axis.index() >= self.m.settings.axes_in_use()) {
             return Err(Error::InvalidStatement);
         }
-        self.begin_homing(axis)
+        if self.m.inputs.signals().door {
+            return Err(Error::DoorOpen);
+        }
+        if let Some((_, error)) = self.m.inputs.emergency() {
+            return Err(error);
+        }
+        if let Some(error) = self.motion_locked() {
+            return Err(error);
+        }
+        let (homing, next) = Homing::begin(axis, &mut self.m)?;
+        self.enter(Mode::Home(homing));
+        self.follow(next);
+        Ok(())
     }
 
     fn set_setting(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
         // What the table of settings has is the least of all boards.
-        let least_pulse = i64::from(self.settings_lock.least_pulse_tenths()) * (DECIMAL_ONE / 10);
+        let least_pulse = i64::from(self.m.settings_lock.least_pulse_tenths()) * (DECIMAL_ONE / 10);
         if number == STEP_PULSE && (0..least_pulse).contains(&value.0) {
             return Err(Error::StepPulseTooShort);
         }
-        if self.settings.accepted(number, value)? != 0.0 {
+        if self.m.settings.accepted(number, value)? != 0.0 {
             match number {
-                DOOR_FITTED if self.inputs.pins().door => return Err(Error::DoorOpen),
+                DOOR_FITTED if self.m.inputs.pins().door => return Err(Error::DoorOpen),
                 // As with the door: it would not be seen to become active.
-                RESET_IS_EMERGENCY_STOP if self.inputs.pins().reset => return Err(Error::EmergencyStop),
+                RESET_IS_EMERGENCY_STOP if self.m.inputs.pins().reset => return Err(Error::EmergencyStop),
                 _ => {}
             }
         }
-        let before = self.settings.by_number(number);
-        let (soft_limits, dialect) = (self.settings.is_on(Key::SoftLimits), self.dialect());
-        self.settings.set(number, value)?;
-        let is_other = self.settings.by_number(number) != before;
+        let before = self.m.settings.by_number(number);
+        let (soft_limits, dialect) = (self.m.settings.is_on(Key::SoftLimits), self.dialect());
+        self.m.settings.set(number, value)?;
+        let is_other = self.m.settings.by_number(number) != before;
         // The same S is another power now.
         if is_other && matches!(number, SPINDLE_MAXIMUM | SPINDLE_MINIMUM | LASER) {
-            self.stop_spindle();
+            self.m.stop_spindle();
         }
         self.follow_setting(number, soft_limits);
         if is_other {
             self.rename_places(number);
         }
         if self.dialect() != dialect {
-            self.interpreter.change_dialect();
+            self.m.interpreter.change_dialect();
             self.end_check();
             // Rotations act in one dialect only, and G92 with them.
-            self.replies.offset_changed();
+            self.m.replies.offset_changed();
             self.apply_overrides();
         }
         self.task = Task::Storing(Answer::Setting(number));
@@ -203,28 +215,28 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn follow_setting(&mut self, number: u16, soft_limits: bool) {
         self.reconfigure();
         // Another resolution is another position for the same steps.
-        self.interpreter.set_position(self.motion.machine_position());
+        self.m.interpreter.set_position(self.m.motion.machine_position());
         if matches!(number, REPORT_INCHES | AXES) {
-            self.replies.offset_changed();
+            self.m.replies.offset_changed();
         }
         if number == HOMING {
-            self.records.save_soft_limits_before_homing(&self.settings, soft_limits);
+            self.m.records.save_soft_limits_before_homing(&self.m.settings, soft_limits);
         }
-        self.records.save_setting(number, &self.settings);
+        self.m.records.save_setting(number, &self.m.settings);
     }
 
     /// A setting has another value: where that gives places other names than homing gave them, the machine is to be homed
     /// again. Homing that is switched on has not been done.
     fn rename_places(&mut self, number: u16) {
-        let to_negative = AxisMask(self.settings.whole(Key::HomingDirection) as u8);
+        let to_negative = AxisMask(self.m.settings.whole(Key::HomingDirection) as u8);
         let moves_places = AxisKey::Resolution.axis(number).is_some() || number == KINEMATICS;
         let renames_places = matches!(number, DIRECTION_INVERT | HOMING_DIRECTION | HOMING | AXES)
             || AxisKey::Travel.axis(number).is_some_and(|axis| to_negative.has(axis));
         if moves_places {
-            self.interpreter.end_cycles();
+            self.m.interpreter.end_cycles();
         }
-        if moves_places || renames_places && self.settings.is_on(Key::Homing) {
-            self.reference.lose();
+        if moves_places || renames_places && self.m.settings.is_on(Key::Homing) {
+            self.m.reference.lose();
         }
     }
 
@@ -233,13 +245,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Mode::Check => {
                 self.say(|out| report::message(out, "Disabled"));
                 self.say_ok();
-                self.interpreter.reset();
-                self.mode = Mode::Normal;
+                self.m.interpreter.reset();
+                self.enter(Mode::Normal);
                 self.initialise();
             }
-            Mode::Normal if self.motion.is_idle() => {
-                self.mode = Mode::Check;
-                self.interpreter.begin_check_mode();
+            Mode::Normal if self.m.motion.is_idle() => {
+                self.enter(Mode::Check);
+                self.m.interpreter.begin_check_mode();
                 self.say(|out| report::message(out, "Enabled"));
                 self.say_ok();
             }
@@ -250,20 +262,20 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn unlock(&mut self) -> Result<(), Error> {
         if let Mode::Alarm(_) = self.mode {
-            if self.inputs.signals().door {
+            if self.m.inputs.signals().door {
                 return Err(Error::DoorOpen);
             }
-            if let Some((_, error)) = self.inputs.emergency() {
+            if let Some((_, error)) = self.m.inputs.emergency() {
                 return Err(error);
             }
-            let damaged = self.records.are_damaged();
-            if damaged && !self.records.confirm(self.now, &self.settings) {
+            let damaged = self.m.records.are_damaged();
+            if damaged && !self.m.records.confirm(self.m.now, &self.m.settings) {
                 self.tell_damage();
                 return Err(Error::StoreReadFailed);
             }
-            self.mode = Mode::Normal;
+            self.enter(Mode::Normal);
             self.say(|out| report::message(out, "Caution: Unlocked"));
-            if !self.reference.is_trusted() && self.dialect() != Dialect::Grbl {
+            if !self.m.reference.is_trusted() && self.dialect() != Dialect::Grbl {
                 self.say(|out| report::message(out, "The position may be lost: home before using machine coordinates"));
             }
             if damaged {
@@ -277,25 +289,25 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn restore_defaults(&mut self, what: Restore) {
         if matches!(what, Restore::Settings | Restore::All) {
-            self.stop_spindle();
+            self.m.stop_spindle();
             let mut settings = Settings::default();
-            settings.restore(Key::Dialect.number(), self.settings.value(Key::Dialect));
-            let same_steps = settings.axes(AxisKey::Resolution) == self.settings.axes(AxisKey::Resolution)
-                && settings.arrangement() == self.settings.arrangement();
+            settings.restore(Key::Dialect.number(), self.m.settings.value(Key::Dialect));
+            let same_steps = settings.axes(AxisKey::Resolution) == self.m.settings.axes(AxisKey::Resolution)
+                && settings.arrangement() == self.m.settings.arrangement();
             if !same_steps {
-                self.reference.lose();
+                self.m.reference.lose();
             }
-            self.settings.replace(settings);
+            self.m.settings.replace(settings);
         }
         if matches!(what, Restore::Coordinates | Restore::All) {
-            self.interpreter.clear_stored();
+            self.m.interpreter.clear_stored();
         }
         if what == Restore::All {
-            self.interpreter.clear_macros();
+            self.m.interpreter.clear_macros();
         }
-        self.records.forget(what);
+        self.m.records.forget(what);
         self.say(|out| report::message(out, "Restoring defaults"));
-        self.interpreter.reset();
+        self.m.interpreter.reset();
         self.task = Task::Storing(Answer::Restart);
     }
 }

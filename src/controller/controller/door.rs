@@ -10,9 +10,9 @@
 //! `Mode::Home` it is `Alarm::HomingDoor`; in a jog, `interrupt_jog` and `take_jog`.
 
 use super::Controller;
+use super::states::{AfterBraking, Door, Mode};
 use crate::error::Alarm;
 use crate::machine::door::{Opening, ParkingPoint};
-use crate::machine::state::{AfterBraking, Door, Mode};
 use crate::machine::stops::StopReason;
 use crate::messages::Coolant;
 use crate::protocol::report;
@@ -25,26 +25,26 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.switch_off_for_door();
         match self.mode {
             Mode::Jog { .. } => {
-                self.motion.hold();
+                self.m.motion.hold();
                 self.task.forget_jog();
                 self.forget_received_jogs();
-                self.door.interrupt_jog();
-                self.mode = Mode::Door(Door::Braking);
+                self.m.door.interrupt_jog();
+                self.enter(Mode::Door(Door::Braking));
             }
             Mode::Normal | Mode::Hold => self.brake_for_door(),
             Mode::Stopping { then: AfterBraking::Continue } => {
                 // The stop stays one: nothing resumes when the door is closed.
-                self.door.forget_job();
-                self.mode = Mode::Door(Door::Braking);
+                self.m.door.forget_job();
+                self.enter(Mode::Door(Door::Braking));
             }
             Mode::Door(Door::SpindleRestoring(_) | Door::CoolantRestoring(_)) => self.switch_off_and_park(),
             Mode::Door(Door::Returning | Door::Plunging) => {
-                self.door.hold();
-                self.mode = Mode::Door(Door::Reopened);
+                self.m.door.hold();
+                self.enter(Mode::Door(Door::Reopened));
             }
             Mode::Door(_) => {}
             Mode::Home(_) => {
-                self.stops.order(StopReason::Alarm(Alarm::HomingDoor));
+                self.m.stops.order(StopReason::Alarm(Alarm::HomingDoor));
                 return;
             }
             _ => return,
@@ -55,8 +55,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A fault may have left the spindle on (`$924` to `$928`); at an open door it does not turn.
     fn switch_off_for_door(&mut self) {
         match self.mode {
-            Mode::Door(door) if self.door.opening().spindle_on => {
-                self.door.open(Opening { spindle_on: false, ..self.door.opening() });
+            Mode::Door(door) if self.m.door.opening().spindle_on => {
+                self.m.door.open(Opening { spindle_on: false, ..self.m.door.opening() });
                 if matches!(door, Door::Parking | Door::Parked | Door::Returning) {
                     self.suspend_for_door();
                 }
@@ -69,32 +69,32 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Braking; then what the open door does.
     pub(super) fn brake_for_door(&mut self) {
-        self.accessories.end_spin_up();
-        self.motion.hold();
+        self.m.accessories.end_spin_up();
+        self.m.motion.hold();
         self.task.forget_jog();
-        self.task.suspend(self.now);
-        self.mode = Mode::Door(Door::Braking);
+        self.task.suspend(self.m.now);
+        self.enter(Mode::Door(Door::Braking));
     }
 
     /// `$SLP`: as a door that only a reset closes.
     pub(super) fn fall_asleep(&mut self) {
-        self.door.fall_asleep();
+        self.m.door.fall_asleep();
         if self.mode.is_alarm() {
             // A locked machine does not move, not even to park.
-            self.accessories.suspend();
+            self.m.accessories.suspend();
             self.parked();
         } else {
-            self.mode = Mode::Door(Door::Braking);
+            self.enter(Mode::Door(Door::Braking));
         }
     }
 
     /// `~` at a closed door.
     pub(super) fn close_door(&mut self) {
-        if self.inputs.signals().door || self.door.is_asleep() || self.door.opening().alarm.is_some() {
+        if self.m.inputs.signals().door || self.m.door.is_asleep() || self.m.door.opening().alarm.is_some() {
             return;
         }
         if self.parking_move(ParkingPoint::Clear, Key::ParkingFastRate) {
-            self.mode = Mode::Door(Door::Returning);
+            self.enter(Mode::Door(Door::Returning));
         } else {
             self.restore_spindle_for_door();
         }
@@ -116,47 +116,48 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[inline(never)]
     fn settle_door(&mut self, door: Door) {
         match door {
-            Door::Braking if self.motion.is_at_rest() => {
-                if self.door.take_jog() {
-                    self.motion.discard();
-                    self.step_supply.end();
-                    self.interpreter.set_position(self.motion.machine_position());
+            Door::Braking if self.m.motion.is_at_rest() => {
+                if self.m.door.take_jog() {
+                    self.m.motion.discard();
+                    self.m.step_supply.end();
+                    self.m.interpreter.set_position(self.m.motion.machine_position());
                 }
                 self.begin_parking();
             }
-            Door::PullingOut if self.door.motion().is_idle() => self.switch_off_and_park(),
-            Door::Parking if self.door.motion().is_idle() => self.parked(),
-            Door::Reopened if self.door.motion().is_at_rest() => {
-                self.door.discard();
+            Door::PullingOut if self.m.door.motion().is_idle() => self.switch_off_and_park(),
+            Door::Parking if self.m.door.motion().is_idle() => self.parked(),
+            Door::Reopened if self.m.door.motion().is_at_rest() => {
+                self.m.door.discard();
                 // In or near the cut with the spindle on: slowly out, as at first.
-                if !self.accessories.is_suspended() && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate) {
-                    self.mode = Mode::Door(Door::PullingOut);
+                if !self.m.accessories.is_suspended() && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
+                {
+                    self.enter(Mode::Door(Door::PullingOut));
                 } else {
                     self.switch_off_and_park();
                 }
             }
-            Door::Returning if self.door.motion().is_idle() => self.restore_spindle_for_door(),
+            Door::Returning if self.m.door.motion().is_idle() => self.restore_spindle_for_door(),
             Door::SpindleRestoring(until) => {
                 if !self.has_spun_up(until) {
                     return;
                 }
-                let coolant = self.door.kept_coolant();
-                self.accessories.set_coolant(coolant);
-                self.replies.overrides_changed();
+                let coolant = self.m.door.kept_coolant();
+                self.m.accessories.set_coolant(coolant);
+                self.m.replies.overrides_changed();
                 let delay = if coolant == Coolant::default() {
                     Duration::millis(0)
                 } else {
-                    self.settings.seconds(Key::DoorCoolantDelay)
+                    self.m.settings.seconds(Key::DoorCoolantDelay)
                 };
                 // A phase of no length would leave a wake-up that is now.
                 if delay == Duration::millis(0) {
                     self.plunge();
                 } else {
-                    self.mode = Mode::Door(Door::CoolantRestoring(self.now + delay));
+                    self.enter(Mode::Door(Door::CoolantRestoring(self.m.now + delay)));
                 }
             }
-            Door::CoolantRestoring(until) if self.now >= until => self.plunge(),
-            Door::Plunging if self.door.motion().is_idle() => self.leave_door(),
+            Door::CoolantRestoring(until) if self.m.now >= until => self.plunge(),
+            Door::Plunging if self.m.door.motion().is_idle() => self.leave_door(),
             _ => {}
         }
     }
@@ -166,8 +167,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn plunge(&mut self) {
         if self.parking_move(ParkingPoint::Left, Key::ParkingPullOutRate) {
             // The job's block is entered with the slack where it was.
-            self.door.end_with_lead(self.motion.lead());
-            self.mode = Mode::Door(Door::Plunging);
+            self.m.door.end_with_lead(self.m.motion.lead());
+            self.enter(Mode::Door(Door::Plunging));
         } else {
             self.leave_door();
         }
@@ -176,17 +177,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A soft stop has come to its end. The door may have been opened meanwhile.
     pub(super) fn finish_soft_stop(&mut self, lock: bool) {
         self.end_soft_stop(lock);
-        if self.inputs.signals().door {
+        if self.m.inputs.signals().door {
             self.open_door();
         }
     }
 
     fn leave_door(&mut self) {
-        if self.door.is_parking() {
-            self.probe.watch_again();
-            self.motion.reenter();
+        if self.m.door.is_parking() {
+            self.m.probe.watch_again();
+            self.m.motion.reenter();
         }
-        if self.door.close() {
+        if self.m.door.close() {
             self.finish_soft_stop(false);
         } else {
             self.leave_hold();
@@ -198,75 +199,75 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     ///
     /// [`SafetyDoor::leave_job`]: crate::machine::door::SafetyDoor::leave_job
     pub(super) fn begin_parking(&mut self) {
-        let allowed = self.door.opening().retract
-            && self.reference.is_trusted()
+        let allowed = self.m.door.opening().retract
+            && self.m.reference.is_trusted()
             && self.locking_setting().is_none()
-            && !self.interpreter.modal().no_parking;
-        if self.door.leave_job(allowed, &self.settings, &self.motion)
+            && !self.m.interpreter.modal().no_parking;
+        if self.m.door.leave_job(allowed, &self.m.settings, &self.m.motion)
             && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
         {
-            self.probe.look_away();
-            self.mode = Mode::Door(Door::PullingOut);
+            self.m.probe.look_away();
+            self.enter(Mode::Door(Door::PullingOut));
         } else {
             self.switch_off_and_park();
         }
     }
 
     fn suspend_for_door(&mut self) {
-        self.door.keep_coolant(self.accessories.coolant());
-        self.accessories.set_coolant(Coolant::default());
-        self.accessories.suspend();
-        self.replies.overrides_changed();
+        self.m.door.keep_coolant(self.m.accessories.coolant());
+        self.m.accessories.set_coolant(Coolant::default());
+        self.m.accessories.suspend();
+        self.m.replies.overrides_changed();
     }
 
     fn switch_off_and_park(&mut self) {
-        if self.door.opening().spindle_on {
-            self.door.keep_coolant(self.accessories.coolant());
+        if self.m.door.opening().spindle_on {
+            self.m.door.keep_coolant(self.m.accessories.coolant());
         } else {
             self.suspend_for_door();
         }
         if self.parking_move(ParkingPoint::Park, Key::ParkingFastRate) {
-            self.mode = Mode::Door(Door::Parking);
+            self.enter(Mode::Door(Door::Parking));
         } else {
             self.parked();
         }
     }
 
     fn parked(&mut self) {
-        if self.door.is_asleep() {
-            self.accessories.stop_spindle();
-            self.drivers.switch_off();
+        if self.m.door.is_asleep() {
+            self.m.accessories.stop_spindle();
+            self.m.drivers.switch_off();
             // Axes can be moved by hand now.
-            self.reference.lose();
-            self.mode = Mode::Sleep(self.mode.alarm());
+            self.m.reference.lose();
+            self.enter(Mode::Sleep(self.mode.alarm()));
         } else {
-            self.mode = Mode::Door(Door::Parked);
-            if let Some(alarm) = self.door.opening().alarm {
-                self.stops.order(StopReason::Alarm(alarm));
+            self.enter(Mode::Door(Door::Parked));
+            if let Some(alarm) = self.m.door.opening().alarm {
+                self.m.stops.order(StopReason::Alarm(alarm));
             }
         }
     }
 
     fn restore_spindle_for_door(&mut self) {
-        let laser = self.settings.is_on(Key::Laser);
+        let laser = self.m.settings.is_on(Key::Laser);
         if !laser {
             // A beam comes back with the motion: it would burn on one point while the coolant (an air assist) is waited for.
-            self.accessories.restore();
-            self.replies.overrides_changed();
+            self.m.accessories.restore();
+            self.m.replies.overrides_changed();
         }
-        let at_once = laser || !self.accessories.is_on();
-        let delay = if at_once { Duration::millis(0) } else { self.settings.seconds(Key::DoorSpindleDelay) };
-        self.mode = Mode::Door(Door::SpindleRestoring(self.now + delay));
+        let at_once = laser || !self.m.accessories.is_on();
+        let delay = if at_once { Duration::millis(0) } else { self.m.settings.seconds(Key::DoorSpindleDelay) };
+        self.enter(Mode::Door(Door::SpindleRestoring(self.m.now + delay)));
         if at_once {
-            self.settle_door(Door::SpindleRestoring(self.now));
+            self.settle_door(Door::SpindleRestoring(self.m.now));
         }
     }
 
     /// A parking move at the rate of this setting. Whether there is parking.
     fn parking_move(&mut self, to: ParkingPoint, rate: Key) -> bool {
-        let parking = self.door.move_to(to, rate, &self.settings);
+        let parking = self.m.door.move_to(to, rate, &self.m.settings);
         if parking {
-            self.drivers.switch_on();
+            self.m.drivers.switch_on();
         }
         parking
     }

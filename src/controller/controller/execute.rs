@@ -15,12 +15,12 @@
 use super::Controller;
 use super::limits::{geometry, spline_geometry};
 use super::moves::speed;
+use super::states::Mode;
 use super::task::{Answer, Caller, Job, Stage, Task};
 use super::view::dialect;
 use crate::error::{Alarm, Error};
 use crate::gcode::{self, Flow, Held, HeldLine, PathControl, SPLINES, StoredOffset};
 use crate::machine::realtime_override::Overrides;
-use crate::machine::state::Mode;
 use crate::motion::Speed;
 use crate::protocol::report;
 use crate::settings::Key;
@@ -34,7 +34,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn begin(&mut self, answer: Answer, jog: bool) {
         let checked = &self.line.checked;
         let checking = matches!(self.mode, Mode::Check);
-        let stops_before = !jog && self.interpreter.modal().path == PathControl::ExactStop && self.ends_line_before();
+        let stops_before = !jog && self.m.interpreter.modal().path == PathControl::ExactStop && self.ends_line_before();
         let drain = !checking && (stops_before || !checked.moves_only() && self.acts_at_rest());
         let stage = if drain { Stage::Drain } else { Stage::Apply };
         self.task = Task::Job(Job::new(answer, stage, jog));
@@ -51,7 +51,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             || checked.tool_change && self.prompts_for_tools()
             || matches!(checked.motion, gcode::Motion::Probe { .. })
             || matches!(checked.pins(), Some(gcode::ProgramPins::Wait { .. }))
-            || checked.modal().overrides_held != self.interpreter.modal().overrides_held
+            || checked.modal().overrides_held != self.m.interpreter.modal().overrides_held
             || self.speed_needs_rest()
             || self.starts_to_turn()
     }
@@ -64,24 +64,24 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// S rides with the motion. Only a laser without a motion to ride with changes its power at rest.
     fn speed_needs_rest(&self) -> bool {
-        self.settings.is_on(Key::Laser) && self.shows_speed()
+        self.m.settings.is_on(Key::Laser) && self.shows_speed()
     }
 
     /// Whether S makes a spindle turn that M3 or M4 has switched on with S0, and motion has to wait for it.
     fn starts_to_turn(&self) -> bool {
-        let (checked, settings) = (&self.line.checked, &self.settings);
+        let (checked, settings) = (&self.line.checked, &self.m.settings);
         checked.speed_changed
             && checked.spindle.is_none()
-            && self.accessories.is_on_without_speed()
-            && (settings.is_on(Key::SpinUp) || self.accessories.must_tell_speed(settings))
+            && self.m.accessories.is_on_without_speed()
+            && (settings.is_on(Key::SpinUp) || self.m.accessories.must_tell_speed(settings))
             && !settings.is_on(Key::Laser)
     }
 
     /// Whether the next report shows the accessories because of S.
     fn shows_speed(&self) -> bool {
         self.line.checked.speed_changed
-            && self.accessories.is_on()
-            && !(self.settings.is_on(Key::Laser) && self.line.checked.motion != gcode::Motion::None)
+            && self.m.accessories.is_on()
+            && !(self.m.settings.is_on(Key::Laser) && self.line.checked.motion != gcode::Motion::None)
     }
 
     /// Whether the controller is in the middle of something. Asked before each segment: no call for nothing.
@@ -103,21 +103,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             _ => false,
         };
         moves
-            && self.motion.free_blocks() == 0
-            && self.step_supply.is_running()
+            && self.m.motion.free_blocks() == 0
+            && self.m.step_supply.is_running()
             && !matches!(self.mode, Mode::Check)
-            && !self.stops.has_order()
+            && !self.m.stops.has_order()
     }
 
     /// Does one bounded piece of what the controller is in the middle of. Whether something was done.
     #[inline(never)]
     pub(super) fn advance(&mut self) -> bool {
         if let Task::Job(job) = self.task {
-            return !self.stops.is_awaited() && !self.mode.is_suspended() && self.advance_job(job);
+            return !self.m.stops.is_awaited() && !self.mode.is_suspended() && self.advance_job(job);
         }
         let progressed = self.advance_task();
         if progressed {
-            self.pins.disturb();
+            self.m.pins.disturb();
         }
         progressed
     }
@@ -131,9 +131,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && matches!(self.mode, Mode::Normal)
             && matches!(job.answer, Answer::Host | Answer::Held(_));
         // A stop that it has ordered goes out at once: nothing else would wake the pump for it.
-        let ordered = self.stops.has_order();
+        let ordered = self.m.stops.has_order();
         if ordered || progressed && !only_moved {
-            self.pins.disturb();
+            self.m.pins.disturb();
         }
         match job.stage {
             Stage::Done if progressed => self.finish(job.answer),
@@ -145,24 +145,28 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The same for all that is no such line.
     #[inline(never)]
     fn advance_task(&mut self) -> bool {
-        if self.stops.is_awaited() {
+        if self.m.stops.is_awaited() {
             return false;
         }
         match self.task {
-            Task::None => return matches!(self.mode, Mode::Home(_)) && self.advance_homing(),
+            Task::None => {
+                let Mode::Home(homing) = &mut self.mode else { return false };
+                let next = homing.advance(&mut self.m);
+                return self.follow(next);
+            }
             Task::Listing(listing, line) => return self.advance_listing(listing, line),
             _ if self.mode.is_suspended() => return false,
-            Task::Startup(index, then) if self.inputs.are_known() => {
+            Task::Startup(index, then) if self.m.inputs.are_known() => {
                 self.task = Task::None;
                 self.run_startup_line(index, then);
             }
             // Each line may have something to say.
-            Task::Held(caller) if self.replies.has_room() => {
+            Task::Held(caller) if self.m.replies.has_room() => {
                 self.task = Task::None;
                 self.run_held_line(caller);
             }
-            Task::SoftLimit(_) if self.motion.is_at_rest() => self.alarm_at_soft_limit(),
-            Task::Storing(answer) if self.records.are_stored() => self.finish(answer),
+            Task::SoftLimit(_) if self.m.motion.is_at_rest() => self.alarm_at_soft_limit(),
+            Task::Storing(answer) if self.m.records.are_stored() => self.finish(answer),
             Task::Startup(..)
             | Task::Held(_)
             | Task::SoftLimit(_)
@@ -174,13 +178,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn alarm_at_soft_limit(&mut self) {
-        self.motion.discard();
-        self.interpreter.set_position(self.motion.machine_position());
-        self.step_supply.end();
-        self.accessories.switch_off();
+        self.m.motion.discard();
+        self.m.interpreter.set_position(self.m.motion.machine_position());
+        self.m.step_supply.end();
+        self.m.accessories.switch_off();
         self.tell_alarm(Alarm::SoftLimit);
         self.say(|out| report::message(out, "Reset to continue"));
-        self.mode = Mode::Critical(Alarm::SoftLimit);
+        self.enter(Mode::Critical(Alarm::SoftLimit));
     }
 
     /// Continues until something has to be waited for or put out first.
@@ -192,10 +196,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             // The stages of a line that only moves; nearly all lines have no others. What they do is neither shown nor waited for.
             let next = match job.stage {
                 // There is nothing to wait for but a record of a line before.
-                Stage::Apply if self.line.checked.moves_only() && self.records.are_stored() => {
-                    self.interpreter.commit(&self.line.checked);
+                Stage::Apply if self.line.checked.moves_only() && self.m.records.are_stored() => {
+                    self.m.interpreter.commit(&self.line.checked);
                     // A stop may have left another one.
-                    self.accessories.set_speed(self.line.checked.speed);
+                    self.m.accessories.set_speed(self.line.checked.speed);
                     job.stage = Stage::Target;
                     progressed = true;
                     continue;
@@ -212,7 +216,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             progressed = true;
             let shown_first = self.is_shown_before(job.stage, next);
             job.stage = next;
-            if shown_first || self.mode.is_suspended() || self.stops.is_awaited() {
+            if shown_first || self.mode.is_suspended() || self.m.stops.is_awaited() {
                 break;
             }
         }
@@ -224,9 +228,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[inline(never)]
     fn advance_stage(&mut self, job: &mut Job, checking: bool) -> Option<Stage> {
         match job.stage {
-            Stage::Drain if self.motion.is_idle() => Some(self.begin_tool_change(job)),
+            Stage::Drain if self.m.motion.is_idle() => Some(self.begin_tool_change(job)),
             Stage::ToolChange => Some(Stage::Apply),
-            Stage::SpinningDown => (self.now >= job.until).then(|| self.leave_for_tool()),
+            Stage::SpinningDown => (self.m.now >= job.until).then(|| self.leave_for_tool()),
             Stage::Measuring => self.advance_tool_change(),
             Stage::Drain => {
                 self.start_queued();
@@ -237,10 +241,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 job.spindle_delay = self.apply(checking);
                 Some(Stage::Storing)
             }
-            Stage::Storing if !self.records.are_stored() => None,
+            Stage::Storing if !self.m.records.are_stored() => None,
             Stage::Storing => Some(self.begin_waiting(job, checking)),
             Stage::Input => self.has_read_input(job).then(|| self.begin_dwell(job, false)),
-            Stage::Dwell => (self.now >= job.until).then_some(Stage::Via),
+            Stage::Dwell => (self.m.now >= job.until).then_some(Stage::Via),
             Stage::SpinningUp => self.has_spun_up(job.until).then_some(Stage::Via),
             Stage::Via => match self.line.checked.motion {
                 gcode::Motion::Line { via: Some(via), .. } if !checking => {
@@ -281,8 +285,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn check_target(&mut self) -> Stage {
         if matches!(self.line.checked.motion, gcode::Motion::Probe { .. }) {
             // Taken to touch at its target, where the program continues from.
-            let target = *self.interpreter.position();
-            self.interpreter.set_probed(&target, true);
+            let target = *self.m.interpreter.position();
+            self.m.interpreter.set_probed(&target, true);
         }
         Stage::Flow
     }
@@ -298,19 +302,19 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let dwell = self.line.checked.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
         let wait = dwell + job.spindle_delay;
         let switched = self.line.checked.spindle.is_some() || !job.spindle_delay.is_zero();
-        if switched && self.accessories.must_tell_speed(&self.settings) && !checking {
-            job.wait(Stage::SpinningUp, self.now + wait)
+        if switched && self.m.accessories.must_tell_speed(&self.m.settings) && !checking {
+            job.wait(Stage::SpinningUp, self.m.now + wait)
         } else if wait.is_zero() {
             Stage::Via
         } else {
-            job.wait(Stage::Dwell, self.now + wait)
+            job.wait(Stage::Dwell, self.m.now + wait)
         }
     }
 
     /// The motion of the line. What follows; `None` if something has to be waited for.
     #[inline]
     fn begin_motion(&mut self, job: &mut Job) -> Option<Stage> {
-        self.accessories.digital_mut().motion_follows();
+        self.m.accessories.digital_mut().motion_follows();
         match self.line.checked.motion {
             gcode::Motion::Line { ref target, feed, .. } => {
                 let mv = self.move_of(target, speed(feed), job.jog);
@@ -349,18 +353,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let dialect = self.dialect();
         let checked = &self.line.checked;
         let mut delay = Duration::from_ticks(0);
-        let before = checked.work_offset_changed.then(|| self.interpreter.work_zero(dialect));
-        let held = self.interpreter.modal().overrides_held;
-        let freed = checked.removes_tool().and_then(|number| self.interpreter.tools().find(number));
-        self.interpreter.commit(checked);
-        if before.is_some_and(|before| self.interpreter.work_zero(dialect) != before) {
-            self.replies.offset_changed();
+        let before = checked.work_offset_changed.then(|| self.m.interpreter.work_zero(dialect));
+        let held = self.m.interpreter.modal().overrides_held;
+        let freed = checked.removes_tool().and_then(|number| self.m.interpreter.tools().find(number));
+        self.m.interpreter.commit(checked);
+        if before.is_some_and(|before| self.m.interpreter.work_zero(dialect) != before) {
+            self.m.replies.offset_changed();
         }
         match (checked.store, freed) {
             // Grbl stores coordinate systems also of programs that it only checks; it has no tools.
             (Some(StoredOffset::Tool(_)), _) if checking => {}
-            (_, Some(slot)) => self.records.remove_tool(slot),
-            (Some(offset), None) => self.records.save_offset(offset, &self.interpreter),
+            (_, Some(slot)) => self.m.records.remove_tool(slot),
+            (Some(offset), None) => self.m.records.save_offset(offset, &self.m.interpreter),
             (None, None) => {}
         }
         if checking {
@@ -370,24 +374,24 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if self.line.checked.pins().is_some() {
             self.change_output();
         }
-        if self.interpreter.modal().overrides_held != held {
+        if self.m.interpreter.modal().overrides_held != held {
             self.apply_overrides();
         }
         if self.starts_to_turn() {
             // None to wait for would be no spindle to look at.
-            delay = self.settings.seconds(Key::SpinUp).max(Duration::from_ticks(1));
+            delay = self.m.settings.seconds(Key::SpinUp).max(Duration::from_ticks(1));
         }
-        self.accessories.set_speed(self.line.checked.speed);
+        self.m.accessories.set_speed(self.line.checked.speed);
         if self.shows_speed() {
-            self.replies.overrides_changed();
+            self.m.replies.overrides_changed();
         }
         if let Some(spindle) = self.line.checked.spindle {
-            delay = self.accessories.set_spindle(spindle, &self.settings);
-            self.replies.overrides_changed();
+            delay = self.m.accessories.set_spindle(spindle, &self.m.settings);
+            self.m.replies.overrides_changed();
         }
         if let Some(coolant) = self.line.checked.coolant {
-            self.accessories.set_coolant(coolant);
-            self.replies.overrides_changed();
+            self.m.accessories.set_coolant(coolant);
+            self.m.replies.overrides_changed();
         }
         delay
     }
@@ -403,7 +407,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         };
         match self.line.checked.flow {
             Flow::Pause => true,
-            Flow::OptionalPause if self.settings.is_on(Key::OptionalStop) && self.dialect() != gcode::Dialect::Grbl => {
+            Flow::OptionalPause
+                if self.m.settings.is_on(Key::OptionalStop) && self.dialect() != gcode::Dialect::Grbl =>
+            {
                 true
             }
             Flow::None | Flow::OptionalPause => single_block(),
@@ -416,24 +422,24 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let pauses = self.pauses_behind(job);
         match self.line.checked.flow {
             Flow::None | Flow::Pause | Flow::OptionalPause if !pauses || checking => Some(Stage::Done),
-            _ if !self.motion.is_idle() => {
+            _ if !self.m.motion.is_idle() => {
                 self.start_queued();
                 None
             }
             Flow::None | Flow::Pause | Flow::OptionalPause => {
-                self.mode = Mode::Hold;
+                self.enter(Mode::Hold);
                 self.darken_laser();
                 Some(Stage::Paused)
             }
             Flow::End => {
-                self.replies.offset_changed();
+                self.m.replies.offset_changed();
                 if !checking {
                     self.forget_waiting_outputs();
                     // The operator may have switched the coolant since the line took both off in the program's state.
                     self.switch_off();
-                    self.accessories.set_overrides(Overrides::NONE);
-                    self.motion.set_overrides(1.0, 1.0);
-                    self.replies.overrides_changed();
+                    self.m.accessories.set_overrides(Overrides::NONE);
+                    self.m.motion.set_overrides(1.0, 1.0);
+                    self.m.replies.overrides_changed();
                 }
                 self.say(|out| report::message(out, "Pgm End"));
                 Some(Stage::Done)
@@ -453,7 +459,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.begin_startup_line(index + 1, host_waits);
             }
             Answer::Validation(index) => {
-                self.records.save_validated(index);
+                self.m.records.save_validated(index);
                 self.task = Task::Storing(Answer::Host);
             }
             Answer::Setting(number) => {
@@ -468,7 +474,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     pub(super) fn gcode(&mut self, line: &[u8], answer: Answer) -> Result<(), Error> {
-        self.interpreter.check_into(line, dialect(&self.settings), &mut self.line.checked)?;
+        self.m.interpreter.check_into(line, dialect(&self.m.settings), &mut self.line.checked)?;
         self.begin_checked(answer)
     }
 
@@ -481,7 +487,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.allow_change_and_pins()?;
         }
         if self.violates_soft_limits() {
-            self.motion.hold();
+            self.m.motion.hold();
             self.task = Task::SoftLimit(answer);
         } else {
             self.begin(answer, false);
@@ -500,13 +506,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     pub(super) fn jog(&mut self, line: &[u8]) -> Result<(), Error> {
-        self.interpreter.check_jog_into(line, dialect(&self.settings), &mut self.line.checked)?;
-        if self.lines.is_jog_stale() || matches!(self.mode, Mode::Jog { cancelling: true }) {
+        self.m.interpreter.check_jog_into(line, dialect(&self.m.settings), &mut self.line.checked)?;
+        if self.m.lines.is_jog_stale() || matches!(self.mode, Mode::Jog { cancelling: true }) {
             // Sent before the cancel: it shall not move any more.
             self.say_ok();
             return Ok(());
         }
-        let clipped = self.settings.is_on(Key::JogClip);
+        let clipped = self.m.settings.is_on(Key::JogClip);
         if clipped {
             self.clip_to_travel();
         }
@@ -524,7 +530,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[inline(never)]
     fn run_held_line(&mut self, caller: Caller) {
         let mut line = HeldLine::new();
-        let next = self.interpreter.next_held(&mut line);
+        let next = self.m.interpreter.next_held(&mut line);
         let (words, remark) = gcode::split_remark(&line);
         let carried_out = match next {
             Ok(Held::Line) if !words.is_empty() => self.gcode(words, Answer::Held(caller)),
@@ -538,7 +544,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         match carried_out {
             Ok(()) => self.tell_remark(remark),
             Err(error) => {
-                self.interpreter.abandon_held();
+                self.m.interpreter.abandon_held();
                 if let Caller::Startup(index, _) = caller {
                     self.echo_startup_line(index);
                 }
@@ -561,7 +567,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// A startup line. One that calls a subroutine is over when that is.
     pub(super) fn startup_line(&mut self, line: &[u8], caller: Caller) -> Result<(), Error> {
-        if self.dialect() != gcode::Dialect::Grbl && self.interpreter.begin_call(line)? {
+        if self.dialect() != gcode::Dialect::Grbl && self.m.interpreter.begin_call(line)? {
             self.task = Task::Held(caller);
             return Ok(());
         }
@@ -570,7 +576,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     #[inline(never)]
     fn run_startup_line(&mut self, index: usize, then: Option<Answer>) {
-        let line = if self.mode.is_alarm() { None } else { self.records.startup_line(index).cloned() };
+        let line = if self.mode.is_alarm() { None } else { self.m.records.startup_line(index).cloned() };
         let Some(line) = line else {
             if let Some(answer) = then {
                 self.finish(answer);
@@ -592,7 +598,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The line of the answer that is said next. What the startup line itself has said, and reports meanwhile, come before
     /// it on lines of their own.
     fn echo_startup_line(&mut self, index: usize) {
-        if let Some(line) = self.records.startup_line(index).cloned() {
+        if let Some(line) = self.m.records.startup_line(index).cloned() {
             self.say(|out| report::startup_echo(out, &line));
         }
     }

@@ -16,13 +16,13 @@
 //! and `AbortInMotion`.
 
 use super::Controller;
+use super::states::{AfterBraking, Door, Mode};
 use super::stops::Stopped;
 use crate::axes::Axis;
 use crate::error::Alarm;
 use crate::machine::door::Opening;
 use crate::machine::inputs;
 use crate::machine::reaction::{Braking, Reaction};
-use crate::machine::state::{AfterBraking, Door, Mode};
 use crate::machine::stops::StopReason;
 use crate::protocol::report;
 use crate::settings::Key;
@@ -32,12 +32,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn fault(&mut self, alarm: Alarm, stopped: &mut Stopped) {
         let under_way = self.stop_under_way();
         let reason = under_way.map_or(StopReason::Alarm(alarm), |other| other.heavier(StopReason::Alarm(alarm)));
-        let braking = Reaction::to(alarm, &self.settings).braking;
+        let braking = Reaction::to(alarm, &self.m.settings).braking;
         if self.is_bounce(alarm) {
             return;
         }
         self.keep_speed();
-        if braking == Braking::AtOnce || stopped.already || self.stops.is_awaited() || !self.can_brake() {
+        if braking == Braking::AtOnce || stopped.already || self.m.stops.is_awaited() || !self.can_brake() {
             self.stop_for(reason, stopped);
         } else if under_way != Some(reason) {
             self.brake_for(alarm, braking);
@@ -48,8 +48,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn is_bounce(&self, alarm: Alarm) -> bool {
         matches!(self.mode, Mode::Door(_))
             && alarm == Alarm::HardLimit
-            && self.door.opening().alarm == Some(alarm)
-            && !self.stops.is_awaited()
+            && self.m.door.opening().alarm == Some(alarm)
+            && !self.m.stops.is_awaited()
             && !self.is_parking_blocked()
     }
 
@@ -62,17 +62,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn brake_for(&mut self, alarm: Alarm, braking: Braking) {
         // What rests when the fault comes is not set in motion.
-        let retract = braking == Braking::Retract && !self.motion.is_at_rest() && !self.is_parking_blocked();
-        if self.settings.is_on(Key::Laser) || matches!(self.mode, Mode::Door(_)) {
+        let retract = braking == Braking::Retract && !self.m.motion.is_at_rest() && !self.is_parking_blocked();
+        if self.m.settings.is_on(Key::Laser) || matches!(self.mode, Mode::Door(_)) {
             // The segments that are still to come carry the beam's power; and an open door means no spindle.
-            self.accessories.suspend();
+            self.m.accessories.suspend();
         }
-        self.tell_trip(self.motion.line_number());
+        self.tell_trip(self.m.motion.line_number());
         self.task.forget_jog();
-        self.accessories.end_spin_up();
-        self.motion.hold();
+        self.m.accessories.end_spin_up();
+        self.m.motion.hold();
         let then = if retract { AfterBraking::Retract(alarm) } else { AfterBraking::Alarm(alarm) };
-        self.mode = Mode::Stopping { then };
+        self.enter(Mode::Stopping { then });
     }
 
     /// What a controlled stop was for, at rest.
@@ -80,10 +80,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         match then {
             AfterBraking::Continue => self.finish_soft_stop(false),
             AfterBraking::Lock => self.finish_soft_stop(true),
-            AfterBraking::Alarm(alarm) => self.stops.order(StopReason::Alarm(alarm)),
+            AfterBraking::Alarm(alarm) => self.m.stops.order(StopReason::Alarm(alarm)),
             AfterBraking::Retract(alarm) => {
                 let spindle_on = self.keeps_spindle_on(alarm);
-                self.door.open(Opening { retract: !self.is_parking_blocked(), spindle_on, alarm: Some(alarm) });
+                self.m.door.open(Opening { retract: !self.is_parking_blocked(), spindle_on, alarm: Some(alarm) });
                 self.begin_parking();
             }
         }
@@ -91,20 +91,20 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Whether the switch of the axis is closed along which the tool would be parked.
     fn is_parking_blocked(&self) -> bool {
-        let closed = inputs::axes_of_switches(self.inputs.signals().limits, &self.settings);
-        let axis = Axis::ALL.get(self.settings.whole(Key::ParkingAxis) as usize);
+        let closed = inputs::axes_of_switches(self.m.inputs.signals().limits, &self.m.settings);
+        let axis = Axis::ALL.get(self.m.settings.whole(Key::ParkingAxis) as usize);
         axis.is_none_or(|axis| closed & 1 << axis.index() != 0)
     }
 
     /// A host that is silent or gone in mid-job: what waits can be resumed (`$928`).
     pub(super) fn host_fault(&mut self) {
-        let Reaction { braking, spindle_on } = Reaction::of(Key::HostReaction, &self.settings);
+        let Reaction { braking, spindle_on } = Reaction::of(Key::HostReaction, &self.m.settings);
         match braking {
-            Braking::AtOnce => self.stops.order(StopReason::Alarm(Alarm::AbortInMotion)),
-            Braking::Controlled if spindle_on || self.settings.is_on(Key::Laser) => self.feed_hold(),
+            Braking::AtOnce => self.m.stops.order(StopReason::Alarm(Alarm::AbortInMotion)),
+            Braking::Controlled if spindle_on || self.m.settings.is_on(Key::Laser) => self.feed_hold(),
             _ => {
-                let retract = braking == Braking::Retract && !self.motion.is_at_rest();
-                self.door.open(Opening { retract, spindle_on, alarm: None });
+                let retract = braking == Braking::Retract && !self.m.motion.is_at_rest();
+                self.m.door.open(Opening { retract, spindle_on, alarm: None });
                 self.darken_laser();
                 self.brake_for_door();
             }
@@ -113,12 +113,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// A spindle that tells its speed (`$915`) may lose it in mid-job (`$929`).
     pub(super) fn look_for_spindle(&mut self) {
-        if !self.accessories.watches_speed(&self.settings) {
+        if !self.m.accessories.watches_speed(&self.m.settings) {
             return;
         }
         let at_work = self.needs_speed();
-        let (power, input) = (self.resting_power(), self.inputs.signals().at_speed);
-        if self.accessories.has_lost_speed(at_work, power, input, self.now, &self.settings) {
+        let (power, input) = (self.resting_power(), self.m.inputs.signals().at_speed);
+        if self.m.accessories.has_lost_speed(at_work, power, input, self.m.now, &self.m.settings) {
             self.say(|out| report::message(out, "The spindle has lost its speed"));
             self.fault(Alarm::SpindleSpeed, &mut Stopped { already: false, answered: false });
         }

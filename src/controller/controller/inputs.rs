@@ -3,41 +3,43 @@
 //! meaning are kept in `machine/inputs.rs`.
 
 use super::Controller;
+use super::states::Mode;
 use super::stops::Stopped;
 use crate::error::Alarm;
 use crate::machine::inputs::{self, InputChange};
 use crate::machine::reaction::Reaction;
-use crate::machine::state::Mode;
 use crate::machine::stops::StopReason;
 use crate::messages::{Sensed, Signals};
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn signals_changed(&mut self, sensed: &Sensed) {
-        let InputChange { stops, came } = self.inputs.take(sensed, &self.settings);
-        self.stops.count(stops);
+        let InputChange { stops, came } = self.m.inputs.take(sensed, &self.m.settings);
+        self.m.stops.count(stops);
         let mut stopped = Stopped { already: stops != 0, answered: false };
         self.emergency(&came, &mut stopped);
         if came.reset {
             // The button does what 0x18 does, but it opens no epoch: what has been received is dropped all the same.
-            self.lines.drop_received(self.step_supply.observed().received);
+            self.m.lines.drop_received(self.m.step_supply.observed().received);
             self.lapse_check();
             self.stop_for(StopReason::Reset, &mut stopped);
         }
-        let limits = came.limits & inputs::hard_limits(&self.settings);
-        if matches!(self.mode, Mode::Home(_)) {
-            self.home_switch(&mut stopped);
+        let limits = came.limits & inputs::hard_limits(&self.m.settings);
+        if let Mode::Home(homing) = &mut self.mode {
+            if homing.is_reached(self.m.switches()) {
+                self.stop_for(StopReason::Switch, &mut stopped);
+            }
         } else if limits != 0 && !self.mode.is_alarm() {
-            let closed = inputs::axes_of_switches(limits, &self.settings);
+            let closed = inputs::axes_of_switches(limits, &self.m.settings);
             let limit = StopReason::Alarm(Alarm::HardLimit);
             let under_way = self.stop_under_way();
             if under_way.is_none_or(|other| other.heavier(limit) == limit) {
-                self.inputs.trip_limits(closed, under_way == Some(limit));
+                self.m.inputs.trip_limits(closed, under_way == Some(limit));
             }
             self.fault(Alarm::HardLimit, &mut stopped);
         }
         if stopped.already && !stopped.answered {
             let homing = matches!(self.mode, Mode::Home(_));
-            self.stops.wait_for(if homing { StopReason::Alarm(Alarm::HardLimit) } else { StopReason::Nothing });
+            self.m.stops.wait_for(if homing { StopReason::Alarm(Alarm::HardLimit) } else { StopReason::Nothing });
             self.finish_stop();
         }
         if came.door {
@@ -56,18 +58,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn emergency(&mut self, came: &Signals, stopped: &mut Stopped) {
         if came.driver_fault {
             // The driver may have lost steps.
-            self.reference.lose();
+            self.m.reference.lose();
         }
         let alarm = match (came.emergency_stop, came.driver_fault) {
             (true, _) => Alarm::EmergencyStop,
             (_, true) => Alarm::DriverFault,
             _ => return,
         };
-        let reaction = Reaction::to(alarm, &self.settings);
+        let reaction = Reaction::to(alarm, &self.m.settings);
         if alarm == Alarm::EmergencyStop || reaction.is_at_once() && !reaction.spindle_on {
             self.switch_off();
         }
-        self.inputs.trip_emergency(came.emergency_stop, came.driver_fault);
+        self.m.inputs.trip_emergency(came.emergency_stop, came.driver_fault);
         self.fault(alarm, stopped);
     }
 }

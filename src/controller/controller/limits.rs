@@ -37,12 +37,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn leaves_range(&self) -> bool {
         // The check has looked at the target of a line, and nothing of it is beyond.
         let is_plain = matches!(self.line.checked.motion, gcode::Motion::None | gcode::Motion::Line { .. });
-        !(is_plain && self.settings.arrangement() == Arrangement::Cartesian) && self.bulges_out()
+        !(is_plain && self.m.settings.arrangement() == Arrangement::Cartesian) && self.bulges_out()
     }
 
     #[inline(never)]
     fn bulges_out(&self) -> bool {
-        let belts = self.settings.arrangement() == Arrangement::CoreXy;
+        let belts = self.m.settings.arrangement() == Arrangement::CoreXy;
         let outside = |position: &PerAxis<Coordinate, N>| {
             let sum = match position.0.as_slice() {
                 [x, y, ..] if belts => x.0.saturating_abs().saturating_add(y.0.saturating_abs()),
@@ -80,8 +80,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let gcode::Motion::Line { target, .. } = &self.line.checked.motion
             && self.limits_travel()
         {
-            let travel = self.settings.axes(AxisKey::Travel);
-            let here = self.interpreter.position();
+            let travel = self.m.settings.axes(AxisKey::Travel);
+            let here = self.m.interpreter.position();
             let mut end = *target;
             for (axis, end) in Axis::ALL.into_iter().zip(end.iter_mut()) {
                 if let (Some(travel), Some(here)) = (travel.get(axis), here.get(axis))
@@ -97,7 +97,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Whether soft limits are in force. Without a true position there is nothing to compare with.
     pub(super) fn limits_travel(&self) -> bool {
-        self.settings.is_on(Key::SoftLimits) && !self.needs_homing()
+        self.m.settings.is_on(Key::SoftLimits) && !self.needs_homing()
     }
 
     /// Soft limits (`$20`): whether any part of the line's motion lies outside of the travel.
@@ -129,13 +129,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The curve of the control points that the interpreter keeps.
     fn nurbs_geometry(&self, nurbs: &NurbsMove<N>) -> NurbsGeometry<'_, N> {
-        NurbsGeometry { start: nurbs.start, points: self.interpreter.control_points(), order: nurbs.order }
+        NurbsGeometry { start: nurbs.start, points: self.m.interpreter.control_points(), order: nurbs.order }
     }
 
     /// Whether a place lies outside of the travel.
     pub(super) fn is_outside_travel(&self, position: &PerAxis<Coordinate, N>) -> bool {
-        let travel = self.settings.axes(AxisKey::Travel);
-        let axes = Axis::ALL.into_iter().take(self.settings.axes_in_use());
+        let travel = self.m.settings.axes(AxisKey::Travel);
+        let axes = Axis::ALL.into_iter().take(self.m.settings.axes_in_use());
         axes.zip(position.iter().zip(travel.iter())).any(|(axis, (place, travel))| {
             let below = |end: f32| *place < -Coordinate::from_mm_f32(end);
             let beyond = *place > Coordinate::ZERO || below(*travel) && below(self.reach(axis, *travel));
@@ -147,7 +147,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// its end is up to half a step beyond it, and other axes must move from there.
     #[inline(never)]
     fn reach(&self, axis: Axis, travel: f32) -> f32 {
-        let resolution = self.settings.axes(AxisKey::Resolution).get(axis).unwrap_or(0.0);
+        let resolution = self.m.settings.axes(AxisKey::Resolution).get(axis).unwrap_or(0.0);
         let steps = travel * resolution;
         // What is whole may be so by its rounding only.
         let share = if steps as i32 as f32 == steps { 0.02 } else { 0.5 };
@@ -157,18 +157,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The setting that allows no motion at all.
     #[inline]
     pub(super) fn locking_setting(&mut self) -> Option<u16> {
-        self.settings_lock.setting(&self.settings)
+        self.m.settings_lock.setting(&self.m.settings)
     }
 
     /// Whether the settings, or what has become of them, allow no motion at all; then the host has been told why.
     #[inline]
     pub(super) fn motion_locked(&mut self) -> Option<Error> {
-        if self.records.are_damaged() {
+        if self.m.records.are_damaged() {
             self.tell_damage();
             return Some(Error::StoreReadFailed);
         }
         self.locking_setting()?;
-        if let Some(setting) = self.settings_lock.name_at_line() {
+        if let Some(setting) = self.m.settings_lock.name_at_line() {
             self.name_locking(setting);
         }
         Some(Error::Locked)
@@ -177,7 +177,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Grbl answers a change with `ok` and nothing else: in its dialect the setting is named at the first move.
     pub(super) fn name_after_change(&mut self, changed: u16) {
         self.locking_setting();
-        if let Some(setting) = self.settings_lock.name_after_change(changed)
+        if let Some(setting) = self.m.settings_lock.name_after_change(changed)
             && self.dialect() != Dialect::Grbl
         {
             self.name_locking(setting);
@@ -191,10 +191,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// With homing on, what uses machine coordinates waits for a position that is true.
     fn needs_homing(&self) -> bool {
-        !self.reference.is_trusted()
+        !self.m.reference.is_trusted()
             && self.dialect() != Dialect::Grbl
-            && self.settings.is_on(Key::Homing)
-            && self.settings.is_on(Key::TrustNeeded)
+            && self.m.settings.is_on(Key::Homing)
+            && self.m.settings.is_on(Key::TrustNeeded)
     }
 }
 

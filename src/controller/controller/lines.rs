@@ -9,11 +9,11 @@
 //! `line_of_program`, a byte that is not plain to `other_byte`.
 
 use super::Controller;
+use super::states::Mode;
 use super::task::{Answer, Caller, Task};
 use super::view::dialect;
 use crate::error::Error;
 use crate::gcode::{AS_WRITTEN, Dialect, Direction, WITH_VALUES};
-use crate::machine::state::Mode;
 use crate::messages::{HOST_CHANGED, LineByte};
 use crate::protocol::checked_line::Verdict;
 use crate::protocol::line::{self, Pushed};
@@ -27,8 +27,8 @@ type Remark = heapless::Vec<u8, { line::MESSAGE_LENGTH + 1 }>;
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn release_held(&mut self) {
-        if let Some(byte) = self.lines.release() {
-            self.line_byte(self.now, byte);
+        if let Some(byte) = self.m.lines.release() {
+            self.line_byte(self.m.now, byte);
         }
     }
 
@@ -36,10 +36,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub fn is_old(&self, byte: LineByte) -> bool {
         if byte.byte == HOST_CHANGED {
             // It comes before such bytes, and where nothing of the host before is in work it may be taken like them.
-            let waits = matches!(self.mode, Mode::Door(_)) && !self.lines.holds();
+            let waits = matches!(self.mode, Mode::Door(_)) && !self.m.lines.holds();
             return waits && matches!(self.task, Task::None | Task::Startup(_, None));
         }
-        self.lines.is_old(byte)
+        self.m.lines.is_old(byte)
     }
 
     /// Drops such a byte, also while no line is wanted.
@@ -49,8 +49,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     #[inline(never)]
     pub(super) fn line_byte(&mut self, now: Instant, byte: LineByte) {
-        self.now = now;
-        if self.lines.take_end(byte) {
+        self.m.now = now;
+        if self.m.lines.take_end(byte) {
             return self.line_ended();
         }
         self.other_byte(byte);
@@ -60,8 +60,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[inline]
     fn line_ended(&mut self) {
         self.answer_status();
-        let is_of_program = self.lines.has_no_remark()
-            && !matches!(self.lines.text().first(), None | Some(b'%' | b'$'))
+        let is_of_program = self.m.lines.has_no_remark()
+            && !matches!(self.m.lines.text().first(), None | Some(b'%' | b'$'))
             && !self.mode.is_alarm()
             && !matches!(self.mode, Mode::Jog { .. })
             && self.dialect() != Dialect::Grbl;
@@ -71,21 +71,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.complete();
         }
         if !matches!(self.task, Task::Job(_)) {
-            self.pins.disturb();
+            self.m.pins.disturb();
         }
     }
 
     /// A line of the host's program without a message is read where it was received: nothing is copied.
     fn line_of_program(&mut self) {
-        let (text, dialect) = (self.lines.text(), dialect(&self.settings));
-        let checked = match self.interpreter.direct(text, &[], self.lines.lines_read()) {
+        let (text, dialect) = (self.m.lines.text(), dialect(&self.m.settings));
+        let checked = match self.m.interpreter.direct(text, &[], self.m.lines.lines_read()) {
             Ok(Direction::Check) => {
-                let checked = self.interpreter.check_into(text, dialect, &mut self.line.checked);
+                let checked = self.m.interpreter.check_into(text, dialect, &mut self.line.checked);
                 checked.map(|()| Direction::Check)
             }
             directed => directed,
         };
-        self.lines.clear();
+        self.m.lines.clear();
         let result = match checked {
             Ok(Direction::Check) => self.begin_checked(Answer::Host),
             Ok(direction) => {
@@ -102,7 +102,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// All other bytes.
     #[inline(never)]
     fn other_byte(&mut self, byte: LineByte) {
-        let taken = self.lines.take(byte, || line_rules(&self.settings));
+        let taken = self.m.lines.take(byte, || line_rules(&self.m.settings));
         if taken.pushed != Pushed::More || taken.cut || taken.lost {
             self.taken(taken);
         }
@@ -113,7 +113,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn taken(&mut self, taken: Taken) {
         if taken.cut {
             // What the host before has begun and not ended is not this one's; its last lines have been carried out by now.
-            self.interpreter.abandon_program();
+            self.m.interpreter.abandon_program();
         }
         if taken.lost {
             self.say(|out| report::message(out, "Received bytes lost"));
@@ -126,14 +126,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Pushed::More => {}
             _ if taken.verdict != Verdict::Valid => self.answer_invalid(taken.verdict),
             Pushed::TooLong => {
-                self.lines.clear();
+                self.m.lines.clear();
                 self.refuse_program_line(Error::LineTooLong);
             }
             Pushed::Complete => self.complete(),
         }
         // A line that is yet to be carried out has changed nothing.
         if !matches!(self.task, Task::Job(_)) {
-            self.pins.disturb();
+            self.m.pins.disturb();
         }
     }
 
@@ -142,20 +142,20 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn complete(&mut self) {
         // Filled where they are: a returned value would be copied with its whole capacity.
         let (mut text, mut remark) = (heapless::Vec::<u8, { line::LENGTH }>::new(), Remark::new());
-        let _ = text.extend_from_slice(self.lines.text());
+        let _ = text.extend_from_slice(self.m.lines.text());
         self.read_remark(&mut remark);
         if self.must_wait(&text) {
             self.task = Task::JogWaits;
         } else {
-            self.lines.clear();
+            self.m.lines.clear();
             self.dispatch(&text, &remark);
         }
     }
 
     /// A line that the check has not let through is answered; the host sends it again if it has to.
     fn answer_invalid(&mut self, verdict: Verdict) {
-        self.lines.clear();
-        match self.lines.failed() {
+        self.m.lines.clear();
+        match self.m.lines.failed() {
             Some(error) => self.refuse(error),
             None if verdict == Verdict::Known => self.say(report::known),
             None => self.refuse(Error::DamagedLine),
@@ -164,7 +164,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The message of the line that has been read, with its mark; nothing if it has none.
     fn read_remark(&self, remark: &mut Remark) {
-        if let Some((has_values, text)) = self.lines.message()
+        if let Some((has_values, text)) = self.m.lines.message()
             && self.dialect() != Dialect::Grbl
         {
             let _ = remark.push(if has_values { WITH_VALUES } else { AS_WRITTEN });
@@ -176,19 +176,20 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn must_wait(&self, line: &[u8]) -> bool {
         line.starts_with(b"$J=")
             && matches!(self.mode, Mode::Jog { cancelling: true })
-            && self.lines.is_jog_behind_cancel()
+            && self.m.lines.is_jog_behind_cancel()
     }
 
     /// The jog that waits for the end of the one before it ([`Task::JogWaits`]). Whether it has begun.
     #[inline(never)]
     pub(super) fn begin_waiting_jog(&mut self) -> bool {
-        if matches!(self.mode, Mode::Jog { cancelling: true }) || self.mode.is_suspended() || self.stops.is_awaited() {
+        if matches!(self.mode, Mode::Jog { cancelling: true }) || self.mode.is_suspended() || self.m.stops.is_awaited()
+        {
             return false;
         }
         let (mut text, mut remark) = (heapless::Vec::<u8, { line::LENGTH }>::new(), Remark::new());
-        let _ = text.extend_from_slice(self.lines.text());
+        let _ = text.extend_from_slice(self.m.lines.text());
         self.read_remark(&mut remark);
-        self.lines.clear();
+        self.m.lines.clear();
         self.task = Task::None;
         self.dispatch(&text, &remark);
         true
@@ -218,7 +219,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// What is kept of a subroutine or loop lacks the line, and what it would have set is not set.
     fn refuse_program_line(&mut self, error: Error) {
         self.refuse(error);
-        self.interpreter.line_refused(error);
+        self.m.interpreter.line_refused(error);
         self.stop_at_error();
     }
 
@@ -227,7 +228,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if line.len() > 1 {
             return Err(Error::ExpectedLetter);
         }
-        self.interpreter.tape_mark()?;
+        self.m.interpreter.tape_mark()?;
         self.tell_remark(remark);
         self.say_ok();
         Ok(())
@@ -238,7 +239,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn program_line(&mut self, line: &[u8], remark: &[u8]) -> Result<(), Error> {
         let direction = match self.dialect() {
             Dialect::Grbl => Direction::Check,
-            _ => self.interpreter.direct(line, remark, self.lines.lines_read())?,
+            _ => self.m.interpreter.direct(line, remark, self.m.lines.lines_read())?,
         };
         if direction == Direction::Check && !line.is_empty() {
             self.gcode(line, Answer::Host)?;

@@ -24,7 +24,7 @@ use crate::settings::Key;
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[inline(never)]
     pub(super) fn advance_listing(&mut self, listing: Listing, line: usize) -> bool {
-        if !self.replies.has_room() {
+        if !self.m.replies.has_room() {
             return false;
         }
         let more = match listing {
@@ -35,13 +35,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Listing::Recording(_) => return false,
             Listing::Settings => self.list_setting(line),
             Listing::Parameters => self.list_parameter(line),
-            Listing::Pins => match self.inputs.view() {
+            Listing::Pins => match self.m.inputs.view() {
                 Some(view) => self.list_pin(&view, line),
                 None => return false,
             },
             Listing::Descriptions(what) => DESCRIPTIONS && self.describe(what, line),
             Listing::Macros => {
-                match self.interpreter.macro_line(line).map(heapless::Vec::<u8, STORED_TEXT>::from_slice) {
+                match self.m.interpreter.macro_line(line).map(heapless::Vec::<u8, STORED_TEXT>::from_slice) {
                     Some(text) => {
                         let text = text.unwrap_or_default();
                         if !text.is_empty() {
@@ -52,7 +52,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     None => false,
                 }
             }
-            Listing::StartupLines => match self.records.startup_line(line).cloned() {
+            Listing::StartupLines => match self.m.records.startup_line(line).cloned() {
                 Some(text) => {
                     self.say(|out| report::kept_line(out, b'N', line, &text));
                     true
@@ -64,7 +64,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.task = Task::Listing(listing, line + 1);
         } else {
             self.task = Task::None;
-            if listing == Listing::Settings && self.records.listed(self.now) {
+            if listing == Listing::Settings && self.m.records.listed(self.m.now) {
                 self.say(|out| report::message(out, "Compare with your notes; 2 s later $X confirms"));
             }
             self.say_ok();
@@ -73,7 +73,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn list_setting(&mut self, line: usize) -> bool {
-        let Some((entry, number, value)) = self.settings.row(line) else { return false };
+        let Some((entry, number, value)) = self.m.settings.row(line) else { return false };
         if entry.grbl || self.dialect() != Dialect::Grbl {
             self.say(|out| report::setting(out, &entry, number, value));
         }
@@ -84,7 +84,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let form = self.place_form();
         let systems =
             if self.dialect() == Dialect::Grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
-        let offsets = *self.interpreter.offsets();
+        let offsets = *self.m.interpreter.offsets();
         if let Some(system) = CoordinateSystem::ALL.get(..systems).and_then(|all| all.get(line)) {
             self.say(|out| report::parameter(out, system.word(), &offsets.system(*system), form));
             return true;
@@ -95,11 +95,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             2 => self.say(|out| report::parameter(out, "G92", &offsets.g92, form)),
             3 => self.say(|out| report::tool_length(out, &offsets.tool_length, form)),
             4 => {
-                let (position, success) = self.probe.result();
+                let (position, success) = self.m.probe.result();
                 self.say(|out| report::probe(out, &position, success, form));
             }
             entry if self.dialect() != Dialect::Grbl && entry < TOOLS + 5 => {
-                if let Some(tool) = self.interpreter.tools().entries().get(entry - 5).copied()
+                if let Some(tool) = self.m.interpreter.tools().entries().get(entry - 5).copied()
                     && tool.is_stored()
                 {
                     self.say(|out| report::tool(out, tool.number, &tool.offset, form));
@@ -119,21 +119,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     fn list_pin(&mut self, view: &PinView, bit: usize) -> bool {
         // The switch of an axis that is not in use is none, and beside A there is no second motor.
-        let axes = self.settings.axes_in_use();
+        let axes = self.m.settings.axes_in_use();
         let counts =
             if bit < Axis::ALL.len() { bit < axes } else { axes <= LINEAR || 1 << bit != SECOND_SWITCH as usize };
         if counts && view.fitted >> bit & 1 != 0 {
-            let (active, wiring) = (self.inputs.pins().word() >> bit & 1 != 0, self.inputs.wiring());
+            let (active, wiring) = (self.m.inputs.pins().word() >> bit & 1 != 0, self.m.inputs.wiring());
             self.say(|out| report::pin(out, bit, view, active, &wiring));
         }
         bit + 1 < input::COUNT
     }
 
     fn describe(&mut self, what: Described, line: usize) -> bool {
-        let axes = self.settings.axes_in_use();
+        let axes = self.m.settings.axes_in_use();
         let is_there = line < descriptions::lines(what, axes);
         if is_there {
-            let least_pulse = self.settings_lock.least_pulse_tenths();
+            let least_pulse = self.m.settings_lock.least_pulse_tenths();
             self.say(|out| descriptions::line::<N>(out, what, line, axes, least_pulse));
         }
         is_there
@@ -147,7 +147,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             (false, true) => &["EXPR"],
             (false, false) => &[],
         };
-        let info = self.records.build_info().clone();
+        let info = self.m.records.build_info().clone();
         let letters = self.option_letters();
         self.say(|out| report::build_info(out, &info, &letters, BLOCKS, LINES_DEPTH));
         // Grbl has two lines, and strict senders count on it.
@@ -155,7 +155,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.say(report::firmware);
         }
         if with_options {
-            let axes = self.settings.axes_in_use();
+            let axes = self.m.settings.axes_in_use();
             self.say(|out| report::more_options(out, axes, OPTIONS));
         }
         self.say_ok();
@@ -164,7 +164,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// What `$I` says is switched on, in Grbl's letters and their order.
     fn option_letters(&self) -> heapless::Vec<u8, 12> {
         let own = self.dialect() != Dialect::Grbl;
-        let on = |key| self.settings.is_on(key);
+        let on = |key| self.m.settings.is_on(key);
         [
             (true, b'V'),
             (own, b'N'),
@@ -182,7 +182,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     pub(super) fn report_parser_state(&mut self) {
-        let modal = self.interpreter.modal();
+        let modal = self.m.interpreter.modal();
         let state = ParserState {
             words: [
                 modal.motion.word(),
@@ -192,17 +192,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 modal.distance.word(),
                 modal.feed_mode.word(),
             ],
-            rotation: self.interpreter.rotation().is_some(),
-            scaling: self.interpreter.scaling().is_some(),
-            blends: self.interpreter.modal().path.tolerance().is_some(),
+            rotation: self.m.interpreter.rotation().is_some(),
+            scaling: self.m.interpreter.scaling().is_some(),
+            blends: self.m.interpreter.modal().path.tolerance().is_some(),
             spindle: modal.spindle,
             coolant: modal.coolant,
-            parking: self.settings.is_on(Key::Parking) && !modal.no_parking && self.dialect() != Dialect::Grbl,
+            parking: self.m.settings.is_on(Key::Parking) && !modal.no_parking && self.dialect() != Dialect::Grbl,
             tool: modal.tool,
             feed: modal.feed.to_f32(),
             speed: modal.speed,
         };
-        let inches = self.settings.is_on(Key::ReportInches);
+        let inches = self.m.settings.is_on(Key::ReportInches);
         self.say(|out| report::parser_state(out, &state, inches));
         self.say_ok();
     }

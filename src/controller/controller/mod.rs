@@ -47,12 +47,12 @@ mod door;
 mod execute;
 mod faults;
 mod holds;
-mod homing;
 mod inputs;
 mod limits;
 mod line_in_work;
 mod lines;
 mod listings;
+mod machine;
 mod moves;
 mod outputs;
 mod pins;
@@ -63,6 +63,7 @@ mod records;
 mod reset;
 mod settings_lock;
 mod standing;
+mod states;
 mod step_supply;
 mod stops;
 mod task;
@@ -70,30 +71,21 @@ mod tool_change;
 mod view;
 
 use crate::gcode::Interpreter;
-use crate::machine::accessories::Accessories;
 use crate::machine::door::SafetyDoor;
-use crate::machine::drivers::Drivers;
-use crate::machine::inputs::InputLevels;
-use crate::machine::probe::Probe;
-use crate::machine::reference::Reference;
-use crate::machine::state::{Door, Mode};
-use crate::machine::stops::Stops;
 use crate::messages::{Event, LineByte, Observed, Output, Record, Restart, Room, Store, ToStep};
 use crate::motion::{Motion, behind};
-use crate::protocol::line_intake::LineIntake;
 use crate::protocol::recorded::RECORDER;
 use crate::protocol::replies::Replies;
 use crate::protocol::report;
-use crate::settings::{Key, Settings};
+use crate::settings::Key;
 use crate::step_rates::StepRates;
 use crate::units::{Duration, Instant};
 use core::mem::offset_of;
 use line_in_work::LineInWork;
-use pins::Pins;
+use machine::Machine;
 use records::Records;
-use settings_lock::SettingsLock;
-use step_supply::StepSupply;
-use task::Task;
+use states::{Door, Mode, Next};
+use task::{Answer, Task};
 
 /// How often an output that changes with a motion (M62) looks whether that has begun: how late it may be.
 const OUTPUTS_LOOK: Duration = Duration::millis(1);
@@ -124,32 +116,16 @@ pub struct Profile {
 #[derive(Clone)]
 #[repr(C)]
 pub struct Controller<const N: usize, const BLOCKS: usize> {
-    settings: Settings<N>,
     mode: Mode<N>,
-    reference: Reference,
-    step_supply: StepSupply,
     task: Task,
-    accessories: Accessories,
-    probe: Probe<N>,
-    inputs: InputLevels,
-    drivers: Drivers,
-    stops: Stops,
-    pins: Pins,
-    settings_lock: SettingsLock,
-    now: Instant,
-    lines: LineIntake,
     line: LineInWork<N>,
-    interpreter: Interpreter<N>,
-    replies: Replies,
-    records: Records,
-    door: SafetyDoor<N>,
-    motion: Motion<N, BLOCKS>,
+    m: Machine<N, BLOCKS>,
 }
 
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Where the blocks of the look-ahead lie in it, to its end: plain numbers, of which only those are read that have been
     /// written. All before them is the same whatever their count.
-    pub const LOOK_AHEAD_AT: usize = offset_of!(Self, motion) + Motion::<N, BLOCKS>::BLOCKS_AT;
+    pub const LOOK_AHEAD_AT: usize = offset_of!(Self, m.motion) + Motion::<N, BLOCKS>::BLOCKS_AT;
 
     /// Bytes of a new one that are all 0, before the look-ahead, in no order: from where, and how many. In memory that is 0
     /// they need not be written.
@@ -158,67 +134,67 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let [parked, parking_chain] = SafetyDoor::<N>::ZEROS;
         let [in_flight, chain] = Motion::<N, BLOCKS>::ZEROS;
         [
-            behind(offset_of!(Self, interpreter), computed),
-            behind(offset_of!(Self, interpreter), tools),
-            behind(offset_of!(Self, interpreter), saved),
-            behind(offset_of!(Self, replies), Replies::ZEROS),
-            behind(offset_of!(Self, records), Records::ZEROS),
-            behind(offset_of!(Self, door), parked),
-            behind(offset_of!(Self, door), parking_chain),
-            behind(offset_of!(Self, motion), in_flight),
-            behind(offset_of!(Self, motion), chain),
+            behind(offset_of!(Self, m.interpreter), computed),
+            behind(offset_of!(Self, m.interpreter), tools),
+            behind(offset_of!(Self, m.interpreter), saved),
+            behind(offset_of!(Self, m.replies), Replies::ZEROS),
+            behind(offset_of!(Self, m.records), Records::ZEROS),
+            behind(offset_of!(Self, m.door), parked),
+            behind(offset_of!(Self, m.door), parking_chain),
+            behind(offset_of!(Self, m.motion), in_flight),
+            behind(offset_of!(Self, m.motion), chain),
         ]
     };
 
     /// A controller with default settings. Stored records follow with [`Controller::restore`], then
     /// [`Controller::start`]. Can be computed by the compiler: tens of kilobytes need not pass over a stack.
     pub const fn new(profile: Profile) -> Self {
-        Self {
-            settings: Settings::of_board(profile.axes),
-            interpreter: Interpreter::new(),
-            motion: Motion::unconfigured(profile.step_clock_hz),
-            door: SafetyDoor::new(profile.step_clock_hz),
-            lines: LineIntake::new(),
-            mode: Mode::Normal,
-            reference: Reference::ASSUMED,
-            step_supply: StepSupply::AT_REST,
-            task: Task::None,
-            line: LineInWork::NONE,
-            accessories: Accessories::OFF,
-            probe: Probe::NONE,
-            inputs: InputLevels::UNKNOWN,
-            drivers: Drivers::OFF,
-            stops: Stops::NONE,
-            replies: Replies::new(),
-            pins: Pins::UNKNOWN,
-            settings_lock: SettingsLock::new(&profile),
-            records: Records::new(profile.has_store),
-            now: Instant::from_ticks(0),
+        Self { mode: Mode::Normal, task: Task::None, line: LineInWork::NONE, m: Machine::new(profile) }
+    }
+
+    /// The only place in which the state changes.
+    fn enter(&mut self, next: Mode<N>) {
+        debug_assert!(self.mode.may_become(&next), "{:?} to {:?}", self.mode, next);
+        self.mode = next;
+    }
+
+    /// What a state has come to.
+    fn follow(&mut self, next: Next) -> bool {
+        match next {
+            Next::Wait => return false,
+            Next::Stay => {}
+            Next::Homed => {
+                self.enter(Mode::Normal);
+                self.m.start_idle_delay();
+                self.task = Task::Startup(0, Some(Answer::Host));
+            }
+            Next::HomingFailed(alarm) => self.fail_homing(alarm),
         }
+        true
     }
 
     /// What is known of the end before this start; before [`Controller::start`]. After a failure the machine is locked, for a
     /// host that noticed nothing may still be sending its job.
     pub fn restarted(&mut self, restart: Restart) {
         if restart.is_failure() {
-            self.mode = Mode::Alarm(None);
-            self.reference.lose();
+            self.enter(Mode::Alarm(None));
+            self.m.reference.lose();
         }
-        self.replies.restarted(restart);
+        self.m.replies.restarted(restart);
     }
 
     /// Power-up is complete: greets the host, and runs the startup lines once the inputs are known.
     pub fn start(&mut self, now: Instant) {
-        self.now = now;
-        self.pins.disturb();
-        self.settings.settle();
+        self.m.now = now;
+        self.m.pins.disturb();
+        self.m.settings.settle();
         self.reconfigure();
-        if self.settings.is_on(Key::Homing) {
-            self.mode = Mode::Alarm(None);
-            self.reference.lose();
+        if self.m.settings.is_on(Key::Homing) {
+            self.enter(Mode::Alarm(None));
+            self.m.reference.lose();
         }
-        if self.records.are_damaged() {
-            self.mode = Mode::Alarm(None);
+        if self.m.records.are_damaged() {
+            self.enter(Mode::Alarm(None));
         }
         self.initialise();
     }
@@ -226,14 +202,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// What the pump sees of the step task and of received lines. To be called before outputs, and before each event that
     /// may tell what came before it from what comes after it: realtime commands, signals, the end of a host.
     pub fn observe(&mut self, observed: Observed) {
-        self.step_supply.observe(observed);
-        self.lines.observe(observed.received, observed.heard);
+        self.m.step_supply.observe(observed);
+        self.m.lines.observe(observed.received, observed.heard);
         if observed.rx_free == 0 {
             // More may wait unseen in front of a full queue.
-            self.lines.heartbeat_mut().hear();
+            self.m.lines.heartbeat_mut().hear();
         }
-        self.motion.observe(&observed);
-        self.door.observe(&observed);
+        self.m.motion.observe(&observed);
+        self.m.door.observe(&observed);
     }
 
     /// Something happened at `now`.
@@ -255,38 +231,38 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// no such byte is not taken, and is told as an [`Event::Line`].
     #[inline]
     pub fn take_text_byte(&mut self, byte: LineByte) -> bool {
-        self.lines.take_plain(byte)
+        self.m.lines.take_plain(byte)
     }
 
     /// Takes the first of some bytes of an epoch as far as they are such bytes. Gives how many.
     #[inline]
     pub fn take_text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
-        self.lines.take_text(epoch, bytes)
+        self.m.lines.take_text(epoch, bytes)
     }
 
     /// All events but bytes of lines, for which there is [`Controller::line_byte`].
     #[inline(never)]
     fn take(&mut self, now: Instant, event: Event<N>) {
-        self.now = now;
-        self.pins.disturb();
+        self.m.now = now;
+        self.m.pins.disturb();
         match event {
             Event::Realtime(command) => {
-                self.lines.heartbeat_mut().hear();
+                self.m.lines.heartbeat_mut().hear();
                 self.realtime(command);
             }
             Event::Line(byte) => self.line_byte(now, byte),
             Event::Step(event) => self.step_event(&event),
             Event::Signals(sensed) => self.signals_changed(&sensed),
-            Event::Pins(view) => self.inputs.viewed(view),
+            Event::Pins(view) => self.m.inputs.viewed(view),
             Event::Stored => self.stored(true),
             Event::StoreFailed => self.stored(false),
             Event::Connected => {
-                self.lines.heartbeat_mut().set_gone(false);
+                self.m.lines.heartbeat_mut().set_gone(false);
                 self.greet();
                 self.tell_lock();
             }
             Event::Disconnected(hosts_gone) => {
-                self.replies.host_left(hosts_gone);
+                self.m.replies.host_left(hosts_gone);
                 self.host_left();
             }
         }
@@ -295,10 +271,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Whether a line byte may be given.
     pub fn wants_line(&self) -> bool {
         self.task.is_none()
-            && !self.lines.holds()
-            && !self.stops.is_awaited()
+            && !self.m.lines.holds()
+            && !self.m.stops.is_awaited()
             && self.mode.takes_lines()
-            && self.replies.has_room()
+            && self.m.replies.has_room()
     }
 
     /// Whether received lines wait for an operator or for the end of a motion, and bytes from before a reset with them.
@@ -310,17 +286,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Whether the step task will soon have done all that it has been given of a motion that continues.
     #[inline]
     pub fn is_short_of_segments(&self) -> bool {
-        self.motion.is_short_of_segments()
+        self.m.motion.is_short_of_segments()
     }
 
     /// When the controller wants to be called although nothing happens.
     pub fn next_wakeup(&self) -> Option<Instant> {
         // What a completed hold or a parked door has interrupted continues with an event, not by itself.
-        let moving = !self.motion.is_at_rest()
-            || !self.door.motion().is_at_rest()
-            || self.step_supply.is_running() && !self.mode.is_suspended();
-        let moving = moving
-            .then(|| self.now + step_supply::refill_delay([self.door.motion().queued_us(), self.motion.queued_us()]));
+        let moving = !self.m.motion.is_at_rest()
+            || !self.m.door.motion().is_at_rest()
+            || self.m.step_supply.is_running() && !self.mode.is_suspended();
+        let moving = moving.then(|| {
+            self.m.now + step_supply::refill_delay([self.m.door.motion().queued_us(), self.m.motion.queued_us()])
+        });
         let door = match self.mode {
             Mode::Door(Door::SpindleRestoring(until)) => Some(self.next_look_at_spindle(until)),
             Mode::Door(Door::CoolantRestoring(until)) => Some(until),
@@ -332,17 +309,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             mode if mode.is_suspended() => None,
             _ => self.task.wakeup(|until| self.next_look_at_spindle(until)),
         };
-        let spinning_up = self.accessories.spinning_up().map(|until| self.next_look_at_spindle(until));
-        let waits = self.accessories.digital().is_waiting() && !self.motion.is_at_rest();
-        let outputs = waits.then(|| self.now + OUTPUTS_LOOK);
-        let silent = self.lines.heartbeat().silent_at();
-        let lost = if self.needs_speed() { self.accessories.speed_lost_at() } else { None };
-        [moving, door, task, outputs, self.drivers.off_at(), spinning_up, silent, lost].into_iter().flatten().min()
+        let spinning_up = self.m.accessories.spinning_up().map(|until| self.next_look_at_spindle(until));
+        let waits = self.m.accessories.digital().is_waiting() && !self.m.motion.is_at_rest();
+        let outputs = waits.then(|| self.m.now + OUTPUTS_LOOK);
+        let silent = self.m.lines.heartbeat().silent_at();
+        let lost = if self.needs_speed() { self.m.accessories.speed_lost_at() } else { None };
+        [moving, door, task, outputs, self.m.drivers.off_at(), spinning_up, silent, lost].into_iter().flatten().min()
     }
 
     /// No more bytes will come: what is queued is started.
     pub fn input_ended(&mut self) {
-        self.step_supply.end_input();
+        self.m.step_supply.end_input();
     }
 
     /// Works, and gives the next thing to be done, at `now`, as far as the pump has room for it. Called until it gives `None`.
@@ -352,14 +329,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// task in hand ([`Output::Worked`] or [`Output::Answer`]: there is more). So the path of a line goes through here at least
     /// three times: carried out and answered, begun, and handed to the step task segment by segment.
     pub fn output(&mut self, now: Instant, room: Room) -> Option<Output> {
-        self.now = now;
+        self.m.now = now;
         if self.may_have_changed()
             && let Some(output) = self.look_round()
         {
             return Some(output);
         }
-        let short = self.step_supply.is_short(|us| self.motion.holds_time(us));
-        let urgent = short && !self.motion.ends_at_rest();
+        let short = self.m.step_supply.is_short(|us| self.m.motion.holds_time(us));
+        let urgent = short && !self.m.motion.ends_at_rest();
         if urgent
             && room.step
             && let Some(message) = self.urgent_message()
@@ -368,17 +345,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         self.answer_status();
         if room.reply
-            && let Some(chunk) = self.replies.next_chunk()
+            && let Some(chunk) = self.m.replies.next_chunk()
         {
             return Some(Output::Reply(chunk));
         }
         if self.may_advance() && self.advance() {
             // The answer to a line that only moves goes out at once; after anything else what that has changed comes first.
-            let answer = if room.reply && self.pins.are_calm() { self.replies.next_chunk() } else { None };
+            let answer = if room.reply && self.m.pins.are_calm() { self.m.replies.next_chunk() } else { None };
             return Some(answer.map_or(Output::Worked, Output::Answer));
         }
         if matches!(self.task, Task::JogWaits) && self.begin_waiting_jog() {
-            self.pins.disturb();
+            self.m.pins.disturb();
             return Some(Output::Worked);
         }
         self.auto_start();
@@ -393,41 +370,41 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Whether anything that [`Controller::look_round`] looks at may be other than at the last time.
     #[inline]
     fn may_have_changed(&self) -> bool {
-        !self.pins.are_calm() || self.step_supply.is_running() && self.motion.is_idle()
+        !self.m.pins.are_calm() || self.m.step_supply.is_running() && self.m.motion.is_idle()
     }
 
     /// Whether nothing is under way but motion: then time and the step task change nothing but that it ends.
     fn only_moves(&self) -> bool {
         matches!(self.mode, Mode::Normal)
-            && self.probe.is_over()
-            && self.stops.is_idle()
-            && self.stops.is_open()
-            && !self.door.motion().hands_over()
-            && self.drivers.off_at().is_none()
-            && !self.accessories.is_on()
-            && !self.accessories.digital().is_waiting()
+            && self.m.probe.is_over()
+            && self.m.stops.is_idle()
+            && self.m.stops.is_open()
+            && !self.m.door.motion().hands_over()
+            && self.m.drivers.off_at().is_none()
+            && !self.m.accessories.is_on()
+            && !self.m.accessories.digital().is_waiting()
             // A silence begins with what is at work, in the moment at which that begins.
-            && !self.settings.is_on(Key::HostSilence)
-            && !self.settings.is_on(Key::JogSilence)
+            && !self.m.settings.is_on(Key::HostSilence)
+            && !self.m.settings.is_on(Key::JogSilence)
     }
 
     /// The change that is to be made for an [`Output::Store`].
     pub fn next_store(&mut self) -> Option<Store> {
-        self.records.next_store()
+        self.m.records.next_store()
     }
 
     /// What goes before segments and answers: the end of what was under way, stops, wiring, pins, records.
     #[inline(never)]
     fn look_round(&mut self) -> Option<Output> {
         // What follows may end motion and begin a delay.
-        self.pins.disturb();
+        self.m.pins.disturb();
         let wanted = self.wants_line();
         self.settle();
         if !wanted && self.wants_line() {
             // Bytes that have waited may come now, and nothing else would wake the pump for them.
             return Some(Output::Worked);
         }
-        if self.stops.take_order() {
+        if self.m.stops.take_order() {
             return Some(Output::Stop);
         }
         // The polarity of the drivers' enable output comes before its level.
@@ -437,17 +414,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(pins) = self.changed_pins() {
             return Some(Output::Pins(pins));
         }
-        if self.records.has_next() {
+        if self.m.records.has_next() {
             return Some(Output::Store);
         }
-        if let Some(clear_noise) = self.inputs.take_look() {
+        if let Some(clear_noise) = self.m.inputs.take_look() {
             return Some(Output::ReadPins { clear_noise });
         }
         if RECORDER && let Some(first) = self.take_ask() {
             return Some(Output::ReadRecording { first });
         }
         if self.only_moves() {
-            self.pins.calm_down();
+            self.m.pins.calm_down();
         }
         None
     }
@@ -461,14 +438,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     #[inline(always)]
     fn step_message(&mut self) -> Option<ToStep> {
-        let mut message = if self.pins.are_calm() { self.motion.next_message() } else { self.message_in_turn() };
+        let mut message = if self.m.pins.are_calm() { self.m.motion.next_message() } else { self.message_in_turn() };
         if let Some(ToStep::Segment(segment)) = &mut message {
             segment.power = self.overridden_power(segment.power);
         }
         // What opens the step task again or watches the probe moves nothing.
         let moves = !matches!(message, None | Some(ToStep::Resume { .. } | ToStep::Watch { .. }));
-        if moves && self.drivers.switch_on() {
-            self.pins.disturb();
+        if moves && self.m.drivers.switch_on() {
+            self.m.pins.disturb();
         }
         message
     }
@@ -476,54 +453,54 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// What comes before the motion of a job.
     #[inline(never)]
     fn message_in_turn(&mut self) -> Option<ToStep> {
-        if !self.stops.is_open() {
+        if !self.m.stops.is_open() {
             return None;
         }
-        if let Some(stops) = self.stops.take_resume() {
+        if let Some(stops) = self.m.stops.take_resume() {
             return Some(ToStep::Resume { stops });
         }
-        if self.mode.is_alarm() || matches!(self.mode, Mode::Sleep(_)) || self.probe.is_braking() {
+        if self.mode.is_alarm() || matches!(self.mode, Mode::Sleep(_)) || self.m.probe.is_braking() {
             return None;
         }
-        if let Some(watch) = self.probe.take_watch() {
+        if let Some(watch) = self.m.probe.take_watch() {
             return Some(watch);
         }
-        self.door.next_message().or_else(|| self.motion.next_message())
+        self.m.door.next_message().or_else(|| self.m.motion.next_message())
     }
 
     /// Follows what has come to an end since the last call: motion, a hold's ramp, a jog, a door's delays.
     fn settle(&mut self) {
-        if self.accessories.take_overrides_due() {
+        if self.m.accessories.take_overrides_due() {
             self.apply_overrides();
         }
         self.settle_probe();
         self.settle_outputs();
-        if self.stops.is_awaited() {
+        if self.m.stops.is_awaited() {
             return;
         }
-        if self.step_supply.is_running() && self.motion.is_idle() {
-            self.step_supply.end();
+        if self.m.step_supply.is_running() && self.m.motion.is_idle() {
+            self.m.step_supply.end();
             // Between the moves of homing the drivers stay on.
             if !matches!(self.mode, Mode::Home(_)) {
-                self.start_idle_delay();
+                self.m.start_idle_delay();
             }
         }
-        if self.motion.is_at_rest() && self.accessories.rests() {
-            self.replies.overrides_changed();
+        if self.m.motion.is_at_rest() && self.m.accessories.rests() {
+            self.m.replies.overrides_changed();
         }
         match self.mode {
             Mode::Jog { cancelling }
-                if self.motion.is_at_rest() && (cancelling || (self.motion.is_idle() && self.task.is_none())) =>
+                if self.m.motion.is_at_rest() && (cancelling || (self.m.motion.is_idle() && self.task.is_none())) =>
             {
                 self.end_jog(cancelling);
             }
-            Mode::Stopping { then } if self.motion.is_at_rest() => self.settle_braking(then),
+            Mode::Stopping { then } if self.m.motion.is_at_rest() => self.settle_braking(then),
             Mode::Normal => self.look_for_spindle(),
             Mode::Hold => {
-                if let Some(until) = self.accessories.spinning_up()
+                if let Some(until) = self.m.accessories.spinning_up()
                     && self.has_spun_up(until)
                 {
-                    self.accessories.end_spin_up();
+                    self.m.accessories.end_spin_up();
                     self.leave_hold();
                 }
             }
@@ -533,7 +510,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Mode::Door(door) = self.mode {
             self.settle_phases(door);
         }
-        self.drivers.look(self.now);
+        self.m.drivers.look(self.m.now);
         self.look_for_host();
     }
 
@@ -541,14 +518,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn auto_start(&mut self) {
         // A move queued while the last piece of the one before was already in the step queue belongs to the same
         // run: without a start of its own it would never begin.
-        if self.step_supply.is_running() && matches!(self.mode, Mode::Normal | Mode::Jog { cancelling: false }) {
-            self.motion.start();
+        if self.m.step_supply.is_running() && matches!(self.mode, Mode::Normal | Mode::Jog { cancelling: false }) {
+            self.m.motion.start();
             return;
         }
         if matches!(self.mode, Mode::Normal)
-            && !self.motion.is_idle()
+            && !self.m.motion.is_idle()
             && self.task.is_none()
-            && self.step_supply.has_no_more()
+            && self.m.step_supply.has_no_more()
         {
             self.start_motion();
         }
@@ -556,14 +533,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The store has answered a change: told at once, as the command may have been ended by a reset meanwhile.
     fn stored(&mut self, done: bool) {
-        if self.records.answered(done) {
+        if self.m.records.answered(done) {
             self.say(|out| report::message(out, "The setting holds but could not be stored"));
         }
     }
 
     /// Takes a stored record at power-up. Records that make no sense are ignored.
     pub fn restore(&mut self, record: &Record) {
-        self.pins.disturb();
-        self.records.restore(record, &mut self.settings, &mut self.interpreter);
+        self.m.pins.disturb();
+        self.m.records.restore(record, &mut self.m.settings, &mut self.m.interpreter);
     }
 }

@@ -8,11 +8,11 @@
 //! `Flow`.
 
 use super::Controller;
+use super::states::Mode;
 use super::task::{Job, Stage};
 use crate::axes::{LINEAR, PerAxis};
 use crate::gcode::{Feed, Motion, NurbsMove, PathControl};
 use crate::machine::spindle::SpindleRange;
-use crate::machine::state::Mode;
 use crate::messages::SpindleDirection;
 use crate::motion::{ArcGeometry, Move, NurbsGeometry, Speed, SplineGeometry, Tolerance};
 use crate::settings::Key;
@@ -21,7 +21,7 @@ use crate::units::Coordinate;
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// The look-ahead is full, or the line has to wait for its end: what is queued must move.
     pub(super) fn start_queued(&mut self) {
-        if !self.step_supply.is_running() && !self.motion.is_idle() {
+        if !self.m.step_supply.is_running() && !self.m.motion.is_idle() {
             self.start_motion();
         }
     }
@@ -33,34 +33,34 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The same with a move that is ready. Whether there was room for it.
     pub(super) fn queue_move(&mut self, mv: &Move<N>, job: &Job) -> bool {
-        let taken = self.motion.line(mv);
+        let taken = self.m.motion.line(mv);
         if !taken {
             self.start_queued();
         } else if job.jog {
-            self.mode = Mode::Jog { cancelling: false };
+            self.enter(Mode::Jog { cancelling: false });
             self.start_motion();
-        } else if self.motion.has_joined_enough() {
+        } else if self.m.motion.has_joined_enough() {
             self.start_queued();
         }
         taken
     }
 
     pub(super) fn move_of(&self, target: &PerAxis<Coordinate, N>, speed: Speed, jog: bool) -> Move<N> {
-        let laser = self.settings.is_on(Key::Laser);
+        let laser = self.m.settings.is_on(Key::Laser);
         // A laser burns in feed motions only.
         let dark = laser && speed == Speed::Rapid;
-        let power = if !self.accessories.is_on() || dark {
+        let power = if !self.m.accessories.is_on() || dark {
             0
         } else {
             // The override is applied when its turn comes (`outputs`).
-            SpindleRange::of(&self.settings).output(self.line.checked.speed, 100).0
+            SpindleRange::of(&self.m.settings).output(self.line.checked.speed, 100).0
         };
         Move {
             target: *target,
             speed,
             power,
             // M4: the laser's power follows the speed.
-            scale_power: laser && self.accessories.spindle() == SpindleDirection::CounterClockwise,
+            scale_power: laser && self.m.accessories.spindle() == SpindleDirection::CounterClockwise,
             line_number: self.line.checked.line_number,
             no_feed_override: jog,
             digit: self.line.checked.digit,
@@ -71,11 +71,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// How far a move may be from its path: lines at a feed only, along which nothing turns. Of a piece that cuts off a corner at which
     /// A turns back, F would say nothing.
     fn tolerance(&self, target: &PerAxis<Coordinate, N>, speed: Speed) -> Tolerance {
-        let within = match (speed, self.line.checked.motion, self.interpreter.modal().path) {
+        let within = match (speed, self.line.checked.motion, self.m.interpreter.modal().path) {
             (Speed::Feed(_), Motion::Line { .. }, PathControl::Within(tolerance)) => tolerance,
             _ => return Tolerance::EXACT,
         };
-        if N > LINEAR && turns(&self.motion.planned_position(), target) {
+        if N > LINEAR && turns(&self.m.motion.planned_position(), target) {
             return Tolerance::EXACT;
         }
         let mm = |units: u32| Coordinate(i64::from(units)).to_mm();
@@ -83,7 +83,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     pub(super) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, feed: Feed, job: &mut Job) -> Stage {
-        let (length, stretch) = self.line.begin_arc(geometry, self.settings.value(Key::ArcTolerance));
+        let (length, stretch) = self.line.begin_arc(geometry, self.m.settings.value(Key::ArcTolerance));
         job.chord_feed = match feed {
             // F is along X, Y and Z.
             Feed::PerMinute(feed) if N > LINEAR => feed * stretch,
@@ -96,7 +96,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     #[inline(never)]
     pub(super) fn begin_spline(&mut self, geometry: &SplineGeometry<N>, feed: Feed, job: &mut Job) -> Stage {
-        self.line.begin_spline(geometry, self.settings.value(Key::ArcTolerance));
+        self.line.begin_spline(geometry, self.m.settings.value(Key::ArcTolerance));
         job.chord_feed = match feed {
             Feed::PerMinute(feed) => feed,
             Feed::InverseTime(seconds) => geometry.length() / seconds,
@@ -108,8 +108,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     #[inline(never)]
     pub(super) fn begin_nurbs(&mut self, nurbs: &NurbsMove<N>, job: &mut Job) -> Stage {
         let geometry =
-            NurbsGeometry { start: nurbs.start, points: self.interpreter.control_points(), order: nurbs.order };
-        self.line.begin_nurbs(&geometry, self.settings.value(Key::ArcTolerance));
+            NurbsGeometry { start: nurbs.start, points: self.m.interpreter.control_points(), order: nurbs.order };
+        self.line.begin_nurbs(&geometry, self.m.settings.value(Key::ArcTolerance));
         job.chord_feed = match nurbs.feed {
             Feed::PerMinute(feed) => feed,
             Feed::InverseTime(seconds) => geometry.length() / seconds,
@@ -120,16 +120,16 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The next chord of the curve under way. What follows; `None` if there is no room for it.
     pub(super) fn next_chord(&mut self, job: &Job) -> Option<Stage> {
-        if self.motion.free_blocks() == 0 {
+        if self.m.motion.free_blocks() == 0 {
             self.start_queued();
             return None;
         }
-        let Some((end, curvature)) = self.line.next_chord(self.interpreter.control_points()) else {
+        let Some((end, curvature)) = self.line.next_chord(self.m.interpreter.control_points()) else {
             return Some(Stage::Flow);
         };
         let mv = self.move_of(&end, Speed::Feed(job.chord_feed), job.jog);
         // There is room for a block, so the move is taken.
-        self.motion.chord(&mv, curvature);
+        self.m.motion.chord(&mv, curvature);
         Some(Stage::Chords)
     }
 }

@@ -20,34 +20,34 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         away: bool,
         line_number: u32,
     ) -> bool {
-        if self.inputs.signals().probe != away {
+        if self.m.inputs.signals().probe != away {
             // It would have to change to what it is.
             self.lock(Alarm::ProbeInitialState);
-            self.interpreter.set_position(self.motion.machine_position());
+            self.m.interpreter.set_position(self.m.motion.machine_position());
             return false;
         }
-        self.motion.line(&seek(*target, speed, line_number));
-        self.probe.begin(away, self.motion.braking());
+        self.m.motion.line(&seek(*target, speed, line_number));
+        self.m.probe.begin(away, self.m.motion.braking());
         self.start_motion();
         true
     }
 
     /// Once the step task has braked it is asked where it is, and opened again.
     pub(super) fn settle_probe(&mut self) {
-        if self.probe.is_braking() && self.step_supply.observed().step_idle && !self.stops.is_awaited() {
-            self.stops.order(StopReason::Contact);
+        if self.m.probe.is_braking() && self.m.step_supply.observed().step_idle && !self.m.stops.is_awaited() {
+            self.m.stops.order(StopReason::Contact);
         }
     }
 
     /// Whether the probe is over, and if so, whether it touched. The rest of its move is forgotten.
     #[inline(never)]
     pub(super) fn take_probe(&mut self, must_touch: bool) -> Option<bool> {
-        let touched = self.probe.outcome(self.motion.is_idle())?;
-        self.motion.discard();
-        self.step_supply.end();
-        let here = self.motion.machine_position();
-        self.interpreter.set_position(here);
-        self.probe.finish(touched, must_touch, here);
+        let touched = self.m.probe.outcome(self.m.motion.is_idle())?;
+        self.m.motion.discard();
+        self.m.step_supply.end();
+        let here = self.m.motion.machine_position();
+        self.m.interpreter.set_position(here);
+        self.m.probe.finish(touched, must_touch, here);
         Some(touched)
     }
 
@@ -58,8 +58,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if !touched && must_touch {
             self.lock(Alarm::ProbeNoContact);
         }
-        let ((position, _), form) = (self.probe.result(), self.place_form());
-        self.interpreter.set_probed(&position, touched);
+        let ((position, _), form) = (self.m.probe.result(), self.place_form());
+        self.m.interpreter.set_probed(&position, touched);
         self.say(|out| report::probe(out, &position, touched, form));
         true
     }

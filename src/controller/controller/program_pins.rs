@@ -9,7 +9,7 @@ use crate::gcode::ProgramPins;
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Whether the line asks for a pin that the board does not have. None has analog ones.
     pub(super) fn lacks_pin(&self) -> bool {
-        let [outputs, inputs] = self.settings_lock.program_pins();
+        let [outputs, inputs] = self.m.settings_lock.program_pins();
         match self.line.checked.pins() {
             None => false,
             Some(ProgramPins::Digital { number, .. }) => number >= u32::from(outputs),
@@ -29,9 +29,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     #[inline(never)]
     fn has_room_for_change(&mut self) -> bool {
-        let idle = self.motion.is_idle();
+        let idle = self.m.motion.is_idle();
         // The mark stays: whether it can be changed is asked.
-        let can = self.accessories.digital().has_room(idle) && self.motion.takes_mark();
+        let can = self.m.accessories.digital().has_room(idle) && self.m.motion.takes_mark();
         if !can {
             self.start_queued();
         }
@@ -43,11 +43,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn change_output(&mut self) {
         if let Some(ProgramPins::Digital { number, on, with_motion }) = self.line.checked.pins() {
             if with_motion {
-                let idle = self.motion.is_idle();
-                let mark = self.accessories.digital_mut().set_with_motion(number, on, idle);
-                self.motion.set_mark(mark);
+                let idle = self.m.motion.is_idle();
+                let mark = self.m.accessories.digital_mut().set_with_motion(number, on, idle);
+                self.m.motion.set_mark(mark);
             } else {
-                self.accessories.digital_mut().set(number, on);
+                self.m.accessories.digital_mut().set(number, on);
             }
         }
     }
@@ -57,7 +57,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         match self.line.checked.pins() {
             Some(ProgramPins::Wait { number, longest, .. }) => {
                 job.input_before = self.reads_input(number);
-                Some(job.wait(Stage::Input, self.now + longest))
+                Some(job.wait(Stage::Input, self.m.now + longest))
             }
             _ => None,
         }
@@ -65,7 +65,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Whether an input of the program is active; none that the board does not have.
     fn reads_input(&self, number: u32) -> bool {
-        u32::from(self.inputs.signals().program).checked_shr(number).is_some_and(|levels| levels & 1 != 0)
+        u32::from(self.m.inputs.signals().program).checked_shr(number).is_some_and(|levels| levels & 1 != 0)
     }
 
     /// Whether M66 has ended.
@@ -74,11 +74,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let Some(ProgramPins::Wait { number, until: wait, .. }) = self.line.checked.pins() else { return true };
         let now = self.reads_input(number);
         let is_over = wait.is_over(job.input_before, now);
-        if !is_over && self.now < job.until {
+        if !is_over && self.m.now < job.until {
             job.input_before = now;
             return false;
         }
-        self.interpreter.set_input_read(is_over.then_some(now));
+        self.m.interpreter.set_input_read(is_over.then_some(now));
         true
     }
 }

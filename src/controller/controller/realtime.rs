@@ -10,9 +10,9 @@
 //! of the heartbeat.
 
 use super::Controller;
+use super::states::{Door, Mode};
 use crate::gcode::Dialect;
 use crate::machine::realtime_override::Overrides;
-use crate::machine::state::{Door, Mode};
 use crate::machine::stops::StopReason;
 use crate::messages::{Coolant, Realtime};
 use crate::protocol::report;
@@ -23,29 +23,29 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn realtime(&mut self, command: Realtime) {
         match command {
             Realtime::Reset => {
-                self.lines.reset();
+                self.m.lines.reset();
                 self.lapse_check();
-                self.stops.begin(StopReason::Reset);
+                self.m.stops.begin(StopReason::Reset);
                 self.finish_stop();
                 self.release_held();
             }
             // Grbl knows no such byte and drops it.
             Realtime::Stop if self.dialect() == Dialect::Grbl => {
-                self.lines.open_epoch();
+                self.m.lines.open_epoch();
                 self.release_held();
             }
             Realtime::Stop => {
-                self.lines.reset();
+                self.m.lines.reset();
                 self.lapse_check();
                 self.stop_softly(false);
                 self.release_held();
             }
-            Realtime::Status => self.replies.ask_status(),
+            Realtime::Status => self.m.replies.ask_status(),
             Realtime::CycleStart => self.cycle_start(),
             Realtime::FeedHold => self.feed_hold(),
             Realtime::SafetyDoor => self.open_door(),
             Realtime::JogCancel => {
-                self.lines.cancel_jogs();
+                self.m.lines.cancel_jogs();
                 if matches!(self.mode, Mode::Jog { cancelling: false }) {
                     self.cancel_jog();
                 }
@@ -55,7 +55,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             Realtime::SpindleStop => {
                 // A beam is off in a hold, and does not come back before motion does.
-                if matches!(self.mode, Mode::Hold) && self.accessories.is_on() && !self.settings.is_on(Key::Laser) {
+                if matches!(self.mode, Mode::Hold) && self.m.accessories.is_on() && !self.m.settings.is_on(Key::Laser) {
                     self.toggle_spindle();
                 }
             }
@@ -67,35 +67,35 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             }
             // Grbl drops these bytes.
             Realtime::MistToggle | Realtime::SingleBlock => {}
-            _ => self.set_overrides(self.accessories.overrides().after(command)),
+            _ => self.set_overrides(self.m.accessories.overrides().after(command)),
         }
     }
 
     fn toggle_coolant(&mut self, change: impl FnOnce(&mut Coolant)) {
         if matches!(self.mode, Mode::Normal | Mode::Hold) {
-            let mut coolant = self.accessories.coolant();
+            let mut coolant = self.m.accessories.coolant();
             change(&mut coolant);
-            self.accessories.set_coolant(coolant);
-            self.interpreter.set_accessories(self.accessories.spindle(), coolant);
-            self.replies.overrides_changed();
+            self.m.accessories.set_coolant(coolant);
+            self.m.interpreter.set_accessories(self.m.accessories.spindle(), coolant);
+            self.m.replies.overrides_changed();
         }
     }
 
     fn set_overrides(&mut self, overrides: Overrides) {
-        if self.accessories.set_overrides(overrides) {
-            self.replies.overrides_changed();
+        if self.m.accessories.set_overrides(overrides) {
+            self.m.replies.overrides_changed();
         }
     }
 
     pub(super) fn cycle_start(&mut self) {
-        self.lines.heartbeat_mut().set_gone(false);
+        self.m.lines.heartbeat_mut().set_gone(false);
         match self.mode {
             Mode::Normal => self.start_motion(),
-            Mode::Hold if self.accessories.spinning_up().is_some() => {}
-            Mode::Hold if self.motion.is_at_rest() => {
+            Mode::Hold if self.m.accessories.spinning_up().is_some() => {}
+            Mode::Hold if self.m.motion.is_at_rest() => {
                 self.restore_spindle();
                 if self.is_spinning_up() {
-                    self.accessories.leave_hold(true);
+                    self.m.accessories.leave_hold(true);
                 } else {
                     self.leave_hold();
                 }
@@ -110,11 +110,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn host_left(&mut self) {
         match self.mode {
             Mode::Jog { .. } => self.end_jog_of_no_host(),
-            _ if !self.settings.is_on(Key::HoldWithoutHost) => {}
+            _ if !self.m.settings.is_on(Key::HoldWithoutHost) => {}
             Mode::Normal if self.is_at_work() => self.host_fault(),
             // The fault acts where the job would go on.
-            _ if self.mode.is_resuming() || self.accessories.spinning_up().is_some() => {
-                self.lines.heartbeat_mut().set_gone(true);
+            _ if self.mode.is_resuming() || self.m.accessories.spinning_up().is_some() => {
+                self.m.lines.heartbeat_mut().set_gone(true);
             }
             _ => {}
         }
@@ -122,17 +122,17 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// A host that has said nothing for too long (`$922`, `$923`) may have gone: not every link tells that.
     pub(super) fn look_for_host(&mut self) {
-        if matches!(self.mode, Mode::Normal) && self.lines.heartbeat_mut().take_gone() && self.is_at_work() {
+        if matches!(self.mode, Mode::Normal) && self.m.lines.heartbeat_mut().take_gone() && self.is_at_work() {
             self.host_fault();
         }
         let longest = match self.mode {
             Mode::Jog { cancelling: false } => Key::JogSilence,
             _ => Key::HostSilence,
         };
-        if !self.settings.is_on(longest) {
-            self.lines.heartbeat_mut().rest();
+        if !self.m.settings.is_on(longest) {
+            self.m.lines.heartbeat_mut().rest();
         } else {
-            self.look_for_silence(self.settings.seconds(longest));
+            self.look_for_silence(self.m.settings.seconds(longest));
         }
     }
 
@@ -146,9 +146,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             _ => false,
         };
         if !is_at_work {
-            self.lines.heartbeat_mut().rest();
-        } else if self.lines.heartbeat_mut().is_silent(self.now, longest) {
-            self.lines.heartbeat_mut().rest();
+            self.m.lines.heartbeat_mut().rest();
+        } else if self.m.lines.heartbeat_mut().is_silent(self.m.now, longest) {
+            self.m.lines.heartbeat_mut().rest();
             self.say(|out| report::message(out, "The host is silent"));
             match self.mode {
                 Mode::Jog { .. } => self.end_jog_of_no_host(),

@@ -4,11 +4,11 @@
 //! and `Key` (`JunctionDeviation`, `CurveAcceleration`).
 
 use super::Controller;
+use super::states::Mode;
 use super::task::Task;
 use crate::error::Alarm;
 use crate::gcode::Dialect;
 use crate::machine::inputs;
-use crate::machine::state::Mode;
 use crate::messages::GangedMotors;
 use crate::motion::MotionSettings;
 use crate::protocol::report;
@@ -18,23 +18,23 @@ use crate::units::{StepsPerMm, per_second};
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// What every power-up and reset ends with.
     pub(super) fn initialise(&mut self) {
-        self.pins.drive(GangedMotors::Both);
-        let mark = self.motion.begun_mark();
-        self.accessories.reset(mark);
-        self.motion.set_mark(mark);
-        self.motion.set_overrides(1.0, 1.0);
+        self.m.pins.drive(GangedMotors::Both);
+        let mark = self.m.motion.begun_mark();
+        self.m.accessories.reset(mark);
+        self.m.motion.set_mark(mark);
+        self.m.motion.set_overrides(1.0, 1.0);
         self.reconfigure();
-        self.interpreter.set_position(self.motion.machine_position());
-        self.probe.forget_result();
+        self.m.interpreter.set_position(self.m.motion.machine_position());
+        self.m.probe.forget_result();
         self.line.end_single_block();
-        self.lines.heartbeat_mut().set_gone(false);
-        self.replies.reset();
+        self.m.lines.heartbeat_mut().set_gone(false);
+        self.m.replies.reset();
         self.greet();
-        if self.inputs.signals().limits & inputs::hard_limits(&self.settings) != 0 {
-            self.mode = Mode::Alarm(self.mode.alarm());
+        if self.m.inputs.signals().limits & inputs::hard_limits(&self.m.settings) != 0 {
+            self.enter(Mode::Alarm(self.mode.alarm()));
             self.say(|out| report::message(out, "Check Limits"));
         }
-        if let Some((alarm, _)) = self.inputs.emergency() {
+        if let Some((alarm, _)) = self.m.inputs.emergency() {
             self.lock(alarm);
             let still = match alarm {
                 Alarm::EmergencyStop => "Emergency stop is active",
@@ -47,7 +47,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Mode::Alarm(_) = self.mode {
             self.tell_lock();
         } else {
-            if self.inputs.signals().door {
+            if self.m.inputs.signals().door {
                 self.open_door();
             }
             self.task = Task::Startup(0, None);
@@ -57,26 +57,26 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Locks the machine until `$X`, `$H` or a reset.
     pub(super) fn lock(&mut self, alarm: Alarm) {
         self.tell_alarm(alarm);
-        self.mode = Mode::Alarm(Some(alarm));
+        self.enter(Mode::Alarm(Some(alarm)));
     }
 
     /// Homing has ended in an alarm: announced, answered, and then as after a reset.
     pub(super) fn fail_homing(&mut self, alarm: Alarm) {
-        self.motion.discard();
-        self.reference.lose();
+        self.m.motion.discard();
+        self.m.reference.lose();
         self.lock(alarm);
         self.task = Task::None;
         self.say_ok();
-        self.interpreter.reset();
+        self.m.interpreter.reset();
         self.initialise();
     }
 
     /// Hands changed settings to the rooms that keep numbers derived from them. Only at rest.
     pub(super) fn reconfigure(&mut self) {
-        self.inputs.configure(&self.settings);
-        self.interpreter.set_axes(self.settings.axes_in_use());
-        let step_clock_hz = self.motion.settings().step_clock_hz;
-        self.motion.configure(motion_settings(&self.settings, step_clock_hz));
+        self.m.inputs.configure(&self.m.settings);
+        self.m.interpreter.set_axes(self.m.settings.axes_in_use());
+        let step_clock_hz = self.m.motion.settings().step_clock_hz;
+        self.m.motion.configure(motion_settings(&self.m.settings, step_clock_hz));
     }
 }
 

@@ -4,11 +4,11 @@
 //! listed (`Ask`).
 
 use super::Controller;
+use super::states::Mode;
 use super::task::{Ask, Listing, Task};
 use crate::axes::{Axis, PerAxis};
 use crate::gcode::{Distance, FeedMode, Modal, MotionMode, Units};
 use crate::machine::realtime_override::Overrides;
-use crate::machine::state::Mode;
 use crate::messages::{Recorded, Standing, input};
 use crate::protocol::recorded;
 use crate::protocol::text::{Text, fixed, put, real};
@@ -17,7 +17,7 @@ use crate::units::Coordinate;
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Step counters, net steps of each motor since power-up, as the step task counts them; at rest.
     pub fn step_counters(&self) -> PerAxis<i32, N> {
-        self.motion.step_counters()
+        self.m.motion.step_counters()
     }
 
     /// Whether lines of a program are refused.
@@ -33,23 +33,23 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Mode::Alarm(None) => true,
             _ => return None,
         };
-        let (place, counters) = self.motion.standing()?;
+        let (place, counters) = self.m.motion.standing()?;
         let rests =
-            self.motion.is_idle() && self.door.motion().is_idle() && self.task.is_none() && self.stops.is_idle();
-        let plain = self.interpreter.is_plain(&place) && !self.line.is_single_block() && !self.lines.is_checking();
+            self.m.motion.is_idle() && self.m.door.motion().is_idle() && self.task.is_none() && self.m.stops.is_idle();
+        let plain = self.m.interpreter.is_plain(&place) && !self.line.is_single_block() && !self.m.lines.is_checking();
         // Whatever else is active has done something when it became so.
-        let active = self.inputs.pins().word();
+        let active = self.m.inputs.pins().word();
         let quiet = active & !(1 << input::PROBE | 1 << input::AT_SPEED) == 0;
-        let outputs_off = !self.accessories.is_on() && self.accessories.digital().levels() == 0;
-        let off = quiet && outputs_off && self.accessories.overrides() == Overrides::NONE;
-        let words = words(self.interpreter.modal()).filter(|_| rests && plain && off)?;
+        let outputs_off = !self.m.accessories.is_on() && self.m.accessories.digital().levels() == 0;
+        let off = quiet && outputs_off && self.m.accessories.overrides() == Overrides::NONE;
+        let words = words(self.m.interpreter.modal()).filter(|_| rests && plain && off)?;
         Some(Standing {
             counters: counters.iter().copied().collect(),
             place: place.iter().copied().collect(),
-            trusted: self.reference.is_trusted(),
+            trusted: self.m.reference.is_trusted(),
             locked,
-            inches: self.interpreter.modal().units == Units::Inch,
-            tool: self.interpreter.spindle_tool(),
+            inches: self.m.interpreter.modal().units == Units::Inch,
+            tool: self.m.interpreter.spindle_tool(),
             active,
             words,
         })
@@ -60,18 +60,18 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub fn stand(&mut self, standing: &Standing, lock: bool) {
         let place =
             PerAxis::from_axis(|axis: Axis| standing.place.get(axis.index()).copied().unwrap_or(Coordinate::ZERO));
-        self.motion.set_machine_position(&place);
-        self.interpreter.set_position(place);
-        self.interpreter.hold_tool(standing.tool);
-        self.reference.assume(standing.trusted);
-        self.mode = if lock { Mode::Alarm(None) } else { Mode::Normal };
-        self.pins.disturb();
+        self.m.motion.set_machine_position(&place);
+        self.m.interpreter.set_position(place);
+        self.m.interpreter.hold_tool(standing.tool);
+        self.m.reference.assume(standing.trusted);
+        self.enter(if lock { Mode::Alarm(None) } else { Mode::Normal });
+        self.m.pins.disturb();
     }
 
     /// The next piece of a recording that is listed.
     pub fn recorded(&mut self, piece: &Recorded) {
         let Task::Listing(Listing::Recording(Ask::Asked), line) = self.task else { return };
-        let hz = self.motion.settings().step_clock_hz;
+        let hz = self.m.motion.settings().step_clock_hz;
         self.say(|out| recorded::piece(out, hz, piece));
         if *piece == Recorded::End {
             self.task = Task::None;
@@ -79,7 +79,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         } else {
             self.task = Task::Listing(Listing::Recording(Ask::Wanted), line + 1);
         }
-        self.pins.disturb();
+        self.m.pins.disturb();
     }
 
     /// Whether a piece is due, and whether it is the first.

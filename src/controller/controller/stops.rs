@@ -9,11 +9,11 @@
 //! (`Key::EmergencyDriversOff`).
 
 use super::Controller;
+use super::states::Mode;
 use super::task::Task;
 use crate::axes::PerAxis;
 use crate::error::{Alarm, Error};
 use crate::machine::spindle::SpindleRange;
-use crate::machine::state::Mode;
 use crate::machine::stops::{Finished, StopReason};
 use crate::messages::StepEvent;
 use crate::protocol::report;
@@ -24,10 +24,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn stop_for(&mut self, reason: StopReason, stopped: &mut Stopped) {
         if stopped.already {
             stopped.answered = true;
-            self.stops.wait_for(reason);
+            self.m.stops.wait_for(reason);
             self.finish_stop();
         } else {
-            self.stops.order(reason);
+            self.m.stops.order(reason);
         }
     }
 
@@ -37,21 +37,21 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 if moving && !matches!(self.mode, Mode::Home(_)) {
                     self.keep_speed();
                 }
-                self.stops.happened(stops, moving, self.motion.line_number());
+                self.m.stops.happened(stops, moving, self.m.motion.line_number());
                 self.stopped_at(&position);
             }
             StepEvent::Probed { position } => {
-                self.probe.contact(|| self.motion.position_of_counter(&position));
+                self.m.probe.contact(|| self.m.motion.position_of_counter(&position));
                 return;
             }
             StepEvent::Underrun { stops, position } => {
                 self.await_what_brakes(Alarm::Underrun);
-                self.stops.failed(stops, Alarm::Underrun);
+                self.m.stops.failed(stops, Alarm::Underrun);
                 self.stopped_at(&position);
             }
             StepEvent::Miscounted { stops, position } => {
                 self.await_what_brakes(Alarm::Miscounted);
-                self.stops.failed(stops, Alarm::Miscounted);
+                self.m.stops.failed(stops, Alarm::Miscounted);
                 self.stopped_at(&position);
             }
         }
@@ -63,41 +63,41 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if let Some(reason) = self.stop_under_way()
             && reason.heavier(StopReason::Alarm(failure)) == reason
         {
-            self.stops.wait_for(reason);
+            self.m.stops.wait_for(reason);
         }
     }
 
     /// A spindle that stays on keeps the speed of the move under way, not that of a line that will not be carried out.
     pub(super) fn keep_speed(&mut self) {
-        if let Some(power) = self.motion.running_power() {
-            self.accessories.set_speed(SpindleRange::of(&self.settings).speed_of(power));
+        if let Some(power) = self.m.motion.running_power() {
+            self.m.accessories.set_speed(SpindleRange::of(&self.m.settings).speed_of(power));
         }
     }
 
     fn stopped_at(&mut self, position: &PerAxis<i32, N>) {
-        self.motion.stopped(position);
-        self.door.stopped(position, &mut self.motion);
+        self.m.motion.stopped(position);
+        self.m.door.stopped(position, &mut self.m.motion);
     }
 
     /// What follows a stop, once every stop that was asked for has happened.
     pub(super) fn finish_stop(&mut self) {
-        let Some(stop) = self.stops.finish() else { return };
-        self.step_supply.end();
-        self.probe.stopped();
+        let Some(stop) = self.m.stops.finish() else { return };
+        self.m.step_supply.end();
+        self.m.probe.stopped();
         match stop.reason {
-            StopReason::Nothing => self.motion.discard(),
+            StopReason::Nothing => self.m.motion.discard(),
             StopReason::Contact => {
                 // The probe continues from here, or what has begun meanwhile: a hold, a door.
-                self.probe.rests_after_contact();
-                self.motion.discard();
+                self.m.probe.rests_after_contact();
+                self.m.motion.discard();
             }
             StopReason::Switch => {
                 // Homing continues from here.
                 self.end_pauses();
-                self.motion.discard();
+                self.m.motion.discard();
             }
             StopReason::Alarm(alarm) => {
-                self.accessories.rests();
+                self.m.accessories.rests();
                 if !self.keeps_spindle_on(alarm) {
                     self.switch_off();
                 }
@@ -114,9 +114,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// What a door, a hold or a probe had interrupted is over.
     fn end_pauses(&mut self) {
-        self.door.reset();
-        self.accessories.end_spin_up();
-        self.probe.forget_move();
+        self.m.door.reset();
+        self.m.accessories.end_spin_up();
+        self.m.probe.forget_move();
     }
 
     fn finish_alarm(&mut self, alarm: Alarm, stop: &Finished) {
@@ -127,78 +127,78 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return self.fail_homing(alarm);
         }
         if stop.moving {
-            self.reference.lose();
+            self.m.reference.lose();
         }
-        self.motion.discard();
-        self.interpreter.set_position(self.motion.machine_position());
+        self.m.motion.discard();
+        self.m.interpreter.set_position(self.m.motion.machine_position());
         self.tell_alarm(alarm);
         if alarm == Alarm::HardLimit {
             self.tell_trip(stop.line);
         }
         if matches!(alarm, Alarm::Underrun | Alarm::Miscounted) {
             if matches!(self.task, Task::JogWaits) {
-                self.lines.clear();
+                self.m.lines.clear();
             }
             if self.task.abandon() {
                 self.refuse(Error::Locked);
             }
-            self.mode = Mode::Alarm(Some(alarm));
+            self.enter(Mode::Alarm(Some(alarm)));
         } else {
             self.say(|out| report::message(out, "Reset to continue"));
-            self.mode = Mode::Critical(alarm);
+            self.enter(Mode::Critical(alarm));
         }
     }
 
     /// The emergency stop is latched: only a reset ends it, and one that comes while the input is still active says so again.
     fn finish_emergency(&mut self, alarm: Alarm, stop: &Finished) {
         let homing = matches!(self.mode, Mode::Home(_));
-        let drivers_off = self.settings.is_on(Key::EmergencyDriversOff);
+        let drivers_off = self.m.settings.is_on(Key::EmergencyDriversOff);
         // A driver at fault may have lost steps, and a motor without current does not hold.
         if stop.moving || homing || drivers_off || alarm == Alarm::DriverFault {
-            self.reference.lose();
+            self.m.reference.lose();
         }
         if drivers_off {
-            self.drivers.switch_off();
+            self.m.drivers.switch_off();
         } else {
-            self.drivers.stay();
+            self.m.drivers.stay();
         }
-        self.accessories.restore();
-        self.motion.discard();
-        self.interpreter.set_position(self.motion.machine_position());
+        self.m.accessories.restore();
+        self.m.motion.discard();
+        self.m.interpreter.set_position(self.m.motion.machine_position());
         self.tell_alarm(alarm);
         if homing {
             self.say_ok();
         }
         self.tell_trip(stop.line);
         self.say(|out| report::message(out, "Reset to continue"));
-        self.mode = Mode::Critical(alarm);
+        self.enter(Mode::Critical(alarm));
     }
 
     /// A soft reset (Ctrl-X) has taken effect. At rest it is followed by the welcome line; a reset in a motion or in homing aborts a
     /// cycle: `ALARM:3` or `ALARM:6`, position lost, as in Grbl.
     fn finish_reset(&mut self, moving: bool) {
-        self.motion.discard();
-        self.lines.clear();
+        self.m.motion.discard();
+        self.m.lines.clear();
         if matches!(self.mode, Mode::Hold | Mode::Door(_)) {
             // They may have stayed on for whoever changes a tool.
-            self.start_idle_delay();
+            self.m.start_idle_delay();
         }
         let homing = matches!(self.mode, Mode::Home(_));
         if moving || homing {
-            self.reference.lose();
+            self.m.reference.lose();
             self.lock(if homing { Alarm::HomingReset } else { Alarm::AbortInMotion });
         }
         if let Mode::Sleep(_) | Mode::Critical(_) = self.mode {
-            self.mode = Mode::Alarm(self.mode.alarm());
+            self.enter(Mode::Alarm(self.mode.alarm()));
         }
         // A command that was waiting is answered before the welcome line, as Grbl does: senders count on one answer a line.
         if homing || self.task.answers_host() {
             self.say_ok();
         }
         self.task = Task::None;
-        self.interpreter.reset();
+        self.m.interpreter.reset();
         if !self.mode.is_alarm() {
-            self.mode = Mode::Normal;
+            self.enter(Mode::Normal);
         }
         self.initialise();
     }

@@ -12,12 +12,12 @@
 
 use super::Controller;
 use super::probing::seek;
+use super::states::Mode;
 use super::task::{Job, Stage};
 use crate::axes::Axis;
 use crate::error::{Alarm, Error};
 use crate::gcode::CoordinateSystem;
 use crate::gcode::{EXTENDED, Feed, Motion, StoredOffset};
-use crate::machine::state::Mode;
 use crate::machine::tool_change::{ChangeOrder, ChangePlan, ToolChange};
 use crate::messages::{Coolant, SpindleDirection};
 use crate::motion::Speed;
@@ -28,12 +28,12 @@ use crate::units::{Coordinate, per_second};
 impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Whether M6 stops (`$918`).
     pub(super) fn prompts_for_tools(&self) -> bool {
-        EXTENDED && self.settings.is_on(Key::ToolChange)
+        EXTENDED && self.m.settings.is_on(Key::ToolChange)
     }
 
     /// Whether a tool setter measures what M6 has put into the spindle (`$918=2`).
     pub(super) fn measures_tools(&self) -> bool {
-        EXTENDED && self.settings.whole(Key::ToolChange) == 2
+        EXTENDED && self.m.settings.whole(Key::ToolChange) == 2
     }
 
     /// At rest before the rest of the line: if it asks for another tool, the spindle stops and the program waits for `~`.
@@ -46,9 +46,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             return self.stop_for_tool(job);
         }
         self.line.checked.spindle_stopped_for_tool();
-        self.accessories.stop_spindle();
-        self.interpreter.set_accessories(SpindleDirection::Off, self.accessories.coolant());
-        self.replies.overrides_changed();
+        self.m.accessories.stop_spindle();
+        self.m.interpreter.set_accessories(SpindleDirection::Off, self.m.accessories.coolant());
+        self.m.replies.overrides_changed();
         self.prompt();
         Stage::ToolChange
     }
@@ -60,12 +60,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
         if self.measures_tools() {
             if self.line.checked.spindle_tool() != 0 {
-                self.interpreter.assume_measured();
+                self.m.interpreter.assume_measured();
             }
         } else {
             self.line.checked.spindle_stopped_for_tool();
             let modal = *self.line.checked.modal();
-            self.interpreter.set_accessories(modal.spindle, modal.coolant);
+            self.m.interpreter.set_accessories(modal.spindle, modal.coolant);
         }
     }
 
@@ -77,8 +77,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Until `~`. Whoever pulls at the spindle does not move the axes: the drivers are on.
     fn wait_for_operator(&mut self) {
-        self.drivers.switch_on();
-        self.mode = Mode::Hold;
+        self.m.drivers.switch_on();
+        self.enter(Mode::Hold);
     }
 
     /// Why the tool cannot be changed and measured, before anything moves.
@@ -87,7 +87,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if !self.line.checked.is_tool_change_alone() || self.line.checked.motion != Motion::None {
             return Some(Error::ToolChangeNotAlone);
         }
-        if !self.reference.is_trusted() || !self.settings.is_on(Key::Homing) {
+        if !self.m.reference.is_trusted() || !self.m.settings.is_on(Key::Homing) {
             return Some(Error::ToolChangeNeedsHoming);
         }
         if let Some(error) = self.motion_locked() {
@@ -96,14 +96,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let plan = self.plan_tool_change();
         let outside = self.limits_travel() && plan.corners().iter().any(|corner| self.is_outside_travel(corner));
         let rates = [Key::ToolSetterSeek, Key::ToolSetterLocate, Key::ParkingPullOutRate];
-        let crawls = rates.iter().any(|rate| self.settings.crawls(*rate));
+        let crawls = rates.iter().any(|rate| self.m.settings.crawls(*rate));
         (!plan.is_set_up() || outside || crawls).then_some(Error::ToolSetterNotSetUp)
     }
 
     fn plan_tool_change(&self) -> ChangePlan<N> {
-        let (offsets, settings) = (self.interpreter.offsets(), &self.settings);
+        let (offsets, settings) = (self.m.interpreter.offsets(), &self.m.settings);
         ChangePlan {
-            left: *self.interpreter.position(),
+            left: *self.m.interpreter.position(),
             change: offsets.stored(StoredOffset::G30),
             setter: offsets.system(CoordinateSystem::G59_3),
             depth: Coordinate::from_mm_f32(settings.value(Key::ToolSetterDepth)),
@@ -115,11 +115,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Spindle and coolant off. The program has them on again when the new tool is over the work.
     fn stop_for_tool(&mut self, job: &mut Job) -> Stage {
-        let delay = self.accessories.set_spindle(SpindleDirection::Off, &self.settings);
-        self.accessories.switch_off();
-        self.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
-        self.replies.overrides_changed();
-        job.wait(Stage::SpinningDown, self.now + delay)
+        let delay = self.m.accessories.set_spindle(SpindleDirection::Off, &self.m.settings);
+        self.m.accessories.switch_off();
+        self.m.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
+        self.m.replies.overrides_changed();
+        job.wait(Stage::SpinningDown, self.m.now + delay)
     }
 
     /// The spindle has come to rest: the tool leaves the work.
@@ -134,13 +134,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     pub(super) fn advance_tool_change(&mut self) -> Option<Stage> {
         let touched = match self.line.change().is_probing() {
             true => self.take_probe(true)?,
-            false if !self.motion.is_idle() => {
+            false if !self.m.motion.is_idle() => {
                 self.start_queued();
                 return None;
             }
             false => false,
         };
-        let place = touched.then(|| self.probe.result().0);
+        let place = touched.then(|| self.m.probe.result().0);
         let order = self.line.change().next(place);
         Some(self.carry_out_change(order))
     }
@@ -148,11 +148,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn carry_out_change(&mut self, order: ChangeOrder<N>) -> Stage {
         match order {
             ChangeOrder::Rapid(target) => {
-                self.motion.line(&seek(target, Speed::Rapid, self.line.checked.line_number));
+                self.m.motion.line(&seek(target, Speed::Rapid, self.line.checked.line_number));
                 self.start_motion();
             }
             ChangeOrder::Move(target, rate) => {
-                self.motion.line(&seek(target, Speed::Feed(rate), self.line.checked.line_number));
+                self.m.motion.line(&seek(target, Speed::Feed(rate), self.line.checked.line_number));
                 self.start_motion();
             }
             ChangeOrder::Probe(target, rate) => {
@@ -161,14 +161,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 }
             }
             ChangeOrder::Prompt => {
-                self.interpreter.tool_removed();
+                self.m.interpreter.tool_removed();
                 self.prompt();
             }
             ChangeOrder::Measured(place) => {
-                if self.interpreter.tool_measured(self.line.checked.spindle_tool(), place) {
+                if self.m.interpreter.tool_measured(self.line.checked.spindle_tool(), place) {
                     self.line.change().is_first_tool();
                 }
-                self.replies.offset_changed();
+                self.m.replies.offset_changed();
             }
             ChangeOrder::Confirm => {
                 self.say(|out| report::message(out, "First tool measured: is the work zero set with it?"));
@@ -182,25 +182,25 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Over the work: spindle and coolant come back with the rest of the line, whose motion is the way down.
     fn return_to_work(&mut self) -> Stage {
-        let length = self.interpreter.offsets().tool_length;
+        let length = self.m.interpreter.offsets().tool_length;
         let longer = length.zip(&self.line.checked.tool_length(), |new, old| new - old);
         let longer = longer.get(Axis::Z).unwrap_or(Coordinate::ZERO);
-        let clear = Coordinate::from_mm_f32(self.settings.value(Key::ParkingPullOut));
+        let clear = Coordinate::from_mm_f32(self.m.settings.value(Key::ParkingPullOut));
         let way = self.line.change().way_back(longer, clear);
         let outside = way.iter().any(|place| !place.iter().all(|coordinate| coordinate.in_range()));
         if outside || self.limits_travel() && way.iter().any(|place| self.is_outside_travel(place)) {
             return self.fail_tool_change(Alarm::SoftLimit);
         }
         // A laser is dark in rapids only.
-        let rate = per_second(self.settings.value(Key::ParkingPullOutRate));
-        let feed = if self.settings.is_on(Key::Laser) { Feed::Rapid } else { Feed::PerMinute(rate) };
+        let rate = per_second(self.m.settings.value(Key::ParkingPullOutRate));
+        let feed = if self.m.settings.is_on(Key::Laser) { Feed::Rapid } else { Feed::PerMinute(rate) };
         self.line.checked.return_with_tool(way, feed, length);
         Stage::Apply
     }
 
     /// The machine is locked where it is; its position stays true.
     fn fail_tool_change(&mut self, alarm: Alarm) -> Stage {
-        self.interpreter.set_position(self.motion.machine_position());
+        self.m.interpreter.set_position(self.m.motion.machine_position());
         self.lock(alarm);
         Stage::Done
     }

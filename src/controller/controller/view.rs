@@ -10,12 +10,12 @@
 //! `task`, `mode` and `motion` are matched.
 
 use super::Controller;
+use super::states::Mode;
 use super::task::{Stage, Task};
 use crate::axes::PerAxis;
 use crate::error::Alarm;
 use crate::gcode::{Dialect, Interpreter, Motion};
 use crate::machine::reaction::Reaction;
-use crate::machine::state::Mode;
 use crate::machine::stops::StopReason;
 use crate::settings::{Key, Settings};
 use crate::units::{Coordinate, Instant};
@@ -27,60 +27,61 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Whether nothing is queued, moving, waited for or unanswered.
     pub fn is_idle(&self) -> bool {
         self.has_nothing_to_do()
-            && self.stops.is_idle()
-            && self.motion.is_idle()
-            && self.door.motion().is_idle()
-            && self.replies.is_idle()
-            && self.records.are_stored()
+            && self.m.stops.is_idle()
+            && self.m.motion.is_idle()
+            && self.m.door.motion().is_idle()
+            && self.m.replies.is_idle()
+            && self.m.records.are_stored()
     }
 
     /// Whether another host may take over: in addition no subroutine, loop or condition is open, whose next line would be
     /// carried out as if it were in none.
     pub fn is_free(&self) -> bool {
-        self.is_idle() && !self.interpreter.is_within_block()
+        self.is_idle() && !self.m.interpreter.is_within_block()
     }
 
     /// Whether answers wait for room to be put out.
     #[inline]
     pub fn has_answers(&self) -> bool {
-        self.replies.are_waiting()
+        self.m.replies.are_waiting()
     }
 
     /// Whether a job is under way: also where only a beam burns, on one point.
     pub(super) fn is_at_work(&self) -> bool {
-        let burns = || self.settings.is_on(Key::Laser) && self.resting_power() != 0;
-        self.step_supply.is_running() || !self.motion.is_idle() || !self.task.is_none() || burns()
+        let burns = || self.m.settings.is_on(Key::Laser) && self.resting_power() != 0;
+        self.m.step_supply.is_running() || !self.m.motion.is_idle() || !self.task.is_none() || burns()
     }
 
     /// Whether the spindle has to be up to speed: lines of a program are carried out, and none gives it time to come up.
     pub(super) fn needs_speed(&self) -> bool {
-        let works = self.step_supply.is_running() || !self.motion.is_idle() || self.task.is_program();
+        let works = self.m.step_supply.is_running() || !self.m.motion.is_idle() || self.task.is_program();
         matches!(self.mode, Mode::Normal) && works && !self.task.is_spinning_up()
     }
 
     /// Whether a spindle that turns continues to, at this alarm.
     pub(super) fn keeps_spindle_on(&self, alarm: Alarm) -> bool {
         let reaction = match alarm {
-            Alarm::AbortInMotion => Reaction::of(Key::HostReaction, &self.settings),
-            alarm => Reaction::to(alarm, &self.settings),
+            Alarm::AbortInMotion => Reaction::of(Key::HostReaction, &self.m.settings),
+            alarm => Reaction::to(alarm, &self.m.settings),
         };
-        let door_allows = !self.inputs.signals().door
+        let door_allows = !self.m.inputs.signals().door
             && match self.mode {
-                Mode::Door(_) => self.door.opening().alarm.is_some() && self.door.opening().spindle_on,
+                Mode::Door(_) => self.m.door.opening().alarm.is_some() && self.m.door.opening().spindle_on,
                 _ => true,
             };
-        reaction.spindle_on && door_allows && !self.accessories.is_suspended()
+        reaction.spindle_on && door_allows && !self.m.accessories.is_suspended()
     }
 
     /// Why motion stops or brakes, if it does for good.
     pub(super) fn stop_under_way(&self) -> Option<StopReason> {
         let alarm = match self.mode {
             Mode::Stopping { then } => then.alarm(),
-            Mode::Door(_) => self.door.opening().alarm,
+            Mode::Door(_) => self.m.door.opening().alarm,
             _ => None,
         };
         let braking = alarm.map(StopReason::Alarm);
-        self.stops
+        self.m
+            .stops
             .awaited()
             .map_or(braking, |awaited| Some(braking.map_or(awaited, |braking| awaited.heavier(braking))))
     }
@@ -96,50 +97,54 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// The same but for answers that are still to be sent: it will be quiet soon if no more lines come.
     pub fn is_nearly_quiet(&self) -> bool {
-        self.has_nothing_to_do() && self.motion.is_idle() && self.door.motion().is_idle() && self.is_off()
+        self.has_nothing_to_do() && self.m.motion.is_idle() && self.m.door.motion().is_idle() && self.is_off()
     }
 
     fn is_off(&self) -> bool {
-        self.pins.are_off()
+        self.m.pins.are_off()
     }
 
     /// Where the machine is.
     pub fn machine_position(&self) -> PerAxis<Coordinate, N> {
         // A parked machine is where the parking moves led.
-        if self.door.is_parking() { self.door.motion().machine_position() } else { self.motion.machine_position() }
+        if self.m.door.is_parking() {
+            self.m.door.motion().machine_position()
+        } else {
+            self.m.motion.machine_position()
+        }
     }
 
     /// Where the machine is in the active coordinate system.
     pub fn work_position(&self) -> PerAxis<Coordinate, N> {
-        self.machine_position().zip(&self.interpreter.work_zero(self.dialect()), |m, o| m - o)
+        self.machine_position().zip(&self.m.interpreter.work_zero(self.dialect()), |m, o| m - o)
     }
 
     /// N word of the move under way, 0 = none.
     pub fn line_number(&self) -> u32 {
-        self.motion.line_number()
+        self.m.motion.line_number()
     }
 
     /// N word of the move that was handed to the step task last; see [`Controller::line_number`] for what it does now.
     pub fn handed_line_number(&self) -> u32 {
-        self.motion.running_line_number()
+        self.m.motion.running_line_number()
     }
 
     /// N words of the move that was handed to the step task last, and of those that will be.
     pub fn queued_line_numbers(&self) -> impl Iterator<Item = u32> {
-        self.motion.queued_line_numbers()
+        self.m.motion.queued_line_numbers()
     }
 
     /// Moves that are queued from here on have this number instead of their N words: for a simulator that shows which line a
     /// move belongs to. Motion does not depend on it.
     pub fn number_moves(&mut self, number: u32) {
-        self.motion.number_moves(number);
+        self.m.motion.number_moves(number);
     }
 
     /// The tool that the spindle holds in the motion of the line that is carried out, or else now; 0 for none that M6 named.
     pub fn tool_in_work(&self) -> u32 {
         match self.task {
             Task::Job(_) => self.line.checked.spindle_tool(),
-            _ => self.interpreter.spindle_tool(),
+            _ => self.m.interpreter.spindle_tool(),
         }
     }
 
@@ -162,13 +167,13 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Lines that have been read since power-up (wrapping), whatever became of them.
     pub fn lines_read(&self) -> u32 {
-        self.lines.lines_read()
+        self.m.lines.lines_read()
     }
 
     /// The line ([`Controller::lines_read`] with it) that began the outermost subroutine, loop or condition which has not
     /// come to its end, or in which the program has ended.
     pub fn open_since(&self) -> Option<u32> {
-        self.interpreter.open_since()
+        self.m.interpreter.open_since()
     }
 
     /// The alarm that holds, if any.
@@ -179,31 +184,31 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// Whether the machine is where the position says, as far as anybody can know: not after a stop at speed, an underrun,
     /// a power-up or a sleep with homing on, until it has been homed.
     pub fn is_trusted(&self) -> bool {
-        self.reference.is_trusted()
+        self.m.reference.is_trusted()
     }
 
     /// Whether stored settings were damaged and have not been confirmed.
     pub fn is_store_damaged(&self) -> bool {
-        self.records.are_damaged()
+        self.m.records.are_damaged()
     }
 
     /// The settings that hold.
     pub fn settings(&self) -> &Settings<N> {
-        &self.settings
+        &self.m.settings
     }
 
     /// What the program has come to, at the end of the lines that were taken.
     pub fn interpreter(&self) -> &Interpreter<N> {
-        &self.interpreter
+        &self.m.interpreter
     }
 
     /// Whether the program has paused (M0, or a feed hold) and waits for `~` at rest.
     pub fn is_paused(&self) -> bool {
-        matches!(self.mode, Mode::Hold) && self.motion.is_at_rest()
+        matches!(self.mode, Mode::Hold) && self.m.motion.is_at_rest()
     }
 
     pub(super) fn dialect(&self) -> Dialect {
-        dialect(&self.settings)
+        dialect(&self.m.settings)
     }
 }
 

@@ -1,6 +1,6 @@
 //! The homing cycle (`Homing`): which axes seek their switches, pull off and locate them how often, how an axis with
 //! two motors is squared (`lagging`), and where each axis then is. It moves nothing itself: it gives an [`Order`]
-//! (move, wait, reached, done, failed) and is told how that ended; `HomingRun` keeps what it waits for. An `AxisMask` is a set
+//! (move, wait, reached, done, failed) and is told how that ended; `Homing` keeps what it waits for. An `AxisMask` is a set
 //! of axes; an approach has a rate, a travel and the switches to watch, also those of ganged motors.
 //!
 //! ```text
@@ -21,7 +21,7 @@
 use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::error::Alarm;
 use crate::messages::{GangedMotors, SECOND_SWITCH};
-use crate::units::{Coordinate, Duration, Instant};
+use crate::units::{Coordinate, Duration};
 
 /// How far a seek goes, in travels of the longest axis of the cycle: beyond all of it, with a margin.
 const SEEK_TRAVELS: f32 = 1.5;
@@ -32,7 +32,7 @@ const LOCATE_PULL_OFFS: f32 = 5.0;
 
 /// The settings that homing needs, lengths in mm and rates in mm/s.
 #[derive(Clone, Copy, Debug)]
-pub struct HomingSettings<const N: usize> {
+pub(super) struct HomingSettings<const N: usize> {
     /// `$44` and on: the axes of each cycle; an empty one is none.
     pub cycles: [AxisMask; N],
     /// `$43`: how often the switches are located.
@@ -55,7 +55,7 @@ pub struct HomingSettings<const N: usize> {
 
 /// What is to be done next.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Order<const N: usize> {
+pub(super) enum Order<const N: usize> {
     /// Move by so much (mm) at a rate (mm/s, along the path). If `watch` is not empty, stop as soon as one of its
     /// switches closes.
     Move {
@@ -89,7 +89,7 @@ enum Pass {
 
 /// A homing cycle under way.
 #[derive(Clone, Debug)]
-pub struct Homing<const N: usize> {
+pub(super) struct Cycle<const N: usize> {
     settings: HomingSettings<N>,
     /// Axes of the cycles still to come, the current one first.
     cycles: heapless::Deque<AxisMask, 8>,
@@ -105,7 +105,7 @@ pub struct Homing<const N: usize> {
     moving: bool,
 }
 
-impl<const N: usize> Homing<N> {
+impl<const N: usize> Cycle<N> {
     /// Homes the axes of all cycles, or only one axis.
     pub fn new(settings: HomingSettings<N>, only: Option<Axis>) -> Self {
         let mut cycles = heapless::Deque::new();
@@ -265,64 +265,6 @@ impl<const N: usize> Homing<N> {
     }
 }
 
-/// What a homing cycle is waiting for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum HomingWait {
-    /// The end of a move, or one of these switches.
-    Motion(AxisMask),
-    /// The stop that a switch has asked for.
-    Stop,
-    /// A moment.
-    Until(Instant),
-}
-
-/// A homing cycle, and what it is waiting for.
-#[derive(Clone, Debug)]
-pub struct HomingRun<const N: usize> {
-    homing: Homing<N>,
-    wait: HomingWait,
-}
-
-impl<const N: usize> HomingRun<N> {
-    /// A cycle whose first order is being carried out.
-    pub fn new(homing: Homing<N>) -> Self {
-        Self { homing, wait: HomingWait::Stop }
-    }
-
-    /// The order given last is being carried out: it ends with this.
-    pub fn wait_for(&mut self, wait: HomingWait) {
-        self.wait = wait;
-    }
-
-    /// When it has to be asked again.
-    pub fn wakeup(&self) -> Option<Instant> {
-        match self.wait {
-            HomingWait::Until(moment) => Some(moment),
-            _ => None,
-        }
-    }
-
-    /// The next order, if what it waits for is over. Asked while no stop is awaited. `idle`: nothing moves, and nothing is
-    /// queued.
-    pub fn next(&mut self, idle: bool, now: Instant, switches: AxisMask) -> Option<Order<N>> {
-        let over = match self.wait {
-            HomingWait::Motion(_) => idle,
-            HomingWait::Stop => true,
-            HomingWait::Until(moment) => now >= moment,
-        };
-        over.then(|| self.homing.next(switches))
-    }
-
-    /// Whether one of these switches ends the move under way. It then waits for the stop.
-    pub fn is_reached(&mut self, switches: AxisMask) -> bool {
-        let reached = matches!(self.wait, HomingWait::Motion(watch) if watch.0 & switches.0 != 0);
-        if reached {
-            self.wait = HomingWait::Stop;
-        }
-        reached
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -345,8 +287,8 @@ mod tests {
         }
     }
 
-    fn homing(to_negative: AxisMask) -> Homing<3> {
-        Homing::new(settings(to_negative), None)
+    fn homing(to_negative: AxisMask) -> Cycle<3> {
+        Cycle::new(settings(to_negative), None)
     }
 
     fn expect_move(order: Order<3>, by: [f32; 3], watch: AxisMask) {
@@ -397,7 +339,7 @@ mod tests {
     #[test]
     fn cycles_and_passes_are_settings() {
         let settings = HomingSettings { cycles: [X, AxisMask::NONE, Z], passes: 2, ..settings(AxisMask::NONE) };
-        let mut h = Homing::new(settings, None);
+        let mut h = Cycle::new(settings, None);
         expect_move(h.begin(AxisMask::NONE), [300.0, 0.0, 0.0], X);
         for _ in 0..2 {
             // Closed: wait, pull off, wait; then a locate.
@@ -413,7 +355,7 @@ mod tests {
         // Y has no cycle.
         expect_move(h.next(AxisMask::NONE), [0.0, 0.0, 75.0], Z);
         let none = HomingSettings { cycles: [AxisMask::NONE; 3], ..settings };
-        assert!(matches!(Homing::new(none, None).begin(AxisMask::NONE), Order::Done(AxisMask::NONE)));
+        assert!(matches!(Cycle::new(none, None).begin(AxisMask::NONE), Order::Done(AxisMask::NONE)));
     }
 
     #[test]
@@ -421,7 +363,7 @@ mod tests {
         let second = AxisMask(SECOND_SWITCH);
         let settings =
             HomingSettings { cycles: [AxisMask(3); 3], squared: Some((Axis::Y, 5.0)), ..settings(AxisMask::NONE) };
-        let mut h = Homing::new(settings, None);
+        let mut h = Cycle::new(settings, None);
         let both = AxisMask(3 | SECOND_SWITCH);
         let expect = |order: Order<3>, by: [f32; 3], watch: AxisMask, motors: GangedMotors| {
             expect_move(order, by, watch);
@@ -443,7 +385,7 @@ mod tests {
     #[test]
     fn a_second_switch_that_stays_closed_is_seen() {
         let settings = HomingSettings { cycles: [Y; 3], squared: Some((Axis::Y, 5.0)), ..settings(AxisMask::NONE) };
-        let mut h = Homing::new(settings, None);
+        let mut h = Cycle::new(settings, None);
         let both = AxisMask(Y.0 | SECOND_SWITCH);
         h.begin(AxisMask::NONE);
         h.next(both);

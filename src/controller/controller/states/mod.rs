@@ -14,16 +14,18 @@
 //! ```
 //! `Idle` and `Run` are both [`Mode::Normal`]: whether something moves is asked of `motion`, so the two cannot disagree.
 
-use super::homing::HomingRun;
+pub(super) mod homing;
+
 use crate::error::Alarm;
 use crate::units::Instant;
+pub(super) use homing::Homing;
 
 /// What the machine is doing.
 #[allow(clippy::large_enum_variant, reason = "there is one, in a static place; boxes do not exist here")]
 #[derive(Clone, Debug)]
 // The tag is asked for before each output: a byte of its own, not folded into the data of a mode.
 #[repr(u8)]
-pub enum Mode<const N: usize> {
+pub(super) enum Mode<const N: usize> {
     /// Program lines are executed.
     Normal,
     /// A jog is moving. `cancelling`: it is braking and will be forgotten.
@@ -34,7 +36,7 @@ pub enum Mode<const N: usize> {
     /// Feed hold: braking or at rest; only `~` resumes.
     Hold,
     /// The homing cycle runs.
-    Home(HomingRun<N>),
+    Home(Homing<N>),
     /// Braking; then everything queued is forgotten.
     Stopping {
         /// What follows at rest.
@@ -52,9 +54,22 @@ pub enum Mode<const N: usize> {
     Sleep(Option<Alarm>),
 }
 
+/// What a state makes of what it has been asked to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Next {
+    /// What it waits for is not over.
+    Wait,
+    /// It goes on.
+    Stay,
+    /// All axes that were to be homed are: Idle, and the startup lines run.
+    Homed,
+    /// Locked, as after a reset.
+    HomingFailed(Alarm),
+}
+
 /// What follows a controlled stop, at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum AfterBraking {
+pub(super) enum AfterBraking {
     /// The next line.
     Continue,
     /// The machine locks itself, because a line was refused.
@@ -79,7 +94,7 @@ impl AfterBraking {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 // Else the moments inside make the tag of this and of `Mode` one of 64 bits.
 #[repr(u8)]
-pub enum Door {
+pub(super) enum Door {
     /// Braking; what follows begins once at rest.
     Braking,
     /// Parking: slowly out of the cut, the spindle still turning.
@@ -101,6 +116,24 @@ pub enum Door {
 }
 
 impl<const N: usize> Mode<N> {
+    /// Whether one may follow the other: the table of the states. `tests/safety/states.rs` says at which event.
+    pub(super) fn may_become(&self, next: &Self) -> bool {
+        use Mode::{Alarm, Check, Critical, Door, Hold, Home, Jog, Normal, Sleep, Stopping};
+        match (self, next) {
+            // A stop, a fault and a reset end every state.
+            (_, Alarm(_)) => true,
+            (Critical(_) | Sleep(_), Normal) => false,
+            (_, Critical(_) | Normal) => true,
+            (Normal, Jog { .. } | Hold | Home(_) | Stopping { .. } | Door(_) | Check) => true,
+            (Jog { .. }, Jog { .. } | Stopping { .. } | Door(_)) => true,
+            (Hold, Hold | Stopping { .. } | Door(_)) => true,
+            (Stopping { .. }, Stopping { .. } | Door(_)) => true,
+            (Door(_), Door(_) | Stopping { .. } | Sleep(_)) => true,
+            (Alarm(_), Home(_) | Sleep(_)) => true,
+            _ => false,
+        }
+    }
+
     /// Whether what is under way waits: motion, a dwell, the lines behind it.
     pub fn is_suspended(&self) -> bool {
         matches!(self, Mode::Hold | Mode::Stopping { .. } | Mode::Door(_) | Mode::Sleep(_) | Mode::Critical(_))
