@@ -20,15 +20,6 @@
 //! program. `$` lines (a look at the settings, unlocking, jogs, homing) leave it alone.
 //!
 //! `?` is not recorded: hosts send it all the time, and it changes nothing.
-//!
-//! Names: A page has a `mark`, `number`, `time`, `state` with a sum, and `bytes`: plain bytes of lines, and entries of
-//! a `tag` and a rest (`put_word`, `put_axes`) for commands, inputs, step events, rest and standing state, appended
-//! with the hash of `blocks`. `keep` holds the ring after a failure; `rewind`, `next_entry`, `take_line` and `decode`
-//! (`Found`) read it back from the oldest page for `$REC`. `Reading` goes through the `pages`, each in a `slot_of` its
-//! number; an entry becomes a `Noted` or another `Recorded` piece, such as a `crash` (`CrashKind`); tags are
-//! `CONNECTED`, `DISCONNECTED`, `CUT`, `DAMAGED` and more. The hash is by `BASIS` and `PRIME`. `record_text`,
-//! `record_seldom`, `record_inputs`, `record_step`, `record_rest` and `record_standing` write; `wants_standing` and
-//! `blocks_recorded` say what is due.
 
 use crate::controller::Controller;
 use crate::messages::{

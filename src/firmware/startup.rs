@@ -1,12 +1,5 @@
 //! From reset to running tasks: `start` sets the board up, splits the channels, builds the controller in its place in
 //! RAM, restores the settings, starts the sampling of inputs, and puts together what each task owns.
-//!
-//! Names: From reset to running tasks: `start` sets the board up, splits the `Channels` into their two ends
-//! (`realtime_in`, `lines_in`, `events_in`, `segments_out`, `replies_out`), builds the controller in its place in RAM,
-//! restores the settings, starts the sampling by `SYST`, and puts together what each of the `Tasks` owns. What a new
-//! controller is (`Head`, without look-ahead) is `written` from constants as `stretches` of bytes (`bytes_of_new`,
-//! `LOOK_AHEAD_AT`, `ZEROS`, `MaybeUninit`, `copy_nonoverlapping`) between the zeros. A `Restart` names the `cause` and
-//! whether the recorder `is_recorded`.
 
 use crate::boards::{self, AXES, Port};
 use crate::control::{BoardController, Control, Ends};

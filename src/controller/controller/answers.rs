@@ -2,11 +2,6 @@
 //! programs, alarms, which input tripped, the lock and what unlocks it, the welcome of `greet`, and the status report,
 //! whose fields (`report::Status`) are gathered here. `queue_text` and `message_with_values` put texts into the
 //! replies.
-//!
-//! Names: Functions are `answer_checked`, `refuse`, `tell_alarm`, `tell_trip`, `tell_damage` of the store, `tell_lock`,
-//! `tell_remark`, `tell_unchecked`, `lapse_check`, `end_check`, `answer_status`, `report_status`, `place_form` (inches,
-//! `PlaceForm`), `shown_signals`. `replies`, `step_supply`, `show_overrides`, `rare_fields` and a `host_greeted` are
-//! asked. `Alarm::Underrun` and `Alarm::Miscounted` have a message.
 
 use super::Controller;
 use super::states::Mode;

@@ -1,17 +1,6 @@
 //! `$` commands are carried out: settings (`$n=v`) with what changes by them, unlock (`$X`), home (`$H`), check mode
 //! (`$C`), sleep (`$SLP`), defaults (`$RST`), the record of a failure (`$RC`), pins, listings, checked lines (`$LC`),
 //! startup lines and macros.
-//!
-//! Names: `$` commands are carried out, each arm of `System::...`: set the setting of a `Key` (`$n=v`), store it and
-//! bring about what changes with it, unlock (`$X`), home (`$H`), toggle check mode (`$C`), sleep (`$SLP`), restore
-//! defaults (`$RST`), tell the restart (`$RC`), ask for the view of pins, begin a listing, check lines (`$LC`), save
-//! startup lines and macros. They `say` a report or give an `Error` (`NotIdle`, `HomingDisabled`). `system` sets the
-//! `task` to `Task::Listing` or `Task::Storing`, `set_setting` looks at numbers such as `DOOR_FITTED`, `KINEMATICS`,
-//! `REPORT_INCHES`, `STEP_PULSE`, `RESET_IS_EMERGENCY_STOP`, and `LASER`, `SPINDLE_MAXIMUM` and `SPINDLE_MINIMUM`,
-//! which stop the spindle (`stop_spindle`), at the `dialect` and at the `least_pulse`; `follow_setting` acts on it, and
-//! `rename_places` has the machine homed again where it must be (`DIRECTION_INVERT`, `HOMING_DIRECTION`). It also calls
-//! `set_startup_line`, `set_macro`, `list_recording`, `restore_defaults` (`Restore::All`), `check_lines`,
-//! `report_build_info` and `ask_view`. Too long a text is `LineTooLong`.
 
 use super::Controller;
 use super::states::{Homing, Mode};

@@ -2,12 +2,6 @@
 //! spindle and coolant off, park; and at `~` all of it backwards: return, restore spindle and coolant, plunge into the
 //! cut, leave. Also for sleep and for a fault that retracts. The points and what the door interrupted are kept in
 //! `machine/door.rs`. It begins the `parking_move` to a `parking_point`, and falls asleep.
-//!
-//! Names: In it are `open_door`, `close_door`, `brake_for_door`, `suspend_for_door`, `switch_off_and_park`,
-//! `begin_parking`, `parked`, `settle_door`, `plunge`, `leave_door`, `finish_soft_stop`; phases `PullingOut`,
-//! `Parking`, `Parked`, `Reopened`, `Returning`, `SpindleRestoring`, `CoolantRestoring`, `Plunging`. Rates and delays
-//! are `Key::ParkingFastRate`, `ParkingPullOutRate`, `DoorSpindleDelay`, `DoorCoolantDelay`. "Check Door" is said; in
-//! `Mode::Home` it is `Alarm::HomingDoor`; in a jog, `interrupt_jog` and `take_jog`.
 
 use super::Controller;
 use super::states::{AfterBraking, Door, Mode};

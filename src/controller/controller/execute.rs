@@ -2,15 +2,6 @@
 //! state, overrides, spindle and other accessories, store, dwell or delay, check soft limits or clip a jog, begin the
 //! motion or its chords, change the tool, then the program flow (pause, end) and `finish` with the answer. `advance`
 //! does one bounded piece of the [`Task`], with progress or without.
-//!
-//! Names: Also how jogs, held lines of a `caller` and startup lines begin, and how a line is refused. It asks
-//! `shows_speed`, `speed_needs_rest`, `acts_at_rest`, `only_moved` and `ends_line_before`, matches `gcode::Motion` and
-//! `gcode::Flow`, the modes `Normal`, `Check`, `Hold`, `Home`, `Jog` and `Critical`, and the stages `Storing`,
-//! `SpinningUp`, `Paused`, `Probing` and `Via`. Functions are `begin_dwell`, `begin_waiting`, `check_target`,
-//! `alarm_at_soft_limit`, `run_held_line`, `echo_startup_line`, `allow_change_and_pins`; the `interpreter` commits the
-//! `checked` line. An arc's `geometry` and feed, a curve or a canned cycle are begun by `begin_other_motion`;
-//! `advance_job` and `advance_task` go on, `begin_startup_line` and `run_startup_line` run `$N` lines, `pauses_behind`
-//! is single block.
 
 use super::Controller;
 use super::limits::{geometry, spline_geometry};

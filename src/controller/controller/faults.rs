@@ -8,12 +8,6 @@
 //!                                      └── controlled ──▶ brake ──▶ [park] ─────┘
 //! ```
 //! Homing and parking moves have no room to brake: whatever the settings, they end at once.
-//!
-//! Names: Functions are `fault`, `host_fault`, `brake_for`, `can_brake`, `settle_braking`, `look_for_spindle`,
-//! `is_bounce` and `is_parking_blocked` (the `closed` limit switches, a bit for each axis' `index`, and
-//! `Key::ParkingAxis`). It brakes by `Braking::AtOnce`, `Controlled` or `Retract` (an `Opening` of the door), then come
-//! `AfterBraking::Continue`, `Lock`, `Alarm` or `Retract` in `Mode::Stopping`. Alarms are `HardLimit`, `SpindleSpeed`
-//! and `AbortInMotion`.
 
 use super::Controller;
 use super::states::{AfterBraking, Door, Mode};

@@ -1,12 +1,5 @@
 //! Feed holds, jog cancels and soft stops: motion brakes, then the job is resumed, with its spindle and laser, or
 //! forgotten. Also the start of motion, and the drivers' idle delay (`$1`) at its end.
-//!
-//! Names: Feed holds, jog cancels and soft stops: `motion.hold` brakes, then the job is resumed (`leave_hold`), with
-//! the spindle restored and the laser darkened meanwhile, or it is forgotten, as by `stop_softly` and `end_jog`. Also
-//! the start of motion, and the drivers' idle delay (`$1`) at its end. In it are `feed_hold`, `cancel_jog` (`Mode::Jog`
-//! is `cancelling` then), `forget_received_jogs`, `end_soft_stop`, `stop_at_error` (`Key::StopOnError`),
-//! `start_motion`, `start_idle_delay`, `toggle_spindle` (`Realtime::SpindleStop`), `restore_spindle`, `darken_laser`.
-//! What follows is `AfterBraking::Continue` or `Lock`; in `Mode::Home` it is `Alarm::HomingReset`.
 
 use super::Controller;
 use super::states::{AfterBraking, Mode};

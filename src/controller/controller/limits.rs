@@ -2,10 +2,6 @@
 //! needs homing, coordinates out of range, and soft limits, for which every kind of motion (line, arc, spline, cycle
 //! corners) is looked at for points outside the travel. A jog is clipped to the travel. Names the locking setting to
 //! the host. The greatest and least coordinate of the geometry of a curve is its extent on each axis (`leaves_range`).
-//!
-//! Names: In it are `motion_locked`, `needs_homing`, `violates_soft_limits`, `is_outside_travel`, `limits_travel`,
-//! `clip_to_travel`, `locking_setting`, `name_locking`, `name_after_change`, `refuse_line`; `InvalidTarget`,
-//! `StoreReadFailed`, `Key::TrustNeeded`.
 
 use super::Controller;
 use crate::axes::{Arrangement, Axis, PerAxis};

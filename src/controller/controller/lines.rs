@@ -2,11 +2,6 @@
 //! line with O words, or a jog that must wait (while another is `cancelling`). Invalid and too long lines are refused;
 //! the message of a remark is kept with its mark. `LineRules` of each dialect. The intake's `Verdict` and what is
 //! `Taken` decide whether a line is pushed on, answered with an error, or kept; `tell_remark` says a message.
-//!
-//! Names: In it are `line_byte`, `dispatch`, `program_line`, `must_wait`, `keeps_line`, `begin_waiting_jog`
-//! (`Task::JogWaits`), `release_held`, `read_remark`, `answer_invalid`, `line_rules` (`Key::BlockDelete`); errors
-//! `DamagedLine`, `ExpectedLetter`, `InvalidStatement`, `LineTooLong`, `Locked`. A line end goes to `line_ended` and
-//! `line_of_program`, a byte that is not plain to `other_byte`.
 
 use super::Controller;
 use super::states::Mode;

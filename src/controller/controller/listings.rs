@@ -1,13 +1,5 @@
 //! Answers of many lines or many fields, one line per call: settings `$$`, parameters `$#`, startup lines `$N`, macros
 //! `$M`, pins `$PINS`, descriptions `$ES`, build info `$I`, and the parser state `$G`.
-//!
-//! Names: Answers of many lines and of many fields, a line per call (`advance_listing`), each `say` with a report:
-//! settings `$$`, parameters `$#` (coordinate systems, G28, G92, tools, rotation, probe success), startup lines `$N`,
-//! macros `$M`, pins `$PINS`, descriptions `$ES` in their form; and `$I` with its option letters, `$G` with the parser
-//! state: the words of the modal state. Each `Listing::Settings`, `Listing::Parameters` or `Listing::Macros` has an
-//! entry: `list_setting`, `list_parameter`, `list_pin` (from a `PinView`), `describe`, `report_build_info`,
-//! `report_parser_state`. `OPTIONS` and `option_letters` depend on `Key::Parking`, `Key::DoorFitted`,
-//! `Key::Kinematics`, `Key::GangedAxis`, features (`EXPR`) and on `Dialect::Grbl`; only `axes_in_use` are shown.
 
 use super::Controller;
 use super::records::STORED_TEXT;

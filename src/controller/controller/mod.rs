@@ -28,17 +28,6 @@
 //!
 //! Parts of their own, which know nothing of the controller: [`line_in_work`], [`pins`], [`records`], [`settings_lock`], [`step_supply`], those
 //! of `machine` and `protocol`.
-//!
-//! Names: The dispatcher, `Controller` with its fields (motion, door, stops, inputs, pins, task, replies,
-//! `step_supply`) and the board's `Profile`: `event` takes events in, `observed` what the tasks have done, `output`
-//! gives the next thing to be done: stops, wiring, pins, records, replies, messages to the step task. `look_round` and
-//! `settle` follow what has ended or is still running (motion that is idle), `next_wakeup` says when to call. It hears
-//! the hosts and their heartbeat. The only room that knows all the others. `Event` is `Realtime`, `Line`, `Signals`,
-//! `Pins`, `Step`, `Stored`, `Connected` or `Disconnected`; `Output` is `Reply`, `Answer`, `Wiring`, `Store`, `Stop` or
-//! `Worked`. `step_message` gives a `ToStep` (`Watch`, `Resume`, `Segment`) in its turn (`message_in_turn`);
-//! `wants_line`, `is_short_of_segments`, `may_have_changed` and `auto_start` ask; `settle` matches each `Mode` and a
-//! jog that is `cancelling`. Also `accessories`, `interpreter`, `records`, `settings_lock`, `reference`, `ZEROS` by
-//! `offset_of`, and what it has `stored` and does `restore`.
 
 mod answers;
 mod canned_cycle;

@@ -2,10 +2,6 @@
 //! `queue` hands it to motion and starts what is queued when there is no room. An arc, spline or nurbs of a line
 //! begins, with the feed of its chords. `begin_arc` and its like take the geometry and control points; the feed is per
 //! minute or inverse time, with the stretch by rotary axes.
-//!
-//! Names: In it are `move_of`, `start_queued`, `next_chord`, `begin_spline`, `begin_nurbs`, `turns` (a rotary axis
-//! moves), `tolerance`, `Key::ArcTolerance`; a jog begins as `Mode::Jog`, not `cancelling`. Stages are `Chords` and
-//! `Flow`.
 
 use super::Controller;
 use super::states::Mode;

@@ -2,10 +2,6 @@
 //! segments, whether a laser burns at rest, whether the spindle has spun up; digital outputs that wait for a motion's
 //! mark; drivers held off in an emergency. Collected as `SlowOutputs` (`changed_pins`). `begun_mark`, `changed_wiring`,
 //! `next_look` and `settle_outputs` follow the motion.
-//!
-//! Names: In it are `spindle_now`, `turning_power`, `overridden_power`, `resting_power`, `burns_at_rest`,
-//! `has_spun_up`, `next_look_at_spindle`, `apply_overrides`, `switch_off`, `stop_spindle`, `switch_outputs_off`,
-//! `drivers_held_off`, `forget_waiting_outputs`; `Key::Laser`, `Key::IdleDelay`, `Alarm::SpindleSpeed`.
 
 use super::Controller;
 use super::states::Mode;

@@ -2,12 +2,6 @@
 //! hold, jog cancel (`Mode::Jog`, which is not `cancelling` yet), spindle stop, toggles of flood, mist and single
 //! block, overrides. Also the host: one that has left or is silent (heartbeat) is a fault, or ends its jog.
 //! `look_for_silence`, `release_held`, `restore_spindle` and `set_overrides` are parts of it.
-//!
-//! Names: Arms are `Realtime::Reset`, `Stop`, `Status`, `CycleStart`, `FeedHold`, `JogCancel`, `SafetyDoor`,
-//! `SpindleStop`, `SingleBlock`, `FloodToggle` and `MistToggle` (`toggle_coolant`). `cycle_start` acts on `Mode::Hold`
-//! and `Door::Parked` (`close_door`), and waits for `SpinUp` unless `Key::Laser` is on. `host_left`, `look_for_host`
-//! and `end_jog_of_no_host` go by `Key::HoldWithoutHost`, `Key::JogSilence`, `Key::HostSilence` and the longest silence
-//! of the heartbeat.
 
 use super::Controller;
 use super::states::{Door, Mode};

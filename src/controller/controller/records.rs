@@ -2,12 +2,6 @@
 //! lines, build info, macros), saved or removed when something changes, and handed over to the store, whose answers are
 //! counted (`unstored`). `Damage` of stored settings, and values that a setting cannot have (`refused`), must be listed
 //! and confirmed. Stored numbers are little-endian bytes (`from_le_bytes`), stored texts slices.
-//!
-//! Names: Keys of the store are `KEY_OFFSETS`, `KEY_TOOLS`, `KEY_STARTUP`, `KEY_MACROS`, `KEY_BUILD_INFO` and
-//! `KEY_DIALECT`; `position_of`, `angle_of` and `setting_of` read a record. In it are `restore_setting`,
-//! `save_setting`, `save_setting_as`, `save_offset`, `save_startup_line`, `save_validated`, `save_macro`,
-//! `save_build_info`, `save_soft_limits_before_homing`, `remove_tool`, `forget`, `hand_over`, `next_store`, `answered`,
-//! `are_stored`, `are_damaged`, `validate`, `confirm` and `listed`; `Damage` and a `StoredText`.
 
 use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::gcode::{Angle, Interpreter, StoredOffset, Tool};

@@ -2,11 +2,6 @@
 //! reason (hard limit, emergency, driver fault, reset, switch, contact) the machine is locked, reset, or continues from
 //! where it stopped. `finish_alarm`, `finish_emergency`, `finish_reset` are the three endings. Position and reference
 //! may be lost, pauses end (`end_pauses`), moves are forgotten, and the trip is told.
-//!
-//! Names: In it are `step_event`, `stop_for`, `await_what_brakes`, `finish_stop`, `finish_alarm`, `finish_emergency`,
-//! `finish_reset`, `end_pauses`, `stopped_at`, `keep_speed`. Reasons are `StopReason::Contact`, `Switch`, `Reset`,
-//! `Alarm` and `Nothing`; alarms `Underrun`, `Miscounted`, `HomingReset`, `EmergencyStop`, `DriverFault`
-//! (`Key::EmergencyDriversOff`).
 
 use super::Controller;
 use super::states::Mode;

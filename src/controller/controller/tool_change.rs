@@ -3,12 +3,6 @@
 //! `ChangeOrder` of `machine/tool_change.rs` becomes a move or a probe; then the tool returns to the work. The tool
 //! setter's place and rates come from settings (`Key`); the spindle's direction and the accessories are set again after
 //! it.
-//!
-//! Names: It answers `ChangeOrder` (`Confirm`, `Measured`, `Move`, `Probe`, `Prompt`, `Rapid`) with a `Stage`, by
-//! `Key::ToolSetterSeek`, `Key::ToolSetterLocate` (slow), `Key::ToolSetterDepth`, `Key::ParkingPullOut` and
-//! `Key::ParkingPullOutRate`. In it are `prompts_for_tools`, `measures_tools`, `stop_for_tool`, `leave_for_tool`,
-//! `return_to_work` and `fail_tool_change`; what lies outside the travel is an `Alarm::SoftLimit`; errors are
-//! `ToolChangeNeedsHoming`, `ToolChangeNotAlone`, `ToolSetterNotSetUp`.
 
 use super::Controller;
 use super::probing::seek;

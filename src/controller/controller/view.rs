@@ -1,13 +1,6 @@
 //! What can be asked of the controller; nothing changes: whether it is idle, free, quiet, at work or paused, machine
 //! and work position, line numbers and the tool in work, which alarm or stop is under way, whether the spindle stays
 //! on, the settings, and the dialect.
-//!
-//! Names: E.g. `is_idle`, `has_nothing_to_do`, `queued_line_numbers`, `spinning_up`, the dwell or stage of a job, and
-//! `door_allows`. Others are `is_free`, `is_quiet`, `is_nearly_quiet`, `is_at_work`, `is_off`, `needs_speed`,
-//! `keeps_spindle_on`, `stop_under_way` (a `StopReason` or an alarm such as `AbortInMotion`), `machine_position`,
-//! `work_position`, `number_moves`, `handed_line_number`, `is_arc_in_work`, `waits_for_spindle_until` (`NEVER`),
-//! `lines_read`, `open_since`, `is_trusted`, `is_store_damaged`. `Key::HostReaction` and `Key::Dialect` are read;
-//! `task`, `mode` and `motion` are matched.
 
 use super::Controller;
 use super::states::Mode;

@@ -2,11 +2,6 @@
 //! (modal state, offsets, rotation, scaling, saved states, tangent, cycle words), `reset` forgets, check mode begins,
 //! the dialect changes. Also `check_jog`, whether G92 acts or is kept (`g92_acts`), and the tool in the spindle
 //! afterwards.
-//!
-//! Names: `checked` and what is `after` it decide: `commit_beside_motion`, `remember_motion` (a `Spline`'s tangent or
-//! `NO_TANGENT`), `keep_state` (`Keeping`), `check_jog_into`, `begin_check_mode`, `change_dialect`; also `BeforeCheck`,
-//! `is_checking`, `forget_tool`, `measured` tools, `tool_length`, `coolant`, `Flow` and the additions to control
-//! points.
 
 use super::check::{self, Purpose};
 use super::checked::{Checked, Flow, Keeping, Motion};

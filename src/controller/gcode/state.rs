@@ -1,15 +1,5 @@
 //! What the `Interpreter` knows: modal state, offsets, tools, saved states, rotation and scaling, and the position that
 //! a program has reached; and how others ask and correct it.
-//!
-//! Names: What the `Interpreter` knows: its fields (modal state, offsets, tools, saved states, rotation, scaling,
-//! tangent) and the position that a program has reached, and how others ask and correct them: stored places, the zero
-//! of each coordinate system, the tool in the spindle (`spindle_tool`, `tool_axis`) and its measured length, the
-//! rotation's plane and angle (`set_angle`), whether all is plain, work zero, and `to_program` coordinates of a place.
-//! Fields and tables are `ToolTable`, `Measured`, `SavedStates`, `ControlPoints`, `CycleWords`, `Computed`, and
-//! `BeforeCheck`, what check mode leaves to the machine. There is `NO_TANGENT` before the first G5. Functions are
-//! `set_stored`, `clear_stored`, `work_offset`, `tool_removed`, `tool_measured`, `measured_offset`, `hold_tool`,
-//! `acting_modal`, `set_accessories`, `is_checking`, `end_cycles`, `in_program` and `set_axes`; `ZEROS` is by
-//! `offset_of` and `size_of`.
 
 use super::Dialect;
 use super::computed::Computed;

@@ -11,10 +11,6 @@
 //!               │ slow, spindle on
 //!  left (where the job was interrupted)
 //! ```
-//!
-//! Names: `keep_coolant`, `fall_asleep`, `forget_job`, `parking_target` and `next_message` act on it. In it are
-//! `BY_DOOR`, `Parking`, `ParkingPoint`, `interrupt_jog`, `take_jog`, `kept_coolant`, `leave_job`, `is_asleep`,
-//! `is_parking`, `move_to`, `end_with_lead`, `discard`, `hold`, `observe`, `stopped`.
 
 use crate::axes::{Axis, PerAxis};
 use crate::error::Alarm;

@@ -6,11 +6,6 @@
 //!  Sensed ──▶ levels ──▶ [fitted? reset button = emergency stop?] ──▶ signals
 //!               │ $PINS                                                  │ reports, homing, door, hold, start
 //! ```
-//!
-//! Names: `limits_of` and `second_switch` say which switches count, `hard_limits` which of them stop the machine, and
-//! an emergency stop, a reset or a trip gives its alarm. In it are `configure`, `take`, `pins`, `are_known`,
-//! `take_tripped`, `trip_emergency`, `trip_limits`, `ask_view`, `take_look`, `viewed`, `armed`, `axes_of_switches`,
-//! `wiring_by`, `control_word`, `InputChange`.
 
 use super::reaction::Reaction;
 use crate::axes::{Axis, AxisMask, LINEAR};

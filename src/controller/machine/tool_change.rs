@@ -11,9 +11,6 @@
 //! All ways between places lie at one height: that of G30, or the one that the tool has if it is higher. Below it nothing but a
 //! probing move goes down, to `$342` below G30 at most, until the tool has been measured. No tool (T0) is not measured. The first tool that is
 //! measured has nothing to be compared with: where its tip would come to is not known, so it stays up and waits for the operator.
-//!
-//! Names: `ChangePhase` is where it is; in it are `way_back`, `over`, `along`, `lowest`, `corners`, `is_set_up`,
-//! `is_probing`, `PULL_OFF` and `ALONG`, the tool's axis.
 
 use crate::axes::{Axis, PerAxis};
 use crate::error::Alarm;

@@ -7,9 +7,6 @@
 //! one it has; or, if after either the machine could not meet the next anchors any more, that of a ramp down to them.
 //! Nothing but speed and acceleration is carried from one segment to the next. So an override, a hold, a start after it
 //! or moves that come late need no plan of their own: they change what is allowed, and the jerk stays bounded.
-//!
-//! Names: It works on the `PathState` of the `pace`, in units of a `millimetre` of the path (`within_jerk`,
-//! `leave_rest`, `to_nominal`, `ramp_down`, `land`, `come_to_rest`).
 
 use super::block::Block;
 use super::jerk::{Bounds, PathState, cube_root, landing, ramp_distance, ramp_speed};

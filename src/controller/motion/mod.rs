@@ -14,16 +14,6 @@
 //! It promises: steps add up exactly; no axis is asked for more than its rate and acceleration; whatever has been handed
 //! over ends at rest; a hold begins to brake within the time queued ([`QUEUED_TIME_MS`]). It knows nothing of G-code, of
 //! replies or of machine states; when to start is decided outside.
-//!
-//! Names: `Motion` is the facade over `planner` (queued blocks) and `SegmentSource` (what is `in_flight`), and holds
-//! `MotionSettings` (steps per mm, junction deviation, backlash), the origin of the step counters and whether the step
-//! task is idle: `line` and `chord` queue a `Move`; `start`, `hold`, `resume`, `replan`, `discard` and `stopped`
-//! control it; `observe` and `next_message` hand over. It tells position, lead, current speed, power, line number and
-//! mark (`set_mark`, `takes_mark`), free blocks, and `is_at_rest`. `AnyMotion` is `MotionWith` blocks of any number
-//! (`BLOCKS_AT`). `configure` takes settings, `plan_from` and `stand_where` say where the `Motors` are, `prepared`
-//! gives them at the end of what was handed over, overrides are between `LEAST_OVERRIDE` and `GREATEST_OVERRIDE`. It
-//! asks `has_joined_enough`, `ends_at_rest`, `is_short_of_segments`, `hands_over`, `braking`, `reenter`; tells
-//! `planned_position`, `machine_steps`, `step_counters`, `running_line_number` and `queued_us`.
 
 pub mod arc;
 mod axis_limits;

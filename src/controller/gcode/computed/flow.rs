@@ -10,15 +10,6 @@
 //! A condition needs no memory: the lines of the branch that does not hold are skipped. Subroutines and loops are held as
 //! text of bounded size, for no line comes twice over a serial link. What does not fit is refused to its end, so that no
 //! line of it is taken for one of the program. What runs is given out line by line; nothing here calls itself.
-//!
-//! Names: `FlowControl`, what O words keep: the held text of subroutines and loops, the frames of what is open since a
-//! line (`Frame`: if, while, do, repeat, call) with their labels and passes, and the `State` of a program's lines:
-//! streaming, recording, running or skipped. The `Keyword` table, an `OWord` with label and arguments cut from a line
-//! without its remarks, and finding, pushing, dropping and going back behind or after a place of the held text;
-//! `OutOfMemory` and `TooDeep`. Functions are `find_sub`, `find_own`, `find_from`, `end_of_sub`, `drop_sub`,
-//! `refuse_sub`, `ends_skipping`, `is_ended_by`, `is_well_formed`, `has_computed_label`, `label_length`, `ends_program`,
-//! `leaves_lines_out`, `is_of_last`, `of_stream`, `recorded_from`, `go_back` and `hold`. `EndSub` closes a sub;
-//! `PASSES`, `LABELS`, `ARGUMENTS`, `DEPTH`, `TEXT`, `SPARE` and `MOST_MACROS` are the room that there is.
 
 use crate::error::Error;
 use crate::gcode::remark::split_remark;

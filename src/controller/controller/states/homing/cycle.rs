@@ -14,9 +14,6 @@
 //!
 //! An axis with two motors and two switches is squared: the motor whose switch closes first holds still while the other
 //! moves alone, in each seek and each locate.
-//!
-//! Names: In it are `HomingSettings`, `Pass`, `SEEK_TRAVELS`, `LOCATE_PULL_OFFS`, `switches_of_cycle`, `towards`,
-//! `locate`, `approach`, `pull_off`, `travel`, `places`; `HomingWait` (`wait_for`, `is_reached`, `wakeup`).
 
 use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::error::Alarm;

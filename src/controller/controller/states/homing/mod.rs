@@ -1,12 +1,5 @@
 //! Homing is carried out: each `Order` of `machine/homing.rs` becomes a motion of one motor, or of both motors of a
 //! squared axis; a switch that closes stops it; at the end the position is set and the startup lines run.
-//!
-//! Names: Homing is carried out: `HomingSettings` are made from `$22` to `$27`, each `Order` of `machine/homing.rs`
-//! (move, wait, reached, done, failed) becomes a motion of one or both motors of a squared axis, a switch that closes stops it,
-//! and at the end the position is set and the startup lines run. In it are `begin_homing`, `advance_homing`,
-//! `carry_out`, `homing_waits`, `home_switch`, `squared_axis`. Keys are `HomingSeek`, `HomingLocate`, `HomingDebounce`,
-//! `HomingPullOff`, `HomingPasses`, `HomingDirection`, `GangedSwitch`, `SquaringShare`, `SquaringLeast` and
-//! `SquaringMost`; `HomingDisabled` and `DoorOpen` refuse, `StopReason::Switch` stops.
 
 mod cycle;
 
