@@ -14,7 +14,7 @@
 //! an event (a stop, a stored record, the view of the pins) begins one too: the answer is told before another output is asked
 //! for, and there is never more than one of a kind under way.
 
-use crate::controller::Controller;
+use crate::dispatch::Controller;
 use crate::messages::{Event, LineByte, Observed, Output, REALTIME_DEPTH, Room};
 use crate::units::Instant;
 

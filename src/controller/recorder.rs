@@ -21,7 +21,7 @@
 //!
 //! `?` is not recorded: hosts send it all the time, and it changes nothing.
 
-use crate::controller::Controller;
+use crate::dispatch::Controller;
 use crate::messages::{
     CrashKind, Event, HOST_CHANGED, LineByte, Noted, Realtime, Record, Recorded, Restart, Sensed, Standing, StepEvent,
     Stopping, ToStep,

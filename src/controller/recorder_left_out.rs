@@ -1,7 +1,7 @@
 //! In place of [`crate::recorder`] on boards whose RAM has no room for one: a `Recorder` with the same functions that
 //! does nothing, keeps nothing and tells nothing, so nothing of it is in the image.
 
-use crate::controller::Controller;
+use crate::dispatch::Controller;
 use crate::messages::{Event, Record, Recorded, Restart, ToStep};
 use crate::units::Instant;
 

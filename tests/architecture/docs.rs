@@ -23,7 +23,7 @@ fn quoted(text: &str) -> impl Iterator<Item = &str> {
 fn functions(file: &str) -> Vec<String> {
     let text = fs::read_to_string(root().join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
     let tokens = source::lex(&source::bare(&text));
-    tokens.windows(2).filter(|pair| pair[0].text == "fn").map(|pair| pair[1].text.clone()).collect()
+    tokens.windows(2).filter(|pair| pair[0] == "fn").map(|pair| pair[1].clone()).collect()
 }
 
 #[test]
