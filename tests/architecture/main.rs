@@ -278,7 +278,7 @@ fn each_error_and_alarm_is_given_somewhere() {
     let given: BTreeSet<String> = source::lex(&texts)
         .windows(4)
         .filter(|tokens| matches!(tokens[0].as_str(), "Error" | "Alarm"))
-        .filter_map(|tokens| tokens[1..].iter().find(|token| token != ":" && token != "::"))
+        .filter_map(|tokens| tokens[1..].iter().find(|token| *token != ":" && *token != "::"))
         .map(|token| token.clone())
         .collect();
     let errors = Error::ALL.iter().map(|error| format!("{error:?}"));
