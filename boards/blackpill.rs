@@ -45,11 +45,6 @@
 //! | left alone | A13 A14, B2, C13-C15 | SWD, BOOT1, LED and crystal: no pin is left for a spindle that tells its speed |
 //!
 //! In reset all pins float: spindle, laser and coolant need pull-down resistors, driver enable a pull-up.
-//!
-//! Names: `setup` takes the `pac` `device` of an STM32F4, assigns the pins of ports A and B (`pb7`, `pa15`, `split`),
-//! takes the clocks (`rcc`, `Config`, `PWR`, `require_pll48clk`) from a 25 MHz crystal, and puts the `Parts` together:
-//! `StepPins<1>` with all step pins on one port, `USART1` (`SerialPort`, `tx`, `rx`), and the `UsbPort` on OTG_FS,
-//! which the Nucleo boards do not have. Compare the drawing with the print on yours before you wire it.
 
 use stm32f4xx_hal::{
     gpio::{PinState, Pull, Speed},

@@ -2,10 +2,6 @@
 //! sends without end leaves time for the control task, which prepares what the step task puts out.
 //!
 //! Whoever comes in between any two accesses, no note is lost: the worst that two at a moment bring about is a call for nothing.
-//!
-//! Names: what cannot wait `is_stop`. `Calls` says to those who `note` that there is something whether they call at once; it
-//! `is_due` otherwise. Each `sample` of the inputs counts down how long it `rests`. `call_soon` and `call_if_due` do both for
-//! the one of the board. A `Word` is what one access reads or writes (`get`, `set`).
 
 use core::sync::atomic::{AtomicU8, Ordering::Relaxed};
 

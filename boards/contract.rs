@@ -47,15 +47,6 @@
 //! | the clock of the processor fails, with `WATCHES_CLOCK` | `NonMaskableInt`, the exception by its name: the processor continues by a slower clock, and the handler does not return |
 //! | a vector of `vectors!` fires | the task bound to it |
 //! | the processor stops while flash is written | nothing: see `SettingsFlash` |
-//!
-//! Names: The trait `StepOutput` takes events (`direct`, `free`, `commit`, `ahead`, `moment_before`, `joins_until`),
-//! puts them out (`begin`, `halt`, `Undone`) and says what is `Due` (`call_at`, `mark_at`). The trait `Port` receives
-//! and sends bytes (`Incoming`, `allow`, `call_when_free`), and `NoPort` is a port that a board lacks. `SlowLevels`,
-//! `SecondMotor`, `input_bits` and `COMBINATIONS` are shared words. `held` asks `is_port` of `SerialPort` and
-//! `UsbPort`, `is_output` of `StepPins`, `is_flash` of `SettingsFlash`, and for `InputPins`, `SlowPins`, `Watchdog`,
-//! `call_step`, `call_serial`, `job_done`, `safe_state`, `reset_cause` and `preloaded_job`. `poll` does what a link
-//! itself needs and tells whether a host is there; `set_polarity`, `set_pulse`, `set_pwm` and `set_power` change
-//! `StepOutput`.
 
 /// Levels of the slow outputs as they appear on the pins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

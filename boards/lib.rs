@@ -2,10 +2,6 @@
 //! feature (`choose`), and its names are exported from here.
 //!
 //! Without a feature, on a host, there are only the numbers of all boards ([`profiles`]), for the simulator.
-//!
-//! Names: `profile` turns a row of `profiles` into the controller's `Profile` (`safe_hz`, `has_second_motor`,
-//! `has_store`). The features are `blackpill_f401`, `blackpill_f411`, `nucleo_f401re`, `nucleo_f411re`, `nucleo_f446re`
-//! and `qemu_mps2` (`cfg`, `target_os`).
 #![no_std]
 
 pub mod calls;

@@ -2,13 +2,6 @@
 //! devices, sets the clocks, assigns each pin of the header and of the Morpho connector, and puts the `Parts` together.
 //! Unlike on a Black Pill, the step pins are on two ports, the host is on `USART2` through the ST-LINK, and there are
 //! inputs for a spindle's speed and for programs.
-//!
-//! Names: What the Nucleo-64 boards share, with an Arduino CNC shield v3: `setup` takes the `pac` `device` of an
-//! STM32F4, sets `rcc` and its `Config` (`freeze`, oscillator bypassed) from `PWR`, assigns each pin of the header and
-//! of the Morpho connector (`pa0` to `pc11`; `split`, `into_pull_up_input`, `into_push_pull_output`), and puts the
-//! `Parts` together. Unlike on a Black Pill, the step pins are on two ports (`StepPins<2>`), the host is on `USART2`
-//! through the ST-Link (`SerialPort`, `tx`, `rx`), `UsbPort` is `NoPort`, and there are `input_bits` for `AT_SPEED` and
-//! for programs (`also`).
 #![doc = include_str!("nucleo64.md")]
 
 use stm32f4xx_hal::{

@@ -2,10 +2,6 @@
 //!
 //! One side never waits for the other: each variable has one writer, but for `error` and `drops`, which the interrupt sets
 //! and the task takes back. A place in the stream is the count of bytes before it, wrapping.
-//!
-//! Names: the interrupt has the ring `hear` a byte, which `keep`s it and gives the `Call` that is due, and notes what it must
-//! `miss`; what can wait for the end of a line `is_text`. The task takes what is `ready` and hears of
-//! what is missing at its place in the stream. What came while the processor stood is put behind the rest by `place` and `placed`.
 
 use crate::calls::{RESET, is_stop};
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, Ordering::Relaxed, fence};

@@ -1,8 +1,6 @@
 //! The ring between the task that answers and the interrupt that a free data register brings.
 //!
 //! Neither side waits for the other: each variable has one writer.
-//!
-//! Names: `Sent` holds what is `put` until the interrupt `take`s it; so many are `waiting`.
 
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering, Ordering::Relaxed, fence};
 

@@ -3,10 +3,6 @@
 //!
 //! Linker arguments come from here and not from `rustflags`: a `RUSTFLAGS` in someone's environment replaces those
 //! silently, and the image would be empty.
-//!
-//! Names: `link` finds the one board that is `chosen` as a cargo feature, writes `memory.x`, `chip.x` and the stack's
-//! size (`stack_kib`) to `OUT_DIR`, and gives the linker its arguments. The names (`blackpill_f401`, `nucleo_f446re`,
-//! `qemu_mps2`) have their scripts by `include_str!`; `env::var` gives the target.
 
 use std::{env, fs, path::PathBuf};
 

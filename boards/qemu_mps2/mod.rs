@@ -25,15 +25,6 @@
 //! never does, whatever holds QEMU up, no time goes by without the instructions that belong to it.
 //!
 //! Everything with an address here is QEMU's: <https://www.qemu.org/docs/master/system/arm/mps2.html>, ARM DAI 0386.
-//!
-//! Names: `setup` makes the `Parts` of the `device`: `SerialPort` is `UART0` (`UART0_RX`, `UART0_TX`, `set_control`,
-//! `clear_interrupts`, `set_data`), `TIMER1` counts `clock_ticks`. `StepPins` keeps one `Pending` event and three
-//! moments on `Timer0` (`CALLED`, `Due`; `halt` takes it back as `Undone`); instead of writing pins, `put_out` adds it
-//! to a `Record` (`digest`, `busy`, `net`) in a `critical_section` (`cs`, `borrow_ref_mut`), which the `Reporter` sends
-//! on `Uart1` with `format_args!` when asked. The job or the host `script` is `preloaded` in PSRAM behind a mark
-//! (`is_marked`, `u32::from_le_bytes`); `idle` follows the script (`Wanted`), `reset`, `fail` and a watchdog (`ALIVE`)
-//! test failures, `AtomicBool`s say what is wanted or `DONE`, and QEMU ends by semihosting. Inputs and slow outputs are
-//! empty: an argument such as `_power` is unused.
 
 use core::cell::RefCell;
 use core::fmt::Write;

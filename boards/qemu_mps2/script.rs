@@ -16,13 +16,6 @@
 //! | `E` | milliseconds `u32` | the script ends here if the machine has run for so long |
 //!
 //! At its end the report of the test stand follows, and QEMU ends.
-//!
-//! Names: A host inside the machine: a `Script` in PSRAM says what it sends (`receive() -> Option<u8>` gives the
-//! firmware the bytes from `NEXT` to `END`, and `UART0_RX` is made pending), and what it must `Wait` for in virtual
-//! time (`clock_ticks`, `since`, `TICKS_PER_MS`, at most `PATIENCE`): so many `Answers` (`answers_before`), a delay in
-//! milliseconds (`Until`), or a status `Report` that says Idle, asked for again after a `pause` (`questions`). `hear`
-//! counts in `Said` (in a `critical_section`, `cs`) what the firmware answers, by the `head` of a line; `Wanted` asks
-//! the board for a `Mark`, a `Note` or the `End`.
 
 use super::clock_ticks;
 use core::cell::RefCell;

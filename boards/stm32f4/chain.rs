@@ -30,15 +30,6 @@
 //!   power is armed at a time. What is written to TIM3 at its moment acts at once.
 //!
 //! Emulated; no bench has confirmed it yet.
-//!
-//! Names: `Rings` hold the `words` and `moments` of the `Chain` from `tail` to `head`; DMA `Streams` (`DMA2`, `LISR`,
-//! `HISR`, `LIFCR`, `HIFCR`, `PAR`, `M0AR`, `CR`) answer the timers' requests and copy them from the `table` to the
-//! ports and into the compare register of `TIM2` (`write(M::TIM2 + SR, ..)`, `EGR`, `CNT`), and `TIM1` makes the
-//! pulse's two edges (`SMCR`, `DIER`, `CCR1`, `NDTR`, `CIRCULAR`, `APB2RSTR`). `translate`, `commit`, `begin`,
-//! `one_by_one` (`pending`, `set_moment`) and `put_off` (`AGAIN_TICKS`, `moment_at`, `expect_no_moment`) feed it,
-//! `take` says what is `Due`, `mark_at` and `keep_power` set the `BEAM`; `fault`, `lags` and `counts_agree` look
-//! whether requests were served, after a `cortex_m::asm::delay(SERVED_CYCLES)`; `silence` cuts it off and `undone`
-//! gives back what is left.
 
 use super::registers::{Map, bsrr_of, read, timer::*, write};
 use crate::contract::{COMBINATIONS, Due, Free};

@@ -4,14 +4,6 @@
 //!
 //! Clocks, pins and other set-up go through the HAL, whose types see to it that no pin is used twice; what the step
 //! interrupt touches is in `step.rs` and `chain.rs`.
-//!
-//! Names: What the STM32F4 boards share in setting up: `step_pins` with `Rings` and the clocks of their timers TIM1 to
-//! TIM3 (`rcc`, `psc`, `arr`, `cr1`, `ccr2`, `egr`, `write(|w| w.cen().set_bit())`, the `pwm`), the microsecond clock
-//! on TIM5 (`start_clock`), the serial port's `USUAL_BAUD`, the `InputPins` (`MOST_INPUTS` `places` of `ErasedPin`s by `each_ref`, pulls, what is
-//! `fitted`), the `SlowPins` (`SLOW_OUTPUTS`) and their `levels`, the independent `Watchdog` that stops on debug, the
-//! `Parts`, `settings_flash`, `begin_with_reset` (`memrmp`, `mem_mode`, `syscfgen`), `watch_clock` (`csson`),
-//! `reset_cause` from the flags of `csr`, and `safe_state`, which writes each `SAFE` word (`write_bsrr`). `each!`
-//! (`$pin`, `$how`) and `raw!` shorten pins and register access.
 
 use core::sync::atomic::Ordering;
 use oxmill_controller::ResetCause;

@@ -4,12 +4,6 @@
 //! whole program is stalled: 16 us for a word (100 at most), 250 ms for an erase (500 at most; data sheet of the STM32F411,
 //! table "Flash memory programming"). Each operation therefore runs in the hands of a guard that the board gives, which
 //! sees to what must not stand still; when to begin one is left to the caller.
-//!
-//! Names: `operate` unlocks the flash control register with its `KEYS`, starts a `PROGRAM` or `ERASE`, waits while
-//! `BUSY` and gives `ERRORS` as a `FlashError`; a `Guard` shelters received bytes meanwhile, and `forget_cached` resets
-//! the data cache (`acr`). Each access is raw and volatile: `write(|w| raw!(w, control | PARALLELISM_32))`, `LOCK`,
-//! `SECTOR_SHIFT`, `keyr`, `DATA_CACHE`, at an `address` from `_settings_start` on `FLASH_START` (`SECTOR_BYTES`); what
-//! is no settings sector is `Refused`.
 
 use oxmill_store::{Flash, Sector};
 use stm32f4xx_hal::pac;

@@ -3,11 +3,6 @@
 //!
 //! Where the peripherals are is a type, [`Map`], so that the benchmark can run this very code on memory. Addresses and bits:
 //! reference manual RM0383, the same in RM0390 for the F446.
-//!
-//! Names: Addresses of the registers that the step interrupt touches, because there each instruction counts: a `Map`
-//! gives the base of `TIM1`, `TIM2`, `TIM3`, `DMA1`, `DMA2`, `RCC` and each `GPIO` port (`Chip`), and the offsets
-//! within a timer are `CR1`, `SMCR`, `DIER`, `PSC`, `CCR1` and so on. `bsrr_of`, `write_bsrr` and `IDR` write and read
-//! pins of a port. `read` and `write` access an `address` (`0x10`, `0x2C`, `0x38`, `0x400` for each port) as volatile.
 
 /// Addresses of the peripherals.
 ///

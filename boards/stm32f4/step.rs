@@ -1,14 +1,6 @@
 //! `StepPins<M, P, O>`, the step and direction outputs of an STM32F4, and the spindle's PWM: tables with the port words
 //! of each combination of steps and directions, with the polarities that are set. When the words come out is left to
 //! `chain.rs`; setting clocks, pins and timers up to `chip.rs`.
-//!
-//! Names: `fill` makes tables with the `bsrr` words of each combination (`bits`, `mask`, `driven`, `COMBINATIONS`) of
-//! `steps`, `directions` and `both`, for each of the `ports_of` and each `Place`, with the polarity (`invert >> i`,
-//! `active_low`), a second motor (`FOURTH_AXIS`) and the `SAFE` levels (`note_safe_level`); `direct` joins steps with
-//! the `directed` words, `write_ports` puts words out, `set_pwm` sets `pwm_period` and prescaler of TIM3, `compare`
-//! turns power into a compare value, and `halt(&mut self, dark)` counts the `net` steps that were `Undone`. When the
-//! words come out (`commit`, `call_at`, `mark_at`, `joins_until`) is left to `chain.rs`; setting clocks, pins and
-//! timers up to `chip.rs`.
 
 use super::chain::Chain;
 pub use super::chain::Rings;

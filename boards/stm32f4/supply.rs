@@ -1,11 +1,5 @@
 //! The supply of an STM32F4: the voltage scale of the core, the detector that interrupts when the board's supply falls,
 //! and a restart that waits until it has risen again.
-//!
-//! Names: The supply of an STM32F4: `full_core_voltage` sets the scale of the core's own, `watch_voltage` has the
-//! programmable voltage detector (PVD, EXTI line 16) call `LOW_VOLTAGE` when the board's falls; `await_voltage` waits at power-up,
-//! and `restart` before it resets, until `voltage_is_low` no more. `PWR` is clocked by `clock_supply` (`apb1enr`,
-//! `pwren`, `modify(|_, w| w..set_bit())`, `enable`), `pls` and `pvde` switch the detector on, `pvdo` is its bit; the
-//! vector has the `export_name` `PVD` or, on F401, `EXTI16_PVD`.
 
 use super::safe_state;
 use core::cell::Cell;

@@ -17,12 +17,6 @@
 //! flow control (at most the 255 bytes that `Bf:` counts are under way) loses nothing, and besides there is room for 64
 //! realtime commands (`REALTIME_DEPTH`). A host that sends more than 512 bytes in that time overruns the USART, which is
 //! reported like any other loss.
-//!
-//! Names: the interrupt is `on_interrupt`, the ring `RECEIVED`, which says whether a `Call` is due.
-//! `call_serial` calls the serial task, `call_soon` if it may be called yet. `SENT` is the ring of answers; the task `IS_WAITING` for room in it. `shelter` sets a
-//! stream up (`par`, `m0ar`, `ndtr`) while the `work` is done; `Sheltered` names the stream of each USART. Registers are
-//! read and written raw (`SR`, `DATA`, `BRR`, `CR_1`, `CR_3`), the stream's through the `RegisterBlock` of DMA1 or `DMA2`
-//! (`switch_on`, `LIFCR`, `HIFCR`).
 
 use super::registers::{read, write};
 use crate::calls::{call_soon, is_stop};

@@ -12,17 +12,6 @@
 //! and reset are heard while the host is told to wait.
 //!
 //! While flash is written the processor is stalled; the FIFO keeps one packet, and the host is told to wait.
-//!
-//! Names: `UsbPort` holds the `class`, the `device` with its `strings` and serial number (`UNIQUE_ID`), one `received`
-//! packet, what is `outgoing`, and whether its interrupt is `masked` or the bus `resetting` (`USBRST`). It reads some
-//! OTG registers itself (`GINTSTS`, `GINTMSK`, `GRXSTSP`, `DOEPCTL`), to hold the endpoint back; `DAINTMSK` says whether the end of a packet calls. `SerialClass` hears of
-//! requests after which an endpoint begins with DATA0 (`SD0PID` of `DOEPCTL` and `DIEPCTL`), and `forget_sent` takes a
-//! packet back (`SNAK`, `DIEPINT`, `TXFFLSH` of `GRSTCTL`, `await_bits`) that was not fetched. What a closed port still
-//! sends is dropped. `entry` is what `GRXSTSR` says of a packet (`PKTSTS`, `OUT_DATA`, `OUT_COMPLETED`);
-//! `enable_endpoint` sets `ENABLED_AGAIN`; `is_configured`, `dtr` and `LATE_BYTES_TICKS` tell whether a host listens,
-//! and setting it up twice is `unreachable!`. Registers of OTG_FS are read and written by their `address`
-//! (`read_volatile`, `write_volatile`): `RXFLVL`, `EVENTS`, `BUFFERS`; `hold_endpoint`, `mask` and `may_wait` keep a
-//! packet (`PACKET`) back.
 
 use cortex_m::singleton;
 use stm32f4xx_hal::{

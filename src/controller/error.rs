@@ -2,10 +2,6 @@
 //! English: `NoAxisWords = 26, "..."`. The numbers are those that Grbl 1.1 gives on the wire, then grblHAL's and
 //! Oxmill's own. Words are unknown, unsupported, malformed, missing or outside a range; something does not exist or has
 //! no room on this board.
-//!
-//! Names: Texts speak of the plane, arc, canned cycle, control points, G5, G51, G53, rotated or scaled axes, words that
-//! are lost or that exceed a limit, travel and homing, an attribute, operator or function of an expression, position
-//! lost during motion, and what could not be selected or is not supported.
 
 /// A table of codes: for each its name, its number on the wire, and a text for people.
 macro_rules! codes {

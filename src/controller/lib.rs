@@ -29,7 +29,7 @@ extern crate alloc;
 pub mod axes;
 pub mod digest;
 pub mod error;
-pub mod lent;
+pub mod memory;
 pub mod messages;
 pub mod units;
 
@@ -41,7 +41,11 @@ pub mod machine;
 pub mod motion;
 pub mod protocol;
 
-mod controller;
+mod dispatch;
+mod host;
+mod inputs;
+mod outputs;
+mod parts;
 pub mod pump;
 #[cfg(feature = "recorder")]
 pub mod recorder;
@@ -49,9 +53,12 @@ pub mod recorder;
 pub mod recorder_left_out;
 #[cfg(not(feature = "recorder"))]
 pub use recorder_left_out as recorder;
+mod states;
 mod step_rates;
 mod step_timing;
-pub use controller::{Controller, Profile};
+mod view;
+mod work;
+pub use dispatch::{Controller, Profile};
 pub use messages::ResetCause;
 pub use motion::stepper::{Stepper, Tick};
 pub use protocol::coalescing::Coalescing;

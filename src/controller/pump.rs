@@ -14,7 +14,7 @@
 //! an event (a stop, a stored record, the view of the pins) begins one too: the answer is told before another output is asked
 //! for, and there is never more than one of a kind under way.
 
-use crate::controller::Controller;
+use crate::dispatch::Controller;
 use crate::messages::{Event, LineByte, Observed, Output, REALTIME_DEPTH, Room};
 use crate::units::Instant;
 
@@ -151,11 +151,7 @@ fn drop_old_bytes<const N: usize>(pump: &mut impl Pump<N>, now: Instant) -> bool
 
 /// Carries outputs until there is none, or one that begins another round: then true. `again`: outputs make others possible.
 #[inline(never)]
-fn put_out<const N: usize, P: Pump<N>>(
-    pump: &mut P,
-    now: Instant,
-    again: &mut bool,
-) -> bool {
+fn put_out<const N: usize, P: Pump<N>>(pump: &mut P, now: Instant, again: &mut bool) -> bool {
     loop {
         let room = pump.room();
         let Some(output) = pump.controller().output(now, room) else { return false };
@@ -180,11 +176,7 @@ fn put_out<const N: usize, P: Pump<N>>(
 
 /// The next byte that is not plain text. Text makes a line longer, and changes nothing of whether lines are wanted.
 #[inline(always)]
-fn next_byte_past_text<const N: usize>(
-    pump: &mut impl Pump<N>,
-    now: Instant,
-    took: &mut bool,
-) -> Option<LineByte> {
+fn next_byte_past_text<const N: usize>(pump: &mut impl Pump<N>, now: Instant, took: &mut bool) -> Option<LineByte> {
     loop {
         *took |= pump.give_text(now);
         let byte = pump.next_line_byte()?;
@@ -204,12 +196,7 @@ fn tell<const N: usize>(pump: &mut impl Pump<N>, now: Instant, source: Source) -
 
 /// Tells the events of a source, up to `most` of them; how many there were.
 #[inline(always)]
-fn tell_some<const N: usize>(
-    pump: &mut impl Pump<N>,
-    now: Instant,
-    source: Source,
-    most: u32,
-) -> u32 {
+fn tell_some<const N: usize>(pump: &mut impl Pump<N>, now: Instant, source: Source, most: u32) -> u32 {
     let mut told = 0;
     while told < most
         && let Some(event) = pump.next_event(source)

@@ -20,17 +20,8 @@
 //! program. `$` lines (a look at the settings, unlocking, jogs, homing) leave it alone.
 //!
 //! `?` is not recorded: hosts send it all the time, and it changes nothing.
-//!
-//! Names: A page has a `mark`, `number`, `time`, `state` with a sum, and `bytes`: plain bytes of lines, and entries of
-//! a `tag` and a rest (`put_word`, `put_axes`) for commands, inputs, step events, rest and standing state, appended
-//! with the hash of `blocks`. `keep` holds the ring after a failure; `rewind`, `next_entry`, `take_line` and `decode`
-//! (`Found`) read it back from the oldest page for `$REC`. `Reading` goes through the `pages`, each in a `slot_of` its
-//! number; an entry becomes a `Noted` or another `Recorded` piece, such as a `crash` (`CrashKind`); tags are
-//! `CONNECTED`, `DISCONNECTED`, `CUT`, `DAMAGED` and more. The hash is by `BASIS` and `PRIME`. `record_text`,
-//! `record_seldom`, `record_inputs`, `record_step`, `record_rest` and `record_standing` write; `wants_standing` and
-//! `blocks_recorded` say what is due.
 
-use crate::controller::Controller;
+use crate::dispatch::Controller;
 use crate::messages::{
     CrashKind, Event, HOST_CHANGED, LineByte, Noted, Realtime, Record, Recorded, Restart, Sensed, Standing, StepEvent,
     Stopping, ToStep,
@@ -446,13 +437,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     /// Text of an epoch that the controller has taken at `now`. It may be recorded behind that: of what is asked of the
     /// controller, text changes nothing.
     #[inline]
-    pub fn record_text<const N: usize>(
-        &mut self,
-        now: Instant,
-        epoch: u16,
-        text: &[u8],
-        controller: &Controller<N>,
-    ) {
+    pub fn record_text<const N: usize>(&mut self, now: Instant, epoch: u16, text: &[u8], controller: &Controller<N>) {
         // All of it is plain.
         let is_expected = word_of(LineByte { byte: b' ', epoch, damaged: false }) == self.plain_from;
         if is_expected && self.next.extend_from_slice(text).is_ok() {
@@ -468,12 +453,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 
     /// What the controller is told at `now`. To be called in front of it.
     #[inline(always)]
-    pub fn record<const N: usize>(
-        &mut self,
-        now: Instant,
-        event: &Event<N>,
-        controller: &Controller<N>,
-    ) {
+    pub fn record<const N: usize>(&mut self, now: Instant, event: &Event<N>, controller: &Controller<N>) {
         match event {
             // Nearly all events.
             Event::Line(byte) => {
@@ -499,12 +479,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     }
 
     #[inline(never)]
-    fn line_byte<const N: usize>(
-        &mut self,
-        now: Instant,
-        byte: LineByte,
-        controller: &Controller<N>,
-    ) {
+    fn line_byte<const N: usize>(&mut self, now: Instant, byte: LineByte, controller: &Controller<N>) {
         let LineByte { byte: text, epoch, damaged } = byte;
         if self.kept {
             let begins = !self.in_line;
@@ -659,11 +634,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     }
 
     #[inline(never)]
-    fn record_standing<const N: usize>(
-        &mut self,
-        now: Instant,
-        controller: &Controller<N>,
-    ) {
+    fn record_standing<const N: usize>(&mut self, now: Instant, controller: &Controller<N>) {
         let Some(standing) = controller.standing() else { return };
         let mut rest = Rest::new();
         let flags = u8::from(standing.trusted) | u8::from(standing.locked) << 1 | u8::from(standing.inches) << 2;

@@ -1,7 +1,7 @@
 //! In place of [`crate::recorder`] on boards whose RAM has no room for one: a `Recorder` with the same functions that
 //! does nothing, keeps nothing and tells nothing, so nothing of it is in the image.
 
-use crate::controller::Controller;
+use crate::dispatch::Controller;
 use crate::messages::{Event, Record, Recorded, Restart, ToStep};
 use crate::units::Instant;
 
@@ -31,13 +31,7 @@ impl<P> Recorder<P> {
 
     /// Does nothing.
     #[inline(always)]
-    pub fn record<const N: usize>(
-        &mut self,
-        _now: Instant,
-        _event: &Event<N>,
-        _controller: &Controller<N>,
-    ) {
-    }
+    pub fn record<const N: usize>(&mut self, _now: Instant, _event: &Event<N>, _controller: &Controller<N>) {}
 
     /// Does nothing.
     #[inline(always)]
@@ -60,8 +54,7 @@ impl<P> Recorder<P> {
 
     /// Does nothing.
     #[inline(always)]
-    pub fn at_rest<const N: usize>(&mut self, _now: Instant, _controller: &Controller<N>) {
-    }
+    pub fn at_rest<const N: usize>(&mut self, _now: Instant, _controller: &Controller<N>) {}
 
     /// Tells nothing.
     #[inline(always)]

@@ -6,14 +6,6 @@
 //! steps count motor steps. The way from one to the other is integer arithmetic ([`StepsPerMm`]), so a million moves of
 //! 0.001 mm end at exactly 1000 mm. Speeds and accelerations are `f32` in mm/s and mm/s²; mm/min exists only where
 //! text is read or written.
-//!
-//! Names: The quantities the controller computes with, each a type of its own: `Coordinate` in 0.1 nm (from mm or
-//! inches, limited to 50 m), `Decimal` in 10^-7, `StepsPerMm` as mantissa and shift between coordinates and motor
-//! steps, `Instant` and `Duration` in microseconds, the `WeightedPoint` of a curve. Conversions to `f32` are exact.
-//! Division by constants goes by their inverse, sums saturate. `wide_to_f32` converts 64 bits, `far_product`
-//! multiplies, `integer_root` takes a root; a division by 10^7 is an `estimate` by `INVERSE` of what is `halved`, with
-//! `ODD`. In it are `DECIMAL_ONE` and `DECIMAL_PLACES`, `LIMIT`, `limited`, `sevenths_beyond`, `per_second`,
-//! `per_minute`, `to_f32`, `to_mm`, `from_mm_f32`, `PartialOrd`, `Ord` and the `ops` add, sub and neg.
 
 /// Decimal places that a number of a program keeps.
 pub const DECIMAL_PLACES: u32 = 7;

@@ -1,14 +1,5 @@
 //! The control task: carries to the controller what other tasks have queued for it, and carries out what the controller
 //! decides, in the order of [`oxmill_controller::pump`].
-//!
-//! Names: The control task: carries to the controller (`BoardController`) what other tasks have queued in its `Ends` of
-//! the channels (`Receiver`s, `Sender`s, `step_wiring`, `input_wiring`), and carries out what it decides, in the order
-//! of [`oxmill_controller::pump`]. `Control` implements the pump: `next_event` by `Source` (hosts that came and went,
-//! owed commands, realtime, signals, step events), `next_line_byte` and `give_text` from the lines (`line_reader`,
-//! `line_bytes_out`, `lines_in`) or a preloaded `Job`, `observe` (`Observed`: `arrived`, `received`, `heard`,
-//! `step_idle`, loaded from `SERIAL` and `STEP` with `Ordering::Relaxed`), `record` by the `recorder`, `make_room`, and
-//! `carry` for each `Output` (segments, replies, wakeup, `ReadPins`, `clear_noise`). A `turn` notes when the
-//! `round_began` and its place; it sends `unsent_wiring`, and `erase_ahead` erases flash when `nothing_waits`.
 
 use crate::boards::{self, AXES};
 use crate::clock::Clock;

@@ -5,9 +5,6 @@
 //!
 //! Sampling instead of edge interrupts: no pins clash on an interrupt line, and a bouncing switch cannot flood the CPU.
 //! A change passes after eight equal samples, 0.4 ms.
-//!
-//! Names: What the filter has `rejected` is counted `Relaxed`; `wiring` comes by a `Receiver`, changes go by a
-//! `Sender`.
 
 use crate::boards::{self, InputPins, input_bits};
 use crate::clock;

@@ -19,13 +19,13 @@ macro_rules! firmware {
         mod app {
             use oxmill_boards::{self as boards, AXES, BLOCKS};
             use oxmill_controller::messages::*;
-            use oxmill_controller::motion::Storage;
+            use oxmill_controller::memory::Storage;
             use core::mem::MaybeUninit;
             use oxmill_firmware::control::{BoardController, Control};
             use oxmill_firmware::inputs::Inputs;
             use oxmill_firmware::serial::Serial;
             use oxmill_firmware::stack;
-            use oxmill_firmware::startup::{self, Channels, Memory};
+            use oxmill_firmware::startup::{self, Channels};
             use oxmill_firmware::step_timer::Step;
             use rtic_sync::channel::Channel;
             use rtic_sync::signal::{Signal, SignalReader};
@@ -57,9 +57,8 @@ macro_rules! firmware {
                 input_wiring: Channel<Wiring, 2> = Channel::new(),
                 wake: Signal<()> = Signal::new(),
                 controller: MaybeUninit<BoardController> = MaybeUninit::uninit(),
-                // What is lent to it, for the motion of jobs and for that of parking.
-                job: Storage<AXES, BLOCKS> = Storage::EMPTY,
-                parking: Storage<AXES, 2> = Storage::EMPTY,
+// What it works in: look-ahead, held subroutines, tools.
+                storage: Storage<AXES, BLOCKS> = Storage::EMPTY,
             ])]
             fn init(cx: init::Context) -> (Shared, Local) {
                 boards::stack::paint();
@@ -75,9 +74,7 @@ macro_rules! firmware {
                     input_wiring: local.input_wiring,
                     wake: local.wake,
                 };
-                let memory =
-                    Memory { controller: local.controller, job: local.job.lend(), parking: local.parking.lend() };
-                let tasks = startup::start(cx.device, cx.core.SYST, channels, memory);
+                let tasks = startup::start(cx.device, cx.core.SYST, channels, local.controller, local.storage.lend(&boards::PROFILE));
                 let woken = local.wake.take_reader();
                 defmt::info!("{} is up", boards::PROFILE.name);
                 // Cannot fail: it has not been spawned before.

@@ -9,13 +9,6 @@
 //! Both links are listened to at once. Realtime commands act from either; lines are taken from the one that has the floor:
 //! it changes when the machine has nothing to do, when its holder goes, and with a reset. A reset stops the step task
 //! from here, before anyone has queued or decided anything.
-//!
-//! Names: `Serial` runs two `Ported` links, `uart` and `usb`: each takes bytes from its `port`, and a `Link` splits
-//! them into realtime commands and bytes of lines, which `ToControl` puts into its `queues`. The `HostArbiter` decides
-//! which link has the machine. `sending` is the `Chunk` of answers that goes out, to `sending_to`. Commands that find
-//! no room may be owed (`may_owe`), and bytes are held (`USB_HELD`). Other tasks hear through `SERIAL`
-//! (`Ordering::Relaxed` counters), a `Sender` of `LineBytes`, filled by the `line_sender`, and the `Receiver` of
-//! answers; `to_usb` and the `holder` say who is answered.
 
 use crate::boards::{self, Incoming, Port, SerialPort, UsbPort};
 use crate::shared::{self, ASKED, SERIAL, Wake};

@@ -1,10 +1,5 @@
 //! From reset to running tasks: `start` sets the board up, splits the channels, builds the controller in its place in
 //! RAM, restores the settings, starts the sampling of inputs, and puts together what each task owns.
-//!
-//! Names: From reset to running tasks: `start` sets the board up, splits the `Channels` into their two ends
-//! (`realtime_in`, `lines_in`, `events_in`, `segments_out`, `replies_out`), builds the controller in its place in RAM,
-//! restores the settings, starts the sampling by `SYST`, and puts together what each of the `Tasks` owns. A `Restart` names the `cause` and
-//! whether the recorder `is_recorded`.
 
 use crate::boards::{self, AXES, Port};
 use crate::control::{BoardController, Control, Ends};
@@ -20,11 +15,11 @@ use crate::watchdog::Supervisor;
 use core::mem::MaybeUninit;
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
 use oxmill_controller::Controller;
+use oxmill_controller::memory::Memory;
 use oxmill_controller::messages::{
     Chunk, EVENTS_DEPTH, LINE_MESSAGES, LineBytes, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, Restart, SEGMENTS_DEPTH,
     SIGNALS_DEPTH, Sensed, StepEvent, ToStep, Wiring,
 };
-use oxmill_controller::motion::Workspace;
 use oxmill_controller::settings::Key;
 use rtic_sync::channel::Channel;
 use rtic_sync::signal::Signal;
@@ -41,14 +36,6 @@ pub struct Channels {
     pub step_wiring: &'static mut Channel<Wiring, 2>,
     pub input_wiring: &'static mut Channel<Wiring, 2>,
     pub wake: &'static Signal<()>,
-}
-
-/// Where the controller and its look-ahead lie.
-#[allow(missing_docs, reason = "named and described in `main`")]
-pub struct Memory {
-    pub controller: &'static mut MaybeUninit<BoardController>,
-    pub job: Workspace<AXES>,
-    pub parking: Workspace<AXES>,
 }
 
 /// What the tasks own.
@@ -77,9 +64,10 @@ pub fn start(
     device: boards::pac::Peripherals,
     mut sampling: SYST,
     channels: Channels,
-    memory: Memory,
+    controller: &'static mut MaybeUninit<BoardController>,
+    memory: Memory<AXES>,
 ) -> Tasks {
-    let controller = memory.controller.write(Controller::new(boards::PROFILE, memory.job, memory.parking));
+    let controller = controller.write(Controller::new(boards::PROFILE, memory));
     let mut parts = boards::setup(device, failure::low_voltage);
     let (realtime_in, realtime) = channels.realtime.split();
     let (lines_in, lines) = channels.lines.split();

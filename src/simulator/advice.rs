@@ -1,13 +1,5 @@
 //! What a person can do about an error or an alarm: a sentence of advice for each of them, and what to write instead of
 //! words that are refused (G33, G41, M98). The controller's own texts say what is wrong; these say what helps.
-//!
-//! Names: What a person can do about an error or an alarm: `for_error`, `for_alarm` and `for_line` give a sentence of
-//! advice for each `Error` (`Error::ModalConflict => ...`: correct the line, home first, choose G54, set the post
-//! processor) and `Alarm`, and `INSTEAD` what to write for words that are refused (G33, G41, M98). The controller's own
-//! texts say what is wrong; these say what helps, and name a page of the docs. A `plain` word is its letter, the whole
-//! number, a `point` and a `fraction` if it has one (`g081.0` is `G81`). Typical sentences: use fewer brackets or
-//! calls, give it within its range, select the plane (G17) again, end a rotation with G69, look at docs/gcode.md, check
-//! the switch, its wire and the travel ($130 to $132), or use P0 and P1 on a Nucleo.
 
 use oxmill_controller::error::{Alarm, Error};
 
@@ -279,7 +271,7 @@ mod tests {
             for word in refused {
                 let line = format!("{word} X1 I1");
                 let mut checked = Checked::NOTHING;
-                let checked = Interpreter::<3>::new().check_into(line.as_bytes(), Dialect::Oxmill, &mut checked);
+                let checked = Interpreter::<3>::default().check_into(line.as_bytes(), Dialect::Oxmill, &mut checked);
                 let code = checked.expect_err(word).code();
                 assert_eq!(for_line(code, &line), advice, "{word}");
             }

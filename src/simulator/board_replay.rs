@@ -6,15 +6,6 @@
 //! place than the simulator would. So what has stopped the board is played where the recording says that the board was cut off,
 //! if the machine comes by there at about that time. The other way round nothing is taken on trust: where the motors rest, which blocks
 //! were stepped in which order, and the place and line of a failure must come out by themselves.
-//!
-//! Names: A board's recording, as `$REC` has listed it, played into the simulator, and whether the simulator has
-//! `parted` from the board or why it cannot be played (`Arrival` with notes). What was `Told` or `Noted` is first put
-//! in order (`in_order`, `ordered`): stops (`is_stop`, `0x18`, `tripped` inputs) behind their reset, begins of lines
-//! (`is_of_line`, `is_begin`). `Playing` brings the recorded state about (`begin_of`, `stand`), sends bytes and inputs
-//! (`set_pins`, `active ^ inverted`, connect, disconnect) at their time plus a `shift`, earlier or later by the `slack`
-//! (`SLACK_PARTS` of `hz`), and meets the places where the board was cut off or stopped (`Stopping`) with a clone that
-//! runs `ahead` until it `is_there`, then `advance`s the `clock`; it compares counters (`as_on_board`), blocks and
-//! `Standing` `here` at each rest.
 
 use crate::recording::{Input, NOTHING_COMPARED, Recording, Told};
 use crate::simulator::Simulator;

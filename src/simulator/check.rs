@@ -1,15 +1,6 @@
 //! `Check`: a job through the controller, a number of rounds at a time, and the report about it: refused lines with
 //! advice, messages, the alarm, times, distances, extents and peaks. It uses no files, threads or clock of the host;
 //! whoever drives it shows the progress.
-//!
-//! Names: `Check`: a `JobText` through the controller, a number of rounds at a time (`advance`, `run_slice`), and the
-//! report about it. `Outcome` collects refused lines (`LineError`, `KEPT_ERRORS`) with their advice, what was `Said`
-//! (`KEPT_MESSAGES`), notes and the alarm with its code (`AlarmReport`); a pause is ended by `CycleStart` and noted at
-//! the `oldest_unanswered` line, and a block left open (`open_since`, `look_for_open_block`) is an error; `behind_end`
-//! counts lines after M2 or M30. `summary` puts what the meter `measured` and its times (`ToolTime`: feed, rapid,
-//! dwell, spin-up), steps since `began_at`, pulses, distances, extents (`named`), peaks (`to_vec`, rounded) and the
-//! hashes of the `trace` (`{:016x}`) together. It uses no files, threads or clock of the host; whoever drives it shows
-//! the progress.
 
 use crate::advice;
 use crate::boards::AXES;

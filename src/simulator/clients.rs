@@ -1,11 +1,6 @@
 //! The clients of `serve`: what the threads that wait for bytes share with the loop that owns the simulator. Each
 //! client has an inbox that a thread fills and a thread that writes its answers; what happens to it goes to the loop
 //! through a channel.
-//!
-//! Names: The `Inbox` of each `Client` (its `state`, `LONGEST_LINE`, `AHEAD`) is filled a `PIECE` at a time, and a
-//! thread writes its answers (`writer`); what `Happened` goes to the loop through a channel: an `Incoming` `Connection`
-//! (`Program`, or `Page` with its socket) of as many as there are `Places`, one that has `hung_up` (`poll`), `ended` or
-//! is `closed`.
 
 use crate::no_browser::is_realtime;
 use std::collections::VecDeque;

@@ -1,12 +1,5 @@
 //! The words of the command line and nothing of what they do: commands, their options, and the exit status. The help
 //! texts and manual pages are made from the comments here.
-//!
-//! Names: The words of the command line and nothing of what they do: the commands (`Run`, `Check`, `Plot`, `Serve`,
-//! `Replay`, completions, manual) with their options as fields (job, JSON, plot, trace, record, link, speed),
-//! `MachineOptions` (board, dialect, settings, machine, store), `WorkZero`, and the exit status. Paths are `PathBuf`s,
-//! numbers must be finite. Each is an `#[arg(long, value_name = "FILE")]` of `clap` (`conflicts_with`, `required`,
-//! `default_value`, `value_parser`): FILE.svg, FILE.png or FILE.csv, `[ADDR:]PORT` of `tcp`, `pty`, `web` or `stdio`,
-//! `reset_on_connect`; speed and work zero are parsed by `from_str`.
 
 use crate::boards::{self, Board};
 use crate::power_up::{Dialect, board_named};

@@ -1,13 +1,5 @@
 //! What each setting does and when a person changes it, in a sentence or two for every `Key` and `AxisKey`. Number,
 //! name, unit, range and default are in the controller's own table; boards do not have these sentences.
-//!
-//! Names: What each setting does and when a person changes it, in a sentence or two for every `Key` and `AxisKey`
-//! (`Key::StepPulse`, `Key::HomingSeek`). Number, name, unit, range and default are in the controller's own table;
-//! boards do not have these sentences. They say how far, how long or how fast, and what happens without it. Typical
-//! phrases: turns the level round, take what the data sheet of the driver asks for, set it for an axis that goes the
-//! wrong way, switches the chip's own pull-up off where there is another resistor, switches homing on, speed of the
-//! first and of the second touch of a switch or of the tool setter, which axis is pulled out and parked when the door
-//! opens, how far one motor may go alone or the coolant flows, soft limits, when motors stall, what is done in mid-job.
 
 use oxmill_controller::settings::{AxisKey, Key};
 

@@ -2,9 +2,6 @@
 //! followed), every `Output` can be opened before the machine starts, is locked as long as it
 //! is written, and is removed if it was made and not written.
 //! What is read has a bound of bytes: a device or a pipe may have no end.
-//!
-//! Names: Errors name the path and, as their context, what the file is for. `same_file` compares `same_path`s and
-//! inodes of a `folder` (`MOST_LINKS`); text is read by a `BufReader` (`io`).
 
 use crate::fittings::Fittings;
 use anyhow::{Context, Result, bail};

@@ -2,12 +2,6 @@
 //! bounce and the second motor, a probe plate, backlash and a racked gantry in mm, and the switches that homing asks
 //! for (`HomeSwitches`). It follows where the motors drive the carriages, tells which contacts are closed or chatter,
 //! and knows nothing of the controller.
-//!
-//! Names: Places of contacts are compared with `driven_mm`, from `steps_per_mm`, backlash (`backlash_mm`) and the
-//! arrangement, by the same `Kinematics` as the controller. A `Description` is read by `serde` (`Deserialize`,
-//! `deny_unknown_fields`, `rename_all = "lowercase"`) and `ensure!`d: steps must be finite, axes of this machine.
-//! `Arrangement::Cartesian => Kinematics::Cartesian`; `moved` (at `now_us`) tells whether a contact has changed
-//! (`A_HAIR_MM`), `touches` whether the plate is touched.
 
 use crate::boards::AXES;
 use crate::machine::Machine;

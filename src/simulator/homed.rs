@@ -2,9 +2,6 @@
 //! switches that the settings ask for, says `$H` and G10 L2 to the controller, and names the steps from machine zero.
 //! Soft limits act in the job then. A switch is half a travel from the start, on the side of `HomingDirection`
 //! (`to_negative`).
-//!
-//! Names: It works on the `world` of the simulator: `fit_switches`, what homing and G10 have `said` (a MSG or an
-//! error), an axis that was left out ($44 to $46), `rename_places` of the fittings.
 
 use crate::boards::AXES;
 use crate::fittings::HomeSwitches;

@@ -7,10 +7,6 @@
 //! ```
 //! The host is on a link like USB, which can wait: what has no room in the board's queues and in the link waits in the
 //! host's port.
-//!
-//! Names: The `arbiter` of hosts is asked by `pass_on`, `command` and when the link `went`; realtime commands and each
-//! `LineByte` are in a `VecDeque` (`push_back`, `pop_front`) with its depth as room; `fetch` is told whether the
-//! `controller_is_free`, and `next_event` gives `Disconnected` or `Connected`.
 
 use crate::boards::AXES;
 use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, REALTIME_DEPTH, Realtime};

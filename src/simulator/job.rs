@@ -3,11 +3,6 @@
 //! controller in simulated time with a progress bar, and writes trace, recording, drawings and what the controller
 //! `said`, with the printed summary (whole, short or JSON). `Ending` tells how it ended: good, faulty, or other steps
 //! than the recording.
-//!
-//! Names: Failures are `anyhow` errors with their context ("cannot write the recording" is `UNRECORDED`): a damaged
-//! store, a `reading_failure` of the `JobText`, a `cut_power`. The optional `path`s of `trace` and recording
-//! (`as_deref`, `transpose`) are opened as `Output`s; `begin_trace` writes a `Csv`, `begin_recording` gives the
-//! `recorder` its file. `play` tells whether the replay is the `same`, with notes; a `Form` is `Short` or `Json`.
 
 use crate::board_replay;
 use crate::check::Check;

@@ -1,9 +1,6 @@
 //! What the image of a small board leaves out ([`Board::has_all_words`]). The simulator has all of it, so a check for such
 //! a board adds what the board would answer to each line: the error of the first of its words that is left out.
 //!
-//! Names: `error_of` a line looks at its `code`, without remarks: `#`, a bracket, an O word (`is_o_word`), or a word
-//! that is `refused`.
-//!
 //! [`Board::has_all_words`]: oxmill_boards::profiles::Board::has_all_words
 
 use crate::prologue::words_of;

@@ -1,10 +1,6 @@
 //! The machine behind the step pins: net position and pulses of each motor, the second motor of a ganged axis, and the
 //! carriages, Cartesian or CoreXY, with the extents (low, high) that they reached. `step` moves them by step and
 //! direction bits.
-//!
-//! Names: `Arrangement::Cartesian => self.position`, and for `CoreXy` sums and differences; `GangedMotors` chooses
-//! motors, `negative` is a direction bit; `motors`, `motor_pulses`, `second_motor`, `carriages`, `restart_extents` and
-//! `rename_place` are by axis, `linear` takes the first three.
 
 use crate::boards::AXES;
 

@@ -9,15 +9,6 @@
 //! of 25 steps. Speeds and accelerations are therefore taken over windows that reach across blocks, of one to
 //! `LONGEST_WINDOW` segments, and each is lessened by what rounding may have added to it. What remains has been
 //! reached for certain.
-//!
-//! Names: How far and how fast the tool went, in mm as `f64`, measured on the blocks (`Coming`, `next_block`,
-//! `upcoming`) and segments that the step task executed, for a `Cartesian` or CoreXY `Arrangement` and `steps_per_mm`.
-//! The `Meter` adds up `steps_by_axis` (`AxisSteps`, `units_done`, `pending`) to the place of each axis (`place_of`,
-//! `carriages_mm`, `start`, `delta`; `[f64; AXES]` made by `std::array::from_fn`), keeps the `Node`s (ends of segments)
-//! of a window, and a `Way` between two, `along` the path or `straight`, has length, time and an error from rounding to
-//! steps, how `wrong` it is, with `doubt` and `excess`; `change` of speed gives the acceleration; `peak_speed` and
-//! `peak_acceleration` count only what is certain (`SPEED_TOLERANCE`, `SHORTEST`). Also distance, rapids, `waited`
-//! time, `times` of tools, and samples for a `drawing`.
 
 use crate::boards::AXES;
 use crate::machine::linear;

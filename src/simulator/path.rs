@@ -2,11 +2,6 @@
 //! mean and top speed over time, of bounded number however long the job is. Samples are added one at a time; when
 //! points are too many they are thinned out within a tolerance (`simplified`, by Douglas and Peucker: what is farthest
 //! off the line), and when columns are, neighbours are merged and their `width` in seconds doubles.
-//!
-//! Names: `AT_A_TIME` points are looked at, the `worst` is kept if it is off by more than the tolerance (`off_line`
-//! with `dot` and `length2`, as `f64` or `f32`; `FIRST_TOLERANCE`), and the speed of what is `left_out` is averaged;
-//! only if `mixed` is one `kind` joined with another; a point of the `SAME_SPEED` extends the last one. `with_limit`
-//! bounds the number.
 
 use crate::marks::Mark;
 use oxmill_controller::axes::LINEAR;

@@ -2,12 +2,6 @@
 //! `noise limit x` disturbs a pin for less than the filter needs, and `steps` asks what the step outputs have done.
 //!
 //! A level stays until it is changed; 1 is a closed contact (a low pin): active, unless a setting inverts the input.
-//!
-//! Names: The line protocol that moves input pins: `limit x 1`, `second_limit 1` (at the second motor of an axis),
-//! `probe 1`, `door 1`, `hold 1`, `start 1`, `reset 1`, `estop 1`, `fault 1` (of a motor driver), `at_speed 1`,
-//! `input 0 1` and `input 1 1` (the inputs of programs, M66 P0 and P1); `noise limit x` disturbs a pin for less than
-//! the filter needs, and `steps` asks what the step outputs have done. `apply` gives the levels after a line. Words are
-//! cut by `split_whitespace`, and `axis_index` finds the letter; what is wrong is told as a `String`.
 
 use oxmill_controller::axes::Axis;
 use oxmill_controller::messages::{SECOND_SWITCH, Signals, input};

@@ -1,12 +1,5 @@
 //! How the simulator carries the controller, in the order of [`oxmill_controller::pump`]: where each event comes from
 //! and where each output goes.
-//!
-//! Names: How the simulator carries the controller, in the order of [`oxmill_controller::pump`]: it implements `Pump`
-//! with its queues and virtual time. `observed` tells what the step task and the host are at (`has_job`, `job_ready`,
-//! queued, received), `next_event` asks each source, and `carry` takes each output: step messages, stop, each `Reply`
-//! chunk into the `outgoing` bytes, pins shown to the `world`, `Wiring` (`wire`), `ReadPins` (`clear_noise`,
-//! `pins_asked`), stored records. It reads the job ahead, bytes of lines (`next_line_byte`), the recording
-//! (`record_more`, `read_recording` from the `recorder`), settles the inputs, and gives the view of pins.
 
 use crate::boards::AXES;
 use crate::marks::Mark;

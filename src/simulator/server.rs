@@ -10,8 +10,6 @@
 //! One client is served at a time, as one program has a serial port open; on TCP another one is told so and turned away.
 //! A client has gone when it closes its side. Then the port is closed (`$914` says what becomes of the job), and what it
 //! sent and the board has no room for is thrown away. It is read ahead of the machine, so that its end is noticed.
-//!
-//! Names: Also time-outs (`from_millis`) and notice of what went `UNRECORDED`.
 
 use crate::clients::{
     ANSWERS, Client, Connection, ENDLESS, Happened, Inbox, Incoming, LONGEST_LINE, LOOK, PIECE, Writer, hung_up,

@@ -8,15 +8,6 @@
 //! 3. changes of input pins, through the boards' own filter,
 //! 4. a turn of the control task: rounds in the order of [`oxmill_controller::pump`], the firmware's, until one has found
 //!    nothing to do.
-//!
-//! Names: It holds (`pub(crate)`) the boxed `Controller`, a `StepTask`, an `InputTask`, the `HostLink`, a store, the
-//! `clock`, a `recorder`, `Marks`, a `Sole` job (`JobText`, `job_ready`) and a `World` of machine, fittings, spindle,
-//! meter and trace. A user sends bytes (`send_followed`, `hear_always`), presses realtime commands, moves pins by hand
-//! (`pin_line`, `disturbed`), loads a job text, takes the outgoing bytes (`take_output`), and lets time advance to the
-//! next event or wakeup that is due (`advance_once`, `advance_to`, `ticks_at`, `wake`, `sample_due`), for a duration
-//! (`run_for`) or until idle. It tells positions in `f64` millimetres (`machine_place`, `work_place`), outputs, what is
-//! unread, and whether the `power_is_gone`; it follows blocks, learns the resolution, and counts from when a wait
-//! `began` whether the spindle is `turning`.
 
 use crate::boards::{self, AXES, BLOCKS, Board};
 use crate::clock::Clock;
@@ -30,9 +21,9 @@ use crate::step_task::{StepTask, World};
 use crate::store::Store;
 use crate::text::JobText;
 use crate::trace::{Sole, Trace};
-use oxmill_controller::motion::lent;
 use oxmill_controller::axes::LINEAR;
 use oxmill_controller::machine::filter::SAMPLE_HZ;
+use oxmill_controller::memory::Memory;
 use oxmill_controller::messages::{Realtime, Restart, Signals, SlowOutputs, Standing, Wiring};
 use oxmill_controller::pump;
 use oxmill_controller::recorder::{Page, Recorder};
@@ -104,7 +95,7 @@ impl Simulator {
             program_pins: board.program_pins,
             has_store: true,
         };
-        let mut controller = Box::new(Controller::new(profile, lent(BLOCKS), lent(2)));
+        let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, BLOCKS)));
         for record in store.records() {
             controller.restore(&record);
         }

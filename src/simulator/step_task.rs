@@ -2,10 +2,6 @@
 //! of the virtual clock. Each tick steps the motors of the `World` (machine, fittings, meter, trace), looks at the
 //! probe, sets the power of the segment, and makes events of stops and underruns. It takes over the slow outputs, and
 //! after a stop its gate is `shut`.
-//!
-//! Names: Segments and events are each in a `VecDeque` (`push_back`, `queued`, `next_event`); `is_done` says that
-//! nothing moves and nothing waits, `is_idle` that nothing is loaded either; `busy` counts the intervals,
-//! `segments_begun` the segments, and the probe is read with `probe_invert`.
 
 use crate::boards::AXES;
 use crate::clock::Clock;

@@ -6,10 +6,6 @@
 //! Whoever keeps a copy is told of every word at once, so whatever ends the process leaves what a power cut would leave. A
 //! power cut can also be ordered: after so many words and erases, the next one is left half done and nothing is taken any
 //! more.
-//!
-//! Names: `spend` counts an operation and says whether it was `powered`; an image is `blank`, `in_memory`, `kept`
-//! (`from_bytes`, `Unusable`), or `power_cycled`, and `sync` has the file written out (`io::Result`, `anyhow!` for what
-//! is refused).
 
 use anyhow::{Context, Result, anyhow, bail};
 use oxmill_controller::messages::{Record, Store as Change};

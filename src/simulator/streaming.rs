@@ -5,11 +5,6 @@
 //!
 //! The sender counts characters: it sends a line as long as what the controller has not answered, with it, fits into the
 //! receive buffer. Answers need their time on the way back, too. Time passes in slices of a millisecond.
-//!
-//! Names: `lines_of` the text are `waiting` in a `VecDeque` and go out while the board has room; what the machine says
-//! is `returning` (`drain`ed as the link carries it), and `hear_answer` counts each that `is_error`
-//! (`starts_with(b"error:")`). `run_slice` lets a `SLICE` pass; the ends of lines are compared with those of the
-//! `unlimited` link.
 
 use crate::machine::linear;
 use crate::path::Drawing;

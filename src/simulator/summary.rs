@@ -1,13 +1,5 @@
 //! `Summary`: what a job did, as fields of JSON and as rows of text for people: errors, alarm, messages, forecast,
 //! times, position, steps, distances, extents, peaks and hashes.
-//!
-//! Names: `Summary`: what a job did, as fields of JSON (`Serialize`: `position_mm`, `peak_speed_mm_s`, `step_events`,
-//! `host_s`) and as rows of text for people, written with `writeln!(f, ..)` and `format!` (`join`, `place_text`,
-//! `named_time`): lines, errors (`LineError`, `SHOWN_ERRORS`, `error_count`), alarm report (`AlarmReport`), messages
-//! and notes as `runs` of equal texts, with the count of more, forecast of the whole tape, times at feed, in rapids and
-//! of spin-up, dwell, by `ToolTime` for `several_tools`, position, steps, pulses, distance, `Extents`, peaks of speed
-//! and of acceleration by axis (mm/s2), hashes, and how many times faster than the machine it was simulated. `counted`
-//! adds a plural s; `clock_time` writes seconds as hours and minutes.
 
 use crate::times::ToolTime;
 use oxmill_controller::axes::Axis;

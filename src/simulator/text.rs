@@ -4,14 +4,6 @@
 //! A file is not a wire: no byte of it is a realtime command. Comments may hold any UTF-8; what is not ASCII reaches the
 //! controller as `?`, which means nothing in a comment and is refused anywhere else. Every line gets exactly one answer,
 //! in order, as for any sender.
-//!
-//! Names: `JobText`: a job as text, from a `Box<dyn BufRead>`: `read_line` takes what is `available`
-//! (`io::ErrorKind::Interrupted`), `take_line` its `lines`. They are given to the controller character by character
-//! (`waiting`, `next_byte`, `AHEAD`), with numbers (`lines_before`, `file_line`), tape marks (`%`), remarks, bytes
-//! `consumed`, carriage returns (`after_cr`) and the end of the program (`ended_at`, `ProgramEnd`, `behind_end`,
-//! `at_end`) noted, and a line over `LONGEST_LINE` is refused; each `reply` of the controller (`answered`,
-//! `reply_line`, `without_header`) is matched to the `oldest_unanswered` line, and gives errors with their code and
-//! messages (`Said`), the line of an alarm (`alarmed_at`), and the openers of O-word blocks.
 
 use crate::left_out;
 use oxmill_controller::error::Error;

@@ -1,12 +1,5 @@
 //! `Trace`: what the step outputs did, step event by step event: digests always, and on request a row for each event in
 //! a CSV file or a list in memory.
-//!
-//! Names: The `digest` and the count of events always; a `Csv` file (a `BufWriter` on a `Box<dyn Write>`) with a row
-//! for each `StepRecord` (`position`, `rotary` axes, time from the `origin` in `hz`, spindle, power, coolant, outputs)
-//! or a list in memory on request (`keep`, `kept`, `segments`). `push_number` writes seconds and nanoseconds, flood,
-//! mist, cw and ccw into the row; outputs that are `current` and already `shown` are left empty, and what `failed` in
-//! writing is told by `finish` (`io::Result`). `duration` is from the `first` to the `last` event. `Sole` is a part
-//! that a clone does not have.
 
 use oxmill_controller::axes::{Axis, LINEAR};
 use oxmill_controller::digest::Digest;

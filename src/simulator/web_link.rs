@@ -6,11 +6,6 @@
 //! A web site that somebody visits can reach ports of this computer. So nothing is answered unless `Host` names the loopback
 //! (a name of another site may be made to lead here), and no machine is driven unless `Origin` is this page's: a browser
 //! tells both truthfully, and lets no page change them.
-//!
-//! Names: It `peek`s at the `stream` until the head of the request is whole, `accept`s the socket with `tungstenite`,
-//! keeps `inbox`, `sender` and answers (`TryRecvError`) of it, and closes it with `PATIENCE` (`get_ref`,
-//! `set_write_timeout`). The page is found `beside` the program or where it is `built`, and has its `MARK`
-//! (`charset="utf-8"`).
 
 use crate::clients::{Connection, ENDLESS, Happened, Inbox, Incoming, Places, Taken, hung_up};
 use crate::tcp_link::connections;

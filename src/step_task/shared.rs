@@ -1,11 +1,5 @@
 //! What tasks share without a queue, because a message would be out of date or cost too much: atomics, grouped by the
 //! task that writes them.
-//!
-//! Names: `STEP`, `SERIAL`, `INPUTS` and `CONTROL` hold the status of each (`segments_begun`, `bytes_queued`,
-//! `hosts_came`, `noise`, `position`, `free_at`); `ASKED` and `ask_for_stop` ask a task; `owe` and `take_owed` keep
-//! realtime commands that found the queue full; `Power` is the spindle's wanted level. They are `AtomicU32`,
-//! `AtomicU16` and so on, with `Ordering::Relaxed` (`load`, `fetch_add`, `swap`); `stops_asked` and `bytes_received`
-//! are counts, and `owed` is a set of commands.
 
 use crate::boards::AXES;
 use core::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU16, AtomicU32, Ordering};

@@ -31,15 +31,6 @@
 //!
 //! Damage is handed out as a record with the key [`STORE_DAMAGED`] until that record is removed; it outlives power cycles
 //! and moves. Its removal copies what is left into the spare sector. Opening a damaged log changes nothing in flash.
-//!
-//! Names: Settings that survive a power cut at any moment: a `Log` of records, `PUT` or `REMOVE`, each an `Entry` of
-//! key, value and `crc` (`POLYNOMIAL`), written in words (`first_word`, `LONGEST_WORDS`, `to_le_bytes`,
-//! `from_le_bytes`) at the next `address` of one of two sectors of a `Flash` (`F`, `F::Error`, `StoreError`,
-//! `sector_size`, `erase`). A header has a `sequence`; a full sector is compacted with the `coming` entry into the
-//! `spare`, which is erased before (`wipe`, `needs_erase`). `survey` reads the `Outline` of each entry, `counting` finds
-//! those that no later one replaces, `look_behind` the end reads whether that is clean (`Ok((false, true))`), and damage
-//! is noted as a `Gap`, as not `appendable`, `unmapped` or `unsound`; one `wrong_byte` is mended by the `difference` of
-//! the CRC `sum` from the words `covered`. It takes the place of the EEPROM of Grbl.
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 

@@ -1,15 +1,6 @@
 //! What the WebAssembly module does, without pointers: `check` and `stream` run a job, `turn` runs a machine for so
 //! many microseconds, `rows` gives the path as numbers, and `describe` the tables of settings, errors and alarms.
 //! Orders come as JSON.
-//!
-//! Names: What the WebAssembly module does, without pointers: an `Order` in JSON says `board`, `dialect`, `settings`,
-//! `machine` and `baud`; `check` and `stream` run a job on a simulator after `power_up`, `turn` runs a `machine` for so
-//! many microseconds, `rows` gives the path as numbers (`RAPID`, `ARC`), and `describe` the tables of settings, errors
-//! and alarms. A row of it has name, unit, kind, least and greatest value and explanation. An order that is not
-//! understood is an error text (`map_err`, `format!`); `apply_setting`, a `Description` of the fittings and `work_zero`
-//! prepare the machine. A row of the path is a `point` with speed and seconds; a board has `safe_step_hz` and
-//! `received_bytes`; each error has its `code`, `text` and `advice`; the kinds are whole, tenths, mask, switch, axes,
-//! real and place.
 
 use oxmill_controller::axes::LINEAR;
 use oxmill_controller::error::{Alarm, Error};

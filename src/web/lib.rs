@@ -45,9 +45,6 @@
 //! Settings are applied in the order of their numbers, the dialect last.
 //!
 //! A panic ends the instance with a trap; its text can still be fetched.
-//!
-//! Names: A `HOOK` keeps the text of a `PANIC` (`with_borrow`); a share is in `PARTS` of 1000, `DONE` is 1001; the
-//! `limited` stream advances beside the `free` one by milliseconds, and its `summary` is made by `serde_json`.
 
 pub mod engine;
 

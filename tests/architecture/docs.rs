@@ -1,9 +1,7 @@
 //! What the documents say of the code: files that exist, functions that are in them, rooms that are in the table.
 
 use crate::{root, source};
-use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
 
 fn document(name: &str) -> String {
     fs::read_to_string(root().join("docs").join(name)).unwrap_or_else(|error| panic!("docs/{name}: {error}"))
@@ -25,7 +23,7 @@ fn quoted(text: &str) -> impl Iterator<Item = &str> {
 fn functions(file: &str) -> Vec<String> {
     let text = fs::read_to_string(root().join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
     let tokens = source::lex(&source::bare(&text));
-    tokens.windows(2).filter(|pair| pair[0].text == "fn").map(|pair| pair[1].text.clone()).collect()
+    tokens.windows(2).filter(|pair| pair[0] == "fn").map(|pair| pair[1].clone()).collect()
 }
 
 #[test]
@@ -102,58 +100,4 @@ fn every_room_has_a_sentence() {
         assert!(listed.contains(&room.as_str()), "docs/how-it-works.md has no row for `{room}`");
     }
     assert!(rooms.len() > 18, "{rooms:?}");
-}
-
-/// Folders whose files docs/files.md lists.
-const LISTED: [&str; 2] = ["boards", "src"];
-
-/// Files that docs/files.md lists, by the end of their names, and how the comment at their head begins.
-const KINDS: [(&str, &str); 5] = [("css", "/*"), ("html", "<!--"), ("mjs", "//"), ("rs", "//!"), ("ts", "//")];
-
-/// What begins the paragraph of a file's head that has the names to look for in it.
-const NAMES: &str = "Names: ";
-
-/// Two paragraphs of the comment at a file's head: the first, what the file is about, and the names to look for in it, if
-/// there are any.
-fn head_of(file: &Path, text: &str) -> (String, String) {
-    let (_, mark) = KINDS.iter().find(|(kind, _)| file.extension().is_some_and(|e| e == *kind)).unwrap();
-    let lines = text.lines().skip_while(|line| line.starts_with("<!doctype")).map_while(|line| line.strip_prefix(mark));
-    let lines: Vec<&str> = lines.map(|line| line.trim_end_matches("*/").trim_end_matches("-->").trim()).collect();
-    let mut paragraphs = lines.split(|line| line.is_empty()).map(|lines| lines.join(" ").replace('|', "\\|"));
-    let about = paragraphs.next().unwrap_or_default();
-    let names = paragraphs.find_map(|text| text.strip_prefix(NAMES).map(str::to_owned)).unwrap_or_default();
-    (about, names)
-}
-
-/// docs/files.md has each file with its own first words; `OXMILL_FILES=accept` writes it.
-#[test]
-fn every_file_is_listed_with_its_own_words() {
-    let mut text = String::from(
-        "# Every file\n\nAfter this page you know where to look. What each file of `src/` and `boards/` is about, in its own first words, and names to look for in it. A test keeps this page true;\n\
-         `OXMILL_FILES=accept cargo test --test architecture listed` writes it.\n\n\
-         Where `src/controller/machine` and `src/controller/controller` have files of one name, the first is a state machine that gives orders and\n\
-         never sees the controller; the second carries the orders out.\n",
-    );
-    let mut folders: BTreeMap<String, Vec<(String, String, String)>> = BTreeMap::new();
-    for top in LISTED {
-        for (file, source) in source::of_kinds(&root().join(top), &KINDS.map(|(kind, _)| kind)) {
-            let path = format!("{top}/{}", file.display());
-            let (about, names) = head_of(&file, &source);
-            assert!(!about.is_empty(), "{path} does not say what it is about");
-            let (folder, name) = path.rsplit_once('/').unwrap();
-            folders.entry(folder.to_owned()).or_default().push((name.to_owned(), about, names));
-        }
-    }
-    for (folder, files) in &folders {
-        text += &format!("\n## {folder}\n\n| file | what it is about | names in it |\n|---|---|---|\n");
-        for (name, about, names) in files {
-            text += &format!("| `{name}` | {about} | {names} |\n");
-        }
-    }
-    let page = root().join("docs/files.md");
-    if std::env::var("OXMILL_FILES").is_ok_and(|value| value == "accept") {
-        fs::write(&page, &text).unwrap();
-    }
-    let written = fs::read_to_string(&page).unwrap_or_default();
-    assert!(written == text, "docs/files.md is not current: OXMILL_FILES=accept cargo test --test architecture listed");
 }

@@ -4,13 +4,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// All Rust files below a folder, with their path from there, in order.
+/// All Rust files below a folder, with their path from there, in order; without what tools put there.
 pub fn all(folder: &Path) -> Vec<(PathBuf, String)> {
-    of_kinds(folder, &["rs"])
-}
-
-/// All files below a folder whose names end like this, with their path from there, in order; without what tools put there.
-pub fn of_kinds(folder: &Path, kinds: &[&str]) -> Vec<(PathBuf, String)> {
     let mut found = Vec::new();
     let mut folders = vec![folder.to_path_buf()];
     while let Some(next) = folders.pop() {
@@ -20,7 +15,7 @@ pub fn of_kinds(folder: &Path, kinds: &[&str]) -> Vec<(PathBuf, String)> {
                 if path.file_name().is_some_and(|n| n != "target" && n != "node_modules") {
                     folders.push(path);
                 }
-            } else if path.extension().is_some_and(|e| kinds.iter().any(|kind| e == *kind)) {
+            } else if path.extension().is_some_and(|e| e == "rs") {
                 let text = fs::read_to_string(&path).unwrap();
                 found.push((path.strip_prefix(folder).unwrap().to_path_buf(), text));
             }
@@ -35,19 +30,8 @@ pub fn bare(text: &str) -> String {
     without_tests(&without_comments_and_strings(text))
 }
 
-/// The comments alone, with their line breaks.
-pub fn comments(text: &str) -> String {
-    split(text).1
-}
-
 /// Comments, and the insides of strings and character literals, become blanks. Line breaks stay.
 fn without_comments_and_strings(text: &str) -> String {
-    split(text).0
-}
-
-/// The code, with blanks for comments, strings and characters; and the comments.
-fn split(text: &str) -> (String, String) {
-    let mut comments = String::new();
     let source: Vec<char> = text.chars().collect();
     let mut out = String::with_capacity(text.len());
     let mut at = 0;
@@ -69,13 +53,9 @@ fn split(text: &str) -> (String, String) {
             continue;
         };
         out.extend(rest[..end].iter().map(|&c| if c == '\n' { '\n' } else { ' ' }));
-        if rest[0] == '/' {
-            comments.extend(&rest[..end]);
-            comments.push('\n');
-        }
         at += end;
     }
-    (out, comments)
+    out
 }
 
 fn block_comment(rest: &[char]) -> usize {
@@ -163,23 +143,12 @@ fn without_tests(text: &str) -> String {
     out
 }
 
-/// A name, a number or a sign, and its line.
-#[derive(Clone, Debug)]
-pub struct Token {
-    pub text: String,
-    pub line: usize,
-}
-
-/// Names and punctuation, in order; `::` is one.
-pub fn lex(text: &str) -> Vec<Token> {
-    let mut found: Vec<Token> = Vec::new();
-    let mut line = 1;
+/// Names, numbers and punctuation, in order; `::` is one.
+pub fn lex(text: &str) -> Vec<String> {
+    let mut found: Vec<String> = Vec::new();
     let mut chars = text.chars().peekable();
     while let Some(c) = chars.next() {
         let mut word = String::from(c);
-        if c == '\n' {
-            line += 1;
-        }
         if c.is_alphanumeric() || c == '_' {
             while let Some(&next) = chars.peek() {
                 if !(next.is_alphanumeric() || next == '_') {
@@ -194,35 +163,31 @@ pub fn lex(text: &str) -> Vec<Token> {
         } else if c.is_whitespace() {
             continue;
         }
-        found.push(Token { text: word, line });
+        found.push(word);
     }
     found
 }
 
-fn tokens(text: &str) -> Vec<String> {
-    lex(text).into_iter().map(|token| token.text).collect()
-}
-
-/// Something with a body: `struct`, `enum`, `trait`, `impl`, `fn`, or the `type` that names another.
+/// Something with a body: `struct`, `enum`, `trait`, `impl` or `fn`.
 pub struct Item {
     pub kind: String,
     /// Of an `impl`, the type.
     pub name: String,
     /// From the word that begins it to its end.
-    pub body: Vec<Token>,
+    pub body: Vec<String>,
 }
 
 impl Item {
-    /// The functions in it, or itself if it is one: name and lines.
-    pub fn functions(&self) -> Vec<(String, usize)> {
+    /// Names of the functions in it, or its own if it is one.
+    pub fn functions(&self) -> Vec<String> {
         let mut found = Vec::new();
         let mut at = 0;
         while at + 1 < self.body.len() {
             // `fn(` is a type.
-            if self.body[at].text == "fn" && is_name(&self.body[at + 1].text) {
+            if self.body[at] == "fn" && is_name(&self.body[at + 1]) {
                 let end = end_of(&self.body, at);
-                if self.body[end].text == "}" {
-                    found.push((self.body[at + 1].text.clone(), self.body[end].line - self.body[at].line + 1));
+                if self.body[end] == "}" {
+                    found.push(self.body[at + 1].clone());
                 }
                 at = end;
             }
@@ -233,10 +198,10 @@ impl Item {
 }
 
 /// Index of the last token of an item that begins at `at`: its closing brace, or the semicolon of one without a body.
-fn end_of(tokens: &[Token], at: usize) -> usize {
+fn end_of(tokens: &[String], at: usize) -> usize {
     let (mut depth, mut braces) = (0_usize, 0_usize);
     for (i, token) in tokens.iter().enumerate().skip(at) {
-        match token.text.as_str() {
+        match token.as_str() {
             "(" | "[" => depth += 1,
             ")" | "]" => depth = depth.saturating_sub(1),
             "{" => braces += 1,
@@ -254,18 +219,18 @@ fn end_of(tokens: &[Token], at: usize) -> usize {
 }
 
 /// The items of a file, also those of inline modules; those within items are not listed.
-pub fn items(tokens: &[Token]) -> Vec<Item> {
+pub fn items(tokens: &[String]) -> Vec<Item> {
     let mut found = Vec::new();
     let mut at = 0;
     while at + 1 < tokens.len() {
-        let word = tokens[at].text.as_str();
-        if !["struct", "enum", "trait", "impl", "fn", "type"].contains(&word) {
+        let word = tokens[at].as_str();
+        if !["struct", "enum", "trait", "impl", "fn"].contains(&word) {
             at += 1;
             continue;
         }
         let end = end_of(tokens, at);
         let body = tokens[at..=end].to_vec();
-        let name = if word == "impl" { type_of_impl(&body) } else { tokens[at + 1].text.clone() };
+        let name = if word == "impl" { type_of_impl(&body) } else { tokens[at + 1].clone() };
         found.push(Item { kind: word.to_owned(), name, body });
         at = end + 1;
     }
@@ -273,12 +238,12 @@ pub fn items(tokens: &[Token]) -> Vec<Item> {
 }
 
 /// The last name of the type that an `impl` is for, without its parameters.
-fn type_of_impl(tokens: &[Token]) -> String {
+fn type_of_impl(tokens: &[String]) -> String {
     let (mut angles, mut name) = (0_usize, String::new());
     for (i, token) in tokens.iter().enumerate().skip(1) {
-        match token.text.as_str() {
+        match token.as_str() {
             "<" => angles += 1,
-            ">" if tokens[i - 1].text != "-" => angles = angles.saturating_sub(1),
+            ">" if tokens[i - 1] != "-" => angles = angles.saturating_sub(1),
             "for" if angles == 0 => name.clear(),
             "{" | "where" if angles == 0 => break,
             word if angles == 0 && is_name(word) => name = word.to_owned(),
@@ -288,45 +253,16 @@ fn type_of_impl(tokens: &[Token]) -> String {
     name
 }
 
-/// The last name of the type that a `type` stands for, without its parameters.
-pub fn aliased(tokens: &[Token]) -> String {
-    let begin = tokens.iter().position(|token| token.text == "=").unwrap_or(0);
-    type_of_impl(&tokens[begin..])
-}
-
-/// How many fields the body of a `struct` has.
-pub fn fields(body: &[Token]) -> usize {
-    let Some(open) = body.iter().position(|token| token.text == "{") else { return 0 };
-    let (mut depth, mut count) = (0_usize, 0);
-    for token in &body[open..] {
-        match token.text.as_str() {
-            "(" | "[" | "{" => depth += 1,
-            ")" | "]" | "}" => depth = depth.saturating_sub(1),
-            ":" if depth == 1 => count += 1,
-            _ => {}
-        }
-    }
-    count
-}
-
-/// Whether a method takes `&mut self`.
-pub fn has_mut_self(body: &[Token]) -> bool {
-    body.windows(3).any(|w| w[0].text == "&" && w[1].text == "mut" && w[2].text == "self")
-}
-
 /// Names of the methods called on `self`, and of the functions of `Self`.
-pub fn calls_of_self(body: &[Token]) -> Vec<String> {
-    let is = |token: &Token, text: &str| token.text == text;
-    let receives = |w: &[Token]| is(&w[0], "self") && is(&w[1], ".") || is(&w[0], "Self") && is(&w[1], "::");
-    body.windows(4)
-        .filter(|w| receives(w) && is_name(&w[2].text) && is(&w[3], "("))
-        .map(|w| w[2].text.clone())
-        .collect()
+pub fn calls_of_self(body: &[String]) -> Vec<String> {
+    let is = |token: &String, text: &str| token == text;
+    let receives = |w: &[String]| is(&w[0], "self") && is(&w[1], ".") || is(&w[0], "Self") && is(&w[1], "::");
+    body.windows(4).filter(|w| receives(w) && is_name(&w[2]) && is(&w[3], "(")).map(|w| w[2].clone()).collect()
 }
 
 /// All words of the text.
 pub fn words(text: &str) -> impl Iterator<Item = String> {
-    tokens(text).into_iter().filter(|t| t.starts_with(|c: char| c.is_alphanumeric() || c == '_'))
+    lex(text).into_iter().filter(|t| t.starts_with(|c: char| c.is_alphanumeric() || c == '_'))
 }
 
 fn is_name(token: &str) -> bool {
@@ -335,7 +271,7 @@ fn is_name(token: &str) -> bool {
 
 /// Every path of two or more names, in `use` trees and elsewhere.
 pub fn paths(text: &str) -> Vec<Vec<String>> {
-    let tokens = tokens(text);
+    let tokens = lex(text);
     let mut found = Vec::new();
     let mut at = 0;
     while at < tokens.len() {

@@ -44,7 +44,8 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
         has_at_speed: true,
         program_pins: [0; 2],
     };
-    let mut controller = Box::new(Controller::<AXES>::new(profile, oxmill_controller::motion::lent(BLOCKS), oxmill_controller::motion::lent(2)));
+    let mut controller =
+        Box::new(Controller::<AXES>::new(profile, oxmill_controller::memory::Memory::on_heap(&profile, BLOCKS)));
     controller.start(Instant::from_ticks(0));
     controller.event(Instant::from_ticks(0), Event::Signals(Sensed::default()));
     let mut stepper = Stepper::<AXES>::new();

@@ -6,7 +6,7 @@
 //! answered once.
 
 use super::work;
-use oxmill_controller::motion::lent;
+use oxmill_controller::memory::Memory;
 use oxmill_controller::messages::{
     Event, HOST_CHANGED, LINES_DEPTH, LineByte, LineBytes, Observed, Output, PinView, REALTIME_DEPTH, REPLIES_DEPTH,
     Realtime, Record, Restart, Room, SEGMENTS_DEPTH, STORE_DAMAGED, Sensed, Signals, StepEvent, Store, ToStep, input,
@@ -173,7 +173,7 @@ impl Board {
             program_pins: [0; 2],
             has_store: true,
         };
-        let mut controller = Box::new(Controller::new(profile, lent(BLOCKS), lent(2)));
+        let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, BLOCKS)));
         for (key, value) in &records {
             let value = heapless::Vec::from_slice(value).expect("a value that was stored");
             controller.restore(&oxmill_controller::messages::Record { key: *key, value });

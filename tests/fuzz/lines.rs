@@ -36,7 +36,7 @@ pub fn run(data: &[u8]) {
         expressions: dialect != Dialect::Grbl,
         block_delete: first & 0x40 != 0,
     };
-    let mut program = Program { interpreter: Interpreter::new(), checked: Checked::NOTHING, dialect, lines: 0 };
+    let mut program = Program { interpreter: Interpreter::default(), checked: Checked::NOTHING, dialect, lines: 0 };
     program.interpreter.set_axes(if first & 0x20 != 0 { AXES } else { 3 });
     let mut line = Line::new();
     for byte in text {

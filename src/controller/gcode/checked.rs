@@ -1,16 +1,6 @@
 //! `Checked`, the result of a check: what a line asks for, as data that the controller carries out (spindle, speed,
 //! coolant, tool, dwell, stored offset, flow, pins, and the `Motion` in machine coordinates), and the state that it
 //! leaves `Afterwards`.
-//!
-//! Names: `Checked`, the result of a check: what a line asks for, as data that the controller carries out: spindle,
-//! speed, coolant, tool change, dwell, stored offset, flow (pause, end), pins (`ProgramPins`, `InputWait` for a rise or
-//! a level), and the `Motion` in machine coordinates per axis (target, `ArcMove`, `SplineMove`, `NurbsMove`, probe,
-//! cycle, via a point) with its `Feed`; also what it leaves `Afterwards`: modal state, `spindle_tool`, rotation, G92,
-//! tool length, the position arrived at, and whether the tool alone or the work offset changed. `Keeping` is what M70
-//! to M73 do, `RotationChange` what G68 does; `keeps_g92`, `uses_machine_place`, `spindle_word` and `way` are further
-//! fields. It answers `moves_only`, `changes_outputs`, `spindle_stopped_for_tool`, `return_with_tool`, `removes_tool`,
-//! `needs_machine`, `is_over`, and `redirect` ends a straight move elsewhere; points are `leaving` and `arriving`, and
-//! `NOTHING` changes nothing.
 
 use super::control_points::Addition;
 use super::cycle::Cycle;

@@ -1,9 +1,5 @@
 //! In place of `computed` where expressions, parameters and O words are left out to save flash: functions of the same
 //! names that do nothing, and refuse what needs them by an error of its own (`ExpressionsLeftOut`).
-//!
-//! Names: They are `direct` (`is_o_word`, `behind_digits`), `begin_call`, `next_held`, `is_blank`, `assigns`, `open_since`, `tape_mark`, `skipped`,
-//! `abandon_held`, `is_within_block`, `macro_line`, `set_macro_line`, `clear_macros`, `set_probed`, `set_input_read`,
-//! `expand`, `compute`, `assign`; parameters are `_`, and a `HeldLine` has room for one byte.
 
 use super::direction::{Direction, Held};
 use super::state::Interpreter;
@@ -12,11 +8,36 @@ use crate::axes::PerAxis;
 use crate::error::Error;
 use crate::units::Coordinate;
 
+/// There is nothing to be lent.
+#[derive(Debug)]
+pub(super) struct ComputedMemory;
+
+/// Owns nothing.
+#[derive(Debug)]
+#[cfg(not(feature = "alloc"))]
+pub(super) struct ComputedStorage;
+
+#[cfg(not(feature = "alloc"))]
+impl ComputedStorage {
+    pub const EMPTY: Self = Self;
+
+    pub fn lend(&'static mut self) -> ComputedMemory {
+        ComputedMemory
+    }
+}
+
+#[cfg(feature = "alloc")]
+impl ComputedMemory {
+    pub fn on_heap() -> Self {
+        Self
+    }
+}
+
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Computed<const N: usize>;
 
 impl<const N: usize> Computed<N> {
-    pub const fn new() -> Self {
+    pub fn new(_: ComputedMemory) -> Self {
         Self
     }
 

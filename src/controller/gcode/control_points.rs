@@ -2,6 +2,7 @@
 //! and what a line adds to them (`Addition`: a start or a point).
 
 use super::modal::SPLINES;
+use crate::memory::Lent;
 use crate::units::{Coordinate, WeightedPoint};
 
 /// So many control points may wait, the start among them: each takes 24 bytes.
@@ -20,16 +21,20 @@ pub(super) struct Addition {
     pub order: u8,
 }
 
+/// Room for control points.
+pub(super) type PointList = heapless::Vec<WeightedPoint, MOST>;
+
 /// The control points, in X and Y of the machine. The first is where the curve begins.
-#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "alloc", derive(Clone))]
+#[derive(Debug, PartialEq)]
 pub(super) struct ControlPoints {
-    points: heapless::Vec<WeightedPoint, MOST>,
+    points: Lent<PointList>,
     order: u8,
 }
 
 impl ControlPoints {
-    pub const fn new() -> Self {
-        Self { points: heapless::Vec::new(), order: ORDER }
+    pub fn new(points: Lent<PointList>) -> Self {
+        Self { points, order: ORDER }
     }
 
     /// Whether they begin at a place.

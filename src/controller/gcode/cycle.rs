@@ -110,7 +110,7 @@ pub enum CycleStep<const N: usize> {
 
 /// Which step is next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Next {
+pub(super) enum CyclePhase {
     /// Up to R where the tool is.
     Rise,
     /// To the next hole, in the plane.
@@ -148,7 +148,7 @@ pub struct Cycle<const N: usize> {
     pub(super) peck: Coordinate,
     /// Bottom of the latest peck.
     pub(super) reached: Coordinate,
-    pub(super) next: Next,
+    pub(super) next: CyclePhase,
     pub(super) feed: f32,
     pub(super) spindle: SpindleDirection,
     pub(super) words: CycleWords,
@@ -188,7 +188,7 @@ impl<const N: usize> Cycle<N> {
 
     /// Whether motion has to be at rest before the next step.
     pub fn next_rests(&self) -> bool {
-        let Next::After(done) = self.next else { return false };
+        let CyclePhase::After(done) = self.next else { return false };
         matches!(
             self.kind.after_bottom().get(usize::from(done)),
             Some(After::Dwell | After::SpindleOff | After::Pause | After::SpindleOn)
@@ -200,30 +200,30 @@ impl<const N: usize> Cycle<N> {
     pub fn step(&mut self, clearance: Coordinate) -> Option<CycleStep<N>> {
         let r = self.r;
         let (next, depth, is_feed) = match self.next {
-            Next::Plane if self.left == 0 => return None,
-            Next::Rise => (Next::Plane, along(&self.place, self.axes.linear).max(r), false),
-            Next::Plane => {
+            CyclePhase::Plane if self.left == 0 => return None,
+            CyclePhase::Rise => (CyclePhase::Plane, along(&self.place, self.axes.linear).max(r), false),
+            CyclePhase::Plane => {
                 let level = along(&self.place, self.axes.linear);
                 self.place = self.hole;
-                (Next::Approach, level, false)
+                (CyclePhase::Approach, level, false)
             }
-            Next::Approach => {
+            CyclePhase::Approach => {
                 self.reached = r;
-                (Next::Cut, r, false)
+                (CyclePhase::Cut, r, false)
             }
-            Next::Cut => {
+            CyclePhase::Cut => {
                 let peck = if self.kind.pecks() { self.reached - self.peck } else { self.bottom };
                 self.reached = peck.max(self.bottom);
                 let next = match self.kind {
-                    _ if self.reached == self.bottom => Next::After(0),
-                    CycleKind::Peck => Next::Out,
-                    _ => Next::Return,
+                    _ if self.reached == self.bottom => CyclePhase::After(0),
+                    CycleKind::Peck => CyclePhase::Out,
+                    _ => CyclePhase::Return,
                 };
                 (next, self.reached, true)
             }
-            Next::Out => (Next::Return, r, false),
-            Next::Return => (Next::Cut, (self.reached + clearance).min(r), false),
-            Next::After(done) => return self.after(done),
+            CyclePhase::Out => (CyclePhase::Return, r, false),
+            CyclePhase::Return => (CyclePhase::Cut, (self.reached + clearance).min(r), false),
+            CyclePhase::After(done) => return self.after(done),
         };
         self.next = next;
         Some(self.go_to_depth(depth, is_feed))
@@ -232,9 +232,9 @@ impl<const N: usize> Cycle<N> {
     fn after(&mut self, done: u8) -> Option<CycleStep<N>> {
         let all = self.kind.after_bottom();
         let after = all.get(usize::from(done)).copied()?;
-        self.next = Next::After(done + 1);
+        self.next = CyclePhase::After(done + 1);
         if usize::from(done) + 1 == all.len() {
-            self.next = Next::Plane;
+            self.next = CyclePhase::Plane;
             self.hole = self.hole_after(1);
             self.left = self.left.saturating_sub(1);
         }

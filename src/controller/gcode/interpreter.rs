@@ -2,11 +2,6 @@
 //! (modal state, offsets, rotation, scaling, saved states, tangent, cycle words), `reset` forgets, check mode begins,
 //! the dialect changes. Also `check_jog`, whether G92 acts or is kept (`g92_acts`), and the tool in the spindle
 //! afterwards.
-//!
-//! Names: `checked` and what is `after` it decide: `commit_beside_motion`, `remember_motion` (a `Spline`'s tangent or
-//! `NO_TANGENT`), `keep_state` (`Keeping`), `check_jog_into`, `begin_check_mode`, `change_dialect`; also `BeforeCheck`,
-//! `is_checking`, `forget_tool`, `measured` tools, `tool_length`, `coolant`, `Flow` and the additions to control
-//! points.
 
 use super::check::{self, Purpose};
 use super::checked::{Checked, Flow, Keeping, Motion};
@@ -69,6 +64,7 @@ impl<const N: usize> Interpreter<N> {
 
     /// Checks a line of a program. `line` is filtered: capital letters, no blanks, no comments. Parameters that the line
     /// sets are read, and not kept for a commit.
+    #[cfg(feature = "alloc")]
     pub fn check(&self, line: &[u8], dialect: Dialect) -> Result<Checked<N>, Error> {
         let mut checked = Checked::NOTHING;
         self.clone().check_into(line, dialect, &mut checked)?;
@@ -87,6 +83,7 @@ impl<const N: usize> Interpreter<N> {
 
     /// Checks what follows `$J=`. The motion of the result is a jog; of the state its commit changes the position
     /// only.
+    #[cfg(feature = "alloc")]
     pub fn check_jog(&self, line: &[u8], dialect: Dialect) -> Result<Checked<N>, Error> {
         let mut checked = Checked::NOTHING;
         self.clone().check_jog_into(line, dialect, &mut checked)?;

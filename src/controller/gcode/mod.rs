@@ -25,6 +25,7 @@ mod cycle;
 mod direction;
 mod interpreter;
 mod jog;
+mod memory;
 mod modal;
 mod offsets;
 mod parse;
@@ -44,6 +45,9 @@ pub use checked::{ArcMove, Checked, Feed, Flow, InputWait, Motion, NurbsMove, Pr
 pub use computed::HeldLine;
 pub use cycle::{Cycle, CycleStep, CycleWords};
 pub use direction::{Direction, Held};
+pub use memory::ProgramMemory;
+#[cfg(not(feature = "alloc"))]
+pub use memory::ProgramStorage;
 pub use modal::{
     ArcDistance, BLENDING, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, Modal, MotionMode, OverridesHeld,
     PathControl, PathTolerance, Plane, PlaneAxes, ProbeMode, ROTATION, SPLINES, SplineKind, Units,

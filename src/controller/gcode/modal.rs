@@ -1,12 +1,6 @@
 //! `Modal`: what stays in force from line to line, one type for each modal group, with the word that selects each value
 //! (`MotionMode::Linear => "G1"`). Its initial state, what the end of a program sets back, and which features this
 //! build has.
-//!
-//! Names: `Modal`: what stays in force from line to line, as types with the word that selects each value
-//! (`MotionMode::Linear => "G1"`, `CoordinateSystem::G54`): motion mode, canned cycles (`CycleKind`, `RetractToR`),
-//! probe mode, plane and its axes, distance and arc distance, feed mode (`feed_in_inches`), units, path control and
-//! tolerance, coordinate system, overrides held. Its initial state and what the end of a program sets back; and which
-//! features this build has (`EXTENDED`, `SPLINES`).
 
 use crate::axes::Axis;
 use crate::messages::{Coolant, SpindleDirection};

@@ -2,11 +2,6 @@
 //! words, M words, words that Grbl lacks (`Extended`), axis words with their places, and a value for each letter.
 //! Refuses repeated, negative and too great values. Nothing here depends on the modal state. `take_g` and `take_m` sort
 //! a `GWord` or `MWord` by its code and dialect.
-//!
-//! Names: `ModalWords` has an `Option` each of `MotionMode`, `Plane`, `Distance`, `ArcDistance`, `FeedMode`, `Units`
-//! and `CoordinateSystem`; `ValueWords` has the values. In it are also `is_move`, `cancels_only`,
-//! `ends_control_points`, `is_path_tolerance`, `parking_override`, `ToolLength`, coolant, `NoCutterCompensation` and
-//! `TOOL_MAX`; errors are `TwoAxisCommands` and `UnsupportedCommand`.
 
 use super::Dialect;
 use super::code::Code;

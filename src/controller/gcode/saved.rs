@@ -4,6 +4,7 @@
 use super::EXPRESSIONS;
 use super::modal::Modal;
 use crate::axes::PerAxis;
+use crate::memory::Lent;
 use crate::units::Coordinate;
 
 /// So many states are saved at once: without subroutines one.
@@ -29,13 +30,17 @@ pub(super) struct Saved<const N: usize> {
     pub is_forgotten: bool,
 }
 
+/// Room for them.
+pub(super) type SavedList<const N: usize> = heapless::Vec<Saved<N>, MOST>;
+
 /// All saved states, at most one of each level of calls.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct SavedStates<const N: usize>(heapless::Vec<Saved<N>, MOST>);
+#[cfg_attr(feature = "alloc", derive(Clone))]
+#[derive(Debug, PartialEq)]
+pub(super) struct SavedStates<const N: usize>(Lent<SavedList<N>>);
 
 impl<const N: usize> SavedStates<N> {
-    pub const fn new() -> Self {
-        Self(heapless::Vec::new())
+    pub fn new(room: Lent<SavedList<N>>) -> Self {
+        Self(room)
     }
 
     /// Whether M72 has nothing to restore.

@@ -1,19 +1,11 @@
 //! What the `Interpreter` knows: modal state, offsets, tools, saved states, rotation and scaling, and the position that
 //! a program has reached; and how others ask and correct it.
-//!
-//! Names: What the `Interpreter` knows: its fields (modal state, offsets, tools, saved states, rotation, scaling,
-//! tangent) and the position that a program has reached, and how others ask and correct them: stored places, the zero
-//! of each coordinate system, the tool in the spindle (`spindle_tool`, `tool_axis`) and its measured length, the
-//! rotation's plane and angle (`set_angle`), whether all is plain, work zero, and `to_program` coordinates of a place.
-//! Fields and tables are `ToolTable`, `Measured`, `SavedStates`, `ControlPoints`, `CycleWords`, `Computed`, and
-//! `BeforeCheck`, what check mode leaves to the machine. There is `NO_TANGENT` before the first G5. Functions are
-//! `set_stored`, `clear_stored`, `work_offset`, `tool_removed`, `tool_measured`, `measured_offset`, `hold_tool`,
-//! `acting_modal`, `set_accessories`, `is_checking`, `end_cycles`, `in_program` and `set_axes`.
 
 use super::Dialect;
 use super::computed::Computed;
 use super::control_points::ControlPoints;
 use super::cycle::CycleWords;
+use super::memory::ProgramMemory;
 use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode, ROTATION, SPLINES};
 use super::offsets::{Offsets, StoredOffset, TOOL_AXIS};
 use super::rotation::{Angle, Reached, RotatedPlane, Rotation};
@@ -22,11 +14,13 @@ use super::scaling::{NO_REST, Rest, Scaling};
 use super::tools::{self, Measured, Tool, ToolTable};
 use super::values::{along, in_xy};
 use crate::axes::{LINEAR, PerAxis};
+use crate::memory::Lent;
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::{Coordinate, WeightedPoint};
 
 /// Modal state, offsets and the position at the end of all lines that were committed.
-#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "alloc", derive(Clone))]
+#[derive(Debug, PartialEq)]
 pub struct Interpreter<const N: usize> {
     pub(super) modal: Modal,
     pub(super) offsets: Offsets<N>,
@@ -35,7 +29,7 @@ pub struct Interpreter<const N: usize> {
     axes: u8,
     /// Of the latest canned cycle.
     pub(super) cycle: CycleWords,
-    pub(super) tools: ToolTable<N>,
+    pub(super) tools: Lent<ToolTable<N>>,
     /// What M6 has put there; 0 for none.
     pub(super) spindle_tool: u32,
     /// While a program is only checked: what the machine has meanwhile.
@@ -83,32 +77,33 @@ pub(super) struct BeforeCheck {
     pub(super) modal: Modal,
 }
 
+#[cfg(feature = "alloc")]
 impl<const N: usize> Default for Interpreter<N> {
     fn default() -> Self {
-        Self::new()
+        Self::new(ProgramMemory::on_heap())
     }
 }
 
 impl<const N: usize> Interpreter<N> {
     /// The state after power-up of a new machine.
-    pub const fn new() -> Self {
+    pub fn new(memory: ProgramMemory<N>) -> Self {
         Self {
             modal: Modal::INITIAL,
             offsets: Offsets::new(),
             position: PerAxis::all(Coordinate::ZERO),
             axes: N as u8,
             cycle: CycleWords::NONE,
-            tools: ToolTable::EMPTY,
+            tools: memory.tools,
             spindle_tool: 0,
             before_check: None,
-            computed: Computed::new(),
+            computed: Computed::new(memory.computed),
             measured: Measured::NOTHING,
-            saved: SavedStates::new(),
+            saved: SavedStates::new(memory.saved),
             rotation: None,
             reached: None,
             scaling: None,
             rest: NO_REST,
-            control_points: [const { ControlPoints::new() }; SPLINES as usize],
+            control_points: memory.control_points.map(ControlPoints::new),
             tangent: NO_TANGENT,
         }
     }
@@ -153,7 +148,7 @@ impl<const N: usize> Interpreter<N> {
     /// Sets every stored place to zero, and forgets the tools.
     pub fn clear_stored(&mut self) {
         self.offsets.clear_stored();
-        self.tools = ToolTable::EMPTY;
+        *self.tools = ToolTable::EMPTY;
     }
 
     /// The tool that the spindle holds; 0 for none that M6 named.

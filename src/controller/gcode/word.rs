@@ -1,14 +1,5 @@
 //! Words: a letter and its number, read from a line one by one (`Words`), and what G and M words mean: tables from a
 //! `Code` to a `GWord` or `MWord`, by dialect and feature, with the modal `Group` of each.
-//!
-//! Names: Words: a letter and its number, read from a line one by one (`Words`), and what the G and M words of a
-//! machine mean: the tables from a `Code` to a `GWord` or `MWord` (`(17, 0) => GWord::Plane(Plane::Xy)`,
-//! `MWord::Pause`), by dialect and feature; their modal `Group` (`Group::MotionMode`, `PathControl`, `Flow`), who lays
-//! a `Claim` on axis words, the `NonModal` commands (`StorePosition`, `ToolLength`), kinds of arc distance, cycle and
-//! spline, and sets of `Letters`. `hundredths` and `more` words `beyond_grbl`, or those that need a feature
-//! (`by_feature`, `EXTENDED`), are an `UnsupportedCommand` where they are left out. Arms give `MWord`s of `ToolChange`,
-//! `Spindle`, `Mist` and `Flow`; `GWord`s of `CoordinateSystem`, `ProbeMode`, `FeedMode`, `Units`, `Distance` and
-//! `ArcDistance` (absolute, incremental), `Retract`. `assign` reads parameters that are set (`ASSIGNMENT`).
 
 use super::code::Code;
 use super::modal::{

@@ -7,12 +7,6 @@
 //!                                              0x9E in a hold, door, laser in a hold
 //! ```
 //! Spindle and coolant are off after a reset, an alarm and the end of the program.
-//!
-//! Names: `suspend`, `stop_at_rest` and `rests`, `restore` and `switch_off`; `settled_at` and `fault_at` are moments of
-//! the watch. In it are `spinning_up`, `end_spin_up`, `set_speed`, `set_spindle`, `stop_spindle`, `set_coolant`,
-//! `set_overrides`, `take_overrides_due`, `spindle_output`, `must_tell_speed`, `is_at_speed`, `watches_speed`,
-//! `has_lost_speed`, `forget_speed`, `resting_power`, `next_look`; `digital_mut`, `DigitalOutputs`, `SpindleDirection`,
-//! `AtSpeedWithin`.
 
 use super::digital::DigitalOutputs;
 use super::realtime_override::Overrides;

@@ -3,17 +3,10 @@
 
 pub mod accessories;
 pub mod digital;
-pub mod door;
 pub mod drivers;
 pub mod filter;
-pub mod homing;
-pub mod inputs;
-pub mod probe;
-pub mod reaction;
 pub mod realtime_override;
 pub mod reference;
 pub mod signals;
 pub mod spindle;
-pub mod state;
-pub mod stops;
-pub mod tool_change;
+pub mod step_supply;

@@ -2,13 +2,6 @@
 //! time by `next_chord` from the share of the angle before it. The centre as two coordinates, radius and sweep of the
 //! plain arc come from exact integers of 128 bits; the direction vector (`x_turned`, `y_turned`) is turned by sine and
 //! versine of a chord in 2^-30 fixed point (`UNIT_BITS`) and kept at length 1 over all full turns.
-//!
-//! Names: `curvature` gives the radius in space, `rotary_stretch` what rotary axes add. In it are `begin_turn`,
-//! `chords_left`, `turns_left`, `end_radius` and `start_radius`, `mean_radius`, `share_before`, `integer_length`,
-//! `whole`, `scale`; `cross` and `dot` of the ends by `libm` give the sweep (`TURN`, `FULL_CIRCLE`). `WIDEST` is the
-//! widest half angle of a chord; `MOST_CHORDS` of a turn and `LEAST_TOLERANCE` are bounds. A helix shifts each
-//! `Axis::of_machine` that is not in the plane; `turn_share`, `chords_of_turn`, `radius_change` and a `magnified` step
-//! belong to its turns.
 
 use super::trapezoid::square_root;
 use crate::axes::{Axis, PerAxis};

@@ -21,11 +21,6 @@
 //! Turns of 0.25 to 0.6 rad are left as they are: their halves would count as a bend ([`super::curvature`]), which is granted no J.
 //! Beyond two radians the way round takes longer than the stop saves: with the acceleration a, cutting off a corner raises its
 //! speed by a·L/(t·v), which saves 2·L/(t·v) of braking and speeding up, and the way L takes L/v.
-//!
-//! Names: `BLENDING` says whether it is built in; `EXACT` is no tolerance, `path` and `merging` its parts. Turns are
-//! judged by `SHARPEST2`, `LARGE2` and `GENTLE2`, a share of a leg (`MOST_OF_A_MOVE`) bounds the cut. A `Leg` has a
-//! unit way and a length; `vertex2` is the speed² at a vertex, `per_angle` is 1/t, `jump` the J of the corner;
-//! `is_like`, `merge`, `fillet`, `allow`, `pass` and `forget` act on moves `HELD`.
 
 use super::curvature::DIGITS_ASIDE;
 use super::junction::{TurnRule, certain, radius_of, turn2};

@@ -3,11 +3,6 @@
 //! `corner2`, `max_entry2`, `entry2`), power, flags and mark. `CurveLoad` is what a bend leaves of the acceleration at
 //! a speed², `Ramp` the way to the next anchor with `ceiling2` and bounds, and `OverrideFactors` give the nominal
 //! speed.
-//!
-//! Names: In it are `left_of`, `left_in_bend`, `upper` and `of_upper` (the upper half of an `f32`), `tighter`,
-//! `is_tighter` and `middle` (with `second` and `third`); `braking_entry2`, `acceleration_at`, `nominal` and `speed2`;
-//! constants are `RAPID`, `SCALE_POWER`, `MARK_SHIFT`, `MAX_STEPS`, `STEP_BITS`, `LEAST_SHARE`, `RAMP_SHARE`, `SURELY`,
-//! `ANCHOR` and `NO_OVERRIDE`.
 
 use super::jerk::Bounds;
 use super::trapezoid::{greater, lesser, square_root};

@@ -23,21 +23,13 @@
 //! Short spans say little where the digit is coarse, long ones say little where a turn is short. So the path is measured on
 //! several scales at once: on each scale it is cut into spans of at least that length, and a new span is compared with the
 //! last [`HISTORY`] before it. A piece longer than the scale is a span by itself; the span begun before it ends where it starts.
-//!
-//! Names: A `Chain` of straight path pieces is gathered into spans at several scales; each new `Span` (direction,
-//! noise, `fast2`, `turned2`, sine of its `turn2`) is compared with the `old` ones of its `History`, and each `Bend`
-//! found limits speed² and acceleration of the blocks from nearest to farthest. Turns that the rounding of the
-//! program's last digit explains are noise. `LastDigit` has the `finest` digit; there are `Scale` and `SCALES` (scales
-//! of a `SHORTEST` length and more), `PathPiece`, `note_turn`, `may_limit`, `may_be_limited`, `compare`, `limit_after`,
-//! `take_span`, `corner2`, `set_program_digit`, `end_before`; `VAGUE`, `STRAIGHTNESS`, `LARGE_TURN2`, `GENTLE2`,
-//! `NOTICEABLE`, `DIGITS_ASIDE`.
 
 use super::block::CurveLoad;
 use super::junction::{REVERSAL, SQUARE_CORNER, TurnRule, UNLIMITED2, certain, is_noise, radius_of, turn2};
 use super::path_end::way_mm;
 use super::trapezoid::{greater, lesser, square_root};
-use crate::lent::Lent;
 use crate::axes::PerAxis;
+use crate::memory::Lent;
 use crate::units::Coordinate;
 
 /// Lengths of the spans: powers of two from [`SHORTEST`] (mm) to 32 mm. With the spans before it the longest measures a

@@ -12,8 +12,6 @@
 //!                                                                       Y     ^       ^     ^
 //! ```
 //! Rate and threshold of a block, and those of a chord that begins between steps, are those of `measure`.
-//!
-//! Names: In it are `steps_next`, `count_down`, `MOST_AXES`, and the table `of_steps` of `WORDS` words.
 
 use core::sync::atomic::{Ordering, compiler_fence};
 

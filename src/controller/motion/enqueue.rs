@@ -17,7 +17,7 @@ use super::curvature::{NOTICEABLE, PathPiece, Span};
 use super::junction::UNLIMITED2;
 use super::measure::{Measure, signed_add};
 use super::path_end::way_mm;
-use super::queue::{MoveQueue, LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE};
+use super::queue::{LongMove, MOST_BACKLASH, MOST_BLOCKS_OF_A_MOVE, MoveQueue};
 use super::trapezoid::{greater, lesser, square_root};
 use super::{Move, Speed};
 use crate::axes::{Axis, PerAxis};

@@ -2,8 +2,8 @@
 //! end position, lead, speed, clocks, line number, power and mark of each. `observe` removes those that have begun; the
 //! current one gives the reported position and speed, and `queued` is the time of all that have not begun.
 
-use crate::lent::Lent;
 use crate::axes::PerAxis;
+use crate::memory::Lent;
 use crate::messages::SEGMENTS_DEPTH;
 
 /// The queue to the step task, its prefetched segment, and some that it has made ahead of their time or that are on their way.
@@ -63,14 +63,7 @@ impl<const N: usize> SegmentsInFlight<N> {
 
     /// At position 0.
     pub(super) fn new(ring: Lent<[InFlightSegment<N>; RING]>) -> Self {
-        Self {
-            ring,
-            first: 0,
-            len: 0,
-            queued: 0,
-            begun: 0,
-            moves: false,
-        }
+        Self { ring, first: 0, len: 0, queued: 0, begun: 0, moves: false }
     }
 
     #[inline]

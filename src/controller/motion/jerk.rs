@@ -11,10 +11,6 @@
 //!                                         so its mean speed is that of its ends
 //! ```
 //! Millimetres and seconds. Only + - * / and the root, so that every machine computes the same.
-//!
-//! Names: From a `PathState` of speed and acceleration there are the `summit` or `valley` at which it is eased off, its
-//! gain or loss, whether it `lands` or falls to a target in time, and the acceleration `towards` a nominal speed. In it
-//! are `NEWTON`, `cube_root`, `landing` and bounds that are `rounded_down`.
 
 use super::trapezoid::{greater, lesser, square_root};
 

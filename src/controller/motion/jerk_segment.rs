@@ -7,9 +7,6 @@
 //! one it has; or, if after either the machine could not meet the next anchors any more, that of a ramp down to them.
 //! Nothing but speed and acceleration is carried from one segment to the next. So an override, a hold, a start after it
 //! or moves that come late need no plan of their own: they change what is allowed, and the jerk stays bounded.
-//!
-//! Names: It works on the `PathState` of the `pace`, in units of a `millimetre` of the path (`within_jerk`,
-//! `leave_rest`, `to_nominal`, `ramp_down`, `land`, `come_to_rest`).
 
 use super::jerk::{Bounds, PathState, cube_root, landing, ramp_distance, ramp_speed};
 use super::planner::Planner;
@@ -84,14 +81,7 @@ struct SegmentStart<'a, const N: usize> {
 
 impl<'a, const N: usize> SegmentStart<'a, N> {
     #[inline]
-    fn new(
-        state: PathState,
-        way: f32,
-        left: f32,
-        nominal: f32,
-        bounds: Bounds,
-        planner: &'a Planner<N>,
-    ) -> Self {
+    fn new(state: PathState, way: f32, left: f32, nominal: f32, bounds: Bounds, planner: &'a Planner<N>) -> Self {
         let time = way / state.speed;
         let guess = way / greater(state.speed + 0.5 * state.acceleration * time, 0.5 * state.speed);
         Self { state, way, left, nominal, bounds, guess, change: bounds.jerk * guess, planner }

@@ -16,9 +16,6 @@
 //! a program that has the joined move in it. The chain of [`super::curvature`] gets a piece when nothing more is joined to it:
 //! until then the queue ends there, at rest. A block that is taken back has never begun, and what the blocks before it count
 //! on is kept: it can be entered as fast as before.
-//!
-//! Names: In common are speed, power, `scale_power` and line number; `half_mm` is half a step, `digit` the program's
-//! last one.
 
 use super::curvature::PathPiece;
 use super::kinematics::Kinematics;

@@ -14,15 +14,6 @@
 //! It promises: steps add up exactly; no axis is asked for more than its rate and acceleration; whatever has been handed
 //! over ends at rest; a hold begins to brake within the time queued ([`QUEUED_TIME_MS`]). It knows nothing of G-code, of
 //! replies or of machine states; when to start is decided outside.
-//!
-//! Names: `Motion` is the facade over `planner` (queued blocks) and `SegmentSource` (what is `in_flight`), and holds
-//! `MotionSettings` (steps per mm, junction deviation, backlash), the origin of the step counters and whether the step
-//! task is idle: `line` and `chord` queue a `Move`; `start`, `hold`, `resume`, `replan`, `discard` and `stopped`
-//! control it; `observe` and `next_message` hand over. It tells position, lead, current speed, power, line number and
-//! mark (`set_mark`, `takes_mark`), free blocks, and `is_at_rest`. `configure` takes settings, `plan_from` and `stand_where` say where the `Motors` are, `prepared`
-//! gives them at the end of what was handed over, overrides are between `LEAST_OVERRIDE` and `GREATEST_OVERRIDE`. It
-//! asks `has_joined_enough`, `ends_at_rest`, `is_short_of_segments`, `hands_over`, `braking`, `reenter`; tells
-//! `planned_position`, `machine_steps`, `step_counters`, `running_line_number` and `queued_us`.
 
 pub mod arc;
 mod axis_limits;
@@ -68,7 +59,7 @@ pub use spline::{Spline, SplineGeometry};
 pub use stepper::{Stepper, Tick};
 
 use crate::axes::{Arrangement, PerAxis};
-use crate::lent::Lent;
+use crate::memory::Lent;
 use crate::messages::{Observed, ToStep, UNITS_PER_STEP};
 use crate::units::{Coordinate, StepsPerMm};
 use axis_limits::bounded;
@@ -156,7 +147,7 @@ pub struct Motion<const N: usize> {
 
 /// Where a motion works: memory that is lent to it.
 #[derive(Debug)]
-pub struct Workspace<const N: usize> {
+pub struct MotionMemory<const N: usize> {
     blocks: Lent<[Block<N>]>,
     ring: Lent<[InFlightSegment<N>; RING]>,
     scales: Lent<[Scale<N>; SCALES]>,
@@ -164,28 +155,28 @@ pub struct Workspace<const N: usize> {
 
 /// That memory, to be lent: all 0, so that it needs no flash.
 #[derive(Debug)]
-pub struct Storage<const N: usize, const BLOCKS: usize> {
+#[cfg(not(feature = "alloc"))]
+pub struct MotionStorage<const N: usize, const BLOCKS: usize> {
     blocks: [Block<N>; BLOCKS],
     ring: [InFlightSegment<N>; RING],
     scales: [Scale<N>; SCALES],
 }
 
-impl<const N: usize, const BLOCKS: usize> Storage<N, BLOCKS> {
+#[cfg(not(feature = "alloc"))]
+impl<const N: usize, const BLOCKS: usize> MotionStorage<N, BLOCKS> {
     /// Nothing in it counts.
-    pub const EMPTY: Self =
-        Self { blocks: [Block::NONE; BLOCKS], ring: SegmentsInFlight::RING, scales: Chain::SCALES };
+    pub const EMPTY: Self = Self { blocks: [Block::NONE; BLOCKS], ring: SegmentsInFlight::RING, scales: Chain::SCALES };
 
     /// For good.
-    #[cfg(not(feature = "alloc"))]
-    pub fn lend(&'static mut self) -> Workspace<N> {
-        Workspace { blocks: &mut self.blocks, ring: &mut self.ring, scales: &mut self.scales }
+    pub fn lend(&'static mut self) -> MotionMemory<N> {
+        MotionMemory { blocks: &mut self.blocks, ring: &mut self.ring, scales: &mut self.scales }
     }
 }
 
 /// A workspace on the heap, with a look-ahead of so many blocks.
 #[cfg(feature = "alloc")]
-pub fn lent<const N: usize>(blocks: usize) -> Workspace<N> {
-    Workspace {
+pub fn on_heap<const N: usize>(blocks: usize) -> MotionMemory<N> {
+    MotionMemory {
         blocks: alloc::vec![Block::NONE; blocks].into_boxed_slice(),
         ring: alloc::boxed::Box::new(SegmentsInFlight::RING),
         scales: alloc::boxed::Box::new(Chain::SCALES),
@@ -194,14 +185,14 @@ pub fn lent<const N: usize>(blocks: usize) -> Workspace<N> {
 
 impl<const N: usize> Motion<N> {
     /// At rest at machine position 0.
-    pub fn new(settings: MotionSettings<N>, room: Workspace<N>) -> Self {
+    pub fn new(settings: MotionSettings<N>, room: MotionMemory<N>) -> Self {
         let mut motion = Self::unconfigured(settings.step_clock_hz, room);
         motion.configure(settings);
         motion
     }
 
-    /// The same before [`Motion::configure`], which must come before the first move. 
-    pub fn unconfigured(step_clock_hz: u32, room: Workspace<N>) -> Self {
+    /// The same before [`Motion::configure`], which must come before the first move.
+    pub fn unconfigured(step_clock_hz: u32, room: MotionMemory<N>) -> Self {
         Self {
             settings: MotionSettings {
                 arrangement: Arrangement::Cartesian,

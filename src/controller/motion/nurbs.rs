@@ -11,15 +11,6 @@
 //! ```
 //! With weights w the parts are not a and 1 - a, but as a·w₁ to (1 - a)·w₀. All weights are positive, so a point never
 //! leaves the polygon however the weights differ.
-//!
-//! Names: A rational B-spline in X and Y (G5.2, G5.3) as a chain of chords, computed one at a time: `NurbsGeometry` has
-//! weighted control points and an order (the degree and one more), whose knots give `spans`. Each `piece` of a span has
-//! corners (`Place`) of its own, `divided` by light and heavy weights, and is halved until it is within the tolerance
-//! of its chord; `measure` sums up the length, and `leaves` tells whether the curve gets outside a region. Constants
-//! are `ORDER_MAX`, `MOST_PIECES`, `LONGEST`, `SHORTEST`, `LONGEST_MEASURED`, `BENT`, `LEAST_BENT` and `STRAIGHT`. A
-//! `Piece` `is_bent` or not, its points are `in_mm` and subtracted by `minus`, a part is counted `from_first` or
-//! `from_last`; `curve_radius`, `direction`, `distance`, `weighted`, `lengths` and sides of corners lead to
-//! `curvature`; `is_out` is beyond the region.
 
 use super::arc::{Curvature, LEAST_TOLERANCE, UNIT, scale};
 use super::trapezoid::square_root;

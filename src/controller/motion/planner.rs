@@ -34,14 +34,6 @@
 //! which the distance suffices to slow down from the ceiling is the next anchor. So the pass computes no speeds but those
 //! of anchors, and nothing between them has to be repaired when a ramp begins in the middle of a block or from another
 //! state.
-//!
-//! Names: the ring has `slot` of a place, `len`, `first`, `push`, `pop`, `take_back`, `newest` and `free`. A block has
-//! `max_entry2`, `exit2`, squares of `nominal` and `previous` speed; limits have `changed` from a place on, and up to
-//! `settled` entries are not walked over again (`reverse_pass`, `lower_settled`; [`super::reverse_walk`]); a `Bend`
-//! lowers corners. For jerk: `reverse_pass_to_anchors`, `end_at_border`, `sum_up`, `group_size`, `stretch`,
-//! `bounds_within` ([`super::jerk_anchors`]); a block's own `Bounds`, its `valley`, `summit`, `ramp_distance` and
-//! `ramp_speed` are from `jerk`, a `PathState` is what the machine is in. After a lowered override (`replan`) entries
-//! follow a `Fall` (`raised`).
 
 use super::block::{Block, OverrideFactors, Ramp};
 use super::curvature::Bend;
@@ -49,7 +41,7 @@ use super::jerk::{Bounds, PathState, ramp_distance, ramp_speed};
 use super::jerk_anchors::{Stretch, Target, Way};
 use super::reverse_walk::{Lowered, Walk};
 use super::trapezoid::{greater, lesser, square_root};
-use crate::lent::Lent;
+use crate::memory::Lent;
 use core::ops::Range;
 
 /// A machine that is faster than a lowered override allows: it brakes with what bends leave of the acceleration, and the

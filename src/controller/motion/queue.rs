@@ -16,7 +16,7 @@ use super::path_end::PathEnd;
 use super::planner::Planner;
 use super::{MotionSettings, Move};
 use crate::axes::PerAxis;
-use crate::lent::Lent;
+use crate::memory::Lent;
 use crate::units::Coordinate;
 
 /// Most steps of slack that are compensated: a hundredth of an inch with 40,000 steps/mm.
@@ -170,11 +170,11 @@ impl<const N: usize> MoveQueue<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::lent;
+    use crate::motion::on_heap;
 
     #[test]
     fn backlash_keeps_blocks_back_for_what_a_move_takes_up() {
-        let room = lent(8);
+        let room = on_heap(8);
         let mut any = MoveQueue::<2>::new(room.blocks, room.scales);
         assert_eq!((any.free_blocks(), any.is_empty()), (8, true));
         any.backlash.configure([5, 0]);

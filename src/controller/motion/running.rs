@@ -237,12 +237,7 @@ impl<const N: usize> Running<N> {
 
     /// The trapezoid of the rest of the block and how many units are left of it; `None` for a stop at this very position.
     #[inline(always)]
-    pub(super) fn trapezoid(
-        &self,
-        pace: Pace,
-        braking: bool,
-        planner: &Planner<N>,
-    ) -> Option<(Trapezoid, u32)> {
+    pub(super) fn trapezoid(&self, pace: Pace, braking: bool, planner: &Planner<N>) -> Option<(Trapezoid, u32)> {
         let left = self.left();
         let planned2 = planner.exit2();
         let acceleration = self.acceleration_towards(planned2, pace, planner);

@@ -17,7 +17,7 @@ use super::planner::Planner;
 use super::running::{BlockStage, PathMotion, Running};
 use super::segment::{self, Cut, Pacer};
 use super::trapezoid::{Pace, greater, lesser, square_root};
-use crate::lent::Lent;
+use crate::memory::Lent;
 use crate::messages::{Segment, ToStep, UNITS_PER_STEP};
 
 /// Milliseconds of motion handed to the step task in advance (the segment buffer): enough for a control task that is late, and the latency of a hold.
@@ -438,7 +438,7 @@ mod tests {
 
     #[test]
     fn a_hold_at_rest_is_held_at_once_and_only_resume_ends_it() {
-        let mut feed = SegmentSource::<3>::new(1_000_000, super::super::lent(1).ring);
+        let mut feed = SegmentSource::<3>::new(1_000_000, crate::motion::on_heap(1).ring);
         assert!(!feed.is_on() && !feed.is_held());
         feed.hold();
         assert!(feed.is_held() && !feed.wants_more());
@@ -453,7 +453,7 @@ mod tests {
 
     #[test]
     fn a_hold_in_motion_brakes_first() {
-        let mut feed = SegmentSource::<3>::new(1_000_000, super::super::lent(1).ring);
+        let mut feed = SegmentSource::<3>::new(1_000_000, crate::motion::on_heap(1).ring);
         feed.start();
         feed.rest = false;
         feed.hold();
@@ -467,7 +467,7 @@ mod tests {
 
     #[test]
     fn a_resume_without_blocks_starts_nothing() {
-        let mut feed = SegmentSource::<3>::new(1_000_000, super::super::lent(1).ring);
+        let mut feed = SegmentSource::<3>::new(1_000_000, crate::motion::on_heap(1).ring);
         feed.hold();
         feed.resume(false);
         assert!(!feed.is_on() && !feed.is_held());

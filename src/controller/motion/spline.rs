@@ -10,14 +10,6 @@
 //! ```
 //! A chord of a parameter step h leaves the curve by |second derivative|·h²/8 at most, and the derivative is greatest at an
 //! end: that gives the number of chords. The last one ends at the target exactly.
-//!
-//! Names: A Bezier curve of third degree in X and Y (G5, G5.1) as a chain of chords, computed one at a time: a
-//! `Polygon` of start, target and the control points `leaving` and `arriving`, its sides halved `between` two corners
-//! to a point and its tangent. `bend` sets the number of chords, the length is summed up by Gauss's three points, and
-//! the extent found at the turning points of the derivative. `SPLINES` says whether it is built in (`cfg!` of a
-//! feature). `SplineGeometry` has sides `ab`, `bc`, `cd` and `abc`, `bcd` between them; there are `share`, `minus`,
-//! `in_mm`, `length` and `unit` of a vector, `point_at`, `turning_points` (`half_linear`), `curve_radius`. `FEWEST` is
-//! of chords, `PIECES` of the length's pieces, `OUTER` is of Gauss's points, `STRAIGHT` tells directions apart.
 
 use super::arc::{Curvature, LEAST_TOLERANCE, UNIT, UNIT_BITS, scale};
 use super::trapezoid::square_root;

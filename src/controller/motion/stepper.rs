@@ -9,15 +9,6 @@
 //!
 //! What a tick costs bounds the step rate of a machine. So what can be computed when a message is loaded is computed
 //! there, and a tick within a segment touches the first words of the state only and divides nothing.
-//!
-//! Names: It loads blocks (two courses, of the current and the next) and segments from `ToStep` into `next_piece`
-//! (increments, units, ramp, threshold), counts plain and rare ticks left, begins the next segment or `new_block`, and
-//! tells a `StepEvent` for an underrun or when it comes to rest; stops with the gate shut until `Resume`, and takes
-//! back undone steps. While it `is_watching` the probe it notes the touch, and brakes. In it are `load_block`,
-//! `load_segment`, `rare_tick`, `set_out`, `lacks_segment`, `ends_segment`, `begin_segment`, `run_out`,
-//! `step_interval`, `moments_into` (many plain moments at once), `take_back_segments`, `underrun_event`,
-//! `probed_event`, `is_rest_told`, `is_moving` and `segments_begun`. `steps_by_axis` are `AxisSteps`; `MAX_LEVEL`,
-//! `LONGEST_BRAKING` and `INTERVAL_FRACTION_BITS` are bounds and shifts; `Contact` is where the probe touched.
 
 use super::course::{Contact, Course};
 use super::dda;

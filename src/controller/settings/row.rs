@@ -1,12 +1,5 @@
 //! What a row of the `$` table says: number, default, how a value is checked and printed (`Kind`), and whether Grbl has
 //! it; name, unit, group and labels for people. The macro `table` makes entries, descriptions and keys from one list.
-//!
-//! Names: What a row of the `$` table says: number, default and whether Grbl has it as `Entry` with a `Kind` (how a
-//! value is checked, `can_be`, and printed: `Switch`, `Real`, `Speed`, `Place`, `Whole`, `Tenths`, `Mask` or `Axes`);
-//! name, unit, group and labels as `Description`, for an axis that turns in degrees (`of_axis`) and with the labels of
-//! the machine's axes (`with_axes`); both together as `Row`. A `SettingGroup` is `General`, `Steppers`, `Spindle`,
-//! `Limits`, `Homing`, `GangedAxis`, `ControlInputs`, `Axes`, `Program` and more. The macro `table` makes entries,
-//! descriptions and keys of one list. `AXIS_LABELS` and `ALL_AXIS_LABELS` name axes.
 
 use crate::axes::{Axis, LINEAR};
 use crate::error::codes;

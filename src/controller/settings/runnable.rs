@@ -1,10 +1,5 @@
 //! Whether the machine can run with what is set: `unrunnable` gives the number of the first setting that makes it
 //! impossible, such as a rate beyond what the board can step, or that makes a cycle endless.
-//!
-//! Names: Whether the machine can run with what is set: `unrunnable` gives the number of the first setting that makes
-//! it impossible (a step pulse, steps/mm, a rate or acceleration outside `RATES` or `ACCELERATIONS`, `JERKS`, a step
-//! rate, `MOST_BACKLASH`, a second motor, axes without motors, `GREATEST_DEVIATION`, `LEAST_TOLERANCE`) or a cycle that
-//! is switched on and never ends: `crawls` finds rates such as `HomingSeek` or `HomingLocate` outside `RATES`.
 
 use super::table::{AxisKey, Key, SOFT_LIMITS};
 use super::values::Settings;

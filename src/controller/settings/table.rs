@@ -1,12 +1,5 @@
 //! The `$` table: a row for each `Key` and each `AxisKey` with number, name, unit, group, labels, kind, default and
 //! whether Grbl has it. To add a setting, add a row here.
-//!
-//! Names: The `$` table: a row for each `Key` and each `AxisKey` (homing, soft limits, parking, probing, door, control
-//! inputs and their pull-ups) with number, name in words such as "Maximum rate", unit such as mm or steps/mm, group,
-//! labels, kind, default and whether Grbl has it, as `SCALARS` and `PER_AXIS` with `SCALAR_DESCRIPTIONS` and
-//! `PER_AXIS_DESCRIPTIONS`. A key gives its `number`, an `AxisKey` also the `axis` of a number. In it are the default
-//! of each `homing_cycle`, texts that rows share (`REACTIONS`, `CONTROL_LABELS`, `LIMIT_LABELS`), and the numbers
-//! `SOFT_LIMITS` and `PARKING_PLACE`.
 
 use super::row::{ALL_AXIS_LABELS, AXIS_LABELS, Description, Entry, Kind, SettingGroup, table};
 use crate::axes::Axis;

@@ -1,13 +1,6 @@
 //! `Settings`: what the settings are set to; a new controller has the defaults. A value is read as a number, a mask, a
 //! switch or a time by its key, and some have a meaning of their own, such as the axes in use, the homing cycles and
 //! the kinematics.
-//!
-//! Names: `Settings`: what the settings are set to, as `scalars` and `per_axis`; a new controller has the defaults,
-//! also `of_board`. It gives a `value` as it is, `whole`, in `seconds`, in tenths (`step_pulse_tenths`), as a mask or
-//! as `is_on`, those of `axes`, and what they mean: `axes_in_use`, `axes_with_motors`, `homing_cycles`, the
-//! `ganged_axis` and the `arrangement` (CoreXY). `by_number` is what is stored of one, `soft_limits_before_homing` what
-//! of `$20` before another `$22`; `restore` and `settle` take stored ones over, `replace` takes all of others;
-//! `revision` counts changes. In the room, `at` and `put` read and write by an `Index`.
 
 use super::index::Index;
 use super::table::{AxisKey, Key, PER_AXIS, SCALARS, SOFT_LIMITS, homing_cycle};

@@ -9,7 +9,7 @@ use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output
 fn answers(bytes: &[(u8, bool)]) -> String {
     let mut controller = started::<16>(PROFILE);
     let mut text = String::new();
-    let mut pull = |controller: &mut Controller<3, 16>| {
+    let mut pull = |controller: &mut Controller<3>| {
         controller.observe(Observed {
             segments_begun: 0,
             step_idle: true,

@@ -313,7 +313,7 @@ fn jogs_leave_the_state_alone() {
 #[test]
 fn four_axes() {
     for dialect in DIALECTS {
-        let mut interpreter = Interpreter::<4>::new();
+        let mut interpreter = Interpreter::<4>::default();
         for line in ["G20F10", "G10L2P1X1A10", "G0X1A90"] {
             let checked = interpreter.check(line.as_bytes(), dialect).unwrap();
             interpreter.commit(&checked);

@@ -16,7 +16,7 @@ struct Sender {
 
 impl Sender {
     fn new() -> Self {
-        Self { interpreter: Interpreter::new(), went: Vec::new(), errors: Vec::new(), lines: 0, sent: 0 }
+        Self { interpreter: Interpreter::default(), went: Vec::new(), errors: Vec::new(), lines: 0, sent: 0 }
     }
 
     fn carry_out(&mut self, line: &[u8]) -> bool {
@@ -409,7 +409,7 @@ fn the_next_program_is_none_of_an_open_block() {
 /// A number alone is no O word.
 #[test]
 fn numbers_of_programs_are_left_to_the_check() {
-    let mut interpreter = Interpreter::<3>::new();
+    let mut interpreter = Interpreter::<3>::default();
     for line in [&b"O1000"[..], b"N10O1000", b"OX", b"O", b"N", b"O<A", b"O1X5", b"O#1", b"O[1]"] {
         assert_eq!(interpreter.direct(line, &[], 1), Ok(Direction::Check), "{line:?}");
     }

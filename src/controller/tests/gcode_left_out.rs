@@ -63,7 +63,7 @@ fn rounded_corners() {
 #[test]
 fn expressions_and_parameters() {
     refuses(&["#1=2", "G0 X[1+1]", "G0 X#1"], Error::ExpressionsLeftOut);
-    let mut interpreter = Interpreter::<3>::new();
+    let mut interpreter = Interpreter::<3>::default();
     for line in ["O1SUB", "O<A>CALL[2]", "O100IF[1]", "O1ENDSUB", "N5O7CALL", "O#1CALL", "O[1]CALL"] {
         assert_eq!(interpreter.direct(line.as_bytes(), &[], 1), Err(Error::ExpressionsLeftOut), "{line}");
     }

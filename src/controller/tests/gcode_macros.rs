@@ -15,7 +15,7 @@ fn send(interpreter: &mut Interpreter<3>, text: &str) -> Vec<Result<Direction, E
 
 #[test]
 fn lines_beyond_the_last_and_too_many_bytes() {
-    let mut interpreter = Interpreter::<3>::new();
+    let mut interpreter = Interpreter::<3>::default();
     assert_eq!(interpreter.set_macro_line(64, b"G0"), Err(Error::InvalidStatement));
     assert_eq!(interpreter.set_macro_line(63, b"G0X1"), Ok(()));
     assert_eq!(all(&interpreter).len(), 64);
@@ -34,7 +34,7 @@ fn lines_beyond_the_last_and_too_many_bytes() {
 
 #[test]
 fn a_program_that_has_filled_the_memory_keeps_its_lines() {
-    let mut interpreter = Interpreter::<3>::new();
+    let mut interpreter = Interpreter::<3>::default();
     send(&mut interpreter, "O1SUB");
     let long = format!("G1X{}", "1".repeat(100));
     while send(&mut interpreter, &long) == [Ok(Direction::LeftOut)] {}
@@ -55,7 +55,7 @@ proptest! {
     /// Any lines set in any order are those that are there; a program's subroutine behind them stays what it is.
     #[test]
     fn lines_are_as_they_were_set(sets in prop::collection::vec((0_usize..12, "[A-Z0-9]{0,9}"), 1..40), with_program: bool) {
-        let mut interpreter = Interpreter::<3>::new();
+        let mut interpreter = Interpreter::<3>::default();
         if with_program {
             send(&mut interpreter, "O9SUB\nG0X5\nO9ENDSUB");
         }

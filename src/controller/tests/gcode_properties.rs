@@ -132,7 +132,7 @@ proptest! {
         lines in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..300), 1..8),
         dialect in dialect(),
     ) {
-        let mut interpreter = Interpreter::new();
+        let mut interpreter = Interpreter::default();
         for line in lines {
             step(&mut interpreter, &line, dialect)?;
         }
@@ -140,7 +140,7 @@ proptest! {
 
     #[test]
     fn any_words(lines in prop::collection::vec(line(), 1..20), dialect in dialect()) {
-        let mut interpreter = Interpreter::new();
+        let mut interpreter = Interpreter::default();
         for line in lines {
             step(&mut interpreter, &line, dialect)?;
         }
@@ -183,7 +183,7 @@ proptest! {
 #[test]
 fn a_million_small_steps() {
     let dialect = Dialect::default();
-    let mut interpreter = Interpreter::<3>::new();
+    let mut interpreter = Interpreter::<3>::default();
     for line in [&b"G91G1F100"[..], b"G20"] {
         let checked = interpreter.check(line, dialect).unwrap();
         interpreter.commit(&checked);
@@ -195,7 +195,7 @@ fn a_million_small_steps() {
         }
     }
     assert_eq!(*interpreter.position(), PerAxis([Coordinate::mm(254), Coordinate(-254_000_000), Coordinate::ZERO]));
-    let mut interpreter = Interpreter::<3>::new();
+    let mut interpreter = Interpreter::<3>::default();
     for _ in 0..1_000_000 {
         let checked = interpreter.check(b"G91G0X0.001", dialect).unwrap();
         interpreter.commit(&checked);

@@ -114,7 +114,7 @@ fn check_position(interpreter: &Interpreter<3>, report: &str, at: &str) {
 fn replay(group: &str, end: usize) {
     let path = format!("{}/../../tests/transcripts/{group}.jsonl", env!("CARGO_MANIFEST_DIR"));
     let text = std::fs::read_to_string(&path).unwrap();
-    let mut interpreter = Interpreter::<3>::new();
+    let mut interpreter = Interpreter::<3>::default();
     let mut played = 0;
     for record in text.lines().take(end) {
         let record: serde_json::Value = serde_json::from_str(record).unwrap();
@@ -212,7 +212,7 @@ fn jogs() {
 
 #[test]
 fn a_reset_keeps_stored_offsets_and_position() {
-    let mut interpreter = Interpreter::<3>::new();
+    let mut interpreter = Interpreter::<3>::default();
     for line in
         ["G10L2P1X1Y2Z3", "G10L2P6X7", "G0X10Y10Z10", "G28.1", "G92X5", "G43.1Z4", "G91G20G18G59M3S5M8T9F100G93"]
     {

@@ -12,7 +12,7 @@ fn value(coordinate: Coordinate) -> f64 {
 
 impl Program {
     fn new(lines: &str) -> Program {
-        let mut program = Program(Interpreter::new());
+        let mut program = Program(Interpreter::default());
         for line in lines.lines() {
             program.run(line);
         }

@@ -13,7 +13,7 @@ use oxmill_controller::{Controller, Profile};
 use std::collections::VecDeque;
 
 struct Scribe<const WOKEN: bool> {
-    controller: Controller<3, 16>,
+    controller: Controller<3>,
     log: Vec<String>,
     events: Vec<(Source, Event<3>)>,
     /// What has come when the next record is handed over, the store's answer among it; nothing: it is stored.
@@ -76,7 +76,7 @@ impl<const WOKEN: bool> Scribe<WOKEN> {
 impl<const WOKEN: bool> Pump<3, 16> for Scribe<WOKEN> {
     const IS_WOKEN: bool = WOKEN;
 
-    fn controller(&mut self) -> &mut Controller<3, 16> {
+    fn controller(&mut self) -> &mut Controller<3> {
         &mut self.controller
     }
 
@@ -383,7 +383,7 @@ fn a_stop_while_defaults_are_stored_does_not_keep_them_from_acting() {
 
 /// A host that sends comments without end, each of which takes as long to read as a segment takes to step.
 struct Flooded {
-    controller: Controller<3, 16>,
+    controller: Controller<3>,
     text: VecDeque<u8>,
     sent: u32,
     begun: u32,
@@ -397,7 +397,7 @@ struct Flooded {
 impl Pump<3, 16> for Flooded {
     const IS_WOKEN: bool = true;
 
-    fn controller(&mut self) -> &mut Controller<3, 16> {
+    fn controller(&mut self) -> &mut Controller<3> {
         &mut self.controller
     }
 

@@ -13,7 +13,7 @@ use oxmill_controller::recorder::{Page, Recorder};
 use oxmill_controller::units::Instant;
 use proptest::prelude::*;
 
-type Board = Controller<3, 16>;
+type Board = Controller<3>;
 type Ring = Recorder<Vec<Page>>;
 
 const SOFTWARE: Restart = Restart { cause: ResetCause::Software, crash: None, is_recorded: false };

@@ -4,20 +4,21 @@ mod board;
 
 use board::{NOW, PROFILE};
 use oxmill_controller::Controller;
+use oxmill_controller::memory::Memory;
 use oxmill_controller::messages::{
     Crash, CrashKind, Event, LineByte, Observed, Output, Realtime, ResetCause, Restart, Room, Sensed, Signals,
     StepEvent,
 };
 
 struct Board {
-    controller: Box<Controller<3, 16>>,
+    controller: Box<Controller<3>>,
     stops: u16,
     epoch: u16,
 }
 
 impl Board {
     fn started(restart: Option<Restart>) -> (Board, String) {
-        let mut controller = Box::new(Controller::new(PROFILE));
+        let mut controller = Box::new(Controller::new(PROFILE, Memory::on_heap(&PROFILE, 16)));
         if let Some(restart) = restart {
             controller.restarted(restart);
         }

@@ -3,10 +3,6 @@
 //!
 //! The drawing is made once, as SVG; a PNG is that SVG rendered with an embedded font, so both look the same on every
 //! machine.
-//!
-//! Names: `format_of` a file, `SIZE` in pixels, the `sheet` with its `heading` from the `summary`; `style` has pixels
-//! (`px`), fonts and colours, `scale` the colours of speeds and heights, `views` the tool path, `speed_curve` the
-//! chart below it.
 
 mod scale;
 mod speed_curve;

@@ -21,10 +21,6 @@
 //! listings the last one counts. It has other lines besides, which `protocol::recorded` of the controller writes and [`crate::board_replay`] plays.
 //!
 //! Lines begin with their time but for those in front of `begin` and those of a job.
-//!
-//! Names: `entry.rs` has `Input`, `Told`, the `TITLE`, and `place` and `state` of a machine; `writer.rs` `Recorder` and
-//! `RecordedJob`; `reader.rs` `Recording` with `parse_line`; here it is played (`power_up`, `play`, `advance`, `hear_all`)
-//! and compared (`compare_end`, `check_compared`, `NOTHING_COMPARED`).
 
 mod entry;
 mod reader;

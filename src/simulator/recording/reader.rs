@@ -1,7 +1,4 @@
 //! A recording that is read: the text of a `Recording`, or the listing of a board, line by line.
-//!
-//! Names: `parse`, `parse_line`, `parse_time`, `listed`, `told`, `standing`, `ended`, `number`, `bytes_of_hex`, `unescape`;
-//! one read from a file may be `broken_off`.
 
 use super::entry::{Input, TITLE, Told};
 use crate::boards::Board;

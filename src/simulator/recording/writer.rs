@@ -1,8 +1,5 @@
 //! A recording while it is written: `Recorder` writes each input as a line and, at rest, where the machine is;
 //! `RecordedJob` passes the lines of a job on and writes them.
-//!
-//! Names: `begin`, `write_to`, `input`, `time_passed`, `look` (`next_look`), `job_line`, `end`; `fill_buf` and `consume` of
-//! the job's `BufRead`.
 
 use super::entry::{Input, TITLE, place};
 use crate::simulator::Simulator;

@@ -1,10 +1,4 @@
 //! `Beam`: the power of a laser, which changes with the step that begins its segment.
-//!
-//! Names: Changes that are ahead wait in `marks`, each a moment and a power (`segment`, `resume_at`, `put_off`,
-//! `is_full`); the first is `armed` (`arm`, `mark_at`), so that hardware shows it at its moment, and `mark` takes it
-//! out and arms the next. `show` sets the power that holds now if another one is `shown`, `switch_off` ends a beam at a
-//! stop or underrun, `end_run` when events no longer come out. What is wanted beside segments is `Power::wanted`, of
-//! the control task.
 
 use super::begins::MARKS;
 use crate::boards::{StepOutput, StepPins};

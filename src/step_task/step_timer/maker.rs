@@ -1,15 +1,6 @@
 //! `Maker` makes events ahead of their moment: it receives segments, has ticks made in batches or one by one, and
 //! commits them to the ring of the step outputs, with changes of direction and power. It says when it has to be called
 //! again.
-//!
-//! Names: `Maker` makes events of segments ahead of their moment: it loads `segments` into the `Stepper` (`receive`),
-//! has ticks made in a row (`make_batch`) or alone (`make_one`, `Made`, `Onset`, `Ended`; `SINGLE_SHARE`,
-//! `SEGMENT_SHARE`), and commits them to the ring of `StepPins`, its `output` (`commit`, `Free`, `soonest`): the
-//! directions as an event of their own (`turn`), a segment with its power (`begin_segment`), each no sooner than
-//! `free_from`. `is_far_ahead`, `is_short`, `wants_more`, `last_chance`, `waits_for_segment` and `moment_for_more` say
-//! when more is to be made; `out_at` is when all is out. `put_off` moves what is made and not begun; `one_by_one` is
-//! how it steps while a probe is watched. `timing` (`StepTiming`) holds `gap`, `setup` and `pulse` in ticks. Directions
-//! that no output shows are `UNKNOWN`; `is_marked_full`, `may_begin` and `before_two_runs` bound what a run makes.
 
 use super::beam::Beam;
 use super::begins::Begins;

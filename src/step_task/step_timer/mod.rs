@@ -18,14 +18,6 @@
 //! come too late are put off, never lost, and those after them by as much, or motion ends with a report where motors would not
 //! follow; a report to `control` is kept until it has been
 //! sent. It leaves when and what to step to the stepper, and edges to the board.
-//!
-//! Names: A run of `Step` stops if that was asked for (`stop`, `stops_done`), takes what it was called for (`Due`),
-//! looks at the probe (`look_at_probe`, `probe_invert`), has the `Maker` make events ahead of their moment, says when
-//! to be called next (`call_again`, `call_sooner`, `next_call`, `asked`) and tells the other tasks (`tell`,
-//! `tell_of_rest`, `Reports`). Its `State` is Rest, Starting, Preparing, Running or Ending (`start`, `prepare`,
-//! `begin`, `go_on`, `end`). Events that come too late are put off (`put_off`, `latest`, `count_anew`, `resume`) or end
-//! the motion (`ran_dry`, `give_up`, `break_off`, with the `net` steps undone); `is_before_motion` says that nothing
-//! has come out yet. New `wiring` is taken in at rest. `halt` ends the motion and gives what is `Undone`.
 
 use crate::boards::{AXES, Due, StepOutput, StepPins, Undone};
 use crate::shared::{self, STEP, Wake};

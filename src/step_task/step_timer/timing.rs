@@ -1,12 +1,5 @@
 //! The times that the step task keeps, in ticks of the step clock: from the first segment to its first tick, how far
 //! ahead events are made, what a run takes, and how late a motion may be resumed. All follow from the board's profile.
-//!
-//! Names: The times that the step task keeps, in ticks of the step clock (`TICKS_PER_US`): from the first segment to
-//! its first tick (`START_TICKS`, `PREPARE_TICKS`, `SPARE_TICKS`), how far ahead events are made (`HORIZON_TICKS`,
-//! `LEAST_EVENTS`, `MOST_EVENTS`), what a run and a beginning take (`RUN_TICKS`, `BEGIN_TICKS`, `IN_TIME_TICKS`,
-//! `HALF_IS_SHORT`, `in_ticks`), the pause between runs (`PAUSE_TICKS`), when a report is tried again (`RETRY_TICKS`),
-//! when an event is out (`OUT_TICKS`), and how late a motion may be resumed (`MOST_LATE_STEPS`). All follow from the
-//! board's `PROFILE`, its `CORE_HZ` and its `RUN_CYCLES`.
 
 use crate::boards::{CORE_HZ, PROFILE, RUN_CYCLES, StepOutput, StepPins};
 

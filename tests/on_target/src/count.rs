@@ -15,9 +15,10 @@ use core::sync::atomic::Ordering;
 use oxmill_boards::stm32f4::registers::Map;
 use oxmill_boards::stm32f4::step::{Clocks, Place, Rings};
 use oxmill_controller::axes::{Arrangement, Axis, PerAxis};
-use oxmill_controller::gcode::{Checked, Dialect, Interpreter};
+use oxmill_controller::gcode::{Checked, Dialect, Interpreter, ProgramStorage};
+use oxmill_controller::memory::{Memory, Storage};
 use oxmill_controller::messages::*;
-use oxmill_controller::motion::{Storage, Workspace, Arc, ArcGeometry, Motion, MotionSettings, Move, Speed, Tolerance};
+use oxmill_controller::motion::{Arc, ArcGeometry, Motion, MotionSettings, MotionStorage, Move, Speed, Tolerance};
 use oxmill_controller::recorder::{Page, Recorder};
 use oxmill_controller::units::{Coordinate, Instant, StepsPerMm};
 use oxmill_controller::{Controller, Profile, StepRates};
@@ -531,7 +532,8 @@ fn unit_chord(arc: &mut Arc<3>) -> Option<PerAxis<Coordinate, 3>> {
 }
 
 fn text_and_arcs() {
-    let mut interpreter: Interpreter<3> = Interpreter::new();
+    let memory = cortex_m::singleton!(: ProgramStorage<3> = ProgramStorage::EMPTY).expect("main runs once").lend();
+    let mut interpreter = Interpreter::<3>::new(memory);
     let mut checked = Checked::NOTHING;
     row_text();
     for _ in 0..4 {
@@ -631,10 +633,10 @@ fn unit_line(controller: &mut Whole, line: &[u8], segments_begun: u32) -> Outcom
 }
 
 /// Chords of 0.1 mm at 100 mm/s, with a full look-ahead: one block goes for each line that comes.
-fn whole_line(place: &'static mut MaybeUninit<Whole>, job: Workspace<3>, parking: Workspace<3>) -> &'static Whole {
+fn whole_line(place: &'static mut MaybeUninit<Whole>, memory: Memory<3>) -> &'static Whole {
     const PROFILE: Profile =
         Profile { rates: StepRates { safe_hz: 1_000_000, ..boards::PROFILE.rates }, ..boards::PROFILE };
-    let controller = place.write(Controller::new(PROFILE, job, parking));
+    let controller = place.write(Controller::new(PROFILE, memory));
     let now = Instant::from_ticks(0);
     controller.start(now);
     controller.event(now, Event::Signals(Sensed::default()));
@@ -730,18 +732,21 @@ fn recording(controller: &Whole) {
 fn main() -> ! {
     step_task();
     let motion = cortex_m::singleton!(: MaybeUninit<Planner> = MaybeUninit::uninit()).expect("main runs once");
-    let blocks = cortex_m::singleton!(: Storage<3, 150> = Storage::EMPTY).expect("main runs once").lend();
+    let blocks = cortex_m::singleton!(: MotionStorage<3, 150> = MotionStorage::EMPTY).expect("main runs once").lend();
     planning(motion.write(Motion::new(motion_settings(), blocks)));
     // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses.
-    let far = unsafe { (boards::FAR_PLANNER as *mut (MaybeUninit<FarPlanner>, MaybeUninit<Storage<3, 512>>)).as_mut_unchecked() };
-    let (far, blocks) = (&mut far.0, far.1.write(Storage::EMPTY).lend());
+    let far = unsafe {
+        (boards::FAR_PLANNER as *mut (MaybeUninit<FarPlanner>, MaybeUninit<MotionStorage<3, 512>>)).as_mut_unchecked()
+    };
+    let (far, blocks) = (&mut far.0, far.1.write(MotionStorage::EMPTY).lend());
     let far = far.write(Motion::unconfigured(boards::PROFILE.step_clock_hz, blocks));
     far.configure(MotionSettings { jerk: PerAxis([10_000.0, 8_000.0, 10_000.0]), ..motion_settings() });
     planning_with_jerk(far);
     text_and_arcs();
     // SAFETY: as above.
-    let place = unsafe { (boards::CONTROLLER as *mut (MaybeUninit<Whole>, MaybeUninit<Storage<3, 256>>, MaybeUninit<Storage<3, 2>>)).as_mut_unchecked() };
-    let (place, blocks, parking) = (&mut place.0, place.1.write(Storage::EMPTY).lend(), place.2.write(Storage::EMPTY).lend());
-    recording(whole_line(place, blocks, parking));
+    let place =
+        unsafe { (boards::CONTROLLER as *mut (MaybeUninit<Whole>, MaybeUninit<Storage<3, 256>>)).as_mut_unchecked() };
+    let (place, memory) = (&mut place.0, place.1.write(Storage::EMPTY).lend(&PROFILE));
+    recording(whole_line(place, memory));
     semihosting::process::exit(0)
 }

@@ -1,9 +1,10 @@
 //! A controller and a step generator in a loop, without tasks: as fast as the CPU goes, with time that jumps.
 
+use core::sync::atomic::{AtomicBool, Ordering};
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::digest::Digest;
+use oxmill_controller::memory::Storage;
 use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, LineBytes, Observed, Output, Room, Sensed};
-use oxmill_controller::motion::Storage;
 use oxmill_controller::pump::{Pump, Source, round};
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile, StepRates, Stepper};
@@ -34,6 +35,15 @@ pub struct Rig {
     program: &'static [u8],
 }
 
+/// Whether there is a rig: the storage is there once.
+static LIVES: AtomicBool = AtomicBool::new(false);
+
+impl Drop for Rig {
+    fn drop(&mut self) {
+        LIVES.store(false, Ordering::Relaxed);
+    }
+}
+
 impl Rig {
     /// After power-up.
     pub fn new() -> Rig {
@@ -47,10 +57,13 @@ impl Rig {
             program_pins: [0; 2],
             has_store: false,
         };
-        static mut LENT: [Storage<AXES, BLOCKS>; 2] = [Storage::EMPTY; 2];
-        // SAFETY: for the prototype: the tests make one rig at a time.
-        let [job, parking] = unsafe { &mut *(&raw mut LENT) };
-        let mut controller = Controller::new(profile, job.lend(), parking.lend());
+        static mut STORAGE: Storage<AXES, BLOCKS> = Storage::EMPTY;
+        assert!(!LIVES.swap(true, Ordering::Relaxed), "one rig at a time");
+        // SAFETY: unsafe because the storage is lent again for each rig; safe because the flag is cleared when a rig is dropped,
+        // and its controller, which has what was lent, with it.
+        let storage = unsafe { &mut *(&raw mut STORAGE) };
+        *storage = Storage::EMPTY;
+        let mut controller = Controller::new(profile, storage.lend(&profile));
         controller.start(Instant::from_ticks(0));
         controller.event(Instant::from_ticks(0), Event::Signals(Sensed::default()));
         Rig {

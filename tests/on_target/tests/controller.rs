@@ -7,9 +7,9 @@ use oxmill_on_target as _;
 
 #[defmt_test::tests]
 mod suite {
+    use oxmill_controller::Received;
     use oxmill_controller::messages::Realtime;
     use oxmill_controller::units::{Coordinate, Decimal, StepsPerMm};
-    use oxmill_controller::Received;
     use oxmill_on_target::rig::Rig;
 
     #[test]

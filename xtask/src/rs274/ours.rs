@@ -35,7 +35,7 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
 
 impl Mill {
     pub fn new() -> Mill {
-        Mill { interpreter: Interpreter::new(), place: [0.0; AXES], is_place_untold: false, is_doubtful: false }
+        Mill { interpreter: Interpreter::default(), place: [0.0; AXES], is_place_untold: false, is_doubtful: false }
     }
 
     /// Whether a move of the last line is one or none by rounding.

@@ -2,12 +2,6 @@
 //!
 //! Written by hand from ARM's CMSDK technical reference manual (DDI 0479), as no crate describes this machine. Promises
 //! one owner per peripheral and volatile access to its registers; what a value means is left to the board.
-//!
-//! Names: The `vectors` are a table in which each `Vector { handler: .. }` names an `extern "C"` function: `UART0_RX`,
-//! `UART0_TX` to `UART4_TX`, `GPIO0` to `GPIO3`, `TIMER0`, `TIMER1`, `DUALTIMER`, `SPI`, `UART_OVF`, `ETHERNET`, `I2S`,
-//! `TSC`. `Peripherals` (`steal`) has `Uart0`, `Uart1`, `Timer0`, `Timer1` and the `WatchdogTimer`, each at its base
-//! (`0x4000_4000`, `0x4000_5000`), with registers as offsets (`0x8`, `0xC`): `set_control`, `set_reload`, `set_value`,
-//! `clear_interrupts`, `set_divider`.
 
 #![no_std]
 

@@ -6,7 +6,7 @@ use super::line::Check;
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::checked::Motion;
-use crate::gcode::cycle::{Cycle, CycleWords, Next};
+use crate::gcode::cycle::{Cycle, CyclePhase, CycleWords};
 use crate::gcode::modal::{CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PlaneAxes};
 use crate::gcode::values::{along, reachable, seconds};
 use crate::messages::SpindleDirection;
@@ -60,7 +60,7 @@ impl<const N: usize> Check<'_, N> {
             clear,
             peck,
             reached: r,
-            next: Next::Rise,
+            next: CyclePhase::Rise,
             feed: modal.feed_per_second,
             spindle: modal.spindle,
             words,

@@ -2,11 +2,6 @@
 //! begin, whether a letter is still unused (`take`), lengths in the line's unit, axis words over a place, work and tool
 //! offset, and the feed of a motion, also of rotary axes. It gives the coordinate along an axis in a coordinate system,
 //! the feed mode, the motion mode, and the `Claim` and purpose of axis words.
-//!
-//! Names: `Check` has the `Parsed` line, the `Purpose`, `dialect`, interpreter's state; there are `axis_length`,
-//! `program_coordinate`, `work_offset`, `tool_offset`, `with_axis_words`, `allow_offset`, `feed_of_motion` by
-//! `squared_ways` of linear axes (`InverseTime`, `PerMinute`); `CENTRE` are the letters I, J, K, lengths come
-//! `from_inches` or `from_mm`.
 
 use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::error::Error;

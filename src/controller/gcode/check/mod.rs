@@ -2,11 +2,6 @@
 //! the order in which Grbl looks, and the first fault wins; here are those for line number, feed mode and feed
 //! (`UndefinedFeed`), speed, spindle, coolant and tool values, parking, path control (G61, G64), dwell, the letters of
 //! unused words, and what a line does besides its motion by `NonModal` and M words.
-//!
-//! Names: `checked` is filled in: `checked.flow`, `checked.after.moves_only`, purpose (a jog or a program), `Units`,
-//! `FeedMode::PerMinute`, `NonModal::MachineCoordinates`. `Letters` are removed from what is unused; `precision` finds
-//! the `last_digit` of values in inch or mm. Functions are `spindle_and_coolant`, `parking_override`, `path_control`,
-//! `unused_words`, `is_program_number`, `finish`; `LINE_NUMBER_MAX` bounds N, `BlendingLeftOut` refuses.
 
 mod control_point_words;
 mod cycle_words;

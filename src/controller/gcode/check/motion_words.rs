@@ -2,10 +2,6 @@
 //! their turns P, probing moves (G38); other modes are passed on to splines and cycles. `feed_to` gives the feed to the
 //! target; an arc whose only words are of its centre `is_circle`; chord and radius are `along` the first and second
 //! axis of the plane; used letters are removed from the `unused`.
-//!
-//! Names: `MotionMode` (`Linear`, `ArcClockwise`, `ArcCounterClockwise`, `Cancelled`) is matched; functions are
-//! `straight`, `probe`, `arc`, `centre`, `turns` (`TURNS_MAX`), `centre_letter`; a `Vector` goes to `radii_agree` or
-//! `ray_crossing`, its `written_vector` is scaled or mirrored; `InvalidTarget`, `NoPlaneOffsets`.
 
 use super::line::{CENTRE, Check};
 use crate::axes::Axis;

@@ -1,13 +1,5 @@
 //! Where axis words lead to (`target`): from program to machine coordinates, through rotated and scaled axes, absolute
 //! or incremental. Also G68 and G69, and which offset words are refused in a rotated plane.
-//!
-//! Names: Where axis words lead to (`target`), by straight axes and by rotated and scaled ones, absolute or
-//! incremental, from program to machine coordinates; G68 and G69 (`new_rotation`: origin, angle, plane), and G10, G28,
-//! G92 and tool offsets of a coordinate system set in a rotated plane (`along_machine`, `part_of`), or refused there
-//! (`RotationActs`, `NotInRotatedPlane`). In it are `rotated_line`, `plane_with`, `transformed_target`,
-//! `rotated_target`, `needs_plane`, `needs_no_rotation`, `keeps_planes`, `named_in`, `moves_rotated_origin`,
-//! `moved_by`, `sets_rotated_tool`, `go_in_rotated_plane`; `has_first` is of the plane's axis, `g92`, `work_offset` and
-//! `tool_offset` are offsets.
 
 use super::line::{Check, Purpose};
 use crate::axes::{Axis, PerAxis};

@@ -1,10 +1,6 @@
 //! Words of tools: T selects, M6 changes, M61 names the tool in the spindle; G43 to G49 set the tool length offset, by
 //! H from the table or by axis words; G10 L1, L10 and L11 set or remove a tool of the table. A number may be too high
 //! (`ToolNumberTooHigh`), unknown (`UnknownTool`) or that of a removed tool.
-//!
-//! Names: In it are `name_tool`, `tool_of_h`, `set_tool`, `tool_length` (`ToolLength`, along one axis), `along_tool`,
-//! `spindle_tool`, `measured_offset`; `unkept` letters are I, J, Q, R, `unused` ones are removed, `TOOL_MAX` bounds by
-//! `dialect`.
 
 use super::line::Check;
 use crate::axes::{AxisMask, PerAxis};

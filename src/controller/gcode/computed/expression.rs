@@ -7,13 +7,6 @@
 //! ```
 //! What waits for its right side is kept in a list of bounded length, not on the processor's stack, and every byte is read
 //! once: work and memory are bounded by the line. Truth is 1 and 0; everything but 0 is true.
-//!
-//! Names: A `Reader` takes operands; what waits for them (negation, bracket, `Function` such as ABS or ATAN, `Binary`
-//! operator with its left side and level) is kept in a list. The tables of functions and operators (`Plus`, `Over`,
-//! `GreaterEqual`, `And`); a parameter is looked up by number or name (`ParameterReference`). Text that is none gives
-//! `ExpressionSyntax`. `Waiting` is that list, `DEPTH` its length; `FUNCTIONS` and `BINARIES` are the tables (`ROUND`,
-//! `EXISTS`, `MOD`, `Modulo`); functions are `takes`, `wait`, `operand`, `close`, `operator`, `parameter`, `complete`,
-//! `exists`, `level`, `left_sides`, `truth`; errors `UnknownOperation`, `TooDeep`, `InvalidArgument`.
 
 use super::real::Real;
 use crate::error::Error;

@@ -10,18 +10,10 @@
 //! A condition needs no memory: the lines of the branch that does not hold are skipped. Subroutines and loops are held as
 //! text of bounded size, for no line comes twice over a serial link. What does not fit is refused to its end, so that no
 //! line of it is taken for one of the program. What runs is given out line by line; nothing here calls itself.
-//!
-//! Names: `FlowControl`, what O words keep: the held text of subroutines and loops, the frames of what is open since a
-//! line (`Frame`: if, while, do, repeat, call) with their labels and passes, and the `State` of a program's lines:
-//! streaming, recording, running or skipped. The `Keyword` table, an `OWord` with label and arguments cut from a line
-//! without its remarks, and finding, pushing, dropping and going back behind or after a place of the held text;
-//! `OutOfMemory` and `TooDeep`. Functions are `find_sub`, `find_own`, `find_from`, `end_of_sub`, `drop_sub`,
-//! `refuse_sub`, `ends_skipping`, `is_ended_by`, `is_well_formed`, `has_computed_label`, `label_length`, `ends_program`,
-//! `leaves_lines_out`, `is_of_last`, `of_stream`, `recorded_from`, `go_back` and `hold`. `EndSub` closes a sub;
-//! `PASSES`, `LABELS`, `ARGUMENTS`, `DEPTH`, `TEXT`, `SPARE` and `MOST_MACROS` are the room that there is.
 
 use crate::error::Error;
 use crate::gcode::remark::split_remark;
+use crate::memory::Lent;
 
 /// Bytes of held text, with one more for each line: a probing macro of 150 lines and the loop that calls it.
 const TEXT: usize = 6144;
@@ -233,10 +225,14 @@ pub(super) enum State {
     Running(Option<u16>),
 }
 
+/// Room for held text.
+pub(super) type HeldText = heapless::Vec<u8, TEXT>;
+
 /// Held text, and what is under way.
-#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "alloc", derive(Clone))]
+#[derive(Debug, PartialEq)]
 pub(super) struct FlowControl {
-    pub(super) text: heapless::Vec<u8, TEXT>,
+    pub(super) text: Lent<HeldText>,
     /// So many bytes at its begin are macros, which no end of a program forgets.
     pub(super) macros: u16,
     pub(super) frames: heapless::Vec<Frame, DEPTH>,
@@ -261,9 +257,9 @@ pub(super) struct FlowControl {
 }
 
 impl FlowControl {
-    pub const fn new() -> Self {
+    pub fn new(text: Lent<HeldText>) -> Self {
         Self {
-            text: heapless::Vec::new(),
+            text,
             macros: 0,
             frames: heapless::Vec::new(),
             labels: heapless::Vec::new(),

@@ -1,14 +1,5 @@
 //! Values within lines and messages: expressions are computed, parameters of the program and of the machine are looked
 //! up by number (#5061, #5400) or name (`_METRIC`), parameters are assigned, and messages expanded with values.
-//!
-//! Names: Values within lines and messages: expressions are computed to a `Real` or `Decimal`, the program's parameters
-//! and those in which the machine shows its modal state, offsets and whether a probe succeeded (in mm or inches) are
-//! looked up, by number (#5061, #5400) or name (`_METRIC`, `_CURRENT_TOOL`, `truth` as 0 or 1); parameters are assigned
-//! (`ParameterReference`), read-only ones refused, and messages expanded with values in a format of so many decimal
-//! places. `set_probed` and `set_input_read` keep results, `numbered` and `named` find a parameter `of_machine`;
-//! `work_position`, `in_units`, `in_mm`, `inches`, `tenfold`, `to_hundredths` (`HUNDREDTH`), `feed_mode` and the
-//! coordinate system give values. `SELECTORS` are letters of numbers that select something, names are in `capitals`,
-//! and `write` puts digits into a text of a `LENGTH`.
 
 use super::expression::{self, ParameterReference};
 use super::parameters;

@@ -12,15 +12,48 @@ mod real;
 mod tests;
 
 use crate::axes::PerAxis;
+use crate::memory::Lent;
 use crate::units::Coordinate;
-use flow::FlowControl;
-use parameters::Parameters;
+use flow::{FlowControl, HeldText};
+use parameters::{Cells, Parameters};
 use real::Real;
 
 pub use flow::HeldLine;
 
+/// Memory that is lent to it.
+#[derive(Debug)]
+pub(super) struct ComputedMemory {
+    cells: Lent<Cells>,
+    text: Lent<HeldText>,
+}
+
+/// Owns that memory on a board.
+#[derive(Debug)]
+#[cfg(not(feature = "alloc"))]
+pub(super) struct ComputedStorage {
+    cells: Cells,
+    text: HeldText,
+}
+
+#[cfg(not(feature = "alloc"))]
+impl ComputedStorage {
+    pub const EMPTY: Self = Self { cells: Cells::new(), text: HeldText::new() };
+
+    pub fn lend(&'static mut self) -> ComputedMemory {
+        ComputedMemory { cells: &mut self.cells, text: &mut self.text }
+    }
+}
+
+#[cfg(feature = "alloc")]
+impl ComputedMemory {
+    pub fn on_heap() -> Self {
+        Self { cells: Lent::new(Cells::new()), text: Lent::new(HeldText::new()) }
+    }
+}
+
 /// What expressions need beside the state of the interpreter.
-#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "alloc", derive(Clone))]
+#[derive(Debug, PartialEq)]
 pub(super) struct Computed<const N: usize> {
     parameters: Parameters,
     flow: FlowControl,
@@ -34,10 +67,10 @@ pub(super) struct Computed<const N: usize> {
 }
 
 impl<const N: usize> Computed<N> {
-    pub const fn new() -> Self {
+    pub fn new(memory: ComputedMemory) -> Self {
         Self {
-            parameters: Parameters::new(),
-            flow: FlowControl::new(),
+            parameters: Parameters::new(memory.cells),
+            flow: FlowControl::new(memory.text),
             returned: None,
             probed: PerAxis::all(Coordinate::ZERO),
             probe_succeeded: false,

@@ -3,11 +3,6 @@
 //! skipped, or acts on the flow: a condition takes a branch (`has_taken`), a loop begins or ends a pass (`end_pass`,
 //! repeat), a call pushes a frame (`FrameKind`) with arguments and returns. One that is not well formed is a
 //! `FlowSyntax` error.
-//!
-//! Names: `State` is `Streaming` or `skipping`, `Direction` may be `LeftOut`. Functions are `direct_order`,
-//! `look_for_end`, `begin_pass`, `cut_pass`, `go_round`, `take_branch`, `branch`, `called`, `leave_call`, `skipped`,
-//! `open_since`, `is_within_block`, `tape_mark`, `abandon_held`, `abandon_program`, `condition` and `arguments`;
-//! `RESTORE` is M72, `PASSES` a bound, `OutOfMemory` an error.
 
 use super::Computed;
 use super::flow::{ARGUMENTS, FrameKind, HeldLine, Keyword, LABELS, OWord, PASSES, SPARE, STREAM, State, ends_program};

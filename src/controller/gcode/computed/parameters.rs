@@ -14,6 +14,7 @@
 use super::expression::ParameterReference;
 use super::real::Real;
 use crate::error::Error;
+use crate::memory::Lent;
 
 /// Bytes of parameters in force: 315 of those with a number, or 132 names of twenty letters.
 const CAPACITY: usize = 4096;
@@ -35,10 +36,14 @@ const NUMBER_MAX: i64 = 5999;
 /// A key as it is stored.
 type Key = heapless::Vec<u8, NAME_LENGTH>;
 
+/// Room for cells.
+pub(super) type Cells = heapless::Vec<u8, { CAPACITY + OF_A_LINE }>;
+
 /// The parameters of a program.
-#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "alloc", derive(Clone))]
+#[derive(Debug, PartialEq)]
 pub(super) struct Parameters {
-    cells: heapless::Vec<u8, { CAPACITY + OF_A_LINE }>,
+    cells: Lent<Cells>,
     /// Bytes of `cells` that are in force.
     in_force: usize,
     /// Bytes that `in_force` will grow by.
@@ -68,8 +73,8 @@ impl<'a> Cell<'a> {
 }
 
 impl Parameters {
-    pub const fn new() -> Self {
-        Self { cells: heapless::Vec::new(), in_force: 0, growth: 0, level: 0 }
+    pub fn new(cells: Lent<Cells>) -> Self {
+        Self { cells, in_force: 0, growth: 0, level: 0 }
     }
 
     /// The value of a parameter; `None` if it has not been set.
@@ -156,7 +161,8 @@ impl Parameters {
 
     /// Forgets all.
     pub fn reset(&mut self) {
-        *self = Self::new();
+        self.cells.clear();
+        (self.in_force, self.growth, self.level) = (0, 0, 0);
     }
 
     /// The end of the program: what is local to it is forgotten, #31 and the names that begin with `_` stay.

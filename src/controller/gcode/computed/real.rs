@@ -8,15 +8,6 @@
 //! logarithm are within 10⁻¹⁵, powers with a fraction in the exponent within 10⁻¹³ of their size. Integer arithmetic only:
 //! the same result on every machine, and every operation takes a bounded number of steps. Results of 10⁴¹ and more are an error,
 //! results below 10⁻³² may be 0. Nothing here is inlined: flash is scarcer than the time of an expression.
-//!
-//! Names: `Real`, the numbers of expressions: decimal floating point with a mantissa of eighteen digits and an
-//! exponent, computed in `i128` and rounded after each operation (`wide`, `gap` of exponents, `divisor`): add, mul,
-//! div, modulo, floor, power, comparisons (`is_below`), the square root and other leg of a right triangle, and the
-//! terms of series for sine, arc tangent, logarithm and exponential in fixed point. From and to `Decimal`, integers and
-//! coordinates. Errors are `ArgumentOutOfRange`, `DivisionByZero` and `InvalidResult`. `multiplied`, `divided`,
-//! `lengthened`, `rounded`, `nearest_even`, `whole_part`, `ten_to`, `order` (an `Ordering`), `is_near`, `is_negative`,
-//! `fits_decimal`, `from_fixed`, `to_fixed`, `sine_series`, `tangent_series`, `asin`, `acos`, `ln` and `exp` are its
-//! functions; constants `MANTISSA_END`, `EXPONENT_MAX`, `LN_2`, `LN_10`, `PI`, `ROOT_OF_HALF`, `TERMS`.
 
 use crate::error::Error;
 use crate::units::{Coordinate, DECIMAL_PLACES, Decimal, integer_root};

@@ -347,7 +347,7 @@ fn six_axes_have_their_ends() {
         arc_tolerance: 0.002,
         step_clock_hz: 84_000_000,
     };
-    let mut motion = Motion::<6>::new(config, lent(8));
+    let mut motion = Motion::<6>::new(config, on_heap(8));
     let zero = PerAxis::all(Coordinate::ZERO);
     let offsets = (Coordinate::mm(50), Coordinate::ZERO);
     let geometry: ArcGeometry<6> = ArcGeometry {
@@ -391,7 +391,7 @@ fn six_axes_have_their_ends() {
 
 #[test]
 fn a_chord_of_very_many_steps_is_a_line() {
-    let mut motion = Motion::<3>::new(settings(10_000.0, 800.0, 5000.0), lent(8));
+    let mut motion = Motion::<3>::new(settings(10_000.0, 800.0, 5000.0), on_heap(8));
     let g = geometry(0, 1.0e5, 0.0, 0.1, 0.0, 0, [-1.0e5, 0.0]);
     let arc = Arc::new(&g, 10.0);
     for x in [958.698_035, 1_917.396_14, 1_917.396_14] {

@@ -230,7 +230,7 @@ fn inverse_time_takes_its_time() {
 #[test]
 fn power_follows_the_speed_if_it_shall() {
     for scaled in [false, true] {
-        let mut motion = Motion::<3>::new(settings(100.0, 500.0, 500.0), lent(8));
+        let mut motion = Motion::<3>::new(settings(100.0, 500.0, 500.0), on_heap(8));
         let mut m = to([20.0, 0.0, 0.0], Speed::Feed(50.0));
         m.power = 40_000;
         m.scale_power = scaled;
@@ -346,7 +346,7 @@ proptest! {
 
 #[test]
 fn every_stop_is_marked() {
-    let mut motion = Motion::<3>::new(settings(80.0, 100.0, 500.0), lent(4));
+    let mut motion = Motion::<3>::new(settings(80.0, 100.0, 500.0), on_heap(4));
     let mut observed = Rig::<3, 4>::new(settings(80.0, 100.0, 500.0)).observed();
     assert_eq!(motion.next(&observed), None);
     assert!(motion.line(&to([1.0, 0.0, 0.0], Speed::Rapid)));

@@ -58,7 +58,7 @@ fn along_an_axis_the_steps_are_those_of_one_line() {
 
 /// Blocks that short moves straight on along X make, each changed in its own way.
 fn queued(change: impl Fn(usize, &mut Move<3>)) -> usize {
-    let mut motion = Motion::<3>::new(settings(250.0, 100.0, 500.0), lent(64));
+    let mut motion = Motion::<3>::new(settings(250.0, 100.0, 500.0), on_heap(64));
     for k in 0..40 {
         let mut m = to([f64::from(k + 1) * 0.01, 0.0, 0.0], FEED);
         change(k as usize, &mut m);
@@ -91,7 +91,7 @@ fn only_moves_of_one_kind_are_joined() {
 
 #[test]
 fn joined_moves_count_for_the_start() {
-    let mut motion = Motion::<3>::new(settings(250.0, 100.0, 500.0), lent(64));
+    let mut motion = Motion::<3>::new(settings(250.0, 100.0, 500.0), on_heap(64));
     for k in 0..64 {
         assert!(!motion.has_joined_enough(), "{k} moves");
         assert!(motion.line(&to([f64::from(k + 1) * 0.001, 0.0, 0.0], FEED)));
@@ -106,7 +106,7 @@ fn joined_moves_count_for_the_start() {
 
 #[test]
 fn a_raster_changes_its_power_where_the_program_does() {
-    let mut motion = Motion::<3>::new(settings(250.0, 100.0, 500.0), lent(512));
+    let mut motion = Motion::<3>::new(settings(250.0, 100.0, 500.0), on_heap(512));
     let power = |k: usize| [0, 0, 300, 300, 300, 7, 0, 0, 0, 900][k / 3 % 10];
     for k in 0..300 {
         let mut m = to([(k + 1) as f64 * 0.02, 0.0, 0.0], FEED);

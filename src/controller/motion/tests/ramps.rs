@@ -40,7 +40,7 @@ struct Course<const B: usize> {
 
 impl<const B: usize> Course<B> {
     fn new(settings: MotionSettings<3>, moves: Vec<Move<3>>) -> Self {
-        let mut motion = Motion::new(settings, lent(B));
+        let mut motion = Motion::new(settings, on_heap(B));
         motion.start();
         let mut moves = moves.into_iter();
         let next = moves.next();

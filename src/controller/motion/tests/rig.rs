@@ -98,7 +98,7 @@ pub fn to<const N: usize>(target: [f64; N], speed: Speed) -> Move<N> {
 impl<const N: usize, const B: usize> Rig<N, B> {
     pub fn new(settings: MotionSettings<N>) -> Self {
         Self {
-            motion: Motion::new(settings, lent(B)),
+            motion: Motion::new(settings, on_heap(B)),
             stepper: Stepper::new(),
             queue: VecDeque::new(),
             shadow: VecDeque::new(),

@@ -1,7 +1,7 @@
 //! A controller on no board at all, for tests that call it themselves: its profile, and how it is powered up.
 #![allow(dead_code, reason = "each test program uses a part of it")]
 
-use oxmill_controller::motion::lent;
+use oxmill_controller::memory::Memory;
 use oxmill_controller::messages::{Event, Sensed};
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile, StepRates};
@@ -23,7 +23,7 @@ pub const NOW: Instant = Instant::from_ticks(0);
 
 /// Powered up, with no input active. What it says then has not been taken.
 pub fn started<const BLOCKS: usize>(profile: Profile) -> Box<Controller<3>> {
-    let mut controller = Box::new(Controller::new(profile, lent(BLOCKS), lent(2)));
+    let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, BLOCKS)));
     controller.start(NOW);
     controller.event(NOW, Event::Signals(Sensed::default()));
     controller

@@ -36,7 +36,7 @@ pub struct Program {
 
 impl Program {
     pub fn new(dialect: Dialect) -> Self {
-        Self { interpreter: Interpreter::new(), dialect }
+        Self { interpreter: Interpreter::default(), dialect }
     }
 
     /// Checks a line that may have blanks.

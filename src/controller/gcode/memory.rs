@@ -1,0 +1,63 @@
+//! Memory that is lent to the interpreter: see `crate::memory`.
+
+use super::computed::ComputedMemory;
+#[cfg(not(feature = "alloc"))]
+use super::computed::ComputedStorage;
+use super::control_points::PointList;
+use super::modal::SPLINES;
+use super::saved::SavedList;
+use super::tools::ToolTable;
+use crate::memory::Lent;
+
+/// What is lent to one interpreter.
+#[derive(Debug)]
+pub struct ProgramMemory<const N: usize> {
+    pub(super) computed: ComputedMemory,
+    pub(super) tools: Lent<ToolTable<N>>,
+    pub(super) saved: Lent<SavedList<N>>,
+    pub(super) control_points: [Lent<PointList>; SPLINES as usize],
+}
+
+/// Owns that memory on a board.
+#[derive(Debug)]
+#[cfg(not(feature = "alloc"))]
+pub struct ProgramStorage<const N: usize> {
+    computed: ComputedStorage,
+    tools: ToolTable<N>,
+    saved: SavedList<N>,
+    control_points: [PointList; SPLINES as usize],
+}
+
+#[cfg(not(feature = "alloc"))]
+impl<const N: usize> ProgramStorage<N> {
+    /// All bytes are 0.
+    pub const EMPTY: Self = Self {
+        computed: ComputedStorage::EMPTY,
+        tools: ToolTable::EMPTY,
+        saved: SavedList::new(),
+        control_points: [const { PointList::new() }; SPLINES as usize],
+    };
+
+    /// Lends it for good.
+    pub fn lend(&'static mut self) -> ProgramMemory<N> {
+        ProgramMemory {
+            computed: self.computed.lend(),
+            tools: &mut self.tools,
+            saved: &mut self.saved,
+            control_points: self.control_points.each_mut(),
+        }
+    }
+}
+
+#[cfg(feature = "alloc")]
+impl<const N: usize> ProgramMemory<N> {
+    /// Memory from the heap.
+    pub fn on_heap() -> Self {
+        Self {
+            computed: ComputedMemory::on_heap(),
+            tools: Lent::new(ToolTable::EMPTY),
+            saved: Lent::new(SavedList::new()),
+            control_points: core::array::from_fn(|_| Lent::new(PointList::new())),
+        }
+    }
+}

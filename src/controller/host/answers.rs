@@ -1,0 +1,208 @@
+//! What the host is told (`say`): the answer to a line (also in checked form) or its refusal, messages and remarks of
+//! programs, alarms, which input tripped, the lock and what unlocks it, the welcome of `greet`, and the status report,
+//! whose fields (`report::Status`) are gathered here. `queue_text` and `message_with_values` put texts into the
+//! replies.
+
+use crate::dispatch::Controller;
+use crate::error::{Alarm, Error};
+use crate::gcode::{Dialect, WITH_VALUES};
+use crate::inputs::levels;
+use crate::messages::Signals;
+use crate::protocol::report::{self, PlaceForm};
+use crate::protocol::text::Text;
+use crate::settings::Key;
+use crate::states::Mode;
+use crate::units::per_minute;
+use crate::work::task::Task;
+
+/// Longest message of a program with the values of its parameters.
+const MESSAGE_WITH_VALUES: usize = 160;
+
+impl<const N: usize> Controller<N> {
+    /// Makes a piece of answer.
+    pub(crate) fn say(&mut self, make: impl FnOnce(&mut Text)) {
+        let mut text = Text::new();
+        make(&mut text);
+        self.queue_text(&text);
+    }
+
+    /// The answer to a line that is carried out.
+    pub(crate) fn say_ok(&mut self) {
+        self.queue_text(report::OK);
+    }
+
+    // Once, and not in each of the forty calls that say something.
+    #[inline(never)]
+    fn queue_text(&mut self, text: &[u8]) {
+        if self.m.lines.is_checking() && report::is_answer(text) && !self.m.replies.is_echoing() {
+            return self.answer_checked(text);
+        }
+        self.m.replies.push(text, self.m.lines.hosts_cut());
+    }
+
+    /// The answer to a checked line.
+    // By itself: a text has 320 bytes of stack.
+    #[inline(never)]
+    fn answer_checked(&mut self, text: &[u8]) {
+        if let Some(checked) = self.m.lines.checked_answer(text) {
+            self.m.replies.push(&checked, self.m.lines.hosts_cut());
+        }
+    }
+
+    /// The message of a line that is carried out, with its mark; one that would leave the travel is not. What was queued
+    /// before it may still move.
+    #[inline]
+    pub(crate) fn tell_remark(&mut self, remark: &[u8]) {
+        if let Some((mark, written)) = remark.split_first() {
+            self.tell_message(*mark, written);
+        }
+    }
+
+    // By itself: few lines have a message, and it takes much stack.
+    #[inline(never)]
+    fn tell_message(&mut self, mark: u8, written: &[u8]) {
+        if self.mode.is_alarm() || matches!(self.task, Task::SoftLimit(_)) {
+            return;
+        }
+        let mut text = heapless::Vec::<u8, MESSAGE_WITH_VALUES>::new();
+        if mark == WITH_VALUES {
+            self.m.interpreter.expand(written, &mut text);
+        } else {
+            let _ = text.extend_from_slice(written);
+        }
+        self.say(|out| report::program_message(out, &text));
+    }
+
+    /// The answer to a line that is not carried out, or not to its end.
+    pub(crate) fn refuse(&mut self, error: Error) {
+        // Not that to a startup line, which no host has sent.
+        if !self.m.replies.is_echoing() {
+            self.m.lines.fail(error);
+        }
+        self.say(|out| report::error(out, error.code()));
+    }
+
+    pub(crate) fn tell_alarm(&mut self, alarm: Alarm) {
+        self.m.interpreter.abandon_program();
+        self.say(|out| report::alarm(out, alarm.code()));
+        match alarm {
+            Alarm::Underrun => self.say(|out| report::message(out, "Motion data ran out")),
+            Alarm::Miscounted => self.say(|out| report::message(out, "Step outputs have failed")),
+            _ => {}
+        }
+    }
+
+    /// Another dialect: a host that checks its lines is told that it is no longer asked for.
+    pub(crate) fn end_check(&mut self) {
+        if self.m.lines.end_check() {
+            self.tell_unchecked();
+        }
+    }
+
+    /// A reset or a stop, at which the rest of a line may be under way.
+    pub(crate) fn lapse_check(&mut self) {
+        if self.m.lines.lapse_check() {
+            self.tell_unchecked();
+        }
+    }
+
+    fn tell_unchecked(&mut self) {
+        self.say(|out| report::message(out, "Lines are not checked any more"));
+    }
+
+    /// Which inputs caused the alarm, where, and at which line, if that has not been told yet.
+    pub(crate) fn tell_trip(&mut self, line: u32) {
+        if let Some(tripped) = self.m.inputs.take_tripped()
+            && self.dialect() != Dialect::Grbl
+        {
+            let position = self.machine_position();
+            let form = self.place_form();
+            self.say(|out| report::trip(out, &tripped, &position, line, form));
+        }
+    }
+
+    #[inline(never)]
+    pub(crate) fn tell_damage(&mut self) {
+        let text = "Stored settings were damaged and some may be lost: check $$, 2 s later $X confirms";
+        self.say(|out| report::message(out, text));
+    }
+
+    /// What a host has to do to unlock the machine.
+    pub(crate) fn tell_lock(&mut self) {
+        match self.mode {
+            Mode::Alarm(_) if self.m.records.are_damaged() => self.tell_damage(),
+            Mode::Alarm(_) => self.say(|out| report::message(out, "'$H'|'$X' to unlock")),
+            Mode::Critical(_) => self.say(|out| report::message(out, "Reset to continue")),
+            _ => {}
+        }
+    }
+
+    /// The welcome line. What a host is told once, it may not have heard before.
+    pub(crate) fn greet(&mut self) {
+        self.m.records.host_greeted();
+        self.say(report::welcome);
+        if let Some(failure) = self.m.replies.failure().cloned() {
+            let grbl = self.dialect() == Dialect::Grbl;
+            self.say(|out| report::failure(out, &failure, grbl));
+        }
+        self.m.settings_lock.host_greeted();
+    }
+
+    /// The report that a `?` has asked for, if there is room for it.
+    pub(crate) fn answer_status(&mut self) {
+        if self.m.replies.take_status() {
+            self.report_status();
+        }
+    }
+
+    // Cold: asked for a few times in a second, and looked for before each output.
+    #[cold]
+    #[inline(never)]
+    fn report_status(&mut self) {
+        let busy = self.m.step_supply.is_running()
+            || matches!(
+                self.mode,
+                Mode::Hold | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home(_)
+            );
+        let (show_offset, show_overrides) = self.m.replies.rare_fields(busy);
+        let mask = self.m.settings.whole(Key::StatusReport);
+        let (spindle, speed) = self.spindle_now();
+        let grbl = self.dialect() == Dialect::Grbl;
+        let line = self.m.motion.line_number();
+        let overrides = self.m.accessories.overrides();
+        let status = report::Status {
+            state: self.mode.name(
+                self.m.motion.is_at_rest(),
+                self.m.step_supply.is_running(),
+                self.m.inputs.signals().door,
+            ),
+            machine: self.machine_position(),
+            offset: self.m.interpreter.work_zero(self.dialect()),
+            show_machine: mask & 1 != 0,
+            buffer: (mask & 2 != 0).then_some((self.m.motion.free_blocks(), self.m.step_supply.observed().rx_free)),
+            line: (line > 0 && !grbl).then_some(line),
+            feed: per_minute(self.m.motion.speed().max(self.m.door.motion().speed())),
+            speed,
+            pins: self.shown_signals(),
+            show_offset,
+            overrides: show_overrides.then_some((
+                [overrides.feed, overrides.rapid, overrides.spindle],
+                spindle,
+                self.m.accessories.coolant(),
+            )),
+        };
+        let form = self.place_form();
+        self.say(|out| report::status(out, &status, form));
+    }
+
+    /// How the host is told of places.
+    pub(crate) fn place_form(&self) -> PlaceForm {
+        PlaceForm { axes: self.m.settings.axes_in_use(), inches: self.m.settings.is_on(Key::ReportInches) }
+    }
+
+    /// The inputs as a report shows them.
+    fn shown_signals(&self) -> Signals {
+        let signals = *self.m.inputs.signals();
+        Signals { limits: levels::axes_of_switches(signals.limits, &self.m.settings), ..signals }
+    }
+}

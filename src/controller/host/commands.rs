@@ -1,0 +1,302 @@
+//! `$` commands are carried out: settings (`$n=v`) with what changes by them, unlock (`$X`), home (`$H`), check mode
+//! (`$C`), sleep (`$SLP`), defaults (`$RST`), the record of a failure (`$RC`), pins, listings, checked lines (`$LC`),
+//! startup lines and macros.
+
+use crate::axes::{Axis, AxisMask};
+use crate::dispatch::Controller;
+use crate::error::Error;
+use crate::gcode::Dialect;
+use crate::protocol::descriptions::DESCRIPTIONS;
+use crate::protocol::recorded::RECORDER;
+use crate::protocol::report;
+use crate::protocol::system::{self, Allowed, Restore, System};
+use crate::settings::{AxisKey, Key, Settings};
+use crate::states::{Homing, Mode};
+use crate::units::{DECIMAL_ONE, Decimal};
+use crate::work::task::{Answer, Ask, Caller, Listing, Task};
+
+/// Numbers of settings that are more than values.
+const DIRECTION_INVERT: u16 = Key::DirectionInvert.number();
+const DOOR_FITTED: u16 = Key::DoorFitted.number();
+const AXES: u16 = Key::Axes.number();
+const HOMING: u16 = Key::Homing.number();
+const HOMING_DIRECTION: u16 = Key::HomingDirection.number();
+const KINEMATICS: u16 = Key::Kinematics.number();
+const LASER: u16 = Key::Laser.number();
+const REPORT_INCHES: u16 = Key::ReportInches.number();
+const RESET_IS_EMERGENCY_STOP: u16 = Key::ResetIsEmergencyStop.number();
+const SPINDLE_MAXIMUM: u16 = Key::SpindleMaximum.number();
+const SPINDLE_MINIMUM: u16 = Key::SpindleMinimum.number();
+const STEP_PULSE: u16 = Key::StepPulse.number();
+
+impl<const N: usize> Controller<N> {
+    /// A line that begins with `$`.
+    pub(crate) fn system(&mut self, line: &[u8]) -> Result<(), Error> {
+        let resting = matches!(self.mode, Mode::Normal) && !self.m.step_supply.is_running();
+        let idle = resting && self.m.motion.is_idle();
+        match system::allowed(line) {
+            Allowed::AtRest if !(idle || matches!(self.mode, Mode::Alarm(_))) => return Err(Error::NotIdle),
+            Allowed::ForJog if !(idle || matches!(self.mode, Mode::Jog { .. })) => return Err(Error::NotIdle),
+            _ => {}
+        }
+        let command = system::read(line)?;
+        if self.dialect() == Dialect::Grbl {
+            command.known_to_grbl()?;
+        }
+        match command {
+            System::Help => {
+                let grbl = self.dialect() == Dialect::Grbl;
+                self.say(|out| report::help(out, grbl));
+                self.say_ok();
+            }
+            System::Settings if matches!(self.mode, Mode::Normal) && !idle => return Err(Error::NotIdle),
+            System::Settings => self.task = Task::Listing(Listing::Settings, 0),
+            System::Parameters => self.task = Task::Listing(Listing::Parameters, 0),
+            System::StartupLines => self.task = Task::Listing(Listing::StartupLines, 0),
+            System::ParserState => self.report_parser_state(),
+            System::BuildInfo => self.report_build_info(false),
+            System::MoreBuildInfo => self.report_build_info(true),
+            System::Describe(_) if !DESCRIPTIONS => return Err(Error::DescriptionsLeftOut),
+            System::Describe(what) => self.task = Task::Listing(Listing::Descriptions(what), 0),
+            System::SetBuildInfo(text) => {
+                let text = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
+                self.m.records.save_build_info(text);
+                self.task = Task::Storing(Answer::Host);
+            }
+            System::SetStartupLine(index, text) => self.set_startup_line(index, text)?,
+            System::Macros => self.task = Task::Listing(Listing::Macros, 0),
+            System::SetMacro(index, text) => self.set_macro(index, text)?,
+            System::CheckMode => self.toggle_check_mode()?,
+            System::Unlock => self.unlock()?,
+            System::Home(axis) => self.home(axis)?,
+            System::Jog(text) => return self.jog(text),
+            System::Restore(what) => self.restore_defaults(what),
+            System::ResetCause => {
+                let restart = self.m.replies.tell_restart().clone();
+                self.say(|out| report::restart(out, &restart));
+                self.say_ok();
+            }
+            System::Recording => self.list_recording()?,
+            System::Pins => {
+                self.m.inputs.ask_view(false);
+                self.task = Task::Listing(Listing::Pins, 0);
+            }
+            System::ClearNoise => {
+                self.m.inputs.ask_view(true);
+                self.say_ok();
+            }
+            System::CheckLines(on) => self.check_lines(on),
+            System::Sleep => self.sleep(),
+            System::Set(number, value) => self.set_setting(number, value)?,
+        }
+        Ok(())
+    }
+
+    /// The answer has the form that lines have from now on.
+    fn check_lines(&mut self, on: bool) {
+        if on {
+            self.m.lines.begin_check();
+        } else {
+            self.m.lines.end_check();
+        }
+        self.say_ok();
+    }
+
+    fn list_recording(&mut self) -> Result<(), Error> {
+        if !RECORDER {
+            return Err(Error::RecorderLeftOut);
+        }
+        self.task = Task::Listing(Listing::Recording(Ask::Wanted), 0);
+        Ok(())
+    }
+
+    fn sleep(&mut self) {
+        self.say_ok();
+        self.say(|out| report::message(out, "Sleeping"));
+        self.fall_asleep();
+    }
+
+    fn set_startup_line(&mut self, index: usize, text: &[u8]) -> Result<(), Error> {
+        if !matches!(self.mode, Mode::Normal) {
+            return Err(Error::NotIdle);
+        }
+        let stored = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
+        if text.is_empty() {
+            self.m.records.save_startup_line(index, stored);
+            self.task = Task::Storing(Answer::Host);
+            return Ok(());
+        }
+        self.m.records.validate(stored);
+        self.startup_line(text, Caller::Validation(index))
+    }
+
+    fn set_macro(&mut self, index: usize, text: &[u8]) -> Result<(), Error> {
+        if !matches!(self.mode, Mode::Normal) {
+            return Err(Error::NotIdle);
+        }
+        let stored = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
+        self.m.interpreter.set_macro_line(index, text)?;
+        self.m.records.save_macro(index, &stored);
+        self.task = Task::Storing(Answer::Host);
+        Ok(())
+    }
+
+    fn home(&mut self, axis: Option<Axis>) -> Result<(), Error> {
+        if !self.m.settings.is_on(Key::Homing) {
+            return Err(Error::HomingDisabled);
+        }
+        if axis.is_some_and(|axis| self.dialect() == Dialect::Grbl || axis.index() >= self.m.settings.axes_in_use()) {
+            return Err(Error::InvalidStatement);
+        }
+        if self.m.inputs.signals().door {
+            return Err(Error::DoorOpen);
+        }
+        if let Some((_, error)) = self.m.inputs.emergency() {
+            return Err(error);
+        }
+        if let Some(error) = self.motion_locked() {
+            return Err(error);
+        }
+        let (homing, next) = Homing::begin(axis, &mut self.m)?;
+        self.enter(Mode::Home(homing));
+        self.follow(next);
+        Ok(())
+    }
+
+    fn set_setting(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
+        // What the table of settings has is the least of all boards.
+        let least_pulse = i64::from(self.m.settings_lock.least_pulse_tenths()) * (DECIMAL_ONE / 10);
+        if number == STEP_PULSE && (0..least_pulse).contains(&value.0) {
+            return Err(Error::StepPulseTooShort);
+        }
+        if self.m.settings.accepted(number, value)? != 0.0 {
+            match number {
+                DOOR_FITTED if self.m.inputs.pins().door => return Err(Error::DoorOpen),
+                // As with the door: it would not be seen to become active.
+                RESET_IS_EMERGENCY_STOP if self.m.inputs.pins().reset => return Err(Error::EmergencyStop),
+                _ => {}
+            }
+        }
+        let before = self.m.settings.by_number(number);
+        let (soft_limits, dialect) = (self.m.settings.is_on(Key::SoftLimits), self.dialect());
+        self.m.settings.set(number, value)?;
+        let is_other = self.m.settings.by_number(number) != before;
+        // The same S is another power now.
+        if is_other && matches!(number, SPINDLE_MAXIMUM | SPINDLE_MINIMUM | LASER) {
+            self.m.stop_spindle();
+        }
+        self.follow_setting(number, soft_limits);
+        if is_other {
+            self.rename_places(number);
+        }
+        if self.dialect() != dialect {
+            self.m.interpreter.change_dialect();
+            self.end_check();
+            // Rotations act in one dialect only, and G92 with them.
+            self.m.replies.offset_changed();
+            self.apply_overrides();
+        }
+        self.task = Task::Storing(Answer::Setting(number));
+        Ok(())
+    }
+
+    /// A setting has been set: derived numbers follow, and it is stored. `soft_limits`: they were on before.
+    fn follow_setting(&mut self, number: u16, soft_limits: bool) {
+        self.reconfigure();
+        // Another resolution is another position for the same steps.
+        self.m.interpreter.set_position(self.m.motion.machine_position());
+        if matches!(number, REPORT_INCHES | AXES) {
+            self.m.replies.offset_changed();
+        }
+        if number == HOMING {
+            self.m.records.save_soft_limits_before_homing(&self.m.settings, soft_limits);
+        }
+        self.m.records.save_setting(number, &self.m.settings);
+    }
+
+    /// A setting has another value: where that gives places other names than homing gave them, the machine is to be homed
+    /// again. Homing that is switched on has not been done.
+    fn rename_places(&mut self, number: u16) {
+        let to_negative = AxisMask(self.m.settings.whole(Key::HomingDirection) as u8);
+        let moves_places = AxisKey::Resolution.axis(number).is_some() || number == KINEMATICS;
+        let renames_places = matches!(number, DIRECTION_INVERT | HOMING_DIRECTION | HOMING | AXES)
+            || AxisKey::Travel.axis(number).is_some_and(|axis| to_negative.has(axis));
+        if moves_places {
+            self.m.interpreter.end_cycles();
+        }
+        if moves_places || renames_places && self.m.settings.is_on(Key::Homing) {
+            self.m.reference.lose();
+        }
+    }
+
+    fn toggle_check_mode(&mut self) -> Result<(), Error> {
+        match self.mode {
+            Mode::Check => {
+                self.say(|out| report::message(out, "Disabled"));
+                self.say_ok();
+                self.m.interpreter.reset();
+                self.enter(Mode::Normal);
+                self.initialise();
+            }
+            Mode::Normal if self.m.motion.is_idle() => {
+                self.enter(Mode::Check);
+                self.m.interpreter.begin_check_mode();
+                self.say(|out| report::message(out, "Enabled"));
+                self.say_ok();
+            }
+            _ => return Err(Error::NotIdle),
+        }
+        Ok(())
+    }
+
+    fn unlock(&mut self) -> Result<(), Error> {
+        if let Mode::Alarm(_) = self.mode {
+            if self.m.inputs.signals().door {
+                return Err(Error::DoorOpen);
+            }
+            if let Some((_, error)) = self.m.inputs.emergency() {
+                return Err(error);
+            }
+            let damaged = self.m.records.are_damaged();
+            if damaged && !self.m.records.confirm(self.m.now, &self.m.settings) {
+                self.tell_damage();
+                return Err(Error::StoreReadFailed);
+            }
+            self.enter(Mode::Normal);
+            self.say(|out| report::message(out, "Caution: Unlocked"));
+            if !self.m.reference.is_trusted() && self.dialect() != Dialect::Grbl {
+                self.say(|out| report::message(out, "The position may be lost: home before using machine coordinates"));
+            }
+            if damaged {
+                self.task = Task::Storing(Answer::Host);
+                return Ok(());
+            }
+        }
+        self.say_ok();
+        Ok(())
+    }
+
+    fn restore_defaults(&mut self, what: Restore) {
+        if matches!(what, Restore::Settings | Restore::All) {
+            self.m.stop_spindle();
+            let mut settings = Settings::default();
+            settings.restore(Key::Dialect.number(), self.m.settings.value(Key::Dialect));
+            let same_steps = settings.axes(AxisKey::Resolution) == self.m.settings.axes(AxisKey::Resolution)
+                && settings.arrangement() == self.m.settings.arrangement();
+            if !same_steps {
+                self.m.reference.lose();
+            }
+            self.m.settings.replace(settings);
+        }
+        if matches!(what, Restore::Coordinates | Restore::All) {
+            self.m.interpreter.clear_stored();
+        }
+        if what == Restore::All {
+            self.m.interpreter.clear_macros();
+        }
+        self.m.records.forget(what);
+        self.say(|out| report::message(out, "Restoring defaults"));
+        self.m.interpreter.reset();
+        self.task = Task::Storing(Answer::Restart);
+    }
+}

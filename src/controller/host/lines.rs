@@ -1,0 +1,289 @@
+//! Received bytes become lines, and each line is dispatched to where it is carried out: `$` line, tape mark, program
+//! line with O words, or a jog that must wait (while another is `cancelling`). Invalid and too long lines are refused;
+//! the message of a remark is kept with its mark. `LineRules` of each dialect. The intake's `Verdict` and what is
+//! `Taken` decide whether a line is pushed on, answered with an error, or kept; `tell_remark` says a message.
+
+use crate::dispatch::Controller;
+use crate::error::Error;
+use crate::gcode::{AS_WRITTEN, Dialect, Direction, WITH_VALUES};
+use crate::messages::{HOST_CHANGED, LineByte};
+use crate::protocol::checked_line::Verdict;
+use crate::protocol::line::{self, Pushed};
+use crate::protocol::line_intake::Taken;
+use crate::protocol::report;
+use crate::settings::{Key, Settings};
+use crate::states::Mode;
+use crate::units::Instant;
+use crate::view::dialect;
+use crate::work::task::{Answer, Caller, Task};
+
+/// The message of a line, with its mark.
+type Remark = heapless::Vec<u8, { line::MESSAGE_LENGTH + 1 }>;
+
+impl<const N: usize> Controller<N> {
+    pub(crate) fn release_held(&mut self) {
+        if let Some(byte) = self.m.lines.release() {
+            self.line_byte(self.m.now, byte);
+        }
+    }
+
+    /// Whether a byte that comes next would be dropped, as it was received before a reset or a stop.
+    pub fn is_old(&self, byte: LineByte) -> bool {
+        if byte.byte == HOST_CHANGED {
+            // It comes before such bytes, and where nothing of the host before is in work it may be taken like them.
+            let waits = matches!(self.mode, Mode::Door(_)) && !self.m.lines.holds();
+            return waits && matches!(self.task, Task::None | Task::Startup(_, None));
+        }
+        self.m.lines.is_old(byte)
+    }
+
+    /// Drops such a byte, also while no line is wanted.
+    pub fn drop_old(&mut self, byte: LineByte) {
+        self.other_byte(byte);
+    }
+
+    #[inline(never)]
+    pub(crate) fn line_byte(&mut self, now: Instant, byte: LineByte) {
+        self.m.now = now;
+        if self.m.lines.take_end(byte) {
+            return self.line_ended();
+        }
+        self.other_byte(byte);
+    }
+
+    /// A line has come to its end in which nothing has happened but its text.
+    #[inline]
+    fn line_ended(&mut self) {
+        self.answer_status();
+        let is_of_program = self.m.lines.has_no_remark()
+            && !matches!(self.m.lines.text().first(), None | Some(b'%' | b'$'))
+            && !self.mode.is_alarm()
+            && !matches!(self.mode, Mode::Jog { .. })
+            && self.dialect() != Dialect::Grbl;
+        if is_of_program {
+            self.line_of_program();
+        } else {
+            self.complete();
+        }
+        if !matches!(self.task, Task::Job(_)) {
+            self.m.pins.disturb();
+        }
+    }
+
+    /// A line of the host's program without a message is read where it was received: nothing is copied.
+    fn line_of_program(&mut self) {
+        let (text, dialect) = (self.m.lines.text(), dialect(&self.m.settings));
+        let checked = match self.m.interpreter.direct(text, &[], self.m.lines.lines_read()) {
+            Ok(Direction::Check) => {
+                let checked = self.m.interpreter.check_into(text, dialect, &mut self.line.checked);
+                checked.map(|()| Direction::Check)
+            }
+            directed => directed,
+        };
+        self.m.lines.clear();
+        let result = match checked {
+            Ok(Direction::Check) => self.begin_checked(Answer::Host),
+            Ok(direction) => {
+                self.directed(direction, &[]);
+                Ok(())
+            }
+            Err(error) => Err(error),
+        };
+        if let Err(error) = result {
+            self.refuse_program_line(error);
+        }
+    }
+
+    /// All other bytes.
+    #[inline(never)]
+    fn other_byte(&mut self, byte: LineByte) {
+        let taken = self.m.lines.take(byte, || line_rules(&self.m.settings));
+        if taken.pushed != Pushed::More || taken.cut || taken.lost {
+            self.taken(taken);
+        }
+    }
+
+    /// A byte has brought something about.
+    #[inline(never)]
+    fn taken(&mut self, taken: Taken) {
+        if taken.cut {
+            // What the host before has begun and not ended is not this one's; its last lines have been carried out by now.
+            self.m.interpreter.abandon_program();
+        }
+        if taken.lost {
+            self.say(|out| report::message(out, "Received bytes lost"));
+        }
+        if taken.pushed != Pushed::More {
+            // Realtime commands come before the lines received after them: so the report of a `?` comes before the answer.
+            self.answer_status();
+        }
+        match taken.pushed {
+            Pushed::More => {}
+            _ if taken.verdict != Verdict::Valid => self.answer_invalid(taken.verdict),
+            Pushed::TooLong => {
+                self.m.lines.clear();
+                self.refuse_program_line(Error::LineTooLong);
+            }
+            Pushed::Complete => self.complete(),
+        }
+        // A line that is yet to be carried out has changed nothing.
+        if !matches!(self.task, Task::Job(_)) {
+            self.m.pins.disturb();
+        }
+    }
+
+    /// The line that has been read is carried out.
+    #[inline(never)]
+    fn complete(&mut self) {
+        // Filled where they are: a returned value would be copied with its whole capacity.
+        let (mut text, mut remark) = (heapless::Vec::<u8, { line::LENGTH }>::new(), Remark::new());
+        let _ = text.extend_from_slice(self.m.lines.text());
+        self.read_remark(&mut remark);
+        if self.must_wait(&text) {
+            self.task = Task::JogWaits;
+        } else {
+            self.m.lines.clear();
+            self.dispatch(&text, &remark);
+        }
+    }
+
+    /// A line that the check has not let through is answered; the host sends it again if it has to.
+    fn answer_invalid(&mut self, verdict: Verdict) {
+        self.m.lines.clear();
+        match self.m.lines.failed() {
+            Some(error) => self.refuse(error),
+            None if verdict == Verdict::Known => self.say(report::known),
+            None => self.refuse(Error::DamagedLine),
+        }
+    }
+
+    /// The message of the line that has been read, with its mark; nothing if it has none.
+    fn read_remark(&self, remark: &mut Remark) {
+        if let Some((has_values, text)) = self.m.lines.message()
+            && self.dialect() != Dialect::Grbl
+        {
+            let _ = remark.push(if has_values { WITH_VALUES } else { AS_WRITTEN });
+            let _ = remark.extend_from_slice(text);
+        }
+    }
+
+    /// A jog behind a jog cancel begins once the machine has stopped, from the position where it is then.
+    fn must_wait(&self, line: &[u8]) -> bool {
+        line.starts_with(b"$J=")
+            && matches!(self.mode, Mode::Jog { cancelling: true })
+            && self.m.lines.is_jog_behind_cancel()
+    }
+
+    /// The jog that waits for the end of the one before it ([`Task::JogWaits`]). Whether it has begun.
+    #[inline(never)]
+    pub(crate) fn begin_waiting_jog(&mut self) -> bool {
+        if matches!(self.mode, Mode::Jog { cancelling: true }) || self.mode.is_suspended() || self.m.stops.is_awaited()
+        {
+            return false;
+        }
+        let (mut text, mut remark) = (heapless::Vec::<u8, { line::LENGTH }>::new(), Remark::new());
+        let _ = text.extend_from_slice(self.m.lines.text());
+        self.read_remark(&mut remark);
+        self.m.lines.clear();
+        self.task = Task::None;
+        self.dispatch(&text, &remark);
+        true
+    }
+
+    fn dispatch(&mut self, line: &[u8], remark: &[u8]) {
+        let result = match line.first() {
+            None if remark.is_empty() || self.mode.is_alarm() => {
+                self.say_ok();
+                Ok(())
+            }
+            // A tape mark; Grbl's dialect has none.
+            Some(b'%') if self.dialect() != Dialect::Grbl => self.tape_mark(line, remark),
+            // It would be told now, and not when the line is carried out.
+            Some(b'$') if !remark.is_empty() && keeps_line(line) => Err(Error::InvalidStatement),
+            Some(b'$') => self.system(line).map(|()| self.tell_remark(remark)),
+            Some(_) if self.mode.is_alarm() || matches!(self.mode, Mode::Jog { .. }) => Err(Error::Locked),
+            _ => self.program_line(line, remark),
+        };
+        match result {
+            Ok(()) => {}
+            Err(error) if line.first() == Some(&b'$') => self.refuse(error),
+            Err(error) => self.refuse_program_line(error),
+        }
+    }
+
+    /// What is kept of a subroutine or loop lacks the line, and what it would have set is not set.
+    fn refuse_program_line(&mut self, error: Error) {
+        self.refuse(error);
+        self.m.interpreter.line_refused(error);
+        self.stop_at_error();
+    }
+
+    /// Between two programs nothing may be open. A word on the line would be lost.
+    fn tape_mark(&mut self, line: &[u8], remark: &[u8]) -> Result<(), Error> {
+        if line.len() > 1 {
+            return Err(Error::ExpectedLetter);
+        }
+        self.m.interpreter.tape_mark()?;
+        self.tell_remark(remark);
+        self.say_ok();
+        Ok(())
+    }
+
+    /// A line of the host's program: O words first, which Grbl's dialect has not.
+    #[inline]
+    fn program_line(&mut self, line: &[u8], remark: &[u8]) -> Result<(), Error> {
+        let direction = match self.dialect() {
+            Dialect::Grbl => Direction::Check,
+            _ => self.m.interpreter.direct(line, remark, self.m.lines.lines_read())?,
+        };
+        if direction == Direction::Check && !line.is_empty() {
+            self.gcode(line, Answer::Host)?;
+            self.tell_remark(remark);
+        } else {
+            self.directed(direction, remark);
+        }
+        Ok(())
+    }
+
+    /// A line in which there is nothing to be carried out now.
+    #[inline(never)]
+    fn directed(&mut self, direction: Direction, remark: &[u8]) {
+        match direction {
+            Direction::Check | Direction::Done => {
+                self.tell_remark(remark);
+                self.say_ok();
+            }
+            Direction::LeftOut => self.say_ok(),
+            Direction::Call => {
+                self.tell_remark(remark);
+                self.task = Task::Held(Caller::Host);
+            }
+            Direction::Run => self.task = Task::Held(Caller::Host),
+        }
+    }
+}
+
+/// Whether a `$` line sets a startup line or a macro.
+fn keeps_line(line: &[u8]) -> bool {
+    matches!(line, [b'$', b'N' | b'M', b'0'..=b'9', ..])
+}
+
+/// How lines are read.
+fn line_rules<const N: usize>(settings: &Settings<N>) -> line::LineRules {
+    match dialect(settings) {
+        Dialect::Grbl => line::LineRules {
+            length: line::GRBL_LENGTH,
+            merge_crlf: false,
+            nested_remarks: false,
+            expressions: false,
+            block_delete: false,
+        },
+        dialect => line::LineRules {
+            length: line::LENGTH,
+            merge_crlf: true,
+            nested_remarks: dialect == Dialect::Seed,
+            expressions: true,
+            block_delete: settings.is_on(Key::BlockDelete),
+        },
+    }
+}

@@ -1,0 +1,201 @@
+//! Answers of many lines or many fields, one line per call: settings `$$`, parameters `$#`, startup lines `$N`, macros
+//! `$M`, pins `$PINS`, descriptions `$ES`, build info `$I`, and the parser state `$G`.
+
+use crate::axes::{Axis, LINEAR};
+use crate::dispatch::Controller;
+use crate::gcode::{Angle, CoordinateSystem, Dialect, EXPRESSIONS, ROTATION, StoredOffset, TOOLS};
+use crate::host::stored::STORED_TEXT;
+use crate::messages::{LINES_DEPTH, PinView, SECOND_SWITCH, input};
+use crate::protocol::descriptions::{self, DESCRIPTIONS};
+use crate::protocol::recorded::RECORDER;
+use crate::protocol::report::{self, ParserState};
+use crate::protocol::system::Described;
+use crate::settings::Key;
+use crate::work::task::{Ask, Listing, Task};
+
+impl<const N: usize> Controller<N> {
+    #[inline(never)]
+    pub(crate) fn advance_listing(&mut self, listing: Listing, line: usize) -> bool {
+        if !self.m.replies.has_room() {
+            return false;
+        }
+        let more = match listing {
+            Listing::Recording(Ask::Wanted) if RECORDER => {
+                self.task = Task::Listing(Listing::Recording(Ask::Due), line);
+                return true;
+            }
+            Listing::Recording(_) => return false,
+            Listing::Settings => self.list_setting(line),
+            Listing::Parameters => self.list_parameter(line),
+            Listing::Pins => match self.m.inputs.view() {
+                Some(view) => self.list_pin(&view, line),
+                None => return false,
+            },
+            Listing::Descriptions(what) => DESCRIPTIONS && self.describe(what, line),
+            Listing::Macros => {
+                match self.m.interpreter.macro_line(line).map(heapless::Vec::<u8, STORED_TEXT>::from_slice) {
+                    Some(text) => {
+                        let text = text.unwrap_or_default();
+                        if !text.is_empty() {
+                            self.say(|out| report::kept_line(out, b'M', line, &text));
+                        }
+                        true
+                    }
+                    None => false,
+                }
+            }
+            Listing::StartupLines => match self.m.records.startup_line(line).cloned() {
+                Some(text) => {
+                    self.say(|out| report::kept_line(out, b'N', line, &text));
+                    true
+                }
+                None => false,
+            },
+        };
+        if more {
+            self.task = Task::Listing(listing, line + 1);
+        } else {
+            self.task = Task::None;
+            if listing == Listing::Settings && self.m.records.listed(self.m.now) {
+                self.say(|out| report::message(out, "Compare with your notes; 2 s later $X confirms"));
+            }
+            self.say_ok();
+        }
+        true
+    }
+
+    fn list_setting(&mut self, line: usize) -> bool {
+        let Some((entry, number, value)) = self.m.settings.row(line) else { return false };
+        if entry.grbl || self.dialect() != Dialect::Grbl {
+            self.say(|out| report::setting(out, &entry, number, value));
+        }
+        true
+    }
+
+    fn list_parameter(&mut self, line: usize) -> bool {
+        let form = self.place_form();
+        let systems =
+            if self.dialect() == Dialect::Grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
+        let offsets = *self.m.interpreter.offsets();
+        if let Some(system) = CoordinateSystem::ALL.get(..systems).and_then(|all| all.get(line)) {
+            self.say(|out| report::parameter(out, system.word(), &offsets.system(*system), form));
+            return true;
+        }
+        match line - systems {
+            0 => self.say(|out| report::parameter(out, "G28", &offsets.stored(StoredOffset::G28), form)),
+            1 => self.say(|out| report::parameter(out, "G30", &offsets.stored(StoredOffset::G30), form)),
+            2 => self.say(|out| report::parameter(out, "G92", &offsets.g92, form)),
+            3 => self.say(|out| report::tool_length(out, &offsets.tool_length, form)),
+            4 => {
+                let (position, success) = self.m.probe.result();
+                self.say(|out| report::probe(out, &position, success, form));
+            }
+            entry if self.dialect() != Dialect::Grbl && entry < TOOLS + 5 => {
+                if let Some(tool) = self.m.interpreter.tools().entries().get(entry - 5).copied()
+                    && tool.is_stored()
+                {
+                    self.say(|out| report::tool(out, tool.number, &tool.offset, form));
+                }
+            }
+            entry if self.dialect() != Dialect::Grbl && ROTATION => {
+                let Some(system) = CoordinateSystem::ALL.get(entry - TOOLS - 5) else { return false };
+                let angle = offsets.angle(*system);
+                if angle != Angle::ZERO {
+                    self.say(|out| report::rotation(out, system.word(), angle.degrees()));
+                }
+            }
+            _ => return false,
+        }
+        true
+    }
+
+    fn list_pin(&mut self, view: &PinView, bit: usize) -> bool {
+        // The switch of an axis that is not in use is none, and beside A there is no second motor.
+        let axes = self.m.settings.axes_in_use();
+        let counts =
+            if bit < Axis::ALL.len() { bit < axes } else { axes <= LINEAR || 1 << bit != SECOND_SWITCH as usize };
+        if counts && view.fitted >> bit & 1 != 0 {
+            let (active, wiring) = (self.m.inputs.pins().word() >> bit & 1 != 0, self.m.inputs.wiring());
+            self.say(|out| report::pin(out, bit, view, active, &wiring));
+        }
+        bit + 1 < input::COUNT
+    }
+
+    fn describe(&mut self, what: Described, line: usize) -> bool {
+        let axes = self.m.settings.axes_in_use();
+        let is_there = line < descriptions::lines(what, axes);
+        if is_there {
+            let least_pulse = self.m.settings_lock.least_pulse_tenths();
+            self.say(|out| descriptions::line::<N>(out, what, line, axes, least_pulse));
+        }
+        is_there
+    }
+
+    /// `$I`, or `$I+` with what a sender may ask for.
+    pub(crate) fn report_build_info(&mut self, with_options: bool) {
+        const OPTIONS: &[&str] = match (DESCRIPTIONS, EXPRESSIONS) {
+            (true, true) => &["ENUMS", "EXPR"],
+            (true, false) => &["ENUMS"],
+            (false, true) => &["EXPR"],
+            (false, false) => &[],
+        };
+        let info = self.m.records.build_info().clone();
+        let (letters, blocks) = (self.option_letters(), self.m.motion.blocks());
+        self.say(|out| report::build_info(out, &info, &letters, blocks, LINES_DEPTH));
+        // Grbl has two lines, and strict senders count on it.
+        if self.dialect() != Dialect::Grbl {
+            self.say(report::firmware);
+        }
+        if with_options {
+            let axes = self.m.settings.axes_in_use();
+            self.say(|out| report::more_options(out, axes, OPTIONS));
+        }
+        self.say_ok();
+    }
+
+    /// What `$I` says is switched on, in Grbl's letters and their order.
+    fn option_letters(&self) -> heapless::Vec<u8, 12> {
+        let own = self.dialect() != Dialect::Grbl;
+        let on = |key| self.m.settings.is_on(key);
+        [
+            (true, b'V'),
+            (own, b'N'),
+            (own, b'M'),
+            (on(Key::Kinematics), b'C'),
+            (on(Key::Parking), b'P'),
+            (own, b'H'),
+            (own && on(Key::Parking), b'R'),
+            (on(Key::DoorFitted), b'+'),
+            (on(Key::GangedAxis), b'2'),
+        ]
+        .into_iter()
+        .filter_map(|(on, letter)| on.then_some(letter))
+        .collect()
+    }
+
+    pub(crate) fn report_parser_state(&mut self) {
+        let modal = self.m.interpreter.modal();
+        let state = ParserState {
+            words: [
+                modal.motion.word(),
+                modal.coordinate_system.word(),
+                modal.plane.word(),
+                modal.units.word(),
+                modal.distance.word(),
+                modal.feed_mode.word(),
+            ],
+            rotation: self.m.interpreter.rotation().is_some(),
+            scaling: self.m.interpreter.scaling().is_some(),
+            blends: self.m.interpreter.modal().path.tolerance().is_some(),
+            spindle: modal.spindle,
+            coolant: modal.coolant,
+            parking: self.m.settings.is_on(Key::Parking) && !modal.no_parking && self.dialect() != Dialect::Grbl,
+            tool: modal.tool,
+            feed: modal.feed.to_f32(),
+            speed: modal.speed,
+        };
+        let inches = self.m.settings.is_on(Key::ReportInches);
+        self.say(|out| report::parser_state(out, &state, inches));
+        self.say_ok();
+    }
+}

@@ -1,0 +1,158 @@
+//! Realtime commands: what a byte that no line holds back does to the state: reset, stop, status, cycle start, feed
+//! hold, jog cancel (`Mode::Jog`, which is not `cancelling` yet), spindle stop, toggles of flood, mist and single
+//! block, overrides. Also the host: one that has left or is silent (heartbeat) is a fault, or ends its jog.
+//! `look_for_silence`, `release_held`, `restore_spindle` and `set_overrides` are parts of it.
+
+use crate::dispatch::Controller;
+use crate::gcode::Dialect;
+use crate::machine::realtime_override::Overrides;
+use crate::messages::{Coolant, Realtime};
+use crate::protocol::report;
+use crate::settings::Key;
+use crate::states::stops::orders::StopReason;
+use crate::states::{Door, Mode};
+use crate::units::Duration;
+
+impl<const N: usize> Controller<N> {
+    pub(crate) fn realtime(&mut self, command: Realtime) {
+        match command {
+            Realtime::Reset => {
+                self.m.lines.reset();
+                self.lapse_check();
+                self.m.stops.begin(StopReason::Reset);
+                self.finish_stop();
+                self.release_held();
+            }
+            // Grbl knows no such byte and drops it.
+            Realtime::Stop if self.dialect() == Dialect::Grbl => {
+                self.m.lines.open_epoch();
+                self.release_held();
+            }
+            Realtime::Stop => {
+                self.m.lines.reset();
+                self.lapse_check();
+                self.stop_softly(false);
+                self.release_held();
+            }
+            Realtime::Status => self.m.replies.ask_status(),
+            Realtime::CycleStart => self.cycle_start(),
+            Realtime::FeedHold => self.feed_hold(),
+            Realtime::SafetyDoor => self.open_door(),
+            Realtime::JogCancel => {
+                self.m.lines.cancel_jogs();
+                if matches!(self.mode, Mode::Jog { cancelling: false }) {
+                    self.cancel_jog();
+                }
+                // One that has been read and not queued yet has no mode of its own.
+                self.task.forget_jog();
+                self.release_held();
+            }
+            Realtime::SpindleStop => {
+                // A beam is off in a hold, and does not come back before motion does.
+                if matches!(self.mode, Mode::Hold) && self.m.accessories.is_on() && !self.m.settings.is_on(Key::Laser) {
+                    self.toggle_spindle();
+                }
+            }
+            Realtime::FloodToggle => self.toggle_coolant(|c| c.flood = !c.flood),
+            Realtime::MistToggle if self.dialect() != Dialect::Grbl => self.toggle_coolant(|c| c.mist = !c.mist),
+            Realtime::SingleBlock if self.dialect() != Dialect::Grbl => {
+                let message = if self.line.toggle_single_block() { "Single block on" } else { "Single block off" };
+                self.say(|out| report::message(out, message));
+            }
+            // Grbl drops these bytes.
+            Realtime::MistToggle | Realtime::SingleBlock => {}
+            _ => self.set_overrides(self.m.accessories.overrides().after(command)),
+        }
+    }
+
+    fn toggle_coolant(&mut self, change: impl FnOnce(&mut Coolant)) {
+        if matches!(self.mode, Mode::Normal | Mode::Hold) {
+            let mut coolant = self.m.accessories.coolant();
+            change(&mut coolant);
+            self.m.accessories.set_coolant(coolant);
+            self.m.interpreter.set_accessories(self.m.accessories.spindle(), coolant);
+            self.m.replies.overrides_changed();
+        }
+    }
+
+    fn set_overrides(&mut self, overrides: Overrides) {
+        if self.m.accessories.set_overrides(overrides) {
+            self.m.replies.overrides_changed();
+        }
+    }
+
+    pub(crate) fn cycle_start(&mut self) {
+        self.m.lines.heartbeat_mut().set_gone(false);
+        match self.mode {
+            Mode::Normal => self.start_motion(),
+            Mode::Hold if self.m.accessories.spinning_up().is_some() => {}
+            Mode::Hold if self.m.motion.is_at_rest() => {
+                self.restore_spindle();
+                if self.is_spinning_up() {
+                    self.m.accessories.leave_hold(true);
+                } else {
+                    self.leave_hold();
+                }
+            }
+            Mode::Door(Door::Parked) => self.close_door(),
+            _ => {}
+        }
+    }
+
+    /// No operator can stop what moves or see where it goes: it is held if `$914` says so, by `$928`. In any case a jog ends, as
+    /// the key that would end it has no wire any more.
+    pub(crate) fn host_left(&mut self) {
+        match self.mode {
+            Mode::Jog { .. } => self.end_jog_of_no_host(),
+            _ if !self.m.settings.is_on(Key::HoldWithoutHost) => {}
+            Mode::Normal if self.is_at_work() => self.host_fault(),
+            // The fault acts where the job would go on.
+            _ if self.mode.is_resuming() || self.m.accessories.spinning_up().is_some() => {
+                self.m.lines.heartbeat_mut().set_gone(true);
+            }
+            _ => {}
+        }
+    }
+
+    /// A host that has said nothing for too long (`$922`, `$923`) may have gone: not every link tells that.
+    pub(crate) fn look_for_host(&mut self) {
+        if matches!(self.mode, Mode::Normal) && self.m.lines.heartbeat_mut().take_gone() && self.is_at_work() {
+            self.host_fault();
+        }
+        let longest = match self.mode {
+            Mode::Jog { cancelling: false } => Key::JogSilence,
+            _ => Key::HostSilence,
+        };
+        if !self.m.settings.is_on(longest) {
+            self.m.lines.heartbeat_mut().rest();
+        } else {
+            self.look_for_silence(self.m.settings.seconds(longest));
+        }
+    }
+
+    #[inline(never)]
+    fn look_for_silence(&mut self, longest: Duration) {
+        let is_at_work = match self.mode {
+            // Too short to be told from none.
+            _ if longest == Duration::from_ticks(0) => false,
+            Mode::Jog { cancelling } => !cancelling,
+            Mode::Normal => self.is_at_work(),
+            _ => false,
+        };
+        if !is_at_work {
+            self.m.lines.heartbeat_mut().rest();
+        } else if self.m.lines.heartbeat_mut().is_silent(self.m.now, longest) {
+            self.m.lines.heartbeat_mut().rest();
+            self.say(|out| report::message(out, "The host is silent"));
+            match self.mode {
+                Mode::Jog { .. } => self.end_jog_of_no_host(),
+                _ => self.host_fault(),
+            }
+        }
+    }
+
+    fn end_jog_of_no_host(&mut self) {
+        self.cancel_jog();
+        self.forget_received_jogs();
+    }
+}

@@ -1,0 +1,122 @@
+//! The state (`Standing`) from which a replay of a recording can begin: whether the machine is plain and at rest, by
+//! its mode (idle, alarm, check, sleep), its
+//! counters, place, tool and modal words; `stand` brings a machine into it. Also the pieces of a recording that is
+//! listed (`Ask`).
+
+use crate::axes::{Axis, PerAxis};
+use crate::dispatch::Controller;
+use crate::gcode::{Distance, FeedMode, Modal, MotionMode, Units};
+use crate::machine::realtime_override::Overrides;
+use crate::messages::{Recorded, Standing, input};
+use crate::protocol::recorded;
+use crate::protocol::text::{Text, fixed, put, real};
+use crate::states::Mode;
+use crate::units::Coordinate;
+use crate::work::task::{Ask, Listing, Task};
+
+impl<const N: usize> Controller<N> {
+    /// Step counters, net steps of each motor since power-up, as the step task counts them; at rest.
+    pub fn step_counters(&self) -> PerAxis<i32, N> {
+        self.m.motion.step_counters()
+    }
+
+    /// Whether lines of a program are refused.
+    pub fn is_locked(&self) -> bool {
+        self.mode.is_alarm()
+    }
+
+    /// The state at rest, if it is one that [`Controller::stand`] brings about in a machine with the same stored records:
+    /// no offset but the stored ones, nothing open, nothing on, no override, no switch or button active.
+    pub fn standing(&self) -> Option<Standing> {
+        let locked = match self.mode {
+            Mode::Normal => false,
+            Mode::Alarm(None) => true,
+            _ => return None,
+        };
+        let (place, counters) = self.m.motion.standing()?;
+        let rests =
+            self.m.motion.is_idle() && self.m.door.motion().is_idle() && self.task.is_none() && self.m.stops.is_idle();
+        let plain = self.m.interpreter.is_plain(&place) && !self.line.is_single_block() && !self.m.lines.is_checking();
+        // Whatever else is active has done something when it became so.
+        let active = self.m.inputs.pins().word();
+        let quiet = active & !(1 << input::PROBE | 1 << input::AT_SPEED) == 0;
+        let outputs_off = !self.m.accessories.is_on() && self.m.accessories.digital().levels() == 0;
+        let off = quiet && outputs_off && self.m.accessories.overrides() == Overrides::NONE;
+        let words = words(self.m.interpreter.modal()).filter(|_| rests && plain && off)?;
+        Some(Standing {
+            counters: counters.iter().copied().collect(),
+            place: place.iter().copied().collect(),
+            trusted: self.m.reference.is_trusted(),
+            locked,
+            inches: self.m.interpreter.modal().units == Units::Inch,
+            tool: self.m.interpreter.spindle_tool(),
+            active,
+            words,
+        })
+    }
+
+    /// For a replay: the machine, at rest and unlocked, takes this state, but for the words, which it is then sent; and it is locked
+    /// only with `lock`.
+    pub fn stand(&mut self, standing: &Standing, lock: bool) {
+        let place =
+            PerAxis::from_axis(|axis: Axis| standing.place.get(axis.index()).copied().unwrap_or(Coordinate::ZERO));
+        self.m.motion.set_machine_position(&place);
+        self.m.interpreter.set_position(place);
+        self.m.interpreter.hold_tool(standing.tool);
+        self.m.reference.assume(standing.trusted);
+        self.enter(if lock { Mode::Alarm(None) } else { Mode::Normal });
+        self.m.pins.disturb();
+    }
+
+    /// The next piece of a recording that is listed.
+    pub fn recorded(&mut self, piece: &Recorded) {
+        let Task::Listing(Listing::Recording(Ask::Asked), line) = self.task else { return };
+        let hz = self.m.motion.settings().step_clock_hz;
+        self.say(|out| recorded::piece(out, hz, piece));
+        if *piece == Recorded::End {
+            self.task = Task::None;
+            self.say_ok();
+        } else {
+            self.task = Task::Listing(Listing::Recording(Ask::Wanted), line + 1);
+        }
+        self.m.pins.disturb();
+    }
+
+    /// Whether a piece is due, and whether it is the first.
+    pub(crate) fn take_ask(&mut self) -> Option<bool> {
+        let Task::Listing(Listing::Recording(ask @ Ask::Due), line) = &mut self.task else { return None };
+        *ask = Ask::Asked;
+        Some(*line == 0)
+    }
+}
+
+/// What stays in force, in mm, if it can be said in a few words.
+fn words(modal: &Modal) -> Option<heapless::Vec<u8, 64>> {
+    let said = Modal {
+        motion: modal.motion,
+        straight: modal.motion,
+        coordinate_system: modal.coordinate_system,
+        plane: modal.plane,
+        units: modal.units,
+        distance: modal.distance,
+        feed_mode: FeedMode::PerMinute,
+        tool: modal.tool,
+        feed: modal.feed,
+        speed: modal.speed,
+        ..Modal::INITIAL
+    };
+    if said != *modal || !matches!(modal.motion, MotionMode::Rapid | MotionMode::Linear) {
+        return None;
+    }
+    let distance: Distance = modal.distance;
+    let mut out = Text::new();
+    put(&mut out, b"G21");
+    for word in [modal.motion.word(), modal.coordinate_system.word(), modal.plane.word(), distance.word()] {
+        put(&mut out, word.as_bytes());
+    }
+    put(&mut out, b"F");
+    fixed(&mut out, false, modal.feed.0.unsigned_abs(), 7);
+    put(&mut out, b"S");
+    real(&mut out, modal.speed, 3);
+    heapless::Vec::from_slice(&out).ok()
+}

@@ -1,0 +1,324 @@
+//! `InputLevels`: the inputs as the controller sees them: levels of the pins, what counts of them by the settings
+//! (`fitted`), what came and what has tripped, which inputs are armed to stop the step task, their polarity and
+//! resistors (`InputWiring`), and the view for `$PINS`. Polarity and filter come before (`machine::signals`).
+//!
+//! ```text
+//!  Sensed ──▶ levels ──▶ [fitted? reset button = emergency stop?] ──▶ signals
+//!               │ $PINS                                                  │ reports, homing, door, hold, start
+//! ```
+
+use crate::axes::{Axis, AxisMask, LINEAR};
+use crate::error::{Alarm, Error};
+use crate::messages::{InputWiring, PinView, SECOND_SWITCH, Sensed, Signals, input};
+use crate::settings::{AxisKey, Key, Settings};
+use crate::states::stops::reaction::Reaction;
+
+/// Levels of the inputs, and what has to be asked of them.
+#[derive(Clone, Copy, Debug)]
+pub struct InputLevels {
+    /// Levels as the pins have them.
+    pins: Signals,
+    /// Those that count.
+    signals: Signals,
+    /// They have been told: startup lines wait for it.
+    known: bool,
+    /// Inputs that cause an alarm and have not been told yet.
+    tripped: Signals,
+    /// Stops that inputs have asked for (wrapping).
+    trips: u8,
+    /// Polarity and resistors by the settings.
+    wiring: InputWiring,
+    /// The pins have to be looked at (`$PINS`); `Some(true)`: their counts of noise are cleared instead.
+    look: Option<bool>,
+    /// What was seen, until it has been listed.
+    view: Option<PinView>,
+}
+
+/// What a message of the inputs changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct InputChange {
+    /// How often armed inputs have stopped the step task, before this message.
+    pub stops: u8,
+    /// Inputs that have become active, or were active in between.
+    pub came: Signals,
+}
+
+impl InputLevels {
+    /// Nothing is known of them.
+    pub const UNKNOWN: InputLevels = InputLevels {
+        pins: Signals::NONE,
+        signals: Signals::NONE,
+        known: false,
+        tripped: Signals::NONE,
+        trips: 0,
+        wiring: InputWiring::PULL_UPS,
+        look: None,
+        view: None,
+    };
+
+    /// The settings have changed.
+    pub fn configure<const N: usize>(&mut self, settings: &Settings<N>) {
+        self.signals = fitted(self.pins, settings);
+        self.wiring = wiring_by(settings);
+    }
+
+    /// Takes new levels.
+    pub fn take<const N: usize>(&mut self, sensed: &Sensed, settings: &Settings<N>) -> InputChange {
+        let stops = sensed.trips.wrapping_sub(self.trips);
+        self.trips = sensed.trips;
+        self.known = true;
+        self.pins = sensed.signals;
+        let signals = fitted(self.pins, settings);
+        let before = core::mem::replace(&mut self.signals, signals);
+        // What tripped may be inactive again.
+        let tripped = fitted(Signals::of_word(sensed.tripped), settings);
+        let came = Signals::of_word(signals.word() & !before.word() | tripped.word());
+        // Only armed inputs trip: what others did in between is not seen.
+        InputChange { stops, came }
+    }
+
+    /// Those that count.
+    #[inline]
+    pub fn signals(&self) -> &Signals {
+        &self.signals
+    }
+
+    /// Levels as the pins have them.
+    pub fn pins(&self) -> &Signals {
+        &self.pins
+    }
+
+    /// Whether the levels have been told.
+    pub fn are_known(&self) -> bool {
+        self.known
+    }
+
+    /// Polarity and resistors by the settings.
+    #[inline]
+    pub fn wiring(&self) -> InputWiring {
+        self.wiring
+    }
+
+    /// The emergency that is active now.
+    pub fn emergency(&self) -> Option<(Alarm, Error)> {
+        if self.signals.emergency_stop {
+            Some((Alarm::EmergencyStop, Error::EmergencyStop))
+        } else if self.signals.driver_fault {
+            Some((Alarm::DriverFault, Error::DriverFault))
+        } else {
+            None
+        }
+    }
+
+    /// Inputs that cause an alarm and have not been told yet.
+    pub fn take_tripped(&mut self) -> Option<Signals> {
+        let tripped = core::mem::replace(&mut self.tripped, Signals::NONE);
+        (tripped != Signals::NONE).then_some(tripped)
+    }
+
+    /// An emergency is the cause of the alarm that follows.
+    pub fn trip_emergency(&mut self, stop: bool, fault: bool) {
+        self.tripped = Signals { emergency_stop: stop, driver_fault: fault, ..Signals::NONE };
+    }
+
+    /// Limit switches are the cause of the alarm that follows, together with those before if it is `awaited` already.
+    pub fn trip_limits(&mut self, switches: u8, awaited: bool) {
+        let limits = if awaited { self.tripped.limits | switches } else { switches };
+        self.tripped = Signals { limits, ..Signals::NONE };
+    }
+
+    /// The pins are to be looked at, or their counts of noise cleared.
+    pub fn ask_view(&mut self, clear_noise: bool) {
+        if !clear_noise {
+            self.view = None;
+        }
+        self.look = Some(clear_noise);
+    }
+
+    /// What has to be asked for now; `Some(true)`: clear the counts of noise.
+    #[inline]
+    pub fn take_look(&mut self) -> Option<bool> {
+        self.look.take()
+    }
+
+    /// The answer.
+    pub fn viewed(&mut self, view: PinView) {
+        self.view = Some(view);
+    }
+
+    /// See [`InputLevels::viewed`].
+    pub fn view(&self) -> Option<PinView> {
+        self.view
+    }
+}
+
+/// Bits of the limit switches of the axes in use, without that of a second motor.
+fn limits_of<const N: usize>(settings: &Settings<N>) -> u8 {
+    (1 << settings.axes_in_use()) - 1
+}
+
+/// Bits of the switches that are limits (`$21`): not that of an axis that turns without end, which passes it in each turn.
+pub fn hard_limits<const N: usize>(settings: &Settings<N>) -> u8 {
+    if !settings.is_on(Key::HardLimits) {
+        return 0;
+    }
+    let travel = settings.axes(AxisKey::Travel);
+    let has_ends = |axis: &Axis| N <= LINEAR || travel.get(*axis).is_some_and(|travel| axis.has_ends(travel));
+    let with_ends = Axis::of_machine::<N>().filter(has_ends).fold(AxisMask::NONE, AxisMask::with);
+    limits_of(settings) & with_ends.0 | second_switch(settings)
+}
+
+/// Inputs that stop the step task themselves: not the switches that homing looks for, and none for which motion brakes.
+pub fn armed<const N: usize>(settings: &Settings<N>, homing: bool) -> u32 {
+    let at_once = |alarm| homing || Reaction::to(alarm, settings).is_at_once();
+    let switches = if !homing && at_once(Alarm::HardLimit) { u32::from(hard_limits(settings)) } else { 0 };
+    let emergency = at_once(Alarm::EmergencyStop);
+    let reset = emergency || !settings.is_on(Key::ResetIsEmergencyStop);
+    let fault = at_once(Alarm::DriverFault);
+    switches
+        | u32::from(reset) << input::RESET
+        | u32::from(emergency) << input::EMERGENCY_STOP
+        | u32::from(fault) << input::DRIVER_FAULT
+}
+
+/// Axes of these limit switches: a switch at a second motor is one of its axis.
+pub fn axes_of_switches<const N: usize>(switches: u8, settings: &Settings<N>) -> u8 {
+    match settings.ganged_axis() {
+        Some(axis) if switches & SECOND_SWITCH != 0 => switches & !SECOND_SWITCH | AxisMask::NONE.with(axis).0,
+        _ => switches & !SECOND_SWITCH,
+    }
+}
+
+/// The bit of the switch at a second motor, if there are both (`$905`, `$907`).
+fn second_switch<const N: usize>(settings: &Settings<N>) -> u8 {
+    if settings.is_on(Key::GangedSwitch) && settings.ganged_axis().is_some() { SECOND_SWITCH } else { 0 }
+}
+
+/// The inputs as the settings want them understood: without those that are not fitted, and the reset button as an
+/// emergency stop (`$912`).
+fn fitted<const N: usize>(pins: Signals, settings: &Settings<N>) -> Signals {
+    let reset_stops = settings.is_on(Key::ResetIsEmergencyStop);
+    Signals {
+        limits: pins.limits & (limits_of(settings) | second_switch(settings)),
+        door: pins.door && settings.is_on(Key::DoorFitted),
+        reset: pins.reset && !reset_stops,
+        emergency_stop: pins.emergency_stop || pins.reset && reset_stops,
+        ..pins
+    }
+}
+
+/// Polarity and resistors of the inputs.
+fn wiring_by<const N: usize>(s: &Settings<N>) -> InputWiring {
+    let probe = |key| u32::from(s.is_on(key)) << input::PROBE;
+    let all = u32::from(limits_of(s) | SECOND_SWITCH);
+    let limits = |key| s.whole(key) & all;
+    let control = |key| control_word(s.whole(key));
+    let all_limits = if s.is_on(Key::LimitInvert) { all } else { 0 };
+    InputWiring {
+        inverted: all_limits ^ limits(Key::LimitInvertEach) | probe(Key::ProbeInvert) | control(Key::ControlInvert),
+        no_pull_up: limits(Key::LimitNoPullUp) | probe(Key::ProbeNoPullUp) | control(Key::ControlNoPullUp),
+        pull_down: limits(Key::LimitPullDown) | probe(Key::ProbePullDown) | control(Key::ControlPullDown),
+    }
+}
+
+/// The control inputs of a mask in grblHAL's order as a word of [`input`].
+fn control_word(mask: u32) -> u32 {
+    let bit = |from: u32, to: u32| (mask >> from & 1) << to;
+    bit(0, input::RESET)
+        | bit(1, input::HOLD)
+        | bit(2, input::START)
+        | bit(3, input::DOOR)
+        | bit(6, input::EMERGENCY_STOP)
+        | bit(8, input::DRIVER_FAULT)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn settings(values: &[(Key, f32)]) -> Settings<3> {
+        let mut settings = Settings::default();
+        assert!(values.iter().all(|(key, value)| settings.restore(key.number(), *value)));
+        settings
+    }
+
+    fn sensed(word: u32, trips: u8, tripped: u32) -> Sensed {
+        Sensed { signals: Signals::of_word(word), trips, tripped }
+    }
+
+    #[test]
+    fn a_level_comes_once_and_a_trip_even_if_it_is_gone_again() {
+        let mut inputs = InputLevels::UNKNOWN;
+        let settings = settings(&[(Key::DoorFitted, 1.0)]);
+        assert!(!inputs.are_known());
+        let change = inputs.take(&sensed(1 << input::DOOR, 0, 0), &settings);
+        assert_eq!(change, InputChange { stops: 0, came: Signals { door: true, ..Signals::NONE } });
+        assert!(inputs.are_known());
+        let change = inputs.take(&sensed(1 << input::DOOR, 2, 0b001), &settings);
+        assert_eq!(change, InputChange { stops: 2, came: Signals { limits: 0b001, ..Signals::NONE } });
+        assert_eq!(inputs.signals().limits, 0);
+    }
+
+    #[test]
+    fn what_is_not_fitted_does_not_count() {
+        let mut inputs = InputLevels::UNKNOWN;
+        let word = 1 << input::DOOR | 1 << input::RESET | u32::from(SECOND_SWITCH);
+        let change = inputs.take(&sensed(word, 0, 0), &settings(&[(Key::DoorFitted, 0.0)]));
+        assert_eq!(change.came, Signals { reset: true, ..Signals::NONE });
+        assert_eq!(inputs.pins().word(), word);
+        // Fitted by other settings, without a new level.
+        inputs.configure(&settings(&[(Key::DoorFitted, 1.0), (Key::ResetIsEmergencyStop, 1.0)]));
+        assert_eq!(*inputs.signals(), Signals { door: true, emergency_stop: true, ..Signals::NONE });
+        assert_eq!(inputs.emergency().map(|(alarm, _)| alarm), Some(Alarm::EmergencyStop));
+    }
+
+    #[test]
+    fn switches_of_one_alarm_add_up() {
+        let mut inputs = InputLevels::UNKNOWN;
+        inputs.trip_limits(0b001, false);
+        inputs.trip_limits(0b010, true);
+        assert_eq!(inputs.take_tripped().map(|tripped| tripped.limits), Some(0b011));
+        assert_eq!(inputs.take_tripped(), None, "each is told once");
+        inputs.trip_limits(0b010, false);
+        inputs.trip_limits(0b100, false);
+        assert_eq!(inputs.take_tripped().map(|tripped| tripped.limits), Some(0b100));
+        inputs.trip_emergency(true, false);
+        assert_eq!(inputs.take_tripped(), Some(Signals { emergency_stop: true, ..Signals::NONE }));
+    }
+
+    #[test]
+    fn homing_disarms_the_limit_switches_and_nothing_else() {
+        let settings = settings(&[(Key::HardLimits, 1.0)]);
+        assert_eq!(armed(&settings, false) & !armed(&settings, true), 0b111);
+        assert!(armed(&settings, true) & 1 << input::EMERGENCY_STOP != 0);
+    }
+
+    #[test]
+    fn an_input_for_which_motion_brakes_does_not_stop_it_at_once() {
+        let stops = 1 << input::RESET | 1 << input::EMERGENCY_STOP | 1 << input::DRIVER_FAULT;
+        let all = [(Key::HardLimits, 1.0)];
+        assert_eq!(armed(&settings(&all), false), 0b111 | stops);
+        for (key, without) in [
+            (Key::LimitReaction, 0b111),
+            (Key::EmergencyReaction, 1 << input::EMERGENCY_STOP),
+            (Key::DriverReaction, 1 << input::DRIVER_FAULT),
+        ] {
+            let braking = settings(&[all[0], (key, 1.0)]);
+            assert_eq!(armed(&braking, false), (0b111 | stops) & !without);
+            assert_eq!(armed(&braking, true), stops, "homing is short of travel to brake");
+        }
+        let button = settings(&[(Key::EmergencyReaction, 2.0), (Key::ResetIsEmergencyStop, 1.0)]);
+        assert_eq!(armed(&button, false), 1 << input::DRIVER_FAULT);
+    }
+
+    #[test]
+    fn a_view_is_asked_for_once() {
+        let mut inputs = InputLevels::UNKNOWN;
+        inputs.viewed(PinView::default());
+        inputs.ask_view(true);
+        assert_eq!((inputs.take_look(), inputs.take_look()), (Some(true), None));
+        assert!(inputs.view().is_some(), "clearing the noise has no answer");
+        inputs.ask_view(false);
+        assert!(inputs.view().is_none(), "the old one is not listed");
+    }
+}

@@ -1,0 +1,77 @@
+//! Signals of the input pins have changed (`Sensed`): an emergency stop, a driver fault, the reset button, a limit or
+//! homing switch, the door, hold and start; which stop or fault each of them is, if it came (`came`). Levels and their
+//! meaning are kept in `machine/inputs.rs`.
+
+pub(crate) mod levels;
+
+use crate::dispatch::Controller;
+use crate::error::Alarm;
+use crate::inputs::levels::InputChange;
+use crate::messages::{Sensed, Signals};
+use crate::states::Mode;
+use crate::states::stops::Stopped;
+use crate::states::stops::orders::StopReason;
+use crate::states::stops::reaction::Reaction;
+
+impl<const N: usize> Controller<N> {
+    pub(crate) fn signals_changed(&mut self, sensed: &Sensed) {
+        let InputChange { stops, came } = self.m.inputs.take(sensed, &self.m.settings);
+        self.m.stops.count(stops);
+        let mut stopped = Stopped { already: stops != 0, answered: false };
+        self.emergency(&came, &mut stopped);
+        if came.reset {
+            // The button does what 0x18 does, but it opens no epoch: what has been received is dropped all the same.
+            self.m.lines.drop_received(self.m.step_supply.observed().received);
+            self.lapse_check();
+            self.stop_for(StopReason::Reset, &mut stopped);
+        }
+        let limits = came.limits & levels::hard_limits(&self.m.settings);
+        if let Mode::Home(homing) = &mut self.mode {
+            if homing.is_reached(self.m.switches()) {
+                self.stop_for(StopReason::Switch, &mut stopped);
+            }
+        } else if limits != 0 && !self.mode.is_alarm() {
+            let closed = levels::axes_of_switches(limits, &self.m.settings);
+            let limit = StopReason::Alarm(Alarm::HardLimit);
+            let under_way = self.stop_under_way();
+            if under_way.is_none_or(|other| other.heavier(limit) == limit) {
+                self.m.inputs.trip_limits(closed, under_way == Some(limit));
+            }
+            self.fault(Alarm::HardLimit, &mut stopped);
+        }
+        if stopped.already && !stopped.answered {
+            let homing = matches!(self.mode, Mode::Home(_));
+            self.m.stops.wait_for(if homing { StopReason::Alarm(Alarm::HardLimit) } else { StopReason::Nothing });
+            self.finish_stop();
+        }
+        if came.door {
+            self.open_door();
+        }
+        if came.hold {
+            self.feed_hold();
+        }
+        if came.start {
+            self.cycle_start();
+        }
+    }
+
+    /// Emergency stop and driver fault, if they have become active. Spindle and coolant do not wait for the step task, and in
+    /// an emergency stop for no braking either.
+    fn emergency(&mut self, came: &Signals, stopped: &mut Stopped) {
+        if came.driver_fault {
+            // The driver may have lost steps.
+            self.m.reference.lose();
+        }
+        let alarm = match (came.emergency_stop, came.driver_fault) {
+            (true, _) => Alarm::EmergencyStop,
+            (_, true) => Alarm::DriverFault,
+            _ => return,
+        };
+        let reaction = Reaction::to(alarm, &self.m.settings);
+        if alarm == Alarm::EmergencyStop || reaction.is_at_once() && !reaction.spindle_on {
+            self.switch_off();
+        }
+        self.m.inputs.trip_emergency(came.emergency_stop, came.driver_fault);
+        self.fault(alarm, stopped);
+    }
+}

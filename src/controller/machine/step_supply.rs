@@ -1,0 +1,124 @@
+//! `StepSupply`: whether queued motion has been started and is running, how well the step queue is filled (well filled,
+//! low water), so that segments or planning come first, whether the input has ended, what was observed last, and the
+//! refill delay until the next call.
+//!
+//! ```text
+//!  step time queued
+//!  12 ms ── well filled ── from here on planning comes first
+//!   6 ms ── low water ──── segments come first again
+//!   0     ── at a start
+//! ```
+//! The step queue never runs dry while something moves: at a start it is filled first, and then topped up. With a control
+//! task that is not late it is never so low again after that.
+
+use crate::messages::{LINES_DEPTH, Observed};
+use crate::units::Duration;
+
+/// How often the controller wants to be called while something moves, to refill the step queue.
+const MOVING_WAKEUP: Duration = Duration::from_ticks(2_000);
+/// The same when the queue is full of very short pieces or runs out at the end of a motion.
+const LEAST_WAKEUP: Duration = Duration::from_ticks(100);
+/// Step time that counts as a well filled queue, and below which planning waits for refilling it.
+const WELL_FILLED_US: u32 = 12_000;
+const LOW_WATER_US: u32 = 6_000;
+
+/// How the step queue is fed.
+#[derive(Clone, Debug)]
+pub(crate) struct StepSupply {
+    /// The step queue has held [`WELL_FILLED_US`] since motion began.
+    well_filled: bool,
+    /// Motion has been started and not come to its end.
+    running: bool,
+    /// No more lines will come.
+    input_ended: bool,
+    observed: Observed,
+}
+
+impl StepSupply {
+    /// At rest.
+    pub(crate) const AT_REST: StepSupply = StepSupply {
+        well_filled: false,
+        running: false,
+        input_ended: false,
+        observed: Observed { segments_begun: 0, step_idle: true, rx_free: LINES_DEPTH as u16, received: 0, heard: 0 },
+    };
+
+    /// What the pump sees.
+    pub(crate) fn observe(&mut self, observed: Observed) {
+        self.observed = observed;
+    }
+
+    /// See [`StepSupply::observe`].
+    #[inline]
+    pub(crate) fn observed(&self) -> &Observed {
+        &self.observed
+    }
+
+    /// No more bytes will come.
+    pub(crate) fn end_input(&mut self) {
+        self.input_ended = true;
+    }
+
+    /// Whether no line can join those that are queued.
+    pub(crate) fn has_no_more(&self) -> bool {
+        self.input_ended || self.observed.received == 0
+    }
+
+    /// Whether motion has been started and not come to its end.
+    #[inline]
+    pub(crate) fn is_running(&self) -> bool {
+        self.running
+    }
+
+    /// Motion has been started.
+    pub(crate) fn start(&mut self) {
+        self.running = true;
+    }
+
+    /// Motion has come to its end: an empty step queue is no underrun from here on.
+    pub(crate) fn end(&mut self) {
+        self.running = false;
+    }
+
+    /// Whether segments come before planning. `holds`: whether the step queue holds so many microseconds.
+    #[inline]
+    pub(crate) fn is_short(&mut self, holds: impl Fn(u32) -> bool) -> bool {
+        self.well_filled = (self.well_filled || holds(WELL_FILLED_US)) && self.running;
+        !self.well_filled || !holds(LOW_WATER_US)
+    }
+}
+
+/// How long the step task can do without more. The depth of its queue counts messages, and blocks of a single step
+/// fill it with a millisecond or two of motion: half of that must not be slept through. `queued`: step time of each motion.
+pub(crate) fn refill_delay(queued: [u32; 2]) -> Duration {
+    let queued = match queued {
+        [0, 0] => return MOVING_WAKEUP,
+        [0, queued] | [queued, 0] => queued,
+        [one, other] => one.min(other),
+    };
+    Duration::from_ticks(u64::from(queued / 2)).clamp(LEAST_WAKEUP, MOVING_WAKEUP)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn segments_come_first_at_a_start_and_at_low_water() {
+        let mut feed = StepSupply::AT_REST;
+        feed.start();
+        let holding = |queued: u32| move |us: u32| queued >= us;
+        assert!(feed.is_short(holding(11_999)));
+        assert!(!feed.is_short(holding(12_000)));
+        assert!(!feed.is_short(holding(6_000)) && feed.is_short(holding(5_999)));
+        feed.end();
+        assert!(feed.is_short(holding(12_000)), "the next motion is filled again");
+    }
+
+    #[test]
+    fn half_of_what_is_queued_may_be_slept_through() {
+        let ticks =
+            [[0, 0], [0, 1_000], [3_000, 1_000], [0, 50], [90_000, 0]].map(|queued| refill_delay(queued).ticks());
+        assert_eq!(ticks, [2_000, 500, 500, 100, 2_000]);
+    }
+}

@@ -1,0 +1,102 @@
+//! The large parts of a controller lie in memory of their own, which whoever makes the controller lends it for good: motion
+//! with its look-ahead, the interpreter with held subroutines, parameters and tools, queued replies, stored texts. 20 to 70 KB
+//! in all. Each part is built in its place, so the stack never carries more than one of them.
+
+use crate::dispatch::Profile;
+use crate::gcode::Interpreter;
+use crate::host::stored::Records;
+use crate::motion::Motion;
+use crate::protocol::replies::Replies;
+
+/// Memory that is lent for good. On boards it lies in `.bss`; hosts (feature `alloc`) take it from the heap.
+#[cfg(feature = "alloc")]
+pub type Lent<T> = alloc::boxed::Box<T>;
+/// Memory that is lent for good. On boards it lies in `.bss`; hosts (feature `alloc`) take it from the heap.
+#[cfg(not(feature = "alloc"))]
+pub type Lent<T> = &'static mut T;
+
+/// The large parts of one controller of `N` axes, new.
+#[derive(Debug)]
+pub struct Memory<const N: usize> {
+    pub(crate) motion: Lent<Motion<N>>,
+    pub(crate) parking: Lent<Motion<N>>,
+    pub(crate) interpreter: Lent<Interpreter<N>>,
+    pub(crate) replies: Lent<Replies>,
+    pub(crate) records: Lent<Records>,
+}
+
+/// Blocks of the parking motion: one move, and one to take up the slack.
+const PARKING_BLOCKS: usize = 2;
+
+#[cfg(feature = "alloc")]
+impl<const N: usize> Memory<N> {
+    /// Memory from the heap, with a look-ahead of so many blocks.
+    pub fn on_heap(profile: &Profile, blocks: usize) -> Self {
+        let motion = |blocks| Lent::new(Motion::unconfigured(profile.step_clock_hz, crate::motion::on_heap(blocks)));
+        Self {
+            motion: motion(blocks),
+            parking: motion(PARKING_BLOCKS),
+            interpreter: Lent::new(Interpreter::new(crate::gcode::ProgramMemory::on_heap())),
+            replies: Lent::new(Replies::new()),
+            records: Lent::new(Records::new(profile.has_store)),
+        }
+    }
+}
+
+/// Owns the large parts on a board, with a look-ahead of `BLOCKS` blocks.
+#[cfg(not(feature = "alloc"))]
+pub use on_board::Storage;
+
+#[cfg(not(feature = "alloc"))]
+mod on_board {
+    use super::*;
+    use crate::gcode::ProgramStorage;
+    use crate::motion::MotionStorage;
+    use core::mem::MaybeUninit;
+
+    /// Owns the large parts on a board, with a look-ahead of `BLOCKS` blocks.
+    #[derive(Debug)]
+    pub struct Storage<const N: usize, const BLOCKS: usize> {
+        job: MotionStorage<N, BLOCKS>,
+        parked: MotionStorage<N, PARKING_BLOCKS>,
+        program: ProgramStorage<N>,
+        motion: MaybeUninit<Motion<N>>,
+        parking: MaybeUninit<Motion<N>>,
+        interpreter: MaybeUninit<Interpreter<N>>,
+        replies: MaybeUninit<Replies>,
+        records: MaybeUninit<Records>,
+    }
+
+    impl<const N: usize, const BLOCKS: usize> Storage<N, BLOCKS> {
+        /// All bytes are 0 or nothing, so a static one needs no flash (`cargo fw` checks the size of `.data`).
+        pub const EMPTY: Self = Self {
+            job: MotionStorage::EMPTY,
+            parked: MotionStorage::EMPTY,
+            program: ProgramStorage::EMPTY,
+            motion: MaybeUninit::uninit(),
+            parking: MaybeUninit::uninit(),
+            interpreter: MaybeUninit::uninit(),
+            replies: MaybeUninit::uninit(),
+            records: MaybeUninit::uninit(),
+        };
+
+        /// Builds the parts in their places and lends them for good.
+        #[inline(never)]
+        pub fn lend(&'static mut self, profile: &Profile) -> Memory<N> {
+            let clock = profile.step_clock_hz;
+            Memory {
+                motion: in_place(&mut self.motion, || Motion::unconfigured(clock, self.job.lend())),
+                parking: in_place(&mut self.parking, || Motion::unconfigured(clock, self.parked.lend())),
+                interpreter: in_place(&mut self.interpreter, || Interpreter::new(self.program.lend())),
+                replies: in_place(&mut self.replies, Replies::new),
+                records: in_place(&mut self.records, || Records::new(profile.has_store)),
+            }
+        }
+    }
+
+    /// By itself: what a part takes of the stack is free again before the next is built.
+    #[inline(never)]
+    fn in_place<T>(place: &'static mut MaybeUninit<T>, new: impl FnOnce() -> T) -> &'static mut T {
+        place.write(new())
+    }
+}

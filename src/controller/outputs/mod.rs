@@ -1,0 +1,160 @@
+//! What the outputs are to be now: power and direction of the spindle under the acting overrides, at rest and in
+//! segments, whether a laser burns at rest, whether the spindle has spun up; digital outputs that wait for a motion's
+//! mark; drivers held off in an emergency. Collected as `SlowOutputs` (`changed_pins`). `begun_mark`, `changed_wiring`,
+//! `next_look` and `settle_outputs` follow the motion.
+
+pub(crate) mod given;
+
+use crate::dispatch::Controller;
+use crate::error::Alarm;
+use crate::gcode::MotionMode;
+use crate::machine::accessories::{Accessories, SpinUp};
+use crate::machine::realtime_override::Overrides;
+use crate::machine::spindle::SpindleRange;
+use crate::messages::{Coolant, SlowOutputs, SpindleDirection, Wiring};
+use crate::settings::Key;
+use crate::states::Mode;
+use crate::states::stops::orders::StopReason;
+use crate::units::Instant;
+
+impl<const N: usize> Controller<N> {
+    /// Whether a spindle that should have turned long enough at a moment has, and is up to speed. If it is not within
+    /// `$916` after that moment, an alarm is on its way.
+    pub(crate) fn has_spun_up(&mut self, until: Instant) -> bool {
+        if self.m.now >= until && self.has_no_speed_to_reach() {
+            return true;
+        }
+        let spun_up = self.m.accessories.spun_up(until, self.m.now, self.m.inputs.signals().at_speed, &self.m.settings);
+        if spun_up == SpinUp::Late {
+            self.m.stops.order(StopReason::Alarm(Alarm::SpindleSpeed));
+        }
+        spun_up == SpinUp::UpToSpeed
+    }
+
+    /// Whether the spindle is on with S0: it tells of no speed.
+    fn has_no_speed_to_reach(&self) -> bool {
+        self.resting_power() == 0
+    }
+
+    /// Whether a spindle that was switched on again in this hold is not up to speed yet.
+    pub(crate) fn is_spinning_up(&self) -> bool {
+        let at_speed = self.has_no_speed_to_reach()
+            || self.m.accessories.is_at_speed(self.m.inputs.signals().at_speed, &self.m.settings);
+        self.m.accessories.turns_at().is_some_and(|at| self.m.now < at || !at_speed)
+    }
+
+    /// Outputs follow the motion that has begun; they are off where the machine is locked.
+    #[inline]
+    pub(crate) fn settle_outputs(&mut self) {
+        if self.m.accessories.digital().is_waiting() {
+            let mark = self.m.motion.begun_mark();
+            self.m.accessories.digital_mut().begun(mark);
+        }
+        if self.mode.is_alarm() || matches!(self.mode, Mode::Sleep(_)) {
+            self.switch_outputs_off();
+        }
+    }
+
+    fn switch_outputs_off(&mut self) {
+        let mark = self.m.motion.begun_mark();
+        self.m.accessories.digital_mut().switch_off(mark);
+        self.m.motion.set_mark(mark);
+    }
+
+    /// The job is forgotten, or has come to its end: what waits for a motion is forgotten with it.
+    pub(crate) fn forget_waiting_outputs(&mut self) {
+        let mark = self.m.motion.begun_mark();
+        self.m.accessories.digital_mut().forget_waiting(mark);
+        self.m.motion.set_mark(mark);
+    }
+
+    /// When [`Controller::has_spun_up`] has to be asked again, if no input changes.
+    pub(crate) fn next_look_at_spindle(&self, until: Instant) -> Instant {
+        Accessories::next_look(until, self.m.now, &self.m.settings)
+    }
+
+    /// Spindle and coolant, whose state the next line inherits.
+    pub(crate) fn switch_off(&mut self) {
+        self.m.accessories.switch_off();
+        self.m.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
+    }
+
+    /// Power of the spindle while nothing moves.
+    #[inline]
+    pub(crate) fn resting_power(&self) -> u16 {
+        if self.m.accessories.spindle_output() == SpindleDirection::Off { 0 } else { self.turning_power() }
+    }
+
+    #[inline(never)]
+    fn turning_power(&self) -> u16 {
+        let percent = self.acting_overrides().spindle;
+        self.m.accessories.resting_power(
+            &self.m.settings,
+            percent,
+            || self.burns_at_rest(),
+            || self.m.motion.running_power(),
+        )
+    }
+
+    /// A segment's power under the override of this moment: queued moves feel it too.
+    #[inline]
+    pub(crate) fn overridden_power(&self, power: u16) -> u16 {
+        match self.acting_overrides().spindle {
+            100 => power,
+            percent => SpindleRange::of(&self.m.settings).overridden(power, percent),
+        }
+    }
+
+    /// The operator's overrides, as far as the program does not hold them off (M49).
+    fn acting_overrides(&self) -> Overrides {
+        let held = self.m.interpreter.acting_modal().overrides_held;
+        self.m.accessories.overrides().acting(held.feed, held.spindle)
+    }
+
+    /// The moves under way take the overrides over.
+    pub(crate) fn apply_overrides(&mut self) {
+        let acting = self.acting_overrides();
+        self.m.motion.set_overrides(f32::from(acting.feed) / 100.0, f32::from(acting.rapid) / 100.0);
+    }
+
+    /// Direction and speed of the spindle as it turns now; a spindle without power does not turn.
+    pub(crate) fn spindle_now(&self) -> (SpindleDirection, f32) {
+        let from_segments =
+            self.m.settings.is_on(Key::Laser) && !self.m.motion.is_at_rest() && !self.m.accessories.is_suspended();
+        let power = if from_segments { self.overridden_power(self.m.motion.power()) } else { self.resting_power() };
+        let direction = if power == 0 { SpindleDirection::Off } else { self.m.accessories.spindle() };
+        (direction, SpindleRange::of(&self.m.settings).speed_of(power))
+    }
+
+    /// A laser with constant power (M3) stays on between feed motions.
+    pub(crate) fn burns_at_rest(&self) -> bool {
+        matches!(
+            self.m.interpreter.acting_modal().motion,
+            MotionMode::Linear | MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise | MotionMode::Spline(_)
+        )
+    }
+
+    pub(crate) fn changed_pins(&mut self) -> Option<SlowOutputs> {
+        let pins = SlowOutputs {
+            spindle: self.m.accessories.spindle_output(),
+            power: self.resting_power(),
+            power_from_segments: self.m.settings.is_on(Key::Laser) && !self.m.accessories.is_suspended(),
+            coolant: self.m.accessories.coolant(),
+            drivers: self.m.drivers.are_on(self.m.settings.whole(Key::IdleDelay)) && !self.drivers_held_off(),
+            digital: self.m.accessories.digital().levels(),
+        };
+        self.m.pins.changed(pins)
+    }
+
+    #[inline]
+    pub(crate) fn changed_wiring(&mut self) -> Option<Wiring> {
+        self.m.pins.changed_wiring(&self.m.settings, self.m.inputs.wiring(), matches!(self.mode, Mode::Home(_)))
+    }
+
+    /// No current in the motors, whatever `$1` says: in sleep, and with `$913` until the emergency has been acknowledged.
+    fn drivers_held_off(&self) -> bool {
+        matches!(self.mode, Mode::Sleep(_))
+            || matches!(self.mode.alarm(), Some(Alarm::EmergencyStop | Alarm::DriverFault))
+                && self.m.settings.is_on(Key::EmergencyDriversOff)
+    }
+}

@@ -1,0 +1,95 @@
+//! `Machine`: all that states and lines work on, and what they ask of more than one part of it. It knows neither the state
+//! that the machine is in nor the line that is carried out.
+
+use crate::axes::AxisMask;
+use crate::dispatch::Profile;
+use crate::gcode::Interpreter;
+use crate::host::settings_lock::SettingsLock;
+use crate::host::stored::Records;
+use crate::inputs::levels::InputLevels;
+use crate::machine::accessories::Accessories;
+use crate::machine::drivers::Drivers;
+use crate::machine::reference::Reference;
+use crate::machine::step_supply::StepSupply;
+use crate::memory::{Lent, Memory};
+use crate::messages::SpindleDirection;
+use crate::motion::Motion;
+use crate::outputs::given::Pins;
+use crate::protocol::line_intake::LineIntake;
+use crate::protocol::replies::Replies;
+use crate::settings::{Key, Settings};
+use crate::states::door::parking::SafetyDoor;
+use crate::states::stops::orders::Stops;
+use crate::units::Instant;
+use crate::work::probe::phases::Probe;
+
+// In this order, small things first: one instruction reaches 4 KiB from the base.
+#[cfg_attr(feature = "alloc", derive(Clone))]
+#[repr(C)]
+pub(crate) struct Machine<const N: usize> {
+    pub settings: Settings<N>,
+    pub reference: Reference,
+    pub step_supply: StepSupply,
+    pub accessories: Accessories,
+    pub probe: Probe<N>,
+    pub inputs: InputLevels,
+    pub drivers: Drivers,
+    pub stops: Stops,
+    pub pins: Pins,
+    pub settings_lock: SettingsLock,
+    pub now: Instant,
+    pub lines: LineIntake,
+    pub interpreter: Lent<Interpreter<N>>,
+    pub replies: Lent<Replies>,
+    pub records: Lent<Records>,
+    pub door: SafetyDoor<N>,
+    pub motion: Lent<Motion<N>>,
+}
+
+impl<const N: usize> Machine<N> {
+    pub(crate) fn new(profile: Profile, memory: Memory<N>) -> Self {
+        Self {
+            settings: Settings::of_board(profile.axes),
+            interpreter: memory.interpreter,
+            motion: memory.motion,
+            door: SafetyDoor::new(memory.parking),
+            lines: LineIntake::new(),
+            reference: Reference::ASSUMED,
+            step_supply: StepSupply::AT_REST,
+            accessories: Accessories::OFF,
+            probe: Probe::NONE,
+            inputs: InputLevels::UNKNOWN,
+            drivers: Drivers::OFF,
+            stops: Stops::NONE,
+            replies: memory.replies,
+            pins: Pins::UNKNOWN,
+            settings_lock: SettingsLock::new(&profile),
+            records: memory.records,
+            now: Instant::from_ticks(0),
+        }
+    }
+
+    /// What is queued moves from here on.
+    pub(crate) fn start_motion(&mut self) {
+        self.step_supply.start();
+        self.motion.start();
+    }
+
+    #[inline(never)]
+    pub(crate) fn start_idle_delay(&mut self) {
+        self.drivers.motion_ended(self.now, self.settings.whole(Key::IdleDelay));
+    }
+
+    /// M5 without a word of the program, if the spindle is on: the next line inherits it.
+    pub(crate) fn stop_spindle(&mut self) {
+        if self.accessories.is_on() {
+            self.accessories.stop_spindle();
+            self.interpreter.set_accessories(SpindleDirection::Off, self.accessories.coolant());
+            self.replies.overrides_changed();
+        }
+    }
+
+    pub(crate) fn switches(&self) -> AxisMask {
+        AxisMask(self.inputs.signals().limits)
+    }
+}

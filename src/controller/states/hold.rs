@@ -1,0 +1,177 @@
+//! Feed holds, jog cancels and soft stops: motion brakes, then the job is resumed, with its spindle and laser, or
+//! forgotten. Also the start of motion, and the drivers' idle delay (`$1`) at its end.
+
+use crate::dispatch::Controller;
+use crate::error::Alarm;
+use crate::messages::Coolant;
+use crate::protocol::report;
+use crate::settings::Key;
+use crate::states::stops::orders::StopReason;
+use crate::states::{AfterBraking, Mode};
+use crate::work::task::Task;
+
+impl<const N: usize> Controller<N> {
+    pub(crate) fn start_motion(&mut self) {
+        if matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Home(_)) {
+            self.m.start_motion();
+        }
+    }
+
+    pub(crate) fn feed_hold(&mut self) {
+        match self.mode {
+            Mode::Normal => {
+                self.m.motion.hold();
+                // A jog that has been read and not queued yet ends here like one that moves.
+                self.task.forget_jog();
+                self.task.suspend(self.m.now);
+                self.enter(Mode::Hold);
+                self.darken_laser();
+            }
+            Mode::Jog { .. } => {
+                self.cancel_jog();
+                self.forget_received_jogs();
+            }
+            Mode::Hold => self.m.accessories.leave_hold(false),
+            _ => {}
+        }
+    }
+
+    /// A hold or a door is over: motion, a dwell or the lines that waited continue.
+    #[inline(never)]
+    pub(crate) fn leave_hold(&mut self) {
+        self.restore_spindle();
+        self.m.accessories.end_spin_up();
+        self.enter(Mode::Normal);
+        self.task.resume(self.m.now);
+        // After a contact, or before a soft-limit alarm, there is nothing to resume.
+        if !self.m.probe.has_touched() && !matches!(self.task, Task::SoftLimit(_)) {
+            self.m.motion.resume();
+            if !self.m.motion.is_idle() {
+                self.start_motion();
+            }
+        }
+        if self.m.motion.is_idle() {
+            // The drivers have stayed on for the operator, or since the tool was parked.
+            self.m.start_idle_delay();
+        }
+    }
+
+    /// Spindle stop in a hold: at once at rest, and while the machine brakes when it comes to rest; until then a second one
+    /// changes nothing, as in Grbl.
+    pub(crate) fn toggle_spindle(&mut self) {
+        self.m.accessories.end_spin_up();
+        if !self.m.motion.is_at_rest() {
+            self.m.accessories.stop_at_rest();
+        } else if self.m.accessories.is_suspended() {
+            self.restore_spindle();
+        } else {
+            self.m.accessories.suspend();
+            self.m.replies.overrides_changed();
+        }
+    }
+
+    /// A spindle that was stopped in a hold turns again, and a cut waits until it is up to speed.
+    pub(crate) fn restore_spindle(&mut self) {
+        if self.m.accessories.restore() {
+            self.m.replies.overrides_changed();
+            if matches!(self.mode, Mode::Hold) && self.m.accessories.is_on() {
+                if !self.m.settings.is_on(Key::Laser) {
+                    self.m.accessories.spin_up(self.m.now + self.m.settings.seconds(Key::SpinUp));
+                }
+                self.say(|out| report::message(out, "Restoring spindle"));
+            }
+        }
+    }
+
+    /// No beam while the machine waits.
+    pub(crate) fn darken_laser(&mut self) {
+        if self.m.settings.is_on(Key::Laser) && self.m.accessories.is_on() {
+            self.m.accessories.suspend();
+            self.m.replies.overrides_changed();
+        }
+    }
+
+    /// Brakes to a stop and forgets the job; the position stays true.
+    pub(crate) fn stop_softly(&mut self, locked: bool) {
+        if matches!(self.mode, Mode::Home(_)) {
+            self.m.stops.order(StopReason::Alarm(Alarm::HomingReset));
+            return;
+        }
+        if matches!(self.mode, Mode::Door(_)) {
+            // The door comes first; the job is forgotten when it is closed.
+            self.m.door.forget_job();
+            return;
+        }
+        let going = matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Hold);
+        if going && (!self.m.motion.is_idle() || !self.task.is_none() || locked || !matches!(self.mode, Mode::Normal)) {
+            self.m.accessories.leave_hold(false);
+            self.m.motion.hold();
+            self.enter(Mode::Stopping { then: if locked { AfterBraking::Lock } else { AfterBraking::Continue } });
+        } else if matches!(self.mode, Mode::Normal | Mode::Check) {
+            self.m.interpreter.abandon_program();
+        }
+    }
+
+    /// A refused line ends the job, if that is wanted.
+    pub(crate) fn stop_at_error(&mut self) {
+        if self.m.settings.is_on(Key::StopOnError) && matches!(self.mode, Mode::Normal) {
+            self.stop_softly(true);
+        }
+    }
+
+    #[inline(never)]
+    pub(crate) fn end_soft_stop(&mut self, locked: bool) {
+        self.m.motion.discard();
+        self.forget_waiting_outputs();
+        self.m.step_supply.end();
+        self.m.probe.break_off();
+        self.m.door.take_jog();
+        self.m.interpreter.set_position(self.m.motion.machine_position());
+        self.m.start_idle_delay();
+        // A beam must not rest on one point, a locked machine does not turn, and no cut waits any more for a spindle that is
+        // getting up; else the spindle stays as it is.
+        let turns = !self.m.accessories.is_suspended() && !self.is_spinning_up() && !self.task.waits_for_spindle();
+        self.m.accessories.end_spin_up();
+        if locked || !turns || self.m.settings.is_on(Key::Laser) {
+            self.m.accessories.stop_spindle();
+        }
+        if locked {
+            self.m.accessories.set_coolant(Coolant::default());
+        }
+        self.m.accessories.restore();
+        self.m.interpreter.set_accessories(self.m.accessories.spindle(), self.m.accessories.coolant());
+        self.m.replies.overrides_changed();
+        self.m.interpreter.abandon_program();
+        if self.task.abandon() {
+            self.say_ok();
+        }
+        self.enter(if locked { Mode::Alarm(None) } else { Mode::Normal });
+        if locked {
+            self.say(|out| report::message(out, "Job stopped at an error, $X to go on"));
+        }
+    }
+
+    pub(crate) fn cancel_jog(&mut self) {
+        self.m.motion.hold();
+        self.task.forget_jog();
+        self.enter(Mode::Jog { cancelling: true });
+    }
+
+    /// A hold or a door has no epoch of its own: of what has been received by now no jog shall move any more.
+    pub(crate) fn forget_received_jogs(&mut self) {
+        self.m.lines.end_received_jogs(self.m.step_supply.observed().received);
+    }
+
+    /// A jog that has come to its end leaves the position at its target, not at the step next to that: small jogs add up.
+    #[inline(never)]
+    pub(crate) fn end_jog(&mut self, cancelled: bool) {
+        if cancelled {
+            self.m.motion.discard();
+            self.task.forget_jog();
+            self.m.interpreter.set_position(self.m.motion.machine_position());
+        }
+        self.enter(Mode::Normal);
+        self.m.step_supply.end();
+        self.m.start_idle_delay();
+    }
+}

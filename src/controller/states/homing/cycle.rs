@@ -1,0 +1,393 @@
+//! The homing cycle (`Homing`): which axes seek their switches, pull off and locate them how often, how an axis with
+//! two motors is squared (`lagging`), and where each axis then is. It moves nothing itself: it gives an [`Order`]
+//! (move, wait, reached, done, failed) and is told how that ended; `Homing` keeps what it waits for. An `AxisMask` is a set
+//! of axes; an approach has a rate, a travel and the switches to watch, also those of ganged motors.
+//!
+//! ```text
+//!  each cycle ($44 and on; at first Z, then X and Y together):
+//!    seek at $25 ──switch──▶ wait $26 ──▶ pull off $27 ──▶ wait ──▶ locate at $24 ──switch──▶ wait ──▶ pull off ──▶ wait
+//!                                                                   └──────────────── $43 times ────────────────┘
+//! ```
+//! Motion stops dead at a switch (as the rates of homing allow; a ramp would run into the switch's end). Axes of a cycle
+//! that have not reached theirs continue. The position of an axis is then the pull-off away from its switch, and is so from
+//! the end of its cycle on: what drags it in the cycles of others, such as slack in the belts of both, is known.
+//!
+//! An axis with two motors and two switches is squared: the motor whose switch closes first holds still while the other
+//! moves alone, in each seek and each locate.
+
+use crate::axes::{Axis, AxisMask, PerAxis};
+use crate::error::Alarm;
+use crate::messages::{GangedMotors, SECOND_SWITCH};
+use crate::units::{Coordinate, Duration};
+
+/// How far a seek goes, in travels of the longest axis of the cycle: beyond all of it, with a margin.
+const SEEK_TRAVELS: f32 = 1.5;
+/// The travel of an axis that turns without end (`$133` = 0): its switch is met within a turn.
+const TURN: f32 = 360.0;
+/// How far a locate goes, in pull-offs.
+const LOCATE_PULL_OFFS: f32 = 5.0;
+
+/// The settings that homing needs, lengths in mm and rates in mm/s.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct HomingSettings<const N: usize> {
+    /// `$44` and on: the axes of each cycle; an empty one is none.
+    pub cycles: [AxisMask; N],
+    /// `$43`: how often the switches are located.
+    pub passes: u32,
+    /// `$23`: axes whose switch is at the negative end.
+    pub to_negative: AxisMask,
+    /// `$25`
+    pub seek_rate: f32,
+    /// `$24`
+    pub locate_rate: f32,
+    /// `$27`
+    pub pull_off: f32,
+    /// `$26`
+    pub debounce: Duration,
+    /// `$130` and on
+    pub travel: PerAxis<f32, N>,
+    /// The axis whose two motors have a switch each, and how far one of them may go alone, mm.
+    pub squared: Option<(Axis, f32)>,
+}
+
+/// What is to be done next.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Order<const N: usize> {
+    /// Move by so much (mm) at a rate (mm/s, along the path). If `watch` is not empty, stop as soon as one of its
+    /// switches closes.
+    Move {
+        /// Distances in mm.
+        by: PerAxis<f32, N>,
+        /// Rate in mm/s.
+        rate: f32,
+        /// Switches that end it.
+        watch: AxisMask,
+        /// Motors of the ganged axis that take part.
+        motors: GangedMotors,
+    },
+    /// Wait.
+    Wait(Duration),
+    /// The axes of the mask, those of a cycle, stand at the given machine coordinates.
+    Reached(AxisMask, PerAxis<Coordinate, N>),
+    /// These axes have been homed; homing is over.
+    Done(AxisMask),
+    /// It failed.
+    Failed(Alarm),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Pass {
+    Seek,
+    SeekPullOff,
+    Locate,
+    LocatePullOff,
+    Reached,
+}
+
+/// A homing cycle under way.
+#[derive(Clone, Debug)]
+pub(super) struct HomingCycle<const N: usize> {
+    settings: HomingSettings<N>,
+    /// Axes of the cycles still to come, the current one first.
+    cycles: heapless::Deque<AxisMask, 8>,
+    homed: AxisMask,
+    pass: Pass,
+    /// Locates of the current cycle still to come.
+    locates_left: u32,
+    /// Switches of the current approach that have not closed.
+    approaching: AxisMask,
+    /// Those of them that the current move can reach.
+    watched: AxisMask,
+    /// The order given last was a move (else a wait).
+    moving: bool,
+}
+
+impl<const N: usize> HomingCycle<N> {
+    /// Homes the axes of all cycles, or only one axis.
+    pub fn new(settings: HomingSettings<N>, only: Option<Axis>) -> Self {
+        let mut cycles = heapless::Deque::new();
+        let only = only.map(|axis| AxisMask::NONE.with(axis));
+        let all = settings.cycles.iter().copied().filter(|_| only.is_none());
+        for cycle in all.chain(only).filter(|cycle| !cycle.is_empty()) {
+            let _ = cycles.push_back(cycle);
+        }
+        Self {
+            settings,
+            cycles,
+            homed: AxisMask::NONE,
+            pass: Pass::Seek,
+            locates_left: 0,
+            approaching: AxisMask::NONE,
+            watched: AxisMask::NONE,
+            moving: false,
+        }
+    }
+
+    /// The first order; `switches` are the limit switches that are closed now.
+    pub fn begin(&mut self, switches: AxisMask) -> Order<N> {
+        if self.cycles.is_empty() {
+            return Order::Done(self.homed);
+        }
+        self.locates_left = self.settings.passes;
+        self.approach_anew(Pass::Seek, switches)
+    }
+
+    /// The order after the last one has ended, by itself or because a watched switch closed; `switches` are the limit
+    /// switches that are closed now.
+    pub fn next(&mut self, switches: AxisMask) -> Order<N> {
+        match (self.moving, self.pass) {
+            (true, Pass::Seek | Pass::Locate) => {
+                if self.watched.0 & switches.0 == 0 {
+                    let squaring = self.lagging().is_some();
+                    return Order::Failed(if squaring { Alarm::HomingSquaring } else { Alarm::HomingNoSwitch });
+                }
+                self.approach(switches)
+            }
+            (true, Pass::SeekPullOff | Pass::LocatePullOff) => self.wait(),
+            (false, Pass::Seek) => self.pull_off(Pass::SeekPullOff),
+            (false, Pass::Locate) => self.pull_off(Pass::LocatePullOff),
+            (false, Pass::SeekPullOff | Pass::LocatePullOff) if self.switches_of_cycle().0 & switches.0 != 0 => {
+                Order::Failed(Alarm::HomingPullOff)
+            }
+            (false, Pass::SeekPullOff) => self.locate(switches),
+            (false, Pass::LocatePullOff) if self.locates_left > 0 => self.locate(switches),
+            (false, Pass::LocatePullOff) => {
+                let reached = self.cycle();
+                self.homed = AxisMask(self.homed.0 | reached.0);
+                self.cycles.pop_front();
+                self.pass = Pass::Reached;
+                Order::Reached(reached, self.places())
+            }
+            (_, Pass::Reached) => self.begin(switches),
+        }
+    }
+
+    fn cycle(&self) -> AxisMask {
+        self.cycles.front().copied().unwrap_or(AxisMask::NONE)
+    }
+
+    /// The switches that the current cycle looks for.
+    fn switches_of_cycle(&self) -> AxisMask {
+        match self.settings.squared {
+            Some((axis, _)) if self.cycle().has(axis) => AxisMask(self.cycle().0 | SECOND_SWITCH),
+            _ => self.cycle(),
+        }
+    }
+
+    /// -1 for an axis whose switch is at its negative end.
+    fn towards(&self, axis: Axis) -> f32 {
+        if self.settings.to_negative.has(axis) { -1.0 } else { 1.0 }
+    }
+
+    fn wait(&mut self) -> Order<N> {
+        self.moving = false;
+        Order::Wait(self.settings.debounce)
+    }
+
+    fn locate(&mut self, switches: AxisMask) -> Order<N> {
+        self.locates_left = self.locates_left.saturating_sub(1);
+        self.approach_anew(Pass::Locate, switches)
+    }
+
+    fn approach_anew(&mut self, pass: Pass, switches: AxisMask) -> Order<N> {
+        self.pass = pass;
+        self.approaching = self.switches_of_cycle();
+        self.approach(switches)
+    }
+
+    /// Moves the axes that have not reached their switch; waits when all have.
+    fn approach(&mut self, switches: AxisMask) -> Order<N> {
+        self.approaching = AxisMask(self.approaching.0 & !switches.0);
+        if self.approaching.is_empty() {
+            return self.wait();
+        }
+        let rate = if self.pass == Pass::Seek { self.settings.seek_rate } else { self.settings.locate_rate };
+        if let Some((axis, motors, most)) = self.lagging() {
+            // The other axes wait: a gantry that is pulled crooked is not left so for longer than it takes.
+            self.watched = AxisMask(match motors {
+                GangedMotors::Second => SECOND_SWITCH,
+                _ => AxisMask::NONE.with(axis).0,
+            });
+            return self.travel(AxisMask::NONE.with(axis), most, rate, self.watched, motors);
+        }
+        let axes = AxisMask(self.approaching.0 & !SECOND_SWITCH);
+        let distance = if self.pass == Pass::Seek {
+            let longest = Axis::of_machine::<N>()
+                .filter(|axis| self.cycle().has(*axis))
+                .filter_map(|axis| self.settings.travel.get(axis).map(|travel| (axis, travel)))
+                .map(|(axis, travel)| if axis.is_rotary() && travel == 0.0 { TURN } else { travel })
+                .fold(0.0, |a: f32, b| if b > a { b } else { a });
+            SEEK_TRAVELS * longest
+        } else {
+            LOCATE_PULL_OFFS * self.settings.pull_off
+        };
+        self.watched = self.approaching;
+        self.travel(axes, distance, rate, self.watched, GangedMotors::Both)
+    }
+
+    /// The motor of the squared axis that has not reached its switch while the other has, and how far it may go.
+    fn lagging(&self) -> Option<(Axis, GangedMotors, f32)> {
+        let (axis, most) = self.settings.squared.filter(|(axis, _)| self.cycle().has(*axis))?;
+        match (self.approaching.has(axis), self.approaching.0 & SECOND_SWITCH != 0) {
+            (true, false) => Some((axis, GangedMotors::First, most)),
+            (false, true) => Some((axis, GangedMotors::Second, most)),
+            _ => None,
+        }
+    }
+
+    fn pull_off(&mut self, pass: Pass) -> Order<N> {
+        self.pass = pass;
+        let distance = -self.settings.pull_off;
+        self.travel(self.cycle(), distance, self.settings.seek_rate, AxisMask::NONE, GangedMotors::Both)
+    }
+
+    fn travel(&mut self, axes: AxisMask, distance: f32, rate: f32, watch: AxisMask, motors: GangedMotors) -> Order<N> {
+        self.moving = true;
+        let by = PerAxis::from_axis(|axis| if axes.has(axis) { self.towards(axis) * distance } else { 0.0 });
+        // Each axis at the rate: the path of n axes is sqrt(n) times as fast.
+        let count = axes.0.count_ones() as f32;
+        Order::Move { by, rate: rate * oxmill_sqrt::square_root(count), watch, motors }
+    }
+
+    /// Where the axes stand after their last pull-off: the machine's space is negative, from -travel to 0.
+    fn places(&self) -> PerAxis<Coordinate, N> {
+        PerAxis::from_axis(|axis| {
+            let pull_off = Coordinate::from_mm_f32(self.settings.pull_off);
+            if self.settings.to_negative.has(axis) {
+                pull_off - Coordinate::from_mm_f32(self.settings.travel.get(axis).unwrap_or(0.0))
+            } else {
+                -pull_off
+            }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const X: AxisMask = AxisMask(1);
+    const Y: AxisMask = AxisMask(2);
+    const Z: AxisMask = AxisMask(4);
+
+    fn settings(to_negative: AxisMask) -> HomingSettings<3> {
+        HomingSettings {
+            cycles: [Z, AxisMask(3), AxisMask::NONE],
+            passes: 1,
+            to_negative,
+            seek_rate: 10.0,
+            locate_rate: 1.0,
+            pull_off: 2.0,
+            debounce: Duration::millis(250),
+            travel: PerAxis([200.0, 100.0, 50.0]),
+            squared: None,
+        }
+    }
+
+    fn homing(to_negative: AxisMask) -> HomingCycle<3> {
+        HomingCycle::new(settings(to_negative), None)
+    }
+
+    fn expect_move(order: Order<3>, by: [f32; 3], watch: AxisMask) {
+        assert!(matches!(order, Order::Move { by: b, watch: w, .. } if b.0 == by && w == watch), "{order:?}");
+    }
+
+    #[test]
+    fn the_whole_cycle() {
+        let mut h = homing(Y);
+        let wait = Order::Wait(Duration::millis(250));
+        expect_move(h.begin(AxisMask::NONE), [0.0, 0.0, 75.0], Z);
+        assert_eq!(h.next(Z), wait);
+        expect_move(h.next(Z), [0.0, 0.0, -2.0], AxisMask::NONE);
+        assert_eq!(h.next(AxisMask::NONE), wait);
+        expect_move(h.next(AxisMask::NONE), [0.0, 0.0, 10.0], Z);
+        assert_eq!(h.next(Z), wait);
+        expect_move(h.next(Z), [0.0, 0.0, -2.0], AxisMask::NONE);
+        assert_eq!(h.next(AxisMask::NONE), wait);
+        let places = PerAxis([Coordinate::mm(-2), Coordinate::mm(-98), Coordinate::mm(-2)]);
+        assert_eq!(h.next(AxisMask::NONE), Order::Reached(Z, places));
+        // X and Y together; Y reaches its switch first and X moves on alone.
+        expect_move(h.next(AxisMask::NONE), [300.0, -300.0, 0.0], AxisMask(3));
+        expect_move(h.next(Y), [300.0, 0.0, 0.0], X);
+        assert_eq!(h.next(AxisMask(3)), wait);
+        expect_move(h.next(AxisMask(3)), [-2.0, 2.0, 0.0], AxisMask::NONE);
+        assert_eq!(h.next(AxisMask::NONE), wait);
+        expect_move(h.next(AxisMask::NONE), [10.0, -10.0, 0.0], AxisMask(3));
+        assert_eq!(h.next(AxisMask(3)), wait);
+        expect_move(h.next(AxisMask(3)), [-2.0, 2.0, 0.0], AxisMask::NONE);
+        assert_eq!(h.next(AxisMask::NONE), wait);
+        assert_eq!(h.next(AxisMask::NONE), Order::Reached(AxisMask(3), places));
+        assert_eq!(h.next(AxisMask::NONE), Order::Done(AxisMask(7)));
+    }
+
+    #[test]
+    fn failures() {
+        let mut h = homing(AxisMask::NONE);
+        h.begin(AxisMask::NONE);
+        assert_eq!(h.next(AxisMask::NONE), Order::Failed(Alarm::HomingNoSwitch));
+        let mut h = homing(AxisMask::NONE);
+        h.begin(AxisMask::NONE);
+        h.next(Z);
+        h.next(Z);
+        h.next(Z);
+        assert_eq!(h.next(Z), Order::Failed(Alarm::HomingPullOff));
+    }
+
+    #[test]
+    fn cycles_and_passes_are_settings() {
+        let settings = HomingSettings { cycles: [X, AxisMask::NONE, Z], passes: 2, ..settings(AxisMask::NONE) };
+        let mut h = HomingCycle::new(settings, None);
+        expect_move(h.begin(AxisMask::NONE), [300.0, 0.0, 0.0], X);
+        for _ in 0..2 {
+            // Closed: wait, pull off, wait; then a locate.
+            h.next(X);
+            expect_move(h.next(X), [-2.0, 0.0, 0.0], AxisMask::NONE);
+            h.next(AxisMask::NONE);
+            expect_move(h.next(AxisMask::NONE), [10.0, 0.0, 0.0], X);
+        }
+        h.next(X);
+        h.next(X);
+        h.next(AxisMask::NONE);
+        assert!(matches!(h.next(AxisMask::NONE), Order::Reached(X, _)));
+        // Y has no cycle.
+        expect_move(h.next(AxisMask::NONE), [0.0, 0.0, 75.0], Z);
+        let none = HomingSettings { cycles: [AxisMask::NONE; 3], ..settings };
+        assert!(matches!(HomingCycle::new(none, None).begin(AxisMask::NONE), Order::Done(AxisMask::NONE)));
+    }
+
+    #[test]
+    fn a_gantry_is_squared() {
+        let second = AxisMask(SECOND_SWITCH);
+        let settings =
+            HomingSettings { cycles: [AxisMask(3); 3], squared: Some((Axis::Y, 5.0)), ..settings(AxisMask::NONE) };
+        let mut h = HomingCycle::new(settings, None);
+        let both = AxisMask(3 | SECOND_SWITCH);
+        let expect = |order: Order<3>, by: [f32; 3], watch: AxisMask, motors: GangedMotors| {
+            expect_move(order, by, watch);
+            assert!(matches!(order, Order::Move { motors: m, .. } if m == motors), "{order:?}");
+        };
+        expect(h.begin(AxisMask::NONE), [300.0, 300.0, 0.0], both, GangedMotors::Both);
+        // The second motor is ahead: the first moves on alone, then X.
+        expect(h.next(second), [0.0, 5.0, 0.0], Y, GangedMotors::First);
+        expect(h.next(AxisMask(second.0 | Y.0)), [300.0, 0.0, 0.0], X, GangedMotors::Both);
+        assert!(matches!(h.next(both), Order::Wait(_)));
+        expect(h.next(both), [-2.0, -2.0, 0.0], AxisMask::NONE, GangedMotors::Both);
+        h.next(AxisMask::NONE);
+        expect(h.next(AxisMask::NONE), [10.0, 10.0, 0.0], both, GangedMotors::Both);
+        expect(h.next(Y), [0.0, 5.0, 0.0], second, GangedMotors::Second);
+        // It does not come.
+        assert_eq!(h.next(Y), Order::Failed(Alarm::HomingSquaring));
+    }
+
+    #[test]
+    fn a_second_switch_that_stays_closed_is_seen() {
+        let settings = HomingSettings { cycles: [Y; 3], squared: Some((Axis::Y, 5.0)), ..settings(AxisMask::NONE) };
+        let mut h = HomingCycle::new(settings, None);
+        let both = AxisMask(Y.0 | SECOND_SWITCH);
+        h.begin(AxisMask::NONE);
+        h.next(both);
+        h.next(both);
+        h.next(AxisMask(SECOND_SWITCH));
+        assert_eq!(h.next(AxisMask(SECOND_SWITCH)), Order::Failed(Alarm::HomingPullOff));
+    }
+}

@@ -1,0 +1,155 @@
+//! Homing is carried out: each `Order` of `machine/homing.rs` becomes a motion of one motor, or of both motors of a
+//! squared axis; a switch that closes stops it; at the end the position is set and the startup lines run.
+
+mod cycle;
+
+use crate::axes::{Axis, AxisMask};
+use crate::dispatch::Controller;
+use crate::error::Error;
+use crate::messages::GangedMotors;
+use crate::motion::Speed;
+use crate::parts::Machine;
+use crate::settings::{AxisKey, Key};
+use crate::states::Mode;
+use crate::states::Next;
+use crate::units::{Coordinate, Duration, Instant, per_second};
+use crate::work::probe::seek;
+use crate::work::task::{Answer, Task};
+use cycle::{HomingCycle, HomingSettings, Order};
+
+/// What it is waiting for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wait {
+    /// The end of a move, or one of these switches.
+    Motion(AxisMask),
+    /// The stop that a switch has asked for.
+    Stop,
+    /// A moment.
+    Until(Instant),
+}
+
+/// The homing cycle runs.
+#[derive(Clone, Debug)]
+pub(crate) struct Homing<const N: usize> {
+    cycle: HomingCycle<N>,
+    wait: Wait,
+}
+
+impl<const N: usize> Homing<N> {
+    /// Homes the axes of all cycles, or only one axis. What follows its first order.
+    pub(crate) fn begin(only: Option<Axis>, m: &mut Machine<N>) -> Result<(Self, Next), Error> {
+        let cycles = m.settings.homing_cycles().0.map(AxisMask);
+        if only.is_none() && cycles.iter().all(|cycle| cycle.is_empty()) {
+            return Err(Error::HomingDisabled);
+        }
+        if m.settings.is_on(Key::Laser) {
+            // A beam of constant power (M3) would burn wherever homing waits, and at its end.
+            m.stop_spindle();
+        }
+        let settings = HomingSettings {
+            cycles,
+            passes: m.settings.whole(Key::HomingPasses),
+            squared: squared_axis(m),
+            to_negative: AxisMask(m.settings.whole(Key::HomingDirection) as u8),
+            seek_rate: per_second(m.settings.value(Key::HomingSeek)),
+            locate_rate: per_second(m.settings.value(Key::HomingLocate)),
+            pull_off: m.settings.value(Key::HomingPullOff),
+            debounce: Duration::millis(u64::from(m.settings.whole(Key::HomingDebounce))),
+            travel: m.settings.axes(AxisKey::Travel),
+        };
+        let mut homing = Self { cycle: HomingCycle::new(settings, only), wait: Wait::Stop };
+        let order = homing.cycle.begin(m.switches());
+        let next = homing.carry_out(order, m);
+        Ok((homing, next))
+    }
+
+    /// When it has to be asked again.
+    pub(crate) fn wakeup(&self) -> Option<Instant> {
+        match self.wait {
+            Wait::Until(moment) => Some(moment),
+            _ => None,
+        }
+    }
+
+    /// Asked while no stop is awaited: the next order, if what it waits for is over.
+    pub(crate) fn advance(&mut self, m: &mut Machine<N>) -> Next {
+        let over = match self.wait {
+            Wait::Motion(_) => m.motion.is_idle(),
+            Wait::Stop => true,
+            Wait::Until(moment) => m.now >= moment,
+        };
+        if !over {
+            return Next::Wait;
+        }
+        let order = self.cycle.next(m.switches());
+        self.carry_out(order, m)
+    }
+
+    /// Whether one of these switches ends the move under way. It then waits for the stop.
+    pub(crate) fn is_reached(&mut self, switches: AxisMask) -> bool {
+        let reached = matches!(self.wait, Wait::Motion(watch) if watch.0 & switches.0 != 0);
+        if reached {
+            self.wait = Wait::Stop;
+        }
+        reached
+    }
+
+    fn carry_out(&mut self, order: Order<N>, m: &mut Machine<N>) -> Next {
+        self.wait = match order {
+            Order::Move { by, rate, watch, motors } => {
+                m.pins.drive(motors);
+                let here = m.motion.machine_position();
+                let target = here.zip(&by, |from, by| (from + Coordinate::from_mm_f32(by)).limited());
+                m.motion.line(&seek(target, Speed::Feed(rate), 0));
+                m.start_motion();
+                Wait::Motion(watch)
+            }
+            Order::Wait(time) => Wait::Until(m.now + time),
+            Order::Reached(axes, home) => {
+                let mut position = m.motion.machine_position();
+                for axis in Axis::of_machine::<N>().filter(|axis| axes.has(*axis)) {
+                    if let Some(home) = home.get(axis) {
+                        position.set(axis, home);
+                    }
+                }
+                m.motion.set_machine_position(&position);
+                Wait::Stop
+            }
+            Order::Done(axes) => {
+                m.reference.homed(axes, m.settings.homing_cycles().iter().copied());
+                m.pins.drive(GangedMotors::Both);
+                m.interpreter.set_position(m.motion.machine_position());
+                m.interpreter.end_cycles();
+                return Next::Homed;
+            }
+            Order::Failed(alarm) => return Next::HomingFailed(alarm),
+        };
+        Next::Stay
+    }
+}
+
+/// The axis that homing squares, and how far one of its motors may go alone: a share of the travel within bounds.
+fn squared_axis<const N: usize>(m: &Machine<N>) -> Option<(Axis, f32)> {
+    let axis = m.settings.ganged_axis().filter(|_| m.settings.is_on(Key::GangedSwitch))?;
+    let share = m.settings.value(Key::SquaringShare) / 100.0 * m.settings.axes(AxisKey::Travel).get(axis)?;
+    let (least, most) = (m.settings.value(Key::SquaringLeast), m.settings.value(Key::SquaringMost));
+    let at_least = if share > least { share } else { least };
+    Some((axis, if at_least < most { at_least } else { most }))
+}
+
+impl<const N: usize> Controller<N> {
+    /// Carries out what homing has come to. Returns whether there was anything.
+    pub(crate) fn follow(&mut self, next: Next) -> bool {
+        match next {
+            Next::Wait => return false,
+            Next::Stay => {}
+            Next::Homed => {
+                self.enter(Mode::Normal);
+                self.m.start_idle_delay();
+                self.task = Task::Startup(0, Some(Answer::Host));
+            }
+            Next::HomingFailed(alarm) => self.fail_homing(alarm),
+        }
+        true
+    }
+}

@@ -1,0 +1,98 @@
+//! What a reset, an alarm and changed settings make of the machine: `initialise` ends every power-up and reset
+//! (greeting, limits and emergencies checked, startup lines), `lock` holds an alarm, `fail_homing` ends homing, and
+//! `reconfigure` hands derived settings to motion (`MotionSettings`). They come from each `AxisKey` (`MaxRate`, `Jerk`)
+//! and `Key` (`JunctionDeviation`, `CurveAcceleration`).
+
+use crate::dispatch::Controller;
+use crate::error::Alarm;
+use crate::gcode::Dialect;
+use crate::inputs::levels;
+use crate::messages::GangedMotors;
+use crate::motion::MotionSettings;
+use crate::protocol::report;
+use crate::settings::{AxisKey, Key, Settings};
+use crate::states::Mode;
+use crate::units::{StepsPerMm, per_second};
+use crate::work::task::Task;
+
+impl<const N: usize> Controller<N> {
+    /// What every power-up and reset ends with.
+    pub(crate) fn initialise(&mut self) {
+        self.m.pins.drive(GangedMotors::Both);
+        let mark = self.m.motion.begun_mark();
+        self.m.accessories.reset(mark);
+        self.m.motion.set_mark(mark);
+        self.m.motion.set_overrides(1.0, 1.0);
+        self.reconfigure();
+        self.m.interpreter.set_position(self.m.motion.machine_position());
+        self.m.probe.forget_result();
+        self.line.end_single_block();
+        self.m.lines.heartbeat_mut().set_gone(false);
+        self.m.replies.reset();
+        self.greet();
+        if self.m.inputs.signals().limits & levels::hard_limits(&self.m.settings) != 0 {
+            self.enter(Mode::Alarm(self.mode.alarm()));
+            self.say(|out| report::message(out, "Check Limits"));
+        }
+        if let Some((alarm, _)) = self.m.inputs.emergency() {
+            self.lock(alarm);
+            let still = match alarm {
+                Alarm::EmergencyStop => "Emergency stop is active",
+                _ => "Driver fault is active",
+            };
+            if self.dialect() != Dialect::Grbl {
+                self.say(|out| report::message(out, still));
+            }
+        }
+        if let Mode::Alarm(_) = self.mode {
+            self.tell_lock();
+        } else {
+            if self.m.inputs.signals().door {
+                self.open_door();
+            }
+            self.task = Task::Startup(0, None);
+        }
+    }
+
+    /// Locks the machine until `$X`, `$H` or a reset.
+    pub(crate) fn lock(&mut self, alarm: Alarm) {
+        self.tell_alarm(alarm);
+        self.enter(Mode::Alarm(Some(alarm)));
+    }
+
+    /// Homing has ended in an alarm: announced, answered, and then as after a reset.
+    pub(crate) fn fail_homing(&mut self, alarm: Alarm) {
+        self.m.motion.discard();
+        self.m.reference.lose();
+        self.lock(alarm);
+        self.task = Task::None;
+        self.say_ok();
+        self.m.interpreter.reset();
+        self.initialise();
+    }
+
+    /// Hands changed settings to the rooms that keep numbers derived from them. Only at rest.
+    pub(crate) fn reconfigure(&mut self) {
+        self.m.inputs.configure(&self.m.settings);
+        self.m.interpreter.set_axes(self.m.settings.axes_in_use());
+        let step_clock_hz = self.m.motion.settings().step_clock_hz;
+        self.m.motion.configure(motion_settings(&self.m.settings, step_clock_hz));
+    }
+}
+
+/// The settings as motion wants them. A resolution that cannot be used is taken as 1: motion is locked until
+/// it is mended (`Settings::unrunnable`).
+fn motion_settings<const N: usize>(settings: &Settings<N>, step_clock_hz: u32) -> MotionSettings<N> {
+    MotionSettings {
+        arrangement: settings.arrangement(),
+        steps_per_mm: settings.axes(AxisKey::Resolution).map(|v| StepsPerMm::new(v).unwrap_or(StepsPerMm::ONE)),
+        max_rate: settings.axes(AxisKey::MaxRate).map(per_second),
+        acceleration: settings.axes(AxisKey::Acceleration),
+        jerk: settings.axes(AxisKey::Jerk),
+        backlash: settings.axes(AxisKey::Backlash),
+        junction_deviation: settings.value(Key::JunctionDeviation),
+        curve_share: settings.value(Key::CurveAcceleration) * 0.01,
+        arc_tolerance: settings.value(Key::ArcTolerance),
+        step_clock_hz,
+    }
+}

@@ -1,0 +1,201 @@
+//! `Mode`: the states of the machine (normal, jog, hold, home, stopping, door, alarm, critical, check, sleep) and their
+//! names in status reports; the phases of `Door`, and what follows a braking (`AfterBraking`). Which states are
+//! suspended, locked, or take lines.
+//!
+//! ```text
+//!            $X, $H ok                 !, M0                      ~
+//!  Alarm ───────────────▶ Normal ───────────────▶ Hold ───────────────▶ Normal
+//!    ▲                    │ ▲ │ ▲                  │  door, 0x84
+//!    │ reset in motion,   │ │ │ └── $C, reset ── Check
+//!    │ limit, underrun    │ │ └───── $J= ──────▶ Jog ── at rest, 0x85, ! ──▶ Normal
+//!    └────────────────────┘ └─ restored ── Door ◀── 0x84, door pin
+//!   Stopping (0x19, a refused line with $901, a fault): brakes, then Normal, Alarm or Critical
+//!                  Sleep ◀── $SLP (only a reset leaves it, to Alarm)
+//! ```
+//! `Idle` and `Run` are both [`Mode::Normal`]: whether something moves is asked of `motion`, so the two cannot disagree.
+
+pub(crate) mod door;
+mod hold;
+pub(crate) mod homing;
+mod locked;
+pub(crate) mod stops;
+
+use crate::dispatch::Controller;
+use crate::error::Alarm;
+use crate::units::Instant;
+pub(crate) use homing::Homing;
+
+/// What the machine is doing.
+#[allow(clippy::large_enum_variant, reason = "there is one, in a static place; boxes do not exist here")]
+#[derive(Clone, Debug)]
+// The tag is asked for before each output: a byte of its own, not folded into the data of a mode.
+#[repr(u8)]
+pub(crate) enum Mode<const N: usize> {
+    /// Program lines are executed.
+    Normal,
+    /// A jog is moving. `cancelling`: it is braking and will be forgotten.
+    Jog {
+        /// Braking because of 0x85 or `!`.
+        cancelling: bool,
+    },
+    /// Feed hold: braking or at rest; only `~` resumes.
+    Hold,
+    /// The homing cycle runs.
+    Home(Homing<N>),
+    /// Braking; then everything queued is forgotten.
+    Stopping {
+        /// What follows at rest.
+        then: AfterBraking,
+    },
+    /// Safety door: see [`Door`].
+    Door(Door),
+    /// Locked until `$X`, `$H` or a reset; by an alarm, or because the machine has not been homed or looked at.
+    Alarm(Option<Alarm>),
+    /// Locked by a hard or soft limit or an emergency: only a reset helps.
+    Critical(Alarm),
+    /// Lines are checked and not executed.
+    Check,
+    /// Everything is off until a reset; with the alarm that it was locked by.
+    Sleep(Option<Alarm>),
+}
+
+/// What a state makes of what it has been asked to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Next {
+    /// What it waits for is not over.
+    Wait,
+    /// It goes on.
+    Stay,
+    /// All axes that were to be homed are: Idle, and the startup lines run.
+    Homed,
+    /// Locked, as after a reset.
+    HomingFailed(Alarm),
+}
+
+/// What follows a controlled stop, at rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum AfterBraking {
+    /// The next line.
+    Continue,
+    /// The machine locks itself, because a line was refused.
+    Lock,
+    /// An alarm.
+    Alarm(Alarm),
+    /// The tool is parked, then an alarm.
+    Retract(Alarm),
+}
+
+impl AfterBraking {
+    /// The alarm that comes.
+    pub fn alarm(self) -> Option<Alarm> {
+        match self {
+            AfterBraking::Alarm(alarm) | AfterBraking::Retract(alarm) => Some(alarm),
+            AfterBraking::Continue | AfterBraking::Lock => None,
+        }
+    }
+}
+
+/// Phases of the safety door.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+// Else the moments inside make the tag of this and of `Mode` one of 64 bits.
+#[repr(u8)]
+pub(crate) enum Door {
+    /// Braking; what follows begins once at rest.
+    Braking,
+    /// Parking: slowly out of the cut, the spindle still turning.
+    PullingOut,
+    /// Parking: fast to the parking position, spindle and coolant off.
+    Parking,
+    /// At rest with spindle and coolant off.
+    Parked,
+    /// Opened again while parking was undone: braking.
+    Reopened,
+    /// `~` came: fast back towards the cut.
+    Returning,
+    /// The spindle runs up until the given time, then the coolant starts.
+    SpindleRestoring(Instant),
+    /// The coolant builds up until the given time, then motion resumes.
+    CoolantRestoring(Instant),
+    /// Slowly back into the cut.
+    Plunging,
+}
+
+impl<const N: usize> Mode<N> {
+    /// Whether one may follow the other: the table of the states. `tests/safety/states.rs` says at which event.
+    pub(crate) fn may_become(&self, next: &Self) -> bool {
+        use Mode::{Alarm, Check, Critical, Door, Hold, Home, Jog, Normal, Sleep, Stopping};
+        match (self, next) {
+            // A stop, a fault and a reset end every state.
+            (_, Alarm(_)) => true,
+            (Critical(_) | Sleep(_), Normal) => false,
+            (_, Critical(_) | Normal) => true,
+            (Normal, Jog { .. } | Hold | Home(_) | Stopping { .. } | Door(_) | Check) => true,
+            (Jog { .. }, Jog { .. } | Stopping { .. } | Door(_)) => true,
+            (Hold, Hold | Stopping { .. } | Door(_)) => true,
+            (Stopping { .. }, Stopping { .. } | Door(_)) => true,
+            (Door(_), Door(_) | Stopping { .. } | Sleep(_)) => true,
+            (Alarm(_), Home(_) | Sleep(_)) => true,
+            _ => false,
+        }
+    }
+
+    /// Whether what is under way waits: motion, a dwell, the lines behind it.
+    pub fn is_suspended(&self) -> bool {
+        matches!(self, Mode::Hold | Mode::Stopping { .. } | Mode::Door(_) | Mode::Sleep(_) | Mode::Critical(_))
+    }
+
+    /// Whether a door has been closed, and the machine is on its way back to the job.
+    pub fn is_resuming(&self) -> bool {
+        use Door::{CoolantRestoring, Plunging, Returning, SpindleRestoring};
+        matches!(self, Mode::Door(Returning | SpindleRestoring(_) | CoolantRestoring(_) | Plunging))
+    }
+
+    /// Whether a received line may be read.
+    #[inline]
+    pub fn takes_lines(&self) -> bool {
+        matches!(self, Mode::Normal | Mode::Jog { .. } | Mode::Alarm(_) | Mode::Check)
+    }
+
+    /// Whether the machine is locked.
+    pub fn is_alarm(&self) -> bool {
+        matches!(self, Mode::Alarm(_) | Mode::Critical(_))
+    }
+
+    /// The alarm that holds, if any.
+    pub fn alarm(&self) -> Option<Alarm> {
+        match self {
+            Mode::Alarm(alarm) | Mode::Sleep(alarm) => *alarm,
+            Mode::Critical(alarm) => Some(*alarm),
+            _ => None,
+        }
+    }
+
+    /// The state as `?` names it. `at_rest`: nothing moves; `running`: a program's motion is under way; `door_open`: the
+    /// door input is active.
+    pub fn name(&self, at_rest: bool, running: bool, door_open: bool) -> &'static str {
+        match self {
+            Mode::Normal if running => "Run",
+            Mode::Normal => "Idle",
+            Mode::Jog { .. } => "Jog",
+            Mode::Hold if at_rest => "Hold:0",
+            Mode::Hold => "Hold:1",
+            Mode::Home(_) => "Home",
+            Mode::Stopping { .. } => "Hold:1",
+            Mode::Door(Door::Braking | Door::PullingOut | Door::Parking | Door::Reopened) => "Door:2",
+            Mode::Door(Door::Parked) if door_open => "Door:1",
+            Mode::Door(Door::Parked) => "Door:0",
+            Mode::Door(_) => "Door:3",
+            Mode::Alarm(_) | Mode::Critical(_) => "Alarm",
+            Mode::Check => "Check",
+            Mode::Sleep(_) => "Sleep",
+        }
+    }
+}
+
+impl<const N: usize> Controller<N> {
+    /// The only place in which the state changes.
+    pub(crate) fn enter(&mut self, next: Mode<N>) {
+        debug_assert!(self.mode.may_become(&next), "{:?} to {:?}", self.mode, next);
+        self.mode = next;
+    }
+}

@@ -1,0 +1,120 @@
+//! How the machine stops for a fault (`$924` to `$928`): at once, or it brakes under control and perhaps retracts, and
+//! which alarm follows at rest. Whether it can brake, whether parking is blocked, whether a switch only bounces; a host
+//! that is gone or silent, and a spindle that has lost its speed. The laser is darkened, the spindle kept on while it
+//! brakes, and the `StopReason` kept.
+//!
+//! ```text
+//!  switch, driver, spindle ──▶ fault ──┬── at once ───────────────────────────▶ stop ──▶ alarm
+//!                                      └── controlled ──▶ brake ──▶ [park] ─────┘
+//! ```
+//! Homing and parking moves have no room to brake: whatever the settings, they end at once.
+
+use crate::axes::Axis;
+use crate::dispatch::Controller;
+use crate::error::Alarm;
+use crate::inputs::levels;
+use crate::protocol::report;
+use crate::settings::Key;
+use crate::states::door::parking::Opening;
+use crate::states::stops::Stopped;
+use crate::states::stops::orders::StopReason;
+use crate::states::stops::reaction::{Braking, Reaction};
+use crate::states::{AfterBraking, Door, Mode};
+
+impl<const N: usize> Controller<N> {
+    /// Stops for a fault as its setting says; the alarm follows at rest.
+    pub(crate) fn fault(&mut self, alarm: Alarm, stopped: &mut Stopped) {
+        let under_way = self.stop_under_way();
+        let reason = under_way.map_or(StopReason::Alarm(alarm), |other| other.heavier(StopReason::Alarm(alarm)));
+        let braking = Reaction::to(alarm, &self.m.settings).braking;
+        if self.is_bounce(alarm) {
+            return;
+        }
+        self.keep_speed();
+        if braking == Braking::AtOnce || stopped.already || self.m.stops.is_awaited() || !self.can_brake() {
+            self.stop_for(reason, stopped);
+        } else if under_way != Some(reason) {
+            self.brake_for(alarm, braking);
+        }
+    }
+
+    /// Whether it is the switch again for which the tool is being parked, and not that of the axis along which it moves.
+    fn is_bounce(&self, alarm: Alarm) -> bool {
+        matches!(self.mode, Mode::Door(_))
+            && alarm == Alarm::HardLimit
+            && self.m.door.opening().alarm == Some(alarm)
+            && !self.m.stops.is_awaited()
+            && !self.is_parking_blocked()
+    }
+
+    fn can_brake(&self) -> bool {
+        matches!(
+            self.mode,
+            Mode::Normal | Mode::Jog { .. } | Mode::Hold | Mode::Stopping { .. } | Mode::Door(Door::Braking)
+        )
+    }
+
+    fn brake_for(&mut self, alarm: Alarm, braking: Braking) {
+        // What rests when the fault comes is not set in motion.
+        let retract = braking == Braking::Retract && !self.m.motion.is_at_rest() && !self.is_parking_blocked();
+        if self.m.settings.is_on(Key::Laser) || matches!(self.mode, Mode::Door(_)) {
+            // The segments that are still to come carry the beam's power; and an open door means no spindle.
+            self.m.accessories.suspend();
+        }
+        self.tell_trip(self.m.motion.line_number());
+        self.task.forget_jog();
+        self.m.accessories.end_spin_up();
+        self.m.motion.hold();
+        let then = if retract { AfterBraking::Retract(alarm) } else { AfterBraking::Alarm(alarm) };
+        self.enter(Mode::Stopping { then });
+    }
+
+    /// What a controlled stop was for, at rest.
+    pub(crate) fn settle_braking(&mut self, then: AfterBraking) {
+        match then {
+            AfterBraking::Continue => self.finish_soft_stop(false),
+            AfterBraking::Lock => self.finish_soft_stop(true),
+            AfterBraking::Alarm(alarm) => self.m.stops.order(StopReason::Alarm(alarm)),
+            AfterBraking::Retract(alarm) => {
+                let spindle_on = self.keeps_spindle_on(alarm);
+                self.m.door.open(Opening { retract: !self.is_parking_blocked(), spindle_on, alarm: Some(alarm) });
+                self.begin_parking();
+            }
+        }
+    }
+
+    /// Whether the switch of the axis is closed along which the tool would be parked.
+    fn is_parking_blocked(&self) -> bool {
+        let closed = levels::axes_of_switches(self.m.inputs.signals().limits, &self.m.settings);
+        let axis = Axis::ALL.get(self.m.settings.whole(Key::ParkingAxis) as usize);
+        axis.is_none_or(|axis| closed & 1 << axis.index() != 0)
+    }
+
+    /// A host that is silent or gone in mid-job: what waits can be resumed (`$928`).
+    pub(crate) fn host_fault(&mut self) {
+        let Reaction { braking, spindle_on } = Reaction::of(Key::HostReaction, &self.m.settings);
+        match braking {
+            Braking::AtOnce => self.m.stops.order(StopReason::Alarm(Alarm::AbortInMotion)),
+            Braking::Controlled if spindle_on || self.m.settings.is_on(Key::Laser) => self.feed_hold(),
+            _ => {
+                let retract = braking == Braking::Retract && !self.m.motion.is_at_rest();
+                self.m.door.open(Opening { retract, spindle_on, alarm: None });
+                self.darken_laser();
+                self.brake_for_door();
+            }
+        }
+    }
+
+    /// A spindle that tells its speed (`$915`) may lose it in mid-job (`$929`).
+    pub(crate) fn look_for_spindle(&mut self) {
+        if !self.m.accessories.watches_speed(&self.m.settings) {
+            return;
+        }
+        let at_work = self.needs_speed();
+        let (power, input) = (self.resting_power(), self.m.inputs.signals().at_speed);
+        if self.m.accessories.has_lost_speed(at_work, power, input, self.m.now, &self.m.settings) {
+            self.say(|out| report::message(out, "The spindle has lost its speed"));
+            self.fault(Alarm::SpindleSpeed, &mut Stopped { already: false, answered: false });
+        }
+    }
+}

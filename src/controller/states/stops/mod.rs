@@ -1,0 +1,211 @@
+//! What follows a stop once the step task reports it (`step_event`: stopped, probed, underrun, miscounted): by its
+//! reason (hard limit, emergency, driver fault, reset, switch, contact) the machine is locked, reset, or continues from
+//! where it stopped. `finish_alarm`, `finish_emergency`, `finish_reset` are the three endings. Position and reference
+//! may be lost, pauses end (`end_pauses`), moves are forgotten, and the trip is told.
+
+mod faults;
+pub(crate) mod orders;
+pub(crate) mod reaction;
+
+use crate::axes::PerAxis;
+use crate::dispatch::Controller;
+use crate::error::{Alarm, Error};
+use crate::machine::spindle::SpindleRange;
+use crate::messages::StepEvent;
+use crate::protocol::report;
+use crate::settings::Key;
+use crate::states::Mode;
+use crate::states::stops::orders::{Finished, StopReason};
+use crate::work::task::Task;
+
+impl<const N: usize> Controller<N> {
+    /// Stops for an input, unless it has already been done.
+    pub(crate) fn stop_for(&mut self, reason: StopReason, stopped: &mut Stopped) {
+        if stopped.already {
+            stopped.answered = true;
+            self.m.stops.wait_for(reason);
+            self.finish_stop();
+        } else {
+            self.m.stops.order(reason);
+        }
+    }
+
+    pub(crate) fn step_event(&mut self, event: &StepEvent<N>) {
+        match *event {
+            StepEvent::Stopped { stops, moving, position } => {
+                if moving && !matches!(self.mode, Mode::Home(_)) {
+                    self.keep_speed();
+                }
+                self.m.stops.happened(stops, moving, self.m.motion.line_number());
+                self.stopped_at(&position);
+            }
+            StepEvent::Probed { position } => {
+                self.m.probe.contact(|| self.m.motion.position_of_counter(&position));
+                return;
+            }
+            StepEvent::Underrun { stops, position } => {
+                self.await_what_brakes(Alarm::Underrun);
+                self.m.stops.failed(stops, Alarm::Underrun);
+                self.stopped_at(&position);
+            }
+            StepEvent::Miscounted { stops, position } => {
+                self.await_what_brakes(Alarm::Miscounted);
+                self.m.stops.failed(stops, Alarm::Miscounted);
+                self.stopped_at(&position);
+            }
+        }
+        self.finish_stop();
+    }
+
+    /// The step task has failed while the machine braked for a fault: that one is told, if it is no lighter.
+    fn await_what_brakes(&mut self, failure: Alarm) {
+        if let Some(reason) = self.stop_under_way()
+            && reason.heavier(StopReason::Alarm(failure)) == reason
+        {
+            self.m.stops.wait_for(reason);
+        }
+    }
+
+    /// A spindle that stays on keeps the speed of the move under way, not that of a line that will not be carried out.
+    pub(crate) fn keep_speed(&mut self) {
+        if let Some(power) = self.m.motion.running_power() {
+            self.m.accessories.set_speed(SpindleRange::of(&self.m.settings).speed_of(power));
+        }
+    }
+
+    fn stopped_at(&mut self, position: &PerAxis<i32, N>) {
+        self.m.motion.stopped(position);
+        self.m.door.stopped(position, &mut self.m.motion);
+    }
+
+    /// What follows a stop, once every stop that was asked for has happened.
+    pub(crate) fn finish_stop(&mut self) {
+        let Some(stop) = self.m.stops.finish() else { return };
+        self.m.step_supply.end();
+        self.m.probe.stopped();
+        match stop.reason {
+            StopReason::Nothing => self.m.motion.discard(),
+            StopReason::Contact => {
+                // The probe continues from here, or what has begun meanwhile: a hold, a door.
+                self.m.probe.rests_after_contact();
+                self.m.motion.discard();
+            }
+            StopReason::Switch => {
+                // Homing continues from here.
+                self.end_pauses();
+                self.m.motion.discard();
+            }
+            StopReason::Alarm(alarm) => {
+                self.m.accessories.rests();
+                if !self.keeps_spindle_on(alarm) {
+                    self.switch_off();
+                }
+                self.end_pauses();
+                self.finish_alarm(alarm, &stop);
+            }
+            StopReason::Reset => {
+                self.end_pauses();
+                self.switch_off();
+                self.finish_reset(stop.moving);
+            }
+        }
+    }
+
+    /// What a door, a hold or a probe had interrupted is over.
+    fn end_pauses(&mut self) {
+        self.m.door.reset();
+        self.m.accessories.end_spin_up();
+        self.m.probe.forget_move();
+    }
+
+    fn finish_alarm(&mut self, alarm: Alarm, stop: &Finished) {
+        if matches!(alarm, Alarm::EmergencyStop | Alarm::DriverFault) {
+            return self.finish_emergency(alarm, stop);
+        }
+        if matches!(self.mode, Mode::Home(_)) {
+            return self.fail_homing(alarm);
+        }
+        if stop.moving {
+            self.m.reference.lose();
+        }
+        self.m.motion.discard();
+        self.m.interpreter.set_position(self.m.motion.machine_position());
+        self.tell_alarm(alarm);
+        if alarm == Alarm::HardLimit {
+            self.tell_trip(stop.line);
+        }
+        if matches!(alarm, Alarm::Underrun | Alarm::Miscounted) {
+            if matches!(self.task, Task::JogWaits) {
+                self.m.lines.clear();
+            }
+            if self.task.abandon() {
+                self.refuse(Error::Locked);
+            }
+            self.enter(Mode::Alarm(Some(alarm)));
+        } else {
+            self.say(|out| report::message(out, "Reset to continue"));
+            self.enter(Mode::Critical(alarm));
+        }
+    }
+
+    /// The emergency stop is latched: only a reset ends it, and one that comes while the input is still active says so again.
+    fn finish_emergency(&mut self, alarm: Alarm, stop: &Finished) {
+        let homing = matches!(self.mode, Mode::Home(_));
+        let drivers_off = self.m.settings.is_on(Key::EmergencyDriversOff);
+        // A driver at fault may have lost steps, and a motor without current does not hold.
+        if stop.moving || homing || drivers_off || alarm == Alarm::DriverFault {
+            self.m.reference.lose();
+        }
+        if drivers_off {
+            self.m.drivers.switch_off();
+        } else {
+            self.m.drivers.stay();
+        }
+        self.m.accessories.restore();
+        self.m.motion.discard();
+        self.m.interpreter.set_position(self.m.motion.machine_position());
+        self.tell_alarm(alarm);
+        if homing {
+            self.say_ok();
+        }
+        self.tell_trip(stop.line);
+        self.say(|out| report::message(out, "Reset to continue"));
+        self.enter(Mode::Critical(alarm));
+    }
+
+    /// A soft reset (Ctrl-X) has taken effect. At rest it is followed by the welcome line; a reset in a motion or in homing aborts a
+    /// cycle: `ALARM:3` or `ALARM:6`, position lost, as in Grbl.
+    fn finish_reset(&mut self, moving: bool) {
+        self.m.motion.discard();
+        self.m.lines.clear();
+        if matches!(self.mode, Mode::Hold | Mode::Door(_)) {
+            // They may have stayed on for whoever changes a tool.
+            self.m.start_idle_delay();
+        }
+        let homing = matches!(self.mode, Mode::Home(_));
+        if moving || homing {
+            self.m.reference.lose();
+            self.lock(if homing { Alarm::HomingReset } else { Alarm::AbortInMotion });
+        }
+        if let Mode::Sleep(_) | Mode::Critical(_) = self.mode {
+            self.enter(Mode::Alarm(self.mode.alarm()));
+        }
+        // A command that was waiting is answered before the welcome line, as Grbl does: senders count on one answer a line.
+        if homing || self.task.answers_host() {
+            self.say_ok();
+        }
+        self.task = Task::None;
+        self.m.interpreter.reset();
+        if !self.mode.is_alarm() {
+            self.enter(Mode::Normal);
+        }
+        self.initialise();
+    }
+}
+
+/// Whether an input has stopped the step task itself, and whether the reason for it has been found.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Stopped {
+    pub(crate) already: bool,
+    pub(crate) answered: bool,
+}

@@ -1,0 +1,215 @@
+//! What can be asked of the controller; nothing changes: whether it is idle, free, quiet, at work or paused, machine
+//! and work position, line numbers and the tool in work, which alarm or stop is under way, whether the spindle stays
+//! on, the settings, and the dialect.
+
+use crate::axes::PerAxis;
+use crate::dispatch::Controller;
+use crate::error::Alarm;
+use crate::gcode::{Dialect, Interpreter, Motion};
+use crate::settings::{Key, Settings};
+use crate::states::Mode;
+use crate::states::stops::orders::StopReason;
+use crate::states::stops::reaction::Reaction;
+use crate::units::{Coordinate, Instant};
+use crate::work::task::{Stage, Task};
+
+/// A moment that does not come: instants of more than half of the range would count as past.
+const NEVER: Instant = Instant::from_ticks(u64::MAX / 4);
+
+impl<const N: usize> Controller<N> {
+    /// Whether nothing is queued, moving, waited for or unanswered.
+    pub fn is_idle(&self) -> bool {
+        self.has_nothing_to_do()
+            && self.m.stops.is_idle()
+            && self.m.motion.is_idle()
+            && self.m.door.motion().is_idle()
+            && self.m.replies.is_idle()
+            && self.m.records.are_stored()
+    }
+
+    /// Whether another host may take over: in addition no subroutine, loop or condition is open, whose next line would be
+    /// carried out as if it were in none.
+    pub fn is_free(&self) -> bool {
+        self.is_idle() && !self.m.interpreter.is_within_block()
+    }
+
+    /// Whether answers wait for room to be put out.
+    #[inline]
+    pub fn has_answers(&self) -> bool {
+        self.m.replies.are_waiting()
+    }
+
+    /// Whether a job is under way: also where only a beam burns, on one point.
+    pub(crate) fn is_at_work(&self) -> bool {
+        let burns = || self.m.settings.is_on(Key::Laser) && self.resting_power() != 0;
+        self.m.step_supply.is_running() || !self.m.motion.is_idle() || !self.task.is_none() || burns()
+    }
+
+    /// Whether the spindle has to be up to speed: lines of a program are carried out, and none gives it time to come up.
+    pub(crate) fn needs_speed(&self) -> bool {
+        let works = self.m.step_supply.is_running() || !self.m.motion.is_idle() || self.task.is_program();
+        matches!(self.mode, Mode::Normal) && works && !self.task.is_spinning_up()
+    }
+
+    /// Whether a spindle that turns continues to, at this alarm.
+    pub(crate) fn keeps_spindle_on(&self, alarm: Alarm) -> bool {
+        let reaction = match alarm {
+            Alarm::AbortInMotion => Reaction::of(Key::HostReaction, &self.m.settings),
+            alarm => Reaction::to(alarm, &self.m.settings),
+        };
+        let door_allows = !self.m.inputs.signals().door
+            && match self.mode {
+                Mode::Door(_) => self.m.door.opening().alarm.is_some() && self.m.door.opening().spindle_on,
+                _ => true,
+            };
+        reaction.spindle_on && door_allows && !self.m.accessories.is_suspended()
+    }
+
+    /// Why motion stops or brakes, if it does for good.
+    pub(crate) fn stop_under_way(&self) -> Option<StopReason> {
+        let alarm = match self.mode {
+            Mode::Stopping { then } => then.alarm(),
+            Mode::Door(_) => self.m.door.opening().alarm,
+            _ => None,
+        };
+        let braking = alarm.map(StopReason::Alarm);
+        self.m
+            .stops
+            .awaited()
+            .map_or(braking, |awaited| Some(braking.map_or(awaited, |braking| awaited.heavier(braking))))
+    }
+
+    fn has_nothing_to_do(&self) -> bool {
+        self.task.is_none() && !matches!(self.mode, Mode::Home(_))
+    }
+
+    /// Whether in addition nothing turns and nothing burns: the pump may be deaf for a second, to erase flash.
+    pub fn is_quiet(&self) -> bool {
+        self.is_idle() && self.is_off()
+    }
+
+    /// The same but for answers that are still to be sent: it will be quiet soon if no more lines come.
+    pub fn is_nearly_quiet(&self) -> bool {
+        self.has_nothing_to_do() && self.m.motion.is_idle() && self.m.door.motion().is_idle() && self.is_off()
+    }
+
+    fn is_off(&self) -> bool {
+        self.m.pins.are_off()
+    }
+
+    /// Where the machine is.
+    pub fn machine_position(&self) -> PerAxis<Coordinate, N> {
+        // A parked machine is where the parking moves led.
+        if self.m.door.is_parking() {
+            self.m.door.motion().machine_position()
+        } else {
+            self.m.motion.machine_position()
+        }
+    }
+
+    /// Where the machine is in the active coordinate system.
+    pub fn work_position(&self) -> PerAxis<Coordinate, N> {
+        self.machine_position().zip(&self.m.interpreter.work_zero(self.dialect()), |m, o| m - o)
+    }
+
+    /// N word of the move under way, 0 = none.
+    pub fn line_number(&self) -> u32 {
+        self.m.motion.line_number()
+    }
+
+    /// N word of the move that was handed to the step task last; see [`Controller::line_number`] for what it does now.
+    pub fn handed_line_number(&self) -> u32 {
+        self.m.motion.running_line_number()
+    }
+
+    /// N words of the move that was handed to the step task last, and of those that will be.
+    pub fn queued_line_numbers(&self) -> impl Iterator<Item = u32> {
+        self.m.motion.queued_line_numbers()
+    }
+
+    /// Moves that are queued from here on have this number instead of their N words: for a simulator that shows which line a
+    /// move belongs to. Motion does not depend on it.
+    pub fn number_moves(&mut self, number: u32) {
+        self.m.motion.number_moves(number);
+    }
+
+    /// The tool that the spindle holds in the motion of the line that is carried out, or else now; 0 for none that M6 named.
+    pub fn tool_in_work(&self) -> u32 {
+        match self.task {
+            Task::Job(_) => self.line.checked.spindle_tool(),
+            _ => self.m.interpreter.spindle_tool(),
+        }
+    }
+
+    /// Whether the line that is carried out is an arc or a spline.
+    pub fn is_arc_in_work(&self) -> bool {
+        matches!(self.task, Task::Job(_))
+            && matches!(self.line.checked.motion, Motion::Arc(_) | Motion::Spline(_) | Motion::Nurbs(_))
+    }
+
+    /// While the line that is carried out waits: until when for its spindle, and after that for its dwell.
+    pub fn waits_for_spindle_until(&self) -> Option<Instant> {
+        let Task::Job(job) = &self.task else { return None };
+        match (job.stage, self.line.checked.dwell) {
+            (Stage::Dwell, _) if job.spindle_delay.is_zero() => Some(Instant::from_ticks(0)),
+            (Stage::Dwell | Stage::SpinningUp, Some(dwell)) => Some(job.until - dwell),
+            (Stage::Dwell | Stage::SpinningUp, None) => Some(NEVER),
+            _ => None,
+        }
+    }
+
+    /// Lines that have been read since power-up (wrapping), whatever became of them.
+    pub fn lines_read(&self) -> u32 {
+        self.m.lines.lines_read()
+    }
+
+    /// The line ([`Controller::lines_read`] with it) that began the outermost subroutine, loop or condition which has not
+    /// come to its end, or in which the program has ended.
+    pub fn open_since(&self) -> Option<u32> {
+        self.m.interpreter.open_since()
+    }
+
+    /// The alarm that holds, if any.
+    pub fn alarm(&self) -> Option<Alarm> {
+        self.mode.alarm()
+    }
+
+    /// Whether the machine is where the position says, as far as anybody can know: not after a stop at speed, an underrun,
+    /// a power-up or a sleep with homing on, until it has been homed.
+    pub fn is_trusted(&self) -> bool {
+        self.m.reference.is_trusted()
+    }
+
+    /// Whether stored settings were damaged and have not been confirmed.
+    pub fn is_store_damaged(&self) -> bool {
+        self.m.records.are_damaged()
+    }
+
+    /// The settings that hold.
+    pub fn settings(&self) -> &Settings<N> {
+        &self.m.settings
+    }
+
+    /// What the program has come to, at the end of the lines that were taken.
+    pub fn interpreter(&self) -> &Interpreter<N> {
+        &self.m.interpreter
+    }
+
+    /// Whether the program has paused (M0, or a feed hold) and waits for `~` at rest.
+    pub fn is_paused(&self) -> bool {
+        matches!(self.mode, Mode::Hold) && self.m.motion.is_at_rest()
+    }
+
+    pub(crate) fn dialect(&self) -> Dialect {
+        dialect(&self.m.settings)
+    }
+}
+
+/// What the host is spoken to in.
+pub(crate) fn dialect<const N: usize>(settings: &Settings<N>) -> Dialect {
+    match settings.whole(Key::Dialect) {
+        0 => Dialect::Grbl,
+        2 => Dialect::Seed,
+        _ => Dialect::Oxmill,
+    }
+}

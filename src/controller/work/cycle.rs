@@ -1,0 +1,69 @@
+//! A canned cycle is carried out: one `CycleStep` at a time (rapid, feed, dwell, spindle off or on, pause), so that a
+//! hold, a reset or a report comes between two moves of a peck as between two lines. The cycle itself is in
+//! `gcode/cycle.rs`.
+
+use crate::dispatch::Controller;
+use crate::gcode::{CycleStep, EXTENDED, Motion};
+use crate::messages::SpindleDirection;
+use crate::motion::Speed;
+use crate::protocol::report;
+use crate::settings::Key;
+use crate::states::Mode;
+use crate::units::{Coordinate, Duration};
+use crate::work::task::{Job, Stage};
+
+impl<const N: usize> Controller<N> {
+    /// Does the next step of the line's cycle. What follows; `None` if something has to be waited for.
+    #[inline(never)]
+    pub(crate) fn go_on_cycle(&mut self, job: &mut Job) -> Option<Stage> {
+        if !EXTENDED {
+            return Some(Stage::Flow);
+        }
+        let clearance = Coordinate::from_mm_f32(self.m.settings.value(Key::PeckClearance));
+        let Motion::Cycle(cycle) = &mut self.line.checked.motion else { return Some(Stage::Flow) };
+        let ready = if cycle.next_rests() { self.m.motion.is_idle() } else { self.m.motion.free_blocks() > 0 };
+        if !ready {
+            self.start_queued();
+            return None;
+        }
+        // There is room for a block, so a move is taken.
+        match cycle.step(clearance) {
+            None => return Some(Stage::Flow),
+            Some(CycleStep::Rapid(target)) => {
+                self.queue(&target, Speed::Rapid, job);
+            }
+            Some(CycleStep::Feed(target, feed)) => {
+                self.queue(&target, Speed::Feed(feed), job);
+            }
+            Some(CycleStep::Dwell(time)) => {
+                job.spindle_delay = Duration::from_ticks(0);
+                return Some(self.cycle_waits(time, job));
+            }
+            Some(CycleStep::SpindleOff) => return Some(self.cycle_switches_spindle(SpindleDirection::Off, job)),
+            Some(CycleStep::SpindleOn(direction)) => return Some(self.cycle_switches_spindle(direction, job)),
+            Some(CycleStep::Pause) => {
+                self.say(|out| report::message(out, "Cycle paused, ~ draws the tool back"));
+                self.enter(Mode::Hold);
+                return Some(Stage::CyclePaused);
+            }
+        }
+        Some(Stage::Target)
+    }
+
+    fn cycle_waits(&self, time: Duration, job: &mut Job) -> Stage {
+        if time.is_zero() { Stage::Target } else { job.wait(Stage::Dwell, self.m.now + time) }
+    }
+
+    /// With the delays of M3 to M5.
+    fn cycle_switches_spindle(&mut self, direction: SpindleDirection, job: &mut Job) -> Stage {
+        let delay = self.m.accessories.set_spindle(direction, &self.m.settings);
+        job.spindle_delay = delay;
+        self.m.interpreter.set_accessories(direction, self.m.accessories.coolant());
+        self.m.replies.overrides_changed();
+        if self.m.accessories.must_tell_speed(&self.m.settings) {
+            job.wait(Stage::SpinningUp, self.m.now + delay)
+        } else {
+            self.cycle_waits(delay, job)
+        }
+    }
+}

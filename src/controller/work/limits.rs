@@ -1,0 +1,214 @@
+//! Why a line may not be carried out though it is correct: settings that lock motion or damaged ones, a machine that
+//! needs homing, coordinates out of range, and soft limits, for which every kind of motion (line, arc, spline, cycle
+//! corners) is looked at for points outside the travel. A jog is clipped to the travel. Names the locking setting to
+//! the host. The greatest and least coordinate of the geometry of a curve is its extent on each axis (`leaves_range`).
+
+use crate::axes::{Arrangement, Axis, PerAxis};
+use crate::dispatch::Controller;
+use crate::error::Error;
+use crate::gcode::{self, ArcMove, Dialect, NurbsMove, SPLINES, SplineMove};
+use crate::motion::{ArcGeometry, NurbsGeometry, SplineGeometry, extent};
+use crate::protocol::report;
+use crate::settings::{AxisKey, Key};
+use crate::units::Coordinate;
+
+impl<const N: usize> Controller<N> {
+    /// Why the line may not be carried out though it is correct, if so.
+    pub(crate) fn refuse_line(&mut self) -> Option<Error> {
+        if self.line.checked.motion != gcode::Motion::None
+            && let Some(error) = self.motion_locked()
+        {
+            return Some(error);
+        }
+        if self.line.checked.uses_machine_place && self.needs_homing() {
+            self.say(|out| report::message(out, "Home first: the machine position is not known"));
+            return Some(Error::Locked);
+        }
+        self.leaves_range().then_some(Error::InvalidTarget)
+    }
+
+    /// Whether the motion leads where the controller does not compute any more: an arc bulges beyond its ends, and with
+    /// belts (CoreXY) X and Y add up to the distance of a motor.
+    #[inline]
+    fn leaves_range(&self) -> bool {
+        // The check has looked at the target of a line, and nothing of it is beyond.
+        let is_plain = matches!(self.line.checked.motion, gcode::Motion::None | gcode::Motion::Line { .. });
+        !(is_plain && self.m.settings.arrangement() == Arrangement::Cartesian) && self.bulges_out()
+    }
+
+    #[inline(never)]
+    fn bulges_out(&self) -> bool {
+        let belts = self.m.settings.arrangement() == Arrangement::CoreXy;
+        let outside = |position: &PerAxis<Coordinate, N>| {
+            let sum = match position.0.as_slice() {
+                [x, y, ..] if belts => x.0.saturating_abs().saturating_add(y.0.saturating_abs()),
+                _ => 0,
+            };
+            sum > Coordinate::LIMIT.0 || !position.iter().all(|coordinate| coordinate.in_range())
+        };
+        match &self.line.checked.motion {
+            gcode::Motion::Arc(arc) => {
+                let wide = arc.i.0.unsigned_abs().max(arc.j.0.unsigned_abs()) > Coordinate::LIMIT.0.unsigned_abs() / 8;
+                let near = |position: &PerAxis<Coordinate, N>| {
+                    position
+                        .iter()
+                        .all(|coordinate| coordinate.0.unsigned_abs() < Coordinate::LIMIT.0.unsigned_abs() / 8)
+                };
+                if !wide && near(&arc.start) && near(&arc.target) {
+                    return false;
+                }
+                let (least, greatest) = extent(&geometry(arc));
+                let farthest = least.zip(&greatest, |a, b| Coordinate(a.0.saturating_abs().max(b.0.saturating_abs())));
+                outside(&farthest)
+            }
+            gcode::Motion::Line { via, target, .. } if belts => via.as_ref().is_some_and(outside) || outside(target),
+            gcode::Motion::Probe { target, .. } if belts => outside(target),
+            // The curve lies within its polygon.
+            gcode::Motion::Spline(spline) if SPLINES && belts => spline.corners().iter().any(outside),
+            gcode::Motion::Nurbs(nurbs) if SPLINES && belts => self.nurbs_geometry(nurbs).leaves(outside),
+            gcode::Motion::Cycle(cycle) if belts => cycle.corners().iter().any(outside),
+            _ => false,
+        }
+    }
+
+    /// Lets a jog end where the travel does. An axis that is outside already goes no further out.
+    pub(crate) fn clip_to_travel(&mut self) {
+        if let gcode::Motion::Line { target, .. } = &self.line.checked.motion
+            && self.limits_travel()
+        {
+            let travel = self.m.settings.axes(AxisKey::Travel);
+            let here = self.m.interpreter.position();
+            let mut end = *target;
+            for (axis, end) in Axis::ALL.into_iter().zip(end.iter_mut()) {
+                if let (Some(travel), Some(here)) = (travel.get(axis), here.get(axis))
+                    && axis.has_ends(travel)
+                {
+                    let least = here.min(-Coordinate::from_mm_f32(travel));
+                    *end = (*end).clamp(least, here.max(Coordinate::ZERO));
+                }
+            }
+            self.line.checked.redirect(end);
+        }
+    }
+
+    /// Whether soft limits are in force. Without a true position there is nothing to compare with.
+    pub(crate) fn limits_travel(&self) -> bool {
+        self.m.settings.is_on(Key::SoftLimits) && !self.needs_homing()
+    }
+
+    /// Soft limits (`$20`): whether any part of the line's motion lies outside of the travel.
+    #[inline]
+    pub(crate) fn violates_soft_limits(&self) -> bool {
+        self.limits_travel() && self.leaves_travel()
+    }
+
+    #[inline(never)]
+    fn leaves_travel(&self) -> bool {
+        let outside = |position: &PerAxis<Coordinate, N>| self.is_outside_travel(position);
+        match &self.line.checked.motion {
+            gcode::Motion::None => false,
+            gcode::Motion::Line { via, target, .. } => via.as_ref().is_some_and(outside) || outside(target),
+            gcode::Motion::Arc(arc) => {
+                let (least, greatest) = extent(&geometry(arc));
+                outside(&least) || outside(&greatest)
+            }
+            gcode::Motion::Spline(spline) if SPLINES => {
+                let (least, greatest) = spline_geometry(spline).extent();
+                outside(&least) || outside(&greatest)
+            }
+            gcode::Motion::Nurbs(nurbs) if SPLINES => self.nurbs_geometry(nurbs).leaves(outside),
+            gcode::Motion::Spline(_) | gcode::Motion::Nurbs(_) => false,
+            gcode::Motion::Probe { target, .. } => outside(target),
+            gcode::Motion::Cycle(cycle) => cycle.corners().iter().any(outside),
+        }
+    }
+
+    /// The curve of the control points that the interpreter keeps.
+    fn nurbs_geometry(&self, nurbs: &NurbsMove<N>) -> NurbsGeometry<'_, N> {
+        NurbsGeometry { start: nurbs.start, points: self.m.interpreter.control_points(), order: nurbs.order }
+    }
+
+    /// Whether a place lies outside of the travel.
+    pub(crate) fn is_outside_travel(&self, position: &PerAxis<Coordinate, N>) -> bool {
+        let travel = self.m.settings.axes(AxisKey::Travel);
+        let axes = Axis::ALL.into_iter().take(self.m.settings.axes_in_use());
+        axes.zip(position.iter().zip(travel.iter())).any(|(axis, (place, travel))| {
+            let below = |end: f32| *place < -Coordinate::from_mm_f32(end);
+            let beyond = *place > Coordinate::ZERO || below(*travel) && below(self.reach(axis, *travel));
+            beyond && axis.has_ends(*travel)
+        })
+    }
+
+    /// How far (mm) an axis may be told to go for this travel. Where that is no whole number of steps, a machine that was sent to
+    /// its end is up to half a step beyond it, and other axes must move from there.
+    #[inline(never)]
+    fn reach(&self, axis: Axis, travel: f32) -> f32 {
+        let resolution = self.m.settings.axes(AxisKey::Resolution).get(axis).unwrap_or(0.0);
+        let steps = travel * resolution;
+        // What is whole may be so by its rounding only.
+        let share = if steps as i32 as f32 == steps { 0.02 } else { 0.5 };
+        travel + share / resolution
+    }
+
+    /// The setting that allows no motion at all.
+    #[inline]
+    pub(crate) fn locking_setting(&mut self) -> Option<u16> {
+        self.m.settings_lock.setting(&self.m.settings)
+    }
+
+    /// Whether the settings, or what has become of them, allow no motion at all; then the host has been told why.
+    #[inline]
+    pub(crate) fn motion_locked(&mut self) -> Option<Error> {
+        if self.m.records.are_damaged() {
+            self.tell_damage();
+            return Some(Error::StoreReadFailed);
+        }
+        self.locking_setting()?;
+        if let Some(setting) = self.m.settings_lock.name_at_line() {
+            self.name_locking(setting);
+        }
+        Some(Error::Locked)
+    }
+
+    /// Grbl answers a change with `ok` and nothing else: in its dialect the setting is named at the first move.
+    pub(crate) fn name_after_change(&mut self, changed: u16) {
+        self.locking_setting();
+        if let Some(setting) = self.m.settings_lock.name_after_change(changed)
+            && self.dialect() != Dialect::Grbl
+        {
+            self.name_locking(setting);
+        }
+    }
+
+    #[inline(never)]
+    fn name_locking(&mut self, setting: u16) {
+        self.say(|out| report::message_number(out, "Motion is locked until this setting is mended: $", setting.into()));
+    }
+
+    /// With homing on, what uses machine coordinates waits for a position that is true.
+    fn needs_homing(&self) -> bool {
+        !self.m.reference.is_trusted()
+            && self.dialect() != Dialect::Grbl
+            && self.m.settings.is_on(Key::Homing)
+            && self.m.settings.is_on(Key::TrustNeeded)
+    }
+}
+
+/// The circle of an arc.
+pub(crate) fn geometry<const N: usize>(arc: &ArcMove<N>) -> ArcGeometry<N> {
+    ArcGeometry {
+        start: arc.start,
+        target: arc.target,
+        axis_0: arc.axes.first,
+        axis_1: arc.axes.second,
+        offset_0: arc.i,
+        offset_1: arc.j,
+        clockwise: arc.clockwise,
+        turns: arc.turns,
+    }
+}
+
+/// The curve of a spline.
+pub(crate) fn spline_geometry<const N: usize>(spline: &SplineMove<N>) -> SplineGeometry<N> {
+    SplineGeometry { start: spline.start, target: spline.target, leaving: spline.leaving, arriving: spline.arriving }
+}

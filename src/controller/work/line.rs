@@ -1,0 +1,76 @@
+//! `LineInWork`: the checked line of G-code that is carried out, with the `Curve` (arc, spline, nurbs) whose chords it
+//! has begun, its tool change, and whether single block is on.
+
+use crate::axes::{LINEAR, PerAxis};
+use crate::gcode::Checked;
+use crate::motion::{Arc, ArcGeometry, Curvature, Curve, Nurbs, NurbsGeometry, Spline, SplineGeometry};
+use crate::units::{Coordinate, WeightedPoint};
+use crate::work::tool_change::plan::ToolChange;
+
+/// A checked line, and its curve once that has begun.
+#[derive(Clone, Debug)]
+pub(crate) struct LineInWork<const N: usize> {
+    /// The line. Canned cycles and jogs change it while they are carried out.
+    pub(crate) checked: Checked<N>,
+    curve: Option<Curve<N>>,
+    single_block: bool,
+    /// The tool change of the line, if its tool is measured.
+    change: ToolChange<N>,
+}
+
+impl<const N: usize> LineInWork<N> {
+    /// There is none.
+    pub(crate) const NONE: Self =
+        Self { checked: Checked::NOTHING, curve: None, single_block: false, change: ToolChange::NONE };
+
+    /// Single block: whether the program pauses behind each line that moves, until the operator continues it.
+    pub(crate) fn is_single_block(&self) -> bool {
+        self.single_block
+    }
+
+    /// Switches single block on or off; whether it is on now.
+    pub(crate) fn toggle_single_block(&mut self) -> bool {
+        self.single_block = !self.single_block;
+        self.single_block
+    }
+
+    /// A reset ends single block.
+    pub(crate) fn end_single_block(&mut self) {
+        self.single_block = false;
+    }
+
+    /// Its tool is changed and measured; see [`LineInWork::change`].
+    pub(crate) fn begin_change(&mut self, change: ToolChange<N>) {
+        self.change = change;
+    }
+
+    /// The tool change of the line.
+    pub(crate) fn change(&mut self) -> &mut ToolChange<N> {
+        &mut self.change
+    }
+
+    /// Its arc begins. The length of the chords, mm, and how many times as long that is as their way along X, Y and Z.
+    pub(crate) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, tolerance: f32) -> (f32, f32) {
+        let arc = Arc::new(geometry, tolerance);
+        let lengths = (arc.length(), if N > LINEAR { arc.rotary_stretch() } else { 1.0 });
+        self.curve = Some(Curve::Arc(arc));
+        lengths
+    }
+
+    /// Its spline begins.
+    pub(crate) fn begin_spline(&mut self, geometry: &SplineGeometry<N>, tolerance: f32) {
+        self.curve = Some(Curve::Spline(Spline::new(geometry, tolerance)));
+    }
+
+    /// Its curve of control points begins.
+    pub(crate) fn begin_nurbs(&mut self, geometry: &NurbsGeometry<N>, tolerance: f32) {
+        self.curve = Some(Curve::Nurbs(Nurbs::new(geometry, tolerance)));
+    }
+
+    /// End of the next chord of the curve, and how that bends.
+    pub(crate) fn next_chord(&mut self, points: &[WeightedPoint]) -> Option<(PerAxis<Coordinate, N>, Curvature)> {
+        let curve = self.curve.as_mut()?;
+        let end = curve.next_chord(points)?;
+        Some((end, curve.curvature()))
+    }
+}

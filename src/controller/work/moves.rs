@@ -1,0 +1,145 @@
+//! A target becomes a `Move` in the look-ahead: its speed from the feed, spindle or laser power, digit and tolerance;
+//! `queue` hands it to motion and starts what is queued when there is no room. An arc, spline or nurbs of a line
+//! begins, with the feed of its chords. `begin_arc` and its like take the geometry and control points; the feed is per
+//! minute or inverse time, with the stretch by rotary axes.
+
+use crate::axes::{LINEAR, PerAxis};
+use crate::dispatch::Controller;
+use crate::gcode::{Feed, Motion, NurbsMove, PathControl};
+use crate::machine::spindle::SpindleRange;
+use crate::messages::SpindleDirection;
+use crate::motion::{ArcGeometry, Move, NurbsGeometry, Speed, SplineGeometry, Tolerance};
+use crate::settings::Key;
+use crate::states::Mode;
+use crate::units::Coordinate;
+use crate::work::task::{Job, Stage};
+
+impl<const N: usize> Controller<N> {
+    /// The look-ahead is full, or the line has to wait for its end: what is queued must move.
+    pub(crate) fn start_queued(&mut self) {
+        if !self.m.step_supply.is_running() && !self.m.motion.is_idle() {
+            self.start_motion();
+        }
+    }
+
+    pub(crate) fn queue(&mut self, target: &PerAxis<Coordinate, N>, speed: Speed, job: &Job) -> bool {
+        let mv = self.move_of(target, speed, job.jog);
+        self.queue_move(&mv, job)
+    }
+
+    /// The same with a move that is ready. Whether there was room for it.
+    pub(crate) fn queue_move(&mut self, mv: &Move<N>, job: &Job) -> bool {
+        let taken = self.m.motion.line(mv);
+        if !taken {
+            self.start_queued();
+        } else if job.jog {
+            self.enter(Mode::Jog { cancelling: false });
+            self.start_motion();
+        } else if self.m.motion.has_joined_enough() {
+            self.start_queued();
+        }
+        taken
+    }
+
+    pub(crate) fn move_of(&self, target: &PerAxis<Coordinate, N>, speed: Speed, jog: bool) -> Move<N> {
+        let laser = self.m.settings.is_on(Key::Laser);
+        // A laser burns in feed motions only.
+        let dark = laser && speed == Speed::Rapid;
+        let power = if !self.m.accessories.is_on() || dark {
+            0
+        } else {
+            // The override is applied when its turn comes (`outputs`).
+            SpindleRange::of(&self.m.settings).output(self.line.checked.speed, 100).0
+        };
+        Move {
+            target: *target,
+            speed,
+            power,
+            // M4: the laser's power follows the speed.
+            scale_power: laser && self.m.accessories.spindle() == SpindleDirection::CounterClockwise,
+            line_number: self.line.checked.line_number,
+            no_feed_override: jog,
+            digit: self.line.checked.digit,
+            tolerance: self.tolerance(target, speed),
+        }
+    }
+
+    /// How far a move may be from its path: lines at a feed only, along which nothing turns. Of a piece that cuts off a corner at which
+    /// A turns back, F would say nothing.
+    fn tolerance(&self, target: &PerAxis<Coordinate, N>, speed: Speed) -> Tolerance {
+        let within = match (speed, self.line.checked.motion, self.m.interpreter.modal().path) {
+            (Speed::Feed(_), Motion::Line { .. }, PathControl::Within(tolerance)) => tolerance,
+            _ => return Tolerance::EXACT,
+        };
+        if N > LINEAR && turns(&self.m.motion.planned_position(), target) {
+            return Tolerance::EXACT;
+        }
+        let mm = |units: u32| Coordinate(i64::from(units)).to_mm();
+        Tolerance { path: mm(within.path), merging: mm(within.merging) }
+    }
+
+    pub(crate) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, feed: Feed, job: &mut Job) -> Stage {
+        let (length, stretch) = self.line.begin_arc(geometry, self.m.settings.value(Key::ArcTolerance));
+        job.chord_feed = match feed {
+            // F is along X, Y and Z.
+            Feed::PerMinute(feed) if N > LINEAR => feed * stretch,
+            Feed::PerMinute(feed) => feed,
+            Feed::InverseTime(seconds) => length / seconds,
+            Feed::Rapid => f32::MAX,
+        };
+        Stage::Chords
+    }
+
+    #[inline(never)]
+    pub(crate) fn begin_spline(&mut self, geometry: &SplineGeometry<N>, feed: Feed, job: &mut Job) -> Stage {
+        self.line.begin_spline(geometry, self.m.settings.value(Key::ArcTolerance));
+        job.chord_feed = match feed {
+            Feed::PerMinute(feed) => feed,
+            Feed::InverseTime(seconds) => geometry.length() / seconds,
+            Feed::Rapid => f32::MAX,
+        };
+        Stage::Chords
+    }
+
+    #[inline(never)]
+    pub(crate) fn begin_nurbs(&mut self, nurbs: &NurbsMove<N>, job: &mut Job) -> Stage {
+        let geometry =
+            NurbsGeometry { start: nurbs.start, points: self.m.interpreter.control_points(), order: nurbs.order };
+        self.line.begin_nurbs(&geometry, self.m.settings.value(Key::ArcTolerance));
+        job.chord_feed = match nurbs.feed {
+            Feed::PerMinute(feed) => feed,
+            Feed::InverseTime(seconds) => geometry.length() / seconds,
+            Feed::Rapid => f32::MAX,
+        };
+        Stage::Chords
+    }
+
+    /// The next chord of the curve under way. What follows; `None` if there is no room for it.
+    pub(crate) fn next_chord(&mut self, job: &Job) -> Option<Stage> {
+        if self.m.motion.free_blocks() == 0 {
+            self.start_queued();
+            return None;
+        }
+        let Some((end, curvature)) = self.line.next_chord(self.m.interpreter.control_points()) else {
+            return Some(Stage::Flow);
+        };
+        let mv = self.move_of(&end, Speed::Feed(job.chord_feed), job.jog);
+        // There is room for a block, so the move is taken.
+        self.m.motion.chord(&mv, curvature);
+        Some(Stage::Chords)
+    }
+}
+
+/// Whether a rotary axis moves.
+fn turns<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coordinate, N>) -> bool {
+    from.iter().zip(to.iter()).skip(LINEAR).any(|(from, to)| from != to)
+}
+
+/// The speed that a feed asks for.
+pub(crate) fn speed(feed: Feed) -> Speed {
+    match feed {
+        Feed::Rapid => Speed::Rapid,
+        Feed::PerMinute(speed) => Speed::Feed(speed),
+        Feed::InverseTime(seconds) => Speed::Duration(seconds),
+    }
+}

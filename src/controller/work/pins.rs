@@ -1,0 +1,84 @@
+//! Outputs and inputs of programs (M62 to M68) are carried out: an output is set now or with the next motion's mark if
+//! there is room; M66 waits until an input reads as it should or the longest time is over; a number that the board
+//! lacks is refused.
+
+use crate::dispatch::Controller;
+use crate::gcode::ProgramPins;
+use crate::work::task::{Job, Stage};
+
+impl<const N: usize> Controller<N> {
+    /// Whether the line asks for a pin that the board does not have. None has analog ones.
+    pub(crate) fn lacks_pin(&self) -> bool {
+        let [outputs, inputs] = self.m.settings_lock.program_pins();
+        match self.line.checked.pins() {
+            None => false,
+            Some(ProgramPins::Digital { number, .. }) => number >= u32::from(outputs),
+            Some(ProgramPins::Wait { number, .. }) => number >= u32::from(inputs),
+            Some(ProgramPins::Analog { .. } | ProgramPins::ReadAnalog { .. }) => true,
+        }
+    }
+
+    /// Whether the line can be carried out now: an output that changes with a motion may have to wait until those before it do.
+    #[inline]
+    pub(crate) fn has_room_for_pins(&mut self) -> bool {
+        match self.line.checked.pins() {
+            Some(ProgramPins::Digital { with_motion: true, .. }) => self.has_room_for_change(),
+            _ => true,
+        }
+    }
+
+    #[inline(never)]
+    fn has_room_for_change(&mut self) -> bool {
+        let idle = self.m.motion.is_idle();
+        // The mark stays: whether it can be changed is asked.
+        let can = self.m.accessories.digital().has_room(idle) && self.m.motion.takes_mark();
+        if !can {
+            self.start_queued();
+        }
+        can
+    }
+
+    /// M62 to M65.
+    #[inline(never)]
+    pub(crate) fn change_output(&mut self) {
+        if let Some(ProgramPins::Digital { number, on, with_motion }) = self.line.checked.pins() {
+            if with_motion {
+                let idle = self.m.motion.is_idle();
+                let mark = self.m.accessories.digital_mut().set_with_motion(number, on, idle);
+                self.m.motion.set_mark(mark);
+            } else {
+                self.m.accessories.digital_mut().set(number, on);
+            }
+        }
+    }
+
+    /// Before the dwell of a line: M66, if it has one.
+    pub(crate) fn begin_wait(&self, job: &mut Job) -> Option<Stage> {
+        match self.line.checked.pins() {
+            Some(ProgramPins::Wait { number, longest, .. }) => {
+                job.input_before = self.reads_input(number);
+                Some(job.wait(Stage::Input, self.m.now + longest))
+            }
+            _ => None,
+        }
+    }
+
+    /// Whether an input of the program is active; none that the board does not have.
+    fn reads_input(&self, number: u32) -> bool {
+        u32::from(self.m.inputs.signals().program).checked_shr(number).is_some_and(|levels| levels & 1 != 0)
+    }
+
+    /// Whether M66 has ended.
+    #[inline(never)]
+    pub(crate) fn has_read_input(&mut self, job: &mut Job) -> bool {
+        let Some(ProgramPins::Wait { number, until: wait, .. }) = self.line.checked.pins() else { return true };
+        let now = self.reads_input(number);
+        let is_over = wait.is_over(job.input_before, now);
+        if !is_over && self.m.now < job.until {
+            job.input_before = now;
+            return false;
+        }
+        self.m.interpreter.set_input_read(is_over.then_some(now));
+        true
+    }
+}

@@ -1,0 +1,82 @@
+//! Probe moves carried out: `begin_probe` checks the initial state of the input and queues a move that the step task
+//! ends at a contact; `settle_probe` stops it after braking, `end_probe` reports the touched place or locks with an
+//! alarm. `seek` is a move without overrides.
+
+pub(crate) mod phases;
+
+use crate::axes::PerAxis;
+use crate::dispatch::Controller;
+use crate::error::Alarm;
+use crate::motion::{Move, Speed, Tolerance};
+use crate::protocol::report;
+use crate::states::stops::orders::StopReason;
+use crate::units::Coordinate;
+
+impl<const N: usize> Controller<N> {
+    /// Begins a probe at rest. Whether there is one to wait for; if not, the line is to be answered.
+    #[inline(never)]
+    pub(crate) fn begin_probe(
+        &mut self,
+        target: &PerAxis<Coordinate, N>,
+        speed: Speed,
+        away: bool,
+        line_number: u32,
+    ) -> bool {
+        if self.m.inputs.signals().probe != away {
+            // It would have to change to what it is.
+            self.lock(Alarm::ProbeInitialState);
+            self.m.interpreter.set_position(self.m.motion.machine_position());
+            return false;
+        }
+        self.m.motion.line(&seek(*target, speed, line_number));
+        self.m.probe.begin(away, self.m.motion.braking());
+        self.start_motion();
+        true
+    }
+
+    /// Once the step task has braked it is asked where it is, and opened again.
+    pub(crate) fn settle_probe(&mut self) {
+        if self.m.probe.is_braking() && self.m.step_supply.observed().step_idle && !self.m.stops.is_awaited() {
+            self.m.stops.order(StopReason::Contact);
+        }
+    }
+
+    /// Whether the probe is over, and if so, whether it touched. The rest of its move is forgotten.
+    #[inline(never)]
+    pub(crate) fn take_probe(&mut self, must_touch: bool) -> Option<bool> {
+        let touched = self.m.probe.outcome(self.m.motion.is_idle())?;
+        self.m.motion.discard();
+        self.m.step_supply.end();
+        let here = self.m.motion.machine_position();
+        self.m.interpreter.set_position(here);
+        self.m.probe.finish(touched, must_touch, here);
+        Some(touched)
+    }
+
+    /// Whether the probe is over; then it has been reported.
+    #[inline(never)]
+    pub(crate) fn end_probe(&mut self, must_touch: bool) -> bool {
+        let Some(touched) = self.take_probe(must_touch) else { return false };
+        if !touched && must_touch {
+            self.lock(Alarm::ProbeNoContact);
+        }
+        let ((position, _), form) = (self.m.probe.result(), self.place_form());
+        self.m.interpreter.set_probed(&position, touched);
+        self.say(|out| report::probe(out, &position, touched, form));
+        true
+    }
+}
+
+/// A move that the operator's overrides leave alone.
+pub(crate) fn seek<const N: usize>(target: PerAxis<Coordinate, N>, speed: Speed, line_number: u32) -> Move<N> {
+    Move {
+        target,
+        speed,
+        power: 0,
+        scale_power: false,
+        line_number,
+        no_feed_override: true,
+        digit: 0.0,
+        tolerance: Tolerance::EXACT,
+    }
+}

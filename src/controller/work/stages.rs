@@ -1,0 +1,596 @@
+//! A checked line of G-code is carried out, `Stage` by stage of its `Job`: drain the motion before it, apply modal
+//! state, overrides, spindle and other accessories, store, dwell or delay, check soft limits or clip a jog, begin the
+//! motion or its chords, change the tool, then the program flow (pause, end) and `finish` with the answer. `advance`
+//! does one bounded piece of the [`Task`], with progress or without.
+
+use crate::dispatch::Controller;
+use crate::error::{Alarm, Error};
+use crate::gcode::{self, Flow, Held, HeldLine, PathControl, SPLINES, StoredOffset};
+use crate::machine::realtime_override::Overrides;
+use crate::motion::Speed;
+use crate::protocol::report;
+use crate::settings::Key;
+use crate::states::Mode;
+use crate::units::Duration;
+use crate::view::dialect;
+use crate::work::limits::{geometry, spline_geometry};
+use crate::work::moves::speed;
+use crate::work::task::{Answer, Caller, Job, Stage, Task};
+
+impl<const N: usize> Controller<N> {
+    /// The checked line begins. Jogs have been allowed by the caller.
+    ///
+    /// Nothing is done here: the line is kept as [`Task::Job`], and its path continues in [`Controller::output`], which
+    /// calls [`Controller::advance`] when nothing more urgent is due.
+    pub(crate) fn begin(&mut self, answer: Answer, jog: bool) {
+        let checked = &self.line.checked;
+        let checking = matches!(self.mode, Mode::Check);
+        let stops_before = !jog && self.m.interpreter.modal().path == PathControl::ExactStop && self.ends_line_before();
+        let drain = !checking && (stops_before || !checked.moves_only() && self.acts_at_rest());
+        let stage = if drain { Stage::Drain } else { Stage::Apply };
+        self.task = Task::Job(Job::new(answer, stage, jog));
+    }
+
+    /// Whether the line has something to do for which the machine has to be at rest.
+    fn acts_at_rest(&self) -> bool {
+        let checked = &self.line.checked;
+        checked.spindle.is_some()
+            || checked.coolant.is_some()
+            || checked.dwell.is_some()
+            || checked.work_offset_changed
+            || checked.store.is_some()
+            || checked.tool_change && self.prompts_for_tools()
+            || matches!(checked.motion, gcode::Motion::Probe { .. })
+            || matches!(checked.pins(), Some(gcode::ProgramPins::Wait { .. }))
+            || checked.modal().overrides_held != self.m.interpreter.modal().overrides_held
+            || self.speed_needs_rest()
+            || self.starts_to_turn()
+    }
+
+    /// Whether a line comes before which G61.1, in force for the one before it, brings the machine to rest.
+    fn ends_line_before(&self) -> bool {
+        let checked = &self.line.checked;
+        checked.motion != gcode::Motion::None || checked.modal().path != PathControl::ExactStop
+    }
+
+    /// S rides with the motion. Only a laser without a motion to ride with changes its power at rest.
+    fn speed_needs_rest(&self) -> bool {
+        self.m.settings.is_on(Key::Laser) && self.shows_speed()
+    }
+
+    /// Whether S makes a spindle turn that M3 or M4 has switched on with S0, and motion has to wait for it.
+    fn starts_to_turn(&self) -> bool {
+        let (checked, settings) = (&self.line.checked, &self.m.settings);
+        checked.speed_changed
+            && checked.spindle.is_none()
+            && self.m.accessories.is_on_without_speed()
+            && (settings.is_on(Key::SpinUp) || self.m.accessories.must_tell_speed(settings))
+            && !settings.is_on(Key::Laser)
+    }
+
+    /// Whether the next report shows the accessories because of S.
+    fn shows_speed(&self) -> bool {
+        self.line.checked.speed_changed
+            && self.m.accessories.is_on()
+            && !(self.m.settings.is_on(Key::Laser) && self.line.checked.motion != gcode::Motion::None)
+    }
+
+    /// Whether the controller is in the middle of something. Asked before each segment: no call for nothing.
+    #[inline]
+    pub(crate) fn may_advance(&self) -> bool {
+        match &self.task {
+            Task::None => matches!(self.mode, Mode::Home(_)),
+            Task::Job(job) => !self.waits_for_room(job.stage),
+            _ => true,
+        }
+    }
+
+    /// Whether the line has found the look-ahead full of what moves: there is nothing to do but to wait.
+    #[inline]
+    fn waits_for_room(&self, stage: Stage) -> bool {
+        let moves = match stage {
+            Stage::Target => matches!(self.line.checked.motion, gcode::Motion::Line { .. }),
+            Stage::Chords => true,
+            _ => false,
+        };
+        moves
+            && self.m.motion.free_blocks() == 0
+            && self.m.step_supply.is_running()
+            && !matches!(self.mode, Mode::Check)
+            && !self.m.stops.has_order()
+    }
+
+    /// Does one bounded piece of what the controller is in the middle of. Whether something was done.
+    #[inline(never)]
+    pub(crate) fn advance(&mut self) -> bool {
+        if let Task::Job(job) = self.task {
+            return !self.m.stops.is_awaited() && !self.mode.is_suspended() && self.advance_job(job);
+        }
+        let progressed = self.advance_task();
+        if progressed {
+            self.m.pins.disturb();
+        }
+        progressed
+    }
+
+    /// A line of G-code. Outputs and all that waits stay as they are where it only moves.
+    fn advance_job(&mut self, mut job: Job) -> bool {
+        self.task = Task::None;
+        let progressed = self.advance_line(&mut job);
+        let only_moved = self.line.checked.moves_only()
+            && !job.jog
+            && matches!(self.mode, Mode::Normal)
+            && matches!(job.answer, Answer::Host | Answer::Held(_));
+        // A stop that it has ordered goes out at once: nothing else would wake the pump for it.
+        let ordered = self.m.stops.has_order();
+        if ordered || progressed && !only_moved {
+            self.m.pins.disturb();
+        }
+        match job.stage {
+            Stage::Done if progressed => self.finish(job.answer),
+            _ => self.task = Task::Job(job),
+        }
+        progressed || ordered
+    }
+
+    /// The same for all that is no such line.
+    #[inline(never)]
+    fn advance_task(&mut self) -> bool {
+        if self.m.stops.is_awaited() {
+            return false;
+        }
+        match self.task {
+            Task::None => {
+                let Mode::Home(homing) = &mut self.mode else { return false };
+                let next = homing.advance(&mut self.m);
+                return self.follow(next);
+            }
+            Task::Listing(listing, line) => return self.advance_listing(listing, line),
+            _ if self.mode.is_suspended() => return false,
+            Task::Startup(index, then) if self.m.inputs.are_known() => {
+                self.task = Task::None;
+                self.run_startup_line(index, then);
+            }
+            // Each line may have something to say.
+            Task::Held(caller) if self.m.replies.has_room() => {
+                self.task = Task::None;
+                self.run_held_line(caller);
+            }
+            Task::SoftLimit(_) if self.m.motion.is_at_rest() => self.alarm_at_soft_limit(),
+            Task::Storing(answer) if self.m.records.are_stored() => self.finish(answer),
+            Task::Startup(..)
+            | Task::Held(_)
+            | Task::SoftLimit(_)
+            | Task::Storing(_)
+            | Task::JogWaits
+            | Task::Job(_) => return false,
+        }
+        true
+    }
+
+    fn alarm_at_soft_limit(&mut self) {
+        self.m.motion.discard();
+        self.m.interpreter.set_position(self.m.motion.machine_position());
+        self.m.step_supply.end();
+        self.m.accessories.switch_off();
+        self.tell_alarm(Alarm::SoftLimit);
+        self.say(|out| report::message(out, "Reset to continue"));
+        self.enter(Mode::Critical(Alarm::SoftLimit));
+    }
+
+    /// Continues until something has to be waited for or put out first.
+    #[inline]
+    fn advance_line(&mut self, job: &mut Job) -> bool {
+        let checking = matches!(self.mode, Mode::Check);
+        let mut progressed = false;
+        loop {
+            // The stages of a line that only moves; nearly all lines have no others. What they do is neither shown nor waited for.
+            let next = match job.stage {
+                // There is nothing to wait for but a record of a line before.
+                Stage::Apply if self.line.checked.moves_only() && self.m.records.are_stored() => {
+                    self.m.interpreter.commit(&self.line.checked);
+                    // A stop may have left another one.
+                    self.m.accessories.set_speed(self.line.checked.speed);
+                    job.stage = Stage::Target;
+                    progressed = true;
+                    continue;
+                }
+                Stage::Target if !checking => self.begin_motion(job),
+                Stage::Flow if self.line.checked.flow == Flow::None && !self.line.is_single_block() => {
+                    job.stage = Stage::Done;
+                    return true;
+                }
+                Stage::Done => return true,
+                _ => self.advance_stage(job, checking),
+            };
+            let Some(next) = next else { break };
+            progressed = true;
+            let shown_first = self.is_shown_before(job.stage, next);
+            job.stage = next;
+            if shown_first || self.mode.is_suspended() || self.m.stops.is_awaited() {
+                break;
+            }
+        }
+        progressed
+    }
+
+    /// All other stages. What follows; `None` if something has to be waited for.
+    // By itself, or each line that moves would pay for what they need.
+    #[inline(never)]
+    fn advance_stage(&mut self, job: &mut Job, checking: bool) -> Option<Stage> {
+        match job.stage {
+            Stage::Drain if self.m.motion.is_idle() => Some(self.begin_tool_change(job)),
+            Stage::ToolChange => Some(Stage::Apply),
+            Stage::SpinningDown => (self.m.now >= job.until).then(|| self.leave_for_tool()),
+            Stage::Measuring => self.advance_tool_change(),
+            Stage::Drain => {
+                self.start_queued();
+                None
+            }
+            Stage::Apply if !self.has_room_for_pins() => None,
+            Stage::Apply => {
+                job.spindle_delay = self.apply(checking);
+                Some(Stage::Storing)
+            }
+            Stage::Storing if !self.m.records.are_stored() => None,
+            Stage::Storing => Some(self.begin_waiting(job, checking)),
+            Stage::Input => self.has_read_input(job).then(|| self.begin_dwell(job, false)),
+            Stage::Dwell => (self.m.now >= job.until).then_some(Stage::Via),
+            Stage::SpinningUp => self.has_spun_up(job.until).then_some(Stage::Via),
+            Stage::Via => match self.line.checked.motion {
+                gcode::Motion::Line { via: Some(via), .. } if !checking => {
+                    self.queue(&via, Speed::Rapid, job).then_some(Stage::Target)
+                }
+                _ => Some(Stage::Target),
+            },
+            Stage::Target => Some(self.check_target()),
+            Stage::Chords => self.next_chord(job),
+            Stage::Probing => {
+                let must_touch = matches!(self.line.checked.motion, gcode::Motion::Probe { alarm: true, .. });
+                // A failed probe has locked the machine: no M0 may open it again.
+                self.end_probe(must_touch).then_some(if self.mode.is_alarm() { Stage::Done } else { Stage::Flow })
+            }
+            Stage::Flow => self.flow(job, checking),
+            Stage::Paused => Some(Stage::Done),
+            Stage::CyclePaused => Some(Stage::Target),
+            Stage::DwellSuspended | Stage::InputSuspended => None,
+            Stage::Done => Some(Stage::Done),
+        }
+    }
+
+    /// Whether what a stage has done is put out, and seen by the host, before the next begins.
+    #[inline]
+    fn is_shown_before(&self, stage: Stage, next: Stage) -> bool {
+        match stage {
+            Stage::Apply => self.line.checked.changes_outputs(),
+            Stage::Via => matches!(self.line.checked.motion, gcode::Motion::Line { via: Some(_), .. }),
+            Stage::Target => matches!(self.line.checked.motion, gcode::Motion::Cycle(_)),
+            // One chord a call.
+            Stage::Chords => next == Stage::Chords,
+            Stage::Drain | Stage::Probing | Stage::Measuring => true,
+            _ => false,
+        }
+    }
+
+    /// The motion of a line that is only checked.
+    fn check_target(&mut self) -> Stage {
+        if matches!(self.line.checked.motion, gcode::Motion::Probe { .. }) {
+            // Taken to touch at its target, where the program continues from.
+            let target = *self.m.interpreter.position();
+            self.m.interpreter.set_probed(&target, true);
+        }
+        Stage::Flow
+    }
+
+    /// M66, then what [`Controller::begin_dwell`] waits for.
+    fn begin_waiting(&self, job: &mut Job, checking: bool) -> Stage {
+        let input = if checking { None } else { self.begin_wait(job) };
+        input.unwrap_or_else(|| self.begin_dwell(job, checking))
+    }
+
+    /// G4 and the time of the spindle, if there is any to wait for.
+    fn begin_dwell(&self, job: &mut Job, checking: bool) -> Stage {
+        let dwell = self.line.checked.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
+        let wait = dwell + job.spindle_delay;
+        let switched = self.line.checked.spindle.is_some() || !job.spindle_delay.is_zero();
+        if switched && self.m.accessories.must_tell_speed(&self.m.settings) && !checking {
+            job.wait(Stage::SpinningUp, self.m.now + wait)
+        } else if wait.is_zero() {
+            Stage::Via
+        } else {
+            job.wait(Stage::Dwell, self.m.now + wait)
+        }
+    }
+
+    /// The motion of the line. What follows; `None` if something has to be waited for.
+    #[inline]
+    fn begin_motion(&mut self, job: &mut Job) -> Option<Stage> {
+        self.m.accessories.digital_mut().motion_follows();
+        match self.line.checked.motion {
+            gcode::Motion::Line { ref target, feed, .. } => {
+                let mv = self.move_of(target, speed(feed), job.jog);
+                self.queue_move(&mv, job).then_some(Stage::Flow)
+            }
+            _ => self.begin_other_motion(job),
+        }
+    }
+
+    /// The motion of a line that is not straight.
+    #[inline(never)]
+    fn begin_other_motion(&mut self, job: &mut Job) -> Option<Stage> {
+        match self.line.checked.motion {
+            gcode::Motion::Arc(ref arc) => {
+                let (geometry, feed) = (geometry(arc), arc.feed);
+                Some(self.begin_arc(&geometry, feed, job))
+            }
+            gcode::Motion::Spline(ref spline) if SPLINES => {
+                let (geometry, feed) = (spline_geometry(spline), spline.feed);
+                Some(self.begin_spline(&geometry, feed, job))
+            }
+            gcode::Motion::Nurbs(nurbs) if SPLINES => Some(self.begin_nurbs(&nurbs, job)),
+            gcode::Motion::Probe { target, feed, away, .. } => {
+                let begun = self.begin_probe(&target, speed(feed), away, self.line.checked.line_number);
+                Some(if begun { Stage::Probing } else { Stage::Done })
+            }
+            gcode::Motion::Cycle(_) => self.go_on_cycle(job),
+            gcode::Motion::None | gcode::Motion::Line { .. } | gcode::Motion::Spline(_) | gcode::Motion::Nurbs(_) => {
+                Some(Stage::Flow)
+            }
+        }
+    }
+
+    /// Takes the line's modal state over and sets what does not move. How long the spindle then takes.
+    fn apply(&mut self, checking: bool) -> Duration {
+        let dialect = self.dialect();
+        let checked = &self.line.checked;
+        let mut delay = Duration::from_ticks(0);
+        let before = checked.work_offset_changed.then(|| self.m.interpreter.work_zero(dialect));
+        let held = self.m.interpreter.modal().overrides_held;
+        let freed = checked.removes_tool().and_then(|number| self.m.interpreter.tools().find(number));
+        self.m.interpreter.commit(checked);
+        if before.is_some_and(|before| self.m.interpreter.work_zero(dialect) != before) {
+            self.m.replies.offset_changed();
+        }
+        match (checked.store, freed) {
+            // Grbl stores coordinate systems also of programs that it only checks; it has no tools.
+            (Some(StoredOffset::Tool(_)), _) if checking => {}
+            (_, Some(slot)) => self.m.records.remove_tool(slot),
+            (Some(offset), None) => self.m.records.save_offset(offset, &self.m.interpreter),
+            (None, None) => {}
+        }
+        if checking {
+            self.check_tool_change();
+            return delay;
+        }
+        if self.line.checked.pins().is_some() {
+            self.change_output();
+        }
+        if self.m.interpreter.modal().overrides_held != held {
+            self.apply_overrides();
+        }
+        if self.starts_to_turn() {
+            // None to wait for would be no spindle to look at.
+            delay = self.m.settings.seconds(Key::SpinUp).max(Duration::from_ticks(1));
+        }
+        self.m.accessories.set_speed(self.line.checked.speed);
+        if self.shows_speed() {
+            self.m.replies.overrides_changed();
+        }
+        if let Some(spindle) = self.line.checked.spindle {
+            delay = self.m.accessories.set_spindle(spindle, &self.m.settings);
+            self.m.replies.overrides_changed();
+        }
+        if let Some(coolant) = self.line.checked.coolant {
+            self.m.accessories.set_coolant(coolant);
+            self.m.replies.overrides_changed();
+        }
+        delay
+    }
+
+    /// Whether the program pauses behind the line: for M0, for M1 if that is wanted (Grbl's dialect ignores it), and in single
+    /// block behind each line that moves. Startup lines and jogs are no part of the program.
+    fn pauses_behind(&self, job: &Job) -> bool {
+        let single_block = || {
+            self.line.is_single_block()
+                && !job.jog
+                && matches!(job.answer, Answer::Host | Answer::Held(Caller::Host))
+                && self.line.checked.motion != gcode::Motion::None
+        };
+        match self.line.checked.flow {
+            Flow::Pause => true,
+            Flow::OptionalPause
+                if self.m.settings.is_on(Key::OptionalStop) && self.dialect() != gcode::Dialect::Grbl =>
+            {
+                true
+            }
+            Flow::None | Flow::OptionalPause => single_block(),
+            Flow::End => false,
+        }
+    }
+
+    /// Program pause and end: both wait for the end of motion.
+    fn flow(&mut self, job: &Job, checking: bool) -> Option<Stage> {
+        let pauses = self.pauses_behind(job);
+        match self.line.checked.flow {
+            Flow::None | Flow::Pause | Flow::OptionalPause if !pauses || checking => Some(Stage::Done),
+            _ if !self.m.motion.is_idle() => {
+                self.start_queued();
+                None
+            }
+            Flow::None | Flow::Pause | Flow::OptionalPause => {
+                self.enter(Mode::Hold);
+                self.darken_laser();
+                Some(Stage::Paused)
+            }
+            Flow::End => {
+                self.m.replies.offset_changed();
+                if !checking {
+                    self.forget_waiting_outputs();
+                    // The operator may have switched the coolant since the line took both off in the program's state.
+                    self.switch_off();
+                    self.m.accessories.set_overrides(Overrides::NONE);
+                    self.m.motion.set_overrides(1.0, 1.0);
+                    self.m.replies.overrides_changed();
+                }
+                self.say(|out| report::message(out, "Pgm End"));
+                Some(Stage::Done)
+            }
+        }
+    }
+
+    /// Answers a line that has been carried out.
+    pub(crate) fn finish(&mut self, answer: Answer) {
+        self.task = Task::None;
+        match answer {
+            Answer::Host => self.say_ok(),
+            Answer::Held(caller) => self.task = Task::Held(caller),
+            Answer::Startup(index, host_waits) => {
+                self.echo_startup_line(index);
+                self.say_ok();
+                self.begin_startup_line(index + 1, host_waits);
+            }
+            Answer::Validation(index) => {
+                self.m.records.save_validated(index);
+                self.task = Task::Storing(Answer::Host);
+            }
+            Answer::Setting(number) => {
+                self.say_ok();
+                self.name_after_change(number);
+            }
+            Answer::Restart => {
+                self.say_ok();
+                self.initialise();
+            }
+        }
+    }
+
+    pub(crate) fn gcode(&mut self, line: &[u8], answer: Answer) -> Result<(), Error> {
+        self.m.interpreter.check_into(line, dialect(&self.m.settings), &mut self.line.checked)?;
+        self.begin_checked(answer)
+    }
+
+    /// A line that has been checked begins, unless the machine has something against it.
+    pub(crate) fn begin_checked(&mut self, answer: Answer) -> Result<(), Error> {
+        if let Some(error) = self.refuse_line() {
+            return Err(error);
+        }
+        if self.line.checked.needs_machine() {
+            self.allow_change_and_pins()?;
+        }
+        if self.violates_soft_limits() {
+            self.m.motion.hold();
+            self.task = Task::SoftLimit(answer);
+        } else {
+            self.begin(answer, false);
+        }
+        Ok(())
+    }
+
+    /// A tool change and pins of the program, as far as programs cannot know whether the machine is ready for them.
+    #[inline(never)]
+    fn allow_change_and_pins(&mut self) -> Result<(), Error> {
+        if self.lacks_pin() {
+            return Err(Error::NoSuchPin);
+        }
+        let refused = self.line.checked.tool_change && self.measures_tools();
+        refused.then(|| self.refuse_tool_change()).flatten().map_or(Ok(()), Err)
+    }
+
+    pub(crate) fn jog(&mut self, line: &[u8]) -> Result<(), Error> {
+        self.m.interpreter.check_jog_into(line, dialect(&self.m.settings), &mut self.line.checked)?;
+        if self.m.lines.is_jog_stale() || matches!(self.mode, Mode::Jog { cancelling: true }) {
+            // Sent before the cancel: it shall not move any more.
+            self.say_ok();
+            return Ok(());
+        }
+        let clipped = self.m.settings.is_on(Key::JogClip);
+        if clipped {
+            self.clip_to_travel();
+        }
+        if let Some(error) = self.refuse_line() {
+            return Err(error);
+        }
+        if !clipped && self.violates_soft_limits() {
+            return Err(Error::JogOutsideTravel);
+        }
+        self.begin(Answer::Host, true);
+        Ok(())
+    }
+
+    /// The next line of held text. An error ends all of it, and is the answer to the line that it was called by.
+    #[inline(never)]
+    fn run_held_line(&mut self, caller: Caller) {
+        let mut line = HeldLine::new();
+        let next = self.m.interpreter.next_held(&mut line);
+        let (words, remark) = gcode::split_remark(&line);
+        let carried_out = match next {
+            Ok(Held::Line) if !words.is_empty() => self.gcode(words, Answer::Held(caller)),
+            Ok(Held::Line | Held::Again) => {
+                self.task = Task::Held(caller);
+                Ok(())
+            }
+            Ok(Held::End) => Ok(()),
+            Err(error) => Err(error),
+        };
+        match carried_out {
+            Ok(()) => self.tell_remark(remark),
+            Err(error) => {
+                self.m.interpreter.abandon_held();
+                if let Caller::Startup(index, _) = caller {
+                    self.echo_startup_line(index);
+                }
+                self.refuse(error);
+                match caller {
+                    Caller::Host => self.stop_at_error(),
+                    Caller::Startup(index, host_waits) => self.begin_startup_line(index + 1, host_waits),
+                    Caller::Validation(_) => {}
+                }
+            }
+        }
+        if next == Ok(Held::End) {
+            self.finish(caller.answer());
+        }
+    }
+
+    fn begin_startup_line(&mut self, index: usize, host_waits: bool) {
+        self.task = Task::Startup(index, host_waits.then_some(Answer::Host));
+    }
+
+    /// A startup line. One that calls a subroutine is over when that is.
+    pub(crate) fn startup_line(&mut self, line: &[u8], caller: Caller) -> Result<(), Error> {
+        if self.dialect() != gcode::Dialect::Grbl && self.m.interpreter.begin_call(line)? {
+            self.task = Task::Held(caller);
+            return Ok(());
+        }
+        self.gcode(line, caller.answer())
+    }
+
+    #[inline(never)]
+    fn run_startup_line(&mut self, index: usize, then: Option<Answer>) {
+        let line = if self.mode.is_alarm() { None } else { self.m.records.startup_line(index).cloned() };
+        let Some(line) = line else {
+            if let Some(answer) = then {
+                self.finish(answer);
+            }
+            return;
+        };
+        if !line.is_empty() {
+            match self.startup_line(&line, Caller::Startup(index, then.is_some())) {
+                Ok(()) => return,
+                Err(error) => {
+                    self.echo_startup_line(index);
+                    self.refuse(error);
+                }
+            }
+        }
+        self.task = Task::Startup(index + 1, then);
+    }
+
+    /// The line of the answer that is said next. What the startup line itself has said, and reports meanwhile, come before
+    /// it on lines of their own.
+    fn echo_startup_line(&mut self, index: usize) {
+        if let Some(line) = self.m.records.startup_line(index).cloned() {
+            self.say(|out| report::startup_echo(out, &line));
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! M6 carried out: the spindle stops, the host is prompted, and the program waits until somebody has put the tool in;
+//! with `$918=2` a `ChangePlan` is made from G30, G59.3 and the settings, refused if it cannot be followed, and each
+//! `ChangeOrder` of `machine/tool_change.rs` becomes a move or a probe; then the tool returns to the work. The tool
+//! setter's place and rates come from settings (`Key`); the spindle's direction and the accessories are set again after
+//! it.
+
+pub(crate) mod plan;
+
+use crate::axes::Axis;
+use crate::dispatch::Controller;
+use crate::error::{Alarm, Error};
+use crate::gcode::CoordinateSystem;
+use crate::gcode::{EXTENDED, Feed, Motion, StoredOffset};
+use crate::messages::{Coolant, SpindleDirection};
+use crate::motion::Speed;
+use crate::protocol::report;
+use crate::settings::Key;
+use crate::states::Mode;
+use crate::units::{Coordinate, per_second};
+use crate::work::probe::seek;
+use crate::work::task::{Job, Stage};
+use crate::work::tool_change::plan::{ChangeOrder, ChangePlan, ToolChange};
+
+impl<const N: usize> Controller<N> {
+    /// Whether M6 stops (`$918`).
+    pub(crate) fn prompts_for_tools(&self) -> bool {
+        EXTENDED && self.m.settings.is_on(Key::ToolChange)
+    }
+
+    /// Whether a tool setter measures what M6 has put into the spindle (`$918=2`).
+    pub(crate) fn measures_tools(&self) -> bool {
+        EXTENDED && self.m.settings.whole(Key::ToolChange) == 2
+    }
+
+    /// At rest before the rest of the line: if it asks for another tool, the spindle stops and the program waits for `~`.
+    #[inline(never)]
+    pub(crate) fn begin_tool_change(&mut self, job: &mut Job) -> Stage {
+        if !(self.line.checked.tool_change && self.prompts_for_tools()) {
+            return Stage::Apply;
+        }
+        if self.measures_tools() {
+            return self.stop_for_tool(job);
+        }
+        self.line.checked.spindle_stopped_for_tool();
+        self.m.accessories.stop_spindle();
+        self.m.interpreter.set_accessories(SpindleDirection::Off, self.m.accessories.coolant());
+        self.m.replies.overrides_changed();
+        self.prompt();
+        Stage::ToolChange
+    }
+
+    /// What a tool change that is only checked makes of the program's state, which has been taken over from its line.
+    pub(crate) fn check_tool_change(&mut self) {
+        if !(self.line.checked.tool_change && self.prompts_for_tools()) {
+            return;
+        }
+        if self.measures_tools() {
+            if self.line.checked.spindle_tool() != 0 {
+                self.m.interpreter.assume_measured();
+            }
+        } else {
+            self.line.checked.spindle_stopped_for_tool();
+            let modal = *self.line.checked.modal();
+            self.m.interpreter.set_accessories(modal.spindle, modal.coolant);
+        }
+    }
+
+    fn prompt(&mut self) {
+        let tool = self.line.checked.spindle_tool();
+        self.say(|out| report::message_number(out, "Tool change T", tool));
+        self.wait_for_operator();
+    }
+
+    /// Until `~`. Whoever pulls at the spindle does not move the axes: the drivers are on.
+    fn wait_for_operator(&mut self) {
+        self.m.drivers.switch_on();
+        self.enter(Mode::Hold);
+    }
+
+    /// Why the tool cannot be changed and measured, before anything moves.
+    #[inline(never)]
+    pub(crate) fn refuse_tool_change(&mut self) -> Option<Error> {
+        if !self.line.checked.is_tool_change_alone() || self.line.checked.motion != Motion::None {
+            return Some(Error::ToolChangeNotAlone);
+        }
+        if !self.m.reference.is_trusted() || !self.m.settings.is_on(Key::Homing) {
+            return Some(Error::ToolChangeNeedsHoming);
+        }
+        if let Some(error) = self.motion_locked() {
+            return Some(error);
+        }
+        let plan = self.plan_tool_change();
+        let outside = self.limits_travel() && plan.corners().iter().any(|corner| self.is_outside_travel(corner));
+        let rates = [Key::ToolSetterSeek, Key::ToolSetterLocate, Key::ParkingPullOutRate];
+        let crawls = rates.iter().any(|rate| self.m.settings.crawls(*rate));
+        (!plan.is_set_up() || outside || crawls).then_some(Error::ToolSetterNotSetUp)
+    }
+
+    fn plan_tool_change(&self) -> ChangePlan<N> {
+        let (offsets, settings) = (self.m.interpreter.offsets(), &self.m.settings);
+        ChangePlan {
+            left: *self.m.interpreter.position(),
+            change: offsets.stored(StoredOffset::G30),
+            setter: offsets.system(CoordinateSystem::G59_3),
+            depth: Coordinate::from_mm_f32(settings.value(Key::ToolSetterDepth)),
+            seek_rate: per_second(settings.value(Key::ToolSetterSeek)),
+            locate_rate: per_second(settings.value(Key::ToolSetterLocate)),
+            measures: self.line.checked.spindle_tool() != 0,
+        }
+    }
+
+    /// Spindle and coolant off. The program has them on again when the new tool is over the work.
+    fn stop_for_tool(&mut self, job: &mut Job) -> Stage {
+        let delay = self.m.accessories.set_spindle(SpindleDirection::Off, &self.m.settings);
+        self.m.accessories.switch_off();
+        self.m.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
+        self.m.replies.overrides_changed();
+        job.wait(Stage::SpinningDown, self.m.now + delay)
+    }
+
+    /// The spindle has come to rest: the tool leaves the work.
+    pub(crate) fn leave_for_tool(&mut self) -> Stage {
+        self.line.begin_change(ToolChange::new(self.plan_tool_change()));
+        let order = self.line.change().begin();
+        self.carry_out_change(order)
+    }
+
+    /// What follows when the last order has ended; `None` until then.
+    #[inline(never)]
+    pub(crate) fn advance_tool_change(&mut self) -> Option<Stage> {
+        let touched = match self.line.change().is_probing() {
+            true => self.take_probe(true)?,
+            false if !self.m.motion.is_idle() => {
+                self.start_queued();
+                return None;
+            }
+            false => false,
+        };
+        let place = touched.then(|| self.m.probe.result().0);
+        let order = self.line.change().next(place);
+        Some(self.carry_out_change(order))
+    }
+
+    fn carry_out_change(&mut self, order: ChangeOrder<N>) -> Stage {
+        match order {
+            ChangeOrder::Rapid(target) => {
+                self.m.motion.line(&seek(target, Speed::Rapid, self.line.checked.line_number));
+                self.start_motion();
+            }
+            ChangeOrder::Move(target, rate) => {
+                self.m.motion.line(&seek(target, Speed::Feed(rate), self.line.checked.line_number));
+                self.start_motion();
+            }
+            ChangeOrder::Probe(target, rate) => {
+                if !self.begin_probe(&target, Speed::Feed(rate), false, self.line.checked.line_number) {
+                    return Stage::Done;
+                }
+            }
+            ChangeOrder::Prompt => {
+                self.m.interpreter.tool_removed();
+                self.prompt();
+            }
+            ChangeOrder::Measured(place) => {
+                if self.m.interpreter.tool_measured(self.line.checked.spindle_tool(), place) {
+                    self.line.change().is_first_tool();
+                }
+                self.m.replies.offset_changed();
+            }
+            ChangeOrder::Confirm => {
+                self.say(|out| report::message(out, "First tool measured: is the work zero set with it?"));
+                self.wait_for_operator();
+            }
+            ChangeOrder::Done => return self.return_to_work(),
+            ChangeOrder::Failed(alarm) => return self.fail_tool_change(alarm),
+        }
+        Stage::Measuring
+    }
+
+    /// Over the work: spindle and coolant come back with the rest of the line, whose motion is the way down.
+    fn return_to_work(&mut self) -> Stage {
+        let length = self.m.interpreter.offsets().tool_length;
+        let longer = length.zip(&self.line.checked.tool_length(), |new, old| new - old);
+        let longer = longer.get(Axis::Z).unwrap_or(Coordinate::ZERO);
+        let clear = Coordinate::from_mm_f32(self.m.settings.value(Key::ParkingPullOut));
+        let way = self.line.change().way_back(longer, clear);
+        let outside = way.iter().any(|place| !place.iter().all(|coordinate| coordinate.in_range()));
+        if outside || self.limits_travel() && way.iter().any(|place| self.is_outside_travel(place)) {
+            return self.fail_tool_change(Alarm::SoftLimit);
+        }
+        // A laser is dark in rapids only.
+        let rate = per_second(self.m.settings.value(Key::ParkingPullOutRate));
+        let feed = if self.m.settings.is_on(Key::Laser) { Feed::Rapid } else { Feed::PerMinute(rate) };
+        self.line.checked.return_with_tool(way, feed, length);
+        Stage::Apply
+    }
+
+    /// The machine is locked where it is; its position stays true.
+    fn fail_tool_change(&mut self, alarm: Alarm) -> Stage {
+        self.m.interpreter.set_position(self.m.motion.machine_position());
+        self.lock(alarm);
+        Stage::Done
+    }
+}

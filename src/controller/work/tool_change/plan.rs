@@ -1,0 +1,340 @@
+//! `ToolChange` with a tool setter (`$918=2`), phase by phase: retract, to the place of change, prompt, seek and locate
+//! at the setter, lift, back to the work. `ChangePlan` has the places, height, depth and rates, and whether it is the
+//! first tool (`is_first_tool`). It moves nothing itself: it gives an [`ChangeOrder`] and is told how that ended.
+//!
+//! ```text
+//!  height   retract ──▶ to G30 ──▶ prompt ~ ──▶ to the setter       lift ──▶ back ──▶ (spindle on)
+//!              ▲                                   │ seek  ▲ pull off ▲         │
+//!              │                                   ▼ ──────┘    │     │         ▼ to the same work place
+//!  setter    left                                contact        └─ locate
+//! ```
+//! All ways between places lie at one height: that of G30, or the one that the tool has if it is higher. Below it nothing but a
+//! probing move goes down, to `$342` below G30 at most, until the tool has been measured. No tool (T0) is not measured. The first tool that is
+//! measured has nothing to be compared with: where its tip would come to is not known, so it stays up and waits for the operator.
+
+use crate::axes::{Axis, PerAxis};
+use crate::error::Alarm;
+use crate::units::Coordinate;
+
+/// The axis along which a tool is measured.
+const ALONG: Axis = Axis::Z;
+/// How far the tool is pulled off the setter between the two passes, mm. Setters give by some 5 mm.
+const PULL_OFF: i32 = 2;
+
+/// Where a change leads, in machine coordinates, and its rates in mm/s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ChangePlan<const N: usize> {
+    /// Where the program was left.
+    pub left: PerAxis<Coordinate, N>,
+    /// Where tools are changed (G30): X and Y, and the height of all ways.
+    pub change: PerAxis<Coordinate, N>,
+    /// Where the tool setter is (G59.3): X and Y.
+    pub setter: PerAxis<Coordinate, N>,
+    /// `$342`: how far below the height of G30 the setter is looked for.
+    pub depth: Coordinate,
+    /// `$344`
+    pub seek_rate: f32,
+    /// `$343`
+    pub locate_rate: f32,
+    /// There is a tool to be measured.
+    pub measures: bool,
+}
+
+impl<const N: usize> ChangePlan<N> {
+    /// A plan for nothing.
+    pub const NONE: Self = Self {
+        left: PerAxis::all(Coordinate::ZERO),
+        change: PerAxis::all(Coordinate::ZERO),
+        setter: PerAxis::all(Coordinate::ZERO),
+        depth: Coordinate::ZERO,
+        seek_rate: 0.0,
+        locate_rate: 0.0,
+        measures: false,
+    };
+
+    /// Whether both places have been stored, and there is a way down to the setter.
+    pub fn is_set_up(&self) -> bool {
+        let nowhere = PerAxis::all(Coordinate::ZERO);
+        self.change != nowhere && self.setter != nowhere && self.depth > Coordinate::ZERO
+    }
+
+    /// The height of all ways.
+    pub fn height(&self) -> Coordinate {
+        along(&self.change).max(along(&self.left))
+    }
+
+    /// Ends of the moves: what lies between them lies within the travel if they do.
+    pub fn corners(&self) -> [PerAxis<Coordinate, N>; 4] {
+        let at_setter = self.over(&self.setter, self.height());
+        let down = self.over(&self.setter, self.lowest());
+        [self.over(&self.left, self.height()), self.over(&self.change, self.height()), at_setter, down]
+    }
+
+    /// No probing move goes further down, however high the tool comes from.
+    fn lowest(&self) -> Coordinate {
+        (along(&self.change) - self.depth).limited()
+    }
+
+    /// X and Y of `place`, this height, and the other axes where they were left.
+    fn over(&self, place: &PerAxis<Coordinate, N>, height: Coordinate) -> PerAxis<Coordinate, N> {
+        let mut target = self.left;
+        for axis in [Axis::X, Axis::Y] {
+            if let Some(coordinate) = place.get(axis) {
+                target.set(axis, coordinate);
+            }
+        }
+        target.set(ALONG, height);
+        target
+    }
+
+    /// The way back to the work with a tool that is longer by so much: by a rapid to the first of these places, `clear` above
+    /// the second, which is where the program was left.
+    fn way_back(&self, longer: Coordinate, clear: Coordinate) -> [PerAxis<Coordinate, N>; 2] {
+        let end = (along(&self.left) + longer).limited();
+        let above = (end + clear).min(self.height()).max(end);
+        [self.over(&self.left, above), self.over(&self.left, end)]
+    }
+}
+
+fn along<const N: usize>(place: &PerAxis<Coordinate, N>) -> Coordinate {
+    place.get(ALONG).unwrap_or(Coordinate::ZERO)
+}
+
+/// What is to be done next.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ChangeOrder<const N: usize> {
+    /// A rapid.
+    Rapid(PerAxis<Coordinate, N>),
+    /// A move that nothing ends before its target.
+    Move(PerAxis<Coordinate, N>, f32),
+    /// A move that the setter ends.
+    Probe(PerAxis<Coordinate, N>, f32),
+    /// The tool is to be changed; continues when the operator says so.
+    Prompt,
+    /// With the new tool the setter was touched at this place of the machine.
+    Measured(Coordinate),
+    /// The tool is over the place where the program was left, and the first one that was measured; continues when the operator
+    /// says so.
+    Confirm,
+    /// The tool is over the place where the program was left.
+    Done,
+    /// It failed.
+    Failed(Alarm),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum ChangePhase {
+    Retract,
+    ToPlace,
+    Prompt,
+    ToSetter,
+    Seek,
+    PullOff,
+    Locate,
+    Measured,
+    Lift,
+    Back,
+    Confirm,
+}
+
+/// A tool change under way.
+#[derive(Clone, Copy, Debug)]
+pub struct ToolChange<const N: usize> {
+    plan: ChangePlan<N>,
+    phase: ChangePhase,
+    /// Where the first pass touched.
+    touched: Coordinate,
+    /// No tool has been measured before.
+    is_first: bool,
+}
+
+impl<const N: usize> ToolChange<N> {
+    /// None.
+    pub const NONE: Self =
+        Self { plan: ChangePlan::NONE, phase: ChangePhase::Back, touched: Coordinate::ZERO, is_first: false };
+
+    /// One that begins with [`ToolChange::begin`].
+    pub fn new(plan: ChangePlan<N>) -> Self {
+        Self { plan, ..Self::NONE }
+    }
+
+    /// The tool that is being measured is the first one.
+    pub fn is_first_tool(&mut self) {
+        self.is_first = true;
+    }
+
+    /// The way down to the work: see `ChangePlan::way_back`. The first tool stays up.
+    pub fn way_back(&self, longer: Coordinate, clear: Coordinate) -> [PerAxis<Coordinate, N>; 2] {
+        match self.is_first {
+            true => [self.plan.over(&self.plan.left, self.plan.height()); 2],
+            false => self.plan.way_back(longer, clear),
+        }
+    }
+
+    /// The first order.
+    pub fn begin(&mut self) -> ChangeOrder<N> {
+        self.phase = ChangePhase::Retract;
+        ChangeOrder::Rapid(self.plan.over(&self.plan.left, self.plan.height()))
+    }
+
+    /// Whether the order given last is a probing move.
+    pub fn is_probing(&self) -> bool {
+        matches!(self.phase, ChangePhase::Seek | ChangePhase::Locate)
+    }
+
+    /// The order after the last one has ended; `contact` is where a probing move has touched.
+    pub fn next(&mut self, contact: Option<PerAxis<Coordinate, N>>) -> ChangeOrder<N> {
+        let plan = &self.plan;
+        let height = plan.height();
+        let (phase, order) = match (self.phase, contact) {
+            (ChangePhase::Retract, _) => (ChangePhase::ToPlace, ChangeOrder::Rapid(plan.over(&plan.change, height))),
+            (ChangePhase::ToPlace, _) => (ChangePhase::Prompt, ChangeOrder::Prompt),
+            (ChangePhase::Prompt, _) if plan.measures => {
+                (ChangePhase::ToSetter, ChangeOrder::Rapid(plan.over(&plan.setter, height)))
+            }
+            (ChangePhase::ToSetter, _) => {
+                (ChangePhase::Seek, ChangeOrder::Probe(plan.over(&plan.setter, plan.lowest()), plan.seek_rate))
+            }
+            (ChangePhase::Seek | ChangePhase::Locate, None) => return ChangeOrder::Failed(Alarm::ProbeNoContact),
+            (ChangePhase::Seek, Some(contact)) => {
+                self.touched = along(&contact);
+                let above = (self.touched + Coordinate::mm(PULL_OFF)).min(height);
+                (ChangePhase::PullOff, ChangeOrder::Move(plan.over(&plan.setter, above), plan.seek_rate))
+            }
+            (ChangePhase::PullOff, _) => {
+                let below = (self.touched - Coordinate::mm(PULL_OFF)).max(plan.lowest());
+                (ChangePhase::Locate, ChangeOrder::Probe(plan.over(&plan.setter, below), plan.locate_rate))
+            }
+            (ChangePhase::Locate, Some(contact)) => (ChangePhase::Measured, ChangeOrder::Measured(along(&contact))),
+            (ChangePhase::Measured, _) => (ChangePhase::Lift, ChangeOrder::Rapid(plan.over(&plan.setter, height))),
+            (ChangePhase::Prompt | ChangePhase::Lift, _) => {
+                (ChangePhase::Back, ChangeOrder::Rapid(plan.over(&plan.left, height)))
+            }
+            (ChangePhase::Back, _) if self.is_first => (ChangePhase::Confirm, ChangeOrder::Confirm),
+            (ChangePhase::Back | ChangePhase::Confirm, _) => return ChangeOrder::Done,
+        };
+        self.phase = phase;
+        order
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(x: i32, y: i32, z: i32) -> PerAxis<Coordinate, 3> {
+        PerAxis([Coordinate::mm(x), Coordinate::mm(y), Coordinate::mm(z)])
+    }
+
+    fn plan() -> ChangePlan<3> {
+        ChangePlan {
+            left: at(-50, -60, -40),
+            change: at(-1, -2, -10),
+            setter: at(-7, -8, -99),
+            depth: Coordinate::mm(30),
+            seek_rate: 4.0,
+            locate_rate: 0.5,
+            measures: true,
+        }
+    }
+
+    #[test]
+    fn the_whole_change() {
+        let mut change = ToolChange::new(plan());
+        assert_eq!(change.begin(), ChangeOrder::Rapid(at(-50, -60, -10)));
+        assert_eq!(change.next(None), ChangeOrder::Rapid(at(-1, -2, -10)));
+        assert_eq!(change.next(None), ChangeOrder::Prompt);
+        assert_eq!(change.next(None), ChangeOrder::Rapid(at(-7, -8, -10)));
+        assert!(!change.is_probing());
+        assert_eq!(change.next(None), ChangeOrder::Probe(at(-7, -8, -40), 4.0));
+        assert!(change.is_probing());
+        assert_eq!(change.next(Some(at(-7, -8, -35))), ChangeOrder::Move(at(-7, -8, -33), 4.0));
+        assert_eq!(change.next(None), ChangeOrder::Probe(at(-7, -8, -37), 0.5));
+        assert_eq!(change.next(Some(at(-7, -8, -36))), ChangeOrder::Measured(Coordinate::mm(-36)));
+        assert_eq!(change.next(None), ChangeOrder::Rapid(at(-7, -8, -10)));
+        assert_eq!(change.next(None), ChangeOrder::Rapid(at(-50, -60, -10)));
+        assert_eq!(change.next(None), ChangeOrder::Done);
+    }
+
+    #[test]
+    fn nothing_but_a_probing_move_goes_down_and_none_too_far() {
+        let mut change = ToolChange::new(plan());
+        let mut order = change.begin();
+        // A setter that is touched with the first way's last hair.
+        let lowest = Coordinate::mm(-40);
+        while order != ChangeOrder::Done {
+            match order {
+                ChangeOrder::Rapid(target) => assert_eq!(along(&target), Coordinate::mm(-10)),
+                ChangeOrder::Probe(target, _) => assert!(along(&target) >= lowest),
+                ChangeOrder::Move(target, _) => assert!(along(&target) > lowest),
+                _ => {}
+            }
+            let contact = change.is_probing().then(|| at(-7, -8, -40));
+            order = change.next(contact);
+        }
+    }
+
+    #[test]
+    fn a_setter_that_is_not_there_fails_either_pass() {
+        let mut change = ToolChange::new(plan());
+        change.begin();
+        (0..4).for_each(|_| assert!(!matches!(change.next(None), ChangeOrder::Failed(_))));
+        let mut second = change;
+        assert_eq!(change.next(None), ChangeOrder::Failed(Alarm::ProbeNoContact));
+        second.next(Some(at(-7, -8, -35)));
+        second.next(None);
+        assert_eq!(second.next(None), ChangeOrder::Failed(Alarm::ProbeNoContact));
+    }
+
+    #[test]
+    fn no_tool_is_not_measured() {
+        let mut change = ToolChange::new(ChangePlan { measures: false, ..plan() });
+        change.begin();
+        change.next(None);
+        assert_eq!(change.next(None), ChangeOrder::Prompt);
+        assert_eq!(change.next(None), ChangeOrder::Rapid(at(-50, -60, -10)));
+        assert_eq!(change.next(None), ChangeOrder::Done);
+    }
+
+    #[test]
+    fn the_first_tool_stays_up_and_waits() {
+        let mut change = ToolChange::new(plan());
+        change.begin();
+        while !matches!(change.next(Some(at(-7, -8, -35))), ChangeOrder::Measured(_)) {}
+        change.is_first_tool();
+        change.next(None);
+        change.next(None);
+        assert_eq!(change.next(None), ChangeOrder::Confirm);
+        assert_eq!(change.next(None), ChangeOrder::Done);
+        assert_eq!(change.way_back(Coordinate::ZERO, Coordinate::mm(5)), [at(-50, -60, -10); 2]);
+    }
+
+    #[test]
+    fn a_tool_above_the_height_stays_there() {
+        let mut change = ToolChange::new(ChangePlan { left: at(-50, -60, -3), ..plan() });
+        assert_eq!(change.begin(), ChangeOrder::Rapid(at(-50, -60, -3)));
+        assert_eq!(change.next(None), ChangeOrder::Rapid(at(-1, -2, -3)));
+        assert_eq!(change.plan.corners()[3], at(-7, -8, -40), "looked for as far down as by any other");
+    }
+
+    #[test]
+    fn the_way_back_ends_slowly_and_at_the_same_work_place() {
+        let back = |longer, clear| plan().way_back(Coordinate::mm(longer), Coordinate::mm(clear));
+        assert_eq!(back(0, 5), [at(-50, -60, -35), at(-50, -60, -40)]);
+        assert_eq!(back(7, 5), [at(-50, -60, -28), at(-50, -60, -33)], "a longer tool stays higher");
+        assert_eq!(back(-7, 99), [at(-50, -60, -10), at(-50, -60, -47)]);
+        assert_eq!(back(35, 5), [at(-50, -60, -5), at(-50, -60, -5)], "up, if it has to");
+    }
+
+    #[test]
+    fn what_is_not_set_up_is_seen() {
+        assert!(plan().is_set_up());
+        for wrong in [
+            ChangePlan { change: at(0, 0, 0), ..plan() },
+            ChangePlan { setter: at(0, 0, 0), ..plan() },
+            ChangePlan { depth: Coordinate::ZERO, ..plan() },
+        ] {
+            assert!(!wrong.is_set_up());
+        }
+    }
+}
