@@ -7,7 +7,7 @@ use oxmill_controller::Controller;
 use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room};
 
 fn answers(bytes: &[(u8, bool)]) -> String {
-    let mut controller = started::<16>(PROFILE);
+    let mut controller = started(PROFILE, 16);
     let mut text = String::new();
     let mut pull = |controller: &mut Controller<3>| {
         controller.observe(Observed {

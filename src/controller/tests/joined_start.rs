@@ -9,7 +9,7 @@ const BLOCKS: usize = 16;
 
 /// Moves along X of this length that are sent until the machine begins to move, while more are always waiting.
 fn moves_before_the_start(millimetres: f64) -> usize {
-    let mut controller = started::<BLOCKS>(PROFILE);
+    let mut controller = started(PROFILE, BLOCKS);
     for count in 0..1000 {
         let line = format!("G1 F600 X{:.3}\n", millimetres * f64::from(count + 1));
         for byte in line.bytes() {

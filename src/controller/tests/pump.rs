@@ -35,7 +35,7 @@ struct Scribe<const WOKEN: bool> {
 
 impl<const WOKEN: bool> Scribe<WOKEN> {
     fn new() -> Self {
-        let controller = *started(Profile { has_store: true, ..PROFILE });
+        let controller = *started(Profile { has_store: true, ..PROFILE }, 16);
         let none = VecDeque::new();
         let mut scribe = Self {
             controller,
@@ -73,7 +73,7 @@ impl<const WOKEN: bool> Scribe<WOKEN> {
     }
 }
 
-impl<const WOKEN: bool> Pump<3, 16> for Scribe<WOKEN> {
+impl<const WOKEN: bool> Pump<3> for Scribe<WOKEN> {
     const IS_WOKEN: bool = WOKEN;
 
     fn controller(&mut self) -> &mut Controller<3> {
@@ -356,7 +356,7 @@ fn a_reset_while_a_setting_is_stored_leaves_no_failure_behind() {
 /// The change of hosts comes behind a byte that waits for its command: dropped at an open door it would overtake it.
 #[test]
 fn a_change_of_hosts_is_not_taken_in_front_of_a_byte_that_waits() {
-    let mut controller = started::<16>(PROFILE);
+    let mut controller = started(PROFILE, 16);
     let now = Instant::from_ticks(0);
     while controller.output(now, Room { step: true, reply: true }).is_some() {}
     controller.event(now, Event::Realtime(Realtime::SafetyDoor));
@@ -394,7 +394,7 @@ struct Flooded {
     fewest: u32,
 }
 
-impl Pump<3, 16> for Flooded {
+impl Pump<3> for Flooded {
     const IS_WOKEN: bool = true;
 
     fn controller(&mut self) -> &mut Controller<3> {

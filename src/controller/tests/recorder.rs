@@ -19,7 +19,7 @@ type Ring = Recorder<Vec<Page>>;
 const SOFTWARE: Restart = Restart { cause: ResetCause::Software, crash: None, is_recorded: false };
 
 fn board() -> Box<Board> {
-    let mut board = started(PROFILE);
+    let mut board = started(PROFILE, 16);
     // As a pump does: welcome line and startup lines.
     while board.output(Instant::from_ticks(0), Room { step: true, reply: true }).is_some() {}
     board

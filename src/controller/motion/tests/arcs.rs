@@ -1,6 +1,6 @@
 //! Chords against the exact circle, and through the steps.
 
-use super::super::lent;
+use super::super::on_heap;
 use super::super::{Arc, ArcGeometry, Motion, Speed};
 use super::rig::{Rig, mm, settings, to};
 use crate::axes::{Arrangement, Axis, PerAxis};

@@ -1,7 +1,7 @@
 //! What the queue bounds a braking with, against the blocks one by one.
 
 use super::super::block::{Block, CurveLoad, OverrideFactors};
-use super::super::lent;
+use super::super::on_heap;
 use super::super::planner::Planner;
 use proptest::prelude::*;
 

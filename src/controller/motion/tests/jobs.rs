@@ -1,6 +1,6 @@
 //! Whole jobs: times, speeds, power.
 
-use super::super::lent;
+use super::super::on_heap;
 use super::super::{Arc, ArcGeometry, Motion, Move, Speed};
 use super::rig::{Rig, settings, to};
 use crate::axes::{Axis, PerAxis};

@@ -1,6 +1,6 @@
 //! Short moves that continue a line are one block with it: the same line, all of its points, and a longer look-ahead.
 
-use super::super::lent;
+use super::super::on_heap;
 use super::super::{Motion, MotionSettings, Move, Speed};
 use super::rig::{Rig, settings, to};
 use crate::axes::{Arrangement, PerAxis};

@@ -4,7 +4,7 @@
 use super::super::block::{Block, CurveLoad, OverrideFactors};
 use super::super::curvature::Bend;
 use super::super::jerk::PathState;
-use super::super::lent;
+use super::super::on_heap;
 use super::super::planner::Planner;
 use proptest::prelude::*;
 

@@ -1,6 +1,6 @@
 //! Ramps with bounded jerk, followed segment by segment without the step task.
 
-use super::super::lent;
+use super::super::on_heap;
 use super::super::{Motion, MotionSettings, Move, Speed};
 use super::rig::{settings, to};
 use crate::axes::PerAxis;

@@ -1,6 +1,6 @@
 //! A machine on a desk: pumps `Motion` into `Stepper`, records each tick, and measures speed and acceleration.
 
-use super::super::lent;
+use super::super::on_heap;
 use super::super::{Arc, Curvature, Motion, MotionSettings, Move, Speed, Stepper, Tolerance};
 use crate::axes::{Arrangement, PerAxis};
 use crate::messages::{AxisSteps, Observed, SEGMENTS_DEPTH, Segment, StepEvent, ToStep};

@@ -22,8 +22,8 @@ pub const PROFILE: Profile = Profile {
 pub const NOW: Instant = Instant::from_ticks(0);
 
 /// Powered up, with no input active. What it says then has not been taken.
-pub fn started<const BLOCKS: usize>(profile: Profile) -> Box<Controller<3>> {
-    let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, BLOCKS)));
+pub fn started(profile: Profile, blocks: usize) -> Box<Controller<3>> {
+    let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, blocks)));
     controller.start(NOW);
     controller.event(NOW, Event::Signals(Sensed::default()));
     controller
