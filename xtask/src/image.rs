@@ -1,9 +1,9 @@
 //! Builds an image and looks into it: an image without a vector table or without code links just as well.
 
-use crate::elf::{Elf, Section, Segment};
+use crate::elf::{Elf, Section, Segment, Symbol};
 use crate::paths::cargo_for_boards;
 use crate::reach::{self, Allowed};
-use crate::{Failure, QEMU_BOARD, TARGET, dfuse, flashable, root, run, sizes};
+use crate::{Failure, QEMU_BOARD, TARGET, dfuse, flashable, root, run, sizes, thumb};
 use std::fmt;
 use std::fs;
 use std::ops::Range;
@@ -11,6 +11,11 @@ use std::path::{Path, PathBuf};
 
 /// Less code than this is no controller.
 const LEAST_CODE: u32 = 16 * 1024;
+
+/// Memory that begins with something else than 0: more than this is a part of the controller that should be lent.
+const MOST_DATA: u32 = 2 * 1024;
+/// A function makes room for its variables within so many bytes of code.
+const PROLOGUE: u32 = 32;
 
 /// The interrupt that the step task is bound to, as in `firmware!` of `src/firmware/main.rs`.
 fn step_handler(board: &str) -> &'static str {
@@ -135,6 +140,13 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     let in_flash =
         |s: &&Section| s.loaded && s.size > 0 && (chip.flash..chip.flash + chip.flash_size).contains(&s.stored);
     let flash: u32 = sections.iter().filter(in_flash).map(|s| s.size).sum();
+    if section(".data").is_some_and(|data| data.size > MOST_DATA) {
+        return fail("has memory that begins with other bytes than 0 and fills flash: what is lent must be all 0");
+    }
+    let stack = stack_pointer - chip.ram;
+    if let Some((name, frame)) = largest_frame(&elf, &sections).filter(|(_, frame)| *frame > stack / 2) {
+        return fail(&format!("has a function that takes {frame} of the {stack} bytes of stack: {name}"));
+    }
     // What is left is behind the last section: the rest of the vectors' sector takes only what the linker script names.
     let top = sections.iter().filter(in_flash).map(|s| s.stored + s.size).max().unwrap_or(chip.code);
     let in_ram = |s: &&Section| s.allocated && (chip.ram..chip.ram + chip.ram_size).contains(&s.address);
@@ -144,10 +156,23 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     }
     let ram = sections.iter().filter(in_ram).map(|s| s.size).sum();
     let reached = reach::check(bytes, step_handler(board), &STEP_CALLS)?.len();
-    let stack = stack_pointer - chip.ram;
     let left = chip.flash + chip.flash_size - top;
     let (flash, ram) = ((flash, flash + left), (ram, chip.ram_size - stack));
     Ok(Image { path, flash, ram, stack, files: Vec::new(), remark: None, reached })
+}
+
+/// The function with the largest stack frame, and its bytes. Read from the first instructions of each function, where the
+/// compiler makes room for its variables.
+fn largest_frame(elf: &Elf, sections: &[Section]) -> Option<(String, u32)> {
+    let frame = |function: &Symbol| {
+        let start = function.address & !1;
+        let home = sections.iter().find(|s| s.allocated && (s.address..s.address + s.size).contains(&start))?;
+        let half = |at: u32| Some(elf.half(home.offset + at - home.address)? as u16);
+        let end = start + function.size.min(PROLOGUE);
+        Some((start..end).step_by(2).filter_map(|at| thumb::frame(half(at)?, half(at + 2)?)).sum())
+    };
+    let frames = elf.symbols()?.into_iter().filter(|symbol| symbol.function);
+    frames.filter_map(|function| Some((function.name.clone(), frame(&function)?))).max_by_key(|(_, frame)| *frame)
 }
 
 /// The numbers of a board's chip, as the linker has them.

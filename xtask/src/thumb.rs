@@ -87,6 +87,20 @@ fn field(half: u32, lowest: u32, bits: u32) -> u32 {
     half >> lowest & ((1 << bits) - 1)
 }
 
+/// Bytes that an instruction takes off the stack pointer for the variables of a function: SUB (SP minus immediate), encodings
+/// T1 to T3 of the ARMv7-M Architecture Reference Manual, A7.7.176.
+pub fn frame(first: u16, second: u16) -> Option<u32> {
+    let (one, two) = (u32::from(first), u32::from(second));
+    let imm12 = field(one, 10, 1) << 11 | field(two, 12, 3) << 8 | field(two, 0, 8);
+    match (one & 0xFBFF, two & 0x8F00) {
+        _ if one & 0xFF80 == 0xB080 => Some(field(one, 0, 7) * 4),
+        (0xF1AD, 0x0D00) if imm12 >> 10 == 0 => Some(imm12 & 0xFF),
+        (0xF1AD, 0x0D00) => Some((0x80 | imm12 & 0x7F).rotate_right(imm12 >> 7)),
+        (0xF2AD, 0x0D00) => Some(imm12),
+        _ => None,
+    }
+}
+
 /// Decodes the instruction at `address` from its first half word and the one behind it.
 pub fn decode(address: u32, first: u16, second: u16) -> Instruction {
     let (a, b) = (u32::from(first), u32::from(second));
@@ -319,6 +333,15 @@ mod tests {
         assert_eq!(kind(0xEE80, 0x0A20), float(14, [Some(0), Some(1)], Some(0))); // vdiv.f32 s0, s0, s1
         assert_eq!(kind(0xED90, 0x0A01), Kind::Load { base: 0, to: u8::MAX }); // vldr s0, [r0, #4]
         assert_eq!(kind(0xED2D, 0x8B02), Kind::Multiple(2)); // vpush {d8}
+    }
+
+    #[test]
+    fn frames() {
+        assert_eq!(frame(0xB086, 0), Some(24)); // sub sp, #24
+        assert_eq!(frame(0xF5AD, 0x5DC8), Some(6400)); // sub.w sp, sp, #6400
+        assert_eq!(frame(0xF6AD, 0x2DBC), Some(0xABC)); // subw sp, sp, #0xABC
+        assert_eq!(frame(0xB006, 0), None); // add sp, #24
+        assert_eq!(frame(0xF1A0, 0x0D08), None); // sub.w sp, r0, #8
     }
 
     #[test]

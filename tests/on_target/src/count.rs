@@ -746,7 +746,7 @@ fn main() -> ! {
     // SAFETY: as above.
     let place =
         unsafe { (boards::CONTROLLER as *mut (MaybeUninit<Whole>, MaybeUninit<Storage<3, 256>>)).as_mut_unchecked() };
-    let (place, memory) = (&mut place.0, place.1.write(Storage::EMPTY).lend(&PROFILE));
+    let (place, memory) = (&mut place.0, place.1.write(Storage::EMPTY).lend(&boards::PROFILE));
     recording(whole_line(place, memory));
     semihosting::process::exit(0)
 }
