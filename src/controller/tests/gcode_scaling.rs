@@ -2,11 +2,9 @@
 
 #![cfg(all(feature = "extended-gcode", feature = "rotation"))]
 
-mod program;
-
+use crate::program::{Program, in_mm, play, ready};
 use oxmill_controller::gcode::{CycleStep, Dialect, Feed, Motion};
 use oxmill_controller::units::{Coordinate, DECIMAL_ONE};
-use program::{Program, in_mm, play, ready};
 
 #[test]
 fn about_a_centre() {
