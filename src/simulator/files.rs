@@ -229,6 +229,7 @@ impl Drop for Output {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use oxmill_test_support::Folder;
 
     fn role(path: &Path, written: bool) -> Role<'_> {
         Role { path, name: "a file", written }
@@ -240,7 +241,7 @@ mod tests {
 
     #[test]
     fn one_file_by_several_names_is_one() {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = Folder::new();
         let [a, b, new] = ["a", "b", "new"].map(|name| folder.path().join(name));
         fs::write(&a, "a").unwrap();
         fs::write(&b, "b").unwrap();
@@ -254,7 +255,7 @@ mod tests {
     #[cfg(unix)]
     #[test]
     fn links_lead_to_the_file() {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = Folder::new();
         let [a, soft, hard, new, ahead] = ["a", "soft", "hard", "new", "ahead"].map(|name| folder.path().join(name));
         fs::write(&a, "a").unwrap();
         std::os::unix::fs::symlink("a", &soft).unwrap();
@@ -267,7 +268,7 @@ mod tests {
 
     #[test]
     fn an_output_keeps_what_it_has_until_it_is_written() {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = Folder::new();
         let [old, new] = ["old", "new"].map(|name| folder.path().join(name));
         fs::write(&old, "as it was").unwrap();
         drop((Output::open(&old).unwrap(), Output::open(&new).unwrap()));

@@ -54,6 +54,7 @@ mod tests {
     use super::*;
     use oxmill_controller::messages::Record;
     use oxmill_controller::messages::Store as Change;
+    use oxmill_test_support::Folder;
     use std::fs;
 
     fn record(key: u16, value: &[u8]) -> Record {
@@ -62,7 +63,7 @@ mod tests {
 
     #[test]
     fn records_outlive_the_store() {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = Folder::new();
         let path = folder.path().join("flash.img");
         let mut store = Store::open(&path).unwrap();
         for change in [
@@ -86,7 +87,7 @@ mod tests {
 
     #[test]
     fn a_file_is_at_each_moment_what_the_flash_is() {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = Folder::new();
         let path = folder.path().join("flash.img");
         let mut store = Store::open(&path).unwrap();
         store.erase_ahead().unwrap();
@@ -102,7 +103,7 @@ mod tests {
 
     #[test]
     fn an_empty_file_is_an_erased_flash() {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = Folder::new();
         let path = folder.path().join("flash.img");
         fs::write(&path, []).unwrap();
         Store::open(&path).unwrap().apply(&Change::Put(record(7, b"new"))).unwrap();
@@ -111,7 +112,7 @@ mod tests {
 
     #[test]
     fn a_file_is_the_flash_of_one_machine_at_a_time() {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = Folder::new();
         let path = folder.path().join("flash.img");
         let first = Store::open(&path).unwrap();
         let same = first.clone();
@@ -124,7 +125,7 @@ mod tests {
 
     #[test]
     fn foreign_files_are_refused_and_not_overwritten() {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = Folder::new();
         let path = folder.path().join("flash.img");
         let image = vec![0x55_u8; IMAGE];
         let too_long = vec![0xFF_u8; IMAGE + 1];

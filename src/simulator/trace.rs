@@ -244,6 +244,7 @@ fn push_number(row: &mut Vec<u8>, mut value: u64, width: usize) {
 mod tests {
     use super::*;
     use oxmill_controller::messages::Coolant;
+    use oxmill_test_support::Folder;
     use std::fs::File;
 
     fn step(at: u64, position: [i32; LINEAR]) -> StepRecord {
@@ -252,7 +253,7 @@ mod tests {
 
     #[test]
     fn rows_are_times_positions_and_changed_outputs() {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = Folder::new();
         let path = folder.path().join("t.csv");
         let mut trace = Trace::default();
         trace.write_csv(Csv::new(File::create(&path).unwrap(), 1_000_000, 500, 3).unwrap());

@@ -48,29 +48,18 @@ fn from_line(point: Point, [from, to]: [Point; 2]) -> f64 {
 /// The greatest distance of any of the points from a line through others, mm.
 fn farthest(points: &[Point], line: &[Point]) -> f64 {
     let pieces: Vec<[Point; 2]> = line.windows(2).map(|pair| [pair[0], pair[1]]).collect();
-    let (mut nearest, mut most) = (0, 0.0_f64);
+    let (mut nearest, mut most) = (0_usize, 0.0_f64);
     for point in points {
-        // The neighbours of the last one first: what is nearer to them than others have been changes nothing.
-        let mut least = f64::INFINITY;
-        for (index, piece) in pieces.iter().enumerate().take(nearest + 4).skip(nearest.saturating_sub(3)) {
-            let distance = from_line(*point, *piece);
+        // From the piece that was nearest to the last one to both sides: what is as near as others have been changes nothing.
+        let (start, mut least) = (nearest, f64::INFINITY);
+        let outward = (0..pieces.len()).flat_map(|away| [start.checked_add(away), start.checked_sub(away)]);
+        for index in outward.flatten().filter(|index| *index < pieces.len()) {
+            let distance = from_line(*point, pieces[index]);
             if distance < least {
                 (least, nearest) = (distance, index);
             }
-        }
-        if least <= most {
-            continue;
-        }
-        for (index, piece) in pieces.iter().enumerate() {
-            let beyond = |axis: usize| {
-                let (low, high) = (piece[0][axis].min(piece[1][axis]), piece[0][axis].max(piece[1][axis]));
-                (low - point[axis]).max(point[axis] - high)
-            };
-            if (0..AXES).all(|axis| beyond(axis) < least) {
-                let distance = from_line(*point, *piece);
-                if distance < least {
-                    (least, nearest) = (distance, index);
-                }
+            if least <= most {
+                break;
             }
         }
         most = most.max(least);

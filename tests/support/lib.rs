@@ -1,6 +1,11 @@
-//! What several suites of tests share: random numbers that can be had again, and the numbers of a report.
+//! What several suites of tests share: random numbers that can be had again, the numbers of a report, folders that go
+//! away.
 
 pub mod program;
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::{env, fs, process};
 
 /// A generator of pseudo-random numbers (xorshift, Marsaglia 2003): a seed other than 0 always gives the same ones.
 pub struct Random(pub u64);
@@ -70,6 +75,47 @@ fn unescape(line: &str) -> Option<Vec<u8>> {
         });
     }
     Some(input)
+}
+
+/// An empty folder of a test's own, which goes away with all that is in it.
+pub struct Folder(PathBuf);
+
+impl Folder {
+    /// Makes one.
+    ///
+    /// # Panics
+    /// If it cannot be made.
+    #[expect(clippy::new_without_default, reason = "a folder is made, not a value")]
+    pub fn new() -> Self {
+        static MADE: AtomicU32 = AtomicU32::new(0);
+        let number = MADE.fetch_add(1, Ordering::Relaxed);
+        let path = env::temp_dir().join(format!("oxmill-test-{}-{number}", process::id()));
+        // What a process of the same number has left behind.
+        let _ = fs::remove_dir_all(&path);
+        fs::create_dir_all(&path).expect("a folder");
+        Self(path)
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.0
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+#[test]
+fn folders_are_empty_and_go_away() {
+    let (a, b) = (Folder::new(), Folder::new());
+    fs::write(a.path().join("x"), "x").unwrap();
+    assert_eq!(fs::read_dir(b.path()).unwrap().count(), 0);
+    let path = a.path().to_owned();
+    drop(a);
+    assert!(!path.exists() && b.path().exists());
 }
 
 #[test]

@@ -1,8 +1,6 @@
 //! Bytes lost on the link: the line they belong to is refused, and no other.
 
-mod board;
-
-use board::{NOW, PROFILE, started};
+use crate::board::{NOW, PROFILE, started};
 use oxmill_controller::Controller;
 use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, Room};
 

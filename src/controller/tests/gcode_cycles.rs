@@ -4,11 +4,9 @@
 
 #![cfg(feature = "extended-gcode")]
 
-mod program;
-
+use crate::program::{Program, in_mm};
 use oxmill_controller::gcode::{Checked, CycleStep, Dialect, Motion};
 use oxmill_controller::units::Coordinate;
-use program::{Program, in_mm};
 
 /// The clearance of a new controller, 0.01 inch.
 const CLEARANCE: Coordinate = Coordinate(2_540_000);

@@ -1,12 +1,10 @@
 //! The worked examples of the document that the project began with: where each leads to, and what becomes of the places
 //! where the document and Grbl or NIST disagree.
 
-mod program;
-
+use crate::program::{DIALECTS, Program, in_mm, target, via};
 use oxmill_controller::gcode::{Checked, CoordinateSystem, Dialect, Feed, Flow, Motion, MotionMode, StoredOffset};
 use oxmill_controller::messages::SpindleDirection;
 use oxmill_controller::units::Duration;
-use program::{DIALECTS, Program, in_mm, target, via};
 
 /// A program whose start is at a machine position.
 fn at(dialect: Dialect, place: &str) -> Program {

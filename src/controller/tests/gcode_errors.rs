@@ -1,10 +1,8 @@
 //! Error numbers and their order, motions that no recording shows, and what Oxmill's own words do.
 
-mod program;
-
+use crate::program::{DIALECTS, Program, target};
 use oxmill_controller::gcode::{Checked, Dialect, Feed, Flow, Interpreter, Motion};
 use oxmill_controller::messages::{Coolant, SpindleDirection};
-use program::{DIALECTS, Program, target};
 
 /// Each error, by lines that meet it in every dialect. F is 100, the plane XY, the motion mode G0, the place (0,0,0).
 const ERRORS: &[(u8, &[&str])] = &[

@@ -1,12 +1,10 @@
 //! What a controller refuses that is built without the features that a small flash has no room for.
 
-mod program;
-
+use crate::program::Program;
 use oxmill_controller::error::Error;
 use oxmill_controller::gcode::Dialect;
 #[cfg(not(feature = "expressions"))]
 use oxmill_controller::gcode::{Direction, Interpreter};
-use program::Program;
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 

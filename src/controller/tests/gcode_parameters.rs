@@ -2,14 +2,12 @@
 //! same words.
 #![cfg(feature = "expressions")]
 
-mod program;
-
+use crate::program::{Program, target};
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{Checked, Dialect};
 use oxmill_controller::messages::SpindleDirection;
 use oxmill_controller::units::Coordinate;
-use program::{Program, target};
 use proptest::prelude::*;
 
 fn ready() -> Program {

@@ -2,11 +2,9 @@
 
 #![cfg(feature = "program-pins")]
 
-mod program;
-
+use crate::program::{DIALECTS, Program};
 use oxmill_controller::gcode::{Dialect, InputWait, ProgramPins};
 use oxmill_controller::units::{Decimal, Duration};
-use program::{DIALECTS, Program};
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 

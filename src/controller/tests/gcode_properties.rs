@@ -1,11 +1,9 @@
 //! What holds for every line: an answer without panic, no change by checking, exact places.
 
-mod program;
-
+use crate::program::{DIALECTS, Program};
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::gcode::{Checked, CycleStep, Dialect, Feed, Flow, Interpreter, Motion};
 use oxmill_controller::units::Coordinate;
-use program::{DIALECTS, Program};
 use proptest::prelude::*;
 
 fn dialect() -> impl Strategy<Value = Dialect> {

@@ -2,11 +2,9 @@
 
 #![cfg(all(feature = "extended-gcode", feature = "rotation"))]
 
-mod program;
-
+use crate::program::{Program, in_mm, play, ready};
 use oxmill_controller::gcode::{Angle, CoordinateSystem, Dialect, Motion};
 use oxmill_controller::units::{DECIMAL_ONE, Decimal};
-use program::{Program, in_mm, play, ready};
 
 /// Half of the root of 3.
 const H: f64 = 0.866_025_403_784_438_6;

@@ -2,11 +2,9 @@
 
 #![cfg(all(feature = "extended-gcode", feature = "rotation"))]
 
-mod program;
-
+use crate::program::{Program, in_mm, play, ready, target, via};
 use oxmill_controller::gcode::{CycleStep, Dialect, Feed, Motion};
 use oxmill_controller::units::{Coordinate, DECIMAL_ONE};
-use program::{Program, in_mm, play, ready};
 
 #[test]
 fn about_a_centre() {
@@ -126,20 +124,20 @@ fn cycles() {
 fn places_of_the_machine_are_not_scaled() {
     let mut program = ready("G0 X10 Y10 Z10\nG28.1\nG51 X0 Y0 Z0 P2");
     program.run_all("G0 X1 Y1 Z1");
-    let via = program.run("G28 Z3");
-    assert_eq!((program::via(&via), program::target(&via)), (Some([2.0, 2.0, 6.0]), [2.0, 2.0, 10.0]));
-    assert_eq!(program::target(&program.run("G53 G0 X7")), [7.0, 2.0, 10.0]);
-    assert_eq!(program::target(&program.run("G28")), [10.0; 3]);
+    let return_move = program.run("G28 Z3");
+    assert_eq!((via(&return_move), target(&return_move)), (Some([2.0, 2.0, 6.0]), [2.0, 2.0, 10.0]));
+    assert_eq!(target(&program.run("G53 G0 X7")), [7.0, 2.0, 10.0]);
+    assert_eq!(target(&program.run("G28")), [10.0; 3]);
     // Nor is the tool.
     program.run("G43.1 Z5");
-    assert_eq!(program::target(&program.run("G0 Z1")), [10.0, 10.0, 7.0]);
+    assert_eq!(target(&program.run("G0 Z1")), [10.0, 10.0, 7.0]);
 }
 
 /// Distances of jogs are those of the machine; their coordinates are the program's.
 #[test]
 fn jogs() {
     let program = ready("G51 X0 Y0 P2\nG0 X1 Y1");
-    let jog = |line: &[u8]| program::target(&program.interpreter.check_jog(line, Dialect::Oxmill).unwrap());
+    let jog = |line: &[u8]| target(&program.interpreter.check_jog(line, Dialect::Oxmill).unwrap());
     assert_eq!(jog(b"G91X1F100"), [3.0, 2.0, 0.0]);
     assert_eq!(jog(b"G90X3F100"), [6.0, 2.0, 0.0]);
     assert_eq!(jog(b"G53X3F100"), [3.0, 2.0, 0.0]);

@@ -2,11 +2,9 @@
 
 #![cfg(all(feature = "extended-gcode", feature = "rotation", feature = "splines"))]
 
-mod program;
-
+use crate::program::{Program, in_mm};
 use oxmill_controller::gcode::{Checked, Dialect, Feed, Motion};
 use oxmill_controller::units::DECIMAL_ONE;
-use program::{Program, in_mm};
 
 /// Half of the root of 3.
 const H: f64 = 0.866_025_403_784_438_6;

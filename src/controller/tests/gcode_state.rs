@@ -3,12 +3,10 @@
 
 #![cfg(feature = "extended-gcode")]
 
-mod program;
-
+use crate::program::{Program, in_mm};
 use oxmill_controller::gcode::{CycleStep, Dialect, Flow, Motion, PathControl};
 use oxmill_controller::messages::SpindleDirection;
 use oxmill_controller::units::Coordinate;
-use program::{Program, in_mm};
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 

@@ -2,11 +2,9 @@
 
 #![cfg(feature = "extended-gcode")]
 
-mod program;
-
+use crate::program::{Program, in_mm};
 use oxmill_controller::gcode::{Dialect, Motion, TOOLS, ToolTable};
 use oxmill_controller::units::Coordinate;
-use program::{Program, in_mm};
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 

@@ -1,8 +1,6 @@
 //! A program begins to move when as many of its moves are queued as the look-ahead has blocks, joined or not.
 
-mod board;
-
-use board::{NOW, PROFILE, started};
+use crate::board::{NOW, PROFILE, started};
 use oxmill_controller::messages::{Event, LineByte, Observed, Output, Room, ToStep};
 
 const BLOCKS: usize = 16;

@@ -1,8 +1,6 @@
 //! The pump's order, seen by one that writes down what it is asked for.
 
-mod board;
-
-use board::{PROFILE, started};
+use crate::board::{PROFILE, started};
 use oxmill_controller::messages::{
     Event, HOST_CHANGED, LineByte, Observed, Output, PinView, Realtime, Room, SEGMENTS_DEPTH, Segment, Sensed,
     StepEvent, ToStep, input,

@@ -2,9 +2,7 @@
 
 #![cfg(feature = "recorder")]
 
-mod board;
-
-use board::{PROFILE, started};
+use crate::board::{PROFILE, started};
 use oxmill_controller::Controller;
 use oxmill_controller::messages::{
     Crash, CrashKind, Event, LineByte, Noted, Realtime, Recorded, ResetCause, Restart, Room, Sensed, Signals,

@@ -1,8 +1,6 @@
 //! After a failure the host is told at each welcome line, until it has asked for the record; and the machine is locked.
 
-mod board;
-
-use board::{NOW, PROFILE};
+use crate::board::{NOW, PROFILE};
 use oxmill_controller::Controller;
 use oxmill_controller::memory::Memory;
 use oxmill_controller::messages::{

@@ -2,6 +2,7 @@
 //! looked at the settings and confirmed them.
 
 use oxmill_simulator::{Options, Simulator, Store};
+use oxmill_test_support::Folder;
 use std::fs;
 use std::path::Path;
 use std::time::Duration;
@@ -53,7 +54,7 @@ fn listing(mill: &mut Simulator) -> Vec<String> {
 /// Each bit of each record: one value at most is another one, and it is told and locked.
 #[test]
 fn a_wrong_bit_costs_one_value_at_most() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Folder::new();
     let path = folder.path().join("s");
     let lines = [
         "$100=80",
@@ -94,7 +95,7 @@ fn a_wrong_bit_costs_one_value_at_most() {
 
 #[test]
 fn nothing_moves_before_somebody_has_looked_and_confirmed() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Folder::new();
     let path = folder.path().join("s");
     let mut image = stored(&path, &["$22=1", "$110=600", "$100=80"]);
     // The record of `$22`, behind that of `$20`.
@@ -163,7 +164,7 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
 /// The settings may be set right before they are confirmed, which is kept whatever becomes of the power.
 #[test]
 fn settings_are_mended_before_they_are_confirmed() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Folder::new();
     let path = folder.path().join("s");
     let mut image = stored(&path, &["$100=80", "$101=81"]);
     image[20] ^= 0x80;
@@ -181,7 +182,7 @@ fn settings_are_mended_before_they_are_confirmed() {
 /// The power is cut at every operation of the confirmation: told again or clean, and no setting is lost.
 #[test]
 fn a_power_cut_in_the_confirmation_is_no_harm() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Folder::new();
     let path = folder.path().join("s");
     let mut damaged = stored(&path, &["$100=80", "$101=81", "G10L2P1X1", "$N0=G21", "$22=1"]);
     damaged[13] ^= 2;

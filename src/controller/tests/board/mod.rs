@@ -1,5 +1,5 @@
 //! A controller on no board at all, for tests that call it themselves: its profile, and how it is powered up.
-#![allow(dead_code, reason = "each test program uses a part of it")]
+#![allow(dead_code, reason = "what a build leaves out uses a part of it")]
 
 use oxmill_controller::memory::Memory;
 use oxmill_controller::messages::{Event, Sensed};

@@ -1,5 +1,5 @@
 //! Runs programs for tests: lines in, positions in millimetres and actions out.
-#![allow(dead_code, reason = "each test program uses a part of it")]
+#![allow(dead_code, reason = "what a build leaves out uses a part of it")]
 
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;

@@ -1,0 +1,26 @@
+//! The controller as those see it who call it. One program, so that it is compiled and linked once.
+
+mod board;
+mod program;
+
+mod damaged_lines;
+mod gcode_cycles;
+mod gcode_document;
+mod gcode_errors;
+mod gcode_flow;
+mod gcode_left_out;
+mod gcode_macros;
+mod gcode_parameters;
+mod gcode_pins;
+mod gcode_properties;
+mod gcode_recordings;
+mod gcode_rotary;
+mod gcode_rotation;
+mod gcode_scaling;
+mod gcode_splines;
+mod gcode_state;
+mod gcode_tools;
+mod joined_start;
+mod pump;
+mod recorder;
+mod restart;
