@@ -171,7 +171,7 @@ pub fn for_error(error: Error) -> &'static str {
         Error::ToolNumberTooHigh | Error::ValueOutOfRange => "Use a value within the range that docs/gcode.md gives.",
         Error::SpindleNotTurning => "Start the spindle with M3 or M4 and an S word before the cycle.",
         Error::UnknownTool => {
-            "Put the tool into the table with G10 L1, or take one out that is not needed: G10 L1 P5 takes out tool 5."
+            "Enter the tool once with its length: G10 L1 P5 Z12.5 enters tool 5, G10 L1 P5 Z0 one whose length plays no part. If the table is full, G10 L1 P6 takes out tool 6."
         }
         Error::EmergencyStop => "Release the emergency stop, then reset.",
         Error::DriverFault => "Find out what the motor driver reports, and switch it off and on.",
@@ -193,6 +193,9 @@ pub fn for_error(error: Error) -> &'static str {
         Error::NothingSaved => "Save the state with M70 or M73 before M72, in the same subroutine.",
         Error::NotInRotatedPlane => "Select the plane of the rotation, or end it: G69, or G10 L2 P0 R0.",
         Error::UnequalScaling => "Give both axes of the plane the same factor, or write the curve in short lines.",
+        Error::ThousandfoldScaling => {
+            "Write the factors of G51 as multiples: P1.5 instead of the P1500 of controls that count in thousandths."
+        }
         Error::ScalingActs => "End the scaling with G50 before the line.",
         Error::RotationActs => "End the rotation with G69 before the line.",
         Error::RecorderLeftOut => "Repeat it in the simulator: oxmill serve --record FILE.",

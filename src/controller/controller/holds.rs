@@ -5,6 +5,7 @@ use super::Controller;
 use super::states::{AfterBraking, Mode};
 use super::task::Task;
 use crate::error::Alarm;
+use crate::gcode::Dialect;
 use crate::machine::stops::StopReason;
 use crate::messages::Coolant;
 use crate::protocol::report;
@@ -112,9 +113,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// A refused line ends the job, if that is wanted.
-    pub(super) fn stop_at_error(&mut self) {
-        if self.m.settings.is_on(Key::StopOnError) && matches!(self.mode, Mode::Normal) {
+    /// A refused line ends the job, if that is wanted, or if the operator would have been asked for another tool by it: what
+    /// follows is meant for that one.
+    pub(super) fn stop_at_error(&mut self, asks_for_tool: bool) {
+        let lacks_tool = asks_for_tool && self.prompts_for_tools() && self.dialect() != Dialect::Grbl;
+        if matches!(self.mode, Mode::Normal) && (lacks_tool || self.m.settings.is_on(Key::StopOnError)) {
             self.stop_softly(true);
         }
     }

@@ -2,7 +2,7 @@
 //! has begun, its tool change, and whether single block is on.
 
 use crate::axes::{LINEAR, PerAxis};
-use crate::gcode::Checked;
+use crate::gcode::{Checked, Notice};
 use crate::machine::tool_change::ToolChange;
 use crate::motion::{Arc, ArcGeometry, Curvature, Curve, Nurbs, NurbsGeometry, Spline, SplineGeometry};
 use crate::units::{Coordinate, WeightedPoint};
@@ -14,6 +14,8 @@ pub(super) struct LineInWork<const N: usize> {
     pub(super) checked: Checked<N>,
     curve: Option<Curve<N>>,
     single_block: bool,
+    /// Notices that the program has been told, a bit each.
+    told: u8,
     /// The tool change of the line, if its tool is measured.
     change: ToolChange<N>,
 }
@@ -21,7 +23,7 @@ pub(super) struct LineInWork<const N: usize> {
 impl<const N: usize> LineInWork<N> {
     /// There is none.
     pub(super) const NONE: Self =
-        Self { checked: Checked::NOTHING, curve: None, single_block: false, change: ToolChange::NONE };
+        Self { checked: Checked::NOTHING, curve: None, single_block: false, told: 0, change: ToolChange::NONE };
 
     /// Single block: whether the program pauses behind each line that moves, until the operator continues it.
     pub(super) fn is_single_block(&self) -> bool {
@@ -34,9 +36,23 @@ impl<const N: usize> LineInWork<N> {
         self.single_block
     }
 
-    /// A reset ends single block.
-    pub(super) fn end_single_block(&mut self) {
+    /// What is to be told about the line and has not been told yet.
+    pub(super) fn take_notice(&mut self) -> Option<Notice> {
+        let notice = self.checked.notice()?;
+        let is_new = self.told & 1 << notice as u8 == 0;
+        self.told |= 1 << notice as u8;
+        is_new.then_some(notice)
+    }
+
+    /// Another program is told again.
+    pub(super) fn forget_notices(&mut self) {
+        self.told = 0;
+    }
+
+    /// A reset ends single block, and the program with it.
+    pub(super) fn reset(&mut self) {
         self.single_block = false;
+        self.forget_notices();
     }
 
     /// Its tool is changed and measured; see [`LineInWork::change`].

@@ -27,7 +27,7 @@ const ERRORS: &[(u8, &[&str])] = &[
     (32, &["G2 Z1 R1", "G18 G2 Y1 R1", "G19 G2 X1 R1"]),
     (33, &["G2 X0 Y0 R1", "G2 Z1 X0 R1", "G38.2 X0", "G0 X-50000.001"]),
     (33, &["X99999999999999999999999", "G28 X60000", "G20 X-3000", "G2 X1 I99999999999", "G2 X1 R99999999999"]),
-    (34, &["G2 X10 R1", "G2 X10 R0", "G2 X10 R4.9999"]),
+    (34, &["G2 X10 R1", "G2 X10 R0", "G2 X10 R4.98", "G2 X10.001 R4.998"]),
     (35, &["G2 X1", "G2 X1 K1", "G19 G2 Y1 I1"]),
     (36, &["I1", "L1", "P1", "R1", "G0 X1 P1", "G2 X2 I1 R1", "M3 P1", "G4 P1 L1", "G10 L20 P1 X1 R1"]),
     (37, &["G43.1"]),
@@ -129,6 +129,61 @@ fn axis_words_of_other_commands_under_g80() {
             assert_eq!(program.error(line), if dialect == Dialect::Grbl { 31 } else { 0 }, "{line} in {dialect:?}");
         }
     }
+}
+
+/// CAM programs round each word to its last digit: what that explains is no fault of the arc.
+#[test]
+fn arcs_of_rounded_words() {
+    let new = [Dialect::Oxmill, Dialect::Seed];
+    for (line, error) in [
+        ("G3 X4.9287 Y0 R2.4643", 0),
+        ("G2 X7.071 Y7.072 R5", 0),
+        ("G2 X10 R4.9999", 0),
+        ("G2 X10 R4.99", 0),
+        ("G2 X10 R4.98", 34),
+        ("G2 X10.002 R5", 0),
+        ("G2 X10.003 R5", 34),
+        ("G2 X10.0003 R5", 34),
+        ("G2 X10 R4.9985", 34),
+        ("G20 G2 X1 R.499", 0),
+        ("G20 G2 X1.0001 R.499", 34),
+        ("G20 G2 X1 R.4999", 0),
+    ] {
+        for dialect in new {
+            assert_eq!(ready(dialect).error(line), error, "{line} in {dialect:?}");
+        }
+    }
+    // The half circle has half of the way for its radius.
+    let Motion::Arc(arc) = ready(Dialect::Oxmill).run("G3 X4.9287 R2.4643").motion else { panic!() };
+    assert_eq!((arc.i.0, arc.j.0), (24_643_500, 0));
+    #[cfg(feature = "rotation")]
+    for factor in ["100", "0.01"] {
+        let mut program = ready(Dialect::Oxmill);
+        program.run(&format!("G51 X0 Y0 Z0 P{factor}"));
+        assert_eq!(["G2 X10.002 R5", "G2 X10.003 R5"].map(|line| program.error(line)), [0, 34], "{factor}");
+    }
+    for (line, error) in [
+        // Two digits: the centre is 0.028 mm off at most.
+        ("G2 X5.02 I2.5", 0),
+        ("G2 X5.02 I2.50", 0),
+        ("G2 X5.03 I2.5", 33),
+        ("G2 X5.012 I2.5", 33),
+        ("G2 X5.0049 I2.5", 0),
+        ("G2 X5.012 Y0 I2.500 J0", 33),
+        ("G20 G2 X.202 I.1", 0),
+        ("G20 G2 X.203 I.1", 33),
+        ("G20 G2 X.2002 I.1", 0),
+        ("G20 G2 X.2003 I.1", 33),
+        ("G90.1 G2 X5.02 Y0 I2.5 J0", 0),
+        ("G18 G2 Z5.02 K2.5", 0),
+    ] {
+        assert_eq!(ready(Dialect::Oxmill).error(line), error, "{line}");
+    }
+    // The dialect that ends such arcs on their circle ends them there still, and Grbl's has neither.
+    let Motion::Arc(arc) = ready(Dialect::Seed).run("G2 X5.02 I2.5").motion else { panic!() };
+    assert_eq!(arc.target.0[0].0, 50_000_000);
+    let grbl = ready(Dialect::Grbl);
+    assert_eq!(["G3 X4.9287 Y0 R2.4643", "G2 X5.02 I2.5"].map(|line| grbl.error(line)), [34, 33]);
 }
 
 /// Where Grbl keeps a byte of a number, and takes what is left for a word or for no whole number.
