@@ -7,7 +7,7 @@ use super::Controller;
 use super::states::Mode;
 use super::task::Task;
 use crate::error::{Alarm, Error};
-use crate::gcode::{Dialect, WITH_VALUES};
+use crate::gcode::{Dialect, Notice, WITH_VALUES};
 use crate::machine::inputs;
 use crate::messages::Signals;
 use crate::protocol::report::{self, PlaceForm};
@@ -71,6 +71,14 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             let _ = text.extend_from_slice(written);
         }
         self.say(|out| report::program_message(out, &text));
+    }
+
+    /// Tells a program what it has not been told yet.
+    #[inline(never)]
+    pub(super) fn tell_notice(&mut self, notice: Notice) {
+        if self.line.is_new(notice) {
+            self.say(|out| report::message(out, notice.text()));
+        }
     }
 
     /// The answer to a line that is not carried out, or not to its end.

@@ -358,8 +358,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             (Some(offset), None) => self.m.records.save_offset(offset, &self.m.interpreter),
             (None, None) => {}
         }
-        if let Some(notice) = self.line.take_notice() {
-            self.say(|out| report::message(out, notice.text()));
+        if let Some(notice) = self.line.checked.notice() {
+            self.tell_notice(notice);
         }
         if checking {
             self.check_tool_change();

@@ -36,12 +36,12 @@ impl<const N: usize> LineInWork<N> {
         self.single_block
     }
 
-    /// What is to be told about the line and has not been told yet.
-    pub(super) fn take_notice(&mut self) -> Option<Notice> {
-        let notice = self.checked.notice()?;
-        let is_new = self.told & 1 << notice as u8 == 0;
-        self.told |= 1 << notice as u8;
-        is_new.then_some(notice)
+    /// Whether the program has not been told this yet; from here on it has.
+    pub(super) fn is_new(&mut self, notice: Notice) -> bool {
+        let bit = 1 << notice as u8;
+        let is_new = self.told & bit == 0;
+        self.told |= bit;
+        is_new
     }
 
     /// Another program is told again.

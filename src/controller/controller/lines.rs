@@ -8,7 +8,7 @@ use super::states::Mode;
 use super::task::{Answer, Caller, Task};
 use super::view::dialect;
 use crate::error::Error;
-use crate::gcode::{self, AS_WRITTEN, Dialect, Direction, WITH_VALUES};
+use crate::gcode::{self, AS_WRITTEN, CAM_WORDS, Dialect, Direction, Notice, WITH_VALUES};
 use crate::messages::{HOST_CHANGED, LineByte};
 use crate::protocol::checked_line::Verdict;
 use crate::protocol::line::{self, Pushed};
@@ -138,6 +138,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let (mut text, mut remark) = (heapless::Vec::<u8, { line::LENGTH }>::new(), Remark::new());
         let _ = text.extend_from_slice(self.m.lines.text());
         self.read_remark(&mut remark);
+        if CAM_WORDS && self.m.lines.has_nested_remark() && self.dialect() == Dialect::Oxmill {
+            self.tell_notice(Notice::NestedRemark);
+        }
         if self.must_wait(&text) {
             self.task = Task::JogWaits;
         } else {
@@ -280,7 +283,7 @@ fn line_rules<const N: usize>(settings: &Settings<N>) -> line::LineRules {
         dialect => line::LineRules {
             length: line::LENGTH,
             merge_crlf: true,
-            nested_remarks: dialect == Dialect::Seed,
+            nested_remarks: dialect == Dialect::Seed || CAM_WORDS,
             expressions: true,
             block_delete: settings.is_on(Key::BlockDelete),
         },

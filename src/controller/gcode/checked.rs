@@ -78,6 +78,12 @@ pub(super) struct Afterwards {
 pub enum Notice {
     /// G43 of a tool while the table has no entry.
     NoTools,
+    /// G187, G8 P, G5.1 Q, G5 P.
+    LookAhead,
+    /// M29.
+    RigidTapping,
+    /// A remark has parentheses in it.
+    NestedRemark,
 }
 
 impl Notice {
@@ -85,6 +91,9 @@ impl Notice {
     pub const fn text(self) -> &'static str {
         match self {
             Notice::NoTools => "No tool is in the table: G43 has length 0. G10 L1 P5 Z0 enters tool 5",
+            Notice::LookAhead => "Switches of the look-ahead (G5.1 Q, G8 P, G187) do nothing: G64 P sets a tolerance",
+            Notice::RigidTapping => "M29 does nothing: there is no rigid tapping",
+            Notice::NestedRemark => "Parentheses within a remark are part of it; Grbl ends it at the first one",
         }
     }
 }

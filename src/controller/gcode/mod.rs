@@ -45,8 +45,8 @@ pub use computed::HeldLine;
 pub use cycle::{Cycle, CycleStep, CycleWords};
 pub use direction::{Direction, Held};
 pub use modal::{
-    ArcDistance, BLENDING, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, Modal, MotionMode, OverridesHeld,
-    PathControl, PathTolerance, Plane, PlaneAxes, ProbeMode, ROTATION, SPLINES, SplineKind, Units,
+    ArcDistance, BLENDING, CAM_WORDS, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, Modal, MotionMode,
+    OverridesHeld, PathControl, PathTolerance, Plane, PlaneAxes, ProbeMode, ROTATION, SPLINES, SplineKind, Units,
 };
 pub use offsets::{Offsets, StoredOffset};
 pub use remark::{AS_WRITTEN, WITH_VALUES, split_remark};

@@ -11,7 +11,7 @@ const ERRORS: &[(u8, &[&str])] = &[
     (1, &["1", "%", "G1 X1..2", "X1*2", "!", "X1,5", "g0"]),
     (2, &["X", "G", "M", "X.", "X-", "X+", "G1 XY"]),
     (4, &["F-1", "N-1", "P-1", "S-1", "T-1", "F-0.0000001"]),
-    (20, &["G6", "G38", "G38.6", "G90.2", "M100", "D1", "A1"]),
+    (20, &["G6", "G38", "G38.6", "G90.2", "M100", "B1", "A1"]),
     (20, &["G-1", "G999", "G10 L3 P1 X1", "G10 P1 X1", "G10 L-2 X0", "G10 L258 P1 X0"]),
     (21, &["G17 G18", "G20 G21", "G80 G80", "M3 M4", "M0 M2", "M8 M9", "G53 G4 P1", "G4 P1 G92 X1"]),
     (22, &["G1 F0", "G1 F0 X1", "G93 G1 X1", "G93 G2 X2 I1", "G93 G38.2 X1", "G2 F0 I1"]),
@@ -37,7 +37,7 @@ const ERRORS: &[(u8, &[&str])] = &[
 /// Errors of Grbl's dialect alone: the others have a meaning for these lines, or another error.
 const ERRORS_OF_GRBL: &[(u8, &[&str])] = &[
     (20, &["G43", "G43.2 H0", "G81", "G98", "M6", "X1 Q1", "X1 H1", "G5", "M99", "G10 L2 P1 R1 X1"]),
-    (20, &["U1", "V1", "W1", "G12", "G13", "G31", "G65", "G66", "M97"]),
+    (20, &["D1", "U1", "V1", "W1", "G12", "G13", "G31", "G65", "G66", "M97"]),
     (23, &["M-1", "M256", "M600", "M99999", "G256", "G54.1", "G59.4", "G-0.5"]),
     (26, &["G2 I1"]),
     (29, &["G10 L3 P10 X0"]),
@@ -194,7 +194,7 @@ fn numbers_that_no_word_has() {
         for line in ["G10000", "G256", "G999", "G-1", "G-0.5", "M600", "M256", "M-1", "M99999", "M1000"] {
             assert_eq!(program.error(line), 20, "{line} in {dialect:?}");
         }
-        for line in ["G54.1 P1", "G59.4", "G54.4"] {
+        for line in ["G54.3 P1", "G59.4", "G54.4"] {
             assert_eq!(program.error(line), 29, "{line} in {dialect:?}");
         }
         for line in ["U1", "G0 V1", "G1 X1 W-2"] {

@@ -9,7 +9,9 @@ use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::arc::{self, Vector};
 use crate::gcode::checked::{ArcMove, Feed, Motion};
-use crate::gcode::modal::{ArcDistance, MotionMode, PlaneAxes, ProbeMode, ROTATION, SPLINES, SplineKind, Units};
+use crate::gcode::modal::{
+    ArcDistance, CAM_WORDS, MotionMode, PlaneAxes, ProbeMode, ROTATION, SPLINES, SplineKind, Units,
+};
 use crate::gcode::values::{along, reachable, whole};
 use crate::gcode::word::{Claim, Letters};
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
@@ -35,13 +37,14 @@ impl<const N: usize> Check<'_, N> {
             return Ok(());
         }
         if mode != MotionMode::Rapid && self.checked.modal.feed == Decimal::ZERO {
-            return Err(Error::UndefinedFeed);
+            return if self.is_look_ahead() { self.switch_look_ahead() } else { Err(Error::UndefinedFeed) };
         }
         match mode {
             MotionMode::Rapid | MotionMode::Linear => self.straight(mode),
             MotionMode::ArcClockwise => self.arc(true),
             MotionMode::ArcCounterClockwise => self.arc(false),
             MotionMode::Spline(SplineKind::Nurbs) => self.control_point(),
+            MotionMode::Spline(_) if self.is_look_ahead() => self.switch_look_ahead(),
             MotionMode::Spline(kind) => self.spline(kind),
             MotionMode::Probe(probe) => self.probe(probe),
             MotionMode::Cycle(kind) => self.cycle(kind),
@@ -72,6 +75,9 @@ impl<const N: usize> Check<'_, N> {
         reachable(&target)?;
         let feed = self.feed_to(&target);
         self.checked.motion = Motion::Probe { target, feed, away: mode.away, alarm: mode.alarm };
+        if CAM_WORDS && self.line.extended.probe_once {
+            self.checked.modal.motion = self.checked.modal.straight;
+        }
         self.checked.position = target;
         Ok(())
     }
