@@ -116,6 +116,7 @@ codes! {
     TooManyControlPoints = 148, "there is no room for more control points (G5.2)";
     NoParallelAxes = 149, "there are no axes U, V and W";
     OneRotaryAxis = 150, "A is the only axis that turns: there are no axes B and C";
+    ThousandfoldScaling = 151, "a factor of G51 is beyond 100: P1 is the size as programmed, not P1000";
     ReadOnlyParameter = 200, "the parameter belongs to the machine and cannot be set";
     ExpressionsLeftOut = 201, "this board has no room for expressions, parameters and O words";
     EndlessLoop = 202, "the loop or call has not come to an end in 100,000 passes";

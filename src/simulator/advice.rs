@@ -4,7 +4,7 @@
 use oxmill_controller::error::{Alarm, Error};
 
 /// Words that are refused, and what to write instead.
-const INSTEAD: [(&[&str], &str); 15] = [
+const INSTEAD: [(&[&str], &str); 12] = [
     (
         &["G33", "G33.1", "G74", "G76", "G84"],
         "The spindle is not measured, so nothing can follow its turns: drill the hole (G81), then mill the thread with G2 or G3 and Z, or tap by hand.",
@@ -17,7 +17,6 @@ const INSTEAD: [(&[&str], &str); 15] = [
         &["G15", "G16"],
         "Write X and Y; with expressions, X[#1*COS[#2]] Y[#1*SIN[#2]] is the point at radius #1 and angle #2.",
     ),
-    (&["G31"], "Probe with G38.2 to G38.5, which say what happens without a contact; #5061 and on have the place."),
     (
         &["G41", "G41.1", "G42", "G42.1"],
         "Let the CAM program offset the path by the radius of the cutter, and leave the word out.",
@@ -28,12 +27,10 @@ const INSTEAD: [(&[&str], &str); 15] = [
         "Write sub-programs with O words in the same file: o100 sub, its lines, o100 endsub, then o100 call [5]; docs/expressions.md has more.",
     ),
     (&["G87"], "Write the back boring as single moves."),
-    (&["G70", "G71"], "Write G20 for inches, G21 for millimetres."),
     (
         &["M82", "M83", "M84", "M104", "M106", "M107", "M109", "M117", "M140", "M190"],
         "The program is for the firmware of a 3D printer: choose a post-processor for Grbl. Spindle and laser are M3 or M4 with S, and M5.",
     ),
-    (&["G54.1"], "Use G54 to G59.3: there are nine coordinate systems."),
     (&["M19"], "Leave the word out: the spindle cannot be turned to an angle."),
 ];
 
@@ -41,8 +38,8 @@ const INSTEAD: [(&[&str], &str); 15] = [
 const WORD_OF_A: &str =
     "Set $930=4 if the machine has an axis A that turns, on a board with four axes; else leave the word out.";
 
-/// What helps against a remark with parentheses in it, such as `(profile (outside))`.
-const NESTED_REMARK: &str = "A remark ends at its first closing parenthesis: take the parentheses within it out.";
+/// What helps against a remark with parentheses in it, such as `(profile (outside)`.
+const NESTED_REMARK: &str = "Close each parenthesis of the remark in its line, or take those within it out: Grbl's dialect ends it at the first one that closes.";
 
 /// What helps against an error with this number that a line has met: what to write instead of a word of it, if that is
 /// known.
@@ -156,7 +153,9 @@ pub fn for_error(error: Error) -> &'static str {
         Error::NoAxisWords => "Add the axis words that the command needs.",
         Error::InvalidLineNumber => "Write N with 10,000,000 at most, or leave it out.",
         Error::ValueWordMissing => "Add the missing word; docs/gcode.md has those of each command.",
-        Error::UnsupportedCoordinateSystem => "Use G54 to G59.3 (P1 to P9 of G10), in the dialect of Grbl G54 to G59.",
+        Error::UnsupportedCoordinateSystem => {
+            "Use G54 to G59.3 (P1 to P9 of G10; G54.1 P1 to P3 are G59.1 to G59.3), in the dialect of Grbl G54 to G59."
+        }
         Error::G53NeedsMotion => "Put G0 or G1 in the line with G53.",
         Error::AxisWordsUnused => "Take the axis words out, or choose a motion mode instead of G80.",
         Error::NoPlaneAxisForArc | Error::NoPlaneOffsets => {
@@ -171,7 +170,7 @@ pub fn for_error(error: Error) -> &'static str {
         Error::ToolNumberTooHigh | Error::ValueOutOfRange => "Use a value within the range that docs/gcode.md gives.",
         Error::SpindleNotTurning => "Start the spindle with M3 or M4 and an S word before the cycle.",
         Error::UnknownTool => {
-            "Put the tool into the table with G10 L1, or take one out that is not needed: G10 L1 P5 takes out tool 5."
+            "Enter the tool once with its length: G10 L1 P5 Z12.5 enters tool 5, G10 L1 P5 Z0 one whose length plays no part. If the table is full, G10 L1 P6 takes out tool 6."
         }
         Error::EmergencyStop => "Release the emergency stop, then reset.",
         Error::DriverFault => "Find out what the motor driver reports, and switch it off and on.",
@@ -193,6 +192,9 @@ pub fn for_error(error: Error) -> &'static str {
         Error::NothingSaved => "Save the state with M70 or M73 before M72, in the same subroutine.",
         Error::NotInRotatedPlane => "Select the plane of the rotation, or end it: G69, or G10 L2 P0 R0.",
         Error::UnequalScaling => "Give both axes of the plane the same factor, or write the curve in short lines.",
+        Error::ThousandfoldScaling => {
+            "Write the factors of G51 as multiples: P1.5 instead of the P1500 of controls that count in thousandths."
+        }
         Error::ScalingActs => "End the scaling with G50 before the line.",
         Error::RotationActs => "End the rotation with G69 before the line.",
         Error::RecorderLeftOut => "Repeat it in the simulator: oxmill serve --record FILE.",

@@ -58,6 +58,12 @@ fn refused(letter: u8, number: Decimal, words: &[(u8, Decimal)]) -> Option<Error
             Some(Error::RotationLeftOut)
         }
         b'M' if is(73_000) => Some(Error::ExpressionsLeftOut),
+        b'G' if is(31_000) || is(8000) && value(b'P').is_some() => Some(Error::NotSupported),
+        b'G' if is(54_100) => Some(Error::UnsupportedCoordinateSystem),
+        b'G' if [70_000, 71_000, 154_000, 187_000].into_iter().any(is) => Some(Error::UnsupportedCommand),
+        b'M' if is(29_000) => Some(Error::UnsupportedCommand),
+        b'D' => Some(Error::UnsupportedCommand),
+        b'U'..=b'W' => Some(Error::NoParallelAxes),
         _ => None,
     }
 }
@@ -82,6 +88,14 @@ mod tests {
             ("G5.20 P1 L3", 141),
             ("G51 P2", 144),
             ("G64P.05", 134),
+            ("G5.1 Q1", 141),
+            ("G31 Z-1", 121),
+            ("g08p1", 121),
+            ("G54.1 P1", 29),
+            ("G70", 20),
+            ("G43 H1 D1", 20),
+            ("M29 S1", 20),
+            ("G28 U0 W0", 149),
         ] {
             assert_eq!(error_of(line).map(|error| error.code()), Some(code), "{line}");
         }

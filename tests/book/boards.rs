@@ -10,12 +10,13 @@ use std::fmt::Write;
 /// Lengths of the step pulse (`$0`) whose greatest rates the table has, tenths of a microsecond.
 const PULSES: [u16; 7] = [5, 10, 20, 25, 30, 50, 100];
 /// What an image may lack, as the firmware calls it and as a reader does.
-const PARTS: [(&str, &str); 8] = [
+const PARTS: [(&str, &str); 9] = [
     ("expressions", "expressions, parameters, O words"),
     ("extended-gcode", "cycles, tool table"),
     ("rotation", "rotated and scaled coordinates"),
     ("splines", "splines"),
     ("blending", "rounded corners (`G64 P`)"),
+    ("cam-words", "habits of CAM programs (`G31`, `G70`, `G54.1`, D)"),
     ("program-pins", "outputs and inputs of programs"),
     ("descriptions", "texts of settings and errors (`$ES`)"),
     ("recorder", "recording (`$REC`)"),

@@ -18,6 +18,7 @@ const MEANINGS: &[(&str, &str)] = &[
     ("G5.2 G5.3", "[control points](#control-points) of a curve, a line each; their end: along the curve"),
     ("G38.2 G38.3", "probe towards a contact, with and without an alarm if there is none"),
     ("G38.4 G38.5", "probe away from a contact, with and without an alarm if it stays closed"),
+    ("G31", "probe as G38.3, in its line only ([habits](#habits-of-cam-programs))"),
     ("G73 G81 G82 G83 G85 G86 G88 G89", "[canned cycles](#canned-cycles)"),
     ("G80", "no motion, ends a cycle"),
     ("G4", "dwell of P seconds"),
@@ -31,6 +32,7 @@ const MEANINGS: &[(&str, &str)] = &[
     ("G92.2 G92.3", "suspends, restores the offset of G92"),
     ("G17 G18 G19", "plane XY, ZX, YZ"),
     ("G20 G21", "inches, millimetres"),
+    ("G70 G71", "inches, millimetres ([habits](#habits-of-cam-programs))"),
     ("G40", "no cutter compensation, which is so in any case"),
     ("G43 G43.2", "tool offset of the table, added to what is active ([tools](#tools))"),
     ("G43.1 G49", "tool offset by value, none"),
@@ -38,6 +40,7 @@ const MEANINGS: &[(&str, &str)] = &[
     ("G51", "[scaling](#scaling) about a point"),
     ("G54 G55 G56 G57 G58 G59", "coordinate system 1 to 6"),
     ("G59.1 G59.2 G59.3", "coordinate system 7 to 9"),
+    ("G54.1 G154", "coordinate system 7 to 9 by P ([habits](#habits-of-cam-programs))"),
     ("G61", "exact path"),
     (
         "G61.1 G64",
@@ -49,6 +52,8 @@ const MEANINGS: &[(&str, &str)] = &[
     ("G91.1", "centres of arcs are distances from the start"),
     ("G93 G94", "F is 1 / minutes of the move, or mm/min (inch/min)"),
     ("G97", "S is in revolutions per minute, which is so in any case"),
+    ("M29", "rigid tapping: does nothing ([habits](#habits-of-cam-programs))"),
+    ("G8 G187", "look-ahead: does nothing ([habits](#habits-of-cam-programs))"),
     ("G98 G99", "cycles retract to where they began, to R"),
     ("M0", "pause until `~`"),
     ("M1", "the same if `$919=1`"),
@@ -70,6 +75,7 @@ const MEANINGS: &[(&str, &str)] = &[
 
 /// Letters of values, and what they are for.
 const LETTERS: &[(&str, &str)] = &[
+    ("D", "register of a radius, which nothing uses"),
     ("E", "analog output or input"),
     ("F", "feed"),
     ("H", "tool of G43"),

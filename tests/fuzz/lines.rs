@@ -32,7 +32,7 @@ pub fn run(data: &[u8]) {
     let rules = || LineRules {
         length: if dialect == Dialect::Grbl { line::GRBL_LENGTH } else { line::LENGTH },
         merge_crlf: dialect != Dialect::Grbl,
-        nested_remarks: dialect == Dialect::Seed,
+        nested_remarks: dialect != Dialect::Grbl,
         expressions: dialect != Dialect::Grbl,
         block_delete: first & 0x40 != 0,
     };

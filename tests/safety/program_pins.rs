@@ -35,11 +35,49 @@ fn some_change_at_once_and_others_with_the_next_motion() {
     assert_eq!(outputs(&bench), 0b1, "nothing has moved");
     assert_eq!(bench.ask("G1 X10 F600"), ["ok"]);
     assert_eq!(bench.ask("M63 P1 G1 Y10"), ["ok"]);
-    assert_eq!(bench.ask("M65 P2"), ["ok"]);
-    assert_eq!(outputs(&bench) & 0b100, 0, "P2 is off until the motion for which it waits");
+    bench.send("M65 P2\n");
     wait_for(&mut bench, 0b110);
+    wait_for(&mut bench, 0b100);
+    assert_eq!(bench.state(), "Run", "P1 was on in the first move only");
+    wait_for(&mut bench, 0);
     bench.settle();
-    assert_eq!(outputs(&bench), 0b100, "P1 was on in the first move only");
+}
+
+#[test]
+fn an_output_waits_for_the_motion_before_it() {
+    let settings = format!("{SETTINGS} $100=250 $101=250 $102=250");
+    for (word, [before, behind]) in [("M64P1", [0, 2]), ("M65P1", [2, 0])] {
+        for lines in [format!("{word}\nG1X10\n"), format!("G1X10{word}\n"), format!("{word}G4\nG1X10\n")] {
+            let mut bench = Bench::new("", &settings);
+            assert_eq!(bench.ask(if before == 0 { "M65 P1" } else { "M64 P1" }), ["ok"]);
+            let begin = bench.seconds();
+            bench.send(format!("G21G91F600\nG1X50\n{lines}M2\n"));
+            while outputs(&bench) == before {
+                assert!(bench.seconds() < begin + 60.0);
+                bench.wait(0.001);
+            }
+            let after = bench.seconds() - begin;
+            assert_eq!((outputs(&bench), bench.place()[0]), (behind, 12_500), "{lines} after {after} s");
+            assert!((4.9..5.1).contains(&after), "{lines} after {after} s");
+            bench.settle();
+            assert_eq!(bench.place()[0], 15_000);
+        }
+    }
+}
+
+#[test]
+fn held_motion_holds_an_output_off() {
+    let mut bench = bench();
+    bench.send("G21G91F600\nG1X50\nM64P1\nG1X10\n");
+    bench.wait(2.0);
+    bench.send("!");
+    bench.wait(10.0);
+    assert_eq!((outputs(&bench), bench.state().as_str()), (0, "Hold:0"));
+    bench.send("~");
+    bench.wait(1.0);
+    assert_eq!(outputs(&bench), 0);
+    bench.settle();
+    assert_eq!(outputs(&bench), 2);
 }
 
 #[test]

@@ -19,13 +19,13 @@ use crate::error::Error;
 use crate::units::{Coordinate, DECIMAL_ONE, integer_root};
 
 /// Radii at start and end may always differ by this: 0.005 mm.
-const RADIUS_TOLERANCE: i64 = DECIMAL_ONE / 200;
+pub(super) const RADIUS_TOLERANCE: Coordinate = Coordinate(DECIMAL_ONE / 200);
 /// They may never differ by more than this: 0.5 mm.
 const RADIUS_TOLERANCE_MAX: i64 = DECIMAL_ONE / 2;
 /// In between they may differ by this part of the radius: 0.1 %.
 const RADIUS_TOLERANCE_PART: i64 = 1000;
-/// A chord may exceed twice the radius by this, 0.4 nm: converting inches rounds each of them.
-const DIAMETER_TOLERANCE: u64 = 4;
+/// A chord may always exceed twice the radius by this, 0.4 nm: converting inches rounds each of them.
+pub(super) const DIAMETER_TOLERANCE: Coordinate = Coordinate(4);
 
 /// A vector in the plane of an arc, in units of 0.1 nm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,8 +79,14 @@ fn divided(numerator: i128, denominator: i128) -> i64 {
     (rounded / denominator) as i64
 }
 
-/// The centre of an arc of a given radius; a negative radius asks for the arc of more than half a turn.
-pub(super) fn centre_by_radius(chord: Vector, radius: Coordinate, clockwise: bool) -> Result<Vector, Error> {
+/// The centre of an arc of a given radius; a negative radius asks for the arc of more than half a turn. Where the chord
+/// exceeds twice the radius, by `tolerance` at most, it is a half circle.
+pub(super) fn centre_by_radius(
+    chord: Vector,
+    radius: Coordinate,
+    clockwise: bool,
+    tolerance: Coordinate,
+) -> Result<Vector, Error> {
     let chord = chord.checked()?;
     if chord.square() == 0 {
         return Err(Error::InvalidTarget);
@@ -89,7 +95,7 @@ pub(super) fn centre_by_radius(chord: Vector, radius: Coordinate, clockwise: boo
         return Err(Error::InvalidTarget);
     }
     let diameter = 2 * radius.0.unsigned_abs();
-    if square(diameter + DIAMETER_TOLERANCE) < chord.square() || radius == Coordinate::ZERO {
+    if square(diameter + tolerance.0.unsigned_abs()) < chord.square() || radius == Coordinate::ZERO {
         return Err(Error::ImpossibleRadius);
     }
     // 2h / chord = √(4r² - chord²) / √chord²
@@ -100,11 +106,23 @@ pub(super) fn centre_by_radius(chord: Vector, radius: Coordinate, clockwise: boo
     Ok(Vector { first: divided(x * along + y * across, 2 * along), second: divided(y * along - x * across, 2 * along) })
 }
 
-/// Whether the arc radius at the start agrees with that at the end: `error:33` if they are too far apart.
-pub(super) fn radii_agree(chord: Vector, centre: Vector) -> Result<bool, Error> {
+/// How far a chord may exceed twice the radius if all words of the arc are rounded to a last digit: R is half of it off, and
+/// each end of the chord along two axes.
+pub(super) fn rounding_of_diameter(digit: Coordinate) -> Coordinate {
+    Coordinate(digit.0 * 12 / 5)
+}
+
+/// How far the radii at start and end may differ for the same reason: two ends and the centre are off along two axes, and
+/// the centre counts for both.
+pub(super) fn rounding_of_radii(digit: Coordinate) -> Coordinate {
+    Coordinate(digit.0 * 14 / 5)
+}
+
+/// Whether the arc radius at the start agrees with that at the end, by `tolerance` at least.
+pub(super) fn radii_agree(chord: Vector, centre: Vector, tolerance: Coordinate) -> Result<bool, Error> {
     let radius = centre.checked()?.length();
     let difference = (chord.checked()?.minus(centre).length() - radius).abs();
-    Ok(difference <= RADIUS_TOLERANCE
+    Ok(difference <= tolerance.0
         || (difference <= RADIUS_TOLERANCE_MAX && difference.saturating_mul(RADIUS_TOLERANCE_PART) <= radius))
 }
 
@@ -130,6 +148,14 @@ pub(super) fn is_point(centre: Vector) -> bool {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    fn centre_by_radius(chord: Vector, radius: Coordinate, clockwise: bool) -> Result<Vector, Error> {
+        super::centre_by_radius(chord, radius, clockwise, DIAMETER_TOLERANCE)
+    }
+
+    fn radii_agree(chord: Vector, centre: Vector) -> Result<bool, Error> {
+        super::radii_agree(chord, centre, RADIUS_TOLERANCE)
+    }
 
     fn mm(first: f64, second: f64) -> Vector {
         Vector { first: (first * 1e7).round() as i64, second: (second * 1e7).round() as i64 }

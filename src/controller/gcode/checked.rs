@@ -69,6 +69,33 @@ pub(super) struct Afterwards {
     pub(super) keeping: Keeping,
     /// Outputs and inputs of the program.
     pub(super) pins: Option<ProgramPins>,
+    pub(super) notice: Option<Notice>,
+}
+
+/// What a program is told once about a word of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Notice {
+    /// G43 of a tool while the table has no entry.
+    NoTools,
+    /// G187, G8 P, G5.1 Q, G5 P.
+    LookAhead,
+    /// M29.
+    RigidTapping,
+    /// A remark has parentheses in it.
+    NestedRemark,
+}
+
+impl Notice {
+    /// Its text, for people.
+    pub const fn text(self) -> &'static str {
+        match self {
+            Notice::NoTools => "No tool is in the table: G43 has length 0. G10 L1 P5 Z0 enters tool 5",
+            Notice::LookAhead => "Switches of the look-ahead (G5.1 Q, G8 P, G187) do nothing: G64 P sets a tolerance",
+            Notice::RigidTapping => "M29 does nothing: there is no rigid tapping",
+            Notice::NestedRemark => "Parentheses within a remark are part of it; Grbl ends it at the first one",
+        }
+    }
 }
 
 impl<const N: usize> Checked<N> {
@@ -141,6 +168,11 @@ impl<const N: usize> Checked<N> {
         if PROGRAM_PINS { self.after.pins } else { None }
     }
 
+    /// What is to be told about the line.
+    pub fn notice(&self) -> Option<Notice> {
+        self.after.notice
+    }
+
     /// Whether the machine may have something against the line that programs cannot know.
     #[inline]
     pub fn needs_machine(&self) -> bool {
@@ -192,6 +224,7 @@ impl<const N: usize> Checked<N> {
             g92_acts: false,
             keeping: Keeping::Leave,
             pins: None,
+            notice: None,
         },
         stored: None,
         position: PerAxis::all(Coordinate::ZERO),
@@ -225,6 +258,7 @@ impl<const N: usize> Checked<N> {
         self.tool_length = state.offsets.tool_length;
         self.tool_change = false;
         self.after.pins = None;
+        self.after.notice = None;
         self.after.keeps_g92 = false;
         self.after.g92_acts = state.offsets.g92_acts;
         self.after.keeping = Keeping::Leave;
@@ -271,6 +305,13 @@ pub enum ProgramPins {
         /// E.
         number: u32,
     },
+}
+
+impl ProgramPins {
+    /// Whether they wait for the motion before them: M64 and M65 switch where the program has come to, M66 looks there.
+    pub fn act_at_rest(self) -> bool {
+        matches!(self, ProgramPins::Wait { .. } | ProgramPins::Digital { with_motion: false, .. })
+    }
 }
 
 /// What M66 waits for, by its L.

@@ -21,6 +21,11 @@ impl<const N: usize> Interpreter<N> {
     /// the length that was measured, and the position stay; that tool is the selected one, so that M6 without T changes nothing.
     pub fn reset(&mut self) {
         self.modal = Modal::INITIAL;
+        if let Some(before) = self.before_check.take() {
+            self.spindle_tool = before.spindle_tool;
+            self.offsets = before.offsets.unwrap_or(self.offsets);
+            self.tools.end_check();
+        }
         self.offsets.g92 = PerAxis::all(Coordinate::ZERO);
         self.offsets.g92_kept = PerAxis::all(Coordinate::ZERO);
         self.offsets.g92_acts = false;
@@ -29,10 +34,6 @@ impl<const N: usize> Interpreter<N> {
         self.scaling = None;
         self.rest = NO_REST;
         self.tangent = NO_TANGENT;
-        if let Some(before) = self.before_check.take() {
-            self.spindle_tool = before.spindle_tool;
-            self.tools.end_check();
-        }
         self.modal.tool = self.spindle_tool;
         self.offsets.tool_length = PerAxis::all(Coordinate::ZERO);
         self.measured.assumed = false;
@@ -42,10 +43,21 @@ impl<const N: usize> Interpreter<N> {
         self.computed.reset();
     }
 
-    /// From here to the next reset programs are only checked: a tool that M6 calls for does not come into the spindle, and
-    /// what they set in the table of tools is forgotten.
-    pub fn begin_check_mode(&mut self) {
-        self.before_check = Some(BeforeCheck { spindle_tool: self.spindle_tool, modal: self.modal });
+    /// From here on programs are only checked: a tool that M6 calls for does not come into the spindle, and what they set of
+    /// tools, coordinate systems, stored places and offsets is forgotten at the end. In Grbl's dialect all but the tools stays.
+    pub fn begin_check_mode(&mut self, dialect: Dialect) {
+        self.before_check = Some(BeforeCheck {
+            spindle_tool: self.spindle_tool,
+            modal: self.modal,
+            offsets: (dialect != Dialect::Grbl).then_some(self.offsets),
+        });
+    }
+
+    /// The end of a check, which is a reset that leaves G92 and the tool length offset as they were before the check.
+    pub fn end_check_mode(&mut self) {
+        let before = self.before_check.as_ref().and_then(|before| before.offsets);
+        self.reset();
+        self.offsets = before.unwrap_or(self.offsets);
     }
 
     /// Another dialect: what stays in force by words that it may not have, and so could not end, is ended.

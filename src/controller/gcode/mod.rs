@@ -41,7 +41,7 @@ mod word;
 #[cfg(not(feature = "expressions"))]
 use computed_left_out as computed;
 
-pub use checked::{ArcMove, Checked, Feed, Flow, InputWait, Motion, NurbsMove, ProgramPins, SplineMove};
+pub use checked::{ArcMove, Checked, Feed, Flow, InputWait, Motion, Notice, NurbsMove, ProgramPins, SplineMove};
 pub use computed::HeldLine;
 pub use cycle::{Cycle, CycleStep, CycleWords};
 pub use direction::{Direction, Held};
@@ -49,15 +49,15 @@ pub use memory::ProgramMemory;
 #[cfg(not(feature = "alloc"))]
 pub use memory::ProgramStorage;
 pub use modal::{
-    ArcDistance, BLENDING, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, Modal, MotionMode, OverridesHeld,
-    PathControl, PathTolerance, Plane, PlaneAxes, ProbeMode, ROTATION, SPLINES, SplineKind, Units,
+    ArcDistance, BLENDING, CAM_WORDS, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, Modal, MotionMode,
+    OverridesHeld, PathControl, PathTolerance, Plane, PlaneAxes, ProbeMode, ROTATION, SPLINES, SplineKind, Units,
 };
 pub use offsets::{Offsets, StoredOffset};
 pub use remark::{AS_WRITTEN, WITH_VALUES, split_remark};
 pub use rotation::{Angle, Rotation};
 pub use scaling::Scaling;
 pub use state::Interpreter;
-pub use tools::{TOOLS, Tool, ToolTable};
+pub use tools::{TOOLS, Tool, ToolTable, asks_for_tool};
 pub use word::{Group, group_of};
 
 /// Whether this build has expressions, parameters and O words.

@@ -19,6 +19,9 @@ pub const PROGRAM_PINS: bool = cfg!(feature = "program-pins");
 /// Whether corners can be rounded (G64 P): a feature of its own.
 pub const BLENDING: bool = cfg!(feature = "blending");
 
+/// Whether words are known that CAM programs write out of habit (G31, G70, G54.1, D): a feature of its own.
+pub const CAM_WORDS: bool = cfg!(feature = "cam-words");
+
 /// Motion mode, modal group 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MotionMode {

@@ -6,7 +6,8 @@
 use super::Dialect;
 use super::code::Code;
 use super::modal::{
-    ArcDistance, CoordinateSystem, Distance, FeedMode, Modal, MotionMode, PathControl, Plane, SPLINES, Units,
+    ArcDistance, CAM_WORDS, CoordinateSystem, Distance, FeedMode, Modal, MotionMode, PathControl, Plane, ProbeMode,
+    SPLINES, Units,
 };
 use super::state::Interpreter;
 use super::word::{ASSIGNMENT, Claim, GWord, Groups, Letters, MWord, NonModal, ToolLength, Word, Words};
@@ -21,9 +22,11 @@ const TOOL_MAX_OF_GRBL: i32 = 255;
 pub(super) const TOOL_MAX: i32 = 99_999;
 /// Letters of values other than axes, as Grbl has them and as the other dialects do.
 const VALUES_OF_GRBL: Letters = Letters::of(b"FIJKLNPRST");
-const VALUES: Letters = Letters::of(b"EFHIJKLNOPQRST");
+const VALUES: Letters = Letters::of(if CAM_WORDS { b"DEFHIJKLNOPQRST".as_slice() } else { b"EFHIJKLNOPQRST" });
+/// Letters of a rotation's centre, as Mach writes it.
+const CENTRE_OF_MACH: Letters = Letters::of(if CAM_WORDS { b"AB".as_slice() } else { b"" });
 /// Words whose value must not be negative.
-const NOT_NEGATIVE: Letters = Letters::of(b"EFHNPTS");
+const NOT_NEGATIVE: Letters = Letters::of(b"DEFHNPTS");
 
 /// Words that Grbl does not have.
 #[derive(Clone, Copy, Debug, Default)]
@@ -51,6 +54,16 @@ pub(super) struct Extended {
     pub overrides: Option<u8>,
     /// M70 to M73, by number.
     pub keep: Option<u8>,
+    /// G31.
+    pub probe_once: bool,
+    /// G54.1, G154.
+    pub system_by_number: bool,
+    /// G8, G187, by number.
+    pub look_ahead: Option<u8>,
+    /// M29.
+    pub rigid_tapping: bool,
+    /// Axes that U, V and W of G28 and G30 move by a distance.
+    pub distances: AxisMask,
 }
 
 /// The words of a line.
@@ -111,7 +124,7 @@ impl ModalWords {
 
 /// The letters that are no axes, with their values, in the order in which the line has them. A list, and not a place for
 /// each letter: most lines have one or none, and all places would be cleared for each line.
-type ValueWords = heapless::Vec<(u8, Decimal), { VALUES.count() }>;
+type ValueWords = heapless::Vec<(u8, Decimal), { VALUES.count() + CENTRE_OF_MACH.count() }>;
 
 impl<const N: usize> Parsed<N> {
     /// No words.
@@ -144,7 +157,11 @@ impl<const N: usize> Parsed<N> {
                 b'G' => self.take_g(Code::of(value), dialect)?,
                 // An axis that this machine does not have.
                 _ if N > LINEAR && Axis::from_letter(letter).is_some_and(|axis| axis.index() >= axes) => {
-                    return Err(if axes > LINEAR { Error::OneRotaryAxis } else { Error::UnsupportedCommand });
+                    if axes > LINEAR {
+                        return Err(Error::OneRotaryAxis);
+                    }
+                    // It may be of the centre of a rotation.
+                    self.take_value(letter, value, dialect)?;
                 }
                 b'M' => self.take_m(Code::of(value), dialect)?,
                 _ => match Axis::from_letter(letter).filter(|axis| axis.index() < N) {
@@ -205,8 +222,23 @@ impl<const N: usize> Parsed<N> {
             }
             GWord::Scaling(on) => self.extended.scaling = Some(on),
             GWord::NoCutterCompensation | GWord::AsItIs(_) => {}
+            GWord::ProbeOnce | GWord::SystemByNumber | GWord::LookAhead(_) => self.take_habit(word),
         }
         Ok(())
+    }
+
+    #[inline(never)]
+    fn take_habit(&mut self, word: GWord) {
+        self.extended.any = true;
+        match word {
+            GWord::ProbeOnce => {
+                self.modal.motion = Some(MotionMode::Probe(ProbeMode { away: false, alarm: false }));
+                self.extended.probe_once = true;
+            }
+            GWord::SystemByNumber => self.extended.system_by_number = true,
+            GWord::LookAhead(number) => self.extended.look_ahead = Some(number),
+            _ => {}
+        }
     }
 
     /// Where G80 and another motion word meet, the other one holds; in either order.
@@ -235,6 +267,7 @@ impl<const N: usize> Parsed<N> {
             MWord::Overrides(number) => {
                 self.extended = Extended { any: true, overrides: Some(number), ..self.extended }
             }
+            MWord::RigidTapping => self.extended = Extended { any: true, rigid_tapping: true, ..self.extended },
             MWord::Keep(number) => self.extended = Extended { any: true, keep: Some(number), ..self.extended },
         }
         Ok(())
@@ -261,6 +294,24 @@ impl<const N: usize> Parsed<N> {
         if !values.has(letter) {
             return match letter {
                 ASSIGNMENT => Ok(()),
+                // Grbl's dialect has no rotations.
+                b'A' | b'B' if CAM_WORDS && self.extended.rotation == Some(true) => {
+                    if self.values.has(letter) {
+                        return Err(Error::WordRepeated);
+                    }
+                    self.values.add(letter);
+                    let _ = self.value_words.push((letter, value));
+                    Ok(())
+                }
+                b'U'..=b'W'
+                    if CAM_WORDS && dialect != Dialect::Grbl && matches!(self.non_modal, Some(NonModal::Go(_))) =>
+                {
+                    let axis = [Axis::X, Axis::Y, Axis::Z].into_iter().zip(b'U'..).find(|(_, other)| *other == letter);
+                    let Some((axis, _)) = axis else { return Err(Error::NoParallelAxes) };
+                    self.extended.any = true;
+                    self.extended.distances = self.extended.distances.with(axis);
+                    self.take_axis(axis, axis.letter(), value, 0)
+                }
                 b'U'..=b'W' if dialect != Dialect::Grbl => Err(Error::NoParallelAxes),
                 _ => Err(Error::UnsupportedCommand),
             };

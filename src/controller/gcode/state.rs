@@ -33,7 +33,7 @@ pub struct Interpreter<const N: usize> {
     /// What M6 has put there; 0 for none.
     pub(super) spindle_tool: u32,
     /// While a program is only checked: what the machine has meanwhile.
-    pub(super) before_check: Option<BeforeCheck>,
+    pub(super) before_check: Option<BeforeCheck<N>>,
     pub(super) computed: Computed<N>,
     pub(super) measured: Measured,
     /// M70, M73.
@@ -72,9 +72,11 @@ pub(super) const NO_TANGENT: [Option<Tangent>; SPLINES as usize] = [None; SPLINE
 
 /// What check mode leaves to the machine.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct BeforeCheck {
+pub(super) struct BeforeCheck<const N: usize> {
     pub(super) spindle_tool: u32,
     pub(super) modal: Modal,
+    /// In Grbl's dialect what is checked sets them.
+    pub(super) offsets: Option<Offsets<N>>,
 }
 
 #[cfg(feature = "alloc")]
@@ -190,6 +192,13 @@ impl<const N: usize> Interpreter<N> {
         let mut offset = self.tools.offset(number).unwrap_or(PerAxis::all(Coordinate::ZERO));
         offset.set(TOOL_AXIS, length);
         Some(offset)
+    }
+
+    /// Whether neither the table nor the setter nor G43.1 has given any tool a length.
+    pub(super) fn knows_no_length(&self) -> bool {
+        self.tools.is_empty()
+            && self.measured == Measured::NOTHING
+            && self.offsets.tool_length == PerAxis::all(Coordinate::ZERO)
     }
 
     /// The table of tools.

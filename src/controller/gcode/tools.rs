@@ -2,8 +2,10 @@
 //! and what a tool setter has measured (`Measured`) against the first tool as reference. Entries are found, stored and
 //! forgotten by number.
 
+use super::code::Code;
 use super::modal::EXTENDED;
 use crate::axes::PerAxis;
+use crate::number::{self, Digits};
 use crate::units::Coordinate;
 
 /// How many tools the table holds.
@@ -39,6 +41,11 @@ impl<const N: usize> ToolTable<N> {
     /// All entries, the free ones included.
     pub fn entries(&self) -> &[Tool<N>] {
         &self.0
+    }
+
+    /// Whether it has no entry of any tool.
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.iter().all(|tool| tool.number == 0)
     }
 
     /// The entry of a tool, or the first free one.
@@ -122,6 +129,16 @@ impl Measured {
         self.offset = Some(offset);
         (offset, is_first)
     }
+}
+
+/// Whether a line that has been refused asks for another tool (M6), as far as its words can be told.
+#[inline(never)]
+pub fn asks_for_tool(line: &[u8]) -> bool {
+    EXTENDED
+        && line.split(|byte| *byte == b'M').skip(1).any(|number| {
+            number::read(number, Digits::Exact)
+                .is_some_and(|read| Code::of(read.value) == Code { whole: 6, hundredths: 0 })
+        })
 }
 
 /// The number of the entry that a program sets for a tool, which may be only checked.

@@ -3,8 +3,8 @@
 
 use super::code::Code;
 use super::modal::{
-    ArcDistance, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PROGRAM_PINS, PathControl,
-    Plane, ProbeMode, ROTATION, SPLINES, SplineKind, Units,
+    ArcDistance, CAM_WORDS, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PROGRAM_PINS,
+    PathControl, Plane, ProbeMode, ROTATION, SPLINES, SplineKind, Units,
 };
 use super::offsets::StoredOffset;
 use super::state::Interpreter;
@@ -57,6 +57,10 @@ impl<'a, const N: usize> Words<'a, N> {
 
     fn assign(&mut self, letter: u8, text: &'a [u8]) -> Result<(Word, &'a [u8]), Error> {
         match &mut self.state {
+            // ISO's letter of a program's number.
+            Some(_) if CAM_WORDS && letter == b':' && text.first().is_some_and(u8::is_ascii_digit) => {
+                self.read(b'O', text)
+            }
             Some(state) if letter == ASSIGNMENT => {
                 let rest = state.assign(text)?;
                 Ok((Word { letter, value: Decimal::ZERO, places: 0 }, rest))
@@ -178,8 +182,10 @@ pub enum Group {
     Scaling,
     /// G68, G69.
     Rotation,
-    /// G97.
+    /// G97, M29.
     SpindleMode,
+    /// G8, G187.
+    LookAhead,
 }
 
 /// The modal group of the word `G` or `M` with a number, as a line of a dialect is read.
@@ -316,6 +322,12 @@ pub(super) enum GWord {
     Scaling(bool),
     /// G5.3.
     EndOfControlPoints,
+    /// G31, a probing move whose word does not stay in force.
+    ProbeOnce,
+    /// G54.1, G154: a coordinate system by its P.
+    SystemByNumber,
+    /// G8, G187: a switch of the look-ahead, with its number.
+    LookAhead(u8),
     /// Says what is so in any case: G97 (S in revolutions per minute).
     AsItIs(Group),
 }
@@ -328,6 +340,7 @@ impl GWord {
             // programs.
             (43, 0 | 20) | (49, _) if dialect != Dialect::Grbl => Claim::Nobody,
             (0 | 1 | 2 | 3 | 38, _) => Claim::Motion,
+            (31, 0) if CAM_WORDS && dialect != Dialect::Grbl => Claim::Motion,
             (5, 0 | 10 | 20) if dialect != Dialect::Grbl => Claim::Motion,
             (10 | 28 | 30 | 92, 0) => Claim::NonModal,
             (51 | 52 | 68, 0) if dialect != Dialect::Grbl => Claim::NonModal,
@@ -359,12 +372,28 @@ impl GWord {
         })
     }
 
+    /// Words of other controls that CAM programs write out of habit.
+    fn of_cam(code: Code) -> Option<GWord> {
+        Some(match (code.whole, code.hundredths) {
+            (31, 0) => GWord::ProbeOnce,
+            // As in Mach.
+            (70, 0) => GWord::Units(Units::Inch),
+            (71, 0) => GWord::Units(Units::Mm),
+            (54, 10) | (154, 0) => GWord::SystemByNumber,
+            (8 | 187, 0) => GWord::LookAhead(code.whole),
+            _ => return None,
+        })
+    }
+
     /// What Grbl's dialect does not have, as far as it needs no more of the code; an error for numbers that are no code.
     fn beyond_grbl(code: Code) -> Option<Result<GWord, Error>> {
         match (code.whole, code.hundredths) {
             (_, Code::NO_CODE) => return Some(Err(Error::UnsupportedCommand)),
             (41 | 42, 0 | 10) => return Some(Err(Error::CutterCompensation)),
             _ => {}
+        }
+        if CAM_WORDS && let Some(word) = Self::of_cam(code) {
+            return Some(Ok(word));
         }
         Self::extended(code).map(|word| if EXTENDED { Ok(word) } else { Err(Error::ExtendedLeftOut) })
     }
@@ -423,7 +452,8 @@ impl GWord {
             (92, 10) => GWord::NonModal(NonModal::ClearOffset),
             (93, 0) => GWord::FeedMode(FeedMode::InverseTime),
             (94, 0) => GWord::FeedMode(FeedMode::PerMinute),
-            (7 | 8 | 12 | 13 | 15 | 16 | 31 | 33 | 51 | 65 | 66 | 68 | 74 | 76 | 84 | 87 | 95 | 96, _) if more => {
+            (8, 0) if more => return Err(Error::NotSupported),
+            (7 | 12 | 13 | 15 | 16 | 31 | 33 | 51 | 65 | 66 | 68 | 74 | 76 | 84 | 87 | 95 | 96, _) if more => {
                 return Err(Error::NotSupported);
             }
             (54 | 59, _) if more => return Err(Error::UnsupportedCoordinateSystem),
@@ -465,7 +495,9 @@ impl GWord {
             GWord::Path(_) => Group::PathControl,
             GWord::Rotation(_) => Group::Rotation,
             GWord::Scaling(_) => Group::Scaling,
-            GWord::EndOfControlPoints => Group::Motion,
+            GWord::EndOfControlPoints | GWord::ProbeOnce => Group::Motion,
+            GWord::SystemByNumber => Group::CoordinateSystem,
+            GWord::LookAhead(_) => Group::LookAhead,
             GWord::AsItIs(group) => group,
         }
     }
@@ -500,6 +532,8 @@ pub(super) enum MWord {
     Overrides(u8),
     /// M70 to M73, by number.
     Keep(u8),
+    /// M29.
+    RigidTapping,
 }
 
 impl MWord {
@@ -525,6 +559,7 @@ impl MWord {
             7 if more => MWord::Mist,
             8 => MWord::Flood,
             9 => MWord::NoCoolant,
+            29 if more && CAM_WORDS => MWord::RigidTapping,
             48..=53 if more => MWord::Overrides(code.whole),
             56 if more => MWord::ParkingOverride,
             60 if more => MWord::Pause,
@@ -549,6 +584,7 @@ impl MWord {
             MWord::ParkingOverride => Group::Override,
             MWord::Overrides(_) => Group::OverridesHeld,
             MWord::Keep(_) => Group::Keep,
+            MWord::RigidTapping => Group::SpindleMode,
         }
     }
 }

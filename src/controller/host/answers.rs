@@ -5,7 +5,7 @@
 
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};
-use crate::gcode::{Dialect, WITH_VALUES};
+use crate::gcode::{Dialect, Notice, WITH_VALUES};
 use crate::inputs::levels;
 use crate::messages::Signals;
 use crate::protocol::report::{self, PlaceForm};
@@ -71,6 +71,14 @@ impl<const N: usize> Controller<N> {
             let _ = text.extend_from_slice(written);
         }
         self.say(|out| report::program_message(out, &text));
+    }
+
+    /// Tells a program what it has not been told yet.
+    #[inline(never)]
+    pub(crate) fn tell_notice(&mut self, notice: Notice) {
+        if self.line.is_new(notice) {
+            self.say(|out| report::message(out, notice.text()));
+        }
     }
 
     /// The answer to a line that is not carried out, or not to its end.

@@ -234,13 +234,13 @@ impl<const N: usize> Controller<N> {
             Mode::Check => {
                 self.say(|out| report::message(out, "Disabled"));
                 self.say_ok();
-                self.m.interpreter.reset();
+                self.m.interpreter.end_check_mode();
                 self.enter(Mode::Normal);
                 self.initialise();
             }
             Mode::Normal if self.m.motion.is_idle() => {
                 self.enter(Mode::Check);
-                self.m.interpreter.begin_check_mode();
+                self.m.interpreter.begin_check_mode(self.dialect());
                 self.say(|out| report::message(out, "Enabled"));
                 self.say_ok();
             }

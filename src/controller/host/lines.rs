@@ -5,7 +5,7 @@
 
 use crate::dispatch::Controller;
 use crate::error::Error;
-use crate::gcode::{AS_WRITTEN, Dialect, Direction, WITH_VALUES};
+use crate::gcode::{self, AS_WRITTEN, CAM_WORDS, Dialect, Direction, Notice, WITH_VALUES};
 use crate::messages::{HOST_CHANGED, LineByte};
 use crate::protocol::checked_line::Verdict;
 use crate::protocol::line::{self, Pushed};
@@ -80,17 +80,16 @@ impl<const N: usize> Controller<N> {
             }
             directed => directed,
         };
+        let asks_for_tool = checked.is_err() && gcode::asks_for_tool(text);
         self.m.lines.clear();
-        let result = match checked {
-            Ok(Direction::Check) => self.begin_checked(Answer::Host),
-            Ok(direction) => {
-                self.directed(direction, &[]);
-                Ok(())
+        match checked {
+            Ok(Direction::Check) => {
+                if let Err(error) = self.begin_checked(Answer::Host) {
+                    self.refuse_program_line(error, self.line.checked.tool_change);
+                }
             }
-            Err(error) => Err(error),
-        };
-        if let Err(error) = result {
-            self.refuse_program_line(error);
+            Ok(direction) => self.directed(direction, &[]),
+            Err(error) => self.refuse_program_line(error, asks_for_tool),
         }
     }
 
@@ -122,7 +121,7 @@ impl<const N: usize> Controller<N> {
             _ if taken.verdict != Verdict::Valid => self.answer_invalid(taken.verdict),
             Pushed::TooLong => {
                 self.m.lines.clear();
-                self.refuse_program_line(Error::LineTooLong);
+                self.refuse_program_line(Error::LineTooLong, false);
             }
             Pushed::Complete => self.complete(),
         }
@@ -139,6 +138,9 @@ impl<const N: usize> Controller<N> {
         let (mut text, mut remark) = (heapless::Vec::<u8, { line::LENGTH }>::new(), Remark::new());
         let _ = text.extend_from_slice(self.m.lines.text());
         self.read_remark(&mut remark);
+        if CAM_WORDS && self.m.lines.has_nested_remark() && self.dialect() == Dialect::Oxmill {
+            self.tell_notice(Notice::NestedRemark);
+        }
         if self.must_wait(&text) {
             self.task = Task::JogWaits;
         } else {
@@ -207,15 +209,15 @@ impl<const N: usize> Controller<N> {
         match result {
             Ok(()) => {}
             Err(error) if line.first() == Some(&b'$') => self.refuse(error),
-            Err(error) => self.refuse_program_line(error),
+            Err(error) => self.refuse_program_line(error, gcode::asks_for_tool(line)),
         }
     }
 
     /// What is kept of a subroutine or loop lacks the line, and what it would have set is not set.
-    fn refuse_program_line(&mut self, error: Error) {
+    fn refuse_program_line(&mut self, error: Error, asks_for_tool: bool) {
         self.refuse(error);
         self.m.interpreter.line_refused(error);
-        self.stop_at_error();
+        self.stop_at_error(asks_for_tool);
     }
 
     /// Between two programs nothing may be open. A word on the line would be lost.
@@ -281,7 +283,7 @@ fn line_rules<const N: usize>(settings: &Settings<N>) -> line::LineRules {
         dialect => line::LineRules {
             length: line::LENGTH,
             merge_crlf: true,
-            nested_remarks: dialect == Dialect::Seed,
+            nested_remarks: dialect == Dialect::Seed || CAM_WORDS,
             expressions: true,
             block_delete: settings.is_on(Key::BlockDelete),
         },

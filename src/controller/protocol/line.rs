@@ -48,6 +48,8 @@ pub struct Line {
     /// The latest remark in parentheses, as far as there is room.
     remark: heapless::Vec<u8, MESSAGE_LENGTH>,
     overflow: bool,
+    /// A remark of it had parentheses in it.
+    nested: bool,
     /// Bytes of it were lost.
     damaged: bool,
     after_cr: bool,
@@ -60,6 +62,8 @@ enum Comment {
     None,
     /// Up to `)`, and this many more before that.
     Parentheses(u8),
+    /// The same behind a `)` that was one of those within.
+    Nested(u8),
     /// Up to the end of the line.
     Semicolon,
     /// Behind a slash that is dropped: the number of its switch, 1 to 9, is, too.
@@ -95,6 +99,7 @@ impl Line {
             comment: Comment::None,
             remark: heapless::Vec::new(),
             overflow: false,
+            nested: false,
             damaged: false,
             after_cr: false,
             plain: 0,
@@ -127,6 +132,7 @@ impl Line {
         self.remark.clear();
         self.comment = Comment::None;
         self.overflow = false;
+        self.nested = false;
         self.damaged = false;
     }
 
@@ -148,6 +154,11 @@ impl Line {
     #[inline]
     pub fn ends_plain(&self) -> bool {
         self.plain > 0 && !self.overflow
+    }
+
+    /// Whether a remark of the line had parentheses in it.
+    pub fn has_nested_remark(&self) -> bool {
+        self.nested
     }
 
     /// Whether the line has no remark that might have something to say.
@@ -213,7 +224,12 @@ impl Line {
         }
         match byte {
             b'\n' if second_of_crlf => return Pushed::More,
-            b'\n' | b'\r' => return if self.overflow { Pushed::TooLong } else { Pushed::Complete },
+            b'\n' | b'\r' => {
+                if matches!(self.comment, Comment::Nested(_)) {
+                    self.refuse_remark();
+                }
+                return if self.overflow { Pushed::TooLong } else { Pushed::Complete };
+            }
             _ if self.comment != Comment::None => self.remark(byte, rules()),
             b'(' => {
                 self.comment = Comment::Parentheses(0);
@@ -254,9 +270,20 @@ impl Line {
         begins || !divides && !rules.block_delete
     }
 
+    /// A remark has not ended with its line: where it should have is not known, nor what of it should be carried out. The text
+    /// becomes one that no line can be.
+    #[inline(never)]
+    fn refuse_remark(&mut self) {
+        if let Some(place) = self.text.first_mut() {
+            *place = b')';
+            self.len = 1;
+        }
+    }
+
     /// A byte within a remark. One with more than 255 parentheses open ends too soon.
     fn remark(&mut self, byte: u8, rules: LineRules) {
-        if byte != b')' && self.comment != Comment::Semicolon {
+        let ends = byte == b')' && matches!(self.comment, Comment::Parentheses(0) | Comment::Nested(0));
+        if !ends && self.comment != Comment::Semicolon {
             // What has no room is left out.
             let _ = self.remark.push(byte);
         }
@@ -264,8 +291,12 @@ impl Line {
             (Comment::Parentheses(depth), b'(') if rules.nested_remarks => {
                 Comment::Parentheses(depth.saturating_add(1))
             }
-            (Comment::Parentheses(0), b')') => Comment::None,
-            (Comment::Parentheses(depth), b')') => Comment::Parentheses(depth - 1),
+            (Comment::Nested(depth), b'(') => Comment::Nested(depth.saturating_add(1)),
+            (Comment::Parentheses(0) | Comment::Nested(0), b')') => Comment::None,
+            (Comment::Parentheses(depth) | Comment::Nested(depth), b')') => {
+                self.nested = true;
+                Comment::Nested(depth - 1)
+            }
             (comment, _) => comment,
         };
     }
@@ -306,6 +337,19 @@ mod tests {
         assert_eq!(lines(b"G0X0(;)Y0\nG0X0;(Y1\n/G0\nG0 (open X5\n", OXMILL), ["G0X0Y0", "G0X0", "G0", "G0"]);
         assert_eq!(lines(b"(a(b)c) G0\n", OXMILL), ["C)G0"]);
         assert_eq!(lines(b"(a(b)c) G0\n((G1\nG2 ;(\nX(()))Y\n", SEED), ["G0", "", "G2", "X)Y"]);
+    }
+
+    #[test]
+    fn a_remark_within_a_remark_has_to_end() {
+        let text = b"(a (b) G1\n(a) G0\n(a (b) (c) G1\n(a (b)) G2\nG1 (a (b)\r(a G1\n(a (b) ; c) G3\n(a (b) G1\r\nG4\n";
+        assert_eq!(lines(text, SEED), [")", "G0", ")", "G2", ")", "", "G3", ")", "G4"]);
+        assert_eq!(lines(b"(a (b) G1\n(a (b)) G2\n", OXMILL), ["G1", ")G2"]);
+        let mut line = Line::new();
+        for byte in b"(MSG, flat (end) mill) G0" {
+            line.push(*byte, || SEED);
+        }
+        assert_eq!(line.message(), Some((false, b"flat (end) mill".as_slice())));
+        assert!(line.has_nested_remark());
     }
 
     #[test]

@@ -258,6 +258,11 @@ impl LineIntake {
         self.line.text()
     }
 
+    /// Whether a remark of the line had parentheses in it.
+    pub fn has_nested_remark(&self) -> bool {
+        self.line.has_nested_remark()
+    }
+
     /// Whether the line has no remark.
     #[inline]
     pub fn has_no_remark(&self) -> bool {

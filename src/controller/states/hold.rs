@@ -3,10 +3,11 @@
 
 use crate::dispatch::Controller;
 use crate::error::Alarm;
+use crate::gcode::Dialect;
+use crate::states::stops::orders::StopReason;
 use crate::messages::Coolant;
 use crate::protocol::report;
 use crate::settings::Key;
-use crate::states::stops::orders::StopReason;
 use crate::states::{AfterBraking, Mode};
 use crate::work::task::Task;
 
@@ -112,9 +113,11 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// A refused line ends the job, if that is wanted.
-    pub(crate) fn stop_at_error(&mut self) {
-        if self.m.settings.is_on(Key::StopOnError) && matches!(self.mode, Mode::Normal) {
+    /// A refused line ends the job, if that is wanted, or if the operator would have been asked for another tool by it: what
+    /// follows is meant for that one.
+    pub(crate) fn stop_at_error(&mut self, asks_for_tool: bool) {
+        let lacks_tool = asks_for_tool && self.prompts_for_tools() && self.dialect() != Dialect::Grbl;
+        if matches!(self.mode, Mode::Normal) && (lacks_tool || self.m.settings.is_on(Key::StopOnError)) {
             self.stop_softly(true);
         }
     }

@@ -26,7 +26,7 @@ impl<const N: usize> Controller<N> {
         self.reconfigure();
         self.m.interpreter.set_position(self.m.motion.machine_position());
         self.m.probe.forget_result();
-        self.line.end_single_block();
+        self.line.reset();
         self.m.lines.heartbeat_mut().set_gone(false);
         self.m.replies.reset();
         self.greet();

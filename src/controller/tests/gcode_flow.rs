@@ -147,6 +147,11 @@ fn loops() {
     }
     goes("o1 repeat [-1]\nX1\no1 endrepeat\nX9", &[9]);
     goes("o1 repeat [0]\nX1\no1 endrepeat\nX9", &[9]);
+    // More passes than a loop may have are refused before the first one.
+    for count in ["100001", "100000.6", "200000-1", "9999999999"] {
+        fails(&format!("o1 repeat [{count}]\nX1\no1 endrepeat\nX9"), &[202], &[9]);
+    }
+    fails("o1 repeat [2]\nX1\no2 repeat [100001]\nX2\no2 endrepeat\no1 endrepeat\nX9", &[202], &[1, 9]);
     // A loop within a loop, and a condition within it.
     goes(
         "o1 repeat [2]\no2 repeat [3]\n#1=[#1+1]\no3 if [#1 MOD 2]\nX#1\no3 endif\no2 endrepeat\nX-1\no1 endrepeat",

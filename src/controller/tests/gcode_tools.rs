@@ -169,6 +169,41 @@ fn what_is_refused() {
     assert_eq!(program.machine(), [1.0, 2.0, 2.0]);
 }
 
+/// A table without any entry is one that nobody uses.
+#[test]
+fn without_any_entry_tools_have_no_length() {
+    for dialect in NEW {
+        let mut program = ready(dialect);
+        for line in ["G43 H7", "T3 M6 G43", "G43.2 H9", "G43 H99999 G0 Z3"] {
+            program.run(line);
+            assert_eq!((tool_length(&program), program.machine()), (0.0, [1.0, 2.0, 3.0]), "{line}");
+        }
+        // What acts is the length of some tool.
+        program.run("G43.1 Z2");
+        assert_eq!((program.error("G43 H7"), program.error("G43.2 H7"), program.error("G43 H0")), (47, 47, 47));
+        program.run("M61 Q0");
+        assert_eq!(program.error("G43 H0"), 0, "no tool has no length");
+        program.run("G49");
+        assert_eq!(program.error("G43 H7"), 0);
+        // So is what was measured, and an entry of a program that is only checked.
+        program.run("G10 L1 P1 Z0");
+        assert_eq!(program.error("G43 H7"), 47);
+        program.run("G10 L1 P1");
+        program.interpreter.begin_check_mode(Dialect::Oxmill);
+        program.run("G10 L1 P1 Z0");
+        assert_eq!(program.error("G43 H7"), 47);
+        program.interpreter.reset();
+        assert_eq!(program.error("G43 H7"), 0);
+        program.interpreter.begin_check_mode(Dialect::Oxmill);
+        program.interpreter.assume_measured();
+        assert_eq!((program.error("G43 H7"), program.error("G43")), (47, 0));
+        program.interpreter.reset();
+        measure(&mut program, 1, -50);
+        assert_eq!((program.error("G43 H7"), program.error("G43")), (47, 0));
+        assert_eq!(program.error("G10 L1 P7"), 47);
+    }
+}
+
 /// Radius, angles and orientation, which LinuxCNC's tables have: they are no offset, and take no tool out.
 #[test]
 fn words_of_a_tool_that_are_not_kept() {
@@ -182,7 +217,7 @@ fn words_of_a_tool_that_are_not_kept() {
         program.run("G10 L1 P1 Z7 R3 Q1");
         program.run("G43 H1");
         assert_eq!(tool_length(&program), 7.0);
-        program.run("G10 L1 P1");
+        program.run_all("G10 L1 P2 Z7\nG10 L1 P1");
         assert_eq!(program.error("G43 H1"), 47);
     }
 }
@@ -220,7 +255,7 @@ fn a_check_leaves_the_table_as_it_was() {
         let mut program = ready(dialect);
         program.run_all("G10 L1 P1 Z1\nG10 L1 P2 Z2");
         let before = program.interpreter.tools().clone();
-        program.interpreter.begin_check_mode();
+        program.interpreter.begin_check_mode(Dialect::Oxmill);
         program.run_all("G10 L1 P1 X5\nG10 L1 P1 Y6\nG10 L1 P7 Z7\nG43 H1 G0 X0 Y0 Z0");
         assert_eq!(program.machine(), [5.0, 6.0, 1.0]);
         program.run("G43 H7 X0 Y0 Z0");
@@ -263,7 +298,7 @@ fn a_tool_is_taken_out() {
         program.run("G10 L1 P99 Z1");
         assert_eq!((program.error("G43 H99"), program.error("G10 L1 P5 Z1")), (0, 47));
         // A program that is only checked leaves it there.
-        program.interpreter.begin_check_mode();
+        program.interpreter.begin_check_mode(Dialect::Oxmill);
         program.run("G10 L1 P6");
         program.interpreter.reset();
         assert_eq!(program.error("G43 H6"), 0);
@@ -365,7 +400,7 @@ fn a_check_measures_nothing_and_forgets_nothing() {
     let mut program = ready(Dialect::Oxmill);
     measure(&mut program, 1, -20);
     measure(&mut program, 2, -10);
-    program.interpreter.begin_check_mode();
+    program.interpreter.begin_check_mode(Dialect::Oxmill);
     program.run("T9 M6");
     program.interpreter.assume_measured();
     program.run("G43 H9");

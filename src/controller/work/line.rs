@@ -2,10 +2,10 @@
 //! has begun, its tool change, and whether single block is on.
 
 use crate::axes::{LINEAR, PerAxis};
-use crate::gcode::Checked;
+use crate::gcode::{Checked, Notice};
+use crate::work::tool_change::plan::ToolChange;
 use crate::motion::{Arc, ArcGeometry, Curvature, Curve, Nurbs, NurbsGeometry, Spline, SplineGeometry};
 use crate::units::{Coordinate, WeightedPoint};
-use crate::work::tool_change::plan::ToolChange;
 
 /// A checked line, and its curve once that has begun.
 #[derive(Clone, Debug)]
@@ -14,6 +14,8 @@ pub(crate) struct LineInWork<const N: usize> {
     pub(crate) checked: Checked<N>,
     curve: Option<Curve<N>>,
     single_block: bool,
+    /// Notices that the program has been told, a bit each.
+    told: u8,
     /// The tool change of the line, if its tool is measured.
     change: ToolChange<N>,
 }
@@ -21,7 +23,7 @@ pub(crate) struct LineInWork<const N: usize> {
 impl<const N: usize> LineInWork<N> {
     /// There is none.
     pub(crate) const NONE: Self =
-        Self { checked: Checked::NOTHING, curve: None, single_block: false, change: ToolChange::NONE };
+        Self { checked: Checked::NOTHING, curve: None, single_block: false, told: 0, change: ToolChange::NONE };
 
     /// Single block: whether the program pauses behind each line that moves, until the operator continues it.
     pub(crate) fn is_single_block(&self) -> bool {
@@ -34,9 +36,23 @@ impl<const N: usize> LineInWork<N> {
         self.single_block
     }
 
-    /// A reset ends single block.
-    pub(crate) fn end_single_block(&mut self) {
+    /// Whether the program has not been told this yet; from here on it has.
+    pub(crate) fn is_new(&mut self, notice: Notice) -> bool {
+        let bit = 1 << notice as u8;
+        let is_new = self.told & bit == 0;
+        self.told |= bit;
+        is_new
+    }
+
+    /// Another program is told again.
+    pub(crate) fn forget_notices(&mut self) {
+        self.told = 0;
+    }
+
+    /// A reset ends single block, and the program with it.
+    pub(crate) fn reset(&mut self) {
         self.single_block = false;
+        self.forget_notices();
     }
 
     /// Its tool is changed and measured; see [`LineInWork::change`].

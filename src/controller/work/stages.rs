@@ -5,7 +5,7 @@
 
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};
-use crate::gcode::{self, Flow, Held, HeldLine, PathControl, SPLINES, StoredOffset};
+use crate::gcode::{self, Flow, Held, HeldLine, PathControl, SPLINES};
 use crate::machine::realtime_override::Overrides;
 use crate::motion::Speed;
 use crate::protocol::report;
@@ -41,7 +41,7 @@ impl<const N: usize> Controller<N> {
             || checked.store.is_some()
             || checked.tool_change && self.prompts_for_tools()
             || matches!(checked.motion, gcode::Motion::Probe { .. })
-            || matches!(checked.pins(), Some(gcode::ProgramPins::Wait { .. }))
+            || checked.pins().is_some_and(|pins| pins.act_at_rest())
             || checked.modal().overrides_held != self.m.interpreter.modal().overrides_held
             || self.speed_needs_rest()
             || self.starts_to_turn()
@@ -352,11 +352,14 @@ impl<const N: usize> Controller<N> {
             self.m.replies.offset_changed();
         }
         match (checked.store, freed) {
-            // Grbl stores coordinate systems also of programs that it only checks; it has no tools.
-            (Some(StoredOffset::Tool(_)), _) if checking => {}
+            // Grbl stores coordinate systems also of programs that it only checks.
+            _ if checking && dialect != gcode::Dialect::Grbl => {}
             (_, Some(slot)) => self.m.records.remove_tool(slot),
             (Some(offset), None) => self.m.records.save_offset(offset, &self.m.interpreter),
             (None, None) => {}
+        }
+        if let Some(notice) = self.line.checked.notice() {
+            self.tell_notice(notice);
         }
         if checking {
             self.check_tool_change();
@@ -423,6 +426,7 @@ impl<const N: usize> Controller<N> {
                 Some(Stage::Paused)
             }
             Flow::End => {
+                self.line.forget_notices();
                 self.m.replies.offset_changed();
                 if !checking {
                     self.forget_waiting_outputs();
@@ -541,7 +545,7 @@ impl<const N: usize> Controller<N> {
                 }
                 self.refuse(error);
                 match caller {
-                    Caller::Host => self.stop_at_error(),
+                    Caller::Host => self.stop_at_error(gcode::asks_for_tool(words)),
                     Caller::Startup(index, host_waits) => self.begin_startup_line(index + 1, host_waits),
                     Caller::Validation(_) => {}
                 }

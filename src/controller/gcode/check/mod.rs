@@ -5,6 +5,7 @@
 
 mod control_point_words;
 mod cycle_words;
+mod habits;
 mod line;
 mod motion_words;
 mod offset_words;
@@ -17,7 +18,7 @@ mod tool_words;
 
 use super::Dialect;
 use super::checked::{Checked, Flow, Keeping, Motion};
-use super::modal::{BLENDING, FeedMode, MotionMode, PathControl, PathTolerance, ROTATION, Units};
+use super::modal::{BLENDING, CAM_WORDS, FeedMode, MotionMode, PathControl, PathTolerance, ROTATION, Units};
 use super::offsets::StoredOffset;
 use super::parse::Parsed;
 use super::state::Interpreter;
@@ -46,6 +47,7 @@ pub(super) fn check<const N: usize>(
     if is_extended {
         check.sign_of_p()?;
         check.keep_state()?;
+        check.habits()?;
     }
     check.line_number()?;
     check.feed()?;
@@ -82,7 +84,8 @@ pub(super) fn check<const N: usize>(
         let checked = check.checked;
         checked.after.moves_only =
             matches!(checked.motion, Motion::None | Motion::Line { .. } | Motion::Arc(_) | Motion::Spline(_))
-                && matches!(checked.after.keeping, Keeping::Leave);
+                && matches!(checked.after.keeping, Keeping::Leave)
+                && checked.after.notice.is_none();
     } else {
         // Grbl finds the target of a line before its G92.1 acts.
         if dialect == Dialect::Grbl {
@@ -214,7 +217,7 @@ impl<const N: usize> Check<'_, N> {
         if self.claim != Claim::Nobody {
             self.unused.remove(Letters::of(b"XYZABC"));
         }
-        if self.unused.is_empty() { Ok(()) } else { Err(Error::UnusedWords) }
+        if self.unused.is_empty() || CAM_WORDS && self.is_radius_register()? { Ok(()) } else { Err(Error::UnusedWords) }
     }
 
     /// O and a number, which are alone in their line but for its own number.

@@ -9,10 +9,12 @@ use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::arc::{self, Vector};
 use crate::gcode::checked::{ArcMove, Feed, Motion};
-use crate::gcode::modal::{ArcDistance, MotionMode, PlaneAxes, ProbeMode, ROTATION, SPLINES, SplineKind};
+use crate::gcode::modal::{
+    ArcDistance, CAM_WORDS, MotionMode, PlaneAxes, ProbeMode, ROTATION, SPLINES, SplineKind, Units,
+};
 use crate::gcode::values::{along, reachable, whole};
 use crate::gcode::word::{Claim, Letters};
-use crate::units::{Coordinate, Decimal};
+use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 
 /// Most turns that P may give an arc.
 const TURNS_MAX: i32 = 1_000_000;
@@ -35,13 +37,14 @@ impl<const N: usize> Check<'_, N> {
             return Ok(());
         }
         if mode != MotionMode::Rapid && self.checked.modal.feed == Decimal::ZERO {
-            return Err(Error::UndefinedFeed);
+            return if self.is_look_ahead() { self.switch_look_ahead() } else { Err(Error::UndefinedFeed) };
         }
         match mode {
             MotionMode::Rapid | MotionMode::Linear => self.straight(mode),
             MotionMode::ArcClockwise => self.arc(true),
             MotionMode::ArcCounterClockwise => self.arc(false),
             MotionMode::Spline(SplineKind::Nurbs) => self.control_point(),
+            MotionMode::Spline(_) if self.is_look_ahead() => self.switch_look_ahead(),
             MotionMode::Spline(kind) => self.spline(kind),
             MotionMode::Probe(probe) => self.probe(probe),
             MotionMode::Cycle(kind) => self.cycle(kind),
@@ -72,6 +75,9 @@ impl<const N: usize> Check<'_, N> {
         reachable(&target)?;
         let feed = self.feed_to(&target);
         self.checked.motion = Motion::Probe { target, feed, away: mode.away, alarm: mode.alarm };
+        if CAM_WORDS && self.line.extended.probe_once {
+            self.checked.modal.motion = self.checked.modal.straight;
+        }
         self.checked.position = target;
         Ok(())
     }
@@ -96,16 +102,27 @@ impl<const N: usize> Check<'_, N> {
         let centre = if self.line.values.has(b'R') {
             self.unused.remove(Letters::of(b"R"));
             let radius = self.scaled_size(axes.first, self.length(self.line.value(b'R')));
-            arc::centre_by_radius(chord, radius, clockwise)?
+            match arc::centre_by_radius(chord, radius, clockwise, arc::DIAMETER_TOLERANCE) {
+                Err(Error::ImpossibleRadius) if self.dialect != Dialect::Grbl => {
+                    let rounding = self.scaled_size(axes.first, arc::rounding_of_diameter(self.digit_of_arc(axes)));
+                    arc::centre_by_radius(chord, radius, clockwise, rounding)?
+                }
+                centre => centre?,
+            }
         } else {
             let centre = self.centre(axes)?;
-            if !arc::radii_agree(self.written_vector(axes, chord), self.written_vector(axes, centre))? {
-                if self.dialect != Dialect::Seed {
-                    return Err(Error::InvalidTarget);
+            let (way, middle) = (self.written_vector(axes, chord), self.written_vector(axes, centre));
+            if !arc::radii_agree(way, middle, arc::RADIUS_TOLERANCE)? {
+                match self.dialect {
+                    Dialect::Seed => {
+                        chord = arc::ray_crossing(chord, centre)?;
+                        target.set(axes.first, along(&start, axes.first) + Coordinate(chord.first));
+                        target.set(axes.second, along(&start, axes.second) + Coordinate(chord.second));
+                    }
+                    Dialect::Oxmill
+                        if arc::radii_agree(way, middle, arc::rounding_of_radii(self.digit_of_arc(axes)))? => {}
+                    _ => return Err(Error::InvalidTarget),
                 }
-                chord = arc::ray_crossing(chord, centre)?;
-                target.set(axes.first, along(&start, axes.first) + Coordinate(chord.first));
-                target.set(axes.second, along(&start, axes.second) + Coordinate(chord.second));
             }
             centre
         };
@@ -150,6 +167,21 @@ impl<const N: usize> Check<'_, N> {
             return Vector::new(first, second).checked();
         }
         Vector::new(centre_along(axes.first), centre_along(axes.second)).checked()
+    }
+
+    /// The last digit of the words of an arc: 0.01 mm or 0.001 inch at most, for trailing zeros are often left out.
+    #[inline(never)]
+    fn digit_of_arc(&self, axes: PlaneAxes) -> Coordinate {
+        let line = self.line;
+        let ends = [axes.first, axes.second].map(|axis| line.axis.get(axis).unwrap_or(Decimal::ZERO));
+        let others = [b'I', b'J', b'K', b'R'].map(|letter| line.value(letter));
+        let mut digit = DECIMAL_ONE / if self.checked.modal.units == Units::Mm { 100 } else { 1000 };
+        for value in ends.into_iter().chain(others) {
+            while value.0 % digit != 0 {
+                digit /= 10;
+            }
+        }
+        self.length(Decimal(digit))
     }
 
     /// P of an arc: how many turns it takes, the last of them up to the target.

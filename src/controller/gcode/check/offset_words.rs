@@ -8,7 +8,7 @@ use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::checked::{Feed, Motion};
-use crate::gcode::modal::{CoordinateSystem, MotionMode, ROTATION};
+use crate::gcode::modal::{CAM_WORDS, CoordinateSystem, MotionMode, ROTATION};
 use crate::gcode::offsets::StoredOffset;
 use crate::gcode::rotation::Angle;
 use crate::gcode::values::{along, reachable, whole};
@@ -171,7 +171,7 @@ impl<const N: usize> Check<'_, N> {
             let axes = self.line.axes;
             let mut target =
                 PerAxis::from_axis(|axis| if axes.has(axis) { along(&stored, axis) } else { self.position(axis) });
-            let via = self.target();
+            let via = if CAM_WORDS { self.point_on_the_way()? } else { self.target() };
             self.go_in_rotated_plane(&stored, &via, &mut target);
             reachable(&via)?;
             (Some(via), target)

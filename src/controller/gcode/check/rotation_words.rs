@@ -5,10 +5,10 @@ use super::line::{Check, Purpose};
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
-use crate::gcode::modal::{CoordinateSystem, Distance, Plane, PlaneAxes, ROTATION};
+use crate::gcode::modal::{CAM_WORDS, CoordinateSystem, Distance, Plane, PlaneAxes, ROTATION};
 use crate::gcode::rotation::{Angle, Reached, RotatedPlane, Rotation, difference};
 use crate::gcode::values::along;
-use crate::gcode::word::NonModal;
+use crate::gcode::word::{Letters, NonModal};
 use crate::units::Coordinate;
 
 impl<const N: usize> Check<'_, N> {
@@ -67,13 +67,18 @@ impl<const N: usize> Check<'_, N> {
         if !self.take(b'R') {
             return Err(Error::ValueWordMissing);
         }
-        let centre = [axes.first, axes.second].map(|axis| {
+        let centre = [(axes.first, b'A'), (axes.second, b'B')].map(|(axis, of_mach)| {
             if self.line.axes.has(axis) {
                 self.scaled_length(axis, self.axis_length(axis), false)
+            } else if CAM_WORDS && self.take(of_mach) {
+                self.scaled_length(axis, self.length(self.line.value(of_mach)), false)
             } else {
                 self.program_coordinate(axis)
             }
         });
+        if self.unused.has_any(Letters::of(b"AB")) {
+            return Err(Error::UnusedWords);
+        }
         Ok(Rotation { plane, angle: Angle::of(self.line.value(b'R')), centre })
     }
 

@@ -11,6 +11,9 @@ use crate::gcode::modal::{PlaneAxes, ROTATION};
 use crate::gcode::scaling::{NO_REST, Rest, Scaling};
 use crate::units::{Coordinate, Decimal};
 
+/// Greatest factor of G51.
+const FACTOR_MAX: Decimal = Decimal::from_int(100);
+
 impl<const N: usize> Check<'_, N> {
     /// G51 begins and takes the place of the one before, G50 ends; in other lines what is in force acts.
     #[inline(never)]
@@ -52,6 +55,10 @@ impl<const N: usize> Check<'_, N> {
         let [_, _, z] = factors;
         if factors.contains(&Decimal::ZERO) || z < Decimal::ZERO {
             return Err(Error::ValueOutOfRange);
+        }
+        // Big controls count in thousandths.
+        if factors.iter().any(|factor| factor.0.unsigned_abs() > FACTOR_MAX.0.unsigned_abs()) {
+            return Err(Error::ThousandfoldScaling);
         }
         let centre = [Axis::X, Axis::Y, Axis::Z]
             .map(|axis| if named.has(axis) { self.axis_length(axis) } else { self.program_coordinate(axis) });

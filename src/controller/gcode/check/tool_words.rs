@@ -6,6 +6,7 @@ use super::line::Check;
 use crate::axes::{AxisMask, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
+use crate::gcode::checked::Notice;
 use crate::gcode::modal::{CoordinateSystem, EXTENDED};
 use crate::gcode::offsets::{StoredOffset, TOOL_AXIS};
 use crate::gcode::parse::TOOL_MAX;
@@ -89,7 +90,13 @@ impl<const N: usize> Check<'_, N> {
         let number = if self.take(b'H') { whole(self.line.value(b'H'))?.unsigned_abs() } else { 0 };
         let number = if number == 0 { self.checked.after.spindle_tool } else { number };
         let measured = self.state.measured_offset(number);
-        measured.or_else(|| self.state.tools.offset(number)).ok_or(Error::UnknownTool)
+        let known = measured.or_else(|| self.state.tools.offset(number));
+        // A table without any entry is one that nobody uses, unless lengths come from elsewhere.
+        if known.is_none() && self.state.knows_no_length() {
+            self.checked.after.notice = Some(Notice::NoTools);
+            return Ok(PerAxis::all(Coordinate::ZERO));
+        }
+        known.ok_or(Error::UnknownTool)
     }
 
     /// G10 L1, L10, L11: the table's offsets of tool P. They act with the next G43. L1 without axes takes it out.

@@ -176,6 +176,13 @@ impl<const N: usize> Interpreter<N> {
             b"SPINDLE_CW" => truth(modal.spindle == SpindleDirection::Clockwise),
             b"MIST" => truth(modal.coolant.mist),
             b"FLOOD" => truth(modal.coolant.flood),
+            b"RETRACT_R_PLANE" => truth(modal.retract_to_r),
+            b"RETRACT_OLD_Z" => truth(!modal.retract_to_r),
+            b"FEED_OVERRIDE" => truth(!modal.overrides_held.feed),
+            b"SPEED_OVERRIDE" => truth(!modal.overrides_held.spindle),
+            // What is so in any case. LinuxCNC's preview, where it is not, has 0 for the first.
+            b"TASK" | b"METRIC_MACHINE" | b"SPINDLE_RPM_MODE" | b"LATHE_RADIUS_MODE" | b"FEED_HOLD" => truth(true),
+            b"UNITS_PER_REV" | b"SPINDLE_CSS_MODE" | b"LATHE_DIAMETER_MODE" | b"ADAPTIVE_FEED" => truth(false),
             b"FEED" => Ok(Some(self.feed())),
             b"RPM" => Ok(Some(Real::from_f32(modal.speed))),
             b"VALUE" => Ok(Some(self.computed.returned.unwrap_or(Real::ZERO))),

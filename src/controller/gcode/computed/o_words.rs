@@ -327,8 +327,11 @@ impl<const N: usize> Interpreter<N> {
             }
             Keyword::Repeat => {
                 let count = self.argument(order.arguments)?.nearest_even();
-                let beyond = if count.is_negative() { 0 } else { i64::from(PASSES) };
-                let count = count.whole().unwrap_or(beyond).clamp(0, i64::from(PASSES)) as u32;
+                let beyond = if count.is_negative() { 0 } else { i64::MAX };
+                let count = u32::try_from(count.whole().unwrap_or(beyond).max(0)).unwrap_or(u32::MAX);
+                if count > PASSES {
+                    return Err(Error::EndlessLoop);
+                }
                 self.computed.flow.push(FrameKind::Repeat(count), order.label, next)?;
                 self.begin_pass(order.label, count > 0)
             }

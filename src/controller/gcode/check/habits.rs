@@ -1,0 +1,102 @@
+//! Words that CAM programs write out of habit, and what they are here: G54.1 and G154 name a coordinate system by P, U, V
+//! and W of G28 and G30 are distances, D is the register of a radius that nothing uses; switches of the look-ahead and the
+//! announcement of rigid tapping do nothing, and a notice says so.
+
+use super::line::{CENTRE, Check};
+use crate::axes::PerAxis;
+use crate::error::Error;
+use crate::gcode::checked::Notice;
+use crate::gcode::modal::{CAM_WORDS, CoordinateSystem, Distance, MotionMode, SplineKind};
+use crate::gcode::values::whole;
+use crate::gcode::word::{Group, Groups, Letters};
+use crate::units::Coordinate;
+
+/// How many systems of Grbl come before the first that G54.1 names.
+const BEFORE_THE_FIRST: usize = CoordinateSystem::OF_GRBL;
+
+impl<const N: usize> Check<'_, N> {
+    /// G54.1, G154, G8, G187, M29.
+    pub(super) fn habits(&mut self) -> Result<(), Error> {
+        let extended = &self.line.extended;
+        if !CAM_WORDS {
+            return Ok(());
+        }
+        if extended.system_by_number {
+            self.checked.modal.coordinate_system = self.system_by_number()?;
+        }
+        if let Some(number) = extended.look_ahead {
+            // G8 alone is a word of lathes.
+            if !self.take(b'P') && number == 8 {
+                return Err(Error::NotSupported);
+            }
+            self.unused.remove(Letters::of(b"EQ"));
+            self.checked.after.notice = Some(Notice::LookAhead);
+        }
+        if extended.rigid_tapping {
+            self.checked.after.notice = Some(Notice::RigidTapping);
+        }
+        Ok(())
+    }
+
+    fn system_by_number(&mut self) -> Result<CoordinateSystem, Error> {
+        if !self.take(b'P') {
+            return Err(Error::ValueWordMissing);
+        }
+        let number = usize::try_from(whole(self.line.value(b'P'))?).unwrap_or(0);
+        let system = number.checked_sub(1).and_then(|index| CoordinateSystem::ALL.get(BEFORE_THE_FIRST + index));
+        system.copied().ok_or(Error::UnsupportedCoordinateSystem)
+    }
+
+    /// The point by way of which G28 and G30 go; by U, V and W at a distance from where the tool is.
+    pub(super) fn point_on_the_way(&mut self) -> Result<PerAxis<Coordinate, N>, Error> {
+        let distances = self.line.extended.distances;
+        if distances.is_empty() {
+            return Ok(self.target());
+        }
+        if distances != self.line.axes {
+            return Err(Error::NoParallelAxes);
+        }
+        let distance = core::mem::replace(&mut self.checked.modal.distance, Distance::Incremental);
+        let point = self.target();
+        self.checked.modal.distance = distance;
+        Ok(point)
+    }
+
+    /// Whether D, which is left, may stay unused: beside G40 and G43 to G49, or alone.
+    #[inline(never)]
+    pub(super) fn is_radius_register(&self) -> Result<bool, Error> {
+        let mut others = self.line.values;
+        others.remove(Letters::of(b"DN"));
+        let is_alone = others.is_empty() && self.line.groups == Groups::default();
+        let is_beside = self.line.tool_length.is_some() || self.line.groups.has(Group::CutterCompensation);
+        if self.unused != Letters::of(b"D") || !(is_alone || is_beside) {
+            return Ok(false);
+        }
+        whole(self.line.value(b'D')).map(|_| true)
+    }
+
+    /// Whether the word of a spline is none: G5.1 with Q, G5 with P, and nothing that leads anywhere.
+    #[inline(never)]
+    pub(super) fn is_look_ahead(&self) -> bool {
+        let letter = match self.line.modal.motion {
+            Some(MotionMode::Spline(SplineKind::Quadratic)) => b'Q',
+            Some(MotionMode::Spline(SplineKind::Cubic)) => b'P',
+            _ => return false,
+        };
+        let mut others = Letters::of(b"PQ");
+        others.remove(Letters::of(&[letter]));
+        CAM_WORDS
+            && self.line.axes.is_empty()
+            && self.unused.has(letter)
+            && !self.unused.has_any(others)
+            && !self.unused.has_any(CENTRE)
+    }
+
+    /// A line that switches the look-ahead. The motion in force stays.
+    pub(super) fn switch_look_ahead(&mut self) -> Result<(), Error> {
+        self.unused.remove(Letters::of(b"PQR"));
+        self.checked.modal.motion = self.state.modal.motion;
+        self.checked.after.notice = Some(Notice::LookAhead);
+        Ok(())
+    }
+}

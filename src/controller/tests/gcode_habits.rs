@@ -1,0 +1,297 @@
+//! Words that CAM programs write out of habit, as other controls mean them.
+#![cfg(feature = "cam-words")]
+
+mod program;
+
+use oxmill_controller::gcode::{CoordinateSystem, Dialect, Motion, MotionMode, Notice};
+use program::{Program, in_mm, target, via};
+
+const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
+
+/// In the dialects that have them; Grbl's refuses the lines with these numbers.
+fn each(grbl: &[(&str, u8)], test: impl Fn(&mut Program)) {
+    for dialect in NEW {
+        let mut program = Program::new(dialect);
+        program.run_all("G21 G90 F300");
+        test(&mut program);
+    }
+    let mut program = Program::new(Dialect::Grbl);
+    program.run_all("G21 G90 F300");
+    for (line, error) in grbl {
+        assert_eq!(program.error(line), *error, "{line}");
+    }
+}
+
+/// As in Mach, and not the lathe cycles of others.
+#[test]
+fn units_of_mach() {
+    each(&[("G70", 20), ("G71", 20)], |program| {
+        program.run("G70 G0 X1");
+        assert_eq!((program.machine()[0], program.interpreter.modal().units.word()), (25.4, "G20"));
+        program.run("G71 G0 X1");
+        assert_eq!((program.machine()[0], program.interpreter.modal().units.word()), (1.0, "G21"));
+        for (line, error) in [("G70 G20", 21), ("G70 G71", 21), ("G70.1", 20), ("G71 P10 Q20 U1", 149), ("G71 P10", 36)]
+        {
+            assert_eq!(program.error(line), error, "{line}");
+        }
+    });
+}
+
+/// The register of the cutter's radius, which nothing uses.
+#[test]
+fn d_beside_g43_or_alone() {
+    each(&[("D1", 20), ("G43.1 Z1 D1", 20)], |program| {
+        program.run("G10 L1 P5 Z2");
+        program.run("G43 H5 D5 Z10");
+        assert_eq!(program.machine(), [0.0, 0.0, 12.0]);
+        for line in ["D1", "N10 D12", "G49 D0", "G40 D1", "G43 H5 D1 G1 X1 Y1", "G0 G40 G49 D3 X1", "G43.1 Z2 D1"] {
+            assert_eq!(program.error(line), 0, "{line}");
+        }
+        assert_eq!(program.run("D1").motion, Motion::None);
+        for (line, error) in [
+            ("D-1", 4),
+            ("D1.5", 23),
+            ("D1 D2", 25),
+            ("G0 X1 D1", 36),
+            // To Siemens D1 is the length of the tool.
+            ("T1 D1", 36),
+            ("T1 M6 D1", 36),
+            ("D1 F200", 36),
+            ("D1 P1", 36),
+            ("G41 D1", 122),
+        ] {
+            assert_eq!(program.error(line), error, "{line}");
+        }
+    });
+}
+
+/// A probing move without an alarm, which is in force in its line only.
+#[test]
+fn skip() {
+    each(&[("G31 X1", 20)], |program| {
+        for (before, after) in
+            [("G0", MotionMode::Rapid), ("G1 X2", MotionMode::Linear), ("G2 X4 Y0 I2 J0", MotionMode::Linear)]
+        {
+            program.run_all("G0 X0 Y0\nG1");
+            program.run(before);
+            let checked = program.run("G31 Z-10 F50");
+            let Motion::Probe { away: false, alarm: false, .. } = checked.motion else {
+                panic!("{:?}", checked.motion)
+            };
+            assert_eq!(target(&checked)[2], -10.0);
+            assert_eq!(program.interpreter.modal().motion, after, "{before}");
+            program.run("Z5");
+        }
+        program.run_all("G0 Z5\nG91 G31 Z-1\nG90");
+        assert_eq!(program.machine()[2], 4.0);
+        program.run_all("G81 X0 Z0 R5\nG31 Z-1");
+        assert_eq!(program.interpreter.modal().motion, MotionMode::Rapid, "the series of cycles has ended");
+        for (line, error) in [("G31", 26), ("G31 Z-1", 33), ("G31 G0 X1", 24), ("G31 P1 X1", 36), ("G31.1 X1", 121)] {
+            assert_eq!(program.error(line), error, "{line}");
+        }
+        let mut unfed = Program::new(program.dialect);
+        assert_eq!(unfed.error("G31 Z-1"), 22);
+        unfed.run("G31 Z-1 F10");
+    });
+}
+
+#[test]
+fn look_ahead() {
+    let grbl = [("G187 P1", 20), ("G8 P1", 20), ("G5.1 Q1", 20), ("G5 P10000", 20)];
+    each(&grbl, |program| {
+        program.run("G1 X1");
+        for line in [
+            "G187",
+            "G187 P2",
+            "G187 P3 E0.01",
+            "G08 P1",
+            "G8 P0",
+            "G05.1 Q1",
+            "G5.1 Q0",
+            "G05.1 Q1 R5",
+            "G05 P10000",
+            "G5 P0",
+        ] {
+            let before = *program.interpreter.modal();
+            let checked = program.run(line);
+            assert_eq!((checked.motion, checked.notice()), (Motion::None, Some(Notice::LookAhead)), "{line}");
+            assert!(!checked.moves_only(), "{line}");
+            assert_eq!(*program.interpreter.modal(), before, "{line}");
+            let mut new = Program::new(program.dialect);
+            new.run(line);
+            assert_eq!(new.interpreter.modal().motion, MotionMode::Rapid, "{line}");
+        }
+        program.run("X3");
+        assert_eq!(program.machine()[0], 3.0);
+        for (line, error) in [
+            // The lathe's, and splines.
+            ("G8", 121),
+            ("G7 P1", 121),
+            ("G8.1 P1", 20),
+            ("G187.5", 20),
+            ("G187 H1", 36),
+            ("G5.1 X1 Q1", 28),
+            ("G5.1 I1 J1", 26),
+            ("G5 P1 Q1", 26),
+            ("G5 X1 P1", 28),
+            ("G5.1", 26),
+        ] {
+            assert_eq!(program.error(line), error, "{line}");
+        }
+    });
+}
+
+/// The announcement of rigid tapping, whose cycle is refused by itself.
+#[test]
+fn rigid_tapping() {
+    each(&[("M29 S100", 20)], |program| {
+        let checked = program.run("M29 S500");
+        assert_eq!(
+            (checked.motion, checked.notice(), checked.speed),
+            (Motion::None, Some(Notice::RigidTapping), 500.0)
+        );
+        assert_eq!((program.error("G84 X1 Z-5 R2"), program.error("M29 M29"), program.error("M29.5")), (121, 21, 23));
+        assert_eq!(program.error("M29 P1"), 36);
+    });
+}
+
+#[test]
+fn numbers_of_programs() {
+    each(&[(":1000", 1), ("O1000", 20)], |program| {
+        for line in ["O1000", ":1000", "N5 :1000", "N5 O1000", ":0001"] {
+            assert_eq!(program.run(line).motion, Motion::None, "{line}");
+        }
+        for (line, error) in [(":", 1), (":X", 1), (":1000 G0 X1", 36), ("G0 X1 :5", 36), ("::1", 1)] {
+            assert_eq!(program.error(line), error, "{line}");
+        }
+    });
+}
+
+/// The systems behind G59 in their order.
+#[test]
+fn more_coordinate_systems() {
+    each(&[("G54.1 P1", 23), ("G154 P1", 20)], |program| {
+        program.run("G10 L2 P8 X10 Y20");
+        for (line, system) in [
+            ("G54.1 P1", CoordinateSystem::G59_1),
+            ("G54.1 P2", CoordinateSystem::G59_2),
+            ("G54.1P3", CoordinateSystem::G59_3),
+            ("G154 P1", CoordinateSystem::G59_1),
+            ("G154 P3", CoordinateSystem::G59_3),
+            ("G154 P2 G0 X1 Y1", CoordinateSystem::G59_2),
+        ] {
+            program.run("G54");
+            let checked = program.run(line);
+            assert!(checked.work_offset_changed, "{line}");
+            assert_eq!(program.interpreter.modal().coordinate_system, system, "{line}");
+        }
+        assert_eq!(program.machine(), [11.0, 21.0, 0.0]);
+        for (line, error) in [
+            ("G54.1", 28),
+            ("G154", 28),
+            ("G54.1 P0", 29),
+            ("G54.1 P4", 29),
+            ("G154 P99", 29),
+            ("G54.1 P1.5", 23),
+            ("G54.1 P-1", 4),
+            ("G54.1 P1 G55", 21),
+            ("G54.2 P1", 29),
+            ("G154.1 P1", 20),
+            ("G54.1 P1 G4", 28),
+            ("G54.1 P1 G10 L2 X1", 28),
+        ] {
+            assert_eq!(program.error(line), error, "{line}");
+        }
+    });
+}
+
+/// On lathes and some mills U, V and W are distances along X, Y and Z.
+#[test]
+fn returns_by_distances() {
+    each(&[("G28 U0 W0", 20)], |program| {
+        program.run_all("G0 X1 Y2 Z3\nG28.1\nG30.1\nG0 X10 Y20 Z30");
+        for (line, by, end) in [
+            ("G28 U0 W0", [10.0, 20.0, 30.0], [1.0, 20.0, 3.0]),
+            ("G28 W5", [10.0, 20.0, 35.0], [10.0, 20.0, 3.0]),
+            ("G30 V-1", [10.0, 19.0, 30.0], [10.0, 2.0, 30.0]),
+            ("G91 G28 U0 V0 W0", [10.0, 20.0, 30.0], [1.0, 2.0, 3.0]),
+            ("G90 G28 U1", [11.0, 20.0, 30.0], [1.0, 20.0, 30.0]),
+        ] {
+            let checked = program.clone().run(line);
+            assert_eq!((via(&checked), in_mm(checked.position())), (Some(by), end), "{line}");
+            let distance = if line.starts_with("G91") { "G91" } else { "G90" };
+            assert_eq!(checked.modal().distance.word(), distance, "{line}");
+        }
+        for (line, error) in [
+            ("U1", 149),
+            ("G0 U1", 149),
+            ("U0 G28", 149),
+            ("G28.1 U0", 149),
+            ("G53 G0 W0", 149),
+            ("G28 X0 W0", 149),
+            ("G28 X0 U0", 25),
+            ("G28 U0 U0", 25),
+        ] {
+            assert_eq!(program.error(line), error, "{line}");
+        }
+    });
+}
+
+/// A and B for X and Y.
+#[cfg(feature = "rotation")]
+#[test]
+fn rotations_of_mach() {
+    each(&[("G68 A1 B2 R90", 20)], |program| {
+        program.run_all("G0 X9 Y9\nG68 A1 B2 R90\nG0 X2 Y2");
+        assert_eq!(program.machine(), [1.0, 3.0, 0.0]);
+        program.run_all("G69 G0 X1 Y5\nG68 B2 R90\nG0 X2 Y2");
+        assert_eq!(program.machine(), [1.0, 3.0, 0.0]);
+        program.run_all("G69\nG70 G68 A1 B0 R180\nX0 Y0\nG69 G71");
+        assert_eq!(program.machine(), [50.8, 0.0, 0.0]);
+        for (line, error) in [
+            ("G68 X1 A1 B2 R9", 36),
+            ("G68 A1 A1 R9", 25),
+            ("A1 G68 R9", 20),
+            ("G69 A1", 20),
+            ("G0 A1", 20),
+            ("A1", 20),
+            ("B1", 20),
+            ("G68 C1 R9", 20),
+            ("G68 A1 B2", 28),
+        ] {
+            assert_eq!(program.error(line), error, "{line}");
+        }
+    });
+}
+
+/// LinuxCNC's names, by which programs ask where they run.
+#[cfg(feature = "expressions")]
+#[test]
+fn what_programs_ask() {
+    for dialect in NEW {
+        let mut program = Program::new(dialect);
+        program.run_all("G21 G90 F300 G99");
+        for (name, value) in [
+            ("task", 1.0),
+            ("metric_machine", 1.0),
+            ("spindle_rpm_mode", 1.0),
+            ("spindle_css_mode", 0.0),
+            ("units_per_rev", 0.0),
+            ("lathe_diameter_mode", 0.0),
+            ("lathe_radius_mode", 1.0),
+            ("adaptive_feed", 0.0),
+            ("feed_hold", 1.0),
+            ("retract_r_plane", 1.0),
+            ("retract_old_z", 0.0),
+            ("feed_override", 1.0),
+            ("speed_override", 1.0),
+        ] {
+            let name = name.to_uppercase();
+            program.run(&format!("G0 X[2+#<_{name}>]"));
+            assert_eq!(program.machine()[0], 2.0 + value, "{name}");
+            assert_eq!(program.error(&format!("#<_{name}>=1")), 200, "{name}");
+        }
+        program.run_all("G98 M50 P0\nG0 X[#<_FEED_OVERRIDE>] Y[#<_SPEED_OVERRIDE>] Z[#<_RETRACT_OLD_Z>]");
+        assert_eq!(program.machine(), [0.0, 1.0, 1.0]);
+    }
+}
