@@ -91,7 +91,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         let outside = self.limits_travel() && plan.corners().iter().any(|corner| self.is_outside_travel(corner));
         let rates = [Key::ToolSetterSeek, Key::ToolSetterLocate, Key::ParkingPullOutRate];
         let crawls = rates.iter().any(|rate| self.m.settings.crawls(*rate));
-        (!plan.is_set_up() || outside || crawls).then_some(Error::ToolSetterNotSetUp)
+        let is_set_up = plan.is_set_up(self.m.settings.is_on(Key::ZeroAtPullOff));
+        (!is_set_up || outside || crawls).then_some(Error::ToolSetterNotSetUp)
     }
 
     fn plan_tool_change(&self) -> ChangePlan<N> {

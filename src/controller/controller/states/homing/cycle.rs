@@ -46,6 +46,8 @@ pub(super) struct HomingSettings<const N: usize> {
     pub debounce: Duration,
     /// `$130` and on
     pub travel: PerAxis<f32, N>,
+    /// `$932`: machine zero is where homing ends.
+    pub zero_at_pull_off: bool,
     /// The axis whose two motors have a switch each, and how far one of them may go alone, mm.
     pub squared: Option<(Axis, f32)>,
 }
@@ -249,9 +251,12 @@ impl<const N: usize> Cycle<N> {
         Order::Move { by, rate: rate * oxmill_sqrt::square_root(count), watch, motors }
     }
 
-    /// Where the axes stand after their last pull-off: the machine's space is negative, from -travel to 0.
+    /// Where the axes stand after their last pull-off: at 0, or in the machine's space from -travel to 0.
     fn places(&self) -> PerAxis<Coordinate, N> {
         PerAxis::from_axis(|axis| {
+            if self.settings.zero_at_pull_off {
+                return Coordinate::ZERO;
+            }
             let pull_off = Coordinate::from_mm_f32(self.settings.pull_off);
             if self.settings.to_negative.has(axis) {
                 pull_off - Coordinate::from_mm_f32(self.settings.travel.get(axis).unwrap_or(0.0))
@@ -280,6 +285,7 @@ mod tests {
             pull_off: 2.0,
             debounce: Duration::millis(250),
             travel: PerAxis([200.0, 100.0, 50.0]),
+            zero_at_pull_off: false,
             squared: None,
         }
     }

@@ -56,6 +56,7 @@ impl<const N: usize> Homing<N> {
             pull_off: m.settings.value(Key::HomingPullOff),
             debounce: Duration::millis(u64::from(m.settings.whole(Key::HomingDebounce))),
             travel: m.settings.axes(AxisKey::Travel),
+            zero_at_pull_off: m.settings.is_on(Key::ZeroAtPullOff),
         };
         let mut homing = Self { cycle: Cycle::new(settings, only), wait: Wait::Stop };
         let order = homing.cycle.begin(m.switches());
