@@ -171,7 +171,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if number == STEP_PULSE && (0..least_pulse).contains(&value.0) {
             return Err(Error::StepPulseTooShort);
         }
-        if self.m.settings.accepted(number, value)? != 0.0 {
+        let accepted = self.m.settings.accepted(number, value);
+        if DESCRIPTIONS && accepted == Err(Error::SettingOutOfRange) {
+            self.tell_values(number);
+        }
+        if accepted? != 0.0 {
             match number {
                 DOOR_FITTED if self.m.inputs.pins().door => return Err(Error::DoorOpen),
                 // As with the door: it would not be seen to become active.
