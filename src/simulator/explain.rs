@@ -84,7 +84,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     ),
     (
         Key::Laser,
-        "For a laser in place of a spindle: there are no waits for its speed, and nothing is parked. Leave it at 0 on a mill.",
+        "For a laser in place of a spindle: there are no waits for its speed, jogs are dark, and nothing is parked. Leave it at 0 on a mill.",
     ),
     (
         Key::SpindlePwm,

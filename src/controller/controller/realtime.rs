@@ -103,7 +103,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// the key that would end it has no wire any more.
     pub(super) fn host_left(&mut self) {
         match self.mode {
-            Mode::Jog { .. } => self.end_jog_of_no_host(),
+            Mode::Jog { .. } => self.end_jog_of_no_host(self.m.settings.is_on(Key::HoldWithoutHost)),
             _ if !self.m.settings.is_on(Key::HoldWithoutHost) => {}
             Mode::Normal if self.is_at_work() => self.host_fault(),
             // The fault acts where the job would go on.
@@ -116,8 +116,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// A host that has said nothing for too long (`$922`, `$923`) may have gone: not every link tells that.
     pub(super) fn look_for_host(&mut self) {
-        if matches!(self.mode, Mode::Normal) && self.m.lines.heartbeat_mut().take_gone() && self.is_at_work() {
-            self.host_fault();
+        if matches!(self.mode, Mode::Normal) {
+            let left_jog = self.m.lines.heartbeat_mut().take_left_jog();
+            if self.m.lines.heartbeat_mut().take_gone() && self.is_at_work() || left_jog && self.burns() {
+                self.host_fault();
+            }
         }
         let longest = match self.mode {
             Mode::Jog { cancelling: false } => Key::JogSilence,
@@ -145,13 +148,15 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             self.m.lines.heartbeat_mut().rest();
             self.say(|out| report::message(out, "The host is silent"));
             match self.mode {
-                Mode::Jog { .. } => self.end_jog_of_no_host(),
+                Mode::Jog { .. } => self.end_jog_of_no_host(true),
                 _ => self.host_fault(),
             }
         }
     }
 
-    fn end_jog_of_no_host(&mut self) {
+    /// With `is_fault` a beam that would burn at rest behind the jog does not.
+    fn end_jog_of_no_host(&mut self, is_fault: bool) {
+        self.m.lines.heartbeat_mut().set_left_jog(is_fault);
         self.cancel_jog();
         self.forget_received_jogs();
     }
