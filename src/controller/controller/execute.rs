@@ -498,8 +498,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     pub(super) fn jog(&mut self, line: &[u8]) -> Result<(), Error> {
         self.m.interpreter.check_jog_into(line, dialect(&self.m.settings), &mut self.line.checked)?;
-        if self.m.lines.is_jog_stale() || matches!(self.mode, Mode::Jog { cancelling: true }) {
-            // Sent before the cancel: it shall not move any more.
+        let is_over = self.m.lines.is_jog_stale() || self.m.replies.has_host_left(self.m.lines.hosts_cut());
+        if is_over || matches!(self.mode, Mode::Jog { cancelling: true }) {
+            // Sent before the cancel, or by a host that has gone: it shall not move any more.
             self.say_ok();
             return Ok(());
         }

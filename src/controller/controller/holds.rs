@@ -5,6 +5,7 @@ use super::Controller;
 use super::states::{AfterBraking, Mode};
 use super::task::Task;
 use crate::error::Alarm;
+use crate::gcode::Dialect;
 use crate::machine::stops::StopReason;
 use crate::messages::Coolant;
 use crate::protocol::report;
@@ -18,6 +19,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     pub(super) fn feed_hold(&mut self) {
+        self.forget_received_jogs();
         match self.mode {
             Mode::Normal => {
                 self.m.motion.hold();
@@ -27,10 +29,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.enter(Mode::Hold);
                 self.darken_laser();
             }
-            Mode::Jog { .. } => {
-                self.cancel_jog();
-                self.forget_received_jogs();
-            }
+            Mode::Jog { .. } => self.cancel_jog(),
             Mode::Hold => self.m.accessories.leave_hold(false),
             _ => {}
         }
@@ -157,9 +156,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.enter(Mode::Jog { cancelling: true });
     }
 
-    /// A hold or a door has no epoch of its own: of what has been received by now no jog shall move any more.
+    /// A hold or a door has no epoch of its own: of what has been received by now no jog shall move any more. In Grbl's
+    /// dialect only a jog that moves ends with those behind it.
     pub(super) fn forget_received_jogs(&mut self) {
-        self.m.lines.end_received_jogs(self.m.step_supply.observed().received);
+        if self.dialect() != Dialect::Grbl || matches!(self.mode, Mode::Jog { .. }) {
+            self.m.lines.end_received_jogs(self.m.step_supply.observed().received);
+        }
     }
 
     /// A jog that has come to its end leaves the position at its target, not at the step next to that: small jogs add up.

@@ -102,6 +102,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// No operator can stop what moves or see where it goes: it is held if `$914` says so, by `$928`. In any case a jog ends, as
     /// the key that would end it has no wire any more.
     pub(super) fn host_left(&mut self) {
+        // One that has been read and has not begun.
+        self.task.forget_jog();
         match self.mode {
             Mode::Jog { .. } => self.end_jog_of_no_host(self.m.settings.is_on(Key::HoldWithoutHost)),
             _ if !self.m.settings.is_on(Key::HoldWithoutHost) => {}

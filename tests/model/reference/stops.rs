@@ -268,23 +268,26 @@ impl Model {
     }
 
     pub(super) fn hold(&mut self) {
+        self.end_received_jogs();
         match self.mode {
             Mode::Free => {
                 self.brake();
                 self.mode = Mode::Hold;
             }
-            Mode::Jog => {
-                self.end_jogs(false);
-                self.brake();
-            }
+            Mode::Jog => self.brake(),
             _ => {}
         }
     }
 
-    pub(super) fn door_opens(&mut self, also: &mut Vec<Model>) {
-        if self.mode == Mode::Jog {
+    /// A hold or a door ends jogs. Oxmill: also those that have not begun; to Grbl they come behind the hold.
+    pub(super) fn end_received_jogs(&mut self) {
+        if self.mode == Mode::Jog || !self.setup.grbl {
             self.end_jogs(false);
         }
+    }
+
+    pub(super) fn door_opens(&mut self, also: &mut Vec<Model>) {
+        self.end_received_jogs();
         match self.mode {
             Mode::Free | Mode::Jog | Mode::Hold | Mode::Stop => {
                 self.brake();
