@@ -5,6 +5,7 @@
 
 use super::Controller;
 use super::limits::{geometry, spline_geometry};
+use super::line_in_work::Message;
 use super::moves::speed;
 use super::states::Mode;
 use super::task::{Answer, Caller, Job, Stage, Task};
@@ -433,6 +434,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                     self.m.replies.overrides_changed();
                 }
                 self.say(|out| report::message(out, "Pgm End"));
+                self.line.keep_message(Message::new());
                 Some(Stage::Done)
             }
         }

@@ -2,6 +2,7 @@
 //! forgotten. Also the start of motion, and the drivers' idle delay (`$1`) at its end.
 
 use super::Controller;
+use super::line_in_work::Message;
 use super::states::{AfterBraking, Mode};
 use super::task::Task;
 use crate::error::Alarm;
@@ -141,6 +142,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.m.interpreter.set_accessories(self.m.accessories.spindle(), self.m.accessories.coolant());
         self.m.replies.overrides_changed();
         self.m.interpreter.abandon_program();
+        self.line.keep_message(Message::new());
         if self.task.abandon() {
             self.say_ok();
         }

@@ -249,6 +249,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.m.lines.heartbeat_mut().set_gone(false);
                 self.greet();
                 self.tell_lock();
+                self.tell_inherited();
             }
             Event::Disconnected(hosts_gone) => {
                 self.m.replies.host_left(hosts_gone);

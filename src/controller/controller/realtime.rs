@@ -56,8 +56,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             Realtime::FloodToggle => self.toggle_coolant(|c| c.flood = !c.flood),
             Realtime::MistToggle if self.dialect() != Dialect::Grbl => self.toggle_coolant(|c| c.mist = !c.mist),
             Realtime::SingleBlock if self.dialect() != Dialect::Grbl => {
-                let message = if self.line.toggle_single_block() { "Single block on" } else { "Single block off" };
-                self.say(|out| report::message(out, message));
+                self.line.toggle_single_block();
+                self.tell_single_block();
             }
             // Grbl drops these bytes.
             Realtime::MistToggle | Realtime::SingleBlock => {}

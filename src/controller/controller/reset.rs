@@ -4,6 +4,7 @@
 //! and `Key` (`JunctionDeviation`, `CurveAcceleration`).
 
 use super::Controller;
+use super::line_in_work::Message;
 use super::states::Mode;
 use super::task::Task;
 use crate::error::Alarm;
@@ -27,6 +28,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         self.m.interpreter.set_position(self.m.motion.machine_position());
         self.m.probe.forget_result();
         self.line.end_single_block();
+        self.line.keep_message(Message::new());
         self.m.lines.heartbeat_mut().set_gone(false);
         self.m.replies.reset();
         self.greet();

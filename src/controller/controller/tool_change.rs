@@ -64,8 +64,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 
     fn prompt(&mut self) {
-        let tool = self.line.checked.spindle_tool();
-        self.say(|out| report::message_number(out, "Tool change T", tool));
+        self.tell_tool();
         self.wait_for_operator();
     }
 
@@ -166,7 +165,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
                 self.m.replies.offset_changed();
             }
             ChangeOrder::Confirm => {
-                self.say(|out| report::message(out, "First tool measured: is the work zero set with it?"));
+                self.tell_first_tool();
                 self.wait_for_operator();
             }
             ChangeOrder::Done => return self.return_to_work(),

@@ -123,6 +123,15 @@ pub enum ChangeOrder<const N: usize> {
     Failed(Alarm),
 }
 
+/// What the operator is waited for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ToolWait {
+    /// To put the tool in.
+    Change,
+    /// To set the work zero with the first tool that was measured.
+    Confirm,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum ChangePhase {
     Retract,
@@ -181,6 +190,15 @@ impl<const N: usize> ToolChange<N> {
     /// Whether the order given last is a probing move.
     pub fn is_probing(&self) -> bool {
         matches!(self.phase, ChangePhase::Seek | ChangePhase::Locate)
+    }
+
+    /// What the operator has to do, if the order given last was for one.
+    pub fn waits_for(&self) -> Option<ToolWait> {
+        match self.phase {
+            ChangePhase::Prompt => Some(ToolWait::Change),
+            ChangePhase::Confirm => Some(ToolWait::Confirm),
+            _ => None,
+        }
     }
 
     /// The order after the last one has ended; `contact` is where a probing move has touched.

@@ -145,6 +145,22 @@ impl Model {
             Mode::Critical => self.say("[MSG:Reset to continue]"),
             _ => {}
         }
+        if !self.setup.grbl {
+            self.tell_inherited();
+        }
+    }
+
+    /// Oxmill: what no report shows.
+    fn tell_inherited(&mut self) {
+        if self.single_block {
+            self.say("[MSG:Single block on]");
+        }
+        match self.mode {
+            Mode::Check => self.say("[MSG:Enabled]"),
+            Mode::Sleep => self.say("[MSG:Sleeping]"),
+            Mode::Door { restoring: None } => self.say("[MSG:Check Door]"),
+            _ => {}
+        }
     }
 
     /// Alarm, after which only a reset is heard.
