@@ -15,7 +15,6 @@ use crate::gcode::{EXTENDED, Feed, Motion, StoredOffset};
 use crate::machine::tool_change::{ChangeOrder, ChangePlan, ToolChange};
 use crate::messages::{Coolant, SpindleDirection};
 use crate::motion::Speed;
-use crate::protocol::report;
 use crate::settings::Key;
 use crate::units::{Coordinate, per_second};
 
