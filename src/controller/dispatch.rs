@@ -154,6 +154,7 @@ impl<const N: usize> Controller<N> {
                 self.m.lines.heartbeat_mut().set_gone(false);
                 self.greet();
                 self.tell_lock();
+                self.tell_inherited();
             }
             Event::Disconnected(hosts_gone) => {
                 self.m.replies.host_left(hosts_gone);

@@ -77,6 +77,7 @@ codes! {
     UnknownTool = 47, "the tool is not in the table, or the table is full";
     EmergencyStop = 50, "the emergency stop is active";
     DriverFault = 51, "a motor driver reports a fault";
+    SettingOutOfRange = 52, "the setting does not take this value";
     RetractBelowBottom = 54, "R of the cycle lies below the bottom of the hole";
     /// The next ones with the numbers of grblHAL.
     UnknownOperation = 71, "the operator or function in the expression is unknown";

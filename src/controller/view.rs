@@ -41,8 +41,12 @@ impl<const N: usize> Controller<N> {
 
     /// Whether a job is under way: also where only a beam burns, on one point.
     pub(crate) fn is_at_work(&self) -> bool {
-        let burns = || self.m.settings.is_on(Key::Laser) && self.resting_power() != 0;
-        self.m.step_supply.is_running() || !self.m.motion.is_idle() || !self.task.is_none() || burns()
+        self.m.step_supply.is_running() || !self.m.motion.is_idle() || !self.task.is_none() || self.burns()
+    }
+
+    /// Whether a beam burns at rest.
+    pub(crate) fn burns(&self) -> bool {
+        self.m.settings.is_on(Key::Laser) && self.resting_power() != 0
     }
 
     /// Whether the spindle has to be up to speed: lines of a program are carried out, and none gives it time to come up.

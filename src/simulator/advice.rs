@@ -122,6 +122,9 @@ pub fn for_error(error: Error) -> &'static str {
             "Choose a post-processor for Grbl in the CAM program, or correct the line; docs/gcode.md lists the words that are known."
         }
         Error::InvalidStatement => "Look the setting up in docs/settings.md: its number, unit and range.",
+        Error::SettingOutOfRange => {
+            "Look its values up in docs/settings.md; what is 0 or 1 takes no bits, as $21 and $22 of grblHAL (docs/coming-from.md)."
+        }
         Error::NegativeValue => {
             "Write it without the minus sign, which places, distances, angles and $58 may have and nothing else."
         }

@@ -84,7 +84,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     ),
     (
         Key::Laser,
-        "For a laser in place of a spindle: there are no waits for its speed, and nothing is parked. Leave it at 0 on a mill.",
+        "For a laser in place of a spindle: there are no waits for its speed, jogs are dark, and nothing is parked. Leave it at 0 on a mill.",
     ),
     (
         Key::SpindlePwm,
@@ -233,6 +233,10 @@ const ONCE: [(Key, &str); Key::COUNT] = [
         Key::Baud,
         "At which rate the UART of a board listens from its next start (power, NRST) on; over USB it means nothing. With the hold and the start input both active at the start it is 115200.",
     ),
+    (
+        Key::ZeroAtPullOff,
+        "Machine zero is where homing ends, the pull-off ($27) away from the switch, and not where the switch closes. Switch it on for jobs that go to machine zero, such as G28 G91 Z0. An axis homed to its negative end has positive coordinates then.",
+    ),
 ];
 
 /// The sentences of the settings that each axis has, in the order of the table.
@@ -255,7 +259,7 @@ const PER_AXIS: [(AxisKey, &str); AxisKey::COUNT] = [
     ),
     (
         AxisKey::Travel,
-        "How far the axis can go, from the switches at 0 to the other end. Homing and soft limits use it.",
+        "How far the axis can go, from where its switch closes to the other end. Homing and soft limits use it.",
     ),
     (
         AxisKey::Backlash,

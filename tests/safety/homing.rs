@@ -251,3 +251,78 @@ fn nothing_else_disturbs_homing() {
         assert_homed(&mut bench, 0, &format!("{bytes:?}"));
     }
 }
+
+/// With `$932` machine zero is where homing ends, clear of the switch, and the travel leads away from it.
+#[test]
+fn with_zero_at_the_pull_off_nothing_that_goes_to_zero_meets_a_switch() {
+    for to_negative in 0..8 {
+        let mut bench = Bench::new(&machine(to_negative, 300), SETTINGS);
+        for setting in [&format!("$23={to_negative}"), "$21=1", "$932=1", "$20=1"] {
+            assert_eq!(bench.ask(setting), ["ok"]);
+        }
+        assert_eq!(home(&mut bench), ["ok"]);
+        bench.settle();
+        let home = bench.place();
+        let sign = [0, 1, 2].map(|axis| if to_negative >> axis & 1 == 1 { -1 } else { 1 });
+        let what = format!("mask {to_negative}");
+        assert_eq!(home, std::array::from_fn(|axis| sign[axis] * (AT[axis] - PULL_OFF)), "{what}");
+        assert_place(bench.reported(), [0; AXES], &what);
+        // What posts write at the beginning and the end, from elsewhere.
+        for line in ["G28 G91 Z0", "G28 G91 X0 Y0", "G30", "G90 G53 G0 X0 Y0 Z0"] {
+            let [x, y, z] = sign.map(|sign| -5 * sign);
+            bench.carry_out(&format!("G90 G53 G0 X{x} Y{y} Z{z}"));
+            bench.carry_out(line);
+        }
+        assert_eq!(bench.place(), home, "{what}");
+        // The other end is where it is without the setting: the travel away from where the switch closes.
+        for axis in 0..AXES {
+            let letter = ["X", "Y", "Z"][axis];
+            let end = -sign[axis] as f64 * (TRAVEL - 1.5);
+            bench.carry_out(&format!("G53 G0 {letter}{end}"));
+            let from_switch = (bench.place()[axis] - sign[axis] * AT[axis]) * -sign[axis];
+            assert_eq!(from_switch, (TRAVEL * STEPS) as i32, "{what} {letter}");
+            bench.carry_out(&format!("G53 G0 {letter}0"));
+            for beyond in [end - 0.02 * sign[axis] as f64, 0.02 * sign[axis] as f64] {
+                let mut bench = bench.clone();
+                bench.send(format!("G53 G0 {letter}{beyond}\n"));
+                let said = bench.read_until(&what, |said| said.iter().any(|line| line.starts_with("ALARM")));
+                assert!(said.iter().any(|line| line == "ALARM:2"), "{what} {letter}{beyond}: {said:?}");
+            }
+            // A jog that is clipped ends there, and one back at zero.
+            let mut bench = bench.clone();
+            assert_eq!(bench.ask("$40=1"), ["ok"]);
+            for (by, place) in [(-20 * sign[axis], end), (40 * sign[axis], 0.0)] {
+                assert_eq!(bench.ask(&format!("$J=G91 {letter}{by} F2000")), ["ok"]);
+                bench.settle();
+                assert!((bench.reported()[axis] - place * STEPS).abs() < 0.01, "{what} {letter}{by}");
+            }
+        }
+        assert_eq!(bench.state(), "Idle");
+    }
+}
+
+/// Places have other names then than homing gave them.
+#[test]
+fn another_machine_zero_has_to_be_homed() {
+    for (settings, renames, keeps) in [
+        (vec![], vec!["$932=1", "$23=1"], vec!["$27=1", "$130=20"]),
+        (vec!["$932=1"], vec!["$932=0", "$27=1", "$23=1"], vec!["$130=20", "$932=1", "$27=1.5"]),
+        (vec!["$23=1"], vec!["$932=1", "$130=20"], vec!["$27=1"]),
+        (vec!["$23=1", "$932=1"], vec!["$27=1"], vec!["$130=20"]),
+    ] {
+        let to_negative = u8::from(settings.contains(&"$23=1"));
+        let mut bench = Bench::new(&machine(to_negative, 300), SETTINGS);
+        for setting in &settings {
+            assert_eq!(bench.ask(setting), ["ok"]);
+        }
+        assert_eq!(home(&mut bench), ["ok"]);
+        bench.settle();
+        for (changes, is_trusted) in [(renames, false), (keeps, true)] {
+            for change in changes {
+                let mut bench = bench.clone();
+                assert_eq!(bench.ask(change), ["ok"]);
+                assert_eq!(bench.mill.controller().is_trusted(), is_trusted, "{settings:?}, then {change}");
+            }
+        }
+    }
+}

@@ -7,6 +7,7 @@ mod disturbed;
 mod emergency;
 mod homing;
 mod injection;
+mod jogs;
 mod probing;
 mod program_pins;
 mod restore;

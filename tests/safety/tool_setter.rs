@@ -41,8 +41,8 @@ fn words(place: [f64; AXES]) -> String {
 }
 
 impl Mill {
-    /// Homed, with all places stored, the first tool measured and its tip on the work at 0, spindle and coolant on.
-    fn new() -> Mill {
+    /// Homed over the work, with all places stored.
+    fn homed() -> Mill {
         let mut bench = Bench::new(&machine(), SETTINGS);
         assert_eq!(bench.ask("$H"), ["ok"]);
         bench.settle();
@@ -52,7 +52,12 @@ impl Mill {
         bench.carry_out("G30.1");
         bench.carry_out(&format!("G10 L2 P9 X{} Y{}", SETTER[0], SETTER[1]));
         bench.carry_out(&format!("G53 G0 {}", words(WORK)));
-        let mut mill = Mill { bench, zero, closes: TOUCHED, closed: false, said: Vec::new() };
+        Mill { bench, zero, closes: TOUCHED, closed: false, said: Vec::new() }
+    }
+
+    /// The same with the first tool measured and its tip on the work at 0, spindle and coolant on.
+    fn new() -> Mill {
+        let mut mill = Mill::homed();
         mill.bench.send("T1 M6\n");
         mill.go_on();
         mill.bench.carry_out(&format!("G53 G0 {}", words(WORK)));
@@ -256,4 +261,27 @@ fn an_end_at_any_moment_leaves_no_tool_that_was_not_measured() {
         mill.bench.send("\x18");
         mill.assert_safe(&format!("emergency stop at moment {number}"));
     }
+}
+
+#[test]
+fn a_host_that_takes_over_learns_what_the_change_waits_for() {
+    let mut mill = Mill::homed();
+    mill.bench.send("T1 M6\n");
+    let mut waits = 0;
+    while !mill.said.iter().any(|line| line == "ok") {
+        mill.look();
+        let question = mill.said.last().filter(|line| line.starts_with("[MSG:")).cloned();
+        let is_asked = mill.bench.state() == "Hold:0";
+        let mut bench = mill.bench.clone();
+        bench.mill.disconnect();
+        bench.mill.connect();
+        let told: Vec<String> = bench.read().into_iter().filter(|line| line.starts_with("[MSG:")).collect();
+        let expected: Vec<String> = question.filter(|_| is_asked).into_iter().collect();
+        assert_eq!(told, expected, "{:?} {}", mill.said, mill.bench.status());
+        if is_asked {
+            waits += 1;
+            mill.bench.send("~");
+        }
+    }
+    assert_eq!(waits, 2);
 }

@@ -1,11 +1,11 @@
 //! What the host is told (`say`): the answer to a line (also in checked form) or its refusal, messages and remarks of
-//! programs, alarms, which input tripped, the lock and what unlocks it, the welcome of `greet`, and the status report,
-//! whose fields (`report::Status`) are gathered here. `queue_text` and `message_with_values` put texts into the
+//! programs, alarms, which input tripped, the lock and what unlocks it, the welcome of `greet`, what a host that takes
+//! over inherits, and the status report, whose fields (`report::Status`) are gathered here. `queue_text` and `message_with_values` put texts into the
 //! replies.
 
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};
-use crate::gcode::{Dialect, Notice, WITH_VALUES};
+use crate::gcode::{Dialect, Notice, ProgramPins, WITH_VALUES};
 use crate::inputs::levels;
 use crate::messages::Signals;
 use crate::protocol::report::{self, PlaceForm};
@@ -13,10 +13,9 @@ use crate::protocol::text::Text;
 use crate::settings::Key;
 use crate::states::Mode;
 use crate::units::per_minute;
-use crate::work::task::Task;
-
-/// Longest message of a program with the values of its parameters.
-const MESSAGE_WITH_VALUES: usize = 160;
+use crate::work::line::Message;
+use crate::work::task::{Job, Stage, Task};
+use crate::work::tool_change::plan::ToolWait;
 
 impl<const N: usize> Controller<N> {
     /// Makes a piece of answer.
@@ -64,13 +63,14 @@ impl<const N: usize> Controller<N> {
         if self.mode.is_alarm() || matches!(self.task, Task::SoftLimit(_)) {
             return;
         }
-        let mut text = heapless::Vec::<u8, MESSAGE_WITH_VALUES>::new();
+        let mut text = Message::new();
         if mark == WITH_VALUES {
             self.m.interpreter.expand(written, &mut text);
         } else {
             let _ = text.extend_from_slice(written);
         }
         self.say(|out| report::program_message(out, &text));
+        self.line.keep_message(text);
     }
 
     /// Tells a program what it has not been told yet.
@@ -154,6 +154,90 @@ impl<const N: usize> Controller<N> {
             self.say(|out| report::failure(out, &failure, grbl));
         }
         self.m.settings_lock.host_greeted();
+    }
+
+    /// What a host that takes over inherits and no report shows, by the messages that the one before got: Grbl has no other
+    /// hosts. A wait that was told to nobody has a message of its own.
+    #[inline(never)]
+    pub(crate) fn tell_inherited(&mut self) {
+        if self.dialect() == Dialect::Grbl {
+            return;
+        }
+        if self.line.is_single_block() {
+            self.tell_single_block();
+        }
+        let state = match self.mode {
+            Mode::Check => "Enabled",
+            Mode::Sleep(_) => "Sleeping",
+            Mode::Door(_) if self.m.door.is_asleep() => "Sleeping",
+            Mode::Door(_) if !self.mode.is_resuming() => "Check Door",
+            Mode::Hold if self.m.accessories.spinning_up().is_some() => "Restoring spindle",
+            _ => "",
+        };
+        if !state.is_empty() {
+            self.say(|out| report::message(out, state));
+        }
+        if let Task::Job(job) = self.task {
+            self.tell_wait(&job);
+        }
+    }
+
+    /// What a line waits for.
+    fn tell_wait(&mut self, job: &Job) {
+        let seconds = job.left(self.m.now).to_micros().div_ceil(1_000_000) as u32;
+        match (job.stage, self.line.checked.pins()) {
+            (Stage::Paused | Stage::CyclePaused, _) => {
+                self.repeat_message();
+                self.say(|out| report::message(out, "Program paused"));
+            }
+            (Stage::ToolChange, _) => {
+                self.repeat_message();
+                self.tell_tool();
+            }
+            (Stage::Measuring, _) => match self.line.change().waits_for() {
+                Some(ToolWait::Change) => {
+                    self.repeat_message();
+                    self.tell_tool();
+                }
+                Some(ToolWait::Confirm) => self.tell_first_tool(),
+                None => {}
+            },
+            (Stage::Dwell | Stage::DwellSuspended, _) if self.line.checked.dwell.is_some() => {
+                self.say(|out| report::message_number(out, "Dwell, seconds left: ", seconds));
+            }
+            (Stage::Dwell | Stage::DwellSuspended | Stage::SpinningUp | Stage::SpinningDown, _) => {
+                self.say(|out| report::message(out, "Waits for the spindle"));
+            }
+            (Stage::Input | Stage::InputSuspended, Some(ProgramPins::Wait { number, .. })) => {
+                self.say(|out| report::wait_for_input(out, number, seconds));
+            }
+            _ => {}
+        }
+    }
+
+    /// The last message of the program may say what a pause or a tool change is for.
+    fn repeat_message(&mut self) {
+        let text = self.line.message().clone();
+        if !text.is_empty() {
+            self.say(|out| report::program_message(out, &text));
+        }
+    }
+
+    /// The tool that is waited for.
+    pub(crate) fn tell_tool(&mut self) {
+        let tool = self.line.checked.spindle_tool();
+        self.say(|out| report::message_number(out, "Tool change T", tool));
+    }
+
+    /// A question that the operator answers by `~`.
+    pub(crate) fn tell_first_tool(&mut self) {
+        self.say(|out| report::message(out, "First tool measured: is the work zero set with it?"));
+    }
+
+    /// Whether single block is on.
+    pub(crate) fn tell_single_block(&mut self) {
+        let message = if self.line.is_single_block() { "Single block on" } else { "Single block off" };
+        self.say(|out| report::message(out, message));
     }
 
     /// The report that a `?` has asked for, if there is room for it.

@@ -21,6 +21,7 @@ const DOOR_FITTED: u16 = Key::DoorFitted.number();
 const AXES: u16 = Key::Axes.number();
 const HOMING: u16 = Key::Homing.number();
 const HOMING_DIRECTION: u16 = Key::HomingDirection.number();
+const HOMING_PULL_OFF: u16 = Key::HomingPullOff.number();
 const KINEMATICS: u16 = Key::Kinematics.number();
 const LASER: u16 = Key::Laser.number();
 const REPORT_INCHES: u16 = Key::ReportInches.number();
@@ -28,6 +29,7 @@ const RESET_IS_EMERGENCY_STOP: u16 = Key::ResetIsEmergencyStop.number();
 const SPINDLE_MAXIMUM: u16 = Key::SpindleMaximum.number();
 const SPINDLE_MINIMUM: u16 = Key::SpindleMinimum.number();
 const STEP_PULSE: u16 = Key::StepPulse.number();
+const ZERO_AT_PULL_OFF: u16 = Key::ZeroAtPullOff.number();
 
 impl<const N: usize> Controller<N> {
     /// A line that begins with `$`.
@@ -169,7 +171,11 @@ impl<const N: usize> Controller<N> {
         if number == STEP_PULSE && (0..least_pulse).contains(&value.0) {
             return Err(Error::StepPulseTooShort);
         }
-        if self.m.settings.accepted(number, value)? != 0.0 {
+        let accepted = self.m.settings.accepted(number, value);
+        if DESCRIPTIONS && accepted == Err(Error::SettingOutOfRange) {
+            self.tell_values(number);
+        }
+        if accepted? != 0.0 {
             match number {
                 DOOR_FITTED if self.m.inputs.pins().door => return Err(Error::DoorOpen),
                 // As with the door: it would not be seen to become active.
@@ -219,8 +225,10 @@ impl<const N: usize> Controller<N> {
     fn rename_places(&mut self, number: u16) {
         let to_negative = AxisMask(self.m.settings.whole(Key::HomingDirection) as u8);
         let moves_places = AxisKey::Resolution.axis(number).is_some() || number == KINEMATICS;
-        let renames_places = matches!(number, DIRECTION_INVERT | HOMING_DIRECTION | HOMING | AXES)
-            || AxisKey::Travel.axis(number).is_some_and(|axis| to_negative.has(axis));
+        let zero_at_pull_off = self.m.settings.is_on(Key::ZeroAtPullOff);
+        let renames_places = matches!(number, DIRECTION_INVERT | HOMING_DIRECTION | HOMING | AXES | ZERO_AT_PULL_OFF)
+            || number == HOMING_PULL_OFF && zero_at_pull_off
+            || AxisKey::Travel.axis(number).is_some_and(|axis| to_negative.has(axis) && !zero_at_pull_off);
         if moves_places {
             self.m.interpreter.end_cycles();
         }

@@ -10,7 +10,7 @@ use crate::protocol::descriptions::{self, DESCRIPTIONS};
 use crate::protocol::recorded::RECORDER;
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::Described;
-use crate::settings::Key;
+use crate::settings::{self, Key, Settings};
 use crate::work::task::{Ask, Listing, Task};
 
 impl<const N: usize> Controller<N> {
@@ -129,6 +129,16 @@ impl<const N: usize> Controller<N> {
             self.say(|out| descriptions::line::<N>(out, what, line, axes, least_pulse));
         }
         is_there
+    }
+
+    /// What may be written for a setting that has not taken its value.
+    #[inline(never)]
+    pub(crate) fn tell_values(&mut self, number: u16) {
+        let axes = self.m.settings.axes_in_use();
+        let mut rows = (0..settings::lines(axes)).filter_map(|line| Settings::<N>::described(line, axes));
+        if let Some(row) = rows.find(|row| row.number == number) {
+            self.say(|out| descriptions::values_of(out, &row));
+        }
     }
 
     /// `$I`, or `$I+` with what a sender may ask for.

@@ -56,8 +56,8 @@ impl<const N: usize> Controller<N> {
             Realtime::FloodToggle => self.toggle_coolant(|c| c.flood = !c.flood),
             Realtime::MistToggle if self.dialect() != Dialect::Grbl => self.toggle_coolant(|c| c.mist = !c.mist),
             Realtime::SingleBlock if self.dialect() != Dialect::Grbl => {
-                let message = if self.line.toggle_single_block() { "Single block on" } else { "Single block off" };
-                self.say(|out| report::message(out, message));
+                self.line.toggle_single_block();
+                self.tell_single_block();
             }
             // Grbl drops these bytes.
             Realtime::MistToggle | Realtime::SingleBlock => {}
@@ -102,8 +102,10 @@ impl<const N: usize> Controller<N> {
     /// No operator can stop what moves or see where it goes: it is held if `$914` says so, by `$928`. In any case a jog ends, as
     /// the key that would end it has no wire any more.
     pub(crate) fn host_left(&mut self) {
+        // One that has been read and has not begun.
+        self.task.forget_jog();
         match self.mode {
-            Mode::Jog { .. } => self.end_jog_of_no_host(),
+            Mode::Jog { .. } => self.end_jog_of_no_host(self.m.settings.is_on(Key::HoldWithoutHost)),
             _ if !self.m.settings.is_on(Key::HoldWithoutHost) => {}
             Mode::Normal if self.is_at_work() => self.host_fault(),
             // The fault acts where the job would go on.
@@ -116,8 +118,11 @@ impl<const N: usize> Controller<N> {
 
     /// A host that has said nothing for too long (`$922`, `$923`) may have gone: not every link tells that.
     pub(crate) fn look_for_host(&mut self) {
-        if matches!(self.mode, Mode::Normal) && self.m.lines.heartbeat_mut().take_gone() && self.is_at_work() {
-            self.host_fault();
+        if matches!(self.mode, Mode::Normal) {
+            let left_jog = self.m.lines.heartbeat_mut().take_left_jog();
+            if self.m.lines.heartbeat_mut().take_gone() && self.is_at_work() || left_jog && self.burns() {
+                self.host_fault();
+            }
         }
         let longest = match self.mode {
             Mode::Jog { cancelling: false } => Key::JogSilence,
@@ -145,13 +150,15 @@ impl<const N: usize> Controller<N> {
             self.m.lines.heartbeat_mut().rest();
             self.say(|out| report::message(out, "The host is silent"));
             match self.mode {
-                Mode::Jog { .. } => self.end_jog_of_no_host(),
+                Mode::Jog { .. } => self.end_jog_of_no_host(true),
                 _ => self.host_fault(),
             }
         }
     }
 
-    fn end_jog_of_no_host(&mut self) {
+    /// With `is_fault` a beam that would burn at rest behind the jog does not.
+    fn end_jog_of_no_host(&mut self, is_fault: bool) {
+        self.m.lines.heartbeat_mut().set_left_jog(is_fault);
         self.cancel_jog();
         self.forget_received_jogs();
     }

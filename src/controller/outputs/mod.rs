@@ -87,6 +87,9 @@ impl<const N: usize> Controller<N> {
 
     #[inline(never)]
     fn turning_power(&self) -> u16 {
+        if self.is_dark_at_rest() {
+            return 0;
+        }
         let percent = self.acting_overrides().spindle;
         self.m.accessories.resting_power(
             &self.m.settings,
@@ -94,6 +97,13 @@ impl<const N: usize> Controller<N> {
             || self.burns_at_rest(),
             || self.m.motion.running_power(),
         )
+    }
+
+    /// Whether a beam is off at rest whatever the program says: in a jog and where one was stopped. Grbl's dialect (0) leaves
+    /// it on.
+    fn is_dark_at_rest(&self) -> bool {
+        let is_dark = self.m.settings.is_on(Key::Laser) && self.m.settings.is_on(Key::Dialect);
+        is_dark && !matches!(self.mode, Mode::Normal | Mode::Check)
     }
 
     /// A segment's power under the override of this moment: queued moves feel it too.

@@ -8,7 +8,7 @@ use super::system::{Described, Format};
 use super::text::{END, Text, put, whole};
 use crate::axes::Axis;
 use crate::error::{Alarm, Error};
-use crate::settings::{self, Description, Entry, Kind, Row, SettingGroup, Settings};
+use crate::settings::{self, Description, Entry, Key, Kind, Row, SettingGroup, Settings};
 
 /// Whether the texts are there; a board whose flash is too small leaves them out.
 pub const DESCRIPTIONS: bool = cfg!(feature = "descriptions");
@@ -204,6 +204,39 @@ pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
         (Kind::Place, _) => put(out, b"any"),
     }
 }
+
+/// `[MSG:Values of $32: 0 or 1; ...]`, with what there is here of the values that grblHAL has besides.
+pub fn values_of(out: &mut Text, row: &Row) {
+    put(out, b"[MSG:Values of $");
+    whole(out, row.number.into());
+    put(out, b": ");
+    values(out, &row.entry, &row.description);
+    put(out, beyond_a_switch(row.number));
+    put(out, b"]");
+    put(out, END);
+}
+
+/// What grblHAL means by other values than 0 and 1 of a setting that is a switch here.
+const fn beyond_a_switch(number: u16) -> &'static [u8] {
+    match number {
+        ENABLE_INVERT => b", for all drivers",
+        LIMIT_INVERT => b", for all limit inputs; single ones are turned round by $908",
+        HARD_LIMITS => b"; of grblHAL's bits 2 (strict mode) does not exist, and 4 (not for A) is $133=0",
+        HOMING => {
+            b"; of grblHAL's bits 2, 4 and 128 always act, 8 is $932=1, 64 is $X, and 16, 32, 256 and 512 do not exist"
+        }
+        LASER => b"; there is no lathe mode (2)",
+        PARKING => b"; of grblHAL's bits 2 (M56) always acts, and 4 does not exist",
+        _ => b"",
+    }
+}
+
+const ENABLE_INVERT: u16 = Key::EnableInvert.number();
+const LIMIT_INVERT: u16 = Key::LimitInvert.number();
+const HARD_LIMITS: u16 = Key::HardLimits.number();
+const HOMING: u16 = Key::Homing.number();
+const LASER: u16 = Key::Laser.number();
+const PARKING: u16 = Key::Parking.number();
 
 fn sum_of(out: &mut Text, labels: &str, bits: u32) {
     put(out, b"sum of ");

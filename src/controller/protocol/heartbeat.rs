@@ -15,12 +15,20 @@ pub struct Heartbeat {
     silent_at: Option<Instant>,
     /// It has gone while a job was about to be resumed.
     gone: bool,
+    /// It has gone in a jog, which ends.
+    left_jog: bool,
 }
 
 impl Heartbeat {
     /// Not heard yet.
-    pub const NONE: Heartbeat =
-        Heartbeat { bytes: 0, heard: false, heard_at: Instant::from_ticks(0), silent_at: None, gone: false };
+    pub const NONE: Heartbeat = Heartbeat {
+        bytes: 0,
+        heard: false,
+        heard_at: Instant::from_ticks(0),
+        silent_at: None,
+        gone: false,
+        left_jog: false,
+    };
 
     /// So many bytes of lines have been received (wrapping).
     #[inline]
@@ -52,9 +60,20 @@ impl Heartbeat {
         now >= silent_at
     }
 
+    /// Notes whether it has gone in a jog.
+    pub fn set_left_jog(&mut self, left_jog: bool) {
+        self.left_jog = left_jog;
+    }
+
+    /// Whether it has; told once.
+    pub fn take_left_jog(&mut self) -> bool {
+        core::mem::take(&mut self.left_jog)
+    }
+
     /// Notes whether it has gone while a job was about to be resumed.
     pub fn set_gone(&mut self, gone: bool) {
         self.gone = gone;
+        self.left_jog &= gone;
     }
 
     /// Whether it has; told once.

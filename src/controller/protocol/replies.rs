@@ -90,14 +90,20 @@ impl Replies {
         self.waiting = 0;
     }
 
+    /// Whether the host has gone whose lines are read. `hosts_cut`: of the hosts that have gone those whose last line has been
+    /// read.
+    pub fn has_host_left(&self, hosts_cut: u16) -> bool {
+        self.hosts_gone != hosts_cut
+    }
+
     /// Queues text. There is always room: whoever can wait asks [`Replies::has_room`] first, and what cannot (an alarm, a
     /// message) is short. Only a flood of resets makes more; what then finds no room is left out as a whole, but never the answer to the
     /// line in work.
     ///
-    /// `hosts_cut`: of the hosts that have gone those whose last line has been read. The next host would take the answer
-    /// to a line of one that has gone for one of its own, so it is left out.
+    /// `hosts_cut`: as for [`Replies::has_host_left`]. The next host would take the answer to a line of one that has gone for
+    /// one of its own, so it is left out.
     pub fn push(&mut self, text: &[u8], hosts_cut: u16) {
-        let unheard = self.hosts_gone != hosts_cut && !self.echoed && is_of_one_host(text);
+        let unheard = self.has_host_left(hosts_cut) && !self.echoed && is_of_one_host(text);
         let free = BYTES - self.waiting;
         let has_room = free >= text.len() + ANSWER || free >= text.len() && is_answer(text);
         if unheard || !has_room {

@@ -88,6 +88,15 @@ pub fn message_number(out: &mut Text, text: &str, number: u32) {
     put(out, b"]\r\n");
 }
 
+/// `[MSG:...]`: M66 waits for an input of this number, and for so many seconds at most.
+pub fn wait_for_input(out: &mut Text, number: u32, seconds: u32) {
+    put(out, b"[MSG:Waits for input ");
+    whole(out, u64::from(number));
+    put(out, b", seconds left: ");
+    whole(out, u64::from(seconds));
+    put(out, b"]\r\n");
+}
+
 /// `[MSG:...]` of a program, without what is no text.
 pub fn program_message(out: &mut Text, text: &[u8]) {
     put(out, b"[MSG:");

@@ -1,6 +1,6 @@
 //! `$n=v`: `Settings::set` takes a value over if it is `checked` to be in the range of its row (`Kind`), and refuses it
-//! otherwise with `NegativeValue`, `InvalidStatement`, `StepPulseTooShort` (`tenths`) or, in Grbl's dialect,
-//! `SoftLimitNeedsHoming`. Homing that is switched off takes soft limits along. `axes_to_set` have settings.
+//! otherwise with `NegativeValue`, `InvalidStatement`, `SettingOutOfRange`, `StepPulseTooShort` (`tenths`) or, in Grbl's
+//! dialect, `SoftLimitNeedsHoming`. Homing that is switched off takes soft limits along. `axes_to_set` have settings.
 
 use super::index::Index;
 use super::row::Kind;
@@ -22,9 +22,10 @@ impl<const N: usize> Settings<N> {
     /// What `$number=value` would set: the value in its range, without a fraction that does not count.
     ///
     /// # Errors
-    /// [`Error::NegativeValue`] below zero, [`Error::InvalidStatement`] for a number that does not exist or a value out
-    /// of range, [`Error::StepPulseTooShort`] for a `$0` out of range, [`Error::SoftLimitNeedsHoming`] for `$20=1`
-    /// without `$22` in Grbl's dialect.
+    /// [`Error::NegativeValue`] below zero, [`Error::InvalidStatement`] for a number that does not exist,
+    /// [`Error::SettingOutOfRange`] for a value out of range (in Grbl's dialect [`Error::InvalidStatement`]),
+    /// [`Error::StepPulseTooShort`] for a `$0` out of range, [`Error::SoftLimitNeedsHoming`] for `$20=1` without `$22` in
+    /// Grbl's dialect.
     pub fn accepted(&self, number: u16, value: Decimal) -> Result<f32, Error> {
         self.placed(number, value).map(|(_, value)| value)
     }
@@ -65,14 +66,20 @@ impl<const N: usize> Settings<N> {
 
     /// What a row of this kind makes of a value: in its range, without the fraction where that does not count.
     fn checked(&self, kind: Kind, value: Decimal) -> Result<f32, Error> {
-        let whole = value.truncate();
+        let (whole, grbl) = (value.truncate(), self.value(Key::Dialect) == 0.0);
         let value = match kind {
             Kind::Tenths(..) => return self.tenths(kind, value),
+            Kind::Switch if grbl && (1..=255).contains(&whole) => 1.0,
+            // Half on is neither on nor off.
+            Kind::Switch if !grbl => value.to_f32(),
             Kind::Real | Kind::Speed | Kind::Place => value.to_f32(),
-            Kind::Switch if (1..=255).contains(&whole) => 1.0,
             _ => whole as f32,
         };
-        if kind.can_be(value, axes_mask(self.axes_to_set())) { Ok(value) } else { Err(Error::InvalidStatement) }
+        match kind.can_be(value, axes_mask(self.axes_to_set())) {
+            true => Ok(value),
+            false if grbl => Err(Error::InvalidStatement),
+            false => Err(Error::SettingOutOfRange),
+        }
     }
 
     /// The step pulse in microseconds, in tenths. In Grbl's dialect no fraction counts, and no pulse is shorter than
@@ -98,7 +105,7 @@ impl<const N: usize> Settings<N> {
 mod tests {
     use super::*;
     use crate::axes::PerAxis;
-    use crate::settings::table::AxisKey;
+    use crate::settings::table::{AxisKey, SCALARS};
 
     fn set(settings: &mut Settings<3>, number: u16, thousandths: i64) -> Result<(), Error> {
         settings.set(number, Decimal(thousandths * 10_000))
@@ -109,7 +116,7 @@ mod tests {
         let mut s = Settings::<3>::default();
         assert_eq!(set(&mut s, 0, 0), Err(Error::StepPulseTooShort));
         assert_eq!(set(&mut s, 0, 256_000), Err(Error::StepPulseTooShort));
-        assert_eq!(set(&mut s, 1, 300_000), Err(Error::InvalidStatement));
+        assert_eq!(set(&mut s, 1, 300_000), Err(Error::SettingOutOfRange));
         assert_eq!(set(&mut s, 103, 1_000), Err(Error::InvalidStatement));
         assert_eq!(set(&mut s, 7, 1_000), Err(Error::InvalidStatement));
         assert_eq!(set(&mut s, 11, -1), Err(Error::NegativeValue));
@@ -119,23 +126,46 @@ mod tests {
         assert_eq!(s.by_number(102), Some(80.5));
     }
 
-    /// As Grbl reads them: a fraction is cut off, and any byte but 0 switches on.
+    /// As Grbl reads them: a fraction is cut off. What is 0 or 1 is nothing else; in Grbl's dialect any byte but 0 switches on.
     #[test]
-    fn whole_numbers_lose_their_fraction_and_switches_take_a_byte() {
-        let mut s = Settings::<3>::default();
-        for (number, thousandths, taken) in [
-            (1, 25_500, Some(25.0)),
-            (21, 2000, Some(1.0)),
-            (21, 255_900, Some(1.0)),
-            (21, 256_000, None),
-            (21, 900, Some(0.0)),
-            (23, 255_000, Some(255.0)),
-            (23, 256_000, None),
-            (44, 8000, None),
+    fn whole_numbers_lose_their_fraction_and_switches_are_0_or_1() {
+        for (number, thousandths, taken, in_grbl) in [
+            (1, 25_500, Some(25.0), Some(25.0)),
+            (21, 1000, Some(1.0), Some(1.0)),
+            (21, 0, Some(0.0), Some(0.0)),
+            (21, 2000, None, Some(1.0)),
+            (21, 3000, None, Some(1.0)),
+            (21, 255_900, None, Some(1.0)),
+            (21, 256_000, None, None),
+            (21, 900, None, Some(0.0)),
+            (21, 1001, None, Some(1.0)),
+            (23, 255_000, Some(255.0), Some(255.0)),
+            (23, 256_000, None, None),
+            (44, 8000, None, None),
         ] {
-            let result = set(&mut s, number, thousandths);
-            assert_eq!(result, taken.map_or(Err(Error::InvalidStatement), |_| Ok(())), "${number}={thousandths}");
-            assert!(taken.is_none_or(|value| s.by_number(number) == Some(value)), "${number}={thousandths}");
+            for (dialect, taken, refused) in [
+                (0, in_grbl, Error::InvalidStatement),
+                (1_000, taken, Error::SettingOutOfRange),
+                (2_000, taken, Error::SettingOutOfRange),
+            ] {
+                let mut s = Settings::<3>::default();
+                set(&mut s, 900, dialect).unwrap();
+                let before = s.by_number(number);
+                let result = set(&mut s, number, thousandths);
+                assert_eq!(result, taken.map_or(Err(refused), |_| Ok(())), "${number}={thousandths}, $900={dialect}");
+                assert_eq!(s.by_number(number), taken.or(before), "${number}={thousandths}, $900={dialect}");
+            }
+        }
+    }
+
+    #[test]
+    fn no_switch_takes_a_third_value() {
+        let switches = SCALARS.iter().filter(|entry| entry.kind == Kind::Switch);
+        for entry in switches {
+            let mut s = Settings::<3>::default();
+            let results = [0, 1, 2, 3, 79, 255].map(|value| set(&mut s, entry.number, value * 1000));
+            assert_eq!(results[..2], [Ok(()), Ok(())], "${}", entry.number);
+            assert!(results[2..].iter().all(|result| *result == Err(Error::SettingOutOfRange)), "${}", entry.number);
         }
     }
 
@@ -196,7 +226,7 @@ mod tests {
         let cycles = |s: &Settings<3>| s.axes(AxisKey::HomingCycle).0;
         let mut s = Settings::<3>::default();
         assert_eq!(cycles(&s), [4.0, 3.0, 0.0]);
-        assert_eq!(set(&mut s, 44, 8000), Err(Error::InvalidStatement));
+        assert_eq!(set(&mut s, 44, 8000), Err(Error::SettingOutOfRange));
         assert_eq!(set(&mut s, 47, 1000), Err(Error::InvalidStatement));
         set(&mut s, 44, 1000).unwrap();
         assert_eq!(cycles(&s), [1.0, 3.0, 0.0]);

@@ -14,7 +14,7 @@ pub enum Kind {
     Tenths(u32, u32),
     /// A sum of some of these bits; fractions are cut off.
     Mask(u32),
-    /// 0 or 1; any other whole number up to 255 counts as 1.
+    /// 0 or 1; in Grbl's dialect any other whole number up to 255 counts as 1.
     Switch,
     /// Not negative, printed with three decimals.
     Real,

@@ -112,6 +112,19 @@ impl<const N: usize> Settings<N> {
         self.per_axis.get(key as usize).copied().unwrap_or(PerAxis::all(0.0))
     }
 
+    /// Where the travel of an axis ends in machine coordinates, mm: from minus the travel to the switch at 0; with `$932` from
+    /// where homing ends, at 0, away from the switch. `None` for an axis that turns without end.
+    pub fn ends_of_travel(&self, axis: Axis) -> Option<[f32; 2]> {
+        let travel = self.axes(AxisKey::Travel).get(axis).filter(|travel| axis.has_ends(*travel))?;
+        if !self.is_on(Key::ZeroAtPullOff) {
+            return Some([-travel, 0.0]);
+        }
+        let pull_off = self.value(Key::HomingPullOff);
+        let rest = if travel > pull_off { travel - pull_off } else { 0.0 };
+        let is_homed_to_negative = self.whole(Key::HomingDirection) >> axis.index() & 1 != 0;
+        Some(if is_homed_to_negative { [0.0, rest] } else { [-rest, 0.0] })
+    }
+
     /// The axes of each homing cycle, bit 0 for X: those of the machine.
     pub fn homing_cycles(&self) -> PerAxis<u8, N> {
         let axes = axes_mask(self.axes_in_use());

@@ -4,11 +4,12 @@
 use crate::dispatch::Controller;
 use crate::error::Alarm;
 use crate::gcode::Dialect;
-use crate::states::stops::orders::StopReason;
 use crate::messages::Coolant;
 use crate::protocol::report;
 use crate::settings::Key;
+use crate::states::stops::orders::StopReason;
 use crate::states::{AfterBraking, Mode};
+use crate::work::line::Message;
 use crate::work::task::Task;
 
 impl<const N: usize> Controller<N> {
@@ -19,6 +20,7 @@ impl<const N: usize> Controller<N> {
     }
 
     pub(crate) fn feed_hold(&mut self) {
+        self.forget_received_jogs();
         match self.mode {
             Mode::Normal => {
                 self.m.motion.hold();
@@ -28,10 +30,7 @@ impl<const N: usize> Controller<N> {
                 self.enter(Mode::Hold);
                 self.darken_laser();
             }
-            Mode::Jog { .. } => {
-                self.cancel_jog();
-                self.forget_received_jogs();
-            }
+            Mode::Jog { .. } => self.cancel_jog(),
             Mode::Hold => self.m.accessories.leave_hold(false),
             _ => {}
         }
@@ -145,6 +144,7 @@ impl<const N: usize> Controller<N> {
         self.m.interpreter.set_accessories(self.m.accessories.spindle(), self.m.accessories.coolant());
         self.m.replies.overrides_changed();
         self.m.interpreter.abandon_program();
+        self.line.keep_message(Message::new());
         if self.task.abandon() {
             self.say_ok();
         }
@@ -160,9 +160,12 @@ impl<const N: usize> Controller<N> {
         self.enter(Mode::Jog { cancelling: true });
     }
 
-    /// A hold or a door has no epoch of its own: of what has been received by now no jog shall move any more.
+    /// A hold or a door has no epoch of its own: of what has been received by now no jog shall move any more. In Grbl's
+    /// dialect only a jog that moves ends with those behind it.
     pub(crate) fn forget_received_jogs(&mut self) {
-        self.m.lines.end_received_jogs(self.m.step_supply.observed().received);
+        if self.dialect() != Dialect::Grbl || matches!(self.mode, Mode::Jog { .. }) {
+            self.m.lines.end_received_jogs(self.m.step_supply.observed().received);
+        }
     }
 
     /// A jog that has come to its end leaves the position at its target, not at the step next to that: small jogs add up.

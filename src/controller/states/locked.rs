@@ -13,6 +13,7 @@ use crate::protocol::report;
 use crate::settings::{AxisKey, Key, Settings};
 use crate::states::Mode;
 use crate::units::{StepsPerMm, per_second};
+use crate::work::line::Message;
 use crate::work::task::Task;
 
 impl<const N: usize> Controller<N> {
@@ -27,6 +28,7 @@ impl<const N: usize> Controller<N> {
         self.m.interpreter.set_position(self.m.motion.machine_position());
         self.m.probe.forget_result();
         self.line.reset();
+        self.line.keep_message(Message::new());
         self.m.lines.heartbeat_mut().set_gone(false);
         self.m.replies.reset();
         self.greet();

@@ -486,3 +486,25 @@ fn a_host_that_floods_does_not_starve_its_own_lines() {
         assert!(reports > 100 && scribe.said.contains("$132=200.000\r\n"), "{most}: {reports} reports");
     }
 }
+
+/// Whatever `$914` says of a job.
+#[test]
+fn a_jog_that_was_read_as_its_host_went_does_not_begin() {
+    for (setting, host_goes) in [("$914=0\n", false), ("$914=0\n", true), ("$914=1\n", true)] {
+        let (mut controller, now) = (started::<16>(PROFILE), Instant::from_ticks(0));
+        let room = Room { step: true, reply: true };
+        controller.observe(Observed { step_idle: true, rx_free: 255, ..Observed::default() });
+        for line in [setting, "$J=G91X1F500\n"] {
+            while controller.output(now, room).is_some() {}
+            for byte in line.bytes() {
+                controller.event(now, Event::Line(LineByte { byte, epoch: 0, damaged: false }));
+            }
+        }
+        if host_goes {
+            controller.event(now, Event::Disconnected(1));
+        }
+        let outputs: Vec<Output> = std::iter::from_fn(|| controller.output(now, room)).take(100).collect();
+        let moves = outputs.iter().any(|output| matches!(output, Output::Step(ToStep::Segment(_))));
+        assert_eq!(moves, !host_goes, "{setting}{outputs:?}");
+    }
+}

@@ -76,15 +76,12 @@ impl<const N: usize> Controller<N> {
         if let gcode::Motion::Line { target, .. } = &self.line.checked.motion
             && self.limits_travel()
         {
-            let travel = self.m.settings.axes(AxisKey::Travel);
             let here = self.m.interpreter.position();
             let mut end = *target;
             for (axis, end) in Axis::ALL.into_iter().zip(end.iter_mut()) {
-                if let (Some(travel), Some(here)) = (travel.get(axis), here.get(axis))
-                    && axis.has_ends(travel)
-                {
-                    let least = here.min(-Coordinate::from_mm_f32(travel));
-                    *end = (*end).clamp(least, here.max(Coordinate::ZERO));
+                if let (Some(ends), Some(here)) = (self.m.settings.ends_of_travel(axis), here.get(axis)) {
+                    let [least, greatest] = ends.map(Coordinate::from_mm_f32);
+                    *end = (*end).clamp(here.min(least), here.max(greatest));
                 }
             }
             self.line.checked.redirect(end);
@@ -130,12 +127,14 @@ impl<const N: usize> Controller<N> {
 
     /// Whether a place lies outside of the travel.
     pub(crate) fn is_outside_travel(&self, position: &PerAxis<Coordinate, N>) -> bool {
-        let travel = self.m.settings.axes(AxisKey::Travel);
         let axes = Axis::ALL.into_iter().take(self.m.settings.axes_in_use());
-        axes.zip(position.iter().zip(travel.iter())).any(|(axis, (place, travel))| {
-            let below = |end: f32| *place < -Coordinate::from_mm_f32(end);
-            let beyond = *place > Coordinate::ZERO || below(*travel) && below(self.reach(axis, *travel));
-            beyond && axis.has_ends(*travel)
+        axes.zip(position.iter()).any(|(axis, place)| {
+            let Some([least, greatest]) = self.m.settings.ends_of_travel(axis) else { return false };
+            let is_beyond = |place: Coordinate, end: f32| {
+                let past = |end: f32| place > Coordinate::from_mm_f32(end);
+                past(end) && (end == 0.0 || past(self.reach(axis, end)))
+            };
+            is_beyond(*place, greatest) || is_beyond(-*place, -least)
         })
     }
 

@@ -1,11 +1,18 @@
 //! `LineInWork`: the checked line of G-code that is carried out, with the `Curve` (arc, spline, nurbs) whose chords it
-//! has begun, its tool change, and whether single block is on.
+//! has begun, its tool change, whether single block is on, and the last message of the program.
 
 use crate::axes::{LINEAR, PerAxis};
-use crate::gcode::{Checked, Notice};
-use crate::work::tool_change::plan::ToolChange;
+use crate::gcode::{Checked, EXPRESSIONS, Notice};
 use crate::motion::{Arc, ArcGeometry, Curvature, Curve, Nurbs, NurbsGeometry, Spline, SplineGeometry};
+use crate::protocol::line::MESSAGE_LENGTH;
 use crate::units::{Coordinate, WeightedPoint};
+use crate::work::tool_change::plan::ToolChange;
+
+/// Longest message of a program, with the values of its parameters.
+const MESSAGE: usize = if EXPRESSIONS { 160 } else { MESSAGE_LENGTH };
+
+/// A message of a program.
+pub(crate) type Message = heapless::Vec<u8, MESSAGE>;
 
 /// A checked line, and its curve once that has begun.
 #[derive(Clone, Debug)]
@@ -18,22 +25,39 @@ pub(crate) struct LineInWork<const N: usize> {
     told: u8,
     /// The tool change of the line, if its tool is measured.
     change: ToolChange<N>,
+    /// The last message of the program, for a host that takes over.
+    message: Message,
 }
 
 impl<const N: usize> LineInWork<N> {
     /// There is none.
-    pub(crate) const NONE: Self =
-        Self { checked: Checked::NOTHING, curve: None, single_block: false, told: 0, change: ToolChange::NONE };
+    pub(crate) const NONE: Self = Self {
+        checked: Checked::NOTHING,
+        curve: None,
+        single_block: false,
+        told: 0,
+        change: ToolChange::NONE,
+        message: Message::new(),
+    };
 
     /// Single block: whether the program pauses behind each line that moves, until the operator continues it.
     pub(crate) fn is_single_block(&self) -> bool {
         self.single_block
     }
 
-    /// Switches single block on or off; whether it is on now.
-    pub(crate) fn toggle_single_block(&mut self) -> bool {
+    /// Switches single block on or off.
+    pub(crate) fn toggle_single_block(&mut self) {
         self.single_block = !self.single_block;
-        self.single_block
+    }
+
+    /// The last message of the program; empty if there was none.
+    pub(crate) fn message(&self) -> &Message {
+        &self.message
+    }
+
+    /// A message of the program has been told. An empty one: the program has ended.
+    pub(crate) fn keep_message(&mut self, message: Message) {
+        self.message = message;
     }
 
     /// Whether the program has not been told this yet; from here on it has.

@@ -8,4 +8,4 @@ mod pins;
 pub(crate) mod probe;
 mod stages;
 pub(crate) mod task;
-mod tool_change;
+pub(crate) mod tool_change;

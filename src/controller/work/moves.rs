@@ -5,7 +5,7 @@
 
 use crate::axes::{LINEAR, PerAxis};
 use crate::dispatch::Controller;
-use crate::gcode::{Feed, Motion, NurbsMove, PathControl};
+use crate::gcode::{Dialect, Feed, Motion, NurbsMove, PathControl};
 use crate::machine::spindle::SpindleRange;
 use crate::messages::SpindleDirection;
 use crate::motion::{ArcGeometry, Move, NurbsGeometry, Speed, SplineGeometry, Tolerance};
@@ -43,8 +43,8 @@ impl<const N: usize> Controller<N> {
 
     pub(crate) fn move_of(&self, target: &PerAxis<Coordinate, N>, speed: Speed, jog: bool) -> Move<N> {
         let laser = self.m.settings.is_on(Key::Laser);
-        // A laser burns in feed motions only.
-        let dark = laser && speed == Speed::Rapid;
+        // A laser burns in feed motions only, and Grbl's in jogs.
+        let dark = laser && (speed == Speed::Rapid || jog && self.dialect() != Dialect::Grbl);
         let power = if !self.m.accessories.is_on() || dark {
             0
         } else {

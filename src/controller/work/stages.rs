@@ -14,6 +14,7 @@ use crate::states::Mode;
 use crate::units::Duration;
 use crate::view::dialect;
 use crate::work::limits::{geometry, spline_geometry};
+use crate::work::line::Message;
 use crate::work::moves::speed;
 use crate::work::task::{Answer, Caller, Job, Stage, Task};
 
@@ -437,6 +438,7 @@ impl<const N: usize> Controller<N> {
                     self.m.replies.overrides_changed();
                 }
                 self.say(|out| report::message(out, "Pgm End"));
+                self.line.keep_message(Message::new());
                 Some(Stage::Done)
             }
         }
@@ -502,8 +504,9 @@ impl<const N: usize> Controller<N> {
 
     pub(crate) fn jog(&mut self, line: &[u8]) -> Result<(), Error> {
         self.m.interpreter.check_jog_into(line, dialect(&self.m.settings), &mut self.line.checked)?;
-        if self.m.lines.is_jog_stale() || matches!(self.mode, Mode::Jog { cancelling: true }) {
-            // Sent before the cancel: it shall not move any more.
+        let is_over = self.m.lines.is_jog_stale() || self.m.replies.has_host_left(self.m.lines.hosts_cut());
+        if is_over || matches!(self.mode, Mode::Jog { cancelling: true }) {
+            // Sent before the cancel, or by a host that has gone: it shall not move any more.
             self.say_ok();
             return Ok(());
         }

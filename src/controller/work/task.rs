@@ -100,6 +100,14 @@ impl Job {
         }
     }
 
+    /// How much longer the stage waits, or would if nothing had suspended it.
+    pub(crate) fn left(&self, now: Instant) -> Duration {
+        match self.stage {
+            Stage::DwellSuspended | Stage::InputSuspended => self.left,
+            _ => self.until.checked_duration_since(now).unwrap_or(Duration::from_ticks(0)),
+        }
+    }
+
     /// The stage that waits until a moment.
     pub(crate) fn wait(&mut self, stage: Stage, until: Instant) -> Stage {
         self.until = until;
@@ -201,12 +209,13 @@ impl Task {
     /// A hold stops the clock of a dwell.
     pub(crate) fn suspend(&mut self, now: Instant) {
         let Task::Job(job) = self else { return };
+        let left = job.left(now);
         job.stage = match job.stage {
             Stage::Dwell => Stage::DwellSuspended,
             Stage::Input => Stage::InputSuspended,
             _ => return,
         };
-        job.left = job.until.checked_duration_since(now).unwrap_or(Duration::from_ticks(0));
+        job.left = left;
     }
 
     pub(crate) fn resume(&mut self, now: Instant) {

@@ -126,6 +126,7 @@ impl Model {
 
     /// A job waits for a host, and can be resumed; a jog ends.
     pub(super) fn host_fails(&mut self, also: &mut Vec<Model>) {
+        self.end_received_jogs();
         let reaction = self.setup.reaction(HOST);
         match reaction {
             _ if self.mode != Mode::Free => self.hold(),

@@ -426,7 +426,7 @@ impl Model {
     fn look_at_spindle(&mut self) {
         if !self.turns() {
             self.given = None;
-        } else if self.given.is_none_or(|(percent, _)| percent != self.overrides[2]) {
+        } else if self.mode == Mode::Free && self.given.is_none_or(|(percent, _)| percent != self.overrides[2]) {
             self.given =
                 Some((self.overrides[2], self.now.plus(Span { from: action::SPIN_UP, to: action::SPIN_UP + 0.003 })));
         }

@@ -145,6 +145,22 @@ impl Model {
             Mode::Critical => self.say("[MSG:Reset to continue]"),
             _ => {}
         }
+        if !self.setup.grbl {
+            self.tell_inherited();
+        }
+    }
+
+    /// Oxmill: what no report shows.
+    fn tell_inherited(&mut self) {
+        if self.single_block {
+            self.say("[MSG:Single block on]");
+        }
+        match self.mode {
+            Mode::Check => self.say("[MSG:Enabled]"),
+            Mode::Sleep => self.say("[MSG:Sleeping]"),
+            Mode::Door { restoring: None } => self.say("[MSG:Check Door]"),
+            _ => {}
+        }
     }
 
     /// Alarm, after which only a reset is heard.
@@ -268,23 +284,26 @@ impl Model {
     }
 
     pub(super) fn hold(&mut self) {
+        self.end_received_jogs();
         match self.mode {
             Mode::Free => {
                 self.brake();
                 self.mode = Mode::Hold;
             }
-            Mode::Jog => {
-                self.end_jogs(false);
-                self.brake();
-            }
+            Mode::Jog => self.brake(),
             _ => {}
         }
     }
 
-    pub(super) fn door_opens(&mut self, also: &mut Vec<Model>) {
-        if self.mode == Mode::Jog {
+    /// A hold or a door ends jogs. Oxmill: also those that have not begun; to Grbl they come behind the hold.
+    pub(super) fn end_received_jogs(&mut self) {
+        if self.mode == Mode::Jog || !self.setup.grbl {
             self.end_jogs(false);
         }
+    }
+
+    pub(super) fn door_opens(&mut self, also: &mut Vec<Model>) {
+        self.end_received_jogs();
         match self.mode {
             Mode::Free | Mode::Jog | Mode::Hold | Mode::Stop => {
                 self.brake();

@@ -19,11 +19,11 @@ impl<const N: usize> Controller<N> {
     /// The door input or 0x84.
     pub(crate) fn open_door(&mut self) {
         self.switch_off_for_door();
+        self.forget_received_jogs();
         match self.mode {
             Mode::Jog { .. } => {
                 self.m.motion.hold();
                 self.task.forget_jog();
-                self.forget_received_jogs();
                 self.m.door.interrupt_jog();
                 self.enter(Mode::Door(Door::Braking));
             }

@@ -17,7 +17,7 @@ use crate::error::Alarm;
 use crate::memory::Lent;
 use crate::messages::{Coolant, Observed, ToStep};
 use crate::motion::{Motion, Move, Speed, Tolerance};
-use crate::settings::{AxisKey, Key, Settings};
+use crate::settings::{Key, Settings};
 use crate::units::{Coordinate, per_second};
 
 /// What the door took away and where parking leads.
@@ -239,8 +239,8 @@ impl<const N: usize> Parking<N> {
         }
         let axis = Axis::ALL.get(settings.whole(Key::ParkingAxis) as usize).copied()?;
         let here = left.get(axis)?;
-        let travel = Coordinate::from_mm_f32(settings.axes(AxisKey::Travel).get(axis)?);
-        let park = Coordinate::from_mm_f32(settings.value(Key::ParkingTarget)).clamp(-travel, Coordinate::ZERO);
+        let [least, greatest] = settings.ends_of_travel(axis)?.map(Coordinate::from_mm_f32);
+        let park = Coordinate::from_mm_f32(settings.value(Key::ParkingTarget)).clamp(least, greatest);
         if here >= park {
             return None;
         }
@@ -284,6 +284,23 @@ mod tests {
             let values: Vec<(Key, f32)> = PARKING.into_iter().chain([off]).collect();
             assert_eq!(parking(-30, &settings(&values)), None);
         }
+    }
+
+    #[test]
+    fn the_tool_parks_within_its_travel_wherever_machine_zero_is() {
+        let place = |mm: f32, others: &[(Key, f32)]| {
+            let parking: Vec<(Key, f32)> =
+                PARKING.into_iter().chain([(Key::ParkingTarget, mm)]).chain(others.iter().copied()).collect();
+            settings(&parking)
+        };
+        assert_eq!(parking(-30, &place(3.0, &[])), Some([-30, -26, 0]));
+        let zero = (Key::ZeroAtPullOff, 1.0);
+        assert_eq!(parking(-30, &place(3.0, &[zero])), Some([-30, -26, 0]), "clear of the switch");
+        // Homed to the negative end its coordinates are positive.
+        let upwards = [zero, (Key::HomingDirection, 4.0), (Key::HomingPullOff, 2.0)];
+        assert_eq!(parking(30, &place(150.0, &upwards)), Some([30, 34, 150]));
+        assert_eq!(parking(30, &place(500.0, &upwards)), Some([30, 34, 198]), "the travel, less the pull-off");
+        assert_eq!(parking(30, &place(-5.0, &upwards)), None);
     }
 
     #[test]

@@ -29,7 +29,7 @@ const LOCATE_PULL_OFFS: f32 = 5.0;
 
 /// The settings that homing needs, lengths in mm and rates in mm/s.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct HomingSettings<const N: usize> {
+pub(crate) struct HomingSettings<const N: usize> {
     /// `$44` and on: the axes of each cycle; an empty one is none.
     pub cycles: [AxisMask; N],
     /// `$43`: how often the switches are located.
@@ -46,13 +46,15 @@ pub(super) struct HomingSettings<const N: usize> {
     pub debounce: Duration,
     /// `$130` and on
     pub travel: PerAxis<f32, N>,
+    /// `$932`: machine zero is where homing ends.
+    pub zero_at_pull_off: bool,
     /// The axis whose two motors have a switch each, and how far one of them may go alone, mm.
     pub squared: Option<(Axis, f32)>,
 }
 
 /// What is to be done next.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Order<const N: usize> {
+pub(crate) enum Order<const N: usize> {
     /// Move by so much (mm) at a rate (mm/s, along the path). If `watch` is not empty, stop as soon as one of its
     /// switches closes.
     Move {
@@ -86,7 +88,7 @@ enum Pass {
 
 /// A homing cycle under way.
 #[derive(Clone, Debug)]
-pub(super) struct HomingCycle<const N: usize> {
+pub(crate) struct HomingCycle<const N: usize> {
     settings: HomingSettings<N>,
     /// Axes of the cycles still to come, the current one first.
     cycles: heapless::Deque<AxisMask, 8>,
@@ -249,9 +251,12 @@ impl<const N: usize> HomingCycle<N> {
         Order::Move { by, rate: rate * oxmill_sqrt::square_root(count), watch, motors }
     }
 
-    /// Where the axes stand after their last pull-off: the machine's space is negative, from -travel to 0.
+    /// Where the axes stand after their last pull-off: at 0, or in the machine's space from -travel to 0.
     fn places(&self) -> PerAxis<Coordinate, N> {
         PerAxis::from_axis(|axis| {
+            if self.settings.zero_at_pull_off {
+                return Coordinate::ZERO;
+            }
             let pull_off = Coordinate::from_mm_f32(self.settings.pull_off);
             if self.settings.to_negative.has(axis) {
                 pull_off - Coordinate::from_mm_f32(self.settings.travel.get(axis).unwrap_or(0.0))
@@ -280,6 +285,7 @@ mod tests {
             pull_off: 2.0,
             debounce: Duration::millis(250),
             travel: PerAxis([200.0, 100.0, 50.0]),
+            zero_at_pull_off: false,
             squared: None,
         }
     }

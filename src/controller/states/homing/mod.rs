@@ -10,8 +10,7 @@ use crate::messages::GangedMotors;
 use crate::motion::Speed;
 use crate::parts::Machine;
 use crate::settings::{AxisKey, Key};
-use crate::states::Mode;
-use crate::states::Next;
+use crate::states::{Mode, Next};
 use crate::units::{Coordinate, Duration, Instant, per_second};
 use crate::work::probe::seek;
 use crate::work::task::{Answer, Task};
@@ -56,6 +55,7 @@ impl<const N: usize> Homing<N> {
             pull_off: m.settings.value(Key::HomingPullOff),
             debounce: Duration::millis(u64::from(m.settings.whole(Key::HomingDebounce))),
             travel: m.settings.axes(AxisKey::Travel),
+            zero_at_pull_off: m.settings.is_on(Key::ZeroAtPullOff),
         };
         let mut homing = Self { cycle: HomingCycle::new(settings, only), wait: Wait::Stop };
         let order = homing.cycle.begin(m.switches());

@@ -92,6 +92,7 @@ impl<const N: usize> Controller<N> {
 
     /// A host that is silent or gone in mid-job: what waits can be resumed (`$928`).
     pub(crate) fn host_fault(&mut self) {
+        self.forget_received_jogs();
         let Reaction { braking, spindle_on } = Reaction::of(Key::HostReaction, &self.m.settings);
         match braking {
             Braking::AtOnce => self.m.stops.order(StopReason::Alarm(Alarm::AbortInMotion)),

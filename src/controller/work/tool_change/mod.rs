@@ -9,11 +9,9 @@ pub(crate) mod plan;
 use crate::axes::Axis;
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};
-use crate::gcode::CoordinateSystem;
-use crate::gcode::{EXTENDED, Feed, Motion, StoredOffset};
+use crate::gcode::{CoordinateSystem, EXTENDED, Feed, Motion, StoredOffset};
 use crate::messages::{Coolant, SpindleDirection};
 use crate::motion::Speed;
-use crate::protocol::report;
 use crate::settings::Key;
 use crate::states::Mode;
 use crate::units::{Coordinate, per_second};
@@ -66,8 +64,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn prompt(&mut self) {
-        let tool = self.line.checked.spindle_tool();
-        self.say(|out| report::message_number(out, "Tool change T", tool));
+        self.tell_tool();
         self.wait_for_operator();
     }
 
@@ -93,7 +90,8 @@ impl<const N: usize> Controller<N> {
         let outside = self.limits_travel() && plan.corners().iter().any(|corner| self.is_outside_travel(corner));
         let rates = [Key::ToolSetterSeek, Key::ToolSetterLocate, Key::ParkingPullOutRate];
         let crawls = rates.iter().any(|rate| self.m.settings.crawls(*rate));
-        (!plan.is_set_up() || outside || crawls).then_some(Error::ToolSetterNotSetUp)
+        let is_set_up = plan.is_set_up(self.m.settings.is_on(Key::ZeroAtPullOff));
+        (!is_set_up || outside || crawls).then_some(Error::ToolSetterNotSetUp)
     }
 
     fn plan_tool_change(&self) -> ChangePlan<N> {
@@ -167,7 +165,7 @@ impl<const N: usize> Controller<N> {
                 self.m.replies.offset_changed();
             }
             ChangeOrder::Confirm => {
-                self.say(|out| report::message(out, "First tool measured: is the work zero set with it?"));
+                self.tell_first_tool();
                 self.wait_for_operator();
             }
             ChangeOrder::Done => return self.return_to_work(),

@@ -52,10 +52,11 @@ impl<const N: usize> ChangePlan<N> {
         measures: false,
     };
 
-    /// Whether both places have been stored, and there is a way down to the setter.
-    pub fn is_set_up(&self) -> bool {
+    /// Whether both places have been stored, and there is a way down to the setter. With `zero_is_clear` tools may be changed
+    /// at machine zero, where homing ends.
+    pub fn is_set_up(&self, zero_is_clear: bool) -> bool {
         let nowhere = PerAxis::all(Coordinate::ZERO);
-        self.change != nowhere && self.setter != nowhere && self.depth > Coordinate::ZERO
+        (self.change != nowhere || zero_is_clear) && self.setter != nowhere && self.depth > Coordinate::ZERO
     }
 
     /// The height of all ways.
@@ -122,6 +123,15 @@ pub enum ChangeOrder<const N: usize> {
     Failed(Alarm),
 }
 
+/// What the operator is waited for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ToolWait {
+    /// To put the tool in.
+    Change,
+    /// To set the work zero with the first tool that was measured.
+    Confirm,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum ChangePhase {
     Retract,
@@ -180,6 +190,15 @@ impl<const N: usize> ToolChange<N> {
     /// Whether the order given last is a probing move.
     pub fn is_probing(&self) -> bool {
         matches!(self.phase, ChangePhase::Seek | ChangePhase::Locate)
+    }
+
+    /// What the operator has to do, if the order given last was for one.
+    pub fn waits_for(&self) -> Option<ToolWait> {
+        match self.phase {
+            ChangePhase::Prompt => Some(ToolWait::Change),
+            ChangePhase::Confirm => Some(ToolWait::Confirm),
+            _ => None,
+        }
     }
 
     /// The order after the last one has ended; `contact` is where a probing move has touched.
@@ -328,13 +347,15 @@ mod tests {
 
     #[test]
     fn what_is_not_set_up_is_seen() {
-        assert!(plan().is_set_up());
+        assert!(plan().is_set_up(false));
+        assert!(ChangePlan { change: at(0, 0, 0), ..plan() }.is_set_up(true));
+        assert!(!ChangePlan { setter: at(0, 0, 0), ..plan() }.is_set_up(true));
         for wrong in [
             ChangePlan { change: at(0, 0, 0), ..plan() },
             ChangePlan { setter: at(0, 0, 0), ..plan() },
             ChangePlan { depth: Coordinate::ZERO, ..plan() },
         ] {
-            assert!(!wrong.is_set_up());
+            assert!(!wrong.is_set_up(false));
         }
     }
 }
