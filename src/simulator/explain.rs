@@ -150,7 +150,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     ),
     (
         Key::StopOnError,
-        "A refused line ends the job: the machine brakes, moves that were accepted before it and have not been made are dropped, and it is locked until $X. With 0 the lines after it are carried out, as with Grbl.",
+        "A refused line ends the job: the machine brakes, moves that were accepted before it and have not been made are dropped, and it is locked until $X. With 0 the lines after it are carried out, as with Grbl, unless it has M6 and $918 is not 0.",
     ),
     (
         Key::TrustNeeded,
