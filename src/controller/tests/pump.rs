@@ -491,7 +491,7 @@ fn a_host_that_floods_does_not_starve_its_own_lines() {
 #[test]
 fn a_jog_that_was_read_as_its_host_went_does_not_begin() {
     for (setting, host_goes) in [("$914=0\n", false), ("$914=0\n", true), ("$914=1\n", true)] {
-        let (mut controller, now) = (started::<16>(PROFILE), Instant::from_ticks(0));
+        let (mut controller, now) = (started(PROFILE, 16), Instant::from_ticks(0));
         let room = Room { step: true, reply: true };
         controller.observe(Observed { step_idle: true, rx_free: 255, ..Observed::default() });
         for line in [setting, "$J=G91X1F500\n"] {
