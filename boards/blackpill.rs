@@ -65,7 +65,7 @@ pub use stm32f4xx_hal::pac;
 #[macro_export]
 macro_rules! vectors {
     ($app:ident) => {
-        $app!(serial: SPI2, receive: USART1, usb: OTG_FS, step: TIM2, dispatcher: SPI1);
+        $app!(serial: SPI2, receive: USART1, usb: OTG_FS, step: TIM5, dispatcher: SPI1);
     };
 }
 
@@ -123,7 +123,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     let steps = each!([a.pa1, a.pa2, a.pa3, a.pa8].into_push_pull_output().speed(Speed::Medium));
     let directions = each!([a.pa4, a.pa5, a.pa6, a.pa15].into_push_pull_output());
     let rings = cortex_m::singleton!(: Rings<1> = Rings::EMPTY);
-    let timers = (device.TIM1, device.TIM2, device.TIM3);
+    let timers = (device.TIM1, device.TIM5, device.TIM3);
     let step_pins = stm32f4::step_pins(steps, directions, &inputs, timers, rings, &mut rcc);
     let link = serial::Config::default().baudrate(stm32f4::USUAL_BAUD.bps());
     // With no host on the UART its input must idle high, or noise would be taken for commands.
@@ -133,7 +133,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
         // 115200 divides 84 and 96 MHz to within 0.1 %.
         unreachable!()
     };
-    stm32f4::start_clock(device.TIM5, &mut rcc);
+    stm32f4::start_clock(device.TIM2, &mut rcc);
     Parts {
         step_pins,
         serial: SerialPort::new(usart.split(), &rcc),

@@ -23,7 +23,7 @@ pub use stm32f4xx_hal::pac;
 #[macro_export]
 macro_rules! vectors {
     ($app:ident) => {
-        $app!(serial: SPI2, receive: USART2, step: TIM2, dispatcher: SPI1);
+        $app!(serial: SPI2, receive: USART2, step: TIM5, dispatcher: SPI1);
     };
 }
 
@@ -85,7 +85,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     let steps = each!([a.pa10, b.pb3, b.pb5, b.pb13].into_push_pull_output().speed(Speed::Medium));
     let directions = each!([b.pb4, b.pb10, a.pa8, b.pb14].into_push_pull_output());
     let rings = cortex_m::singleton!(: Rings<2> = Rings::EMPTY);
-    let timers = (device.TIM1, device.TIM2, device.TIM3);
+    let timers = (device.TIM1, device.TIM5, device.TIM3);
     let step_pins = stm32f4::step_pins(steps, directions, &inputs, timers, rings, &mut rcc);
     let link = serial::Config::default().baudrate(stm32f4::USUAL_BAUD.bps());
     // Where the ST-LINK does not drive its line (its bridges are open, or it has no power), the input must idle high.
@@ -95,7 +95,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
         // 115200 divides the 42 to 50 MHz of the slower bus to within 0.2 %.
         unreachable!()
     };
-    stm32f4::start_clock(device.TIM5, &mut rcc);
+    stm32f4::start_clock(device.TIM2, &mut rcc);
     Parts {
         step_pins,
         serial: SerialPort::new(usart.split(), &rcc),

@@ -46,7 +46,7 @@ pub fn safe_state() {
     unsafe {
         (*pac::TIM3::ptr()).ccmr1_output().write(|w| w.bits(0b100 << 12));
         (*pac::TIM3::ptr()).ccr2().write(|w| w.bits(0));
-        (*pac::TIM2::ptr()).cr1().write(|w| w.bits(0));
+        (*pac::TIM5::ptr()).cr1().write(|w| w.bits(0));
     }
 }
 
@@ -58,12 +58,12 @@ impl<MODE> From<&ErasedPin<MODE>> for Place {
 
 /// Step and direction outputs on `P` ports; the timers and DMA controllers that they need, but for what a shelter uses at
 /// rest.
-pub type StepPins<const P: usize> = step::StepPins<Chip, P, (pac::TIM1, pac::TIM2, pac::TIM3, [ErasedPin<Output>; 8])>;
+pub type StepPins<const P: usize> = step::StepPins<Chip, P, (pac::TIM1, pac::TIM5, pac::TIM3, [ErasedPin<Output>; 8])>;
 
 /// Calls the step task, from any task: the call waits as a flag of its timer until it is taken.
 #[inline]
 pub fn call_step() {
-    write(<Chip as Map>::TIM2 + timer::EGR, Due::CALLED.0);
+    write(<Chip as Map>::TIM5 + timer::EGR, Due::CALLED.0);
 }
 
 /// Pins of several ports, each turned into the same: `each!([a.pa1, b.pb2].into_pull_up_input())`.
@@ -77,13 +77,13 @@ macro_rules! each {
 }
 pub(crate) use each;
 
-/// Sets up what puts out steps: TIM2, which starts to run, TIM1, the DMA controllers; and TIM3 for the PWM, whose pin must already
+/// Sets up what puts out steps: TIM5, which starts to run, TIM1, the DMA controllers; and TIM3 for the PWM, whose pin must already
 /// be in its alternate function. Puts the pins to rest.
 pub fn step_pins<const P: usize>(
     step: [ErasedPin<Output>; 4],
     direction: [ErasedPin<Output>; 4],
     probe: &InputPins,
-    (pulse, clock, pwm): (pac::TIM1, pac::TIM2, pac::TIM3),
+    (pulse, clock, pwm): (pac::TIM1, pac::TIM5, pac::TIM3),
     rings: Option<&'static mut step::Rings<P>>,
     rcc: &mut Rcc,
 ) -> StepPins<P> {
@@ -102,10 +102,10 @@ pub fn step_pins<const P: usize>(
     pac::TIM1::reset(rcc);
     pac::DMA1::enable(rcc);
     pac::DMA2::enable(rcc);
-    pac::TIM2::enable(rcc);
-    pac::TIM2::reset(rcc);
+    pac::TIM5::enable(rcc);
+    pac::TIM5::reset(rcc);
     // The HAL picks the nearest clock it can make; another one than the planner counts with would falsify every speed.
-    assert_eq!(pac::TIM2::timer_clock(&rcc.clocks).raw(), crate::PROFILE.step_clock_hz);
+    assert_eq!(pac::TIM5::timer_clock(&rcc.clocks).raw(), crate::PROFILE.step_clock_hz);
     clock.arr().write(|w| raw!(w, u32::MAX));
     clock.cr2().write(|w| raw!(w, COMPARE_PULSE));
     clock.cr1().write(|w| w.cen().set_bit());
@@ -130,11 +130,11 @@ pub const SAMPLE_HZ: u32 = 20_000;
 /// The clock security system watches the oscillator.
 pub const WATCHES_CLOCK: bool = true;
 
-/// Starts TIM5 as the clock: 1 MHz, free-running.
-pub fn start_clock(timer: pac::TIM5, rcc: &mut Rcc) {
-    pac::TIM5::enable(rcc);
-    pac::TIM5::reset(rcc);
-    let prescaler = pac::TIM5::timer_clock(&rcc.clocks).raw() / (CLOCK_TICKS_PER_US * 1_000_000) - 1;
+/// Starts TIM2 as the clock: 1 MHz, free-running.
+pub fn start_clock(timer: pac::TIM2, rcc: &mut Rcc) {
+    pac::TIM2::enable(rcc);
+    pac::TIM2::reset(rcc);
+    let prescaler = pac::TIM2::timer_clock(&rcc.clocks).raw() / (CLOCK_TICKS_PER_US * 1_000_000) - 1;
     timer.psc().write(|w| w.psc().set(prescaler as u16));
     timer.arr().write(|w| raw!(w, u32::MAX));
     // The prescaler is taken over by an update.
@@ -167,7 +167,7 @@ pub fn watch_clock() {
 #[inline(always)]
 pub fn clock_ticks() -> u32 {
     // SAFETY: unsafe because the register is read without owning the timer; safe because reading CNT has no effect.
-    unsafe { (*pac::TIM5::ptr()).cnt().read().bits() }
+    unsafe { (*pac::TIM2::ptr()).cnt().read().bits() }
 }
 
 /// Baud rate of the link, if no setting says another: what Grbl's senders expect.
@@ -372,7 +372,7 @@ impl Watchdog {
         watchdog.stop_on_debug(debug, true);
         // So does the step clock: none begins while the processor cannot add to them, and a pulse that is out ends. The beam
         // stays as it is.
-        debug.apb1_fz().modify(|_, w| w.dbg_tim2_stop().set_bit());
+        debug.apb1_fz().modify(|_, w| w.dbg_tim5_stop().set_bit());
         Watchdog(watchdog)
     }
 

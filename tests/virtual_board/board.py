@@ -190,7 +190,7 @@ class Board:
         ):
             fit(base, Usart(name, self, base, clock, irq, bus))
         tim1 = fit(0x4001_0000, PulseTimer("TIM1", self))
-        self.peripherals["TIM2"].slaves.append(tim1)
+        self.peripherals["TIM5"].slaves.append(tim1)
         self.dma = [fit(0x4002_6000, Dma("DMA1", self, 21)), fit(0x4002_6400, Dma("DMA2", self, 22))]
         self.otg = self.peripherals["OTG_FS"] = OtgFs("OTG_FS", self)
         self.exti = fit(0x4001_3C00, Exti("EXTI", self))

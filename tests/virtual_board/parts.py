@@ -93,7 +93,7 @@ class Wiring:
     usart: str
     program_outputs: tuple = ()
     program_inputs: tuple = ()
-    step_irq: int = 28
+    step_irq: int = 50
     usb: bool = False
     """OTG_FS is the first link to the host."""
     left_out: tuple = ()

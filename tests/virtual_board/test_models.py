@@ -590,29 +590,29 @@ class DmaTraces(unittest.TestCase):
 
 
 class ChainTraces(unittest.TestCase):
-    """TIM2's moments by DMA1, TIM1's pulses, DMA2's words, as an image sets them up: at 96 MHz all of them count cycles."""
+    """TIM5's moments by DMA1, TIM1's pulses, DMA2's words, as an image sets them up: at 96 MHz all of them count cycles."""
 
     MOMENTS, RING, OFF = 0x2000_0100, 0x2000_0200, 0x2000_0300
-    BSRR, CCR1 = 0x4002_0018, 0x4000_0034
+    BSRR, CCR1 = 0x4002_0018, 0x4000_0C34
     WORDS = 2 << 11 | 2 << 13 | 1 << 8 | 3 << 16
     ON = 6 << 25 | 1 << 9 | WORDS
     LOW = 6 << 25 | WORDS
-    CHAIN = 3 << 25 | 1 << 6 | 1 << 10 | WORDS
+    CHAIN = 6 << 25 | 1 << 6 | 1 << 10 | WORDS
 
     def setUp(self):
         bench = self.bench = Bench()
         self.tim1 = pulse.PulseTimer("TIM1", bench)
-        self.tim2 = timer.Timer("TIM2", bench, 0, 28, True, 0x4000_0000)
-        self.tim2.slaves.append(self.tim1)
+        self.tim5 = timer.Timer("TIM5", bench, 3, 50, True, 0x4000_0C00)
+        self.tim5.slaves.append(self.tim1)
         self.dma1, self.dma2 = bench.dma = [dma.Dma("DMA1", bench, 21), dma.Dma("DMA2", bench, 22)]
         self.port = gpio.Gpio("GPIOA", bench)
         self.port.write(gpio.MODER, 0xA800_0000 | 1 << 2)
         bench.edges.clear()
-        bench.store_by_dma = lambda address, value, at: (self.port if address == self.BSRR else self.tim2).store_by_dma(
+        bench.store_by_dma = lambda address, value, at: (self.port if address == self.BSRR else self.tim5).store_by_dma(
             address & 0x3FC, value, at
         )
-        self.tim2.write(timer.CR2, 3 << 4)
-        self.tim2.write(timer.CR1, 1)
+        self.tim5.write(timer.CR2, 3 << 4)
+        self.tim5.write(timer.CR1, 1)
 
     def words(self, address, values):
         for k, value in enumerate(values):
@@ -620,7 +620,7 @@ class ChainTraces(unittest.TestCase):
 
     def until(self, cycle):
         """All models, in the order of time."""
-        models = (self.tim2, self.dma1, self.dma2)
+        models = (self.tim5, self.dma1, self.dma2)
         while (due := min(model.due for model in models)) <= cycle:
             self.bench.now = max(self.bench.now, due)
             next(model for model in models if model.due == due).advance(self.bench.now)
@@ -641,23 +641,23 @@ class ChainTraces(unittest.TestCase):
             self.tim1.write(offset, value)
         self.stream(self.dma2, 1, self.RING, self.BSRR, len(words), self.ON)
         self.stream(self.dma2, 4, self.OFF, self.BSRR, len(words), self.LOW)
-        self.stream(self.dma1, 5, self.CCR1, self.MOMENTS, len(moments), self.CHAIN)
-        self.tim2.write(timer.CCR1, 0xFFFF_FFFF)
-        self.tim2.write(timer.DIER, 1 << 9)
-        self.tim2.write(timer.EGR, 2)
+        self.stream(self.dma1, 2, self.CCR1, self.MOMENTS, len(moments), self.CHAIN)
+        self.tim5.write(timer.CCR1, 0xFFFF_FFFF)
+        self.tim5.write(timer.DIER, 1 << 9)
+        self.tim5.write(timer.EGR, 2)
         self.until(self.bench.now + 50)
         self.tim1.write(pulse.DIER, 1 << 9 | 1 << 12)
-        self.tim1.write(pulse.SMCR, 0x16)
+        self.tim1.write(pulse.SMCR, 0x06)
 
     def test_events_at_their_moments(self):
         self.begin([1000, 1200, 1500, 999, 0, 0], [2, 0, 2, 2, 2, 2])
-        self.assertEqual(self.tim2.read(timer.CCR1), 1000, "the first moment comes by DMA, asked for by hand")
+        self.assertEqual(self.tim5.read(timer.CCR1), 1000, "the first moment comes by DMA, asked for by hand")
         self.until(5000)
         # From the match: 4 to the first count, 1 to the compare event, 12 to the store. The second word sets nothing.
         self.assertEqual(self.bench.edges, [(1017, "A", 1, 1), (1113, "A", 1, 0), (1517, "A", 1, 1), (1613, "A", 1, 0)])
         # Three events of six are out, and four moments written: the last one is past, and the chain stands.
-        self.assertEqual((self.dma2.read(0x10 + 0x18 + dma.NDTR), self.dma1.read(0x10 + 0x18 * 5 + dma.NDTR)), (3, 2))
-        self.assertEqual(self.tim2.read(timer.CCR1), 999)
+        self.assertEqual((self.dma2.read(0x10 + 0x18 + dma.NDTR), self.dma1.read(0x10 + 0x18 * 2 + dma.NDTR)), (3, 2))
+        self.assertEqual(self.tim5.read(timer.CCR1), 999)
 
     def test_the_ring_goes_round(self):
         self.begin([1000, 1200, 1400], [2, 2, 2])
@@ -675,12 +675,12 @@ class ChainTraces(unittest.TestCase):
         # The fourth place was fetched with the event at 1200; what is written there now is not seen.
         self.words(self.MOMENTS + 12, [1600])
         self.until(3000)
-        self.assertEqual(self.tim2.read(timer.CCR1), 1399)
+        self.assertEqual(self.tim5.read(timer.CCR1), 1399)
         self.until(3010)
         # The stream now holds the first place. Changed, it says so when it is switched off.
         self.words(self.MOMENTS, [2000])
         with self.assertRaises(Misuse):
-            self.dma1.write(0x10 + 0x18 * 5 + dma.CR, 0)
+            self.dma1.write(0x10 + 0x18 * 2 + dma.CR, 0)
 
     def test_no_trigger_while_a_pulse_is_out(self):
         self.begin([1000, 1090, 1500, 1499], [2, 2, 2, 2])
@@ -691,7 +691,7 @@ class ChainTraces(unittest.TestCase):
         self.begin([1000, 1200, 1400, 1600], [2, 2, 2, 2])
         self.until(1203)
         # The second pulse has its trigger: it comes whole, and the third does not.
-        self.tim1.write(pulse.SMCR, 0x10)
+        self.tim1.write(pulse.SMCR, 0x00)
         self.until(3000)
         self.assertEqual([at for at, _, _, _ in self.bench.edges], [1017, 1113, 1217, 1313])
         self.assertEqual(self.dma2.read(0x10 + 0x18 + dma.NDTR), 2)
@@ -700,9 +700,9 @@ class ChainTraces(unittest.TestCase):
         self.begin([1000, 1200, 1400, 1600], [2, 2, 2, 2])
         self.until(1205)
         with self.assertRaises(Misuse):
-            self.tim2.write(timer.DIER, 0)
+            self.tim5.write(timer.DIER, 0)
         self.until(1250)
-        self.tim2.write(timer.DIER, 0)
+        self.tim5.write(timer.DIER, 0)
 
     def test_a_stream_that_is_switched_off_ends_its_transfer(self):
         self.begin([1000, 1200, 1400, 1600], [2, 2, 2, 2])
@@ -736,7 +736,7 @@ class ChainTraces(unittest.TestCase):
             self.stream(self.dma2, 1, self.BSRR, self.RING, 2, 6 << 25 | 1 << 6 | 1 << 10 | self.WORDS)
         with self.assertRaises(Misuse):
             # DMA1 does not reach it at all.
-            self.stream(self.dma1, 5, self.BSRR, self.RING, 2, self.CHAIN)
+            self.stream(self.dma1, 2, self.BSRR, self.RING, 2, self.CHAIN)
         self.stream(self.dma2, 1, self.RING, self.BSRR, 2, self.ON)
         with self.assertRaises(Misuse):
             # The same request on two streams.
@@ -760,20 +760,20 @@ class ChainTraces(unittest.TestCase):
 
 
 class BeamTraces(unittest.TestCase):
-    """TIM2's channel 3 has DMA1 write TIM3's compare value, as an image sets them up: at 96 MHz all of them count cycles."""
+    """TIM5's channel 3 has DMA1 write TIM3's compare value, as an image sets them up: at 96 MHz all of them count cycles."""
 
     POWER, COMPARE = 0x2000_0100, 0x4000_0438
-    HOW = 3 << 25 | 1 << 6 | 2 << 11 | 2 << 13 | 1 << 8
-    STREAM = 0x10 + 0x18
+    HOW = 6 << 25 | 1 << 6 | 2 << 11 | 2 << 13 | 1 << 8
+    STREAM = 0x10
 
     def setUp(self):
         bench = self.bench = Bench()
-        self.tim2 = timer.Timer("TIM2", bench, 0, 28, True, 0x4000_0000)
+        self.tim5 = timer.Timer("TIM5", bench, 3, 50, True, 0x4000_0C00)
         self.tim3 = timer.Timer("TIM3", bench, 1, 29, False, 0x4000_0400)
         self.dma1, = bench.dma = [dma.Dma("DMA1", bench, 21)]
         self.stores = []
         bench.store_by_dma = self.store
-        self.tim2.write(timer.CR1, 1)
+        self.tim5.write(timer.CR1, 1)
 
     def store(self, address, value, at):
         self.stores.append((at, value))
@@ -782,7 +782,7 @@ class BeamTraces(unittest.TestCase):
 
     def until(self, cycle):
         """Both models, in the order of time."""
-        models = (self.tim2, self.dma1)
+        models = (self.tim5, self.dma1)
         while (due := min(model.due for model in models)) <= cycle:
             self.bench.now = max(self.bench.now, due)
             next(model for model in models if model.due == due).advance(self.bench.now)
@@ -796,18 +796,18 @@ class BeamTraces(unittest.TestCase):
 
     def arm(self, power, moment):
         self.switch_on(power)
-        self.tim2.write(timer.CCR3, 0xFFFF_FFFF)
-        self.tim2.write(timer.SR, ~8 & 0x1E1F)
-        self.tim2.write(timer.DIER, 1 << 11 | 8)
-        self.tim2.write(timer.CCR3, moment)
+        self.tim5.write(timer.CCR3, 0xFFFF_FFFF)
+        self.tim5.write(timer.SR, ~8 & 0x1E1F)
+        self.tim5.write(timer.DIER, 1 << 11 | 8)
+        self.tim5.write(timer.CCR3, moment)
 
     def test_a_power_at_its_moment(self):
         self.arm(700, 1000)
         self.until(999)
-        self.assertEqual((self.stores, self.bench.lines.get(28)), ([], False))
+        self.assertEqual((self.stores, self.bench.lines.get(50)), ([], False))
         self.until(1050)
         # 16 cycles from the match to the store on the APB, and the interrupt right at it.
-        self.assertEqual((self.stores, self.bench.lines[28]), ([(1016, 700)], True))
+        self.assertEqual((self.stores, self.bench.lines[50]), ([(1016, 700)], True))
         self.assertEqual(self.tim3.read(timer.CCR2), 700)
         self.until(100_000)
         self.assertEqual(len(self.stores), 1, "one event is one request")
@@ -817,8 +817,8 @@ class BeamTraces(unittest.TestCase):
         self.arm(300, 1000)
         # It has passed: nothing comes by itself, and the flag says so.
         self.until(2100)
-        self.assertEqual((self.stores, self.tim2.read(timer.SR) & 8), ([], 0))
-        self.tim2.write(timer.EGR, 8)
+        self.assertEqual((self.stores, self.tim5.read(timer.SR) & 8), ([], 0))
+        self.tim5.write(timer.EGR, 8)
         self.until(2200)
         self.assertEqual(self.stores, [(2116, 300)])
 
@@ -826,27 +826,27 @@ class BeamTraces(unittest.TestCase):
         for power, moment in ((700, 1000), (0, 1300)):
             self.arm(power, moment)
             self.until(moment + 50)
-            self.tim2.write(timer.DIER, 8)
+            self.tim5.write(timer.DIER, 8)
             self.dma1.write(self.STREAM + dma.CR, self.HOW)
         self.assertEqual(self.stores, [(1016, 700), (1316, 0)])
 
     def test_a_change_that_is_taken_back(self):
         self.arm(700, 1000)
         self.until(950)
-        self.tim2.write(timer.DIER, 8)
+        self.tim5.write(timer.DIER, 8)
         self.dma1.write(self.STREAM + dma.CR, 0)
         self.until(1100)
-        self.assertEqual((self.stores, self.bench.lines[28]), ([], True), "the call stays")
+        self.assertEqual((self.stores, self.bench.lines[50]), ([], True), "the call stays")
 
     def test_what_parts_punish(self):
         self.arm(700, 1000)
         self.until(1005)
         with self.assertRaises(Misuse):
             # The request is under way.
-            self.tim2.write(timer.DIER, 8)
+            self.tim5.write(timer.DIER, 8)
         with self.assertRaises(Misuse):
             # Whether it stays without its flag nobody says.
-            self.tim2.write(timer.SR, ~8 & 0x1E1F)
+            self.tim5.write(timer.SR, ~8 & 0x1E1F)
         self.until(1050)
         self.bench.write_memory(self.POWER, (100).to_bytes(4, "little"))
         with self.assertRaises(Misuse):
@@ -854,10 +854,10 @@ class BeamTraces(unittest.TestCase):
             self.dma1.write(self.STREAM + dma.CR, 0)
         self.bench.write_memory(self.POWER, (700).to_bytes(4, "little"))
         self.dma1.write(self.STREAM + dma.CR, 0)
-        self.tim2.write(timer.DIER, 8)
+        self.tim5.write(timer.DIER, 8)
         with self.assertRaises(Misuse):
             # Whether a part asks at once, as the flag is set, nobody says.
-            self.tim2.write(timer.DIER, 1 << 11 | 8)
+            self.tim5.write(timer.DIER, 1 << 11 | 8)
         # A stream that has been switched off leaves its request to the next power, which would come at once.
         self.arm(200, 2000)
         self.until(1990)
@@ -870,7 +870,7 @@ class BeamTraces(unittest.TestCase):
     def test_other_channels_are_not_modelled(self):
         for channel in (2, 4):
             with self.assertRaises(Unmodelled):
-                self.tim2.write(timer.DIER, 1 << 8 + channel)
+                self.tim5.write(timer.DIER, 1 << 8 + channel)
 
 
 class IwdgTraces(unittest.TestCase):

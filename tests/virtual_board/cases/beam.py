@@ -120,7 +120,7 @@ def raster_starts(bench):
     bench.settings(s110=6_000)
     bench.settings(s100=1280)
     board, hz = bench.board, bench.wiring.core_hz
-    clock, beam = board.peripherals["TIM2"], BeamWatch(board)
+    clock, beam = board.peripherals["TIM5"], BeamWatch(board)
 
     def away():
         return (clock.values[timer.CCR2] - clock.count() & 0xFFFF_FFFF) * clock.cycles / hz
@@ -171,7 +171,7 @@ def raster_stops(bench):
     """0x18 so that the beam goes off right before, at and behind the moment of a change, and emergency stops."""
     bench.settings(s100=80, s30=10, s912=1)
     board, hz, random = bench.board, bench.wiring.core_hz, Random(18)
-    clock, beam, worst, near, takes = board.peripherals["TIM2"], BeamWatch(board), {}, [], None
+    clock, beam, worst, near, takes = board.peripherals["TIM5"], BeamWatch(board), {}, [], None
     watch, behind = StopWatch(board), 0
     # The host's line is free again before the first of these pixels.
     row = "M3S0\nX.6\n" + "".join(f"X.05S{2 + 6 * (k % 2)}\n" for k in range(10)) + "X9S7\n"
@@ -240,7 +240,7 @@ def brown_out_of_a_beam(bench):
     board, hz = bench.board, bench.wiring.core_hz
     fast(bench, 10_000)
     bench.settings(s100=80, s110=12_000, s30=10, s31=0, s32=1)
-    clock, pwm, beam = board.peripherals["TIM2"], board.peripherals["TIM3"], BeamWatch(board)
+    clock, pwm, beam = board.peripherals["TIM5"], board.peripherals["TIM3"], BeamWatch(board)
     bench.host.send("G91G1F6000M3S0\nX.6\n" + "".join(f"X.05S{2 + 6 * (k % 2)}\n" for k in range(10)) + "X9S7\n")
 
     def away_s():

@@ -202,14 +202,14 @@ def moving(bench, feed=3000, way=100):
 
 def stand_once(board, until):
     """The processor stands as the next motion is about to begin, until so long after the first event."""
-    tim2, moments = board.peripherals["TIM2"], board.dma[0]
+    tim5, moments = board.peripherals["TIM5"], board.dma[0]
     write = moments.write
 
     def and_stand(offset, value):
         write(offset, value)
         if offset == 0x10 + 0x18 * 5 + M0AR:
             moments.write = write
-            away = (board.word(value) - tim2.count() & 0xFFFF_FFFF) * tim2.cycles / board.clocks[-1][2]
+            away = (board.word(value) - tim5.count() & 0xFFFF_FFFF) * tim5.cycles / board.clocks[-1][2]
             board.stall(away + until)
 
     moments.write = and_stand

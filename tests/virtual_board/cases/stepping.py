@@ -201,7 +201,7 @@ def called_at_turns(bench):
         lines = [f"X{0.007 + 0.001 * (k % 3):.3f} Y{'-' if k % 2 else ''}{0.007 + 0.001 * (k % 3):.3f}" for k in range(150)]
         bench.host.stream(f"G91 G1 F{feed}\n" + "\n".join(lines))
         board.run(seconds=0.02)
-        clock = board.peripherals["TIM2"]
+        clock = board.peripherals["TIM5"]
         calls, patience = 0, 0
         while calls < 250 and patience < 4000:
             ahead = clock.until_tick()
@@ -316,7 +316,7 @@ def late_starts(bench):
     board = bench.board
     fast(bench, 10_000)
 
-    tim2, hz = board.peripherals["TIM2"], bench.wiring.core_hz
+    tim5, hz = board.peripherals["TIM5"], bench.wiring.core_hz
 
     def start(before_s=None, masked_s=0.0, stands_until=None):
         """How long after the first event the first step comes."""
@@ -326,7 +326,7 @@ def late_starts(bench):
         bench.host.send("G91 G1 X0.02 F3000\n")
 
         def away():
-            return (tim2.values[timer.CCR2] - tim2.count() & 0xFFFF_FFFF) * tim2.cycles / hz
+            return (tim5.values[timer.CCR2] - tim5.count() & 0xFFFF_FFFF) * tim5.cycles / hz
 
         # The step task has itself called 450 us before the first event, which is 2 ms after the first segment.
         bench.wait(lambda: 1.3e-3 < away() < 1.6e-3, 0.1, "the first segment")
@@ -388,7 +388,7 @@ def miscounts(bench):
         "a trigger is missed": lambda board: miss(board.peripherals["TIM1"]),
         "a request too many": lambda board: board.dma[1].ask("TIM1_CH1", board.now + 1),
         "a stream's error": lambda board: board.dma[1].values.__setitem__(0, board.dma[1].values[0] | 1 << 9),
-        "an error of the moments": lambda board: board.dma[0].values.__setitem__(4, board.dma[0].values[4] | 1 << 9),
+        "an error of the moments": lambda board: board.dma[0].values.__setitem__(0, board.dma[0].values[0] | 1 << 19),
     }
     for what, inject in faults.items():
         bench.boot()

@@ -111,8 +111,8 @@ class StopWatch:
 
     def __init__(self, board):
         self.board, self.called, self.stopped, self.halts, self.halted_at = board, None, [], 0, None
-        tim1, tim2, edges = board.peripherals["TIM1"], board.peripherals["TIM2"], board.dma[1]
-        to_tim1, to_tim2 = tim1.write, tim2.write
+        tim1, tim5, edges = board.peripherals["TIM1"], board.peripherals["TIM5"], board.dma[1]
+        to_tim1, to_tim5 = tim1.write, tim5.write
 
         def call(offset, value):
             if offset == EGR and value & 16:
@@ -120,7 +120,7 @@ class StopWatch:
             elif offset == timer.CCR2:
                 # A run has ended: the call before it is not the one for a stop, which a later run may see before it is called.
                 self.called = None
-            to_tim2(offset, value)
+            to_tim5(offset, value)
 
         def stop(offset, value):
             if offset == SMCR and tim1.values[SMCR] & 7 and not value & 7:
@@ -131,7 +131,7 @@ class StopWatch:
                 self.called = None
             to_tim1(offset, value)
 
-        tim1.write, tim2.write = stop, call
+        tim1.write, tim5.write = stop, call
 
 
 def ring_stops(bench):

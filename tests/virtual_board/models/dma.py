@@ -27,8 +27,8 @@ TO_PERIPHERAL, CIRC, PINC, WORDS, PRIORITY = 1 << 6, 1 << 8, 1 << 9, 2 << 11 | 2
 TCIF = 1 << 5
 REQUESTS = {
     ("DMA2", 2, 4): "USART1", ("DMA2", 5, 4): "USART1", ("DMA1", 5, 4): "USART2",
-    ("DMA1", 0, 2): "TIM4_CH1", ("DMA1", 3, 2): "TIM4_CH2", ("DMA1", 7, 2): "TIM4_CH3", ("DMA1", 5, 3): "TIM2_CH1",
-    ("DMA1", 1, 3): "TIM2_CH3", ("DMA2", 4, 6): "TIM1_CH4",
+    ("DMA1", 0, 2): "TIM4_CH1", ("DMA1", 3, 2): "TIM4_CH2", ("DMA1", 7, 2): "TIM4_CH3", ("DMA1", 2, 6): "TIM5_CH1",
+    ("DMA1", 0, 6): "TIM5_CH3", ("DMA2", 4, 6): "TIM1_CH4",
     ("DMA2", 1, 6): "TIM1_CH1", ("DMA2", 3, 6): "TIM1_CH1", ("DMA2", 2, 6): "TIM1_CH2", ("DMA2", 6, 6): "TIM1_CH3",
 }  # fmt: skip
 """Who asks, by (controller, stream, channel)."""
