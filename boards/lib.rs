@@ -7,10 +7,7 @@
 pub mod calls;
 pub mod profiles;
 // On a host for its tests.
-#[cfg(any(not(feature = "board"), feature = "stm32f4"))]
-pub mod received;
-#[cfg(any(not(feature = "board"), feature = "stm32f4"))]
-pub mod sent;
+pub mod uart_receiver;
 #[cfg(any(not(feature = "board"), feature = "usb"))]
 pub mod usb_host;
 

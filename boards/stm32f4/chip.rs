@@ -12,7 +12,6 @@ use stm32f4xx_hal::{
     pac,
     prelude::*,
     rcc::{BusTimerClock, Enable, LPEnable, Rcc, Reset},
-    serial::Instance,
     watchdog::IndependentWatchdog,
 };
 
@@ -20,7 +19,6 @@ use super::SettingsFlash;
 use super::chain::{self, COMPARE_PULSE};
 use super::registers::{Chip, Map, read_idr, timer, write, write_bsrr};
 use super::step::{self, Clocks, Place, SAFE, bsrr, note_safe_level};
-use super::usart::{Sheltered, Usart, shelter};
 use crate::{Due, Port, SlowLevels};
 
 /// A whole register as a number.
@@ -56,8 +54,7 @@ impl<MODE> From<&ErasedPin<MODE>> for Place {
     }
 }
 
-/// Step and direction outputs on `P` ports; the timers and DMA controllers that they need, but for what a shelter uses at
-/// rest.
+/// Step and direction outputs on `P` ports, with the timers that they need.
 pub type StepPins<const P: usize> = step::StepPins<Chip, P, (pac::TIM1, pac::TIM5, pac::TIM3, [ErasedPin<Output>; 8])>;
 
 /// Calls the step task, from any task: the call waits as a flag of its timer until it is taken.
@@ -324,11 +321,13 @@ impl SlowPins {
 }
 
 /// What `setup` deals out.
-pub struct Parts<U: Instance, L: Port, const P: usize> {
+pub struct Parts<I, S: Port, L: Port, const P: usize> {
     /// For `step`.
     pub step_pins: StepPins<P>,
+    /// For `inputs`, and for the interrupt of the UART on a board that has one.
+    pub uart_input: I,
     /// For `serial`.
-    pub serial: Usart<U>,
+    pub serial: S,
     /// For `serial`.
     pub usb: L,
     /// For `inputs`.
@@ -339,12 +338,6 @@ pub struct Parts<U: Instance, L: Port, const P: usize> {
     pub settings_flash: SettingsFlash,
     /// For `inputs`.
     pub watchdog: Watchdog,
-}
-
-/// The settings sectors, with a shelter for what the USART receives meanwhile.
-pub fn settings_flash<U: Sheltered>(flash: pac::FLASH, rcc: &mut Rcc) -> SettingsFlash {
-    U::switch_on(rcc);
-    SettingsFlash::new(flash, shelter::<U>)
 }
 
 /// No debugger puts a job into the RAM of a board.

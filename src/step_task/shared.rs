@@ -103,8 +103,6 @@ pub static CONTROL: ControlStatus = ControlStatus {
 
 /// Marks of the watchdog: `inputs` sets them, each run of the task that is asked clears its own.
 pub struct Asked {
-    /// Cleared by each run of `receive`; only on a board that has one.
-    pub receive: AtomicBool,
     /// Cleared by each run of `serial`.
     pub serial: AtomicBool,
     /// Cleared by each round of `control`.
@@ -112,8 +110,7 @@ pub struct Asked {
 }
 
 /// See [`Asked`].
-pub static ASKED: Asked =
-    Asked { receive: AtomicBool::new(false), serial: AtomicBool::new(false), control: AtomicBool::new(false) };
+pub static ASKED: Asked = Asked { serial: AtomicBool::new(false), control: AtomicBool::new(false) };
 
 /// Stops asked for since power-up (wrapping), by any task. A count and not a flag, so that each is answered.
 static STOPS_ASKED: AtomicU16 = AtomicU16::new(0);

@@ -4,7 +4,7 @@ import os
 from itertools import pairwise
 from random import Random
 
-from ..board import SERIAL, Failure
+from ..board import Failure
 from ..models import timer
 from ..models.dma import NDTR
 from ..models.timer import EGR, SMCR
@@ -27,11 +27,11 @@ def hold(bench):
     scope = Scope(board)
     moving(bench, way=20)
     speed, acceleration = 50_000, 1_000_000
-    board.begins[SERIAL].clear()
+    board.begins[board.serial].clear()
     heard = bench.host.send(b"!")
     board.run(until=lambda: board.now > heard, limit=0.001)
     board.run(seconds=0.001)
-    called = next((at - heard for at in board.begins[SERIAL] if at >= heard), hz) / hz
+    called = next((at - heard for at in board.begins[board.serial] if at >= heard), hz) / hz
     if called > SERIAL_S:
         raise Failure(f"the serial task is called {us(called)} after `!`")
     bench.wait_state("Hold:0", 2)
