@@ -71,6 +71,7 @@ const fn profile(board: &profiles::Board, has_second_motor: bool) -> oxmill_cont
         has_second_motor,
         has_at_speed: board.has_at_speed,
         program_pins: board.program_pins,
+        most_baud: board.most_baud,
         has_store: true,
     }
 }

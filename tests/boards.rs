@@ -180,6 +180,28 @@ fn a_board_without_a_pin_for_the_speed_takes_no_setting_for_it() {
     }
 }
 
+/// A Black Pill's UART has an interrupt for each byte, which waits for runs of the step task: faster bytes would be lost. USB is
+/// its fast link.
+#[test]
+fn a_black_pill_takes_no_rate_of_its_uart_that_it_cannot_keep() {
+    for board in oxmill_boards::profiles::ALL {
+        let is_slow = board.name.starts_with("blackpill");
+        for rate in [230_400, 1_000_000] {
+            let answer = said(board, &format!("$931={rate}"));
+            assert_eq!(answer, if is_slow { "error:3\r\n" } else { "ok\r\n" }, "{} {rate}", board.name);
+        }
+        assert_eq!(said(board, "$931=115200"), "ok\r\n");
+        let most = if is_slow { "115200" } else { "1000000" };
+        let described = said(board, "$ES");
+        let row = described.lines().find(|line| line.starts_with("[SETTING:931|")).expect("a row");
+        assert!(row.contains(&format!("|115200|{most}|")), "{}: {row}", board.name);
+        // A byte takes ten bits to come. Meanwhile the longest run of the step task, and once more half of that for what is at the
+        // priority of the interrupt.
+        let byte = 10.0 / f64::from(board.most_baud);
+        assert!(!is_slow || 1.5 * f64::from(board.run_cycles) / f64::from(board.core_hz) < byte, "{}", board.name);
+    }
+}
+
 /// What a check for a board tells of words that it leaves out is what its image is built with.
 #[test]
 fn boards_have_the_words_of_their_images() {

@@ -126,7 +126,8 @@ fn baud(controller: &BoardController, low: u32) -> u32 {
     if is_active(boards::input_bits::HOLD, 1) && is_active(boards::input_bits::START, 2) {
         boards::USUAL_BAUD
     } else {
-        controller.settings().whole(Key::Baud)
+        // A greater one may have been stored before the board was told of its bound.
+        controller.settings().whole(Key::Baud).min(boards::PROFILE.most_baud)
     }
 }
 

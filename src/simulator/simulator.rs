@@ -92,6 +92,7 @@ impl Simulator {
             has_second_motor: true,
             has_at_speed: board.has_at_speed,
             program_pins: board.program_pins,
+            most_baud: board.most_baud,
             has_store: true,
         }));
         for record in store.records() {
