@@ -166,12 +166,8 @@ pub fn clock_ticks() -> u32 {
     u32::MAX - unsafe { pac::Peripherals::steal() }.TIMER1.value()
 }
 
-/// A call of the step task that waits.
-static CALLED: AtomicBool = AtomicBool::new(false);
-
 /// Calls the step task, from any task.
 pub fn call_step() {
-    CALLED.store(true, Ordering::Relaxed);
     NVIC::pend(Interrupt::TIMER0);
 }
 
@@ -270,7 +266,7 @@ impl StepOutput<AXES> for StepPins {
 
     fn take(&mut self) -> Due {
         let now = self.now();
-        let mut due = if CALLED.swap(false, Ordering::Relaxed) { Due::CALLED.0 } else { 0 };
+        let mut due = 0;
         for (moment, flag) in self.moments.iter_mut().zip([Due::OUT, Due::MORE, Due::MARK]) {
             if moment.is_some_and(|when| now.wrapping_sub(when) as i32 >= 0) {
                 *moment = None;

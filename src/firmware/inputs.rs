@@ -8,7 +8,7 @@
 
 use crate::boards::calls::Calls;
 use crate::boards::{self, InputPins, UartInput, input_bits};
-use crate::clock;
+use crate::clock::Alarm;
 use crate::shared::{self, INPUTS, Wake};
 use crate::watchdog::Supervisor;
 use core::sync::atomic::Ordering;
@@ -40,6 +40,7 @@ pub struct Inputs {
     signals: Sender<'static, Sensed, SIGNALS_DEPTH>,
     sent: Option<Sensed>,
     wake: Wake,
+    alarm: Alarm,
     /// When the serial task may be called for what can wait, and whether it has left some of that unread.
     calls: Calls,
     left_unread: SignalReader<'static, ()>,
@@ -52,18 +53,19 @@ impl Inputs {
         pins: InputPins,
         wiring: Receiver<'static, Wiring, 2>,
         signals: Sender<'static, Sensed, SIGNALS_DEPTH>,
-        (wake, left_unread): (Wake, SignalReader<'static, ()>),
+        wake: Wake,
+        alarm: Alarm,
+        left_unread: SignalReader<'static, ()>,
         supervisor: Supervisor,
     ) -> Inputs {
-        INPUTS.fitted.store(pins.fitted(), Ordering::Relaxed);
         let (inputs, calls) = (signals::Inputs::new(), Calls::new());
-        Inputs { pins, inputs, wiring, signals, sent: None, wake, calls, left_unread, supervisor }
+        Inputs { pins, inputs, wiring, signals, sent: None, wake, alarm, calls, left_unread, supervisor }
     }
 
     /// One sample.
     pub fn sample(&mut self, uart: &mut UartInput) {
         self.supervisor.sample(&mut self.wake);
-        if clock::alarm() {
+        if self.alarm.goes_off() {
             self.wake.write(());
         }
         let low = self.pins.read();

@@ -59,6 +59,8 @@ macro_rules! firmware {
                 wake: Signal<()> = Signal::new(),
                 // The serial task has left something unread, and is to be called again.
                 left_unread: Signal<()> = Signal::new(),
+                // When the control task is to be woken.
+                alarm: Signal<u32> = Signal::new(),
                 // All bytes 0 until it is built: what RAM begins with needs no flash then.
                 controller: MaybeUninit<BoardController> = MaybeUninit::zeroed(),
             ])]
@@ -76,6 +78,7 @@ macro_rules! firmware {
                     input_wiring: local.input_wiring,
                     wake: local.wake,
                     left_unread: local.left_unread,
+                    alarm: local.alarm,
                 };
                 let tasks = startup::start(cx.device, cx.core.SYST, channels, local.controller);
                 let woken = local.wake.take_reader();

@@ -261,10 +261,9 @@ impl Serial {
         count(&SERIAL.heard, queued);
         count(&SERIAL.bytes_queued, queued);
         news |= queues.flush();
-        SERIAL.gathers.store(queues.line_sender.is_waiting(), Ordering::Relaxed);
-        SERIAL.holds_byte.store(uart.link.is_waiting() || usb.link.is_waiting(), Ordering::Relaxed);
         let held = uart.link.held() + usb.link.held();
-        let held = (held + usize::from(held > 0 && arbiter.owes_cut())) as u32;
+        let is_stuck = held == 0 && (uart.link.is_waiting() || usb.link.is_waiting());
+        let held = (held + usize::from(held > 0 && arbiter.owes_cut() || is_stuck)) as u32;
         SERIAL.bytes_received.store(SERIAL.bytes_queued.load(Ordering::Relaxed).wrapping_add(held), Ordering::Relaxed);
         news |= self.send();
         if news {

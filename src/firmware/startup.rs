@@ -2,6 +2,7 @@
 //! RAM, restores the settings, starts the sampling of inputs, and puts together what each task owns.
 
 use crate::boards::{self, AXES};
+use crate::clock::Alarm;
 use crate::control::{BoardController, Control, Ends};
 use crate::failure;
 use crate::flash::Settings;
@@ -36,6 +37,7 @@ pub struct Channels {
     pub input_wiring: &'static mut Channel<Wiring, 2>,
     pub wake: &'static Signal<()>,
     pub left_unread: &'static Signal<()>,
+    pub alarm: &'static Signal<u32>,
 }
 
 /// What the tasks own.
@@ -153,6 +155,7 @@ pub fn start(
     let (input_wiring, input_wiring_out) = channels.input_wiring.split();
     let wake: Wake = channels.wake.writer();
     let (leaves_unread, left_unread) = channels.left_unread.split();
+    let (alarm_in, alarm) = channels.alarm.split();
 
     let ends = Ends { realtime, lines, events, signals, segments, replies, step_wiring, input_wiring };
     let mut restart = Restart { cause: boards::reset_cause(), crash: record::take(), is_recorded: false };
@@ -161,6 +164,7 @@ pub fn start(
     controller.restarted(restart);
     let settings = Settings::open(parts.settings_flash, controller);
     parts.uart_input.start(baud(controller, parts.inputs.read()));
+    let fitted = parts.inputs.fitted();
     let tasks = Tasks {
         step: Step::new(parts.step_pins, segments_out, step_wiring_out, events_in, wake.clone()),
         uart: parts.uart_input,
@@ -169,10 +173,12 @@ pub fn start(
             parts.inputs,
             input_wiring_out,
             signals_in,
-            (wake, left_unread),
+            wake,
+            Alarm::new(alarm),
+            left_unread,
             Supervisor::new(parts.watchdog),
         ),
-        control: Control::new(controller, ends, Outputs::new(parts.slow_pins), settings, recorder),
+        control: Control::new(controller, ends, Outputs::new(parts.slow_pins), settings, recorder, alarm_in, fitted),
     };
     sampling.set_clock_source(SystClkSource::Core);
     sampling.set_reload(boards::CORE_HZ / boards::SAMPLE_HZ - 1);

@@ -124,6 +124,10 @@ class Wiring:
         return 4 if "axes: AXES," in row else 3
 
     @property
+    def most_baud(self):
+        return self.promised("most_baud")
+
+    @property
     def least_pulse_us(self):
         return self.promised("least_pulse_tenths") / 10
 
