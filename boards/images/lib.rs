@@ -35,7 +35,8 @@ pub fn chip(board: &str) -> Option<&'static str> {
 }
 
 /// For a build script: puts the linker scripts of the chosen board on the linker's search path and asks for them. `kinds` are
-/// the kinds of target in `cargo:rustc-link-arg-KIND`.
+/// the kinds of target in `cargo:rustc-link-arg-KIND`. The plan itself, `memory.x`, is in the workspace's folder, where the linker
+/// runs and finds it first; the copy is for a workspace that is made of packages.
 pub fn link(kinds: &[&str], stack_kib: u32) {
     println!("cargo:rerun-if-changed=build.rs");
     if env::var("CARGO_CFG_TARGET_OS").as_deref() != Ok("none") {

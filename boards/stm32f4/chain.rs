@@ -1,14 +1,14 @@
 //! Edges by timers and DMA: an event is written to the ports at its moment, whatever the processor is doing. The step
-//! task fills a ring of events; TIM2 counts the time, DMA1 fetches the next moment, TIM1 times the pulse, and DMA2
+//! task fills a ring of events; TIM5 counts the time, DMA1 fetches the next moment, TIM1 times the pulse, and DMA2
 //! writes the words to the ports.
 //!
 //! ```text
-//!  TIM2 (32 bits, runs freely)                 TIM1 (one pulse, started by TIM2)
+//!  TIM5 (32 bits, runs freely)                 TIM1 (one pulse, started by TIM5)
 //!   CC1 ─┬─TRGO──────────────────────────────▶ CC1 (CC3) ─▶ DMA2 ─▶ BSRR   step on, directions; second port
 //!        │                                     CC4 (CC2) ─▶ DMA2 ─▶ BSRR   step off, $0 later; of two ports the first
-//!        └─▶ DMA1 S5 ─▶ TIM2_CCR1: the moment of the next event
+//!        └─▶ DMA1 S2 ─▶ TIM5_CCR1: the moment of the next event
 //!   CC2, CC3: calls at a moment   CC4: calls by software
-//!        CC3 ─▶ DMA1 S1 ─▶ TIM3_CCR2: the power of a beam at the step that begins its segment
+//!        CC3 ─▶ DMA1 S0 ─▶ TIM3_CCR2: the power of a beam at the step that begins its segment
 //! ```
 //! Moments are absolute, so no error adds up; and an event that was not committed in time has no moment: behind the last one
 //! is a moment that is just past, which the counter comes to after 2^32 ticks. So pulses end by themselves when nothing
@@ -23,14 +23,17 @@
 //!   rings are read as a "peripheral" that counts up.
 //! * DMA1 fetches a word ahead: the moment of an event must be in the ring before the one but one before it is out.
 //! * TIM1 must be clocked while the processor sleeps (`step_pins` sees to it), or it ignores its trigger.
-//! * TIM1 ignores a trigger while it counts. Its counter would then be one event behind TIM2: the streams' counts differ.
+//! * TIM1 ignores a trigger while it counts. Its counter would then be one event behind TIM5: the streams' counts differ.
 //! * A request from before would be served at once: TIM1 is reset before each begin.
-//! * CR of a stream is not read right after EN was set, and streams are not switched on back to back.
 //! * A stream to a peripheral holds the next word from the moment it is on: that of the beam is switched on once more for each power, and one
 //!   power is armed at a time. What is written to TIM3 at its moment acts at once.
 //!
 //! Emulated; no bench has confirmed it yet.
 
+use super::dma::{
+    self, CIRCULAR, CR, HISR, LISR, MEMORY_COUNTS, NDTR, PERIPHERAL_COUNTS, SERVED_CYCLES, TO_PERIPHERAL, VERY_HIGH,
+    WORDS, stream, switch_on,
+};
 use super::registers::{Map, bsrr_of, read, timer::*, write};
 use crate::contract::{COMBINATIONS, Due, Free};
 use core::marker::PhantomData;
@@ -43,55 +46,27 @@ const RING: usize = 128;
 pub(super) const DEPTH: usize = 96;
 /// Ticks of TIM1 from its start to the edge; the pulse ends so many later.
 const EDGE_COUNT: u32 = 1;
-/// More cycles than it takes from a match of TIM2 to the last word that comes of it, but for the end of the pulse.
-const SERVED_CYCLES: u32 = 48;
 /// Ticks between the last look at the time and the first moment, at least: TIM1 listens before it comes.
 const LISTENS_TICKS: u32 = 48;
 /// More ticks than it takes to begin once more, with all moments of the ring put off.
 const AGAIN_TICKS: u32 = 2_200;
 /// Ticks from a moment within which its request may be under way.
-const NEAR_TICKS: u32 = 48;
+const NEAR_TICKS: u32 = SERVED_CYCLES;
 /// Ticks after which an event that is not out never will be.
 const STANDS_TICKS: i32 = 500;
 /// Looks at the counts that must all differ, besides the first.
 const MORE_LOOKS: u32 = 8;
-/// Between two streams that are switched on.
-const APART_CYCLES: u32 = 12;
 
-/// Registers of a DMA controller: the flags of streams 0 to 3 and 4 to 7, and where these are cleared; the first stream.
-const LISR: usize = 0x00;
-const HISR: usize = 0x04;
-const LIFCR: usize = 0x08;
-const HIFCR: usize = 0x0C;
-const STREAMS: usize = 0x10;
-const STREAM_SIZE: usize = 0x18;
-/// Registers of a stream.
-const CR: usize = 0x00;
-const NDTR: usize = 0x04;
-const PAR: usize = 0x08;
-const M0AR: usize = 0x0C;
-/// CR of a stream: on; memory is read; circular; either address counts up; words on both sides; very high priority.
-const EN: u32 = 1;
-const TO_PERIPHERAL: u32 = 1 << 6;
-const CIRCULAR: u32 = 1 << 8;
-const PERIPHERAL_COUNTS: u32 = 1 << 9;
-const MEMORY_COUNTS: u32 = 1 << 10;
-const WORDS: u32 = 2 << 11 | 2 << 13;
-const VERY_HIGH: u32 = 3 << 16;
-/// Flags of a stream, six bits at these places; transfer error and direct mode error among them, of four streams.
-const FLAGS: u32 = 0x3D;
-const ERRORS: u32 = 0b1100 | 0b1100 << 6 | 0b1100 << 16 | 0b1100 << 22;
-const MOMENT_ERRORS: u32 = 0b1100 << flags_at(MOMENTS);
-const fn flags_at(stream: usize) -> u32 {
-    [0, 6, 16, 22][stream % 4]
-}
+/// Error flags of four streams, and of that of the moments.
+const ERRORS: u32 = dma::errors(&[0, 1, 2, 3]);
+const MOMENT_ERRORS: u32 = dma::errors(&[MOMENTS]);
 
 /// The stream of the moments, and its channel.
-const MOMENTS: usize = 5;
-const MOMENTS_CHANNEL: u32 = 3 << 25;
+const MOMENTS: usize = 2;
+const MOMENTS_CHANNEL: u32 = 6 << 25;
 /// The stream of the beam's power, and its channel. It waits for that of the moments.
-const BEAM: usize = 1;
-const BEAM_CHANNEL: u32 = 3 << 25;
+const BEAM: usize = 0;
+const BEAM_CHANNEL: u32 = 6 << 25;
 /// Channel of TIM1's compare events.
 const EDGES_CHANNEL: u32 = 6 << 25;
 
@@ -111,19 +86,23 @@ const fn streams(port: usize, ports: usize) -> Streams {
     }
 }
 
-/// SMCR of TIM1: TIM2 is its trigger (TS = 001), which starts it (SMS = 110) or is ignored.
-const IGNORED: u32 = 1 << 4;
+/// SMCR of TIM1: TIM5 is its trigger (TS = 000), which starts it (SMS = 110) or is ignored.
+///
+/// ITR0 of TIM1 is TIM5 in the table "TIMx internal trigger connection" of TIM1_SMCR: RM0368 (F401; table 50), RM0383 (F411),
+/// RM0390 (F446), RM0090 (F407; table 94). All four have the same row for TIM1: TIM5, TIM2, TIM3, TIM4. Taken from drivers that cite
+/// these tables, as the manuals themselves were not at hand; no bench has confirmed it yet.
+const IGNORED: u32 = 0;
 const STARTS: u32 = IGNORED | 0b110;
 /// CR1 of TIM1: one pulse.
 const ONE_PULSE: u32 = 1 << 3;
-/// CR2 of TIM2: its event of channel 1 is the trigger output (MMS = 011).
+/// CR2 of TIM5: its event of channel 1 is the trigger output (MMS = 011).
 #[cfg(feature = "stm32f4")]
 pub(super) const COMPARE_PULSE: u32 = 0b011 << 4;
-/// DIER of TIM2: the DMA request of channel 1.
+/// DIER of TIM5: the DMA request of channel 1.
 const ASKS_FOR_MOMENT: u32 = 1 << 9;
-/// DIER of TIM2: the DMA request of channel 3.
+/// DIER of TIM5: the DMA request of channel 3.
 const ASKS_FOR_POWER: u32 = 1 << 11;
-/// DIER of TIM2: what calls at any time.
+/// DIER of TIM5: what calls at any time.
 pub(super) const CALLS: u32 = Due::MORE.0 | Due::MARK.0 | Due::CALLED.0;
 /// RCC: reset of APB2, TIM1's bit.
 const APB2RSTR: usize = 0x24;
@@ -162,11 +141,6 @@ pub(super) struct Chain<M, const P: usize> {
     map: PhantomData<M>,
 }
 
-#[inline(always)]
-const fn stream(dma: usize, number: usize) -> usize {
-    dma + STREAMS + STREAM_SIZE * number
-}
-
 /// No pulse begins after this, and DMA writes no edge and no power. For a program that ends: nothing is counted any more.
 #[cfg(feature = "stm32f4")]
 #[inline(never)]
@@ -178,17 +152,7 @@ pub(super) fn cut<M: Map>() {
         write(stream(dma, number) + CR, 0);
     }
     for (dma, number) in streams {
-        await_off(stream(dma, number));
-    }
-}
-
-/// A transfer under way ends before a stream is off, which EN tells (reference manual, "Stream configuration procedure"). One that
-/// never ends would be the last thing to wait for.
-#[inline(always)]
-fn await_off(stream: usize) {
-    let mut looks = SERVED_CYCLES;
-    while read(stream + CR) & EN != 0 && looks > 0 {
-        looks -= 1;
+        dma::await_off(stream(dma, number));
     }
 }
 
@@ -212,7 +176,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
     /// What the step task has been called for.
     #[inline(always)]
     pub(super) fn take(&mut self) -> Due {
-        let mut due = Due(read(M::TIM2 + SR));
+        let mut due = Due(read(M::TIM5 + SR));
         if !self.one_by_one {
             // Events that follow by themselves raise the flag, too, and DMA1 may be about to take it for its request.
             due = Due(due.0 & !Due::OUT.0);
@@ -222,7 +186,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
             self.keep_power();
         }
         // Flags are cleared by writing 0; a 1 leaves them alone.
-        write(M::TIM2 + SR, !due.0);
+        write(M::TIM5 + SR, !due.0);
         if due.has(Due::OUT) {
             self.pending = false;
         }
@@ -232,10 +196,10 @@ impl<M: Map, const P: usize> Chain<M, P> {
     /// Sets the moment of the call for more. The moment before, if it has come meanwhile, calls no more.
     #[inline(always)]
     pub(super) fn call_at(&mut self, moment: u32) {
-        write(M::TIM2 + CCR2, moment);
-        write(M::TIM2 + SR, !Due::MORE.0);
-        if read(M::TIM2 + CNT).wrapping_sub(moment) as i32 >= 0 {
-            write(M::TIM2 + EGR, Due::MORE.0);
+        write(M::TIM5 + CCR2, moment);
+        write(M::TIM5 + SR, !Due::MORE.0);
+        if read(M::TIM5 + CNT).wrapping_sub(moment) as i32 >= 0 {
+            write(M::TIM5 + EGR, Due::MORE.0);
         }
     }
 
@@ -245,19 +209,19 @@ impl<M: Map, const P: usize> Chain<M, P> {
     /// before it was set, as the flag tells, the event is made by hand. It asks for the same word.
     pub(super) fn mark_at(&mut self, moment: u32, power: Option<u32>) {
         self.keep_power();
-        write(M::TIM2 + CCR3, read(M::TIM2 + CNT).wrapping_sub(1));
-        write(M::TIM2 + SR, !Due::MARK.0);
+        write(M::TIM5 + CCR3, read(M::TIM5 + CNT).wrapping_sub(1));
+        write(M::TIM5 + SR, !Due::MARK.0);
         if let Some(power) = power {
             self.rings.power = power;
             // DMA reads what has been written: the word is fetched as the stream is switched on.
             compiler_fence(Ordering::SeqCst);
             let how = CIRCULAR | WORDS | BEAM_CHANNEL | TO_PERIPHERAL;
-            switch_on(M::DMA1, BEAM, M::TIM3 + CCR2, &raw const self.rings.power as usize, how);
-            write(M::TIM2 + DIER, read(M::TIM2 + DIER) | ASKS_FOR_POWER);
+            switch_on(M::DMA1, BEAM, M::TIM3 + CCR2, &raw const self.rings.power as usize, RING, how);
+            write(M::TIM5 + DIER, read(M::TIM5 + DIER) | ASKS_FOR_POWER);
         }
-        write(M::TIM2 + CCR3, moment);
-        if read(M::TIM2 + CNT).wrapping_sub(moment) as i32 >= 0 && read(M::TIM2 + SR) & Due::MARK.0 == 0 {
-            write(M::TIM2 + EGR, Due::MARK.0);
+        write(M::TIM5 + CCR3, moment);
+        if read(M::TIM5 + CNT).wrapping_sub(moment) as i32 >= 0 && read(M::TIM5 + SR) & Due::MARK.0 == 0 {
+            write(M::TIM5 + EGR, Due::MARK.0);
             // Of this request no moment tells.
             cortex_m::asm::delay(SERVED_CYCLES);
         }
@@ -267,10 +231,10 @@ impl<M: Map, const P: usize> Chain<M, P> {
     /// stream takes, would stay, and the next power come too soon.
     #[inline(never)]
     pub(super) fn keep_power(&mut self) {
-        let asks = read(M::TIM2 + DIER);
+        let asks = read(M::TIM5 + DIER);
         if asks & ASKS_FOR_POWER != 0 {
             self.await_served(CCR3);
-            write(M::TIM2 + DIER, asks & !ASKS_FOR_POWER);
+            write(M::TIM5 + DIER, asks & !ASKS_FOR_POWER);
             write(stream(M::DMA1, BEAM) + CR, 0);
         }
     }
@@ -341,11 +305,11 @@ impl<M: Map, const P: usize> Chain<M, P> {
     /// One by one: the moment of the event that has just been committed. Gives the ticks by which it was too late.
     #[inline(always)]
     fn set_moment(&mut self, moment: u32) -> u32 {
-        write(M::TIM2 + CCR1, moment);
-        let late = read(M::TIM2 + CNT).wrapping_sub(moment) as i32;
-        if late >= 0 && read(M::TIM2 + SR) & Due::OUT.0 == 0 {
-            let soon = read(M::TIM2 + CNT).wrapping_add(SERVED_CYCLES);
-            write(M::TIM2 + CCR1, soon);
+        write(M::TIM5 + CCR1, moment);
+        let late = read(M::TIM5 + CNT).wrapping_sub(moment) as i32;
+        if late >= 0 && read(M::TIM5 + SR) & Due::OUT.0 == 0 {
+            let soon = read(M::TIM5 + CNT).wrapping_add(SERVED_CYCLES);
+            write(M::TIM5 + CCR1, soon);
             return soon.wrapping_sub(moment);
         }
         0
@@ -354,7 +318,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
     #[inline(always)]
     pub(super) fn moment_before(&self, left: usize) -> u32 {
         if self.begun && self.ahead() <= left {
-            return read(M::TIM2 + CNT);
+            return read(M::TIM5 + CNT);
         }
         self.moment_at(self.head.wrapping_sub(left).wrapping_sub(1))
     }
@@ -368,18 +332,18 @@ impl<M: Map, const P: usize> Chain<M, P> {
 
     /// No request for a moment, and none before there is a moment again.
     fn expect_no_moment(&mut self) {
-        write(M::TIM2 + DIER, CALLS);
-        write(M::TIM2 + CCR1, read(M::TIM2 + CNT).wrapping_sub(1));
-        write(M::TIM2 + SR, !Due::OUT.0);
+        write(M::TIM5 + DIER, CALLS);
+        write(M::TIM5 + CCR1, read(M::TIM5 + CNT).wrapping_sub(1));
+        write(M::TIM5 + SR, !Due::OUT.0);
         compiler_fence(Ordering::SeqCst);
     }
 
     /// Waits until no request of a compare channel is under way, nor soon will be: moments are further apart than this takes.
     fn await_served(&self, channel: usize) {
-        let moment = read(M::TIM2 + channel);
+        let moment = read(M::TIM5 + channel);
         // A look takes a tick at least.
         for _ in 0..3 * NEAR_TICKS {
-            if (read(M::TIM2 + CNT).wrapping_sub(moment).wrapping_add(NEAR_TICKS)) >= 2 * NEAR_TICKS {
+            if (read(M::TIM5 + CNT).wrapping_sub(moment).wrapping_add(NEAR_TICKS)) >= 2 * NEAR_TICKS {
                 return;
             }
         }
@@ -406,27 +370,27 @@ impl<M: Map, const P: usize> Chain<M, P> {
             let (Some(words), Some(low)) = (self.rings.words.get(port), self.rings.off.get(port)) else { return 0 };
             let pins = self.ports.get(port).copied().map_or(0, bsrr_of::<M>);
             let common = CIRCULAR | WORDS | VERY_HIGH | EDGES_CHANNEL;
-            switch_on(M::DMA2, on, words.as_ptr() as usize, pins, common | PERIPHERAL_COUNTS);
-            switch_on(M::DMA2, off, core::ptr::from_ref(low) as usize, pins, common);
+            switch_on(M::DMA2, on, words.as_ptr() as usize, pins, RING, common | PERIPHERAL_COUNTS);
+            switch_on(M::DMA2, off, core::ptr::from_ref(low) as usize, pins, RING, common);
             requests |= own;
         }
         if one_by_one {
             write(M::TIM1 + DIER, requests);
             write(M::TIM1 + SMCR, STARTS);
-            write(M::TIM2 + DIER, CALLS | Due::OUT.0);
+            write(M::TIM5 + DIER, CALLS | Due::OUT.0);
             return self.set_moment(self.moment_at(0));
         }
         let how = CIRCULAR | WORDS | VERY_HIGH | MOMENTS_CHANNEL | TO_PERIPHERAL | MEMORY_COUNTS;
         let (mut put_off, mut again) = (0_u32, AGAIN_TICKS);
         loop {
-            switch_on(M::DMA1, MOMENTS, M::TIM2 + CCR1, self.rings.moments.as_ptr() as usize, how);
+            switch_on(M::DMA1, MOMENTS, M::TIM5 + CCR1, self.rings.moments.as_ptr() as usize, RING, how);
             cortex_m::asm::delay(SERVED_CYCLES);
             // The first moment comes by DMA as all others do, asked for by hand; TIM1 does not listen yet.
-            write(M::TIM2 + DIER, CALLS | ASKS_FOR_MOMENT);
-            write(M::TIM2 + EGR, Due::OUT.0);
+            write(M::TIM5 + DIER, CALLS | ASKS_FOR_MOMENT);
+            write(M::TIM5 + EGR, Due::OUT.0);
             cortex_m::asm::delay(SERVED_CYCLES);
             write(M::TIM1 + DIER, requests);
-            let left = self.moment_at(0).wrapping_sub(read(M::TIM2 + CNT));
+            let left = self.moment_at(0).wrapping_sub(read(M::TIM5 + CNT));
             if left as i32 > LISTENS_TICKS as i32 {
                 write(M::TIM1 + SMCR, STARTS);
                 return put_off;
@@ -458,7 +422,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
         if self.stands() {
             return true;
         }
-        if (read(M::DMA2 + LISR) | read(M::DMA2 + HISR)) & ERRORS != 0 || read(M::DMA1 + HISR) & MOMENT_ERRORS != 0 {
+        if (read(M::DMA2 + LISR) | read(M::DMA2 + HISR)) & ERRORS != 0 || read(M::DMA1 + LISR) & MOMENT_ERRORS != 0 {
             return true;
         }
         !self.counts_agree() && self.still_disagree()
@@ -473,7 +437,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
     #[inline(always)]
     fn stands(&self) -> bool {
         let tail = self.tail();
-        let since = read(M::TIM2 + CNT).wrapping_sub(self.moment_at(tail)) as i32;
+        let since = read(M::TIM5 + CNT).wrapping_sub(self.moment_at(tail)) as i32;
         since > STANDS_TICKS && tail != self.head && tail == self.tail()
     }
 
@@ -528,9 +492,9 @@ impl<M: Map, const P: usize> Chain<M, P> {
         if dark {
             write(M::TIM3 + CCR2, 0);
         }
-        // A request that came right before is served: one of TIM2 that is taken back half-way would stay.
+        // A request that came right before is served: one of TIM5 that is taken back half-way would stay.
         self.await_served(CCR1);
-        write(M::TIM2 + DIER, CALLS);
+        write(M::TIM5 + DIER, CALLS);
         cortex_m::asm::delay(SERVED_CYCLES);
         let tail = self.tail();
         let mut fault = false;
@@ -541,25 +505,9 @@ impl<M: Map, const P: usize> Chain<M, P> {
         if !self.one_by_one {
             // One more than events; two, if the next match came after TIM1 had ceased to listen.
             let moments = RING.wrapping_sub(read(stream(M::DMA1, MOMENTS) + NDTR) as usize).wrapping_sub(tail) % RING;
-            fault |= moments != 1 && moments != 2 || read(M::DMA1 + HISR) & MOMENT_ERRORS != 0;
+            fault |= moments != 1 && moments != 2 || read(M::DMA1 + LISR) & MOMENT_ERRORS != 0;
         }
         write(stream(M::DMA1, MOMENTS) + CR, 0);
         (tail, fault)
     }
-}
-
-/// Programs a stream and switches it on, in direct mode as after a reset; `peripheral` and `memory` as the manual names the ports.
-#[inline(never)]
-fn switch_on(dma: usize, number: usize, peripheral: usize, memory: usize, how: u32) {
-    let at = stream(dma, number);
-    write(at + CR, 0);
-    let clear = if number < 4 { LIFCR } else { HIFCR };
-    await_off(at);
-    write(dma + clear, FLAGS << flags_at(number));
-    write(at + PAR, peripheral as u32);
-    write(at + M0AR, memory as u32);
-    write(at + NDTR, RING as u32);
-    write(at + CR, how);
-    write(at + CR, how | EN);
-    cortex_m::asm::delay(APART_CYCLES);
 }

@@ -8,19 +8,18 @@
 use core::sync::atomic::Ordering;
 use oxmill_controller::ResetCause;
 use stm32f4xx_hal::{
-    gpio::{ErasedPin, Input, Output, PinExt},
+    gpio::{ErasedPin, Input, Output, PinExt, PinState},
     pac,
     prelude::*,
     rcc::{BusTimerClock, Enable, LPEnable, Rcc, Reset},
-    serial::Instance,
+    timer::FTimerUs,
     watchdog::IndependentWatchdog,
 };
 
 use super::SettingsFlash;
 use super::chain::{self, COMPARE_PULSE};
 use super::registers::{Chip, Map, read_idr, timer, write, write_bsrr};
-use super::step::{self, Clocks, Place, SAFE, bsrr, note_safe_level};
-use super::usart::{Sheltered, Usart, shelter};
+use super::step::{self, Clocks, Place, SAFE, note_safe_level};
 use crate::{Due, Port, SlowLevels};
 
 /// A whole register as a number.
@@ -46,7 +45,7 @@ pub fn safe_state() {
     unsafe {
         (*pac::TIM3::ptr()).ccmr1_output().write(|w| w.bits(0b100 << 12));
         (*pac::TIM3::ptr()).ccr2().write(|w| w.bits(0));
-        (*pac::TIM2::ptr()).cr1().write(|w| w.bits(0));
+        (*pac::TIM5::ptr()).cr1().write(|w| w.bits(0));
     }
 }
 
@@ -56,14 +55,13 @@ impl<MODE> From<&ErasedPin<MODE>> for Place {
     }
 }
 
-/// Step and direction outputs on `P` ports; the timers and DMA controllers that they need, but for what a shelter uses at
-/// rest.
-pub type StepPins<const P: usize> = step::StepPins<Chip, P, (pac::TIM1, pac::TIM2, pac::TIM3, [ErasedPin<Output>; 8])>;
+/// Step and direction outputs on `P` ports, with the timers that they need.
+pub type StepPins<const P: usize> = step::StepPins<Chip, P, (pac::TIM1, pac::TIM5, pac::TIM3, [ErasedPin<Output>; 8])>;
 
 /// Calls the step task, from any task: the call waits as a flag of its timer until it is taken.
 #[inline]
 pub fn call_step() {
-    write(<Chip as Map>::TIM2 + timer::EGR, Due::CALLED.0);
+    write(<Chip as Map>::TIM5 + timer::EGR, Due::CALLED.0);
 }
 
 /// Pins of several ports, each turned into the same: `each!([a.pa1, b.pb2].into_pull_up_input())`.
@@ -77,13 +75,13 @@ macro_rules! each {
 }
 pub(crate) use each;
 
-/// Sets up what puts out steps: TIM2, which starts to run, TIM1, the DMA controllers; and TIM3 for the PWM, whose pin must already
+/// Sets up what puts out steps: TIM5, which starts to run, TIM1, the DMA controllers; and TIM3 for the PWM, whose pin must already
 /// be in its alternate function. Puts the pins to rest.
 pub fn step_pins<const P: usize>(
     step: [ErasedPin<Output>; 4],
     direction: [ErasedPin<Output>; 4],
     probe: &InputPins,
-    (pulse, clock, pwm): (pac::TIM1, pac::TIM2, pac::TIM3),
+    (pulse, clock, pwm): (pac::TIM1, pac::TIM5, pac::TIM3),
     rings: Option<&'static mut step::Rings<P>>,
     rcc: &mut Rcc,
 ) -> StepPins<P> {
@@ -102,10 +100,10 @@ pub fn step_pins<const P: usize>(
     pac::TIM1::reset(rcc);
     pac::DMA1::enable(rcc);
     pac::DMA2::enable(rcc);
-    pac::TIM2::enable(rcc);
-    pac::TIM2::reset(rcc);
+    pac::TIM5::enable(rcc);
+    pac::TIM5::reset(rcc);
     // The HAL picks the nearest clock it can make; another one than the planner counts with would falsify every speed.
-    assert_eq!(pac::TIM2::timer_clock(&rcc.clocks).raw(), crate::PROFILE.step_clock_hz);
+    assert_eq!(pac::TIM5::timer_clock(&rcc.clocks).raw(), crate::PROFILE.step_clock_hz);
     clock.arr().write(|w| raw!(w, u32::MAX));
     clock.cr2().write(|w| raw!(w, COMPARE_PULSE));
     clock.cr1().write(|w| w.cen().set_bit());
@@ -130,13 +128,10 @@ pub const SAMPLE_HZ: u32 = 20_000;
 /// The clock security system watches the oscillator.
 pub const WATCHES_CLOCK: bool = true;
 
-/// Starts TIM5 as the clock: 1 MHz, free-running.
-pub fn start_clock(timer: pac::TIM5, rcc: &mut Rcc) {
-    pac::TIM5::enable(rcc);
-    pac::TIM5::reset(rcc);
-    let prescaler = pac::TIM5::timer_clock(&rcc.clocks).raw() / (CLOCK_TICKS_PER_US * 1_000_000) - 1;
-    timer.psc().write(|w| w.psc().set(prescaler as u16));
-    timer.arr().write(|w| raw!(w, u32::MAX));
+/// Starts TIM2 as the clock: 1 MHz, free-running.
+pub fn start_clock(timer: pac::TIM2, rcc: &mut Rcc) {
+    // The HAL's counters have an end, and this one has none: all 32 bits, as after a reset.
+    let timer = FTimerUs::new(timer, rcc).release();
     // The prescaler is taken over by an update.
     timer.egr().write(|w| w.ug().set_bit());
     timer.cr1().write(|w| w.cen().set_bit());
@@ -167,7 +162,7 @@ pub fn watch_clock() {
 #[inline(always)]
 pub fn clock_ticks() -> u32 {
     // SAFETY: unsafe because the register is read without owning the timer; safe because reading CNT has no effect.
-    unsafe { (*pac::TIM5::ptr()).cnt().read().bits() }
+    unsafe { (*pac::TIM2::ptr()).cnt().read().bits() }
 }
 
 /// Baud rate of the link, if no setting says another: what Grbl's senders expect.
@@ -281,7 +276,7 @@ impl InputPins {
     }
 }
 
-/// Chooses the pull resistor of an input (PUPDR).
+/// Chooses the pull resistor of an input (PUPDR). The HAL does so for pins whose number is part of their type only.
 fn set_pull(place: Place, pull: u32) {
     const PORT_SIZE: usize = 0x400;
     const PUPDR: usize = 0x0C;
@@ -298,37 +293,35 @@ fn set_pull(place: Place, pull: u32) {
 const SLOW_OUTPUTS: usize = 5 + crate::PROFILE.program_pins[0] as usize;
 
 /// Outputs that change slowly.
-pub struct SlowPins {
-    places: [Place; SLOW_OUTPUTS],
-    _pins: [ErasedPin<Output>; SLOW_OUTPUTS],
-}
+pub struct SlowPins([ErasedPin<Output>; SLOW_OUTPUTS]);
 
 impl SlowPins {
     /// The pins in this order: driver enable, spindle on, spindle reversed, flood, mist, and those of programs.
     pub fn new(pins: [ErasedPin<Output>; SLOW_OUTPUTS]) -> Self {
-        let places = pins.each_ref().map(Place::from);
-        for place in places.iter().skip(1) {
-            note_safe_level(*place, false);
+        for pin in pins.iter().skip(1) {
+            note_safe_level(Place::from(pin), false);
         }
-        SlowPins { places, _pins: pins }
+        SlowPins(pins)
     }
 
     /// Writes all levels.
     pub fn write(&mut self, levels: SlowLevels) {
         let program = (0..u8::BITS).map(|bit| levels.program >> bit & 1 != 0);
         let levels = [levels.drivers, levels.spindle, levels.spindle_reversed, levels.flood, levels.mist];
-        for (place, high) in self.places.iter().zip(levels.into_iter().chain(program)) {
-            write_bsrr::<Chip>(place.port, bsrr(place.pin, high));
+        for (pin, high) in self.0.iter_mut().zip(levels.into_iter().chain(program)) {
+            pin.set_state(PinState::from(high));
         }
     }
 }
 
 /// What `setup` deals out.
-pub struct Parts<U: Instance, L: Port, const P: usize> {
+pub struct Parts<I, S: Port, L: Port, const P: usize> {
     /// For `step`.
     pub step_pins: StepPins<P>,
+    /// For `inputs`, and for the interrupt of the UART on a board that has one.
+    pub uart_input: I,
     /// For `serial`.
-    pub serial: Usart<U>,
+    pub serial: S,
     /// For `serial`.
     pub usb: L,
     /// For `inputs`.
@@ -339,12 +332,6 @@ pub struct Parts<U: Instance, L: Port, const P: usize> {
     pub settings_flash: SettingsFlash,
     /// For `inputs`.
     pub watchdog: Watchdog,
-}
-
-/// The settings sectors, with a shelter for what the USART receives meanwhile.
-pub fn settings_flash<U: Sheltered>(flash: pac::FLASH, rcc: &mut Rcc) -> SettingsFlash {
-    U::switch_on(rcc);
-    SettingsFlash::new(flash, shelter::<U>)
 }
 
 /// No debugger puts a job into the RAM of a board.
@@ -372,7 +359,7 @@ impl Watchdog {
         watchdog.stop_on_debug(debug, true);
         // So does the step clock: none begins while the processor cannot add to them, and a pulse that is out ends. The beam
         // stays as it is.
-        debug.apb1_fz().modify(|_, w| w.dbg_tim2_stop().set_bit());
+        debug.apb1_fz().modify(|_, w| w.dbg_tim5_stop().set_bit());
         Watchdog(watchdog)
     }
 

@@ -14,7 +14,7 @@ pub unsafe trait Map {
     /// Port A; the others follow.
     const GPIO: usize;
     /// The step clock.
-    const TIM2: usize;
+    const TIM5: usize;
     /// PWM of the spindle.
     const TIM3: usize;
     /// Pulses.
@@ -33,7 +33,7 @@ pub struct Chip;
 // SAFETY: unsafe because writes go there; safe because these are the addresses of the reference manuals' memory maps.
 unsafe impl Map for Chip {
     const GPIO: usize = 0x4002_0000;
-    const TIM2: usize = 0x4000_0000;
+    const TIM5: usize = 0x4000_0C00;
     const TIM3: usize = 0x4000_0400;
     const TIM1: usize = 0x4001_0000;
     const DMA1: usize = 0x4002_6000;

@@ -139,7 +139,7 @@ impl<M: Map, const P: usize, O> StepPins<M, P, O> {
             _owned: owned,
             map: PhantomData,
         };
-        write(M::TIM2 + DIER, super::chain::CALLS);
+        write(M::TIM5 + DIER, super::chain::CALLS);
         pins.set_polarity(0, 0, SecondMotor::default());
         pins.set_pulse(100);
         pins.set_pwm(DEFAULT_PWM_HZ, 0);
@@ -167,7 +167,7 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
 
     #[inline(always)]
     fn now(&self) -> u32 {
-        super::registers::read(M::TIM2 + CNT)
+        super::registers::read(M::TIM5 + CNT)
     }
 
     #[inline(always)]

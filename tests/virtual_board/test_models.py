@@ -551,68 +551,145 @@ class UsartTraces(unittest.TestCase):
 
 
 class DmaTraces(unittest.TestCase):
-    def receiving(self, count):
-        bench = Bench()
-        model = dma.Dma("DMA2", bench, 22)
-        bench.dma = [model]
-        base = 0x10 + 0x18 * 2
-        model.write(base + dma.PAR, 0x4001_1004)
-        model.write(base + dma.M0AR, 0x2000_0100)
-        model.write(base + dma.NDTR, count)
-        model.write(base + dma.CR, 4 << 25 | 1 << 10 | 1)
-        port = usart.Usart("USART1", bench, 0x4001_1000, (0x44, 4), 37, "pclk2")
-        port.wire = Wire([(9000 + 8330 * k, 0x30 + k) for k in range(3)])
-        port.write(usart.BRR, 833)
-        port.write(usart.CR3, usart.DMAR)
-        port.write(usart.CR1, UsartTraces.ON)
-        bench.until(port, 38_000)
-        return bench, model, base, port
+    """A USART by DMA: USART1 on an APB as fast as the core, USART2 on one of half its clock."""
+
+    BYTES, HALF_WORDS, ROUND, SEND = 4 << 25 | 1 << 10, 4 << 25 | 1 << 10 | 1 << 11 | 1 << 13, 1 << 8, 4 << 25 | 1 << 10 | 1 << 6 | 1 << 4
+
+    def fresh(self, number=1):
+        bench = self.bench = Bench()
+        self.model = dma.Dma(f"DMA{3 - number}", bench, 23 - number)
+        bench.dma = [self.model]
+        bench.puts_out_steps = lambda: False
+        base, bus, clock = (0x4001_1000, "pclk2", (0x44, 4)) if number == 1 else (0x4000_4400, "pclk1", (0x40, 17))
+        self.port = bench.peripherals[f"USART{number}"] = usart.Usart(f"USART{number}", bench, base, clock, 36 + number, bus)
+        self.port.wire = Wire()
+        # 115246 baud: 833 cycles a bit, on the slower bus 834.
+        self.port.write(usart.BRR, 833 if number == 1 else 417)
+
+    def stream(self, number, count, how, data):
+        base = 0x10 + 0x18 * number
+        for offset, value in ((dma.PAR, data), (dma.M0AR, 0x2000_0100), (dma.NDTR, count), (dma.CR, how | 1)):
+            self.model.write(base + offset, value)
+        return base
+
+    def until(self, cycle):
+        models = (self.port, self.model)
+        while (due := min(model.due for model in models)) <= cycle:
+            self.bench.now = max(self.bench.now, due)
+            next(model for model in models if model.due == due).advance(self.bench.now)
+        self.bench.now = cycle
+
+    def receiving(self, count, how=BYTES, bytes_sent=3, error=0):
+        self.fresh()
+        self.port.wire.arriving = [(9000 + 8330 * k, 0x30 + k) for k in range(bytes_sent)]
+        base = self.stream(2, count, how, 0x4001_1004)
+        self.port.write(usart.CR3, usart.DMAR | usart.EIE)
+        self.port.write(usart.CR1, UsartTraces.ON)
+        if error:
+            receive = self.port._receive
+            self.port._receive = lambda byte, flags: receive(byte, error if byte == 0x31 else flags)
+        return base
 
     def test_bytes_go_to_memory(self):
-        bench, model, base, port = self.receiving(8)
-        self.assertEqual(bench.read_memory(0x2000_0100, 4), b"012\xff")
-        self.assertEqual((model.read(base + dma.NDTR), model.read(base + dma.CR) & 1), (5, 1))
-        self.assertEqual(port.overruns, 0)
+        base = self.receiving(8)
+        self.until(9011)
+        self.assertEqual((self.bench.read_memory(0x2000_0100, 1), self.model.read(base + dma.NDTR)), (b"\xff", 8))
+        # Twelve cycles behind the request: eight, and four of a bus that is as fast.
+        self.until(9012)
+        self.assertEqual((self.bench.read_memory(0x2000_0100, 1), self.model.read(base + dma.NDTR)), (b"0", 7))
+        self.until(38_000)
+        self.assertEqual(self.bench.read_memory(0x2000_0100, 4), b"012\xff")
+        self.assertEqual((self.model.read(base + dma.NDTR), self.model.read(base + dma.CR) & 1), (5, 1))
+        self.assertEqual(self.port.overruns, 0)
         with self.assertRaises(Misuse):
-            model.write(base + dma.NDTR, 1)
+            self.model.write(base + dma.NDTR, 1)
 
     def test_the_end_of_a_transfer(self):
-        bench, model, base, port = self.receiving(2)
+        base, model = self.receiving(2), self.model
+        self.until(38_000)
         # Stream 2: its flags stand at bit 16, TCIF is the sixth. The third byte stays in the USART.
         self.assertEqual((model.read(dma.LISR), model.read(base + dma.CR) & 1), (1 << 21, 0))
-        self.assertEqual((bench.read_memory(0x2000_0100, 3), port.read(usart.DR)), (b"01\xff", 0x32))
+        self.assertEqual((self.bench.read_memory(0x2000_0100, 3), self.port.read(usart.DR)), (b"01\xff", 0x32))
         with self.assertRaises(Misuse):
-            model.write(base + dma.CR, 4 << 25 | 1 << 10 | 1)
+            model.write(base + dma.CR, self.BYTES | 1)
         self.assertEqual([model._shift(stream) for stream in range(8)], [0, 6, 16, 22] * 2)
         model.write(dma.LIFCR, 0x3D << 16)
         model.write(base + dma.NDTR, 1)
-        model.write(base + dma.CR, 4 << 25 | 1 << 10 | 1)
+        model.write(base + dma.CR, self.BYTES | 1)
+
+    def test_round_and_round(self):
+        base = self.receiving(4, self.HALF_WORDS | self.ROUND, 6)
+        self.until(60_000)
+        self.assertEqual(self.bench.read_memory(0x2000_0100, 10), b"4\x005\x002\x003\x00\xff\xff")
+        self.assertEqual((self.model.read(base + dma.NDTR), self.model.read(base + dma.CR) & 1, self.model.read(dma.LISR)), (2, 1, 1 << 21))
+
+    def test_errors_call_although_dma_reads(self):
+        for clears_all in False, True:
+            self.receiving(8, error=usart.FE)
+            self.port.dma_clears_all = clears_all
+            self.until(17_300)
+            self.assertFalse(self.bench.lines[37])
+            # The line rises with the byte, before DMA fetches it.
+            self.until(17_335)
+            self.assertTrue(self.bench.lines[37])
+            self.until(20_000)
+            self.assertEqual((self.bench.read_memory(0x2000_0100, 2), self.bench.lines[37]), (b"01", not clears_all))
+            self.port.read(usart.SR), self.port.read(usart.DR)
+            self.assertFalse(self.bench.lines[37])
+
+    def test_sending(self):
+        self.fresh(2)
+        port, model = self.port, self.model
+        self.bench.write_memory(0x2000_0100, b"abc")
+        port.write(usart.CR1, UsartTraces.ON)
+        port.write(usart.CR3, usart.DMAT)
+        base = self.stream(6, 3, self.SEND, 0x4000_4404)
+        self.until(100)
+        # Sixteen cycles each, on a bus of half the clock: the first goes on into the shift register, the second waits behind it.
+        self.assertEqual((model.read(base + dma.NDTR), port.shift_ends, port.read(usart.SR)), (1, 16 + 8340, 0))
+        self.assertFalse(self.bench.lines.get(17))
+        self.until(8400)
+        self.assertEqual((model.read(base + dma.NDTR), model.read(base + dma.CR) & 1, model.read(dma.HISR), self.bench.lines[17]), (0, 0, 1 << 21, True))
+        model.write(dma.HIFCR, 0x3D << 16)
+        self.assertFalse(self.bench.lines[17])
+        self.until(30_000)
+        self.assertEqual([byte for _, byte in port.wire.heard], list(b"abc"))
+
+    def test_what_parts_punish(self):
+        self.receiving(8)
+        self.bench.puts_out_steps = lambda: True
+        with self.assertRaises(Misuse):
+            # DMA2 serves a USART of APB2 while it may write to a port.
+            self.until(9000)
+        self.fresh(2)
+        with self.assertRaises(Misuse):
+            self.stream(6, 0, self.SEND, 0x4000_4404)
 
 
 class ChainTraces(unittest.TestCase):
-    """TIM2's moments by DMA1, TIM1's pulses, DMA2's words, as an image sets them up: at 96 MHz all of them count cycles."""
+    """TIM5's moments by DMA1, TIM1's pulses, DMA2's words, as an image sets them up: at 96 MHz all of them count cycles."""
 
     MOMENTS, RING, OFF = 0x2000_0100, 0x2000_0200, 0x2000_0300
-    BSRR, CCR1 = 0x4002_0018, 0x4000_0034
+    BSRR, CCR1 = 0x4002_0018, 0x4000_0C34
     WORDS = 2 << 11 | 2 << 13 | 1 << 8 | 3 << 16
     ON = 6 << 25 | 1 << 9 | WORDS
     LOW = 6 << 25 | WORDS
-    CHAIN = 3 << 25 | 1 << 6 | 1 << 10 | WORDS
+    CHAIN = 6 << 25 | 1 << 6 | 1 << 10 | WORDS
 
     def setUp(self):
         bench = self.bench = Bench()
         self.tim1 = pulse.PulseTimer("TIM1", bench)
-        self.tim2 = timer.Timer("TIM2", bench, 0, 28, True, 0x4000_0000)
-        self.tim2.slaves.append(self.tim1)
+        self.tim5 = timer.Timer("TIM5", bench, 3, 50, True, 0x4000_0C00)
+        self.tim5.slaves.append(self.tim1)
         self.dma1, self.dma2 = bench.dma = [dma.Dma("DMA1", bench, 21), dma.Dma("DMA2", bench, 22)]
         self.port = gpio.Gpio("GPIOA", bench)
         self.port.write(gpio.MODER, 0xA800_0000 | 1 << 2)
         bench.edges.clear()
-        bench.store_by_dma = lambda address, value, at: (self.port if address == self.BSRR else self.tim2).store_by_dma(
+        bench.store_by_dma = lambda address, value, at: (self.port if address == self.BSRR else self.tim5).store_by_dma(
             address & 0x3FC, value, at
         )
-        self.tim2.write(timer.CR2, 3 << 4)
-        self.tim2.write(timer.CR1, 1)
+        self.tim5.write(timer.CR2, 3 << 4)
+        self.tim5.write(timer.CR1, 1)
 
     def words(self, address, values):
         for k, value in enumerate(values):
@@ -620,7 +697,7 @@ class ChainTraces(unittest.TestCase):
 
     def until(self, cycle):
         """All models, in the order of time."""
-        models = (self.tim2, self.dma1, self.dma2)
+        models = (self.tim5, self.dma1, self.dma2)
         while (due := min(model.due for model in models)) <= cycle:
             self.bench.now = max(self.bench.now, due)
             next(model for model in models if model.due == due).advance(self.bench.now)
@@ -641,23 +718,23 @@ class ChainTraces(unittest.TestCase):
             self.tim1.write(offset, value)
         self.stream(self.dma2, 1, self.RING, self.BSRR, len(words), self.ON)
         self.stream(self.dma2, 4, self.OFF, self.BSRR, len(words), self.LOW)
-        self.stream(self.dma1, 5, self.CCR1, self.MOMENTS, len(moments), self.CHAIN)
-        self.tim2.write(timer.CCR1, 0xFFFF_FFFF)
-        self.tim2.write(timer.DIER, 1 << 9)
-        self.tim2.write(timer.EGR, 2)
+        self.stream(self.dma1, 2, self.CCR1, self.MOMENTS, len(moments), self.CHAIN)
+        self.tim5.write(timer.CCR1, 0xFFFF_FFFF)
+        self.tim5.write(timer.DIER, 1 << 9)
+        self.tim5.write(timer.EGR, 2)
         self.until(self.bench.now + 50)
         self.tim1.write(pulse.DIER, 1 << 9 | 1 << 12)
-        self.tim1.write(pulse.SMCR, 0x16)
+        self.tim1.write(pulse.SMCR, 0x06)
 
     def test_events_at_their_moments(self):
         self.begin([1000, 1200, 1500, 999, 0, 0], [2, 0, 2, 2, 2, 2])
-        self.assertEqual(self.tim2.read(timer.CCR1), 1000, "the first moment comes by DMA, asked for by hand")
+        self.assertEqual(self.tim5.read(timer.CCR1), 1000, "the first moment comes by DMA, asked for by hand")
         self.until(5000)
         # From the match: 4 to the first count, 1 to the compare event, 12 to the store. The second word sets nothing.
         self.assertEqual(self.bench.edges, [(1017, "A", 1, 1), (1113, "A", 1, 0), (1517, "A", 1, 1), (1613, "A", 1, 0)])
         # Three events of six are out, and four moments written: the last one is past, and the chain stands.
-        self.assertEqual((self.dma2.read(0x10 + 0x18 + dma.NDTR), self.dma1.read(0x10 + 0x18 * 5 + dma.NDTR)), (3, 2))
-        self.assertEqual(self.tim2.read(timer.CCR1), 999)
+        self.assertEqual((self.dma2.read(0x10 + 0x18 + dma.NDTR), self.dma1.read(0x10 + 0x18 * 2 + dma.NDTR)), (3, 2))
+        self.assertEqual(self.tim5.read(timer.CCR1), 999)
 
     def test_the_ring_goes_round(self):
         self.begin([1000, 1200, 1400], [2, 2, 2])
@@ -675,12 +752,12 @@ class ChainTraces(unittest.TestCase):
         # The fourth place was fetched with the event at 1200; what is written there now is not seen.
         self.words(self.MOMENTS + 12, [1600])
         self.until(3000)
-        self.assertEqual(self.tim2.read(timer.CCR1), 1399)
+        self.assertEqual(self.tim5.read(timer.CCR1), 1399)
         self.until(3010)
         # The stream now holds the first place. Changed, it says so when it is switched off.
         self.words(self.MOMENTS, [2000])
         with self.assertRaises(Misuse):
-            self.dma1.write(0x10 + 0x18 * 5 + dma.CR, 0)
+            self.dma1.write(0x10 + 0x18 * 2 + dma.CR, 0)
 
     def test_no_trigger_while_a_pulse_is_out(self):
         self.begin([1000, 1090, 1500, 1499], [2, 2, 2, 2])
@@ -691,7 +768,7 @@ class ChainTraces(unittest.TestCase):
         self.begin([1000, 1200, 1400, 1600], [2, 2, 2, 2])
         self.until(1203)
         # The second pulse has its trigger: it comes whole, and the third does not.
-        self.tim1.write(pulse.SMCR, 0x10)
+        self.tim1.write(pulse.SMCR, 0x00)
         self.until(3000)
         self.assertEqual([at for at, _, _, _ in self.bench.edges], [1017, 1113, 1217, 1313])
         self.assertEqual(self.dma2.read(0x10 + 0x18 + dma.NDTR), 2)
@@ -700,9 +777,25 @@ class ChainTraces(unittest.TestCase):
         self.begin([1000, 1200, 1400, 1600], [2, 2, 2, 2])
         self.until(1205)
         with self.assertRaises(Misuse):
-            self.tim2.write(timer.DIER, 0)
+            self.tim5.write(timer.DIER, 0)
         self.until(1250)
-        self.tim2.write(timer.DIER, 0)
+        self.tim5.write(timer.DIER, 0)
+
+    def test_a_transfer_waits_for_that_of_a_usart(self):
+        self.begin([1000, 1200, 1500, 999, 0, 0], [2, 0, 2, 2, 2, 2])
+        stores, store = [], self.tim5.store_by_dma
+        self.tim5.store_by_dma = lambda offset, value, at: (stores.append((at, value)), store(offset, value, at))
+        self.bench.peripherals["USART2"] = SimpleNamespace(ask_dma=lambda: None)
+        self.bench.puts_out_steps = lambda: True
+        self.stream(self.dma1, 5, 0x4000_4404, 0x2000_0400, 4, 4 << 25 | 1 << 10)
+        self.until(999)
+        serve = lambda _: 0x41
+        self.assertTrue(self.dma1.ask_for_usart("USART2", 0x4000_4404, "pclk1", serve))
+        self.until(5000)
+        # The first moment would be fetched 16 cycles behind the match: the byte has the controller up to 15 of them, and 8 more pass.
+        self.assertEqual(stores[:2], [(1023, 1200), (1216, 1500)])
+        # The edges are DMA2's, and wait for nothing.
+        self.assertEqual([at for at, _, _, level in self.bench.edges if level], [1017, 1517])
 
     def test_a_stream_that_is_switched_off_ends_its_transfer(self):
         self.begin([1000, 1200, 1400, 1600], [2, 2, 2, 2])
@@ -736,7 +829,7 @@ class ChainTraces(unittest.TestCase):
             self.stream(self.dma2, 1, self.BSRR, self.RING, 2, 6 << 25 | 1 << 6 | 1 << 10 | self.WORDS)
         with self.assertRaises(Misuse):
             # DMA1 does not reach it at all.
-            self.stream(self.dma1, 5, self.BSRR, self.RING, 2, self.CHAIN)
+            self.stream(self.dma1, 2, self.BSRR, self.RING, 2, self.CHAIN)
         self.stream(self.dma2, 1, self.RING, self.BSRR, 2, self.ON)
         with self.assertRaises(Misuse):
             # The same request on two streams.
@@ -760,20 +853,20 @@ class ChainTraces(unittest.TestCase):
 
 
 class BeamTraces(unittest.TestCase):
-    """TIM2's channel 3 has DMA1 write TIM3's compare value, as an image sets them up: at 96 MHz all of them count cycles."""
+    """TIM5's channel 3 has DMA1 write TIM3's compare value, as an image sets them up: at 96 MHz all of them count cycles."""
 
     POWER, COMPARE = 0x2000_0100, 0x4000_0438
-    HOW = 3 << 25 | 1 << 6 | 2 << 11 | 2 << 13 | 1 << 8
-    STREAM = 0x10 + 0x18
+    HOW = 6 << 25 | 1 << 6 | 2 << 11 | 2 << 13 | 1 << 8
+    STREAM = 0x10
 
     def setUp(self):
         bench = self.bench = Bench()
-        self.tim2 = timer.Timer("TIM2", bench, 0, 28, True, 0x4000_0000)
+        self.tim5 = timer.Timer("TIM5", bench, 3, 50, True, 0x4000_0C00)
         self.tim3 = timer.Timer("TIM3", bench, 1, 29, False, 0x4000_0400)
         self.dma1, = bench.dma = [dma.Dma("DMA1", bench, 21)]
         self.stores = []
         bench.store_by_dma = self.store
-        self.tim2.write(timer.CR1, 1)
+        self.tim5.write(timer.CR1, 1)
 
     def store(self, address, value, at):
         self.stores.append((at, value))
@@ -782,7 +875,7 @@ class BeamTraces(unittest.TestCase):
 
     def until(self, cycle):
         """Both models, in the order of time."""
-        models = (self.tim2, self.dma1)
+        models = (self.tim5, self.dma1)
         while (due := min(model.due for model in models)) <= cycle:
             self.bench.now = max(self.bench.now, due)
             next(model for model in models if model.due == due).advance(self.bench.now)
@@ -796,18 +889,18 @@ class BeamTraces(unittest.TestCase):
 
     def arm(self, power, moment):
         self.switch_on(power)
-        self.tim2.write(timer.CCR3, 0xFFFF_FFFF)
-        self.tim2.write(timer.SR, ~8 & 0x1E1F)
-        self.tim2.write(timer.DIER, 1 << 11 | 8)
-        self.tim2.write(timer.CCR3, moment)
+        self.tim5.write(timer.CCR3, 0xFFFF_FFFF)
+        self.tim5.write(timer.SR, ~8 & 0x1E1F)
+        self.tim5.write(timer.DIER, 1 << 11 | 8)
+        self.tim5.write(timer.CCR3, moment)
 
     def test_a_power_at_its_moment(self):
         self.arm(700, 1000)
         self.until(999)
-        self.assertEqual((self.stores, self.bench.lines.get(28)), ([], False))
+        self.assertEqual((self.stores, self.bench.lines.get(50)), ([], False))
         self.until(1050)
         # 16 cycles from the match to the store on the APB, and the interrupt right at it.
-        self.assertEqual((self.stores, self.bench.lines[28]), ([(1016, 700)], True))
+        self.assertEqual((self.stores, self.bench.lines[50]), ([(1016, 700)], True))
         self.assertEqual(self.tim3.read(timer.CCR2), 700)
         self.until(100_000)
         self.assertEqual(len(self.stores), 1, "one event is one request")
@@ -817,8 +910,8 @@ class BeamTraces(unittest.TestCase):
         self.arm(300, 1000)
         # It has passed: nothing comes by itself, and the flag says so.
         self.until(2100)
-        self.assertEqual((self.stores, self.tim2.read(timer.SR) & 8), ([], 0))
-        self.tim2.write(timer.EGR, 8)
+        self.assertEqual((self.stores, self.tim5.read(timer.SR) & 8), ([], 0))
+        self.tim5.write(timer.EGR, 8)
         self.until(2200)
         self.assertEqual(self.stores, [(2116, 300)])
 
@@ -826,27 +919,27 @@ class BeamTraces(unittest.TestCase):
         for power, moment in ((700, 1000), (0, 1300)):
             self.arm(power, moment)
             self.until(moment + 50)
-            self.tim2.write(timer.DIER, 8)
+            self.tim5.write(timer.DIER, 8)
             self.dma1.write(self.STREAM + dma.CR, self.HOW)
         self.assertEqual(self.stores, [(1016, 700), (1316, 0)])
 
     def test_a_change_that_is_taken_back(self):
         self.arm(700, 1000)
         self.until(950)
-        self.tim2.write(timer.DIER, 8)
+        self.tim5.write(timer.DIER, 8)
         self.dma1.write(self.STREAM + dma.CR, 0)
         self.until(1100)
-        self.assertEqual((self.stores, self.bench.lines[28]), ([], True), "the call stays")
+        self.assertEqual((self.stores, self.bench.lines[50]), ([], True), "the call stays")
 
     def test_what_parts_punish(self):
         self.arm(700, 1000)
         self.until(1005)
         with self.assertRaises(Misuse):
             # The request is under way.
-            self.tim2.write(timer.DIER, 8)
+            self.tim5.write(timer.DIER, 8)
         with self.assertRaises(Misuse):
             # Whether it stays without its flag nobody says.
-            self.tim2.write(timer.SR, ~8 & 0x1E1F)
+            self.tim5.write(timer.SR, ~8 & 0x1E1F)
         self.until(1050)
         self.bench.write_memory(self.POWER, (100).to_bytes(4, "little"))
         with self.assertRaises(Misuse):
@@ -854,10 +947,10 @@ class BeamTraces(unittest.TestCase):
             self.dma1.write(self.STREAM + dma.CR, 0)
         self.bench.write_memory(self.POWER, (700).to_bytes(4, "little"))
         self.dma1.write(self.STREAM + dma.CR, 0)
-        self.tim2.write(timer.DIER, 8)
+        self.tim5.write(timer.DIER, 8)
         with self.assertRaises(Misuse):
             # Whether a part asks at once, as the flag is set, nobody says.
-            self.tim2.write(timer.DIER, 1 << 11 | 8)
+            self.tim5.write(timer.DIER, 1 << 11 | 8)
         # A stream that has been switched off leaves its request to the next power, which would come at once.
         self.arm(200, 2000)
         self.until(1990)
@@ -870,7 +963,7 @@ class BeamTraces(unittest.TestCase):
     def test_other_channels_are_not_modelled(self):
         for channel in (2, 4):
             with self.assertRaises(Unmodelled):
-                self.tim2.write(timer.DIER, 1 << 8 + channel)
+                self.tim5.write(timer.DIER, 1 << 8 + channel)
 
 
 class IwdgTraces(unittest.TestCase):

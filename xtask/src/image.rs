@@ -19,7 +19,7 @@ const PROLOGUE: u32 = 32;
 
 /// The interrupt that the step task is bound to, as in `firmware!` of `src/firmware/main.rs`.
 fn step_handler(board: &str) -> &'static str {
-    if board == QEMU_BOARD { "TIMER0" } else { "TIM2" }
+    if board == QEMU_BOARD { "TIMER0" } else { "TIM5" }
 }
 
 /// Calls through registers that the step interrupt may make: a queue or signal wakes `control`, which is to pend its

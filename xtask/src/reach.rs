@@ -234,12 +234,12 @@ mod tests {
     fn chain(last: &'static str) -> Vec<u8> {
         let [a, b] = call(0, 3);
         let [c, d] = call(3, 6);
-        elf(&[("TIM2", vec![a, b, RETURN]), ("helper", vec![c, d, RETURN]), (last, vec![RETURN])])
+        elf(&[("TIM5", vec![a, b, RETURN]), ("helper", vec![c, d, RETURN]), (last, vec![RETURN])])
     }
 
     #[test]
     fn what_is_called_by_what_is_called_is_found() {
-        assert_eq!(check(&chain("harmless"), "TIM2", &[]), Ok(vec!["TIM2".into(), "helper".into(), "harmless".into()]));
+        assert_eq!(check(&chain("harmless"), "TIM5", &[]), Ok(vec!["TIM5".into(), "helper".into(), "harmless".into()]));
         for (name, what) in [
             ("_ZN4core9panicking5panic17h0123456789abcdefE", "a panic"),
             ("__aeabi_dadd", "a double in software"),
@@ -253,33 +253,33 @@ mod tests {
                 "a division in software",
             ),
         ] {
-            let found = check(&chain(name), "TIM2", &[]).unwrap_err();
+            let found = check(&chain(name), "TIM5", &[]).unwrap_err();
             assert!(found.contains(what) && found.contains("called from helper"), "{name}: {found}");
         }
     }
 
     #[test]
     fn what_nobody_calls_does_no_harm() {
-        let file = elf(&[("TIM2", vec![RETURN]), ("__aeabi_ddiv", vec![RETURN])]);
-        assert_eq!(check(&file, "TIM2", &[]), Ok(vec!["TIM2".into()]));
+        let file = elf(&[("TIM5", vec![RETURN]), ("__aeabi_ddiv", vec![RETURN])]);
+        assert_eq!(check(&file, "TIM5", &[]), Ok(vec!["TIM5".into()]));
         assert!(check(&file, "TIM3", &[]).is_err());
     }
 
     #[test]
     fn jumps_out_of_a_function_count_as_calls() {
         // b.w to the second function: a call in last place.
-        let file = elf(&[("TIM2", vec![0xF000, 0xB800]), ("__aeabi_ddiv", vec![RETURN])]);
-        assert!(check(&file, "TIM2", &[]).unwrap_err().contains("__aeabi_ddiv"));
+        let file = elf(&[("TIM5", vec![0xF000, 0xB800]), ("__aeabi_ddiv", vec![RETURN])]);
+        assert!(check(&file, "TIM5", &[]).unwrap_err().contains("__aeabi_ddiv"));
     }
 
     #[test]
     fn a_call_of_an_unknown_address_must_be_allowed_and_its_targets_are_walked() {
         // blx r3; bx lr
-        let wakes = |target| elf(&[("TIM2", vec![0x4798, RETURN]), (target, vec![RETURN])]);
-        let known = [Allowed { function: "TIM2", targets: &["wake"] }];
-        assert!(check(&wakes("wake"), "TIM2", &[]).unwrap_err().contains("unknown function at 0x00001000 in TIM2"));
-        assert_eq!(check(&wakes("wake"), "TIM2", &known).map(|all| all.len()), Ok(2));
-        assert!(check(&wakes("wake_with_panic"), "TIM2", &known).unwrap_err().contains("a panic"));
-        assert!(check(&wakes("asleep"), "TIM2", &known).unwrap_err().contains("is not in the image"));
+        let wakes = |target| elf(&[("TIM5", vec![0x4798, RETURN]), (target, vec![RETURN])]);
+        let known = [Allowed { function: "TIM5", targets: &["wake"] }];
+        assert!(check(&wakes("wake"), "TIM5", &[]).unwrap_err().contains("unknown function at 0x00001000 in TIM5"));
+        assert_eq!(check(&wakes("wake"), "TIM5", &known).map(|all| all.len()), Ok(2));
+        assert!(check(&wakes("wake_with_panic"), "TIM5", &known).unwrap_err().contains("a panic"));
+        assert!(check(&wakes("asleep"), "TIM5", &known).unwrap_err().contains("is not in the image"));
     }
 }

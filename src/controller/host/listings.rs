@@ -125,8 +125,9 @@ impl<const N: usize> Controller<N> {
         let axes = self.m.settings.axes_in_use();
         let is_there = line < descriptions::lines(what, axes);
         if is_there {
-            let least_pulse = self.m.settings_lock.least_pulse_tenths();
-            self.say(|out| descriptions::line::<N>(out, what, line, axes, least_pulse));
+            let (least_pulse, most_baud) =
+                (self.m.settings_lock.least_pulse_tenths(), self.m.settings_lock.most_baud());
+            self.say(|out| descriptions::line::<N>(out, what, line, axes, (least_pulse, most_baud)));
         }
         is_there
     }

@@ -260,8 +260,14 @@ pub const fn lines(what: Described, axes: usize) -> usize {
     }
 }
 
-/// One of them, on a board whose shortest step pulse has so many tenths of a microsecond.
-pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: usize, least_pulse_tenths: u16) {
+/// One of them, on a board whose shortest step pulse has so many tenths of a microsecond, and whose UART so many baud at most.
+pub fn line<const N: usize>(
+    out: &mut Text,
+    what: Described,
+    line: usize,
+    axes: usize,
+    (least_pulse_tenths, most_baud): (u16, u32),
+) {
     match what {
         Described::Settings(format) => match (header(format), line) {
             (Some(header), 0) => {
@@ -270,8 +276,10 @@ pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: 
             }
             (header, line) => {
                 if let Some(mut row) = Settings::<N>::described(line - usize::from(header.is_some()), axes) {
-                    if let Kind::Tenths(least, _) = &mut row.entry.kind {
-                        *least = u32::from(least_pulse_tenths);
+                    match &mut row.entry.kind {
+                        Kind::Tenths(least, _) => *least = u32::from(least_pulse_tenths),
+                        Kind::Whole(_, most) if row.number == Key::Baud.number() => *most = most_baud,
+                        _ => {}
                     }
                     setting(out, &row, format);
                 }
@@ -324,7 +332,7 @@ mod tests {
 
     fn text(what: Described, wanted: usize) -> String {
         let mut out = Text::new();
-        line::<3>(&mut out, what, wanted, 3, 10);
+        line::<3>(&mut out, what, wanted, 3, (10, 1_000_000));
         String::from_utf8(out.to_vec()).expect("text")
     }
 
@@ -361,7 +369,7 @@ mod tests {
         );
         // What a board of another least pulse says.
         let mut out = Text::new();
-        line::<3>(&mut out, Described::Settings(Format::Tabs), 1, 3, 5);
+        line::<3>(&mut out, Described::Settings(Format::Tabs), 1, 3, (5, 1_000_000));
         assert_eq!(out, b"0\tStep pulse\tus\tfloat\t##0.0\t0.5 to 255 in tenths\t0.5\t255\r\n");
         assert_eq!(of(29, Format::Tabs), "29\tDirection set-up\tus\tinteger\t#####0\t0 to 255\t0\t255\r\n");
     }

@@ -65,7 +65,7 @@ mod boards {
     // SAFETY: unsafe because writes go there; safe because nothing else uses this memory.
     unsafe impl Map for Memory {
         const GPIO: usize = 0x2110_0000;
-        const TIM2: usize = 0x2100_0000;
+        const TIM5: usize = 0x2100_0000;
         const TIM3: usize = 0x2100_0400;
         const TIM1: usize = 0x2100_0800;
         const DMA1: usize = 0x2100_0C00;
@@ -121,16 +121,16 @@ struct Registers {
 
 impl Registers {
     const RING: usize = 128;
-    const SR: usize = boards::Memory::TIM2 + 0x10;
-    const CNT: usize = boards::Memory::TIM2 + 0x24;
-    const CCR1: usize = boards::Memory::TIM2 + 0x34;
-    const CCR2: usize = boards::Memory::TIM2 + 0x38;
+    const SR: usize = boards::Memory::TIM5 + 0x10;
+    const CNT: usize = boards::Memory::TIM5 + 0x24;
+    const CCR1: usize = boards::Memory::TIM5 + 0x34;
+    const CCR2: usize = boards::Memory::TIM5 + 0x38;
     /// NDTR of the stream of edges; NDTR and M0AR of that of moments.
     const EDGES_LEFT: usize = boards::Memory::DMA2 + 0x10 + 0x18 + 0x04;
     /// NDTR of the stream that ends pulses.
     const ENDS_LEFT: usize = boards::Memory::DMA2 + 0x10 + 4 * 0x18 + 0x04;
-    const MOMENTS_LEFT: usize = boards::Memory::DMA1 + 0x10 + 5 * 0x18 + 0x04;
-    const MOMENTS_AT: usize = boards::Memory::DMA1 + 0x10 + 5 * 0x18 + 0x0C;
+    const MOMENTS_LEFT: usize = boards::Memory::DMA1 + 0x10 + 2 * 0x18 + 0x04;
+    const MOMENTS_AT: usize = boards::Memory::DMA1 + 0x10 + 2 * 0x18 + 0x0C;
 
     fn read(&self, address: usize) -> u32 {
         // SAFETY: unsafe because of the raw address; safe because it is in memory that only these registers use, or in the ring

@@ -71,7 +71,7 @@ static mut STEP: MaybeUninit<Step> = MaybeUninit::uninit();
 
 /// The step task as RTIC calls it: between saving and restoring the priority threshold.
 #[interrupt]
-fn TIM2() {
+fn TIM5() {
     let before = cortex_m::register::basepri::read();
     // SAFETY: unsafe because a static is changed; safe because the task has been put there before its interrupt was unmasked,
     // nobody else uses it, and the interrupt does not preempt itself.
@@ -386,8 +386,8 @@ mod suite {
     fn init() -> Bench {
         let Some(device) = pac::Peripherals::take() else { defmt::panic!("somebody else has the board") };
         let parts = boards::setup(device, low_voltage);
-        // SAFETY: unsafe because the peripherals are taken a second time; safe because the board has no use for TIM4 and the recorder's streams of DMA1,
-        // and of port B and the clocks only what the recorder's own pins and timer need is changed.
+        // SAFETY: unsafe because the peripherals are taken a second time; safe because the board has no use for TIM4 and the recorder's streams of DMA1
+        // (one of them is that of a beam, which no test here has), and of port B and the clocks only what the recorder's own pins and timer need is changed.
         let again = unsafe { pac::Peripherals::steal() };
         let capture = Capture::new(again.TIM4, again.DMA1, &again.GPIOB, &again.RCC);
 
@@ -403,7 +403,7 @@ mod suite {
         // task is in its place, and the tests share nothing with it but channels and atomics.
         unsafe {
             (&raw mut STEP).cast::<Step>().write(step);
-            pac::NVIC::unmask(pac::Interrupt::TIM2);
+            pac::NVIC::unmask(pac::Interrupt::TIM5);
         }
         Bench { segments: segments_in, wiring: wiring_in, events: events_out, capture, segments_sent: 0 }
     }
@@ -427,7 +427,7 @@ mod suite {
     #[test]
     fn the_recorder_counts_step_clock_ticks(bench: &mut Bench) {
         // SAFETY: unsafe because the register is read without owning the timer; safe because reading CNT has no effect.
-        let step_clock = || unsafe { (*pac::TIM2::ptr()).cnt().read().bits() } as u16;
+        let step_clock = || unsafe { (*pac::TIM5::ptr()).cnt().read().bits() } as u16;
         let mut seen = Seen::NOTHING;
         let apart = || between(bench.capture.now(), step_clock());
         let first = apart();

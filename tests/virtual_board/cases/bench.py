@@ -21,8 +21,12 @@ SAMPLE_S, FILTER_SAMPLES = 50 * US, 8
 STOP_S = 20 * US
 """From the moment a stop is known to the last rising edge."""
 
+BYTE_STOP_S = 75 * US
+"""From the last bit of a byte that stops the machine to the last rising edge: up to a sample of the inputs, which looks at what has
+come, and a run of the step task."""
+
 RUN_CYCLES = 4450
-"""How long a byte may wait for a run of the step task, besides (`run_cycles` in profiles.rs)."""
+"""The longest run of the step task (`run_cycles` in profiles.rs)."""
 
 HOLD_S = 25e-3
 """From `!` to the beginning of the ramp."""
@@ -53,6 +57,12 @@ class Bench:
         self.board = Board(self.wiring, self.image)
         self.host = Host(self.board)
         return self.board
+
+    def sample_at(self, cycle):
+        """Has the inputs sampled at a cycle, and in their period before and behind it."""
+        nvic, period = self.board.nvic, self.board.nvic.reload + 1
+        nvic.zero_at = cycle - (cycle - nvic.zero_at) // period * period
+        nvic.plan(nvic.zero_at)
 
     def note_stack(self):
         """Keeps the deepest stack; a board that was made to fail says nothing of it."""
@@ -202,14 +212,14 @@ def moving(bench, feed=3000, way=100):
 
 def stand_once(board, until):
     """The processor stands as the next motion is about to begin, until so long after the first event."""
-    tim2, moments = board.peripherals["TIM2"], board.dma[0]
+    tim5, moments = board.peripherals["TIM5"], board.dma[0]
     write = moments.write
 
     def and_stand(offset, value):
         write(offset, value)
         if offset == 0x10 + 0x18 * 5 + M0AR:
             moments.write = write
-            away = (board.word(value) - tim2.count() & 0xFFFF_FFFF) * tim2.cycles / board.clocks[-1][2]
+            away = (board.word(value) - tim5.count() & 0xFFFF_FFFF) * tim5.cycles / board.clocks[-1][2]
             board.stall(away + until)
 
     moments.write = and_stand

@@ -50,9 +50,8 @@ def disturbed(bench):
     yield f"masked {masks} times for 20 us, {lines} lines meanwhile{' over USB' if bench.wiring.usb else ''}"
 
 
-def flooded_at_safe_rate(bench, meanwhile, longest=None):
-    """The safe rate under a flood of lines and status requests; how many lines there were. `longest`: what a run of the step task
-    may take, if not what it takes by itself."""
+def flooded_at_safe_rate(bench, meanwhile):
+    """The safe rate under a flood of lines and status requests; how many lines there were."""
     safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
     acceleration = hard(bench, 6_000)
     asked = len(bench.host.answers)
@@ -65,7 +64,7 @@ def flooded_at_safe_rate(bench, meanwhile, longest=None):
             bench.host.send("(a)\n" * 20 + "?" * 5)
 
     steps = round((1.1 * safe**2 / acceleration / 1000 + 9000 * safe / 490_000) / 9) * 9
-    yield from at_rates(bench, (safe, steps, pulse_us), acceleration=acceleration, ways=(9, 7, 5), meanwhile=flood, boots=False, longest=longest)
+    yield from at_rates(bench, (safe, steps, pulse_us), acceleration=acceleration, ways=(9, 7, 5), meanwhile=flood, boots=False)
     return asked
 
 
@@ -79,7 +78,7 @@ def tight(bench):
         yield from at_rates(bench, (rate, round(1.1 * rate**2 / acceleration / 1000) + 1000, pulse_us), acceleration=acceleration)
 
 
-def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, boots=True, longest=None):
+def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, boots=True):
     """Back and forth at each (steps/s, steps one way, $0), the axes with these shares of the first one's steps."""
     if boots:
         bench.boot()
@@ -125,7 +124,7 @@ def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, 
             raise Failure(f"direction set-up {us(min(setups))} with $29=10")
         if min(holds) < pulse_us * US:
             raise Failure(f"a direction changes {us(min(holds))} after the edge of a step, within its pulse")
-        if run > (longest or LONGEST_RUN[bench.wiring.core_hz > 100 * MHZ]):
+        if run > LONGEST_RUN[bench.wiring.core_hz > 100 * MHZ]:
             raise Failure(f"a run of the step task of {run} cycles")
         if found["drift"] > 2 * US:
             raise Failure(f"the period drifts by {us(found['drift'])} over {found['steps']} steps")
@@ -201,7 +200,7 @@ def called_at_turns(bench):
         lines = [f"X{0.007 + 0.001 * (k % 3):.3f} Y{'-' if k % 2 else ''}{0.007 + 0.001 * (k % 3):.3f}" for k in range(150)]
         bench.host.stream(f"G91 G1 F{feed}\n" + "\n".join(lines))
         board.run(seconds=0.02)
-        clock = board.peripherals["TIM2"]
+        clock = board.peripherals["TIM5"]
         calls, patience = 0, 0
         while calls < 250 and patience < 4000:
             ahead = clock.until_tick()
@@ -316,7 +315,7 @@ def late_starts(bench):
     board = bench.board
     fast(bench, 10_000)
 
-    tim2, hz = board.peripherals["TIM2"], bench.wiring.core_hz
+    tim5, hz = board.peripherals["TIM5"], bench.wiring.core_hz
 
     def start(before_s=None, masked_s=0.0, stands_until=None):
         """How long after the first event the first step comes."""
@@ -326,7 +325,7 @@ def late_starts(bench):
         bench.host.send("G91 G1 X0.02 F3000\n")
 
         def away():
-            return (tim2.values[timer.CCR2] - tim2.count() & 0xFFFF_FFFF) * tim2.cycles / hz
+            return (tim5.values[timer.CCR2] - tim5.count() & 0xFFFF_FFFF) * tim5.cycles / hz
 
         # The step task has itself called 450 us before the first event, which is 2 ms after the first segment.
         bench.wait(lambda: 1.3e-3 < away() < 1.6e-3, 0.1, "the first segment")
@@ -388,7 +387,7 @@ def miscounts(bench):
         "a trigger is missed": lambda board: miss(board.peripherals["TIM1"]),
         "a request too many": lambda board: board.dma[1].ask("TIM1_CH1", board.now + 1),
         "a stream's error": lambda board: board.dma[1].values.__setitem__(0, board.dma[1].values[0] | 1 << 9),
-        "an error of the moments": lambda board: board.dma[0].values.__setitem__(4, board.dma[0].values[4] | 1 << 9),
+        "an error of the moments": lambda board: board.dma[0].values.__setitem__(0, board.dma[0].values[0] | 1 << 19),
     }
     for what, inject in faults.items():
         bench.boot()

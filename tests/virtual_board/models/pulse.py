@@ -1,6 +1,6 @@
-"""The advanced timer TIM1 as a one-pulse slave of TIM2 (RM0390 chapter 16, RM0383 chapter 12).
+"""The advanced timer TIM1 as a one-pulse slave of TIM5 (RM0390 chapter 16, RM0383 chapter 12).
 
-Modelled: one-pulse mode started by a trigger (SMS = 110, TS = 001: TIM2), compare events of four channels with their DMA
+Modelled: one-pulse mode started by a trigger (SMS = 110, TS = 000: TIM5), compare events of four channels with their DMA
 requests, the stop at the update event, reset, a stop by software. A trigger has its effect some clocks late
 (`SYNCHRONIZE`), each time the same.
 Not modelled: all other modes, prescaler, repetition, outputs, dead time, interrupts, reading the status.
@@ -13,7 +13,7 @@ from .peripheral import Misuse, Peripheral, Unmodelled
 CR1, CR2, SMCR, DIER, EGR, CNT, ARR = 0x00, 0x04, 0x08, 0x0C, 0x14, 0x24, 0x2C
 COMPARE = (0x34, 0x38, 0x3C, 0x40)
 CEN, OPM = 1 << 0, 1 << 3
-TRIGGERED_BY_TIM2 = 0b110 | 0b001 << 4
+TRIGGERED_BY_TIM5 = 0b110 | 0b000 << 4
 SYNCHRONIZE = 4
 """Clocks from the trigger's event to the first count."""
 
@@ -72,13 +72,13 @@ class PulseTimer(Peripheral):
         super().write(offset, value)
         if offset == CR1:
             self.cut()
-        if offset == SMCR and value & 7 and value != TRIGGERED_BY_TIM2:
+        if offset == SMCR and value & 7 and value != TRIGGERED_BY_TIM5:
             raise Unmodelled(f"{self.name}_SMCR {value:#x}")
         if offset == EGR:
             self.values[EGR] = 0
 
     def trigger(self, at):
-        """TIM2 has come to a compare value, at this cycle."""
+        """TIM5 has come to a compare value, at this cycle."""
         if not self.values[SMCR] & 7:
             return
         if not self.values[CR1] & OPM:
