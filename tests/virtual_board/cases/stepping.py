@@ -179,7 +179,7 @@ def turns(bench):
             raise Failure(f"the motors are at {scope.counts()} after {len(setups)} changes of direction")
         if min(setups) < setup_us * US or min(holds) < pulse_us * US:
             raise Failure("a direction output changes too late, or within a pulse")
-        if min(widths) < pulse_us * US or fastest < (pulse_us + min(pulse_us, 1.9)) * US:
+        if min(widths) < pulse_us * US or fastest < (pulse_us + min(pulse_us, 2.5)) * US:
             raise Failure("a pulse or the pause after it is too short")
         if fastest > 20 * US:
             raise Failure("the corners were not passed at speed: this proves nothing")
