@@ -168,7 +168,10 @@ fn three_axes_are_as_without_it() {
     assert_eq!((without.len(), place), (with.len(), other_place));
     for (one, other) in without.iter().zip(&with) {
         // What was before may leave a fraction of a tick.
-        assert!(one.0.abs_diff(other.0) <= 1 && (one.1, one.2) == (other.1, other.2), "{one:?}, with A before: {other:?}");
+        assert!(
+            one.0.abs_diff(other.0) <= 1 && (one.1, one.2) == (other.1, other.2),
+            "{one:?}, with A before: {other:?}"
+        );
     }
 }
 
