@@ -54,8 +54,12 @@ const AGAIN_TICKS: u32 = 2_200;
 const NEAR_TICKS: u32 = SERVED_CYCLES;
 /// Ticks after which an event that is not out never will be.
 const STANDS_TICKS: i32 = 500;
-/// Looks at the counts that must all differ, besides the first.
+/// One by one: looks at the counts that must all differ, besides the first.
 const MORE_LOOKS: u32 = 8;
+/// Looks for an event that comes out: more cycles than from one to the next at the greatest rate.
+const EVENT_LOOKS: u32 = 24;
+/// With a look at the counts behind it, more cycles than an event takes, and fewer than are left from its edge to the next event.
+const BEHIND_CYCLES: u32 = 24;
 
 /// Error flags of four streams, and of that of the moments.
 const ERRORS: u32 = dma::errors(&[0, 1, 2, 3]);
@@ -441,11 +445,22 @@ impl<M: Map, const P: usize> Chain<M, P> {
         since > STANDS_TICKS && tail != self.head && tail == self.tail()
     }
 
-    /// An event that comes out during a look makes that one differ, and the next at most. Counts that differ for good never agree.
+    /// While an event comes out some parts have counted it and others have not: right counts differ then, and wrong ones may agree. So
+    /// what counts is a look right behind an event, or where none comes, during which no part has gone on.
     #[cold]
     #[inline(never)]
     fn still_disagree(&self) -> bool {
-        (0..MORE_LOOKS).all(|_| !self.counts_agree())
+        let counts = || (self.tail(), read(stream(M::DMA1, MOMENTS) + NDTR));
+        let tail = self.tail();
+        for _ in 0..EVENT_LOOKS {
+            if self.tail() != tail {
+                break;
+            }
+        }
+        let before = counts();
+        cortex_m::asm::delay(BEHIND_CYCLES);
+        let agree = self.counts_agree();
+        !agree && counts() == before
     }
 
     /// Between two events: one moment more than edges, as many edges on all ports, and one end of a pulse less at most.
@@ -488,13 +503,14 @@ impl<M: Map, const P: usize> Chain<M, P> {
             return (0, false);
         }
         write(M::TIM1 + SMCR, IGNORED);
+        // A request that came right before is served: one of TIM2 that is taken back half-way would stay. First that for moments, of
+        // which more than one would come while a change of power is awaited.
+        self.await_served(CCR1);
+        write(M::TIM2 + DIER, read(M::TIM2 + DIER) & ASKS_FOR_POWER | CALLS);
         self.keep_power();
         if dark {
             write(M::TIM3 + CCR2, 0);
         }
-        // A request that came right before is served: one of TIM5 that is taken back half-way would stay.
-        self.await_served(CCR1);
-        write(M::TIM5 + DIER, CALLS);
         cortex_m::asm::delay(SERVED_CYCLES);
         let tail = self.tail();
         let mut fault = false;

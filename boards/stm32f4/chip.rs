@@ -51,7 +51,7 @@ pub fn safe_state() {
 
 impl<MODE> From<&ErasedPin<MODE>> for Place {
     fn from(pin: &ErasedPin<MODE>) -> Self {
-        Place { port: usize::from(pin.port_id()), pin: u32::from(pin.pin_id()) }
+        Place::new(usize::from(pin.port_id()), u32::from(pin.pin_id()))
     }
 }
 
@@ -189,7 +189,7 @@ impl InputPins {
     /// The pins in this order: limit X, Y, Z, probe, door, hold, start, reset.
     pub fn new(pins: [ErasedPin<Input>; 8]) -> Self {
         use crate::input_bits::{DOOR, HOLD, LIMITS, PROBE, RESET, START};
-        let nowhere = Place { port: 0, pin: 0 };
+        let nowhere = Place::new(0, 0);
         let [_, _, _, probe, ..] = pins.each_ref().map(Place::from);
         let inputs = InputPins {
             places: [(nowhere, 0); MOST_INPUTS],

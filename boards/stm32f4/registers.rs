@@ -87,12 +87,12 @@ pub(super) const fn bsrr_of<M: Map>(port: usize) -> usize {
 
 /// Sets and resets pins of a port at one moment.
 #[inline(always)]
-pub fn write_bsrr<M: Map>(port: usize, value: u32) {
+pub(super) fn write_bsrr<M: Map>(port: usize, value: u32) {
     write(bsrr_of::<M>(port), value);
 }
 
 /// Levels of the pins of a port.
 #[inline(always)]
-pub fn read_idr<M: Map>(port: usize) -> u32 {
+pub(super) fn read_idr<M: Map>(port: usize) -> u32 {
     read(M::GPIO + PORT_SIZE * port + IDR)
 }

@@ -29,13 +29,21 @@ pub fn note_safe_level(place: Place, high: bool) {
     }
 }
 
-/// Place of a pin.
+/// Place of a pin that exists: ports are reached by their number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Place {
     /// 0 for port A.
-    pub port: usize,
+    pub(super) port: usize,
     /// 0 to 15.
-    pub pin: u32,
+    pub(super) pin: u32,
+}
+
+impl Place {
+    /// Port 0 to 2, for A to C, and pin 0 to 15. Panics with any other.
+    pub const fn new(port: usize, pin: u32) -> Place {
+        assert!(port < PORTS && pin < 16, "there is no such pin");
+        Place { port, pin }
+    }
 }
 
 /// BSRR word that gives a pin a level.

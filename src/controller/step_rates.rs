@@ -1,12 +1,11 @@
 //! `StepRates`: how fast a board can step. The greatest rate in steps/s that pulses of a length allow, with the pause
-//! between two pulses, up to the board's safe rate. All in nanoseconds: `TENTH_NS`, `ROUNDING_NS`, `SHORT_PULSE_NS`,
-//! `LONGEST_PAUSE_NS`, `least_period_ns`.
+//! between two pulses, up to the board's safe rate.
 
 /// Nanoseconds in the unit of `$0`, a tenth of a microsecond.
 const TENTH_NS: u32 = 100;
-/// What drivers want of a pause at most: the slowest common one (DRV8825) asks for 1.9 us, and for as much of the pulse
-/// itself. Drivers that take shorter pulses take shorter pauses: A4988 1 us of both, TMC2209 0.1 us.
-const LONGEST_PAUSE_NS: u32 = 1_900;
+/// The longest pause that common drivers ask for: 2.5 us for a DM542, 1.9 us for a DRV8825, each with a pulse as long. Drivers
+/// that accept shorter pulses accept shorter pauses, such as an A4988 with 1 us of both.
+const LONGEST_PAUSE_NS: u32 = 2_500;
 /// Pulses shorter than this are for drivers that are far from their limit with a pause as long.
 const SHORT_PULSE_NS: u32 = 1_000;
 /// A step may come so much sooner than planned: intervals are whole ticks, two of which are 0.024 us at 84 MHz.
@@ -29,8 +28,8 @@ impl StepRates {
     }
 }
 
-/// The pause after a step pulse at least: as long as the pulse, but no longer than any driver asks for. After a short pulse a
-/// single one may be shorter by the rounding of intervals, so that a square wave can be kept.
+/// The least pause after a step pulse: the shorter of the pulse and the longest pause that drivers ask for. After a pulse below
+/// 1 us a single pause may be shorter by the rounding of intervals, so that a square wave can be kept.
 pub(crate) const fn least_pause_ns(pulse_tenths: u16) -> u32 {
     let pulse = pulse_tenths as u32 * TENTH_NS;
     if pulse < SHORT_PULSE_NS {
@@ -55,7 +54,7 @@ mod tests {
     fn the_rate_is_that_of_the_pulse_and_its_pause() {
         let rates = StepRates { safe_hz: 490_000, least_pulse_tenths: 10 };
         for (pulse, kept) in
-            [(10, 490_000.0), (20, 253_807.0), (25, 225_225.0), (50, 144_092.0), (100, 83_752.0), (2550, 3_892.0)]
+            [(10, 490_000.0), (20, 247_525.0), (25, 198_413.0), (50, 132_626.0), (100, 79_745.0), (2550, 3_883.0)]
         {
             assert_eq!(rates.greatest_hz(pulse).round(), kept, "{pulse} tenths of a microsecond");
         }
@@ -64,5 +63,17 @@ mod tests {
         let fast = StepRates { safe_hz: 1_500_000, least_pulse_tenths: 5 };
         assert_eq!((fast.greatest_hz(5), fast.greatest_hz(9)), (1.0e6, 1.0e9 / 1_800.0));
         assert_eq!(fast.greatest_hz(10).round(), 490_196.0);
+    }
+
+    /// At the greatest rate, with intervals that are shorter than planned by what their rounding may take off.
+    #[test]
+    fn the_pause_is_the_shorter_of_the_pulse_and_what_drivers_ask_for() {
+        for pulse in 10..=2550_u16 {
+            let rates = StepRates { safe_hz: u32::MAX, least_pulse_tenths: 5 };
+            let pulse_ns = f64::from(pulse) * 100.0;
+            let pause = 1.0e9 / f64::from(rates.greatest_hz(pulse)) - pulse_ns - f64::from(ROUNDING_NS);
+            assert!(pause > pulse_ns.min(2_500.0) - 0.01 * pulse_ns / 100.0, "{pulse} tenths: {pause} ns");
+            assert!(least_pause_ns(pulse) >= 2_500.min(u32::from(pulse) * 100), "{pulse}");
+        }
     }
 }

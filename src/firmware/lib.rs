@@ -23,7 +23,7 @@ pub mod failure;
 mod flash;
 pub mod inputs;
 mod outputs;
-mod record;
+pub mod record;
 pub mod serial;
 pub mod stack;
 pub mod startup;

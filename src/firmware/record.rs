@@ -1,6 +1,6 @@
 //! The last words before a reset, in RAM that the start-up code leaves alone (`.uninit`): `keep` writes a `Kept` record
 //! with `mark`, `kind`, `text`, `place`, `line`, `moment` and a Fletcher `sum`, and `take` gives it back as a `Crash`.
-//! The pages of the `recorder`, the recording of what came in, are there as well. Numbers are put as bytes
+//! The `pages` of the recording of what came in are there as well. Numbers are put as bytes
 //! (`to_le_bytes`, `flat_map`), `fmt::Write` cuts a long text.
 //!
 //! ```text
@@ -16,9 +16,15 @@ use core::cell::Cell;
 use core::fmt::Write;
 use core::mem::MaybeUninit;
 use core::ptr::{addr_of, addr_of_mut};
+<<<<<<< HEAD
 use critical_section::Mutex;
 use oxmill_controller::messages::{Crash, CrashKind, Restart};
 use oxmill_controller::recorder::{Page, Recorder};
+=======
+use core::sync::atomic::{AtomicBool, Ordering};
+use oxmill_controller::messages::{Crash, CrashKind};
+use oxmill_controller::recorder::Page;
+>>>>>>> hw
 
 const MARK: u32 = u32::from_le_bytes(*b"last");
 const TEXT: usize = 120;
@@ -137,11 +143,15 @@ pub fn take() -> Option<Crash> {
     })
 }
 
-/// The recorder, with what it had recorded before this start. Called once.
-pub fn recorder(restart: &Restart) -> Recorder<&'static mut [Page]> {
+/// The pages for the recording, as they were before this start, for the first caller. Any other caller gets none.
+pub fn pages() -> &'static mut [Page] {
+    static LENT: AtomicBool = AtomicBool::new(false);
+    if LENT.swap(true, Ordering::Relaxed) {
+        return &mut [];
+    }
     // What lies there is not known to the compiler, which must not take it for nothing.
     let pages = core::hint::black_box(addr_of_mut!(RECORDING)).cast::<[Page; boards::RECORDING_PAGES]>();
     // SAFETY: unsafe because memory is read that may never have been written, and a static is lent for ever; safe because pages
-    // are plain numbers, any of which is allowed, and are lent once.
-    Recorder::begin(unsafe { &mut *pages }, restart)
+    // are plain numbers, any of which is allowed, and only the first call comes here.
+    unsafe { &mut *pages }
 }

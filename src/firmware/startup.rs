@@ -21,6 +21,7 @@ use oxmill_controller::messages::{
     Chunk, EVENTS_DEPTH, LINE_MESSAGES, LineBytes, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, Restart, SEGMENTS_DEPTH,
     SIGNALS_DEPTH, Sensed, StepEvent, ToStep, Wiring,
 };
+use oxmill_controller::recorder::Recorder;
 use oxmill_controller::settings::Key;
 use rtic_sync::channel::Channel;
 use rtic_sync::signal::Signal;
@@ -88,7 +89,7 @@ pub fn start(
 
     let ends = Ends { realtime, lines, events, signals, segments, replies, step_wiring, input_wiring };
     let mut restart = Restart { cause: boards::reset_cause(), crash: record::take(), is_recorded: false };
-    let recorder = record::recorder(&restart);
+    let recorder = Recorder::begin(record::pages(), &restart);
     restart.is_recorded = recorder.is_kept();
     controller.restarted(restart);
     let settings = Settings::open(parts.settings_flash, controller);

@@ -267,6 +267,15 @@ fn boards_know_pins_only() {
     report(&root().join("boards"), board_faults);
 }
 
+/// Any address can be made of a port's number: what reads and writes registers is for the folder that knows what is there.
+#[test]
+fn registers_are_reached_from_their_folder_only() {
+    let text = source::bare(&fs::read_to_string(root().join("boards/stm32f4/registers.rs")).unwrap());
+    let public: Vec<&str> = text.lines().filter(|line| line.trim_start().starts_with("pub fn ")).collect();
+    assert!(public.is_empty(), "public: {public:?}");
+    assert!(text.contains("pub(super) fn write(") && text.contains("pub(super) fn read("));
+}
+
 /// A page of errors that names one which nobody gives sends a reader looking for it.
 #[test]
 fn each_error_and_alarm_is_given_somewhere() {

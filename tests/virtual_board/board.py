@@ -284,6 +284,11 @@ class Board:
         self.state.now += self.cycles(seconds)
         self.state.deadline = 0
 
+    def stand(self, seconds):
+        """The processor stands still in the middle of an access to a register, which comes behind all else of that time."""
+        self.stall(seconds)
+        self._advance()
+
     def replan(self):
         """A model has changed when it wants to be called."""
         self._next_due = None

@@ -133,7 +133,7 @@ class Wiring:
 
     def greatest_hz(self, pulse_us):
         """The step rate that the settings allow with pulses of this length (`StepRates` of the controller), a little less."""
-        pause = pulse_us - 0.04 if pulse_us < 1 else min(pulse_us, 1.9)
+        pause = pulse_us - 0.04 if pulse_us < 1 else min(pulse_us, 2.5)
         period = pulse_us + pause + 0.04
         return min(1e6 / period * 0.998, self.safe_step_hz)
 

@@ -5,8 +5,7 @@
 use super::beam::Beam;
 use super::begins::Begins;
 use super::timing::{
-    BEGIN_TICKS, HALF_IS_SHORT, HORIZON_TICKS, IN_TIME_TICKS, LEAST_EVENTS, MOST_EVENTS, OUT_TICKS, RUN_TICKS,
-    TICKS_PER_US,
+    BEGIN_TICKS, HORIZON_TICKS, IN_TIME_TICKS, LEAST_EVENTS, MOST_EVENTS, OUT_TICKS, RUN_TICKS, TICKS_PER_US,
 };
 use crate::boards::{AXES, COMBINATIONS, Free, SecondMotor, StepOutput, StepPins};
 use crate::shared::STEP;
@@ -365,12 +364,12 @@ impl Maker {
         if ahead <= left {
             return Some(self.last_chance());
         }
-        let half = self.output.moment_before(left);
-        let early = if HALF_IS_SHORT { sooner(half, self.before_two_runs()) } else { half };
+        // A run that begins a segment and turns makes fewer events than come out meanwhile: half of a ring may last too short.
+        let early = sooner(self.output.moment_before(left), self.before_two_runs());
         Some(sooner(early, self.last_chance()))
     }
 
-    /// Two runs before the end of what is ahead, but no sooner than there is room for a batch.
+    /// Two runs and a pause before the end of what is ahead, but no sooner than there is room for a batch.
     #[inline(never)]
     fn before_two_runs(&self) -> u32 {
         later(

@@ -1,7 +1,7 @@
 //! The times that the step task keeps, in ticks of the step clock: from the first segment to its first tick, how far
 //! ahead events are made, what a run takes, and how late a motion may be resumed. All follow from the board's profile.
 
-use crate::boards::{CORE_HZ, PROFILE, RUN_CYCLES, StepOutput, StepPins};
+use crate::boards::{CORE_HZ, PROFILE, RUN_CYCLES};
 
 /// Step-clock ticks in a microsecond.
 pub const TICKS_PER_US: u32 = PROFILE.step_clock_hz / 1_000_000;
@@ -29,9 +29,6 @@ pub const RUN_TICKS: u32 = in_ticks(RUN_CYCLES);
 pub const BEGIN_TICKS: u32 = in_ticks(1_500);
 /// How long before the first moment events are begun at the latest: two more runs and what it takes.
 pub const IN_TIME_TICKS: u32 = 2 * RUN_TICKS + BEGIN_TICKS + PAUSE_TICKS;
-/// At the board's greatest rate half of a full ring is out before two runs are done.
-pub const HALF_IS_SHORT: bool =
-    PROFILE.step_clock_hz / PROFILE.rates.safe_hz * (StepPins::DEPTH as u32 / 2) < 2 * RUN_TICKS;
 /// So much earlier from rest, for interrupts may be masked meanwhile.
 pub const SPARE_TICKS: u32 = 100 * TICKS_PER_US;
 /// From the end of a run to the next that it asks for at least: time for other tasks.

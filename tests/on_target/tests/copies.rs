@@ -1,4 +1,5 @@
-//! The firmware's own copy routines, at all small lengths and at all alignments: nothing beside the target changes.
+//! What the firmware does with memory. Its own copy routines, at all small lengths and at all alignments: nothing beside the target
+//! changes. The pages for the recording: they are lent once.
 #![no_std]
 #![no_main]
 #![allow(missing_docs, reason = "code that defmt-test generates")]
@@ -36,5 +37,11 @@ mod suite {
                 }
             }
         }
+    }
+    #[test]
+    fn the_pages_for_the_recording_are_lent_once() {
+        let first = oxmill_firmware::record::pages();
+        defmt::assert!(first.len() == oxmill_boards::RECORDING_PAGES);
+        defmt::assert!(oxmill_firmware::record::pages().is_empty(), "the same memory twice");
     }
 }

@@ -32,6 +32,7 @@ from .stepping import (
     safe_rate,
     tight,
     turns,
+    turns_at_full_rate,
 )
 from .stops import hold, lines_at_stops, ring_stops, stops
 from .uart import baud_rates, disturbed_line, fast_flood, sampled, torn_line, uart_lines
@@ -58,6 +59,7 @@ def all_cases(root):
         ("laser start", laser_start),
         ("raster", raster),
         ("turns", turns),
+        ("turns at full rate", turns_at_full_rate),
         ("called at turns", called_at_turns),
         ("hold", hold),
         ("stops", stops),

@@ -5,7 +5,11 @@ from random import Random
 from ..board import Failure
 from ..models import timer
 from ..scope import Scope
+<<<<<<< HEAD
 from .bench import BYTE_STOP_S, RUN_CYCLES, TRIP_S, US, duty, fast, stand_once, us
+=======
+from .bench import RUN_CYCLES, STOP_S, TRIP_S, US, duty, fast, stand_once, step_clock, us
+>>>>>>> hw
 from .failures import tell
 from .stops import StopWatch
 
@@ -69,6 +73,7 @@ def raster(bench):
     yield from raster_rows(bench, "M4", 1, 20 * US)
     yield from raster_starts(bench)
     yield from raster_stops(bench)
+    yield from raster_stops_at_full_rate(bench)
 
 
 def raster_rows(bench, mode, rows, masked_s):
@@ -234,6 +239,62 @@ def raster_stops(bench):
         raise Failure("no stop came right before a change, or right behind one: this proves nothing")
     if worst["0x18"] > BYTE_STOP_S or worst["emergency stop"] > TRIP_S + RUN_CYCLES / hz:
         raise Failure("the beam is off too late")
+    if behind > BEHIND_CYCLES:
+        raise Failure("the beam burns where the tool is about to stand while undone events are counted")
+
+
+def raster_stops_at_full_rate(bench):
+    """0x18 at the board's greatest rate, obeyed right before a change of power: the parts that count events agree, as at any other stop."""
+    board, hz, random, beam = bench.board, bench.wiring.core_hz, Random(103), BeamWatch(bench.board)
+    bench.ask("$X")
+    # The pulse first: with a longer one the rate would be refused.
+    bench.settings(s0=bench.wiring.least_pulse_us, s110=6000)
+    bench.settings(s100=bench.wiring.safe_step_hz // 100)
+    clock, tim1, obeyed = step_clock(board), board.peripherals["TIM1"], []
+    watch, behind = StopWatch(board), 0
+    to_tim1 = tim1.write
+
+    def away():
+        """Ticks from now to the next change."""
+        ticks = clock.values[timer.CCR3] - clock.count() & 0xFFFF_FFFF
+        return ticks - (ticks >> 31 << 32)
+
+    def halt(offset, value):
+        ahead = away() - wanted
+        if offset == timer.SMCR and tim1.values[offset] & 7 and not value & 7 and 0 <= ahead * clock.cycles / hz < 40 * US:
+            board.stand(ahead * clock.cycles / hz)
+            obeyed.append(away())
+        to_tim1(offset, value)
+
+    tim1.write = halt
+    row = "M3S0\nX1\n" + "".join(f"X.05S{2 + 6 * (k % 2)}\n" for k in range(10)) + "X9S7\n"
+    stops, pixel_s = 0, 500 * US
+    while len(obeyed) < 16 and stops < 60:
+        wanted = 96 - 6 * len(obeyed)
+        bench.ask("$X")
+        goal = len(beam.changes) + 2 + stops % 4
+        bench.host.send("G91G1F6000" + row)
+        stops += 1
+
+        bench.wait(lambda goal=goal: len(beam.changes) >= goal and bench.host.free_at < board.now, 0.1, "a change of power")
+        after = len(bench.host.text)
+        lead_s = random.uniform(5, 60) * US
+        heard = bench.host.send(b"\x18", at=beam.changes[-1][0] + (pixel_s - 9.5 / 115_200 - lead_s) * hz)
+        bench.wait_text("Grbl 1.1h", 0.1, after)
+        board.run(seconds=0.001)
+        said, changes = bytes(bench.host.text[after:]), [(at, share) for at, share in beam.changes if at > heard]
+        if b"ALARM:103" in said:
+            raise Failure(f"stop {stops}, obeyed {obeyed[-1:]} ticks before a change of power: {said!r}")
+        off = next((at for at, share in changes if share == 0), None)
+        if off is None or changes[-1][0] > off:
+            raise Failure(f"stop {stops}: after it power is {changes}")
+        behind = max(behind, off - watch.halted_at)
+    yield (
+        f"{stops} stops at {bench.wiring.safe_step_hz} steps/s, {len(obeyed)} of them {max(obeyed)} to {min(obeyed)} ticks before a change of power: "
+        f"no miscount; off at most {us(behind / hz)} after the last edge that was let out"
+    )
+    if len(obeyed) < 16:
+        raise Failure("too few stops came where they were to: this proves little")
     if behind > BEHIND_CYCLES:
         raise Failure("the beam burns where the tool is about to stand while undone events are counted")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..board import Board, Failure
 from ..host import Host
-from ..models.dma import M0AR
+from ..models.dma import M0AR, NDTR, REQUESTS
 from ..scope import Scope
 from ..usb import UsbHost
 
@@ -208,6 +208,27 @@ def moving(bench, feed=3000, way=100):
     """Begins a long move of X and waits until it is at speed."""
     bench.ask(f"G91 G1 X{way} F{feed}")
     bench.board.run(seconds=feed / 60 / 1000 + 0.05)
+
+
+def step_clock(board):
+    """The timer whose compare events are the moments of the steps."""
+    return next(timer for timer in board.peripherals.values() if getattr(timer, "slaves", None))
+
+
+def joins_for(board):
+    """Cycles for which an event may still follow on those that are out or ahead: up to the last moment but one."""
+    clock = step_clock(board)
+    name, stream, _ = next(place for place, who in REQUESTS.items() if who == f"{clock.name}_CH1")
+    registers = 0x10 + 0x18 * stream
+    dma = board.peripherals[name]
+    ring = dma.values[registers + M0AR]
+    places = dma.whole[stream]
+    moments = [board.word(ring + 4 * place) for place in range(places)]
+    # The stream is a moment ahead of what is out. Behind the last is one that has passed.
+    at = (places - dma.values[registers + NDTR] - 1) % places
+    while (moments[(at + 1) % places] - moments[at] & 0xFFFF_FFFF) < 1 << 31:
+        at = (at + 1) % places
+    return ((moments[at - 1] - clock.count() + (1 << 31) & 0xFFFF_FFFF) - (1 << 31)) * clock.cycles
 
 
 def stand_once(board, until):
