@@ -548,7 +548,7 @@ impl Simulator {
     /// The link fetches what the host has sent, as far as there is room. Whether anything was queued.
     pub(crate) fn receive(&mut self) -> bool {
         let mut any = self.host.pass_on();
-        while let Some(queued) = self.host.fetch(self.controller.is_free()) {
+        while let Some(queued) = self.host.fetch(self.controller.is_free(), self.controller.reads_characters()) {
             any |= queued;
             if self.host.wants_stop() {
                 self.stop();

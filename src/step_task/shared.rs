@@ -88,6 +88,8 @@ pub struct ControlStatus {
     pub moment: AtomicU32,
     /// The value of [`SerialStatus::heard`] up to which everything has been done and answered.
     free_at: AtomicU32,
+    /// Whether characters of remarks are text. Not before its first turn: until then each byte is a command, as in Grbl.
+    pub reads_characters: AtomicBool,
     /// See [`Power`].
     power: AtomicU32,
 }
@@ -98,6 +100,7 @@ pub static CONTROL: ControlStatus = ControlStatus {
     line: AtomicU32::new(0),
     moment: AtomicU32::new(0),
     free_at: AtomicU32::new(u32::MAX),
+    reads_characters: AtomicBool::new(false),
     power: AtomicU32::new(0),
 };
 
