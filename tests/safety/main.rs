@@ -9,6 +9,7 @@ mod homing;
 mod injection;
 mod probing;
 mod program_pins;
+mod remarks;
 mod restore;
 mod states;
 mod tool_setter;
