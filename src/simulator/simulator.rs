@@ -579,6 +579,8 @@ impl Simulator {
         let times = self.world.meter.times_mut().of(self.controller.tool_in_work());
         times.spin_up_s += self.clock.seconds(turning - began);
         times.dwell_s += self.clock.seconds(now - turning);
+        let seconds = self.clock.seconds(now - began);
+        self.world.meter.times_mut().add_to_line(self.controller.lines_read(), seconds);
     }
 
     /// Gives the moves of the line in work their number.

@@ -6,6 +6,7 @@
 use super::Controller;
 use super::states::Mode;
 use super::task::Task;
+use super::view::dialect;
 use crate::error::Alarm;
 use crate::gcode::Dialect;
 use crate::machine::inputs;
@@ -80,6 +81,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     }
 }
 
+/// What Grbl makes of a slower feed, mm/min.
+const GRBL_LEAST_FEED: f32 = 1.0;
+
 /// The settings as motion wants them. A resolution that cannot be used is taken as 1: motion is locked until
 /// it is mended (`Settings::unrunnable`).
 fn motion_settings<const N: usize>(settings: &Settings<N>, step_clock_hz: u32) -> MotionSettings<N> {
@@ -87,6 +91,7 @@ fn motion_settings<const N: usize>(settings: &Settings<N>, step_clock_hz: u32) -
         arrangement: settings.arrangement(),
         steps_per_mm: settings.axes(AxisKey::Resolution).map(|v| StepsPerMm::new(v).unwrap_or(StepsPerMm::ONE)),
         max_rate: settings.axes(AxisKey::MaxRate).map(per_second),
+        least_feed: if dialect(settings) == Dialect::Grbl { per_second(GRBL_LEAST_FEED) } else { 0.0 },
         acceleration: settings.axes(AxisKey::Acceleration),
         jerk: settings.axes(AxisKey::Jerk),
         backlash: settings.axes(AxisKey::Backlash),

@@ -927,7 +927,9 @@ mod tests {
         let mut commands = Vec::new();
         let mut give = |bytes: &[u8]| {
             let all = bytes.iter().map(|byte| Received::of(*byte));
-            commands.extend(all.filter_map(|byte| if let Received::Realtime(command) = byte { Some(command) } else { None }));
+            commands.extend(
+                all.filter_map(|byte| if let Received::Realtime(command) = byte { Some(command) } else { None }),
+            );
         };
         let mut left = bytes;
         while let Some(begin) = left.iter().position(|byte| matches!(byte, b'(' | b';')) {

@@ -28,7 +28,7 @@ enum Place {
 
 /// The remark of the line that is being received.
 #[derive(Clone, Debug)]
-pub(super) struct Remark {
+pub struct Remark {
     place: Place,
     /// The character that has begun.
     begun: Vec<u8, MOST_BEGUN>,
