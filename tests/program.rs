@@ -348,6 +348,64 @@ fn bad_usage_and_files_that_cannot_be_read_end_with_2() {
 }
 
 #[test]
+fn files_that_are_no_jobs_are_named() {
+    let utf16: Vec<u8> = "\u{FEFF}G20\r\nG1 X1 F60\r\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let binary: Vec<u8> = (0..2000_u32).map(|n| (n * n >> 3) as u8).collect();
+    let cases = [("UTF-16", &utf16[..]), ("empty", b""), ("empty", b"\r\n\r\n"), ("binary", &binary)];
+    for (number, (what, bytes)) in cases.into_iter().enumerate() {
+        let job = file(&format!("no_job_{number}.nc"), "");
+        fs::write(&job, bytes).expect("a file can be written");
+        for command in [&["check"][..], &["run", "--json"], &["resume", "--line", "1"]] {
+            let output = run(&[command, &[text(&job)]].concat());
+            let said = String::from_utf8_lossy(&output.stderr);
+            assert_eq!((output.status.code(), said.lines().count()), (Some(2), 1), "{command:?} {said}");
+            assert!(said.contains(what) && output.stdout.is_empty(), "{command:?} {said}");
+        }
+    }
+    let empty = run(&["check", "-"]);
+    assert_eq!(empty.status.code(), Some(2), "{}", String::from_utf8_lossy(&empty.stderr));
+    // What is broken further on is run up to there.
+    let job = file("damaged.nc", &format!("{}G1 X2\0\nG1 X3\n", "G1 X1 F6000\n".repeat(20_000)));
+    let output = run(&["run", "--json", text(&job)]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(2) && said.contains("line 20001 has a byte 0"), "{said}");
+    let summary = json(&output);
+    assert_eq!((&summary["complete"], &summary["position_mm"][0]), (&false.into(), &1.0.into()));
+}
+
+/// Each line that a sender would hold the machine with, or open its door, and one that takes hours.
+#[test]
+fn lines_are_named_that_do_what_may_not_be_meant() {
+    let job = file("meant.nc", "G21 G91\n(Grüße, Über-Maß à 5)\nG1 X1 F600\n(so what! go~)\nG1 X0.1 F0.05\nM2\n");
+    for dialect in ["oxmill", "grbl"] {
+        let output = run(&["check", text(&job), "--json", "--dialect", dialect]);
+        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+        let summary = json(&output);
+        let warnings = summary["warnings"].as_array().expect("a list");
+        let told: Vec<_> =
+            warnings.iter().map(|w| (w["line"].as_u64().unwrap(), w["text"].as_str().unwrap())).collect();
+        assert_eq!(
+            told[..2],
+            [
+                (
+                    2,
+                    "sent as it is, byte 0x9C of `Ü` raises the spindle by 1 %, byte 0xA0 of `à` switches flood coolant on or off in dialect grbl"
+                ),
+                (4, "sent as it is, `!` holds the machine, `~` goes on where the machine is held in every dialect"),
+            ]
+        );
+        // 0.05 mm/min is 1 mm/min in Grbl's dialect.
+        let long = (dialect == "oxmill").then_some((5, "takes 2 h 0 min 0 s"));
+        assert_eq!((told.get(2).copied(), &summary["more_warnings"]), (long, &0.into()));
+    }
+    let said = String::from_utf8(run(&["check", text(&job)]).stdout).expect("text");
+    assert!(
+        said.contains("every line is accepted, with 3 warnings") && said.contains("line 4: sent as it is"),
+        "{said}"
+    );
+}
+
+#[test]
 fn a_job_may_come_by_standard_input() {
     let mut program = oxmill(&["run", "-", "--json"]).stdin(Stdio::piped()).spawn().expect("the program starts");
     program.stdin.take().expect("a pipe").write_all(b"G1 X2 F300\n").expect("the program reads");

@@ -13,3 +13,4 @@ mod remarks;
 mod restore;
 mod states;
 mod tool_setter;
+mod uncounted;

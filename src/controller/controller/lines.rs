@@ -27,8 +27,12 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         }
     }
 
-    /// Whether a byte that comes next would be dropped, as it was received before a reset or a stop.
+    /// Whether a byte that comes next would be dropped, as it was received before a reset or a stop, or before the reset that is
+    /// all that the machine waits for.
     pub fn is_old(&self, byte: LineByte) -> bool {
+        if self.mode.waits_for_reset() {
+            return !self.m.stops.is_awaited() && !self.m.lines.is_ahead(byte);
+        }
         if byte.byte == HOST_CHANGED {
             // It comes before such bytes, and where nothing of the host before is in work it may be taken like them.
             let waits = matches!(self.mode, Mode::Door(_)) && !self.m.lines.holds();
@@ -39,6 +43,9 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
 
     /// Drops such a byte, also while no line is wanted.
     pub fn drop_old(&mut self, byte: LineByte) {
+        if self.mode.waits_for_reset() {
+            self.m.lines.drop_next();
+        }
         self.other_byte(byte);
     }
 
@@ -106,6 +113,10 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     /// A byte has brought something about.
     #[inline(never)]
     fn taken(&mut self, taken: Taken) {
+        if taken.cut && self.mode.waits_for_reset() {
+            // Its line in work will not go on, and nobody waits for the answer.
+            self.task.abandon();
+        }
         if taken.cut {
             // What the host before has begun and not ended is not this one's; its last lines have been carried out by now.
             self.m.interpreter.abandon_program();

@@ -243,6 +243,11 @@ impl LineIntake {
         by_button || is_before(byte.epoch, self.reset_epoch)
     }
 
+    /// Whether a byte that comes next waits for a command that has opened an epoch, or comes behind one that does.
+    pub fn is_ahead(&self, byte: LineByte) -> bool {
+        self.holds() || byte.byte != HOST_CHANGED && is_before(self.epoch, byte.epoch)
+    }
+
     /// Whether a byte waits for its realtime command: no other may come before it.
     pub fn holds(&self) -> bool {
         self.held.is_some()
@@ -339,6 +344,12 @@ impl LineIntake {
         self.line.expect_plain(false);
         self.line_before_cancel = true;
         self.keeps_later_jogs = false;
+    }
+
+    /// The byte that comes next is dropped, and behind it the rest of its line.
+    pub fn drop_next(&mut self) {
+        self.drop_bytes = self.drop_bytes.max(1);
+        self.line.expect_plain(false);
     }
 
     /// The reset button does what 0x18 does, but it opens no epoch: the `received` bytes are dropped all the same.
