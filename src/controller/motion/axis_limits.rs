@@ -141,6 +141,7 @@ mod tests {
         AxisLimits {
             turns: TurnRule { acceleration: [500.0, 100.0], deviation: 0.01, curve_share: 1.0 },
             max_rate: [100.0, 50.0],
+            least_feed: 0.0,
             jerk: jerk.map(|jerk| if jerk > 0.0 { jerk } else { GREATEST_JERK }),
             jerk_limited: jerk.iter().any(|jerk| *jerk > 0.0),
         }

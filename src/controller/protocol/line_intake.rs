@@ -198,9 +198,9 @@ impl LineIntake {
     }
 
     /// Lines are checked from now on; the first has the number 0.
-    pub fn begin_check(&mut self) {
+    pub fn begin_check(&mut self, session: &[u8]) {
         self.line.expect_plain(false);
-        self.check.begin();
+        self.check.begin(session);
     }
 
     /// Lines are not checked any more. Whether they were.
@@ -659,7 +659,7 @@ mod tests {
                 let ends = !both.brief.holds()
                     && both.give(LineByte { byte: *text, epoch: epoch.wrapping_add(late), damaged });
                 if ends && below(20) == 0 {
-                    both.each(LineIntake::begin_check);
+                    both.each(|intake| intake.begin_check(b""));
                 }
             }
             match below(80) {
