@@ -674,12 +674,15 @@ fn files_are_read_with_a_bound() {
     let output = run(&["run", "/dev/zero"]);
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2));
-    assert!(said.contains("/dev/zero") && said.contains("a line has more than a million bytes"), "{said}");
+    assert!(said.contains("/dev/zero") && said.contains("it is a binary file"), "{said}");
+    let output = run(&["run", text(&file("one_line.nc", &"G1 X1 ".repeat(200_000)))]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(2) && said.contains("a line has more than a million bytes"), "{said}");
 }
 
 #[test]
 fn a_recorded_job_is_played_again() {
-    let job = file("recorded.nc", "G21 G90 (Größe)\nG2 X4 I2 F600\nM0\nG0 X0 Z1\nbad\n%\n");
+    let job = file("recorded.nc", "G21 G90 (Größe)\nM3 S500\nG2 X4 I2 F600\nM0\nG0 X0 Z1\nbad\nM5\n%\n");
     let recording = Path::new(env!("CARGO_TARGET_TMPDIR")).join("recorded.rec");
     let arguments = ["--board", "nucleo_f446re", "--set", "$110=900", "--dialect", "seed"];
     let run_arguments = [&["run", text(&job), "--json", "--record", text(&recording)], &arguments[..]].concat();
@@ -694,6 +697,16 @@ fn a_recorded_job_is_played_again() {
         summary["job"] = Value::Null;
     }
     assert_eq!(recorded, played);
+    // One that makes the same steps with other outputs, or by another clock, says so.
+    let text_of = fs::read_to_string(&recording).expect("a recording is text");
+    for (from, to) in [("job M3 S500\\n\n", ""), ("nucleo_f446re 90000000", "nucleo_f446re 90000001")] {
+        assert!(text_of.contains(from), "{from}");
+        let output = run(&["replay", text(&file("other.rec", &text_of.replace(from, to)))]);
+        assert_eq!(output.status.code(), Some(3), "{from}");
+        assert!(
+            String::from_utf8_lossy(&output.stderr).contains("at its end the machine is where it was recorded, but")
+        );
+    }
     // A program that makes other steps says so.
     let other = fs::read_to_string(&recording).expect("a recording is text").replace("G0 X0 Z1", "G0 X0 Z2");
     let changed = file("changed.rec", &other);

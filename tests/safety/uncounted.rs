@@ -85,3 +85,41 @@ fn a_reset_acts_behind_any_number_of_lines_where_it_is_all_that_helps() {
         }
     }
 }
+
+/// Where lines wait for an operator or for the end of a motion, closing the port helps: it holds what moves and drops what is unread.
+#[test]
+fn closing_the_port_makes_room_for_a_reset() {
+    for (name, lines, byte) in [("moving", "", 0), ("held", "", b'!'), ("door open", "", 0x84), ("homing", "$H\n", 0)] {
+        let mut bench = Bench::new(MACHINE, &format!("{SETTINGS} $22=1"));
+        bench.ask("$X");
+        bench.send(lines);
+        bench.send("G91 G1 X-0.5 F10\n".repeat(600));
+        bench.wait(0.5);
+        if byte != 0 {
+            bench = Bench::new(MACHINE, SETTINGS);
+            bench.send("G91 G1 X-5 F10\n");
+            bench.wait(0.5);
+            bench.send([byte]);
+            bench.send("G91 G1 X-0.5 F10\n".repeat(100));
+            bench.wait(0.5);
+        }
+        bench.read();
+        bench.send(b"\x18");
+        bench.wait(0.5);
+        assert!(!bench.read().iter().any(|line| line.starts_with("Grbl")), "{name}: it waits behind the lines");
+        bench.mill.disconnect();
+        bench.wait(0.1);
+        bench.mill.connect();
+        let state = bench.state();
+        let wanted = match name {
+            "door open" => "Door:",
+            "homing" => "Home",
+            _ => "Hold:",
+        };
+        assert!(state.starts_with(wanted), "{name}: {state}");
+        bench.read();
+        bench.send(b"\x18");
+        bench.wait(0.5);
+        assert!(bench.read().iter().any(|line| line.starts_with("Grbl 1.1h")), "{name}");
+    }
+}
