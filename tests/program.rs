@@ -373,6 +373,19 @@ fn files_that_are_no_jobs_are_named() {
     assert_eq!((&summary["complete"], &summary["position_mm"][0]), (&false.into(), &1.0.into()));
 }
 
+/// A file for a control with M98: its sender sends all of it.
+#[test]
+fn nothing_falls_into_a_subprogram_behind_the_end() {
+    let job = file("subprogram.nc", "%\nO1000\nG21 G0 X1\nM30\nO1001\nG1 Z-3 F100\nM99\n%\n");
+    let output = run(&["run", text(&job), "--json"]);
+    assert_eq!(output.status.code(), Some(1));
+    let summary = json(&output);
+    let errors = summary["errors"].as_array().expect("a list");
+    let refused: Vec<_> = errors.iter().map(|error| (error["line"].as_u64(), error["code"].as_u64())).collect();
+    assert_eq!(refused, [5, 6, 7].map(|line| (Some(line), Some(203))));
+    assert_eq!(summary["position_mm"], serde_json::json!([1.0, 0.0, 0.0]));
+}
+
 /// Each line that a sender would hold the machine with, or open its door, and one that takes hours.
 #[test]
 fn lines_are_named_that_do_what_may_not_be_meant() {

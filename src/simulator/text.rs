@@ -319,7 +319,8 @@ impl JobText {
         if reply == "ok" || code.is_some() {
             self.answers += 1;
             let (line, text, left_out) = self.unanswered.pop_front().unwrap_or_default();
-            self.behind_end += u64::from(!is_remark(&text) && self.ended_at.is_some_and(|end| line > end.line));
+            let is_carried_out = code.is_none() && !is_remark(&text);
+            self.behind_end += u64::from(is_carried_out && self.ended_at.is_some_and(|end| line > end.line));
             if let Some(code) = code.or(left_out.map(Error::code)) {
                 self.said.push(Said::Error { line, code, text: text.clone() });
             }

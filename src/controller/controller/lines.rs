@@ -15,7 +15,11 @@ use crate::protocol::line::{self, Pushed};
 use crate::protocol::line_intake::Taken;
 use crate::protocol::report;
 use crate::settings::{Key, Settings};
-use crate::units::Instant;
+use crate::units::{Duration, Instant};
+
+/// A number that comes so long after the last line of a program has been answered is that of the next one. A sender that goes on
+/// with its file is quicker.
+const REST: Duration = Duration::from_ticks(5_000_000);
 
 /// The message of a line, with its mark.
 type Remark = heapless::Vec<u8, { line::MESSAGE_LENGTH + 1 }>;
@@ -66,7 +70,8 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
             && !matches!(self.m.lines.text().first(), None | Some(b'%' | b'$'))
             && !self.mode.is_alarm()
             && !matches!(self.mode, Mode::Jog { .. })
-            && self.dialect() != Dialect::Grbl;
+            && self.dialect() != Dialect::Grbl
+            && !self.m.interpreter.is_behind_end();
         if is_of_program {
             self.line_of_program();
         } else {
@@ -120,6 +125,7 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
         if taken.cut {
             // What the host before has begun and not ended is not this one's; its last lines have been carried out by now.
             self.m.interpreter.abandon_program();
+            self.m.interpreter.begin_program();
         }
         if taken.lost {
             self.say(|out| report::message(out, "Received bytes lost"));
@@ -245,7 +251,11 @@ impl<const N: usize, const BLOCKS: usize> Controller<N, BLOCKS> {
     fn program_line(&mut self, line: &[u8], remark: &[u8]) -> Result<(), Error> {
         let direction = match self.dialect() {
             Dialect::Grbl => Direction::Check,
-            _ => self.m.interpreter.direct(line, remark, self.m.lines.lines_read())?,
+            _ => {
+                let rested = self.m.now.checked_duration_since(self.m.answered_at).is_some_and(|rest| rest >= REST);
+                self.m.interpreter.look_behind_end(line, rested)?;
+                self.m.interpreter.direct(line, remark, self.m.lines.lines_read())?
+            }
         };
         if direction == Direction::Check && !line.is_empty() {
             self.gcode(line, Answer::Host)?;

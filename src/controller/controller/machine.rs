@@ -37,6 +37,8 @@ pub(super) struct Machine<const N: usize, const BLOCKS: usize> {
     pub pins: Pins,
     pub settings_lock: SettingsLock,
     pub now: Instant,
+    /// When a line of a program was answered last.
+    pub answered_at: Instant,
     pub lines: LineIntake,
     pub interpreter: Interpreter<N>,
     pub replies: Replies,
@@ -65,6 +67,7 @@ impl<const N: usize, const BLOCKS: usize> Machine<N, BLOCKS> {
             settings_lock: SettingsLock::new(&profile),
             records: Records::new(profile.has_store),
             now: Instant::from_ticks(0),
+            answered_at: Instant::from_ticks(0),
         }
     }
 

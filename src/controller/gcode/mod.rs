@@ -28,6 +28,7 @@ mod jog;
 mod modal;
 mod offsets;
 mod parse;
+mod program_end;
 mod remark;
 mod rotation;
 mod saved;

@@ -7,6 +7,7 @@ use super::control_points::ControlPoints;
 use super::cycle::CycleWords;
 use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode, ROTATION, SPLINES};
 use super::offsets::{Offsets, StoredOffset, TOOL_AXIS};
+use super::program_end::Place;
 use super::rotation::{Angle, Reached, RotatedPlane, Rotation};
 use super::saved::SavedStates;
 use super::scaling::{NO_REST, Rest, Scaling};
@@ -48,6 +49,8 @@ pub struct Interpreter<const N: usize> {
     pub(super) control_points: [ControlPoints; SPLINES as usize],
     /// Of the last G5; no memory where there are no splines.
     pub(super) tangent: [Option<Tangent>; SPLINES as usize],
+    /// Whether lines are behind M2 or M30.
+    pub(super) place: Place,
 }
 
 impl<const N: usize> Interpreter<N> {
@@ -111,6 +114,7 @@ impl<const N: usize> Interpreter<N> {
             rest: NO_REST,
             control_points: [const { ControlPoints::new() }; SPLINES as usize],
             tangent: NO_TANGENT,
+            place: Place::Program,
         }
     }
 
@@ -219,6 +223,7 @@ impl<const N: usize> Interpreter<N> {
         self.position == *place
             && offsets.into_iter().all(|offset| *offset == PerAxis::all(Coordinate::ZERO))
             && !self.is_within_block()
+            && self.place != Place::Subprogram
             && self.before_check.is_none()
             && self.saved.is_empty()
             && self.rotation.is_none()
