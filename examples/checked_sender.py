@@ -13,6 +13,7 @@ import argparse
 import binascii
 import contextlib
 import os
+import random
 import re
 import select
 import socket
@@ -23,6 +24,10 @@ import time
 DIGITS = "ABDGHKNPSUVZcefi"
 SUBSTITUTES = str.maketrans(" #%)189>XY", "shpdlbgtxy")
 NUMBERS = 4096
+# Letters of a session: capitals of which one damaged bit makes no realtime command.
+LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWZ"
+# So many answers in a row that are none of this session are another's.
+STRANGE = 32
 # Bytes of lines that may be under way; the machine has room for 255.
 WINDOW = 120
 # Seconds without an answer after which the machine is asked, and how many questions may be unanswered: each is one byte.
@@ -53,22 +58,30 @@ def value(letters):
     return number
 
 
-def line_of(number, text):
+def new_session():
+    """Letters by chance: a line that was sent before is none of this session."""
+    return "".join(random.SystemRandom().choice(LETTERS) for _ in range(4))
+
+
+def checked(session, number, text):
+    """A text with its number, its length and the check of both, of the session and of the whole number."""
+    length = digits(len(text) % 256, 2)
+    check = binascii.crc32((session + digits(number, 8) + length + text).encode("ascii", "replace"))
+    return f":{digits(number % NUMBERS, 3)}{length}{digits(check, 8)}{text}"
+
+
+def line_of(session, number, text):
     """A text as a checked line."""
-    text = text.translate(SUBSTITUTES)
-    covered = digits(number % NUMBERS, 3) + digits(len(text) % 256, 2)
-    check = binascii.crc32((covered + text).encode("ascii"))
-    return f":{covered}{digits(check, 8)}{text}\n".encode("ascii")
+    return (checked(session, number, text.translate(SUBSTITUTES)) + "\n").encode("ascii")
 
 
-def answer_in(line):
-    """Number and text of an answer, if the line is one and undamaged."""
-    number, length, check, text = value(line[1:4]), value(line[4:6]), value(line[6:14]), line[14:]
-    if not line.startswith(":") or len(line) < 14 or None in (number, length, check) or len(text) != length:
+def answer_in(line, session, taken):
+    """Number and text of an answer, if the line is one and undamaged; so many lines at least have been taken."""
+    number, text = value(line[1:4]), line[14:]
+    if number is None:
         return None
-    if check != binascii.crc32((line[1:6] + text).encode("ascii", "replace")):
-        return None
-    return number, text
+    number = taken + (number - taken) % NUMBERS
+    return (number, text) if line == checked(session, number, text) else None
 
 
 def text_of(line):
@@ -148,8 +161,9 @@ class Serial:
 class Sender:
     """Lines under way are sent again from the first that the machine has not taken: it takes none out of its order."""
 
-    def __init__(self, link, lines, tell=print):
+    def __init__(self, link, lines, tell=print, session=None):
         self.link, self.lines, self.tell = link, lines, tell
+        self.session = session or new_session()
         # Lines that the machine has taken, lines sent, and the most that ever were: of those some may still be under way.
         self.taken = self.sent = self.furthest = 0
         # Bytes of each line under way, the first in front.
@@ -158,6 +172,8 @@ class Sender:
         self.is_draining = False
         # Questions without an answer, lines that had been sent when the last was asked, and plain answers that came instead.
         self.questions = self.asked_at = self.plain = 0
+        # Damaged answers behind the last that was not.
+        self.strange = 0
         self.received = b""
         # When an answer came last, when anything did, and when the machine was asked last.
         self.last_heard = time.monotonic()
@@ -202,13 +218,13 @@ class Sender:
         """Asks for checked lines until the machine wants the line 0. An empty line ends what may stand before it."""
         for _ in range(20):
             # A machine that holds answers no line, but tells its state.
-            self.link.send(b"\n$LC=ON\n?")
+            self.link.send(f"\n$LC=ON{self.session}\n?".encode("ascii"))
             until = time.monotonic() + 2 * PATIENCE
             while time.monotonic() < until:
                 for line in self.receive():
                     if line.startswith("<"):
                         self.read_other(line)
-                    if answer_in(line) == (0, "ok"):
+                    if answer_in(line, self.session, 0) == (0, "ok"):
                         self.last_answer = time.monotonic()
                         return
         raise Stopped("the machine does not check lines: it holds, is no Oxmill, or in the dialect of Grbl ($900)")
@@ -229,7 +245,7 @@ class Sender:
 
     def fill(self):
         while not self.is_draining and self.sent < len(self.lines):
-            line = line_of(self.sent, self.lines[self.sent][1])
+            line = line_of(self.session, self.sent, self.lines[self.sent][1])
             if self.sizes and sum(self.sizes) + self.questions + len(line) > WINDOW:
                 return
             self.link.send(line)
@@ -238,14 +254,13 @@ class Sender:
             self.furthest = max(self.furthest, self.sent)
 
     def read(self, line):
-        answer = answer_in(line)
+        answer = answer_in(line, self.session, self.taken)
         if answer is None:
             return self.read_other(line)
-        self.last_answer, self.plain = time.monotonic(), 0
+        self.last_answer, self.plain, self.strange = time.monotonic(), 0, 0
         number, text = answer
-        more = (number - self.taken) % NUMBERS
-        if more > self.furthest - self.taken:
-            # Only after another host has begun again.
+        more = number - self.taken
+        if number > self.furthest:
             raise Stopped(f"the machine wants line {number}, which was not sent")
         self.taken += more
         del self.sizes[:more]
@@ -296,6 +311,9 @@ class Sender:
             self.tell(line)
         elif line.startswith(":"):
             self.counts["answers damaged"] += 1
+            self.strange += 1
+            if self.strange > STRANGE:
+                raise Stopped("the machine answers another sender")
         elif line.startswith("<"):
             state = re.split("[|:>]", line[1:])[0]
             if state != self.state and state in ("Hold", "Door", "Alarm", "Sleep"):

@@ -348,6 +348,77 @@ fn bad_usage_and_files_that_cannot_be_read_end_with_2() {
 }
 
 #[test]
+fn files_that_are_no_jobs_are_named() {
+    let utf16: Vec<u8> = "\u{FEFF}G20\r\nG1 X1 F60\r\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let binary: Vec<u8> = (0..2000_u32).map(|n| (n * n >> 3) as u8).collect();
+    let cases = [("UTF-16", &utf16[..]), ("empty", b""), ("empty", b"\r\n\r\n"), ("binary", &binary)];
+    for (number, (what, bytes)) in cases.into_iter().enumerate() {
+        let job = file(&format!("no_job_{number}.nc"), "");
+        fs::write(&job, bytes).expect("a file can be written");
+        for command in [&["check"][..], &["run", "--json"], &["resume", "--line", "1"]] {
+            let output = run(&[command, &[text(&job)]].concat());
+            let said = String::from_utf8_lossy(&output.stderr);
+            assert_eq!((output.status.code(), said.lines().count()), (Some(2), 1), "{command:?} {said}");
+            assert!(said.contains(what) && output.stdout.is_empty(), "{command:?} {said}");
+        }
+    }
+    let empty = run(&["check", "-"]);
+    assert_eq!(empty.status.code(), Some(2), "{}", String::from_utf8_lossy(&empty.stderr));
+    // What is broken further on is run up to there.
+    let job = file("damaged.nc", &format!("{}G1 X2\0\nG1 X3\n", "G1 X1 F6000\n".repeat(20_000)));
+    let output = run(&["run", "--json", text(&job)]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(2) && said.contains("line 20001 has a byte 0"), "{said}");
+    let summary = json(&output);
+    assert_eq!((&summary["complete"], &summary["position_mm"][0]), (&false.into(), &1.0.into()));
+}
+
+/// A file for a control with M98: its sender sends all of it.
+#[test]
+fn nothing_falls_into_a_subprogram_behind_the_end() {
+    let job = file("subprogram.nc", "%\nO1000\nG21 G0 X1\nM30\nO1001\nG1 Z-3 F100\nM99\n%\n");
+    let output = run(&["run", text(&job), "--json"]);
+    assert_eq!(output.status.code(), Some(1));
+    let summary = json(&output);
+    let errors = summary["errors"].as_array().expect("a list");
+    let refused: Vec<_> = errors.iter().map(|error| (error["line"].as_u64(), error["code"].as_u64())).collect();
+    assert_eq!(refused, [5, 6, 7].map(|line| (Some(line), Some(203))));
+    assert_eq!(summary["position_mm"], serde_json::json!([1.0, 0.0, 0.0]));
+}
+
+/// Each line that a sender would hold the machine with, or open its door, and one that takes hours.
+#[test]
+fn lines_are_named_that_do_what_may_not_be_meant() {
+    let job = file("meant.nc", "G21 G91\n(Grüße, Über-Maß à 5)\nG1 X1 F600\n(so what! go~)\nG1 X0.1 F0.05\nM2\n");
+    for dialect in ["oxmill", "grbl"] {
+        let output = run(&["check", text(&job), "--json", "--dialect", dialect]);
+        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+        let summary = json(&output);
+        let warnings = summary["warnings"].as_array().expect("a list");
+        let told: Vec<_> =
+            warnings.iter().map(|w| (w["line"].as_u64().unwrap(), w["text"].as_str().unwrap())).collect();
+        assert_eq!(
+            told[..2],
+            [
+                (
+                    2,
+                    "sent as it is, byte 0x9C of `Ü` raises the spindle by 1 %, byte 0xA0 of `à` switches flood coolant on or off in dialect grbl"
+                ),
+                (4, "sent as it is, `!` holds the machine, `~` goes on where the machine is held in every dialect"),
+            ]
+        );
+        // 0.05 mm/min is 1 mm/min in Grbl's dialect.
+        let long = (dialect == "oxmill").then_some((5, "takes 2 h 0 min 0 s"));
+        assert_eq!((told.get(2).copied(), &summary["more_warnings"]), (long, &0.into()));
+    }
+    let said = String::from_utf8(run(&["check", text(&job)]).stdout).expect("text");
+    assert!(
+        said.contains("every line is accepted, with 3 warnings") && said.contains("line 4: sent as it is"),
+        "{said}"
+    );
+}
+
+#[test]
 fn a_job_may_come_by_standard_input() {
     let mut program = oxmill(&["run", "-", "--json"]).stdin(Stdio::piped()).spawn().expect("the program starts");
     program.stdin.take().expect("a pipe").write_all(b"G1 X2 F300\n").expect("the program reads");
@@ -616,12 +687,15 @@ fn files_are_read_with_a_bound() {
     let output = run(&["run", "/dev/zero"]);
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2));
-    assert!(said.contains("/dev/zero") && said.contains("a line has more than a million bytes"), "{said}");
+    assert!(said.contains("/dev/zero") && said.contains("it is a binary file"), "{said}");
+    let output = run(&["run", text(&file("one_line.nc", &"G1 X1 ".repeat(200_000)))]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(2) && said.contains("a line has more than a million bytes"), "{said}");
 }
 
 #[test]
 fn a_recorded_job_is_played_again() {
-    let job = file("recorded.nc", "G21 G90 (Größe)\nG2 X4 I2 F600\nM0\nG0 X0 Z1\nbad\n%\n");
+    let job = file("recorded.nc", "G21 G90 (Größe)\nM3 S500\nG2 X4 I2 F600\nM0\nG0 X0 Z1\nbad\nM5\n%\n");
     let recording = Path::new(env!("CARGO_TARGET_TMPDIR")).join("recorded.rec");
     let arguments = ["--board", "nucleo_f446re", "--set", "$110=900", "--dialect", "seed"];
     let run_arguments = [&["run", text(&job), "--json", "--record", text(&recording)], &arguments[..]].concat();
@@ -636,6 +710,16 @@ fn a_recorded_job_is_played_again() {
         summary["job"] = Value::Null;
     }
     assert_eq!(recorded, played);
+    // One that makes the same steps with other outputs, or by another clock, says so.
+    let text_of = fs::read_to_string(&recording).expect("a recording is text");
+    for (from, to) in [("job M3 S500\\n\n", ""), ("nucleo_f446re 90000000", "nucleo_f446re 90000001")] {
+        assert!(text_of.contains(from), "{from}");
+        let output = run(&["replay", text(&file("other.rec", &text_of.replace(from, to)))]);
+        assert_eq!(output.status.code(), Some(3), "{from}");
+        assert!(
+            String::from_utf8_lossy(&output.stderr).contains("at its end the machine is where it was recorded, but")
+        );
+    }
     // A program that makes other steps says so.
     let other = fs::read_to_string(&recording).expect("a recording is text").replace("G0 X0 Z1", "G0 X0 Z2");
     let changed = file("changed.rec", &other);

@@ -503,10 +503,10 @@ impl<M: Map, const P: usize> Chain<M, P> {
             return (0, false);
         }
         write(M::TIM1 + SMCR, IGNORED);
-        // A request that came right before is served: one of TIM2 that is taken back half-way would stay. First that for moments, of
+        // A request that came right before is served: one of TIM5 that is taken back half-way would stay. First that for moments, of
         // which more than one would come while a change of power is awaited.
         self.await_served(CCR1);
-        write(M::TIM2 + DIER, read(M::TIM2 + DIER) & ASKS_FOR_POWER | CALLS);
+        write(M::TIM5 + DIER, read(M::TIM5 + DIER) & ASKS_FOR_POWER | CALLS);
         self.keep_power();
         if dark {
             write(M::TIM3 + CCR2, 0);

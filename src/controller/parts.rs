@@ -38,6 +38,8 @@ pub(crate) struct Machine<const N: usize> {
     pub pins: Pins,
     pub settings_lock: SettingsLock,
     pub now: Instant,
+    /// When a line of a program was answered last.
+    pub answered_at: Instant,
     pub lines: LineIntake,
     pub interpreter: Lent<Interpreter<N>>,
     pub replies: Lent<Replies>,
@@ -66,6 +68,7 @@ impl<const N: usize> Machine<N> {
             settings_lock: SettingsLock::new(&profile),
             records: memory.records,
             now: Instant::from_ticks(0),
+            answered_at: Instant::from_ticks(0),
         }
     }
 

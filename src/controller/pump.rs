@@ -15,7 +15,7 @@
 //! for, and there is never more than one of a kind under way.
 
 use crate::dispatch::Controller;
-use crate::messages::{Event, LineByte, Observed, Output, REALTIME_DEPTH, Room};
+use crate::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, REALTIME_DEPTH, Room};
 use crate::units::Instant;
 
 /// Where events come from.
@@ -135,18 +135,18 @@ pub fn round<const N: usize, P: Pump<N>>(pump: &mut P) -> bool {
     put_out(pump, now, &mut again) || again || !wanted && pump.controller().wants_line()
 }
 
-/// Drops what was received before a reset, though lines wait, behind an open door for instance: it would take up the room of what
-/// comes behind it, and in the end of another reset. Whether there was any.
+/// Drops what was received before a reset, though lines wait, behind an open door for instance, and where they wait for nothing
+/// but a reset: it would take up the room of what comes behind it, and in the end of another reset. No more than are queued at
+/// once: a host that floods must not keep that reset waiting. Whether there was any.
 #[cold]
 #[inline(never)]
 fn drop_old_bytes<const N: usize>(pump: &mut impl Pump<N>, now: Instant) -> bool {
-    let mut any = false;
-    while let Some(byte) = pump.next_old_byte() {
+    for dropped in 0..LINES_DEPTH {
+        let Some(byte) = pump.next_old_byte() else { return dropped > 0 };
         pump.record(now, &Event::Line(byte));
         pump.controller().drop_old(byte);
-        any = true;
     }
-    any
+    true
 }
 
 /// Carries outputs until there is none, or one that begins another round: then true. `again`: outputs make others possible.

@@ -33,6 +33,11 @@ impl<const N: usize> Controller<N> {
         self.is_idle() && !self.m.interpreter.is_within_block()
     }
 
+    /// Whether characters of UTF-8 in remarks are text: to Grbl each of their bytes is a command or nothing.
+    pub fn reads_characters(&self) -> bool {
+        self.dialect() != Dialect::Grbl
+    }
+
     /// Whether answers wait for room to be put out.
     #[inline]
     pub fn has_answers(&self) -> bool {

@@ -150,6 +150,7 @@ impl Control {
         let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();
         // Whether the answers have gone out, too, the serial task knows.
         shared::set_free(heard, nothing_waits && self.controller.is_free() && observed.step_idle);
+        CONTROL.reads_characters.store(self.controller.reads_characters(), Ordering::Relaxed);
         if self.job.as_ref().is_some_and(|job| job.next == job.text.len())
             && self.controller.is_idle()
             && self.observe().step_idle

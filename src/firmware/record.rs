@@ -16,15 +16,10 @@ use core::cell::Cell;
 use core::fmt::Write;
 use core::mem::MaybeUninit;
 use core::ptr::{addr_of, addr_of_mut};
-<<<<<<< HEAD
-use critical_section::Mutex;
-use oxmill_controller::messages::{Crash, CrashKind, Restart};
-use oxmill_controller::recorder::{Page, Recorder};
-=======
 use core::sync::atomic::{AtomicBool, Ordering};
+use critical_section::Mutex;
 use oxmill_controller::messages::{Crash, CrashKind};
 use oxmill_controller::recorder::Page;
->>>>>>> hw
 
 const MARK: u32 = u32::from_le_bytes(*b"last");
 const TEXT: usize = 120;

@@ -11,7 +11,7 @@
 //! from here, before anyone has queued or decided anything.
 
 use crate::boards::{self, Incoming, Port, SerialPort, UsbPort};
-use crate::shared::{self, ASKED, SERIAL, Wake};
+use crate::shared::{self, ASKED, CONTROL, SERIAL, Wake};
 use core::sync::atomic::{AtomicU32, Ordering};
 use oxmill_controller::messages::{Chunk, LINE_MESSAGES, LineByte, LineBytes, REALTIME_DEPTH, REPLIES_DEPTH, Realtime};
 use oxmill_controller::{HostArbiter, LineSender, Link, Queues};
@@ -116,6 +116,10 @@ impl Queues for ToControl {
 
     fn ignored(&mut self) {
         count(&SERIAL.bytes_ignored, 1);
+    }
+
+    fn reads_characters(&self) -> bool {
+        CONTROL.reads_characters.load(Ordering::Relaxed)
     }
 }
 

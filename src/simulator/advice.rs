@@ -229,6 +229,10 @@ pub fn for_error(error: Error) -> &'static str {
         Error::DamagedLine => {
             "The host sends it again; one that does not know that lines are checked ends that with $LC=OFF."
         }
+        Error::BehindEnd => {
+            "Write `o1001 sub` .. `o1001 endsub` in front of what calls it, or leave it out. For the next program send `%` first, \
+             reset the machine, or let it rest for 5 s."
+        }
         Error::EndlessLoop => "Look for a condition that never becomes false.",
     }
 }

@@ -6,13 +6,13 @@ use crate::advice;
 use crate::boards::AXES;
 use crate::power_up::{Dialect, error_text};
 use crate::simulator::Simulator;
-use crate::summary::{AlarmReport, Extents, LineError, Summary};
+use crate::summary::{AlarmReport, Extents, LineError, Summary, Warning, clock_time};
 use crate::text::{JobText, Said, without_header};
 use crate::times::ToolTime;
 use oxmill_controller::error::{Alarm, Error};
 use oxmill_controller::messages::Realtime;
 
-/// Errors that the report keeps. The others are counted.
+/// Errors, and warnings, that the report keeps. The others are counted.
 const KEPT_ERRORS: usize = 1000;
 /// Messages of the controller, and notes of the simulator, that the report keeps. The others are counted.
 const KEPT_MESSAGES: usize = 50;
@@ -22,6 +22,8 @@ const KEPT_MESSAGES: usize = 50;
 struct Outcome {
     errors: Vec<LineError>,
     more_errors: u64,
+    warnings: Vec<Warning>,
+    more_warnings: u64,
     messages: Vec<String>,
     more_messages: u64,
     notes: Vec<String>,
@@ -35,6 +37,7 @@ impl Outcome {
         for said in job.said() {
             match said {
                 Said::Error { line, code, text } => self.refused(line, code, error_text(code), text),
+                Said::Warning(warning) => self.warn(warning),
                 Said::Message(text) if self.messages.len() < KEPT_MESSAGES => self.messages.push(text),
                 Said::Message(_) => self.more_messages += 1,
             }
@@ -52,6 +55,14 @@ impl Outcome {
             });
         } else {
             self.more_errors += 1;
+        }
+    }
+
+    fn warn(&mut self, warning: Warning) {
+        if self.warnings.len() < KEPT_ERRORS {
+            self.warnings.push(warning);
+        } else {
+            self.more_warnings += 1;
         }
     }
 
@@ -191,9 +202,15 @@ impl Check {
         self.done = true;
         self.simulator.take_output();
         let open_since = self.simulator.controller().open_since();
+        let long_lines = self.simulator.meter().times().long_lines();
         if let Some(job) = self.simulator.job_mut() {
             self.outcome.hear(job);
             self.outcome.look_for_open_block(open_since, job);
+            for (line, seconds) in long_lines {
+                self.outcome
+                    .warn(Warning { line: job.file_line(line), text: format!("takes {}", clock_time(seconds)) });
+            }
+            self.outcome.warnings.sort_by_key(|warning| warning.line);
             if let Some((end, behind)) = job.behind_end() {
                 let word = if end.is_tape_mark { "%" } else { "M2 or M30" };
                 let (lines, were) = if behind == 1 { ("line", "was") } else { ("lines", "were") };
@@ -202,7 +219,7 @@ impl Check {
                     end.line
                 ));
             }
-            self.outcome.complete = self.outcome.alarm.is_none() && job.is_used_up();
+            self.outcome.complete = self.outcome.alarm.is_none() && job.is_used_up() && !job.has_failed();
         }
     }
 
@@ -257,6 +274,8 @@ impl Check {
             tape_marks: simulator.job().map_or(0, JobText::tape_marks),
             errors: outcome.errors.clone(),
             more_errors: outcome.more_errors,
+            warnings: outcome.warnings.clone(),
+            more_warnings: outcome.more_warnings,
             alarm: outcome.alarm.clone(),
             complete: outcome.complete,
             notes: outcome.notes.clone(),
@@ -323,6 +342,36 @@ mod tests {
             outcome.note("paused".into());
         }
         assert_eq!((outcome.notes.len(), outcome.more_notes), (KEPT_MESSAGES, 3));
+    }
+
+    fn checked(dialect: &str, text: &'static str) -> Summary {
+        let mut simulator = Simulator::new(crate::Options::default());
+        crate::power_up::apply_setting(&mut simulator, &Dialect::by_name(dialect).unwrap().assignment()).unwrap();
+        let mut check = Check::new(simulator, JobText::new(text.as_bytes()));
+        while !check.advance(1000) {}
+        check.summary("a.nc", 0.0)
+    }
+
+    #[test]
+    fn lines_that_take_hours_are_named() {
+        let summary = checked("oxmill", "%\nG21 F600\nG1 X1 F0.01\n(wow!)\nG1 X2 F600\nG4 P3601\nG4 P3599\nG4 P7200");
+        let told: Vec<_> = summary.warnings.iter().map(|warning| (warning.line, warning.text.as_str())).collect();
+        let [slow, (4, _), first, second] = told[..] else { panic!("{told:?}") };
+        assert_eq!(
+            [slow, first, second],
+            [(3, "takes 1 h 40 min 0 s"), (6, "takes 1 h 0 min 1 s"), (8, "takes 2 h 0 min 0 s")]
+        );
+        assert!(summary.is_good());
+    }
+
+    /// Grbl's `MINIMUM_FEED_RATE`.
+    #[test]
+    fn no_feed_is_below_a_millimetre_a_minute_in_grbls_dialect() {
+        for line in ["G1 X1 F0.01\n", "G93 G1 X1 F0.001\n", "$J=G91 X1 F0.01\n", "F0.01 G2 X0 Y0.6366 J0.3183\n"] {
+            let summary = checked("grbl", line);
+            assert!((summary.forecast_s - 60.0).abs() < 1.0, "{line}: {} s, {:?}", summary.forecast_s, summary.errors);
+        }
+        assert!(checked("oxmill", "G1 X0.1 F0.1\n").forecast_s > 59.0);
     }
 
     /// What a job takes where the spindle needs 1.5 s to turn and 0.75 s to stand.

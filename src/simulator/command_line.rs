@@ -14,7 +14,7 @@ Exit status:
   0  all went well
   1  the job has refused lines, ended in an alarm, or was not taken to its end
   2  it could not be begun, or a file could not be read to its end or written
-  3  `replay`: the steps are not those of the recording, or cannot be compared with them";
+  3  `replay`: steps, outputs or times are not those of the recording, or cannot be compared with them";
 
 /// Oxmill on a desk: runs G-code through the controller of the board, or takes the place of the board on a port.
 #[derive(Debug, Parser)]

@@ -3,6 +3,7 @@
 //! is written, and is removed if it was made and not written.
 //! What is read has a bound of bytes: a device or a pipe may have no end.
 
+use crate::file_kind;
 use crate::fittings::Fittings;
 use anyhow::{Context, Result, bail};
 use std::ffi::OsString;
@@ -32,10 +33,13 @@ pub fn read(path: &Path, most: usize) -> io::Result<Vec<u8>> {
 /// Text from a file, or from standard input if the path is `-`, and its length if that is known.
 ///
 /// # Errors
-/// If it cannot be read.
+/// If it cannot be read, or is no text.
 pub fn open_text(path: &Path) -> io::Result<(Box<dyn BufRead>, Option<u64>)> {
     if path.as_os_str() == "-" {
-        return Ok((Box::new(io::BufReader::new(io::stdin())), None));
+        let mut reader = io::BufReader::new(io::stdin());
+        let begin = begin_of(&mut reader)?;
+        file_kind::refuse(begin, begin.is_empty()).map_err(io::Error::other)?;
+        return Ok((Box::new(reader), None));
     }
     let file = File::open(path)?;
     let about = file.metadata()?;
@@ -44,9 +48,21 @@ pub fn open_text(path: &Path) -> io::Result<(Box<dyn BufRead>, Option<u64>)> {
     }
     let length = about.is_file().then_some(about.len());
     let mut reader = io::BufReader::with_capacity(1 << 16, file);
-    // A file that cannot be read at all is found out before the machine starts.
-    reader.fill_buf()?;
+    // A file that cannot be read at all, or is no text, is found out before the machine starts.
+    let begin = begin_of(&mut reader)?;
+    let is_all = begin.is_empty() || length == Some(begin.len() as u64);
+    file_kind::refuse(begin, is_all).map_err(io::Error::other)?;
     Ok((Box::new(reader.take(u64::MAX)), length))
+}
+
+/// What is there to be read first; nothing at the end.
+fn begin_of(reader: &mut impl BufRead) -> io::Result<&[u8]> {
+    while let Err(error) = reader.fill_buf() {
+        if error.kind() != io::ErrorKind::Interrupted {
+            return Err(error);
+        }
+    }
+    reader.fill_buf()
 }
 
 /// Writes all of it to standard output. A reader that has seen enough, such as `head`, is no failure.

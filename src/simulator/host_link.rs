@@ -26,6 +26,8 @@ struct ToControl {
     lines: VecDeque<LineByte>,
     /// All that any host has said is done and answered.
     free: bool,
+    /// Characters of remarks are text.
+    reads_characters: bool,
     /// The step task has to be stopped.
     stop: bool,
 }
@@ -57,6 +59,10 @@ impl Queues for ToControl {
 
     fn stop(&mut self) {
         self.stop = true;
+    }
+
+    fn reads_characters(&self) -> bool {
+        self.reads_characters
     }
 }
 
@@ -141,11 +147,13 @@ impl HostLink {
         self.link.pass_on(&mut self.arbiter, &mut self.queues)
     }
 
-    /// Fetches a byte from the port, if there are one and room for it; whether something was queued.
-    pub fn fetch(&mut self, controller_is_free: bool) -> Option<bool> {
+    /// Fetches a byte from the port, if there are one and room for it; whether something was queued. `is_free`,
+    /// `reads_characters`: what the controller says.
+    pub fn fetch(&mut self, is_free: bool, reads_characters: bool) -> Option<bool> {
         let byte = if self.link.room() > 0 { self.port.pop_front()? } else { return None };
         self.heard = self.heard.wrapping_add(1);
-        self.queues.free = self.queues.lines.is_empty() && controller_is_free;
+        self.queues.free = self.queues.lines.is_empty() && is_free;
+        self.queues.reads_characters = reads_characters;
         Some(self.link.take(byte, &mut self.arbiter, &mut self.unused_link, &mut self.queues))
     }
 

@@ -7,6 +7,7 @@
 use crate::board_replay;
 use crate::check::Check;
 use crate::command_line::{CheckJob, MachineOptions, Millimetres, PlotJob, Replay, ResumeJob, Run, WorkZero};
+use crate::file_kind;
 use crate::files::{self, Output, Role};
 use crate::homed::home;
 use crate::machine::linear;
@@ -262,7 +263,11 @@ pub fn resume(options: &ResumeJob) -> Result<Ending> {
     let job_role = Role { path: &options.job, name: "the job", written: false };
     let roles = [job_role].into_iter().chain(output_role).chain(machine_roles(&options.machine, None));
     files::check_apart(&roles.collect::<Vec<_>>())?;
-    let job = files::read(&options.job, JOB).with_context(|| format!("cannot read the job {name}"))?;
+    let job = files::read(&options.job, JOB).and_then(|job| {
+        file_kind::refuse(&job, true).map_err(io::Error::other)?;
+        Ok(job)
+    });
+    let job = job.with_context(|| format!("cannot read the job {name}"))?;
     let file = options.output.as_deref().map(|path| output(path, "program")).transpose()?;
     let (simulator, _) = power_up(&options.machine, false)?;
     check_store(&simulator, options.machine.store.as_deref())?;

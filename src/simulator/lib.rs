@@ -28,6 +28,7 @@ pub mod clock;
 #[cfg(feature = "program")]
 pub mod command_line;
 pub mod explain;
+pub mod file_kind;
 #[cfg(feature = "program")]
 pub mod files;
 pub mod fittings;
@@ -56,6 +57,7 @@ mod prologue;
 #[cfg(feature = "program")]
 mod pty_link;
 mod pump;
+mod realtime_bytes;
 #[cfg(feature = "program")]
 pub mod recording;
 pub mod resume;

@@ -373,6 +373,7 @@ impl Meter {
         let rapid = segment.flags & Segment::FLAG_RAPID != 0;
         let times = self.times.of(self.block.mark.tool);
         *if rapid { &mut times.rapid_s } else { &mut times.feed_s } += time;
+        self.times.add_to_line(self.block.mark.line, time);
         if self.nodes.is_empty() {
             self.nodes.push_back(self.node(0.0, 0.0, 0.0, self.units_done / self.block.units));
         }

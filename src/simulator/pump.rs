@@ -95,7 +95,7 @@ impl Pump<AXES> for Simulator {
                     job.answered(chunk.as_bytes());
                 }
             }
-            Output::Pins(outputs) => self.step.show(outputs, &mut self.world),
+            Output::Pins(outputs) => self.step.show(outputs, &self.clock, &mut self.world),
             Output::Wiring(wiring) => {
                 self.wiring = Some(wiring);
                 self.world.machine.wire(&wiring);

@@ -13,6 +13,7 @@ const SHOWN_ERRORS: usize = 8;
 
 const GOOD: Style = AnsiColor::Green.on_default().bold();
 const BAD: Style = AnsiColor::Red.on_default().bold();
+const WARNING: Style = AnsiColor::Yellow.on_default();
 const FAINT: Style = Style::new().dimmed();
 
 /// A summary on one screen.
@@ -43,6 +44,12 @@ impl fmt::Display for ShortReport<'_> {
             writeln!(f, "  {BAD}ALARM:{}{BAD:#}{place}: {}", alarm.code, alarm.text)?;
             writeln!(f, "    {FAINT}{}{FAINT:#}", alarm.advice)?;
         }
+        for warning in summary.warnings.iter().take(SHOWN_ERRORS) {
+            writeln!(f, "  {WARNING}line {}{WARNING:#}: {}", warning.line, warning.text)?;
+        }
+        if summary.warning_count() > SHOWN_ERRORS as u64 {
+            writeln!(f, "  and {} more warnings", summary.warning_count() - SHOWN_ERRORS as u64)?;
+        }
         for message in summary.messages.iter().chain(&summary.notes).take(SHOWN_ERRORS) {
             writeln!(f, "  {message}")?;
         }
@@ -71,13 +78,18 @@ fn verdict(summary: &Summary) -> (Style, String) {
     } else if !summary.complete {
         (BAD, "not taken to the end".into())
     } else {
-        (GOOD, "every line is accepted".into())
+        let warnings = match summary.warning_count() {
+            0 => String::new(),
+            warnings => format!(", with {}", counted(warnings, "warning")),
+        };
+        (GOOD, format!("every line is accepted{warnings}"))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::summary::Warning;
     use crate::summary::tests::example;
 
     #[test]
@@ -85,9 +97,11 @@ mod tests {
         let mut summary = example();
         summary.errors = vec![summary.errors[0].clone(); 1000];
         summary.messages = vec!["[MSG:x]".into(); 50];
+        summary.warnings = vec![Warning { line: 3, text: "holds".into() }; 1000];
         let text = ShortReport(&summary).to_string();
         assert!(text.contains("1000 lines refused") && text.contains("and 992 more"), "{text}");
-        assert!(text.lines().count() <= 40, "{text}");
+        assert!(text.contains("line 3") && text.contains("and 992 more warnings"), "{text}");
+        assert!(text.lines().count() <= 50, "{text}");
         assert!(text.contains("with the refused lines left out"));
     }
 

@@ -551,7 +551,7 @@ impl Simulator {
     /// The link fetches what the host has sent, as far as there is room. Whether anything was queued.
     pub(crate) fn receive(&mut self) -> bool {
         let mut any = self.host.pass_on();
-        while let Some(queued) = self.host.fetch(self.controller.is_free()) {
+        while let Some(queued) = self.host.fetch(self.controller.is_free(), self.controller.reads_characters()) {
             any |= queued;
             if self.host.wants_stop() {
                 self.stop();
@@ -582,6 +582,8 @@ impl Simulator {
         let times = self.world.meter.times_mut().of(self.controller.tool_in_work());
         times.spin_up_s += self.clock.seconds(turning - began);
         times.dwell_s += self.clock.seconds(now - turning);
+        let seconds = self.clock.seconds(now - began);
+        self.world.meter.times_mut().add_to_line(self.controller.lines_read(), seconds);
     }
 
     /// Gives the moves of the line in work their number.

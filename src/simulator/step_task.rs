@@ -134,12 +134,12 @@ impl StepTask {
     }
 
     /// Takes over the slow outputs; the power of a moving laser comes with the segments.
-    pub fn show(&mut self, outputs: SlowOutputs, world: &mut World) {
+    pub fn show(&mut self, outputs: SlowOutputs, clock: &Clock, world: &mut World) {
         self.outputs = Some(outputs);
         if !outputs.power_from_segments || self.due.is_none() {
             self.power = outputs.power;
         }
-        world.trace.outputs(&outputs, self.power);
+        world.trace.outputs(clock.now(), &outputs, self.power);
     }
 
     /// A message comes into the queue. `mark` is what its move belongs to, if moves are marked.
@@ -195,7 +195,7 @@ impl StepTask {
             self.begun = begun;
             world.trace.segment(due);
             world.meter.begin(clock.seconds(due), world.machine.motors());
-            self.carry_power(self.stepper.power(), world);
+            self.carry_power(due, self.stepper.power(), world);
         }
         let probed = self.stepper.is_watching() && self.look_at_probe(world, inputs);
         if tick.underrun {
@@ -208,7 +208,7 @@ impl StepTask {
         }
         if self.due.is_none() {
             // A laser with scaled power (M4) is dark at no speed, one with constant power stays on.
-            self.carry_power(self.outputs.map_or(0, |outputs| outputs.power), world);
+            self.carry_power(due, self.outputs.map_or(0, |outputs| outputs.power), world);
             world.meter.at_rest(clock.seconds(due));
             return true;
         }
@@ -217,13 +217,13 @@ impl StepTask {
     }
 
     /// Shows another power of a laser, where segments carry it.
-    fn carry_power(&mut self, power: u16, world: &mut World) {
+    fn carry_power(&mut self, at: u64, power: u16, world: &mut World) {
         if let Some(outputs) = self.outputs
             && outputs.power_from_segments
             && power != self.power
         {
             self.power = power;
-            world.trace.outputs(&outputs, power);
+            world.trace.outputs(at, &outputs, power);
         }
     }
 
@@ -251,7 +251,7 @@ impl StepTask {
         }
         self.events.push_back(event);
         self.due = None;
-        self.carry_power(0, world);
+        self.carry_power(clock.now(), 0, world);
         world.meter.stopped(clock.seconds(clock.now()));
     }
 }

@@ -21,6 +21,15 @@ pub struct LineError {
     pub advice: String,
 }
 
+/// A line that is accepted and does what may not be meant.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Warning {
+    /// Number of the line in the file, from 1.
+    pub line: u64,
+    /// What it does.
+    pub text: String,
+}
+
 /// The alarm that ended a job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct AlarmReport {
@@ -70,6 +79,10 @@ pub struct Summary {
     pub errors: Vec<LineError>,
     /// How many errors there were beyond those of the list.
     pub more_errors: u64,
+    /// Lines that do what may not be meant, at most 1000.
+    pub warnings: Vec<Warning>,
+    /// How many there were beyond those of the list.
+    pub more_warnings: u64,
     pub alarm: Option<AlarmReport>,
     /// Whether the job was taken to its end.
     pub complete: bool,
@@ -135,6 +148,11 @@ impl Summary {
         self.errors.len() as u64 + self.more_errors
     }
 
+    /// How many warnings there were.
+    pub fn warning_count(&self) -> u64 {
+        self.warnings.len() as u64 + self.more_warnings
+    }
+
     /// The parts of the forecast in one line.
     pub fn parts(&self) -> String {
         let parts = [("at feed", self.feed_s), ("in rapids", self.rapid_s), ("standing", self.standing_s)];
@@ -169,7 +187,7 @@ fn named_time((name, seconds): &(&str, f64)) -> String {
     format!("{} {name}", clock_time(*seconds))
 }
 
-/// How many errors people are shown.
+/// How many errors, and how many warnings, people are shown.
 const SHOWN_ERRORS: usize = 20;
 
 impl fmt::Display for Summary {
@@ -204,6 +222,15 @@ impl fmt::Display for Summary {
         }
         if self.error_count() > SHOWN_ERRORS as u64 {
             writeln!(f, "    and {} more", self.error_count() - SHOWN_ERRORS as u64)?;
+        }
+        if self.warning_count() > 0 {
+            row(f, "warnings", self.warning_count().to_string())?;
+        }
+        for warning in self.warnings.iter().take(SHOWN_ERRORS) {
+            writeln!(f, "    line {}: {}", warning.line, warning.text)?;
+        }
+        if self.warning_count() > SHOWN_ERRORS as u64 {
+            writeln!(f, "    and {} more", self.warning_count() - SHOWN_ERRORS as u64)?;
         }
         row(f, "forecast", format!("{} from the first line to rest", clock_time(self.forecast_s)))?;
         let (first_to_last, moving) = (clock_time(self.duration_s), clock_time(self.moving_s));
@@ -305,6 +332,8 @@ pub(crate) mod tests {
             lines: 3,
             tape_marks: 0,
             more_errors: 0,
+            warnings: vec![],
+            more_warnings: 0,
             more_notes: 0,
             more_messages: 0,
             errors: vec![LineError {
@@ -370,6 +399,21 @@ pub(crate) mod tests {
         assert!(json["errors"][0]["text"].is_string());
         assert_eq!(json["extents_mm"]["min"][1], -2.0);
         assert!(json["alarm"].is_null());
+    }
+
+    #[test]
+    fn warnings_are_shown_and_make_no_job_bad() {
+        let mut summary = example();
+        summary.errors.clear();
+        assert!(!summary.to_string().contains("warnings"));
+        summary.warnings = vec![Warning { line: 3, text: "holds".into() }; 25];
+        summary.more_warnings = 2;
+        let text = summary.to_string();
+        assert!(
+            text.contains("  warnings      27\n    line 3: holds\n") && text.contains("    and 7 more\n"),
+            "{text}"
+        );
+        assert!(summary.is_good());
     }
 
     #[test]

@@ -6,6 +6,8 @@
 //! in order, as for any sender.
 
 use crate::left_out;
+use crate::realtime_bytes;
+use crate::summary::Warning;
 use oxmill_controller::error::Error;
 use oxmill_controller::protocol::checked_line::ANSWER_HEADER;
 use std::collections::VecDeque;
@@ -30,6 +32,8 @@ pub enum Said {
     },
     /// Anything else than an answer to a line.
     Message(String),
+    /// A line that has been given out does what may not be meant.
+    Warning(Warning),
 }
 
 /// Lines on their way and answers to them.
@@ -182,6 +186,11 @@ impl JobText {
         self.bytes.is_empty() && (self.at_end || self.stopped) && self.unanswered.is_empty()
     }
 
+    /// Whether the file could not be read to its end.
+    pub fn has_failed(&self) -> bool {
+        self.failed.is_some()
+    }
+
     /// Why the file could not be read to its end.
     pub fn failure(&mut self) -> Option<io::Error> {
         self.failed.take()
@@ -209,6 +218,11 @@ impl JobText {
     fn fill(&mut self) {
         while self.bytes.len() < AHEAD && !self.at_end && !self.stopped {
             match self.read_line() {
+                Ok(Some(line)) if line.contains(&0) => {
+                    let number = self.lines + 1;
+                    self.failed = Some(io::Error::other(format!("line {number} has a byte 0 and is no text")));
+                    self.at_end = true;
+                }
                 Ok(Some(line)) => self.take_line(&line),
                 Ok(None) => self.at_end = true,
                 Err(error) => {
@@ -248,6 +262,9 @@ impl JobText {
 
     fn take_line(&mut self, line: &[u8]) {
         self.lines += 1;
+        if let Some(text) = realtime_bytes::warning(line) {
+            self.said.push(Said::Warning(Warning { line: self.lines, text }));
+        }
         let text = String::from_utf8_lossy(line);
         let text = if self.lines == 1 { text.trim_start_matches('\u{FEFF}') } else { &text };
         if is_tape_mark(text) {
@@ -302,7 +319,8 @@ impl JobText {
         if reply == "ok" || code.is_some() {
             self.answers += 1;
             let (line, text, left_out) = self.unanswered.pop_front().unwrap_or_default();
-            self.behind_end += u64::from(!is_remark(&text) && self.ended_at.is_some_and(|end| line > end.line));
+            let is_carried_out = code.is_none() && !is_remark(&text);
+            self.behind_end += u64::from(is_carried_out && self.ended_at.is_some_and(|end| line > end.line));
             if let Some(code) = code.or(left_out.map(Error::code)) {
                 self.said.push(Said::Error { line, code, text: text.clone() });
             }

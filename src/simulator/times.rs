@@ -1,5 +1,5 @@
 //! The time of a job by tool and by kind: a row (`ToolTime`) of seconds at feed, in rapids, dwelling and waiting for
-//! the spindle to spin up.
+//! the spindle to spin up. And the lines that take longer than an hour.
 
 use serde::Serialize;
 
@@ -18,29 +18,56 @@ pub struct ToolTime {
     pub spin_up_s: f64,
 }
 
-/// The times of all tools, in the order in which they came.
+/// A line that takes longer is told by its number, s.
+const LONG: f64 = 3600.0;
+
+/// The times of all tools, in the order in which they came, and of the line in work.
 #[derive(Clone, Debug, Default)]
-pub struct Times(Vec<ToolTime>);
+pub struct Times {
+    tools: Vec<ToolTime>,
+    line: u32,
+    line_s: f64,
+    /// Numbers of long lines before it, and their times in seconds.
+    long: Vec<(u32, f64)>,
+}
 
 impl Times {
     /// The row of a tool.
     pub fn of(&mut self, tool: u32) -> &mut ToolTime {
         // The tool that is in use was mostly the last.
-        let at = self.0.iter().rposition(|row| row.tool == tool).unwrap_or_else(|| {
-            self.0.push(ToolTime { tool, ..ToolTime::default() });
-            self.0.len() - 1
+        let at = self.tools.iter().rposition(|row| row.tool == tool).unwrap_or_else(|| {
+            self.tools.push(ToolTime { tool, ..ToolTime::default() });
+            self.tools.len() - 1
         });
-        &mut self.0[at]
+        &mut self.tools[at]
+    }
+
+    /// Adds to the time of a line, as the controller counts them. What is in work is moved and waited for in the order of lines.
+    pub fn add_to_line(&mut self, line: u32, seconds: f64) {
+        if line != self.line {
+            self.long.extend(self.long_line());
+            (self.line, self.line_s) = (line, 0.0);
+        }
+        self.line_s += seconds;
+    }
+
+    /// The lines that take longer than an hour, and how many seconds.
+    pub fn long_lines(&self) -> Vec<(u32, f64)> {
+        self.long.iter().copied().chain(self.long_line()).collect()
+    }
+
+    fn long_line(&self) -> Option<(u32, f64)> {
+        (self.line_s > LONG).then_some((self.line, self.line_s))
     }
 
     /// The rows of the tools that took time.
     pub fn rows(&self) -> Vec<ToolTime> {
-        self.0.iter().filter(|row| row.feed_s + row.rapid_s + row.dwell_s + row.spin_up_s > 0.0).cloned().collect()
+        self.tools.iter().filter(|row| row.feed_s + row.rapid_s + row.dwell_s + row.spin_up_s > 0.0).cloned().collect()
     }
 
     /// All of them together.
     pub fn sum(&self) -> ToolTime {
-        self.0.iter().fold(ToolTime::default(), |sum, row| ToolTime {
+        self.tools.iter().fold(ToolTime::default(), |sum, row| ToolTime {
             tool: 0,
             feed_s: sum.feed_s + row.feed_s,
             rapid_s: sum.rapid_s + row.rapid_s,

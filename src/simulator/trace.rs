@@ -51,6 +51,39 @@ pub struct Trace {
     csv: Sole<Csv>,
     list: Option<Vec<StepRecord>>,
     segments: Vec<u64>,
+    history: History,
+}
+
+/// A running digest over the moments of all steps and of all changes of the outputs.
+#[derive(Clone, Debug, Default)]
+struct History {
+    hash: u64,
+    shown: Option<(SlowOutputs, u16)>,
+}
+
+impl History {
+    fn add(&mut self, word: u64) {
+        self.hash = hash([self.hash, word]);
+    }
+
+    fn outputs(&mut self, at: u64, outputs: &SlowOutputs, power: u16) {
+        let shown = Some((*outputs, power));
+        if shown == self.shown {
+            return;
+        }
+        self.shown = shown;
+        let SlowOutputs { spindle, coolant, drivers, digital, .. } = outputs;
+        let switches = [*spindle == SpindleDirection::Clockwise, *spindle == SpindleDirection::CounterClockwise];
+        let switches = switches.into_iter().chain([coolant.flood, coolant.mist, *drivers]);
+        let bits = switches.fold(u64::from(*digital), |bits, on| bits << 1 | u64::from(on));
+        self.add(at);
+        self.add(bits << 16 | u64::from(power));
+    }
+}
+
+/// A hash of words (FNV-1a).
+pub fn hash(words: impl IntoIterator<Item = u64>) -> u64 {
+    words.into_iter().fold(0xCBF2_9CE4_8422_2325, |hash, word| (hash ^ word).wrapping_mul(0x0000_0100_0000_01B3))
 }
 
 impl Trace {
@@ -92,12 +125,14 @@ impl Trace {
             list.clear();
         }
         self.segments.clear();
+        self.history = History::default();
     }
 
     /// Step outputs rose.
     #[inline]
     pub fn step(&mut self, record: StepRecord) {
         self.digest.add(record.busy, record.steps, record.directions);
+        self.history.add(record.at);
         self.events += 1;
         if self.first.is_none() {
             self.first = Some(record);
@@ -111,8 +146,9 @@ impl Trace {
         }
     }
 
-    /// Spindle or coolant outputs are now these; `power` is 0 to 65535.
-    pub fn outputs(&mut self, outputs: &SlowOutputs, power: u16) {
+    /// Spindle or coolant outputs are these from a tick of the virtual clock on; `power` is 0 to 65535.
+    pub fn outputs(&mut self, at: u64, outputs: &SlowOutputs, power: u16) {
+        self.history.outputs(at, outputs, power);
         if let Some(csv) = &mut self.csv.0 {
             csv.outputs(outputs, power);
         }
@@ -121,6 +157,11 @@ impl Trace {
     /// Digests over the steps so far.
     pub fn digest(&self) -> &Digest {
         &self.digest
+    }
+
+    /// Digest over the ticks of the virtual clock at which there were steps or other outputs, and over these outputs.
+    pub fn history(&self) -> u64 {
+        self.history.hash
     }
 
     /// How many step events there were.
@@ -266,7 +307,7 @@ mod tests {
             drivers: true,
             digital: 5,
         };
-        trace.outputs(&outputs, 65535);
+        trace.outputs(600, &outputs, 65535);
         trace.step(step(1_000_501, [2, -10, 0]));
         trace.step(step(61_000_500, [-2147483648, 0, 0]));
         trace.finish().unwrap();
@@ -282,6 +323,42 @@ mod tests {
             ]
         );
         assert_eq!((trace.events(), trace.duration()), (3, 61_000_000));
+    }
+
+    #[test]
+    fn each_moment_and_each_output_is_in_the_history() {
+        const OFF: SlowOutputs = SlowOutputs {
+            spindle: SpindleDirection::Off,
+            power: 0,
+            power_from_segments: false,
+            coolant: Coolant { flood: false, mist: false },
+            drivers: false,
+            digital: 0,
+        };
+        let history = |steps: u64, at: u64, outputs: &SlowOutputs, power: u16| {
+            let mut trace = Trace::default();
+            trace.outputs(1, &OFF, 0);
+            trace.step(step(steps, [1, 0, 0]));
+            trace.outputs(at, outputs, power);
+            trace.outputs(at + 1, outputs, power);
+            trace.history()
+        };
+        let all = [
+            history(5, 9, &OFF, 0),
+            history(6, 9, &OFF, 0),
+            history(5, 9, &OFF, 1),
+            history(5, 10, &OFF, 1),
+            history(5, 9, &SlowOutputs { spindle: SpindleDirection::Clockwise, ..OFF }, 0),
+            history(5, 9, &SlowOutputs { spindle: SpindleDirection::CounterClockwise, ..OFF }, 0),
+            history(5, 9, &SlowOutputs { coolant: Coolant { flood: true, mist: false }, ..OFF }, 0),
+            history(5, 9, &SlowOutputs { coolant: Coolant { flood: false, mist: true }, ..OFF }, 0),
+            history(5, 9, &SlowOutputs { drivers: true, ..OFF }, 0),
+            history(5, 9, &SlowOutputs { digital: 1, ..OFF }, 0),
+        ];
+        for (n, one) in all.iter().enumerate() {
+            assert!(!all[..n].contains(one), "{n}");
+        }
+        assert_eq!(history(5, 9, &OFF, 0), history(5, 90, &OFF, 0), "nothing has changed");
     }
 
     #[test]

@@ -70,12 +70,18 @@ pub static INPUTS: InputStatus =
 pub struct ControlStatus {
     /// The value of [`SerialStatus::heard`] up to which everything has been done and answered.
     free_at: AtomicU32,
+    /// Whether characters of remarks are text. Not before its first turn: until then each byte is a command, as in Grbl.
+    pub reads_characters: AtomicBool,
     /// See [`Power`].
     power: AtomicU32,
 }
 
 /// See [`ControlStatus`].
-pub static CONTROL: ControlStatus = ControlStatus { free_at: AtomicU32::new(u32::MAX), power: AtomicU32::new(0) };
+pub static CONTROL: ControlStatus = ControlStatus {
+    free_at: AtomicU32::new(u32::MAX),
+    reads_characters: AtomicBool::new(false),
+    power: AtomicU32::new(0),
+};
 
 /// Marks of the watchdog: `inputs` sets them, each run of the task that is asked clears its own.
 pub struct Asked {

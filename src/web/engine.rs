@@ -10,6 +10,7 @@ use oxmill_controller::settings::{Kind, Row, Settings, lines};
 use oxmill_controller::units::{Coordinate, Decimal};
 use oxmill_simulator::boards::{self, AXES, Board};
 use oxmill_simulator::check::Check;
+use oxmill_simulator::file_kind;
 use oxmill_simulator::fittings::Description;
 use oxmill_simulator::homed::home;
 use oxmill_simulator::machine::linear;
@@ -112,8 +113,9 @@ fn power_up_for_job(order: &Order) -> Result<Simulator, String> {
 /// A job that is ready to be checked.
 ///
 /// # Errors
-/// As [`power_up`], or if the machine cannot be homed and a work zero is ordered.
+/// As [`power_up`], or if the job is no text or the machine cannot be homed and a work zero is ordered.
 pub fn check(order: &Order, job: &[u8]) -> Result<Check, String> {
+    file_kind::refuse(job, true).map_err(|why| format!("the job is not read: {why}"))?;
     let mut simulator = power_up_for_job(order)?;
     if order.path {
         let start = simulator.meter().millimetres(simulator.machine().motors());
@@ -136,6 +138,7 @@ pub fn stream(order: &Order, job: &[u8]) -> Result<[Streaming; 2], String> {
 /// # Errors
 /// As [`power_up`], if the order does not say where, or if the job cannot go on there.
 pub fn resume(order: &Order, job: &[u8]) -> Result<Value, String> {
+    file_kind::refuse(job, true).map_err(|why| format!("the job is not read: {why}"))?;
     let wanted = order.resume.as_ref().ok_or("the order does not say where the rest of the job begins")?;
     let number = |value: Option<f64>, what: &str| match value.map(number_of) {
         Some(None) => Err(format!("the {what} is not a number that the machine can have")),

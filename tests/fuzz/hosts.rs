@@ -46,6 +46,10 @@ impl Queues for Depths {
     }
 
     fn stop(&mut self) {}
+
+    fn reads_characters(&self) -> bool {
+        true
+    }
 }
 
 #[derive(Arbitrary)]

@@ -78,6 +78,10 @@ impl Queues for ToControl {
     }
 
     fn stop(&mut self) {}
+
+    fn reads_characters(&self) -> bool {
+        true
+    }
 }
 
 struct Bus {

@@ -10,6 +10,8 @@ mod injection;
 mod jogs;
 mod probing;
 mod program_pins;
+mod remarks;
 mod restore;
 mod states;
 mod tool_setter;
+mod uncounted;

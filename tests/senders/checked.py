@@ -39,6 +39,8 @@ import machine  # noqa: E402
 
 JOBS = [f"tests/jobs/{name}.nc" for name in ["chords", "helix", "increments", "jerk", "lines", "relief"]]
 JOBS += [f"examples/{name}.nc" for name in ["pcb_isolation", "pocket_inch", "pocket_mm", "relief"]]
+# Letters of the session of each run.
+SESSION = "QKNP"
 # Long enough that a late byte is seen, short enough that nobody waits.
 LATE = 0.02
 # Answers in a row that a sender without checks waits for in vain, 2 s each.
@@ -98,7 +100,7 @@ class Line:
 
 def checked(link, lines):
     """Sends a job in checked lines; what it says of it."""
-    sender = checked_sender.Sender(link, lines, tell=lambda text: None)
+    sender = checked_sender.Sender(link, lines, tell=lambda text: None, session=SESSION)
     sender.run()
     return ", ".join(f"{count} {name}" for name, count in sender.counts.items())
 
@@ -135,12 +137,12 @@ def taken_once(said, count):
     """What is wrong with the answers of the machine if not each line was taken once and in its order; else nothing."""
     taken = None
     for line in said.decode("ascii", "replace").split("\n"):
-        answer = checked_sender.answer_in(line.strip("\r"))
+        answer = checked_sender.answer_in(line.strip("\r"), SESSION, taken or 0)
         if answer == (0, "ok") and not taken:
             # $LC=ON, perhaps again.
             taken = 0
         elif answer and answer[1] == "ok":
-            if taken is None or answer[0] != (taken + 1) % checked_sender.NUMBERS:
+            if taken is None or answer[0] != taken + 1:
                 return f"`ok` with the number {answer[0]} behind {taken} lines"
             taken += 1
         elif answer and answer[1] not in ("known", "error:129"):
@@ -276,7 +278,7 @@ def dead(until):
     near, far = socket.socketpair()
     link = checked_sender.Tcp.__new__(checked_sender.Tcp)
     link.socket = near
-    sender = checked_sender.Sender(link, [(1, "G1X1F100")] * 3)
+    sender = checked_sender.Sender(link, [(1, "G1X1F100")] * 3, session=SESSION)
     patience, checked_sender.SILENCE = checked_sender.SILENCE, 2.0
     far.sendall("".join(f"{answer}\r\n" for answer in until).encode())
     begin, why = time.monotonic(), None
@@ -320,8 +322,7 @@ def held(program):
 
 def answer(number):
     """The checked answer `ok` behind which line `number` is wanted."""
-    covered = checked_sender.digits(number, 3) + checked_sender.digits(2, 2)
-    return f":{covered}{checked_sender.digits(checked_sender.binascii.crc32((covered + 'ok').encode()), 8)}ok"
+    return checked_sender.checked(SESSION, number, "ok")
 
 
 def main():

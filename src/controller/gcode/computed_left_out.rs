@@ -100,6 +100,7 @@ impl<const N: usize> Interpreter<N> {
 
     /// There are no blocks.
     pub fn tape_mark(&mut self) -> Result<(), Error> {
+        self.begin_program();
         Ok(())
     }
 

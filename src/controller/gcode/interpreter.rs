@@ -8,6 +8,7 @@ use super::checked::{Checked, Flow, Keeping, Motion};
 use super::modal::{Modal, MotionMode, SPLINES, SplineKind};
 use super::offsets::{StoredOffset, TOOL_AXIS};
 use super::parse::Parsed;
+use super::program_end::Place;
 use super::saved::Saved;
 use super::scaling::NO_REST;
 use super::state::{BeforeCheck, Interpreter, NO_TANGENT, Tangent};
@@ -34,6 +35,7 @@ impl<const N: usize> Interpreter<N> {
         self.scaling = None;
         self.rest = NO_REST;
         self.tangent = NO_TANGENT;
+        self.begin_program();
         self.modal.tool = self.spindle_tool;
         self.offsets.tool_length = PerAxis::all(Coordinate::ZERO);
         self.measured.assumed = false;
@@ -72,6 +74,7 @@ impl<const N: usize> Interpreter<N> {
         self.modal.tool = self.spindle_tool;
         self.measured.forget_tool();
         self.abandon_program();
+        self.begin_program();
     }
 
     /// Checks a line of a program. `line` is filtered: capital letters, no blanks, no comments. Parameters that the line
@@ -129,6 +132,7 @@ impl<const N: usize> Interpreter<N> {
             self.saved.clear();
             self.tangent = NO_TANGENT;
             self.computed.end_program();
+            self.place = Place::End;
         }
         self.remember_motion(checked);
     }

@@ -29,6 +29,7 @@ mod memory;
 mod modal;
 mod offsets;
 mod parse;
+mod program_end;
 mod remark;
 mod rotation;
 mod saved;

@@ -8,6 +8,7 @@ use super::cycle::CycleWords;
 use super::memory::ProgramMemory;
 use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode, ROTATION, SPLINES};
 use super::offsets::{Offsets, StoredOffset, TOOL_AXIS};
+use super::program_end::Place;
 use super::rotation::{Angle, Reached, RotatedPlane, Rotation};
 use super::saved::SavedStates;
 use super::scaling::{NO_REST, Rest, Scaling};
@@ -50,6 +51,8 @@ pub struct Interpreter<const N: usize> {
     pub(super) control_points: [ControlPoints; SPLINES as usize],
     /// Of the last G5; no memory where there are no splines.
     pub(super) tangent: [Option<Tangent>; SPLINES as usize],
+    /// Whether lines are behind M2 or M30.
+    pub(super) place: Place,
 }
 
 /// How another G5 continues smoothly where the last one has ended, in X and Y of the machine.
@@ -107,6 +110,7 @@ impl<const N: usize> Interpreter<N> {
             rest: NO_REST,
             control_points: memory.control_points.map(ControlPoints::new),
             tangent: NO_TANGENT,
+            place: Place::Program,
         }
     }
 
@@ -222,6 +226,7 @@ impl<const N: usize> Interpreter<N> {
         self.position == *place
             && offsets.into_iter().all(|offset| *offset == PerAxis::all(Coordinate::ZERO))
             && !self.is_within_block()
+            && self.place != Place::Subprogram
             && self.before_check.is_none()
             && self.saved.is_empty()
             && self.rotation.is_none()

@@ -88,7 +88,7 @@ impl<const N: usize> Controller<N> {
                 self.m.inputs.ask_view(true);
                 self.say_ok();
             }
-            System::CheckLines(on) => self.check_lines(on),
+            System::CheckLines(session) => self.check_lines(session),
             System::Sleep => self.sleep(),
             System::Set(number, value) => self.set_setting(number, value)?,
         }
@@ -96,9 +96,9 @@ impl<const N: usize> Controller<N> {
     }
 
     /// The answer has the form that lines have from now on.
-    fn check_lines(&mut self, on: bool) {
-        if on {
-            self.m.lines.begin_check();
+    fn check_lines(&mut self, session: Option<&[u8]>) {
+        if let Some(session) = session {
+            self.m.lines.begin_check(session);
         } else {
             self.m.lines.end_check();
         }

@@ -13,9 +13,13 @@ use crate::protocol::line_intake::Taken;
 use crate::protocol::report;
 use crate::settings::{Key, Settings};
 use crate::states::Mode;
-use crate::units::Instant;
+use crate::units::{Duration, Instant};
 use crate::view::dialect;
 use crate::work::task::{Answer, Caller, Task};
+
+/// A number that comes so long after the last line of a program has been answered is that of the next one. A sender that goes on
+/// with its file is quicker.
+const REST: Duration = Duration::from_ticks(5_000_000);
 
 /// The message of a line, with its mark.
 type Remark = heapless::Vec<u8, { line::MESSAGE_LENGTH + 1 }>;
@@ -27,8 +31,12 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether a byte that comes next would be dropped, as it was received before a reset or a stop.
+    /// Whether a byte that comes next would be dropped, as it was received before a reset or a stop, or before the reset that is
+    /// all that the machine waits for.
     pub fn is_old(&self, byte: LineByte) -> bool {
+        if self.mode.waits_for_reset() {
+            return !self.m.stops.is_awaited() && !self.m.lines.is_ahead(byte);
+        }
         if byte.byte == HOST_CHANGED {
             // It comes before such bytes, and where nothing of the host before is in work it may be taken like them.
             let waits = matches!(self.mode, Mode::Door(_)) && !self.m.lines.holds();
@@ -39,6 +47,9 @@ impl<const N: usize> Controller<N> {
 
     /// Drops such a byte, also while no line is wanted.
     pub fn drop_old(&mut self, byte: LineByte) {
+        if self.mode.waits_for_reset() {
+            self.m.lines.drop_next();
+        }
         self.other_byte(byte);
     }
 
@@ -59,7 +70,8 @@ impl<const N: usize> Controller<N> {
             && !matches!(self.m.lines.text().first(), None | Some(b'%' | b'$'))
             && !self.mode.is_alarm()
             && !matches!(self.mode, Mode::Jog { .. })
-            && self.dialect() != Dialect::Grbl;
+            && self.dialect() != Dialect::Grbl
+            && !self.m.interpreter.is_behind_end();
         if is_of_program {
             self.line_of_program();
         } else {
@@ -105,9 +117,14 @@ impl<const N: usize> Controller<N> {
     /// A byte has brought something about.
     #[inline(never)]
     fn taken(&mut self, taken: Taken) {
+        if taken.cut && self.mode.waits_for_reset() {
+            // Its line in work will not go on, and nobody waits for the answer.
+            self.task.abandon();
+        }
         if taken.cut {
             // What the host before has begun and not ended is not this one's; its last lines have been carried out by now.
             self.m.interpreter.abandon_program();
+            self.m.interpreter.begin_program();
         }
         if taken.lost {
             self.say(|out| report::message(out, "Received bytes lost"));
@@ -236,7 +253,11 @@ impl<const N: usize> Controller<N> {
     fn program_line(&mut self, line: &[u8], remark: &[u8]) -> Result<(), Error> {
         let direction = match self.dialect() {
             Dialect::Grbl => Direction::Check,
-            _ => self.m.interpreter.direct(line, remark, self.m.lines.lines_read())?,
+            _ => {
+                let rested = self.m.now.checked_duration_since(self.m.answered_at).is_some_and(|rest| rest >= REST);
+                self.m.interpreter.look_behind_end(line, rested)?;
+                self.m.interpreter.direct(line, remark, self.m.lines.lines_read())?
+            }
         };
         if direction == Direction::Check && !line.is_empty() {
             self.gcode(line, Answer::Host)?;

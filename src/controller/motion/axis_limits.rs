@@ -29,8 +29,7 @@ pub(super) fn bounded(value: f32, least: f32, greatest: f32) -> f32 {
 }
 
 /// A speed that can be computed with, mm/s.
-#[inline]
-pub(super) fn bounded_speed(speed: f32) -> f32 {
+fn bounded_speed(speed: f32) -> f32 {
     bounded(speed, LEAST_SPEED, GREATEST_SPEED)
 }
 
@@ -47,6 +46,7 @@ pub(super) struct AxisLimits<const N: usize> {
     pub turns: TurnRule<N>,
     /// mm/s.
     max_rate: [f32; N],
+    least_feed: f32,
     /// mm/s³.
     jerk: [f32; N],
     /// Whether any axis has a jerk limit.
@@ -58,6 +58,7 @@ impl<const N: usize> AxisLimits<N> {
     pub(super) const ONE: Self = Self {
         turns: TurnRule { acceleration: [1.0; N], deviation: 0.0, curve_share: 1.0 },
         max_rate: [1.0; N],
+        least_feed: LEAST_SPEED,
         jerk: [GREATEST_JERK; N],
         jerk_limited: false,
     };
@@ -71,6 +72,7 @@ impl<const N: usize> AxisLimits<N> {
                 curve_share: bounded(settings.curve_share, LEAST_CURVE_SHARE, GREATEST_CURVE_SHARE),
             },
             max_rate: settings.max_rate.0.map(bounded_speed),
+            least_feed: bounded_speed(settings.least_feed),
             jerk: settings.jerk.0.map(jerk),
             jerk_limited: settings.jerk.iter().any(|jerk| *jerk > 0.0),
         }
@@ -79,6 +81,12 @@ impl<const N: usize> AxisLimits<N> {
     #[inline]
     pub(super) fn is_jerk_limited(&self) -> bool {
         self.jerk_limited
+    }
+
+    /// The speed that a move is to have, mm/s.
+    #[inline]
+    pub(super) fn feed(&self, programmed: f32) -> f32 {
+        bounded(programmed, self.least_feed, GREATEST_SPEED)
     }
 
     /// Greatest acceleration and speed along a way of this length.
@@ -133,6 +141,7 @@ mod tests {
         AxisLimits {
             turns: TurnRule { acceleration: [500.0, 100.0], deviation: 0.01, curve_share: 1.0 },
             max_rate: [100.0, 50.0],
+            least_feed: 0.0,
             jerk: jerk.map(|jerk| if jerk > 0.0 { jerk } else { GREATEST_JERK }),
             jerk_limited: jerk.iter().any(|jerk| *jerk > 0.0),
         }

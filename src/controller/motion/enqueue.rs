@@ -9,7 +9,7 @@
 //! `begin_taking_up`, `take_up_before_plunge` and `finish_taking_up`; `kinematics`, `limits` and `backlash` are asked.
 
 use super::arc::Curvature;
-use super::axis_limits::{GREATEST_ACCELERATION, bounded_speed, shares};
+use super::axis_limits::{GREATEST_ACCELERATION, shares};
 use super::backlash::{self, Motors};
 use super::block::{Block, CurveLoad, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER};
 use super::carried_time::BlockWay;
@@ -300,7 +300,7 @@ impl<const N: usize> MoveQueue<N> {
             }
         }
         block.acceleration = acceleration;
-        block.programmed = bounded_speed(programmed);
+        block.programmed = self.limits.feed(programmed);
         block.limit = if curve_speed2 < limit * limit { square_root(curve_speed2) } else { limit };
         rapid
     }

@@ -84,6 +84,8 @@ pub struct MotionSettings<const N: usize> {
     pub steps_per_mm: PerAxis<StepsPerMm, N>,
     /// Greatest speed of each axis, mm/s.
     pub max_rate: PerAxis<f32, N>,
+    /// Least speed that a feed makes, before overrides, mm/s; 0 = none.
+    pub least_feed: f32,
     /// Greatest acceleration of each axis, mm/s².
     pub acceleration: PerAxis<f32, N>,
     /// Greatest jerk of each axis, mm/s³; 0 = as great as may be. All 0: ramps of even acceleration.
@@ -199,6 +201,7 @@ impl<const N: usize> Motion<N> {
                 steps_per_mm: PerAxis::all(StepsPerMm::ONE),
                 backlash: PerAxis::all(0.0),
                 max_rate: PerAxis::all(1.0),
+                least_feed: 0.0,
                 acceleration: PerAxis::all(1.0),
                 jerk: PerAxis::all(0.0),
                 junction_deviation: 0.0,

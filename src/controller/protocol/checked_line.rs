@@ -1,5 +1,5 @@
 //! `LineCheck`: lines with a number, a length and a checksum (CRC-32) in a header of letter digits, for links that
-//! damage, drop or double bytes (`$LC=ON`). The `Verdict` on a line is valid, known or damaged; answers have the same
+//! damage, drop, double or delay bytes (`$LC=ON`, better `$LC=ONQKXW` with letters of a session). The `Verdict` on a line is valid, known or damaged; answers have the same
 //! form with the wanted number. A reset lets the check lapse. What is carried out is exactly what was sent, in its
 //! order and once. A line in which a byte is off is not whole (`is_whole`) and its check fails. `Crc` adds bytes
 //! one by one.
@@ -11,6 +11,10 @@
 //!  │  └ number of the line, modulo 4096: 0 for the first after `$LC=ON`
 //!  └ the line is checked
 //! ```
+//! **Sessions.** Behind `$LC=ON` a host may write four letters of its choice. Then the CRC is of these letters, of the whole number
+//! of the line in eight digits, of length and text. So a line of another session never passes, nor one that is 4096 numbers old:
+//! what differs is a burst of 32 bits at most. Without the letters it may, if it comes so late.
+//!
 //! **Letters.** N, L and C are hexadecimal digits, written as the letters `ABDGHKNPSUVZcefi`. Any two of these differ in two bits, and
 //! none is one bit away from a line end or from a realtime command that acts. For the same reason a text is in capitals, and
 //! characters that one bit turns into such a command are written as small letters (`SUBSTITUTES`): `8` is one bit away from
@@ -61,8 +65,12 @@ const HEADER_END: u16 = LENGTH_END + SUM as u16;
 /// Bytes in front of the text of a checked answer.
 pub const ANSWER_HEADER: usize = HEADER_END as usize;
 
-/// Numbers of lines are below this.
+/// Numbers of lines are below this, as they are written.
 const NUMBERS: u16 = 1 << (4 * NUMBER);
+/// Digits of the whole number, which enter the check of a session.
+const WHOLE_NUMBER: usize = 8;
+/// Letters of a session.
+const SESSION: usize = 4;
 
 /// What a line is that has come to its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,11 +83,45 @@ pub enum Verdict {
     Damaged,
 }
 
+/// Whether this may stand behind `$LC=ON`: the letters of a session, or nothing.
+pub fn is_session(letters: &[u8]) -> bool {
+    letters.is_empty() || letters.len() == SESSION && letters.iter().all(u8::is_ascii_uppercase)
+}
+
+/// What enters a check before the length.
+#[derive(Clone, Copy, Debug)]
+struct Session {
+    /// Of its letters.
+    start: Crc,
+    /// It has letters, and whole numbers with them.
+    is_named: bool,
+}
+
+impl Session {
+    const NONE: Self = Self { start: Crc::START, is_named: false };
+
+    fn of(letters: &[u8]) -> Self {
+        let mut start = Crc::START;
+        letters.iter().for_each(|letter| start.add(*letter));
+        Self { start, is_named: !letters.is_empty() }
+    }
+
+    /// With the number of a line.
+    fn check(&self, number: u32) -> Crc {
+        let mut crc = self.start;
+        let mut letters = Text::new();
+        digits(&mut letters, number, if self.is_named { WHOLE_NUMBER } else { NUMBER });
+        letters.iter().for_each(|letter| crc.add(*letter));
+        crc
+    }
+}
+
 /// How far the checked lines are. One byte after the other.
 #[derive(Clone, Debug)]
 pub struct LineCheck {
     /// The number of the line that may come next; none while lines are not checked.
-    wanted: Option<u16>,
+    wanted: Option<u32>,
+    session: Session,
     /// A reset or stop has ended the check: what comes up to the next line end is refused.
     lapsed: bool,
     /// Why a line before was refused.
@@ -98,6 +140,7 @@ impl LineCheck {
     /// Lines are not checked.
     pub const OFF: Self = Self {
         wanted: None,
+        session: Session::NONE,
         lapsed: false,
         failed: None,
         place: 0,
@@ -108,9 +151,9 @@ impl LineCheck {
         crc: Crc::START,
     };
 
-    /// Lines are checked from now on; the first has the number 0.
-    pub fn begin(&mut self) {
-        *self = Self { wanted: Some(0), ..Self::OFF };
+    /// Lines are checked from now on; the first has the number 0. `session`: see [`is_session`].
+    pub fn begin(&mut self, session: &[u8]) {
+        *self = Self { wanted: Some(0), session: Session::of(session), ..Self::OFF };
     }
 
     /// Lines are not checked any more. Whether they were.
@@ -144,7 +187,8 @@ impl LineCheck {
 
     /// What has come of a line is void.
     pub fn clear(&mut self) {
-        *self = Self { wanted: self.wanted, lapsed: self.lapsed, failed: self.failed, ..Self::OFF };
+        let Self { wanted, session, lapsed, failed, .. } = *self;
+        *self = Self { wanted, session, lapsed, failed, ..Self::OFF };
     }
 
     /// Bytes of the line were lost.
@@ -178,13 +222,18 @@ impl LineCheck {
             0 => {
                 self.number = 0;
                 self.sum = 0;
-                self.crc = Crc::START;
                 self.length = 0;
                 self.is_whole &= byte == b':';
                 return (byte != b':').then_some(byte);
             }
             _ if !self.is_whole => return Some(byte),
-            1..NUMBER_END => self.number = self.number << 4 | u16::from(self.digit(byte)),
+            1..NUMBER_END => {
+                self.number = self.number << 4 | u16::from(self.digit(byte));
+                if self.place == NUMBER_END {
+                    self.crc = self.session.check(self.wanted.unwrap_or(0).wrapping_sub(self.behind().into()));
+                }
+                return None;
+            }
             NUMBER_END..LENGTH_END => self.length = self.length << 4 | self.digit(byte),
             LENGTH_END..HEADER_END => {
                 self.sum = self.sum << 4 | u32::from(self.digit(byte));
@@ -198,6 +247,11 @@ impl LineCheck {
         }
         let meant = SUBSTITUTES.iter().find(|(letter, _)| *letter == byte);
         Some(meant.map_or(byte, |(_, character)| *character))
+    }
+
+    /// How far the line is behind the wanted one, modulo 4096.
+    fn behind(&self) -> u16 {
+        (self.wanted.unwrap_or(0) as u16).wrapping_sub(self.number) % NUMBERS
     }
 
     /// The value of a digit; the line is damaged if it is none.
@@ -218,12 +272,14 @@ impl LineCheck {
         let Some(wanted) = self.wanted else {
             return if core::mem::take(&mut self.lapsed) { Verdict::Damaged } else { Verdict::Valid };
         };
-        let line = core::mem::replace(self, Self { wanted: self.wanted, failed: self.failed, ..Self::OFF });
+        let line = self.clone();
+        self.clear();
         if line.place == 0 && line.is_whole {
             return Verdict::Known;
         }
         // Whoever does not know that lines are checked can end that.
-        if matches!(text, b"$LC=OFF" | b"$LC=ON") && line.place == text.len() as u16 {
+        let begins = text.strip_prefix(b"$LC=ON").is_some_and(is_session);
+        if (begins || text == b"$LC=OFF") && line.place == text.len() as u16 {
             return Verdict::Valid;
         }
         let length = line.place.wrapping_sub(HEADER_END);
@@ -231,9 +287,9 @@ impl LineCheck {
         if !is_whole || line.crc.value() != line.sum {
             return Verdict::Damaged;
         }
-        let behind = wanted.wrapping_sub(line.number) % NUMBERS;
+        let behind = line.behind();
         if behind == 0 && self.failed.is_none() {
-            self.wanted = Some((wanted + 1) % NUMBERS);
+            self.wanted = Some(wanted.wrapping_add(1));
             return Verdict::Valid;
         }
         if (1..=NUMBERS / 2).contains(&behind) { Verdict::Known } else { Verdict::Damaged }
@@ -245,10 +301,10 @@ impl LineCheck {
         let text = text.strip_suffix(END).unwrap_or(text);
         let mut out = Text::new();
         put(&mut out, b":");
-        digits(&mut out, u32::from(number), NUMBER);
+        digits(&mut out, number, NUMBER);
         digits(&mut out, text.len() as u32, LENGTH);
-        let mut crc = Crc::START;
-        out.iter().skip(1).chain(text).for_each(|byte| crc.add(*byte));
+        let mut crc = self.session.check(number);
+        out.iter().skip(NUMBER_END.into()).chain(text).for_each(|byte| crc.add(*byte));
         digits(&mut out, crc.value(), SUM);
         put(&mut out, text);
         put(&mut out, END);
@@ -301,14 +357,23 @@ mod tests {
 
     /// A checked line as a host writes it, without its end.
     fn line(number: u16, text: &str) -> Vec<u8> {
+        line_of("", number.into(), text)
+    }
+
+    /// One of a session, if that has letters.
+    fn line_of(session: &str, number: u32, text: &str) -> Vec<u8> {
         let letter = |character: u8| SUBSTITUTES.iter().find(|(_, c)| *c == character).map_or(character, |(l, _)| *l);
         let text: Vec<u8> = text.bytes().map(letter).collect();
-        let mut covered = Text::new();
-        digits(&mut covered, number.into(), NUMBER);
-        digits(&mut covered, text.len() as u32, super::LENGTH);
-        let mut sum = Text::new();
-        digits(&mut sum, crc(covered.iter().chain(&text).copied()), SUM);
-        [b":", covered.as_slice(), &sum, &text].concat()
+        let letters = |value: u32, count: usize| {
+            let mut letters = Text::new();
+            digits(&mut letters, value, count);
+            letters.to_vec()
+        };
+        let (number, whole) = (letters(number, NUMBER), letters(number, 8));
+        let length = letters(text.len() as u32, super::LENGTH);
+        let before = if session.is_empty() { number.clone() } else { [session.as_bytes(), &whole].concat() };
+        let sum = letters(crc([before, length.clone(), text.clone()].concat()), SUM);
+        [b":", number.as_slice(), &length, &sum, &text].concat()
     }
 
     /// What comes in passes through the same parts as on a board.
@@ -322,8 +387,12 @@ mod tests {
 
     impl Host {
         fn new() -> Self {
+            Self::of("")
+        }
+
+        fn of(session: &str) -> Self {
             let mut intake = LineIntake::new();
-            intake.begin_check();
+            intake.begin_check(session.as_bytes());
             Self { intake, epoch: 0, taken: Vec::new(), commands: Vec::new(), answers: Vec::new() }
         }
 
@@ -371,7 +440,11 @@ mod tests {
         }
 
         fn line(&mut self, number: u16, text: &str) -> &mut Self {
-            self.send(&[line(number, text).as_slice(), b"\n"].concat())
+            self.line_of("", number.into(), text)
+        }
+
+        fn line_of(&mut self, session: &str, number: u32, text: &str) -> &mut Self {
+            self.send(&[line_of(session, number, text).as_slice(), b"\n"].concat())
         }
     }
 
@@ -397,6 +470,49 @@ mod tests {
         }
     }
 
+    /// A line may stay on its way for as long as it likes.
+    #[test]
+    fn no_line_of_another_session_or_round_passes() {
+        let mut host = Host::of("QKXW");
+        let mut lines: u32 = 0;
+        let mut go_on = |host: &mut Host, to: u32| {
+            for number in lines..to {
+                host.line_of("QKXW", number, "G91G1X1");
+            }
+            lines = to;
+            assert_eq!(host.taken.len(), to as usize);
+        };
+        for late in [0, 1, 2047, 2048, 4095] {
+            go_on(&mut host, 4096 + late);
+            host.answers.clear();
+            host.line_of("QKXW", late, "G91G1X1").line_of("QKXX", 4096 + late, "G91G1X1").line(late as u16, "G91G1X1");
+            assert_eq!(host.answers, [Damaged; 3], "{late}");
+            assert_eq!(host.taken.len(), 4096 + late as usize, "{late}");
+        }
+        go_on(&mut host, 70_000);
+        host.line_of("QKXW", 69_999, "G91G1X1").line_of("QKXW", 70_000 - 65_536, "G91G1X1");
+        assert_eq!(host.answers[host.answers.len() - 2..], [Known, Damaged]);
+        // The same lines in the next session.
+        host.send(b"$LC=ONABCD\n");
+        host.intake.begin_check(b"ABCD");
+        host.answers.clear();
+        host.line_of("QKXW", 0, "G91G1X1").line_of("ABCD", 0, "G90");
+        assert_eq!((&host.answers[..], host.taken.last().map(String::as_str)), (&[Damaged, Valid][..], Some("G90")));
+    }
+
+    #[test]
+    fn a_session_has_four_letters_or_none() {
+        for (text, is) in
+            [("", true), ("QKXW", true), ("QKX", false), ("QKXWA", false), ("QK1W", false), ("qkxw", false)]
+        {
+            assert_eq!(is_session(text.as_bytes()), is, "{text}");
+        }
+        // What does not know that lines are checked.
+        let mut host = Host::of("QKXW");
+        host.send(b"$LC=ON\n$LC=ONABCD\n$LC=OFF\n$LC=ONAB\n");
+        assert_eq!(host.answers, [Valid, Valid, Valid, Damaged]);
+    }
+
     #[test]
     fn a_plain_line_is_refused_and_an_empty_one_is_a_question() {
         let mut host = Host::new();
@@ -418,7 +534,7 @@ mod tests {
         host.line(2, "G0X2").line(1, "G0XX").send(b"\n");
         assert_eq!(host.answers, [Valid, Valid, Damaged, Known, Known]);
         assert_eq!(host.intake.failed(), Some(Error::BadNumber));
-        host.intake.begin_check();
+        host.intake.begin_check(b"");
         host.line(0, "G0X3");
         assert_eq!((host.taken.last().map(String::as_str), host.intake.failed()), (Some("G0X3"), None));
     }
@@ -427,7 +543,7 @@ mod tests {
     fn answers_have_the_form_of_lines() {
         let mut check = LineCheck::OFF;
         assert_eq!(check.answer(b"ok\r\n"), None);
-        check.begin();
+        check.begin(b"");
         let answer = check.answer(b"error:20\r\n").unwrap();
         // As binascii.crc32 of Python has it.
         assert_eq!(answer.as_slice(), b":AAAASPHeiNeGNerror:20\r\n");
@@ -510,6 +626,21 @@ mod tests {
     }
 
     proptest! {
+        /// What differs is a burst of 32 bits, which the CRC always finds.
+        #[test]
+        fn no_line_of_another_session_passes(
+            [session, other] in prop::array::uniform2("[A-Z]{4}"), text in "[A-Z0-9.]{0,60}", number in 0..3_u32,
+        ) {
+            prop_assume!(session != other);
+            let mut host = Host::of(&session);
+            for number in 0..number {
+                host.line_of(&session, number, "M5");
+            }
+            host.answers.clear();
+            host.line_of(&other, number, &text).line_of("", number, &text).line_of(&session, number, &text);
+            prop_assert_eq!(&host.answers, &[Damaged, Damaged, Valid]);
+        }
+
         #[test]
         fn no_burst_passes(text in "[A-Z0-9.]{8,250}", at in 0..1968_usize, length in 1..=32_usize, burst: u32) {
             let mut written = line(0, &text);
@@ -519,7 +650,7 @@ mod tests {
                 written[(at + bit) / 8] ^= 1 << ((at + bit) % 8);
             }
             let mut check = LineCheck::OFF;
-            check.begin();
+            check.begin(b"");
             for byte in written {
                 check.take(byte);
             }

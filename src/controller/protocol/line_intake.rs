@@ -198,9 +198,9 @@ impl LineIntake {
     }
 
     /// Lines are checked from now on; the first has the number 0.
-    pub fn begin_check(&mut self) {
+    pub fn begin_check(&mut self, session: &[u8]) {
         self.line.expect_plain(false);
-        self.check.begin();
+        self.check.begin(session);
     }
 
     /// Lines are not checked any more. Whether they were.
@@ -241,6 +241,11 @@ impl LineIntake {
         }
         let by_button = self.drop_bytes > 0 || self.drop_rest;
         by_button || is_before(byte.epoch, self.reset_epoch)
+    }
+
+    /// Whether a byte that comes next waits for a command that has opened an epoch, or comes behind one that does.
+    pub fn is_ahead(&self, byte: LineByte) -> bool {
+        self.holds() || byte.byte != HOST_CHANGED && is_before(self.epoch, byte.epoch)
     }
 
     /// Whether a byte waits for its realtime command: no other may come before it.
@@ -344,6 +349,12 @@ impl LineIntake {
         self.line.expect_plain(false);
         self.line_before_cancel = true;
         self.keeps_later_jogs = false;
+    }
+
+    /// The byte that comes next is dropped, and behind it the rest of its line.
+    pub fn drop_next(&mut self) {
+        self.drop_bytes = self.drop_bytes.max(1);
+        self.line.expect_plain(false);
     }
 
     /// The reset button does what 0x18 does, but it opens no epoch: the `received` bytes are dropped all the same.
@@ -653,7 +664,7 @@ mod tests {
                 let ends = !both.brief.holds()
                     && both.give(LineByte { byte: *text, epoch: epoch.wrapping_add(late), damaged });
                 if ends && below(20) == 0 {
-                    both.each(LineIntake::begin_check);
+                    both.each(|intake| intake.begin_check(b""));
                 }
             }
             match below(80) {

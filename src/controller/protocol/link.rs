@@ -19,10 +19,14 @@
 //!
 //! A line is read as a whole or not at all: of one that was refused, or cut because another host took the floor or made
 //! the machine reset, the rest is refused too, whenever it comes and whoever has the floor then.
+//!
+//! Characters of a remark are text, though a byte of them may look like a command: see [`remark`](super::remark). Whether
+//! they are is known with their last byte, so the bytes before wait here; if it is no character, they are commands after all.
 
 use crate::messages::{HOST_CHANGED, LineByte, Realtime};
 use crate::protocol::floor::Floor;
 use crate::protocol::realtime::{Received, is_plain};
+use crate::protocol::remark::Remark;
 
 /// The way to `control`.
 pub trait Queues {
@@ -44,6 +48,8 @@ pub trait Queues {
     fn stop(&mut self);
     /// A byte has come that is neither a line's nor a command: no more than a sign of life.
     fn ignored(&mut self) {}
+    /// Whether characters of remarks are text. To Grbl each byte of 0x80 and above is a command or nothing.
+    fn reads_characters(&self) -> bool;
 }
 
 /// Arbitration between the hosts on several links: the floor, and what their bytes pass through together.
@@ -127,8 +133,9 @@ impl HostArbiter {
 pub struct Link<const HELD: usize> {
     number: usize,
     held: heapless::Deque<LineByte, HELD>,
-    /// A command for which there was no room: nothing more is taken, as it may not be overtaken by another.
-    stuck: Option<Realtime>,
+    /// Commands for which there was no room: nothing more is taken, as they may not be overtaken by another. One, or those that
+    /// [`Remark::break_off`] has given with it.
+    stuck: heapless::Deque<Realtime, 4>,
     /// Bytes were lost; the next byte of a line says so.
     lost: bool,
     /// A line has begun and not ended.
@@ -137,6 +144,8 @@ pub struct Link<const HELD: usize> {
     refusing_line: bool,
     /// The byte before was a CR.
     after_cr: bool,
+    /// The remark that the line is in, and the bytes of its next character.
+    remark: Remark,
     /// What is left of the refusals to be sent: so many, less so many bytes of the first.
     refusals: u16,
     refused_bytes: usize,
@@ -148,11 +157,12 @@ impl<const HELD: usize> Link<HELD> {
         Self {
             number,
             held: heapless::Deque::new(),
-            stuck: None,
+            stuck: heapless::Deque::new(),
             lost: false,
             mid_line: false,
             refusing_line: false,
             after_cr: false,
+            remark: Remark::NONE,
             refusals: 0,
             refused_bytes: 0,
         }
@@ -160,7 +170,7 @@ impl<const HELD: usize> Link<HELD> {
 
     /// How many bytes can be taken, whatever they are, with both queues full.
     pub fn room(&self) -> usize {
-        if self.stuck.is_some() { 0 } else { HELD - self.held.len() }
+        if !self.stuck.is_empty() { 0 } else { HELD - self.held.len() }
     }
 
     /// Line bytes that wait for room in the queue.
@@ -170,7 +180,7 @@ impl<const HELD: usize> Link<HELD> {
 
     /// Whether something waits for room in a queue.
     pub fn is_waiting(&self) -> bool {
-        self.stuck.is_some() || !self.held.is_empty()
+        !self.stuck.is_empty() || !self.held.is_empty()
     }
 
     /// Takes a byte. Without room it is lost, which the next byte of a line says: a link that can wait is not read then.
@@ -193,6 +203,27 @@ impl<const HELD: usize> Link<HELD> {
         other: &mut Link<OTHER>,
         queues: &mut impl Queues,
     ) -> bool {
+        let mut any = false;
+        for byte in self.remark.break_off(byte) {
+            if let Received::Realtime(command) = Received::of(byte) {
+                any |= self.command(command, arbiter, queues);
+            }
+        }
+        if self.remark.takes(byte, || queues.reads_characters()) {
+            queues.ignored();
+            return any;
+        }
+        self.take_alone(byte, arbiter, other, queues) || any
+    }
+
+    /// Takes a byte that is no part of a character.
+    fn take_alone<const OTHER: usize>(
+        &mut self,
+        byte: u8,
+        arbiter: &mut HostArbiter,
+        other: &mut Link<OTHER>,
+        queues: &mut impl Queues,
+    ) -> bool {
         match Received::of(byte) {
             Received::Nothing => {
                 queues.ignored();
@@ -208,6 +239,7 @@ impl<const HELD: usize> Link<HELD> {
                     self.lost = false;
                 }
                 if matches!(command, Realtime::Reset | Realtime::Stop) {
+                    self.remark.leave();
                     other.void_line(arbiter);
                 }
                 // A realtime command cuts no line: the answer to a `?` goes to the host that is within a line.
@@ -218,6 +250,7 @@ impl<const HELD: usize> Link<HELD> {
                 self.command(command, arbiter, queues)
             }
             Received::Line(byte) => {
+                self.remark.follow(byte);
                 let second_of_crlf = byte == b'\n' && self.after_cr;
                 self.after_cr = byte == b'\r';
                 if second_of_crlf {
@@ -249,6 +282,9 @@ impl<const HELD: usize> Link<HELD> {
     /// there is room. Gives how many.
     #[inline]
     pub fn take_text(&mut self, bytes: &[u8], arbiter: &HostArbiter, queues: &mut impl Queues) -> usize {
+        if self.remark.has_begun_character() {
+            return 0;
+        }
         let has_floor = !arbiter.cut && arbiter.floor.is_held_by(self.number);
         let has_no_room = self.held.is_full() && !queues.waits() && has_floor;
         if self.mid_line && (self.refusing_line || has_no_room) {
@@ -263,6 +299,9 @@ impl<const HELD: usize> Link<HELD> {
         let taken = if text.is_empty() { 0 } else { queues.text(arbiter.epoch, text) };
         if let Some(last) = taken.checked_sub(1).and_then(|last| bytes.get(last)) {
             self.mid_line = *last != b'\n';
+        }
+        if self.remark.is_inside() && text.iter().take(taken).any(|byte| *byte == b'\n') {
+            self.remark.leave();
         }
         taken
     }
@@ -279,9 +318,9 @@ impl<const HELD: usize> Link<HELD> {
 
     fn command(&mut self, command: Realtime, arbiter: &mut HostArbiter, queues: &mut impl Queues) -> bool {
         let waits = queues.waits();
-        let queued = (self.stuck.is_none() || !waits) && arbiter.command(command, queues);
+        let queued = (self.stuck.is_empty() || !waits) && arbiter.command(command, queues);
         if !queued {
-            self.lost |= !waits || self.stuck.replace(command).is_some();
+            self.lost |= !waits || self.stuck.push_back(command).is_err();
         }
         queued
     }
@@ -289,10 +328,10 @@ impl<const HELD: usize> Link<HELD> {
     /// There may be room in the queues: what waits is queued. Gives whether something was queued.
     pub fn pass_on(&mut self, arbiter: &mut HostArbiter, queues: &mut impl Queues) -> bool {
         let mut any = false;
-        if let Some(command) = self.stuck
-            && arbiter.command(command, queues)
+        while let Some(command) = self.stuck.front()
+            && arbiter.command(*command, queues)
         {
-            self.stuck = None;
+            self.stuck.pop_front();
             any = true;
         }
         while let Some(byte) = self.held.front()
@@ -319,6 +358,7 @@ impl<const HELD: usize> Link<HELD> {
     /// Bytes were lost on the way here: the line that they belong to will be refused.
     pub fn lose(&mut self) {
         self.lost = true;
+        self.remark.leave();
     }
 
     /// A host has opened its port. Gives whether it has the floor: another host's job continues, and this one is not greeted
@@ -350,7 +390,8 @@ impl<const HELD: usize> Link<HELD> {
     }
 
     fn forget(&mut self) {
-        *self = Self { stuck: self.stuck, ..Self::new(self.number) };
+        let stuck = core::mem::take(&mut self.stuck);
+        *self = Self { stuck, ..Self::new(self.number) };
     }
 
     /// Sends what the host is refused. `false` while there is more of it.
@@ -393,6 +434,7 @@ mod tests {
         owes_resets: bool,
         free: bool,
         stops: usize,
+        is_grbl: bool,
     }
 
     impl Queues for Depths {
@@ -422,6 +464,10 @@ mod tests {
 
         fn stop(&mut self) {
             self.stops += 1;
+        }
+
+        fn reads_characters(&self) -> bool {
+            !self.is_grbl
         }
     }
 
@@ -782,6 +828,43 @@ mod tests {
         assert_eq!(sent, REFUSAL.repeat(2));
     }
 
+    /// The bytes of `Ä` and `à` among them would open the door and start the coolant.
+    #[test]
+    fn characters_of_a_remark_are_no_commands() {
+        let mut both = Both::<16>::new(8, 100);
+        both.usb("(Äußere Kontur à)\nG1 ; Ä\n".as_bytes());
+        assert_eq!((both.text().as_str(), both.queues.commands.len()), ("(uere Kontur )\nG1 ; \n", 0));
+        both.usb("Ä(Ä\nÄ\n(\x18Ä(\x19Ä".as_bytes());
+        use Realtime::{Reset, SafetyDoor, Stop};
+        assert_eq!(both.queues.commands, [SafetyDoor, SafetyDoor, Reset, SafetyDoor, Stop, SafetyDoor]);
+        let mut both = Both::<16>::new(8, 100);
+        both.queues.is_grbl = true;
+        both.usb("(Äußere Kontur)\n".as_bytes());
+        assert_eq!((both.text().as_str(), &both.queues.commands[..]), ("(uere Kontur)\n", &[SafetyDoor][..]));
+    }
+
+    /// What waits for the rest of a character that does not come is not lost with it, and finds room in its order.
+    #[test]
+    fn a_character_that_is_broken_off_is_commands() {
+        use Realtime::{FeedHold, FeedReset, JogCancel, SafetyDoor};
+        let mut both = Both::<16>::new(0, 100);
+        both.usb(b"(\xF0\x90\x85!");
+        assert_eq!((both.usb.room(), both.queues.commands.len()), (0, 0));
+        both.queues.most_commands = 2;
+        both.pass_on();
+        assert_eq!(both.usb.room(), 0);
+        both.queues.most_commands = 3;
+        both.pass_on();
+        assert_eq!(both.queues.commands, [FeedReset, JogCancel, FeedHold]);
+        assert_eq!(both.usb.room(), 16);
+        // Bytes were lost: what follows may be of another character, or of no remark.
+        let mut both = Both::<16>::new(8, 100);
+        both.uart(b"(\xE3\x84");
+        both.uart.lose();
+        both.uart(b"\x84\xC3\x84");
+        assert_eq!(both.queues.commands, [SafetyDoor; 3]);
+    }
+
     /// A host may pour its lines in and read later.
     #[test]
     fn each_refused_line_is_answered_however_late_the_host_reads() {
@@ -817,7 +900,10 @@ mod tests {
     }
 
     fn event() -> impl Strategy<Value = Event> {
-        let byte = prop_oneof![8 => Just(b'X'), 3 => Just(b'\n'), 2 => Just(b'\r'), 1 => Just(b'?'), 1 => Just(0x18), 1 => Just(0x85), 1 => Just(9)];
+        let byte = prop_oneof![
+            8 => Just(b'X'), 3 => Just(b'\n'), 2 => Just(b'\r'), 1 => Just(b'?'), 1 => Just(0x18), 1 => Just(0x85), 1 => Just(9),
+            4 => remark_byte()
+        ];
         prop_oneof![
             12 => (any::<bool>(), proptest::collection::vec(byte, 1..20)).prop_map(|(usb, bytes)| Event::Bytes { usb, bytes }),
             1 => Just(Event::Came),
@@ -826,6 +912,40 @@ mod tests {
             4 => (0_usize..30, 0_usize..4, any::<bool>())
                 .prop_map(|(lines, commands, free)| Event::Room { lines, commands, free }),
         ]
+    }
+
+    /// Of remarks, and of the characters in them.
+    fn remark_byte() -> impl Strategy<Value = u8> {
+        prop_oneof![
+            4 => Just(b'('), 1 => Just(b')'), 1 => Just(b';'), 3 => Just(0xC3), 3 => Just(0xE3), 1 => Just(0xF0), 1 => Just(0xC2),
+            8 => 0x80_u8..0xC0
+        ]
+    }
+
+    /// What a Grbl makes of all bytes but the characters of remarks, which the standard library finds.
+    fn commands_of(bytes: &[u8]) -> Vec<Realtime> {
+        let mut commands = Vec::new();
+        let mut give = |bytes: &[u8]| {
+            let all = bytes.iter().map(|byte| Received::of(*byte));
+            commands.extend(
+                all.filter_map(|byte| if let Received::Realtime(command) = byte { Some(command) } else { None }),
+            );
+        };
+        let mut left = bytes;
+        while let Some(begin) = left.iter().position(|byte| matches!(byte, b'(' | b';')) {
+            let (before, remark) = left.split_at(begin);
+            give(before);
+            let ends = |byte: &u8| matches!(byte, b'\n' | b'\r' | 0x18 | 0x19) || *byte == b')' && remark[0] == b'(';
+            let end = remark.iter().position(ends).unwrap_or(remark.len());
+            for chunk in remark[..end].utf8_chunks() {
+                let kept: String = chunk.valid().chars().filter(|character| *character < '\u{C0}').collect();
+                give(kept.as_bytes());
+                give(chunk.invalid());
+            }
+            left = &remark[end..];
+        }
+        give(left);
+        commands
     }
 
     impl Both<40> {
@@ -864,6 +984,37 @@ mod tests {
     }
 
     proptest! {
+        /// A command is never lost or made up, but for the bytes of a remark's characters: whatever comes, in whatever pieces,
+        /// and however little room there is.
+        #[test]
+        fn a_stop_byte_is_never_lost(
+            mut bytes in proptest::collection::vec(
+                prop_oneof![8 => remark_byte(), 3 => Just(b'X'), 1 => Just(b'\n'), 1 => Just(b'!'), 1 => Just(0x18), 1 => Just(0x19),
+                    1 => Just(0x84), 1 => any::<u8>()],
+                0..200),
+            mut pieces in proptest::collection::vec((1_usize..9, 0_usize..3), 1..40),
+        ) {
+            // A character that has begun is at its end then.
+            bytes.push(b'\n');
+            pieces.push((1, 1));
+            let (mut both, mut left, mut commands) = (Both::<40>::new(0, 1000), bytes.as_slice(), Vec::new());
+            for (length, room) in pieces.iter().cycle() {
+                both.queues.most_commands = *room;
+                both.pass_on();
+                for _ in 0..*length {
+                    let Some((byte, behind)) = left.split_first().filter(|_| both.usb.room() > 0) else { break };
+                    both.usb(&[*byte]);
+                    left = behind;
+                }
+                commands.append(&mut both.queues.commands);
+                both.queues.lines.clear();
+                if left.is_empty() && !both.usb.is_waiting() {
+                    break;
+                }
+            }
+            prop_assert_eq!(commands, commands_of(&bytes));
+        }
+
         /// Runs of text and line ends become what the bytes become one by one.
         #[test]
         fn a_run_is_taken_as_its_bytes(events in proptest::collection::vec(event(), 1..80)) {

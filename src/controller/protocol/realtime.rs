@@ -26,10 +26,20 @@ impl Received {
     }
 }
 
-/// Whether a byte is part of a line, neither a command nor its end.
+/// Whether a byte is part of a line and no more: neither a command nor the end of the line, and it begins or ends no remark.
 #[inline]
+#[allow(clippy::indexing_slicing, reason = "there is one for each byte")]
 pub const fn is_plain(byte: u8) -> bool {
-    matches!(byte, b' '..=b'}') && !matches!(byte, b'!' | b'?')
+    const PLAIN: [bool; 256] = {
+        let mut plain = [false; 256];
+        let mut byte = b' ';
+        while byte <= b'}' {
+            plain[byte as usize] = !matches!(byte, b'!' | b'?' | b'(' | b')' | b';');
+            byte += 1;
+        }
+        plain
+    };
+    PLAIN[byte as usize]
 }
 
 /// The realtime command of a byte (Grbl 1.1 interface, realtime commands).
@@ -91,7 +101,7 @@ mod tests {
     #[test]
     fn plain_bytes_are_those_of_lines_that_end_none() {
         for byte in 0..=0xFF {
-            let of_line = Received::of(byte) == Received::Line(byte);
+            let of_line = Received::of(byte) == Received::Line(byte) && !b"();".contains(&byte);
             assert_eq!(is_plain(byte), of_line && (b' '..=b'}').contains(&byte), "{byte:#x}");
         }
     }

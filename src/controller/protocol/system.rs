@@ -5,6 +5,7 @@
 //! `CheckLines`, `ClearNoise`, `ParserState`, `Parameters`, `Recording`, `ResetCause`, `Unlock`, `Describe`
 //! (`Described`); a command is `alone` or has a `rest` of its text, `numbered` reads an index, `known_to_grbl` tells.
 
+use super::checked_line::is_session;
 use crate::axes::Axis;
 use crate::error::Error;
 use crate::number::{self, Digits, Number};
@@ -55,8 +56,8 @@ pub enum System<'a> {
     Pins,
     /// `$PINS=0`
     ClearNoise,
-    /// `$LC=ON`, `$LC=OFF`
-    CheckLines(bool),
+    /// `$LC=ON` and the letters of a session, if any; `$LC=OFF`
+    CheckLines(Option<&'a [u8]>),
     /// `$SLP`
     Sleep,
     /// `$n=v`
@@ -154,10 +155,12 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
         Some(b'#') => alone(System::Parameters),
         Some(b'J') => rest.strip_prefix(b"=").map(System::Jog).ok_or(Error::InvalidStatement),
         Some(b'L') => match rest {
-            b"C=OFF" => Ok(System::CheckLines(false)),
-            b"C=ON" => Ok(System::CheckLines(true)),
-            _ if rest.starts_with(b"C") => Err(Error::InvalidStatement),
-            _ => Err(Error::BadNumber),
+            b"C=OFF" => Ok(System::CheckLines(None)),
+            _ => match rest.strip_prefix(b"C=ON") {
+                Some(session) if is_session(session) => Ok(System::CheckLines(Some(session))),
+                _ if rest.starts_with(b"C") => Err(Error::InvalidStatement),
+                _ => Err(Error::BadNumber),
+            },
         },
         Some(b'S') if rest == b"LP" => Ok(System::Sleep),
         Some(b'S') => Err(Error::InvalidStatement),

@@ -13,6 +13,7 @@ use crate::protocol::report;
 use crate::settings::{AxisKey, Key, Settings};
 use crate::states::Mode;
 use crate::units::{StepsPerMm, per_second};
+use crate::view::dialect;
 use crate::work::line::Message;
 use crate::work::task::Task;
 
@@ -82,6 +83,9 @@ impl<const N: usize> Controller<N> {
     }
 }
 
+/// What Grbl makes of a slower feed, mm/min.
+const GRBL_LEAST_FEED: f32 = 1.0;
+
 /// The settings as motion wants them. A resolution that cannot be used is taken as 1: motion is locked until
 /// it is mended (`Settings::unrunnable`).
 fn motion_settings<const N: usize>(settings: &Settings<N>, step_clock_hz: u32) -> MotionSettings<N> {
@@ -89,6 +93,7 @@ fn motion_settings<const N: usize>(settings: &Settings<N>, step_clock_hz: u32) -
         arrangement: settings.arrangement(),
         steps_per_mm: settings.axes(AxisKey::Resolution).map(|v| StepsPerMm::new(v).unwrap_or(StepsPerMm::ONE)),
         max_rate: settings.axes(AxisKey::MaxRate).map(per_second),
+        least_feed: if dialect(settings) == Dialect::Grbl { per_second(GRBL_LEAST_FEED) } else { 0.0 },
         acceleration: settings.axes(AxisKey::Acceleration),
         jerk: settings.axes(AxisKey::Jerk),
         backlash: settings.axes(AxisKey::Backlash),

@@ -156,6 +156,11 @@ impl<const N: usize> Mode<N> {
         matches!(self, Mode::Normal | Mode::Jog { .. } | Mode::Alarm(_) | Mode::Check)
     }
 
+    /// Whether nothing but a reset helps, with which all lines received before it are void.
+    pub fn waits_for_reset(&self) -> bool {
+        matches!(self, Mode::Sleep(_) | Mode::Critical(_))
+    }
+
     /// Whether the machine is locked.
     pub fn is_alarm(&self) -> bool {
         matches!(self, Mode::Alarm(_) | Mode::Critical(_))

@@ -448,7 +448,10 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn finish(&mut self, answer: Answer) {
         self.task = Task::None;
         match answer {
-            Answer::Host => self.say_ok(),
+            Answer::Host => {
+                self.m.answered_at = self.m.now;
+                self.say_ok();
+            }
             Answer::Held(caller) => self.task = Task::Held(caller),
             Answer::Startup(index, host_waits) => {
                 self.echo_startup_line(index);

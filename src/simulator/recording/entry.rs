@@ -3,6 +3,7 @@
 
 use crate::boards::AXES;
 use crate::simulator::Simulator;
+use crate::trace::hash;
 use oxmill_controller::axes::LINEAR;
 use oxmill_controller::messages::{Noted, SpindleDirection};
 
@@ -78,7 +79,38 @@ pub(super) fn state(simulator: &Simulator) -> String {
     words
 }
 
-/// Whether a machine is where it was recorded. Recordings of older versions have no more than the motors.
-pub(super) fn agrees(recorded: &str, here: &str) -> bool {
-    here.strip_prefix(recorded).is_some_and(|rest| rest.is_empty() || rest.starts_with(" alarm "))
+/// In front of a hash of the clock, and of the times of all steps and of all changes of the outputs.
+const TRACED: &str = " traced ";
+
+/// The place with that hash, in a recording that began at a time of the virtual clock.
+pub(super) fn traced(simulator: &Simulator, begin: u64) -> String {
+    let (clock, trace) = (simulator.clock(), simulator.trace());
+    let hz = u64::from(simulator.board().step_clock_hz);
+    let hash = hash([hz, begin, clock.now(), trace.history()]);
+    format!("{}{TRACED}{hash:016x}", place(simulator))
+}
+
+/// Compares where a machine is, and what it has done until then, with what was recorded. Recordings of older versions have no
+/// more than the motors, or no hash behind the outputs.
+///
+/// # Errors
+/// What differs.
+pub(super) fn compare(recorded: &str, here: &str) -> Result<(), String> {
+    let (here_at, _) = here.split_once(TRACED).unwrap_or((here, ""));
+    let recorded_at = match recorded.split_once(TRACED) {
+        Some((at, _)) => at,
+        None if here_at.strip_prefix(recorded).is_some_and(|rest| rest.starts_with(" alarm ")) => here_at,
+        None => recorded,
+    };
+    if recorded_at != here_at {
+        return Err(format!("the recording has the machine at {recorded_at}; here it is at {here_at}"));
+    }
+    if recorded.contains(TRACED) && recorded != here {
+        return Err(
+            "the machine is where it was recorded, but not at the same time by the same clock, or steps or outputs \
+             came at other times"
+                .into(),
+        );
+    }
+    Ok(())
 }

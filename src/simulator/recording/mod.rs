@@ -11,9 +11,10 @@
 //! 1512000 connect                         a host has opened the port; `disconnect`: closed it
 //! 1530000 host G1 X10 F600\n              bytes of the host, escaped as in Rust
 //! 1600000 pin door 1                      a line of the pin protocol
-//! 1600000 at 80 0 0 9d53b4ab5f4e1c2a alarm 0 trusted cw 32896 flood
+//! 1600000 at 80 0 0 9d53b4ab5f4e1c2a alarm 0 trusted cw 32896 flood traced 41d0a3b5c7e9f012
 //!                                         position of the motors, hash of all steps in their order; alarm and
-//!                                         outputs, the spindle's power from 0 to 65535
+//!                                         outputs, the spindle's power from 0 to 65535; hash of the clock, and of
+//!                                         the times of all steps and changes of the outputs
 //! 1700000 job                             a job begins that no host sends: it is taken as fast as the controller likes
 //! job G0 X1\n                             each line of it
 //! ```
@@ -33,7 +34,7 @@ pub use writer::{RecordedJob, Recorder};
 use crate::fittings::Fittings;
 use crate::simulator::{Options, Simulator};
 use crate::store::Store;
-use entry::{agrees, place};
+use entry::{compare, traced};
 use oxmill_controller::messages::Store as Change;
 
 /// Why a replay that has not parted from its recording is not told to be the same.
@@ -79,12 +80,9 @@ impl Recording {
     /// # Errors
     /// Where it is instead.
     pub fn compare_end(&self, simulator: &Simulator) -> Result<(), String> {
-        let here = place(simulator);
         match self.inputs.last() {
-            Some((_, Input::At(recorded))) if agrees(recorded, &here) => Ok(()),
-            Some((_, Input::At(recorded))) => {
-                Err(format!("at its end the recording has the machine at {recorded}; here it is at {here}"))
-            }
+            Some((_, Input::At(recorded))) => compare(recorded, &traced(simulator, self.begin.unwrap_or_default()))
+                .map_err(|why| format!("at its end {why}")),
             _ => Err("the recording has no end: nothing can be compared".into()),
         }
     }
@@ -137,13 +135,9 @@ impl Recording {
                     }
                 }
                 Input::At(recorded) => {
-                    let here = place(simulator);
-                    if !agrees(recorded, &here) {
-                        let seconds = simulator.clock().seconds(time.saturating_sub(begin));
-                        return Err(format!(
-                            "{seconds:.6} s after its begin the recording has the machine at {recorded}; here it is at {here}"
-                        ));
-                    }
+                    let seconds = simulator.clock().seconds(time.saturating_sub(begin));
+                    let same = compare(recorded, &traced(simulator, begin));
+                    same.map_err(|why| format!("{seconds:.6} s after its begin {why}"))?;
                 }
             }
             hear_all(simulator, &mut hear);

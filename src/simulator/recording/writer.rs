@@ -1,7 +1,7 @@
 //! A recording while it is written: `Recorder` writes each input as a line and, at rest, where the machine is;
 //! `RecordedJob` passes the lines of a job on and writes them.
 
-use super::entry::{Input, TITLE, place};
+use super::entry::{Input, TITLE, place, traced};
 use crate::simulator::Simulator;
 use std::cell::RefCell;
 use std::fmt::Write as _;
@@ -13,6 +13,7 @@ pub struct Recorder {
     /// What is not written yet.
     held: Vec<u8>,
     out: Option<Box<dyn Write>>,
+    begin: u64,
     last: String,
     /// When the place of the machine is looked at again.
     next_look: u64,
@@ -35,7 +36,7 @@ impl Recorder {
             let _ = writeln!(head, "machine {line}");
         }
         let _ = writeln!(head, "begin {now}");
-        Self { held: head.into_bytes(), out: None, last: place(simulator), next_look: now }
+        Self { held: head.into_bytes(), out: None, begin: now, last: place(simulator), next_look: now }
     }
 
     /// Where it is written from here on, with all that has come in before.
@@ -105,7 +106,7 @@ impl Recorder {
     pub fn look(&mut self, simulator: &Simulator) -> io::Result<()> {
         let here = place(simulator);
         if here != self.last {
-            self.write(simulator, &format!("at {here}"))?;
+            self.write(simulator, &format!("at {}", traced(simulator, self.begin)))?;
             self.last = here;
         }
         Ok(())
@@ -125,8 +126,7 @@ impl Recorder {
     /// # Errors
     /// If it cannot be written.
     pub fn end(&mut self, simulator: &Simulator) -> io::Result<()> {
-        let here = place(simulator);
-        self.write(simulator, &format!("at {here}"))
+        self.write(simulator, &format!("at {}", traced(simulator, self.begin)))
     }
 }
 

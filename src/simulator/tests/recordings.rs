@@ -179,7 +179,8 @@ fn another_state_parts_from_it() {
         ("$SLP\n", "alarm 0"),
     ] {
         let (text, _) = recorded(sent);
-        assert!(text.ends_with(&format!(" {state}\n")), "{sent:?} is {text}");
+        let (place, traced) = text.trim_end().rsplit_once(" traced ").unwrap();
+        assert!(place.ends_with(&format!(" {state}")) && traced.len() == 16, "{sent:?} is {text}");
         assert_eq!(played(&text), Ok(()));
         // Each word by itself is looked at.
         let words: Vec<&str> = state.split(' ').collect();
@@ -194,6 +195,51 @@ fn another_state_parts_from_it() {
     let older: String = text.lines().map(|line| format!("{}\n", line.split(" alarm ").next().unwrap())).collect();
     assert_eq!(played(&older.replace(" M8", "")), Ok(()));
     assert!(played(&text.replace(" M8", "")).is_err());
+    // And one of another older version of no clock.
+    let older: String = text.lines().map(|line| format!("{}\n", line.split(" traced ").next().unwrap())).collect();
+    assert_eq!(played(&older), Ok(()));
+    assert!(played(&older.replace(" M8", "")).is_err());
+}
+
+/// Though the motors make the same steps and the machine ends in the same state.
+#[test]
+fn other_outputs_and_another_clock_part_from_it() {
+    let (text, _) = recorded("M3 S500\nG1 X0.2 F600\nM5\n");
+    assert_eq!(played(&text), Ok(()));
+    let differs = |changed: String| {
+        let why = played(&changed).unwrap_err();
+        assert!(
+            why.contains("steps or outputs came at other times") || why.contains("has the machine at"),
+            "{why}: {changed}"
+        );
+    };
+    for (from, to) in
+        [("M3 S500\\n", ""), ("M3 S500", "M3 S510"), ("M3 S500", "M4 S500"), ("F600\\nM5", "F600\\nM8\\nM9 M5")]
+    {
+        assert!(text.contains(from));
+        differs(text.replace(from, to));
+    }
+    // Each bit of the step clock, and of each time that is recorded.
+    let hz = "board desk 100000000\n";
+    assert!(text.contains(hz), "{text}");
+    for bit in 0..20 {
+        differs(text.replace(hz, &format!("board desk {}\n", 100_000_000 ^ 1 << bit)));
+    }
+    let lines: Vec<&str> = text.lines().collect();
+    let first = lines.iter().position(|line| line.contains("M3")).unwrap();
+    for number in first..lines.len() {
+        let (time, rest) = lines[number].split_once(' ').unwrap();
+        let time: u64 = time.parse().unwrap();
+        for bit in 0..24 {
+            let changed = format!("{} {rest}", time ^ 1 << bit);
+            let text = [&lines[..number], &[&changed], &lines[number + 1..]].concat().join("\n") + "\n";
+            // One that comes before the line in front of it is refused as a whole.
+            if Recording::parse(&text).is_ok() {
+                differs(text);
+            }
+        }
+    }
+    assert!(lines.len() > first + 1, "{text}");
 }
 
 #[test]

@@ -351,6 +351,7 @@ fn motion_settings() -> MotionSettings<3> {
     MotionSettings {
         steps_per_mm: PerAxis::all(StepsPerMm::new(80.0).expect("in range")),
         max_rate: PerAxis::all(10_000.0 / 60.0),
+        least_feed: 0.0,
         acceleration: PerAxis::all(500.0),
         jerk: PerAxis::all(0.0),
         junction_deviation: 0.01,

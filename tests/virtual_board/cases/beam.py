@@ -5,11 +5,7 @@ from random import Random
 from ..board import Failure
 from ..models import timer
 from ..scope import Scope
-<<<<<<< HEAD
-from .bench import BYTE_STOP_S, RUN_CYCLES, TRIP_S, US, duty, fast, stand_once, us
-=======
-from .bench import RUN_CYCLES, STOP_S, TRIP_S, US, duty, fast, stand_once, step_clock, us
->>>>>>> hw
+from .bench import BYTE_STOP_S, RUN_CYCLES, TRIP_S, US, duty, fast, stand_once, step_clock, us
 from .failures import tell
 from .stops import StopWatch
 

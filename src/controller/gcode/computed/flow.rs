@@ -12,6 +12,7 @@
 //! line of it is taken for one of the program. What runs is given out line by line; nothing here calls itself.
 
 use crate::error::Error;
+use crate::gcode::program_end::has_m_word;
 use crate::gcode::remark::split_remark;
 use crate::memory::Lent;
 
@@ -174,21 +175,7 @@ pub(super) fn digits(text: &[u8]) -> usize {
 
 /// Whether a line has the word M2 or M30, written with a plain number.
 pub(super) fn ends_program(line: &[u8]) -> bool {
-    let mut in_name = false;
-    let mut rest = line;
-    while let Some((byte, behind)) = rest.split_first() {
-        rest = behind;
-        in_name = *byte == b'<' || in_name && *byte != b'>';
-        if *byte != b'M' || in_name {
-            continue;
-        }
-        let (number, after) = behind.split_at_checked(digits(behind)).unwrap_or_default();
-        let zeros = number.iter().take_while(|digit| **digit == b'0').count();
-        if matches!(number.get(zeros..), Some(b"2" | b"30")) && after.first() != Some(&b'.') {
-            return true;
-        }
-    }
-    false
+    has_m_word(line, &[b"2", b"30"])
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]

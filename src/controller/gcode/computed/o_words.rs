@@ -69,6 +69,7 @@ impl<const N: usize> Interpreter<N> {
 
     /// A tape mark, between programs: what one of them has left open is an error, and forgotten.
     pub fn tape_mark(&mut self) -> Result<(), Error> {
+        self.begin_program();
         if self.computed.flow.open_since().is_none() {
             return Ok(());
         }

@@ -339,6 +339,7 @@ fn six_axes_have_their_ends() {
         arrangement: three.arrangement,
         steps_per_mm: PerAxis::all(three.steps_per_mm.0[0]),
         max_rate: PerAxis::all(100.0),
+        least_feed: 0.0,
         acceleration: PerAxis::all(500.0),
         jerk: PerAxis::all(0.0),
         backlash: PerAxis::all(0.0),

@@ -68,6 +68,7 @@ pub fn settings(spm: f32, rate: f32, acceleration: f32) -> MotionSettings<3> {
         arrangement: Arrangement::Cartesian,
         steps_per_mm: PerAxis::all(StepsPerMm::new(spm).unwrap()),
         max_rate: PerAxis::all(rate),
+        least_feed: 0.0,
         acceleration: PerAxis::all(acceleration),
         jerk: PerAxis::all(0.0),
         backlash: PerAxis::all(0.0),

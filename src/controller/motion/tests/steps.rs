@@ -184,6 +184,7 @@ fn six_axes_step() {
         arrangement: three.arrangement,
         steps_per_mm: crate::axes::PerAxis::all(three.steps_per_mm.0[0]),
         max_rate: crate::axes::PerAxis::all(100.0),
+        least_feed: 0.0,
         acceleration: crate::axes::PerAxis::all(500.0),
         jerk: crate::axes::PerAxis::all(0.0),
         backlash: crate::axes::PerAxis::all(0.0),

@@ -19,13 +19,15 @@ export interface Resume { line: number; clearance?: number; plunge?: number; spi
 export interface Rest { program: string; line: number; lines: number; prologue: string[] }
 
 export interface LineError { line: number; code: number; text: string; source: string; advice: string }
+/** A line that is accepted and does what may not be meant. */
+export interface Warning { line: number; text: string }
 export interface AlarmReport { code: number; text: string; line: number | null; advice: string }
 
 export interface ToolTime { tool: number; feed_s: number; rapid_s: number; dwell_s: number; spin_up_s: number }
 
 /** What `oxmill run --json` prints: docs/json.md. */
 export interface Summary {
-  job: string; board: string; dialect: string; lines: number; errors: LineError[]; more_errors: number;
+  job: string; board: string; dialect: string; lines: number; errors: LineError[]; more_errors: number; warnings: Warning[]; more_warnings: number;
   alarm: AlarmReport | null; complete: boolean; notes: string[]; messages: string[];
   forecast_s: number; feed_s: number; rapid_s: number; standing_s: number; dwell_s: number; spin_up_s: number; tools: ToolTime[];
   position_mm: number[]; work_position_mm: number[]; pulses: number[];

@@ -20,7 +20,9 @@ export function showReport(summary: Summary, lines: string[], goTo: (line: numbe
   byTool(summary);
   facts(summary);
   $("errors").replaceChildren(...list(summary, lines, goTo));
-  const said = new Set([...summary.messages, ...summary.notes]);
+  const warnings = summary.warnings.map(({ line, text }) => `line ${line}: ${text}`);
+  if (summary.more_warnings > 0) warnings.push(`and ${count(summary.more_warnings, "more warning")}`);
+  const said = new Set([...warnings, ...summary.messages, ...summary.notes]);
   $("messages").replaceChildren(...[...said].map(textContent => el("li", { textContent })));
 }
 

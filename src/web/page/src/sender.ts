@@ -251,7 +251,7 @@ export class Sender {
 
 /** Whether the machine would answer in checked lines from here on. */
 function beginsChecks(text: string): boolean {
-  return /^\$LC=ON$/i.test(text.replace(/\([^)]*\)|;.*|\s/g, ""));
+  return /^\$LC=ON([A-Z]{4})?$/i.test(text.replace(/\([^)]*\)|;.*|\s/g, ""));
 }
 
 /** A `%` with nothing but remarks behind it. */

@@ -72,8 +72,7 @@ export async function refused_lines_are_listed_with_what_helps(browser) {
     "bad.nc": "G21 G90\nG0 X10\nG999\nG1 Y10\nG1 X20 F600 Q3\n(ok)\nG2 X30 Y30 I1 J1\n",
     "crlf.nc": "\uFEFFG21\r\nG0 X1\r\nbad\r\n\r\nG0 X2\rG0 Y1\r\n",
     "alarm.nc": "G21 F100\nG38.2 Z-1\nG0 X5\n",
-    "binary.nc": "\0\x01\x02\x80\xff\x18?!~\nG0 X1\n",
-    "empty.nc": "",
+    "remarks.nc": "(Äußere Kontur, wow!)\nG0 X1\n",
     "open.nc": "o100 sub\nG0 X1\n",
     "words.nc": "<script>alert(1)</script>\n&amp;\n",
   };
@@ -82,9 +81,16 @@ export async function refused_lines_are_listed_with_what_helps(browser) {
     same(found, run(name, text), name);
     const shown = await page.locator("#errors button").allInnerTexts();
     assert.equal(shown.length, found.errors.length + (found.alarm ? 1 : 0), name);
+    const said = await page.locator("#messages li").allInnerTexts();
+    for (const { line, text } of found.warnings) assert(said.includes(`line ${line}: ${text}`), `${name}: ${said}`);
+    assert.equal(found.warnings.length, name === "remarks.nc" ? 1 : 0, name);
     for (const [index, error] of found.errors.entries()) {
       for (const part of [`line ${error.line}:`, `error:${error.code}`, error.text, error.advice]) assert(shown[index].includes(part), `${name}: ${shown[index]}`);
     }
+  }
+  for (const [name, bytes, what] of [["binary.nc", [0x50, 0x4b, 3, 4, 0, 0, 8], "a binary file"], ["empty.nc", [], "empty"], ["wide.nc", [0xff, 0xfe, 0x47, 0], "UTF-16"]]) {
+    await page.setInputFiles("#file", { name, mimeType: "text/plain", buffer: Buffer.from(bytes) });
+    await page.waitForFunction(what => document.getElementById("verdict").textContent.startsWith(`Not checked: the job is not read: it is ${what}`), what);
   }
   await openJob(page, "alarm.nc", jobs["alarm.nc"]);
   assert.match(await page.locator("#errors button").last().innerText(), /^line 2: ALARM:5 [^]*\nG38\.2 Z-1\n/);

@@ -82,11 +82,11 @@ export async function hold_resume_overrides_and_reset_act(browser) {
 export async function lines_that_the_page_cannot_send_are_refused_before_the_job(browser) {
   const { page, faults } = await powered(browser);
   const wrong = () => page.locator("#console .wrong").allInnerTexts();
-  for (const typed of ["$LC=ON", " $lc = on ; as the other sender does"]) {
+  for (const typed of ["$LC=ON", "$LC=ONQKNP", " $lc = on ; as the other sender does"]) {
     await page.fill("#command", typed);
     await page.press("#command", "Enter");
   }
-  await page.waitForFunction(() => document.querySelectorAll("#console .wrong").length === 2);
+  await page.waitForFunction(() => document.querySelectorAll("#console .wrong").length === 3);
   for (const answer of await wrong()) assert.match(answer, /^not sent: with checked lines each line has a number/);
   for (const [line, why] of [["$LC=ON", /with checked lines each line has a number/], ["G1 X\u22122 F600", /"\u2212" \(U\+2212\) has no place/]]) {
     await openJob(page, "refused.nc", `G21 G91\n${line}\nG1 X2 F600\n`);

@@ -1,0 +1,153 @@
+//! What may come behind the end of a program (M2, M30): the next program, or subprograms that the end was to keep from being
+//! run, as controls with M98 have them (`O1001` .. `M99`). The interpreter cannot call these, and refuses their lines, so that no
+//! machine falls into them. The number of a program stands behind a tape mark, a reset, or a rest (`O1001` .. `M30`).
+
+use super::state::Interpreter;
+use crate::error::Error;
+
+/// Where lines are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Place {
+    /// In a program.
+    Program,
+    /// Behind its end.
+    End,
+    /// Behind its end, in a subprogram.
+    Subprogram,
+}
+
+impl<const N: usize> Interpreter<N> {
+    /// Whether a program has ended, and nothing has told yet that another one begins.
+    #[inline]
+    pub fn is_behind_end(&self) -> bool {
+        self.place != Place::Program
+    }
+
+    /// What comes next is another program.
+    pub fn begin_program(&mut self) {
+        self.place = Place::Program;
+    }
+
+    /// Looks at a line behind the end. `rested`: the machine has had nothing to do for a while, so a number is that of the next
+    /// program.
+    ///
+    /// # Errors
+    /// [`Error::BehindEnd`] for the lines of a subprogram.
+    pub fn look_behind_end(&mut self, line: &[u8], rested: bool) -> Result<(), Error> {
+        match self.place {
+            Place::Program => Ok(()),
+            Place::End if !is_program_number(line) => Ok(()),
+            Place::End if rested => {
+                self.place = Place::Program;
+                Ok(())
+            }
+            Place::End => {
+                self.place = Place::Subprogram;
+                Err(Error::BehindEnd)
+            }
+            Place::Subprogram if line.is_empty() => Ok(()),
+            Place::Subprogram => {
+                if has_m_word(line, &[b"2", b"30", b"99"]) {
+                    self.place = Place::End;
+                }
+                Err(Error::BehindEnd)
+            }
+        }
+    }
+}
+
+/// Whether a line is the number of a program, perhaps behind that of a line.
+fn is_program_number(line: &[u8]) -> bool {
+    let numbered = line.strip_prefix(b"N").unwrap_or_default();
+    let digits = numbered.iter().take_while(|byte| byte.is_ascii_digit()).count();
+    let number = numbered.get(digits..).filter(|behind| !behind.is_empty()).unwrap_or(line).strip_prefix(b"O");
+    number.is_some_and(|number| !number.is_empty() && number.iter().all(u8::is_ascii_digit))
+}
+
+/// Whether a line has one of some M words, written with a plain number.
+pub(super) fn has_m_word(line: &[u8], numbers: &[&[u8]]) -> bool {
+    let mut in_name = false;
+    let mut rest = line;
+    while let Some((byte, behind)) = rest.split_first() {
+        rest = behind;
+        in_name = *byte == b'<' || in_name && *byte != b'>';
+        if *byte != b'M' || in_name {
+            continue;
+        }
+        let digits = behind.iter().take_while(|byte| byte.is_ascii_digit()).count();
+        let (number, after) = behind.split_at_checked(digits).unwrap_or_default();
+        let zeros = number.iter().take_while(|digit| **digit == b'0').count();
+        let number = number.get(zeros..).unwrap_or_default();
+        if numbers.contains(&number) && after.first() != Some(&b'.') {
+            return true;
+        }
+    }
+    false
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gcode::Dialect;
+
+    /// Which of these lines are taken, on a machine that never rests.
+    fn taken(lines: &[&str]) -> std::vec::Vec<bool> {
+        let mut interpreter = Interpreter::<3>::new();
+        let take = |line: &&str| {
+            let line = line.as_bytes();
+            if line == b"%" {
+                interpreter.tape_mark().unwrap();
+                return true;
+            }
+            if interpreter.look_behind_end(line, false).is_err() {
+                return false;
+            }
+            let checked = interpreter.check(line, Dialect::Oxmill).unwrap();
+            interpreter.commit(&checked);
+            true
+        };
+        lines.iter().map(take).collect()
+    }
+
+    #[test]
+    fn subprograms_behind_the_end_are_not_run() {
+        let lines = ["O1000", "G0X1", "M30", "", "O1001", "G1Z-3F100", "", "#<M99>=2", "M99", "O1002", "M30", "G0Z1"];
+        let run = [true, true, true, true, false, false, true, false, false, false, false, true];
+        assert_eq!(taken(&lines), run);
+        assert_eq!(taken(&["M2", "G0Z5", "N10O1", "G0Z-3", "N20M99", "G0Z1"]), [true, true, false, false, false, true]);
+    }
+
+    #[test]
+    fn the_number_of_the_next_program_is_no_subprogram() {
+        assert_eq!(taken(&["%", "O1", "M30", "%", "O2", "G0X1", "M30"]), [true; 7]);
+        let mut interpreter = Interpreter::<3>::new();
+        for end in ["M2", "M30"] {
+            let checked = interpreter.check(end.as_bytes(), Dialect::Oxmill).unwrap();
+            interpreter.commit(&checked);
+            assert!(interpreter.is_behind_end());
+            assert_eq!(interpreter.look_behind_end(b"O1", true), Ok(()));
+            assert!(!interpreter.is_behind_end());
+        }
+        // In a subprogram a rest ends nothing: somebody may have been asked whether to go on.
+        interpreter.place = Place::End;
+        assert_eq!(interpreter.look_behind_end(b"O1", false), Err(Error::BehindEnd));
+        assert_eq!(interpreter.look_behind_end(b"G0X1", true), Err(Error::BehindEnd));
+        interpreter.reset();
+        assert!(!interpreter.is_behind_end());
+    }
+
+    #[test]
+    fn numbers_of_programs_are_alone() {
+        for (line, is) in [
+            ("O1", true),
+            ("N5O0100", true),
+            ("O", false),
+            ("O1SUB", false),
+            ("O<A>CALL", false),
+            ("G0X1", false),
+            ("", false),
+        ] {
+            assert_eq!(is_program_number(line.as_bytes()), is, "{line}");
+        }
+    }
+}

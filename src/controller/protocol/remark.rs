@@ -1,0 +1,184 @@
+//! `Remark`: whether a received line is within a remark, `(..)` or `; ..`, and the bytes of the character of UTF-8 that comes
+//! next in it. There a byte from 0x80 on that a character begins with or is continued by is text and no realtime command, though
+//! 0x84 opens the door elsewhere: the `Ä` of `(Äußere Kontur)` is 0xC3 0x84. Lives in the serial task, one for each link.
+//!
+//! ```text
+//!  C3 84            text: the character Ä
+//!  E3 84 41         no character: 0x84 is the command that it is by itself, and comes before the A
+//!  C2 91            a command: some senders put 0xC2 in front of their override bytes
+//!  C3 84 outside    a command: only a remark holds text
+//! ```
+//! Bytes below 0x80 belong to no such character, so `!`, 0x18 and 0x19 act wherever they come. Where the parser of lines reads
+//! a remark and this one does not, behind a nested `)` for instance, bytes are the commands that they always were.
+
+use heapless::Vec;
+
+/// Most bytes of a character that has not come to its end.
+const MOST_BEGUN: usize = 3;
+
+/// Where in its line a link is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Place {
+    Words,
+    /// In a remark that `)` ends.
+    Parentheses,
+    /// In one that the line's end ends.
+    Semicolon,
+}
+
+/// The remark of the line that is being received.
+#[derive(Clone, Debug)]
+pub struct Remark {
+    place: Place,
+    /// The character that has begun.
+    begun: Vec<u8, MOST_BEGUN>,
+}
+
+impl Remark {
+    /// The line has not begun.
+    pub const NONE: Remark = Remark { place: Place::Words, begun: Vec::new() };
+
+    /// Whether the line is in a remark.
+    #[inline]
+    pub fn is_inside(&self) -> bool {
+        self.place != Place::Words
+    }
+
+    /// Whether a character has begun and not ended.
+    #[inline]
+    pub fn has_begun_character(&self) -> bool {
+        !self.begun.is_empty()
+    }
+
+    /// A byte of the line has come.
+    pub fn follow(&mut self, byte: u8) {
+        self.place = match (self.place, byte) {
+            (_, b'\n' | b'\r') => Place::Words,
+            (Place::Words, b'(') => Place::Parentheses,
+            (Place::Words, b';') => Place::Semicolon,
+            (Place::Parentheses, b')') => Place::Words,
+            (place, _) => place,
+        };
+    }
+
+    /// The line has ended, or bytes were lost: its end may have been among them. What has begun is no character.
+    pub fn leave(&mut self) {
+        self.place = Place::Words;
+    }
+
+    /// Gives the bytes that have begun a character, if this one does not continue it: each is what it is by itself.
+    pub fn break_off(&mut self, byte: u8) -> Vec<u8, MOST_BEGUN> {
+        if self.is_inside() && continues(&self.begun, byte) { Vec::new() } else { core::mem::take(&mut self.begun) }
+    }
+
+    /// Takes a byte that begins or continues a character, behind [`Remark::break_off`]. Whether it does. `reads`: characters
+    /// are read at all.
+    pub fn takes(&mut self, byte: u8, reads: impl FnOnce() -> bool) -> bool {
+        let Some(lead) = self.begun.first() else {
+            let begins = matches!(byte, 0xC3..=0xF4) && self.is_inside() && reads();
+            return begins && self.begun.push(byte).is_ok();
+        };
+        if self.begun.len() + 1 == length(*lead) {
+            self.begun.clear();
+            return true;
+        }
+        self.begun.push(byte).is_ok()
+    }
+}
+
+/// Bytes of the character that begins so.
+fn length(lead: u8) -> usize {
+    match lead {
+        ..0xE0 => 2,
+        ..0xF0 => 3,
+        _ => 4,
+    }
+}
+
+/// Whether a byte goes on with what has begun (Unicode 16, table 3-7: no longer than need be, no surrogates, up to U+10FFFF).
+fn continues(begun: &[u8], byte: u8) -> bool {
+    match begun {
+        [0xE0] => matches!(byte, 0xA0..=0xBF),
+        [0xED] => matches!(byte, 0x80..=0x9F),
+        [0xF0] => matches!(byte, 0x90..=0xBF),
+        [0xF4] => matches!(byte, 0x80..=0x8F),
+        [] => false,
+        _ => matches!(byte, 0x80..=0xBF),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// What a link makes of bytes: those that are by themselves.
+    fn alone(bytes: &[u8]) -> std::vec::Vec<u8> {
+        let mut remark = Remark::NONE;
+        let mut alone = std::vec::Vec::new();
+        for byte in bytes {
+            alone.extend(remark.break_off(*byte));
+            if !remark.takes(*byte, || true) {
+                alone.push(*byte);
+                remark.follow(*byte);
+            }
+        }
+        alone
+    }
+
+    #[test]
+    fn characters_of_a_remark_are_text() {
+        assert_eq!(alone("(Äußere Kontur é 切削 😀)".as_bytes()), b"(uere Kontur   )");
+        assert_eq!(alone("G1 ; Größe à\nÄ".as_bytes()), b"G1 ; Gre \n\xC3\x84");
+        assert_eq!(alone("(a)Ä(Ä)".as_bytes()), b"(a)\xC3\x84()");
+    }
+
+    #[test]
+    fn what_is_no_character_keeps_its_bytes_in_their_order() {
+        for bytes in [
+            &b"(\xE3\x84A"[..],
+            b"(\xE3\xF0\x9F\x98!",
+            b"(\xC2\x84",
+            b"(\x84\x85",
+            b"(\xC3!\x84",
+            b"(\xC0\x84",
+            b"(\xE0\x84\x84",
+            b"(\xED\xA0\x84",
+            b"(\xF0\x84\x84\x84",
+            b"(\xF4\x90\x84\x84",
+            b"(\xF5\x84\x84\x84",
+            b"(\xE3\x84\n\x84",
+        ] {
+            assert_eq!(alone(bytes), bytes, "{}", bytes.escape_ascii());
+        }
+        assert_eq!(alone(b"(\xC3\xC3\x84"), b"(\xC3");
+    }
+
+    #[test]
+    fn a_character_ends_with_its_remark() {
+        let mut remark = Remark::NONE;
+        remark.follow(b'(');
+        assert!(remark.takes(0xE3, || true) && remark.takes(0x84, || true) && remark.has_begun_character());
+        remark.leave();
+        assert_eq!(remark.break_off(0x84), [0xE3, 0x84]);
+        assert!(!remark.takes(0x84, || true) && !remark.has_begun_character());
+    }
+
+    proptest! {
+        /// The characters of a remark are those that the standard library finds.
+        #[test]
+        fn characters_are_those_of_utf8(bytes in proptest::collection::vec(prop_oneof![
+            0x80_u8.., Just(0xC3), Just(0xE0), Just(0xE3), Just(0xED), Just(0xF0), Just(0xF4), 0x80_u8..0xC0, 0x80_u8..0xC0, b'a'..=b'c'
+        ], 0..60)) {
+            let mut expected = b"(".to_vec();
+            for chunk in bytes.utf8_chunks() {
+                let is_text = |character: &char| !character.is_ascii() && *character >= '\u{C0}';
+                let kept: String = chunk.valid().chars().filter(|character| !is_text(character)).collect();
+                expected.extend(kept.as_bytes());
+                expected.extend(chunk.invalid());
+            }
+            expected.push(b'\n');
+            prop_assert_eq!(alone(&[b"(", bytes.as_slice(), b"\n"].concat()), expected);
+        }
+    }
+}

@@ -1,0 +1,138 @@
+//! Bytes of a line that are realtime commands on the way to a machine: `warning` says what they would do, and in which
+//! dialects, if a sender sends the line as it is.
+
+use oxmill_controller::messages::Realtime;
+use oxmill_controller::protocol::realtime::command;
+use oxmill_controller::protocol::remark::Remark;
+
+/// What a command does to a job. `None`: nothing that would be noticed.
+fn effect(command: Realtime) -> Option<&'static str> {
+    Some(match command {
+        Realtime::Status => return None,
+        Realtime::Reset => "resets the machine",
+        Realtime::Stop => "stops the machine and drops the lines behind",
+        Realtime::CycleStart => "goes on where the machine is held",
+        Realtime::FeedHold => "holds the machine",
+        Realtime::SafetyDoor => "opens the safety door",
+        Realtime::JogCancel => "ends a jog",
+        Realtime::SingleBlock => "switches single block on or off",
+        Realtime::FeedReset => "sets the feed to 100 %",
+        Realtime::FeedUp10 => "raises the feed by 10 %",
+        Realtime::FeedDown10 => "lowers the feed by 10 %",
+        Realtime::FeedUp1 => "raises the feed by 1 %",
+        Realtime::FeedDown1 => "lowers the feed by 1 %",
+        Realtime::RapidFull => "sets rapids to 100 %",
+        Realtime::RapidHalf => "sets rapids to 50 %",
+        Realtime::RapidQuarter => "sets rapids to 25 %",
+        Realtime::SpindleReset => "sets the spindle to 100 %",
+        Realtime::SpindleUp10 => "raises the spindle by 10 %",
+        Realtime::SpindleDown10 => "lowers the spindle by 10 %",
+        Realtime::SpindleUp1 => "raises the spindle by 1 %",
+        Realtime::SpindleDown1 => "lowers the spindle by 1 %",
+        Realtime::SpindleStop => "stops the spindle of a held machine",
+        Realtime::FloodToggle => "switches flood coolant on or off",
+        Realtime::MistToggle => "switches mist coolant on or off",
+    })
+}
+
+/// What the bytes of a line would do on their way, if anything. The text is that of a file, without its end.
+pub fn warning(line: &[u8]) -> Option<String> {
+    let is_text = texts(line);
+    // Those that act in all dialects, in Grbl's alone, and in the others alone.
+    let mut acts: [Vec<String>; 3] = Default::default();
+    for (at, byte) in line.iter().enumerate() {
+        let Some(command) = command(*byte) else { continue };
+        let Some(effect) = effect(command) else { continue };
+        let in_grbl = !matches!(command, Realtime::Stop | Realtime::SingleBlock | Realtime::MistToggle);
+        let list = match (in_grbl, is_text[at]) {
+            (true, false) => &mut acts[0],
+            (true, true) => &mut acts[1],
+            (false, false) => &mut acts[2],
+            (false, true) => continue,
+        };
+        let act = format!("{} {effect}", shown(line, at));
+        if !list.contains(&act) {
+            list.push(act);
+        }
+    }
+    let places = ["in every dialect", "in dialect grbl", "in dialects oxmill and seed"];
+    let told = acts.iter().zip(places).filter(|(acts, _)| !acts.is_empty());
+    let told: Vec<_> = told.map(|(acts, place)| format!("{} {place}", acts.join(", "))).collect();
+    (!told.is_empty()).then(|| format!("sent as it is, {}", told.join("; ")))
+}
+
+/// Which bytes are characters of a remark, and no commands but to Grbl.
+fn texts(line: &[u8]) -> Vec<bool> {
+    let mut remark = Remark::NONE;
+    let mut is_text = vec![false; line.len()];
+    let mut begun_at = 0;
+    for (at, byte) in line.iter().enumerate() {
+        remark.break_off(*byte);
+        if !remark.has_begun_character() {
+            begun_at = at;
+        }
+        if !remark.takes(*byte, || true) {
+            remark.follow(*byte);
+        } else if !remark.has_begun_character() {
+            is_text[begun_at..=at].fill(true);
+        }
+    }
+    is_text
+}
+
+/// A byte as people find it in the file: by itself, or with its character.
+fn shown(line: &[u8], at: usize) -> String {
+    let byte = line[at];
+    if byte.is_ascii_graphic() {
+        return format!("`{}`", char::from(byte));
+    }
+    let mut end = 0;
+    for chunk in line.utf8_chunks() {
+        for character in chunk.valid().chars() {
+            end += character.len_utf8();
+            if (at + 1..at + 4).contains(&end) && end - character.len_utf8() < at {
+                let is_seen = !character.is_control() && !character.is_whitespace();
+                let name = if is_seen { format!("`{character}`") } else { format!("U+{:04X}", u32::from(character)) };
+                return format!("byte 0x{byte:02X} of {name}");
+            }
+        }
+        end += chunk.invalid().len();
+    }
+    format!("byte 0x{byte:02X}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_line_would_do_is_told_by_dialect() {
+        let told = |line: &str| warning(line.as_bytes());
+        assert_eq!(told("G1 X1 (plain, really?) ; µm ° ß ü é 切"), None);
+        assert_eq!(told("(wow! good!)").unwrap(), "sent as it is, `!` holds the machine in every dialect");
+        assert_eq!(
+            told("(Äußere Kontur)").unwrap(),
+            "sent as it is, byte 0x84 of `Ä` opens the safety door in dialect grbl"
+        );
+        assert_eq!(
+            told("G1 X1 ; à (Ö ~").unwrap(),
+            "sent as it is, `~` goes on where the machine is held in every dialect; byte 0xA0 of `à` switches flood coolant \
+             on or off, byte 0x96 of `Ö` sets rapids to 50 % in dialect grbl"
+        );
+        assert_eq!(
+            told("Ä(20\u{A0}mm \u{1F604})").unwrap(),
+            "sent as it is, byte 0x84 of `Ä` opens the safety door, byte 0xA0 of U+00A0 switches flood coolant on or off in \
+             every dialect; byte 0x84 of `😄` opens the safety door in dialect grbl"
+        );
+        assert_eq!(
+            told("É \u{A1}").unwrap(),
+            "sent as it is, byte 0x89 of `É` switches single block on or off, byte 0xA1 of `¡` switches mist coolant on or off in dialects oxmill and seed"
+        );
+        // Windows-1252, and a control character.
+        assert_eq!(
+            warning(b"(\x84a\x93\x18)").unwrap(),
+            "sent as it is, byte 0x84 opens the safety door, byte 0x93 raises the feed by 1 %, byte 0x18 resets the machine \
+             in every dialect"
+        );
+    }
+}

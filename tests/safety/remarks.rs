@@ -1,0 +1,107 @@
+//! Remarks in any language, streamed: while the machine moves, lines with characters of UTF-8 come in one piece or byte by byte, and
+//! in some of them a stop byte. No character holds the machine, opens the door or changes an override, every line is answered,
+//! and no stop byte is lost.
+//!
+//! `OXMILL_REMARKS=N` plays N conversations instead of the few of every run; `OXMILL_REMARKS_SEED` begins elsewhere.
+
+use super::bench::{Bench, STEPS};
+use oxmill_test_support::Random;
+
+/// Characters whose bytes have the numbers of realtime commands, and others of two to four bytes.
+const TEXT: [&str; 22] = [
+    "Ä", "Ö", "Ü", "ä", "ö", "ß", "à", "á", "é", "ñ", "Å", "Ł", "Ж", "切", "削", "原", "点", "、", "😀", "𐀄", "e", " ",
+];
+const WORDS: [&str; 8] = ["G1 X0.5", "G0 Y1", "G21", "", "G90", "N20 G1 Z-0.1", "F600", "S100"];
+/// Bytes that act wherever they come.
+const STOPS: [u8; 5] = [0x84, b'!', 0x18, 0x19, b'~'];
+
+/// The bytes of a conversation, how many lines they are, and the stop byte among them.
+struct Conversation {
+    bytes: Vec<u8>,
+    lines: usize,
+    stop: Option<u8>,
+    /// The stop byte is between those of a character, which is none then: what is left of it may be commands.
+    breaks: bool,
+}
+
+impl Conversation {
+    fn new(random: &mut Random) -> Self {
+        let mut text = String::new();
+        let lines = 1 + random.below(5) as usize;
+        for _ in 0..lines {
+            let words = random.of(&WORDS);
+            let mut remark = String::new();
+            for _ in 0..random.below(8) {
+                remark += random.of(&TEXT);
+            }
+            text += &match random.below(4) {
+                0 => format!("({remark}){words}"),
+                1 => format!("{words} ({remark}"),
+                2 => format!("{words};{remark}"),
+                _ => format!("{words} ({remark}) ; ({remark})"),
+            };
+            text += random.of(&["\n", "\r\n"]);
+        }
+        let stop = (random.below(2) == 0).then(|| STOPS[random.below(STOPS.len() as u64) as usize]);
+        let mut at = random.below(text.len() as u64) as usize;
+        // With one that is not of ASCII it might be another character.
+        while stop.is_some_and(|stop| !stop.is_ascii() || stop == b'~') && !text.is_char_boundary(at) {
+            at -= 1;
+        }
+        let breaks = stop.is_some() && !text.is_char_boundary(at);
+        let mut bytes = text.into_bytes();
+        if let Some(stop) = stop {
+            bytes.insert(at, stop);
+        }
+        Self { bytes, lines, stop, breaks }
+    }
+
+    /// Plays it on a machine that moves for some seconds more.
+    fn play(&self, mut bench: Bench, split: bool, what: &str) {
+        let what = format!("{what}, split: {split}: {:?}", self.bytes.escape_ascii().to_string());
+        for piece in self.bytes.chunks(if split { 1 } else { self.bytes.len() }) {
+            bench.send(piece);
+            bench.wait(0.0002);
+        }
+        bench.wait(0.2);
+        let (status, said) = (bench.status(), bench.read());
+        let is = |state: &str| assert!(status.starts_with(state), "{what}: {status} {said:?}");
+        match self.stop {
+            Some(0x84) => is("<Door:"),
+            Some(0x19) => {
+                // The move would go on for 10 s; those of lines behind are short.
+                bench.wait(15.0);
+                assert!(f64::from(bench.place()[0]) < 10.0 * STEPS, "{what}: {status}");
+            }
+            Some(b'!') if self.breaks => assert!(!status.starts_with("<Run"), "{what}: {status}"),
+            Some(b'!') => is("<Hold:"),
+            Some(0x18) => assert!(said.iter().any(|line| line.starts_with("Grbl ")), "{what}: {said:?}"),
+            _ => is("<Run"),
+        }
+        if self.stop.is_none_or(|stop| stop == b'~') {
+            assert_eq!(said, vec!["ok"; self.lines], "{what}");
+            // Overrides are told where they have changed.
+            let overrides = status.split_once("|Ov:").is_none_or(|(_, told)| told.starts_with("100,100,100"));
+            assert!(overrides && status.contains("FS:600,0") && !status.contains("A:"), "{what}: {status}");
+        }
+    }
+}
+
+#[test]
+fn characters_of_remarks_are_no_commands_and_no_stop_is_lost() {
+    let number = |name: &str, default: u64| {
+        std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
+    };
+    let (conversations, first) = (number("OXMILL_REMARKS", 200), number("OXMILL_REMARKS_SEED", 1));
+    let mut moving = Bench::new("", "$110=3000 $120=500");
+    moving.send("G91 G1 X100 F600\n");
+    moving.wait(0.1);
+    moving.read();
+    for seed in first..first + conversations {
+        let conversation = Conversation::new(&mut Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1));
+        for split in [false, true] {
+            conversation.play(moving.clone(), split, &format!("conversation {seed}"));
+        }
+    }
+    println!("{conversations} conversations");
+}

@@ -1,0 +1,125 @@
+//! Hosts that send lines without counting characters, more than the machine has room for. Where it waits for nothing but a reset,
+//! that reset acts however many lines stand before it.
+
+use super::bench::Bench;
+use oxmill_fuzz::session::{MACHINE, SETTINGS};
+
+/// More than the queue and the link hold.
+const LINES: &str = "G1 X1 F100\nG4 P0.1\nM3 S100\n(a remark that is rather long) $X\n";
+
+/// Ways to a state that only a reset ends: the settings for it, what leads there, and what tells that it has been reached.
+const WAYS: [(&str, &str, &str); 5] = [
+    ("soft limit", "$20=1 $22=1 $H", "G53 G0 X-500\n"),
+    ("hard limit", "$21=1", "G91 G1 X-1000 F3000\n"),
+    ("hard limit, lines in work", "$21=1", ""),
+    ("emergency stop", "", "G91 G1 X-1 F600\n"),
+    ("sleep", "", "$SLP\n"),
+];
+
+fn locked(way: usize) -> (Bench, String) {
+    let (name, settings, lines) = WAYS[way];
+    let mut bench = Bench::new(MACHINE, SETTINGS);
+    for line in settings.split(' ').filter(|line| !line.is_empty()) {
+        bench.ask(line);
+        bench.settle();
+    }
+    bench.send(lines);
+    bench.wait(0.2);
+    match name {
+        "hard limit" => bench.pin("limit x 1"),
+        "hard limit, lines in work" => {
+            // The dwell is in work, and will not go on.
+            bench.send("G91 G1 X-1 F600\nG4 P60\nG1 X1\n");
+            bench.wait(0.05);
+            bench.pin("limit x 1");
+        }
+        "emergency stop" => bench.pin("estop 1"),
+        _ => {}
+    }
+    bench.wait(1.0);
+    (bench, name.into())
+}
+
+#[test]
+fn a_reset_acts_behind_any_number_of_lines_where_it_is_all_that_helps() {
+    for way in 0..WAYS.len() {
+        for (lines, another_host, pieces) in [(20, false, 1 << 20), (1000, false, 7), (1000, true, 1 << 20)] {
+            let (mut bench, name) = locked(way);
+            let name = format!("{name}, {lines} lines, another host: {another_host}");
+            let state = bench.state();
+            assert!(["Alarm", "Sleep"].contains(&state.as_str()), "{name}: {state}");
+            let before = bench.read();
+            let text = [LINES.repeat(lines).as_bytes(), b"G1 X"].concat();
+            let count = bench.place();
+            for piece in text.chunks(pieces) {
+                bench.send(piece);
+                bench.wait(0.001);
+            }
+            if another_host {
+                bench.mill.disconnect();
+                bench.wait(0.1);
+                bench.mill.connect();
+                bench.send(&text);
+                bench.wait(0.1);
+            }
+            bench.wait(0.1);
+            assert_eq!(bench.state(), state, "{name}: asked behind them");
+            bench.pin("limit x 0");
+            bench.pin("estop 0");
+            bench.wait(0.1);
+            let said = bench.read();
+            assert!(!said.iter().any(|line| line == "ok" || line.starts_with("error")), "{name}: {before:?} {said:?}");
+            bench.send(b"\x182\n$X\n$G\n");
+            bench.wait(0.5);
+            let said = bench.read();
+            let greeting = said
+                .iter()
+                .position(|line| line.starts_with("Grbl 1.1h"))
+                .unwrap_or_else(|| panic!("{name}: {said:?}"));
+            let answers: Vec<_> =
+                said[greeting..].iter().filter(|line| *line == "ok" || line.starts_with("error")).collect();
+            // `2` is a line of its own.
+            assert_eq!(answers, ["error:9", "ok", "ok"], "{name}: {said:?}");
+            assert_eq!(bench.state(), "Idle", "{name}");
+            assert_eq!(bench.place(), count, "{name}");
+        }
+    }
+}
+
+/// Where lines wait for an operator or for the end of a motion, closing the port helps: it holds what moves and drops what is unread.
+#[test]
+fn closing_the_port_makes_room_for_a_reset() {
+    for (name, lines, byte) in [("moving", "", 0), ("held", "", b'!'), ("door open", "", 0x84), ("homing", "$H\n", 0)] {
+        let mut bench = Bench::new(MACHINE, &format!("{SETTINGS} $22=1"));
+        bench.ask("$X");
+        bench.send(lines);
+        bench.send("G91 G1 X-0.5 F10\n".repeat(600));
+        bench.wait(0.5);
+        if byte != 0 {
+            bench = Bench::new(MACHINE, SETTINGS);
+            bench.send("G91 G1 X-5 F10\n");
+            bench.wait(0.5);
+            bench.send([byte]);
+            bench.send("G91 G1 X-0.5 F10\n".repeat(100));
+            bench.wait(0.5);
+        }
+        bench.read();
+        bench.send(b"\x18");
+        bench.wait(0.5);
+        assert!(!bench.read().iter().any(|line| line.starts_with("Grbl")), "{name}: it waits behind the lines");
+        bench.mill.disconnect();
+        bench.wait(0.1);
+        bench.mill.connect();
+        let state = bench.state();
+        let wanted = match name {
+            "door open" => "Door:",
+            "homing" => "Home",
+            _ => "Hold:",
+        };
+        assert!(state.starts_with(wanted), "{name}: {state}");
+        bench.read();
+        bench.send(b"\x18");
+        bench.wait(0.5);
+        assert!(bench.read().iter().any(|line| line.starts_with("Grbl 1.1h")), "{name}");
+    }
+}
