@@ -92,7 +92,7 @@ mod tests {
 
     /// Which of these lines are taken, on a machine that never rests.
     fn taken(lines: &[&str]) -> std::vec::Vec<bool> {
-        let mut interpreter = Interpreter::<3>::new();
+        let mut interpreter = Interpreter::<3>::default();
         let take = |line: &&str| {
             let line = line.as_bytes();
             if line == b"%" {
@@ -120,7 +120,7 @@ mod tests {
     #[test]
     fn the_number_of_the_next_program_is_no_subprogram() {
         assert_eq!(taken(&["%", "O1", "M30", "%", "O2", "G0X1", "M30"]), [true; 7]);
-        let mut interpreter = Interpreter::<3>::new();
+        let mut interpreter = Interpreter::<3>::default();
         for end in ["M2", "M30"] {
             let checked = interpreter.check(end.as_bytes(), Dialect::Oxmill).unwrap();
             interpreter.commit(&checked);
