@@ -587,7 +587,7 @@ class DmaTraces(unittest.TestCase):
         self.port.write(usart.CR1, UsartTraces.ON)
         if error:
             receive = self.port._receive
-            self.port._receive = lambda byte, flags: receive(byte, error if byte == 0x31 else flags)
+            self.port._receive = lambda byte, flags, at: receive(byte, error if byte == 0x31 else flags, at)
         return base
 
     def test_bytes_go_to_memory(self):
@@ -636,6 +636,14 @@ class DmaTraces(unittest.TestCase):
             self.assertEqual((self.bench.read_memory(0x2000_0100, 2), self.bench.lines[37]), (b"01", not clears_all))
             self.port.read(usart.SR), self.port.read(usart.DR)
             self.assertFalse(self.bench.lines[37])
+
+    def test_a_processor_that_stands_loses_no_byte(self):
+        self.receiving(8)
+        # All of it is seen afterwards, and in its order: each byte has been fetched before the next one came.
+        self.bench.now = 60_000
+        while min(model.due for model in (self.port, self.model)) <= self.bench.now:
+            min((self.port, self.model), key=lambda model: model.due).advance(self.bench.now)
+        self.assertEqual((self.bench.read_memory(0x2000_0100, 4), self.port.overruns), (b"012\xff", 0))
 
     def test_sending(self):
         self.fresh(2)
@@ -789,8 +797,8 @@ class ChainTraces(unittest.TestCase):
         self.bench.puts_out_steps = lambda: True
         self.stream(self.dma1, 5, 0x4000_4404, 0x2000_0400, 4, 4 << 25 | 1 << 10)
         self.until(999)
-        serve = lambda _: 0x41
-        self.assertTrue(self.dma1.ask_for_usart("USART2", 0x4000_4404, "pclk1", serve))
+        serve = lambda _, at: 0x41
+        self.assertTrue(self.dma1.ask_for_usart("USART2", 0x4000_4404, "pclk1", 999, serve))
         self.until(5000)
         # The first moment would be fetched 16 cycles behind the match: the byte has the controller up to 15 of them, and 8 more pass.
         self.assertEqual(stores[:2], [(1023, 1200), (1216, 1500)])

@@ -81,14 +81,14 @@ class Disturbed:
         """Numbers of the lines in which that was."""
         usart._receive = self
 
-    def __call__(self, byte, error):
+    def __call__(self, byte, error, at):
         # The loss before has been told by then.
         is_due = not self.lines or self.ends >= self.lines[-1] + 10
         if is_due and chr(byte).isdigit():
             self.lines.append(self.ends)
-            self.receive(self.become(byte), FE)
+            self.receive(self.become(byte), FE, at)
         else:
-            self.receive(byte, error)
+            self.receive(byte, error, at)
         self.ends += byte == ord("\n")
 
     def end(self):

@@ -270,9 +270,9 @@ class Dma(Peripheral):
         rcc = self.board.rcc
         return USART_HOLD + 4 * (rcc.hclk // getattr(rcc, bus))
 
-    def ask_for_usart(self, who, data_address, bus, serve):
-        """A USART has a byte, or is free for one. Whether some stream takes the request: `serve(byte)` then gives what was received,
-        or takes what is to be sent."""
+    def ask_for_usart(self, who, data_address, bus, at, serve):
+        """A USART has a byte, or is free for one, since a cycle that may be a while ago. Whether some stream takes the request:
+        `serve(byte, at)` then gives what was received, or takes what is to be sent."""
         for stream in self.streams.get(who, ()):
             base = 0x10 + 0x18 * stream
             cr = self.values[base + CR]
@@ -283,22 +283,22 @@ class Dma(Peripheral):
             if self.name == "DMA2" and self.board.puts_out_steps():
                 raise Misuse(f"{self.name}: stream {stream} serves APB2 while others put out steps")
             self.taken[stream] += 1
-            done = max(self.board.now, self.busy_until) + self.usart_hold(bus)
+            done = max(at, self.busy_until) + self.usart_hold(bus)
             self.busy_until = done
-            self._later(done, lambda at: self._transfer_of_usart(stream, base, serve))
+            self._later(done, lambda at: self._transfer_of_usart(stream, base, serve, at))
             return True
         return False
 
-    def _transfer_of_usart(self, stream, base, serve):
+    def _transfer_of_usart(self, stream, base, serve, at):
         self.taken[stream] -= 1
         ending, self.ending[stream] = self.ending[stream], 0
         cr = self.values[base + CR] | ending
         size = 2 if cr & PSIZE else 1
         if cr & TO_PERIPHERAL:
             byte, = self.board.read_memory(self.next[stream], 1)
-            serve(byte)
+            serve(byte, at)
         else:
-            self.board.write_memory(self.next[stream], serve(None).to_bytes(size, "little"))
+            self.board.write_memory(self.next[stream], serve(None, at).to_bytes(size, "little"))
         self.next[stream] += size
         left = self.values[base + NDTR] - 1
         self.values[base + NDTR] = left

@@ -91,11 +91,7 @@ class Usart(Peripheral):
                 raise Misuse(f"{self.name}_DR is written while the transmitter is off")
             if not self.values[SR] & TXE:
                 raise Misuse(f"{self.name}_DR is written while it is full: a byte is lost")
-            self.values[SR] &= ~(TXE | TC)
-            self.waiting = value & 0xFF
-            if self.shifting is None:
-                self._shift(self.board.now)
-            self._call()
+            self._fill(value, self.board.now)
             return
         before = self.hears
         if offset == BRR and before:
@@ -111,11 +107,19 @@ class Usart(Peripheral):
             self._call()
             self.listen()
 
+    def _fill(self, value, at):
+        """The data register gets a byte to be sent."""
+        self.values[SR] &= ~(TXE | TC)
+        self.waiting = value & 0xFF
+        if self.shifting is None:
+            self._shift(at)
+        self._call()
+
     def _shift(self, now):
         self.shifting, self.waiting = self.waiting, None
         self.shift_ends = now + 10 * self.bit_cycles()
         self.values[SR] |= TXE
-        self.ask_dma()
+        self.ask_dma(now)
         self._plan()
 
     def listen(self):
@@ -169,12 +173,13 @@ class Usart(Peripheral):
                 self.wire.sent(byte, ended)
         if self.wire:
             self._sample(now)
-        while self.wire and (arriving := self.wire.next_byte()) and arriving[0] <= now:
+        # One at a time: where the processor has stood, DMA fetches it before the next one comes.
+        if self.wire and (arriving := self.wire.next_byte()) and arriving[0] <= now:
             sampled = self.samples
             self.wire.taken()
             if self.hears and not sampled:
                 self.searches_from = arriving[0]
-                self._receive(arriving[1], 0)
+                self._receive(arriving[1], 0, arriving[0])
         self._call()
         self._plan()
 
@@ -184,9 +189,9 @@ class Usart(Peripheral):
         while self.samples and (start := self._start()) is not None and start + 9.6 * bit <= now + 1:
             levels = [self.wire.level(start + (k + 9 / 16) * bit) for k in range(10)]
             self.searches_from = start + (9 + 9 / 16) * bit
-            self._receive(sum(level << k for k, level in enumerate(levels[1:9])), 0 if levels[9] else FE)
+            self._receive(sum(level << k for k, level in enumerate(levels[1:9])), 0 if levels[9] else FE, now)
 
-    def _receive(self, byte, error):
+    def _receive(self, byte, error, at):
         if self.values[SR] & RXNE:
             self.values[SR] |= ORE
             self.overruns += 1
@@ -195,28 +200,29 @@ class Usart(Peripheral):
             self.values[SR] |= RXNE | error
             # The interrupt sees RXNE even if a DMA stream fetches the byte a moment later.
             self._call()
-            self.ask_dma()
+            self.ask_dma(at)
 
-    def ask_dma(self):
+    def ask_dma(self, at=None):
         """Asks for a transfer where one is due and none is under way."""
+        at = self.board.now if at is None else at
         sr, cr, cr3 = self.values[SR], self.values[CR1], self.values[CR3]
         if cr3 & DMAR and sr & RXNE and not self.asked_to_read:
-            ask = (self.name, self.base + DR, self.bus, self._read_by_dma)
+            ask = (self.name, self.base + DR, self.bus, at, self._read_by_dma)
             self.asked_to_read = any(dma.ask_for_usart(*ask) for dma in self.board.dma)
         if cr3 & DMAT and sr & TXE and cr & (UE | TE) == UE | TE and not self.asked_to_write:
-            ask = (f"{self.name}_TX", self.base + DR, self.bus, self._written_by_dma)
+            ask = (f"{self.name}_TX", self.base + DR, self.bus, at, self._written_by_dma)
             self.asked_to_write = any(dma.ask_for_usart(*ask) for dma in self.board.dma)
 
-    def _read_by_dma(self, _):
+    def _read_by_dma(self, _, at):
         self.asked_to_read = False
         self.values[SR] &= ~(RXNE | FE | ORE | IDLE if self.dma_clears_all else RXNE | self.seen & (FE | ORE | IDLE))
         self.seen = 0
         self._call()
         return self.received
 
-    def _written_by_dma(self, byte):
+    def _written_by_dma(self, byte, at):
         self.asked_to_write = False
-        self.write(DR, byte)
+        self._fill(byte, at)
 
     def _call(self):
         sr, cr, cr3 = self.values[SR], self.values[CR1], self.values[CR3]
