@@ -3,7 +3,7 @@
 //! `step_clock_hz`, `run_cycles`, `safe_step_hz`, `received_bytes`, `recording_pages`, `program_pins` and `has_at_speed`, over the
 //! defaults of `HARDWARE`.
 //!
-//! Pins and clocks are set up in `blackpill.rs`, `nucleo64.rs` and `qemu_mps2`; memory is in `images`.
+//! Pins, clocks and memory belong to each board's own folder.
 
 /// Most axes of a board: the simulator has room for so many.
 pub const AXES: usize = 4;
@@ -88,9 +88,7 @@ pub const BLACKPILL_F411: Board = Board {
     ..BLACKPILL
 };
 
-/// WeAct Black Pill, STM32F401CC: 84 MHz, the most of this part, with 48 MHz for USB from the same PLL (336 MHz by 4 and by 7). Half the
-/// look-ahead, for 64 KiB of RAM. Built for size, but for the step task. The image also runs on an STM32F401CE, whose further memory
-/// it leaves unused.
+/// WeAct Black Pill, STM32F401CC: 84 MHz, and half the look-ahead, for 64 KiB of RAM. Built for size, but for the step task.
 pub const BLACKPILL_F401: Board = Board {
     name: "blackpill_f401",
     step_clock_hz: 84_000_000,

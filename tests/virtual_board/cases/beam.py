@@ -263,8 +263,8 @@ def raster_stops_at_full_rate(bench):
         to_tim1(offset, value)
 
     tim1.write = halt
-    row = "M3S0\nX1\n" + "".join(f"X.05S{2 + 6 * (k % 2)}\n" for k in range(10)) + "X9S7\n"
-    stops, pixel_s = 0, 500 * US
+    row = "M3S0\nX2\n" + "".join(f"X.05S{2 + 6 * (k % 2)}\n" for k in range(10)) + "X9S7\n"
+    stops = 0
     while len(obeyed) < 16 and stops < 60:
         wanted = 96 - 6 * len(obeyed)
         bench.ask("$X")
@@ -275,7 +275,8 @@ def raster_stops_at_full_rate(bench):
         bench.wait(lambda goal=goal: len(beam.changes) >= goal and bench.host.free_at < board.now, 0.1, "a change of power")
         after = len(bench.host.text)
         lead_s = random.uniform(5, 60) * US
-        heard = bench.host.send(b"\x18", at=beam.changes[-1][0] + (pixel_s - 9.5 / 115_200 - lead_s) * hz)
+        # A pixel lasts 500 us.
+        heard = bench.host.send(b"\x18", at=beam.changes[-1][0] + (500 * US - 9.5 / 115_200 - lead_s) * hz)
         bench.wait_text("Grbl 1.1h", 0.1, after)
         board.run(seconds=0.001)
         said, changes = bytes(bench.host.text[after:]), [(at, share) for at, share in beam.changes if at > heard]
