@@ -21,33 +21,34 @@ pub mod stack;
 #[cfg(feature = "board")]
 pub mod stm32f4;
 
-// The wiring of the chosen board, and its row.
 #[cfg(any(feature = "blackpill_f411", feature = "blackpill_f401"))]
 mod blackpill;
-#[cfg(any(feature = "blackpill_f411", feature = "blackpill_f401"))]
-use blackpill as wiring;
 #[cfg(any(feature = "nucleo_f446re", feature = "nucleo_f411re", feature = "nucleo_f401re"))]
 mod nucleo64;
-#[cfg(any(feature = "nucleo_f446re", feature = "nucleo_f411re", feature = "nucleo_f401re"))]
-use nucleo64 as wiring;
-#[cfg(feature = "blackpill_f401")]
-use profiles::BLACKPILL_F401 as CHOSEN;
-#[cfg(feature = "blackpill_f411")]
-use profiles::BLACKPILL_F411 as CHOSEN;
-#[cfg(feature = "nucleo_f401re")]
-use profiles::NUCLEO_F401RE as CHOSEN;
-#[cfg(feature = "nucleo_f411re")]
-use profiles::NUCLEO_F411RE as CHOSEN;
-#[cfg(feature = "nucleo_f446re")]
-use profiles::NUCLEO_F446RE as CHOSEN;
 
-#[cfg(feature = "stm32f4")]
-mod chosen;
+#[cfg(feature = "blackpill_f401")]
+mod blackpill_f401;
+#[cfg(feature = "blackpill_f411")]
+mod blackpill_f411;
+#[cfg(feature = "nucleo_f401re")]
+mod nucleo_f401re;
+#[cfg(feature = "nucleo_f411re")]
+mod nucleo_f411re;
+#[cfg(feature = "nucleo_f446re")]
+mod nucleo_f446re;
 #[cfg(feature = "qemu_mps2")]
 mod qemu_mps2;
 
-#[cfg(feature = "stm32f4")]
-pub use chosen::*;
+#[cfg(feature = "blackpill_f401")]
+pub use blackpill_f401::*;
+#[cfg(feature = "blackpill_f411")]
+pub use blackpill_f411::*;
+#[cfg(feature = "nucleo_f401re")]
+pub use nucleo_f401re::*;
+#[cfg(feature = "nucleo_f411re")]
+pub use nucleo_f411re::*;
+#[cfg(feature = "nucleo_f446re")]
+pub use nucleo_f446re::*;
 #[cfg(feature = "qemu_mps2")]
 pub use qemu_mps2::*;
 

@@ -3,7 +3,7 @@
 //! `step_clock_hz`, `run_cycles`, `safe_step_hz`, `received_bytes`, `recording_pages`, `program_pins` and `has_at_speed`, over the
 //! defaults of `HARDWARE`.
 //!
-//! Pins and clocks are set up in `blackpill.rs`, `nucleo64.rs` and `qemu_mps2`; memory is in `images`.
+//! Pins, clocks and memory belong to each board's own folder.
 
 /// Most axes of a board: the simulator has room for so many.
 pub const AXES: usize = 4;
@@ -69,16 +69,13 @@ const HARDWARE: Board =
 /// The Nucleos have more pins: those of programs are in a corner of the outer connectors that no shield covers.
 const NUCLEO: Board = Board { program_pins: [2, 2], has_at_speed: true, ..HARDWARE };
 
-/// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL (RM0383, 6.3.2: PLLQ divides the same
-/// oscillator as PLLP). The step rate, emulated,
+/// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL. The step rate, emulated,
 /// is that of the shortest pulse of 1 us and as long a pause: the events that are ahead and the processor would allow more
 /// (docs/cost.md, "Step rates").
 pub const BLACKPILL_F411: Board =
     Board { name: "blackpill_f411", step_clock_hz: 96_000_000, core_hz: 96_000_000, safe_step_hz: 490_000, ..HARDWARE };
 
-/// WeAct Black Pill, STM32F401CC: 84 MHz, the most of this part, with 48 MHz for USB from the same PLL (336 MHz by 4 and by 7). Half the
-/// look-ahead, for 64 KiB of RAM. Built for size, but for the step task. The image also runs on an STM32F401CE, whose further memory
-/// it leaves unused.
+/// WeAct Black Pill, STM32F401CC: 84 MHz, and half the look-ahead, for 64 KiB of RAM. Built for size, but for the step task.
 pub const BLACKPILL_F401: Board = Board {
     name: "blackpill_f401",
     step_clock_hz: 84_000_000,

@@ -39,7 +39,9 @@ fn kib(script: &str, symbol: &str) -> u32 {
 
 /// The file with the pins of a board, without its comments.
 fn wiring(board: &str) -> String {
-    code(if board.starts_with("blackpill") { "blackpill" } else { "nucleo64" })
+    let set_up = file(&format!("boards/{board}/mod.rs"));
+    let name = ["blackpill", "nucleo64"].into_iter().find(|name| set_up.contains(&format!("crate::{name}")));
+    code(name.expect("a wiring"))
 }
 
 fn code(wiring: &str) -> String {
