@@ -54,12 +54,8 @@ const AGAIN_TICKS: u32 = 2_200;
 const NEAR_TICKS: u32 = SERVED_CYCLES;
 /// Ticks after which an event that is not out never will be.
 const STANDS_TICKS: i32 = 500;
-/// One by one: looks at the counts that must all differ, besides the first.
+/// Looks at the counts that must all differ, besides the first.
 const MORE_LOOKS: u32 = 8;
-/// Looks for an event that comes out: more cycles than from one to the next at the greatest rate.
-const EVENT_LOOKS: u32 = 24;
-/// With a look at the counts behind it, more cycles than an event takes, and fewer than are left from its edge to the next event.
-const BEHIND_CYCLES: u32 = 24;
 
 /// Error flags of four streams, and of that of the moments.
 const ERRORS: u32 = dma::errors(&[0, 1, 2, 3]);
@@ -445,22 +441,11 @@ impl<M: Map, const P: usize> Chain<M, P> {
         since > STANDS_TICKS && tail != self.head && tail == self.tail()
     }
 
-    /// While an event comes out some parts have counted it and others have not: right counts differ then, and wrong ones may agree. So
-    /// what counts is a look right behind an event, or where none comes, during which no part has gone on.
+    /// An event that comes out during a look makes that one differ, and the next at most. Counts that differ for good never agree.
     #[cold]
     #[inline(never)]
     fn still_disagree(&self) -> bool {
-        let counts = || (self.tail(), read(stream(M::DMA1, MOMENTS) + NDTR));
-        let tail = self.tail();
-        for _ in 0..EVENT_LOOKS {
-            if self.tail() != tail {
-                break;
-            }
-        }
-        let before = counts();
-        cortex_m::asm::delay(BEHIND_CYCLES);
-        let agree = self.counts_agree();
-        !agree && counts() == before
+        (0..MORE_LOOKS).all(|_| !self.counts_agree())
     }
 
     /// Between two events: one moment more than edges, as many edges on all ports, and one end of a pulse less at most.

@@ -468,7 +468,7 @@ def miscounts(bench):
             if not bench.status().startswith("<Alarm"):
                 raise Failure(f"{what}: {bench.status()}")
             yield f"{what}, {pace}: ALARM:103, steps for another {us(late)}"
-            if late > (400 * US if pace == "full" else 2e-3):
+            if late > 2e-3:
                 raise Failure(f"{what}: steps for another {us(late)}")
             if pace == "full" and before < 0.98e-3 * bench.wiring.safe_step_hz:
                 raise Failure("not at the greatest rate: this proves little")
