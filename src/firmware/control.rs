@@ -6,7 +6,7 @@ use crate::clock::Clock;
 use crate::flash::Settings;
 use crate::outputs::Outputs;
 use crate::record::{self, Whereabouts};
-use crate::shared::{self, ASKED, INPUTS, Power, SERIAL, STEP};
+use crate::shared::{self, ASKED, CONTROL, INPUTS, Power, SERIAL, STEP};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::{
     Chunk, EVENTS_DEPTH, Event, LINE_MESSAGES, LINES_DEPTH, LineByte, LineBytes, Observed, Output, PinView,
