@@ -663,6 +663,16 @@ class DmaTraces(unittest.TestCase):
         self.until(30_000)
         self.assertEqual([byte for _, byte in port.wire.heard], list(b"abc"))
 
+    def test_one_byte_for_a_transmitter_at_rest(self):
+        self.fresh(2)
+        self.bench.write_memory(0x2000_0100, b"a!")
+        self.port.write(usart.CR1, UsartTraces.ON)
+        self.port.write(usart.CR3, usart.DMAT)
+        base = self.stream(6, 1, self.SEND, 0x4000_4404)
+        self.until(30_000)
+        # It is free again at once, but the stream is at its end.
+        self.assertEqual((self.model.read(base + dma.NDTR), [byte for _, byte in self.port.wire.heard]), (0, list(b"a")))
+
     def test_what_parts_punish(self):
         self.receiving(8)
         self.bench.puts_out_steps = lambda: True

@@ -293,21 +293,22 @@ class Dma(Peripheral):
         self.taken[stream] -= 1
         ending, self.ending[stream] = self.ending[stream], 0
         cr = self.values[base + CR] | ending
-        size = 2 if cr & PSIZE else 1
-        if cr & TO_PERIPHERAL:
-            byte, = self.board.read_memory(self.next[stream], 1)
-            serve(byte, at)
-        else:
-            self.board.write_memory(self.next[stream], serve(None, at).to_bytes(size, "little"))
+        size, memory = 2 if cr & PSIZE else 1, self.next[stream]
         self.next[stream] += size
         left = self.values[base + NDTR] - 1
         self.values[base + NDTR] = left
+        if left == 0 and cr & CIRC:
+            self.values[base + NDTR], self.next[stream] = self.whole[stream], self.values[base + M0AR]
+        elif left == 0:
+            # Before the USART asks for the next byte.
+            self.values[base + CR] &= ~EN
+        if cr & TO_PERIPHERAL:
+            byte, = self.board.read_memory(memory, 1)
+            serve(byte, at)
+        else:
+            self.board.write_memory(memory, serve(None, at).to_bytes(size, "little"))
         if left == 0:
             self.values[LISR if stream < 4 else HISR] |= TCIF << self._shift(stream)
-            if cr & CIRC:
-                self.values[base + NDTR], self.next[stream] = self.whole[stream], self.values[base + M0AR]
-            else:
-                self.values[base + CR] &= ~EN
             self._call()
 
     def request(self, asks, data_address, datum):
