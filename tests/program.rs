@@ -253,7 +253,7 @@ fn the_manual_has_the_options_of_each_command() {
 /// `docs/json.md` explains every field with its type, and none that does not exist.
 #[test]
 fn the_page_of_the_json_has_its_fields() {
-    let job = file("json.nc", "G1 X1 F100\nG999\nT1\nG38.2 Z-1\n");
+    let job = file("json.nc", "G1 X1 F100 (so what!)\nG999\nT1\nG38.2 Z-1\n");
     let summary = json(&run(&["run", text(&job), "--json"]));
     let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/json.md")).expect("docs/json.md");
     let rows: Vec<(&str, &str)> = page
@@ -389,7 +389,7 @@ fn nothing_falls_into_a_subprogram_behind_the_end() {
 /// Each line that a sender would hold the machine with, or open its door, and one that takes hours.
 #[test]
 fn lines_are_named_that_do_what_may_not_be_meant() {
-    let job = file("meant.nc", "G21 G91\n(Grüße, Über-Maß à 5)\nG1 X1 F600\n(so what! go~)\nG1 X0.1 F0.05\nM2\n");
+    let job = file("meant.nc", "G21 G91\n(Grüße, Über-Maß à 5)\nG1 X1 F600\n(so what! go~)\nG1 X6 F0.05\nM2\n");
     for dialect in ["oxmill", "grbl"] {
         let output = run(&["check", text(&job), "--json", "--dialect", dialect]);
         assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));

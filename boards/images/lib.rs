@@ -57,7 +57,7 @@ pub fn link(kinds: &[&str], stack_kib: u32) {
     }
     println!("cargo:rustc-link-search={}", out.display());
     for kind in kinds {
-        for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {
+        for argument in ["--nmagic", "--enable-non-contiguous-regions", "-Tlink.x", "-Tdefmt.x"] {
             println!("cargo:rustc-link-arg-{kind}={argument}");
         }
     }

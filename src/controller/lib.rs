@@ -29,6 +29,7 @@ extern crate alloc;
 pub mod axes;
 pub mod digest;
 pub mod error;
+pub mod lent;
 pub mod memory;
 pub mod messages;
 pub mod units;

@@ -5,15 +5,9 @@
 use crate::dispatch::Profile;
 use crate::gcode::Interpreter;
 use crate::host::stored::Records;
+use crate::lent::Lent;
 use crate::motion::Motion;
 use crate::protocol::replies::Replies;
-
-/// Memory that is lent for good. On boards it lies in `.bss`; hosts (feature `alloc`) take it from the heap.
-#[cfg(feature = "alloc")]
-pub type Lent<T> = alloc::boxed::Box<T>;
-/// Memory that is lent for good. On boards it lies in `.bss`; hosts (feature `alloc`) take it from the heap.
-#[cfg(not(feature = "alloc"))]
-pub type Lent<T> = &'static mut T;
 
 /// The large parts of one controller of `N` axes, new.
 #[derive(Debug)]

@@ -5,9 +5,16 @@ use crate::{CORE, module_of, root, sources};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Types of one name in a crate: how many.
-const SAME_NAMES: &[(&str, usize)] =
-    &[("src/controller Computed", 2), ("src/controller Page", 2), ("src/controller Recorder", 2)];
+/// Types of one name in a crate: how many. Those of a part that a board leaves out have its names, and `gcode` calls the
+/// motion that a line asks for what `motion` calls the whole of it.
+const SAME_NAMES: &[(&str, usize)] = &[
+    ("src/controller Computed", 2),
+    ("src/controller ComputedMemory", 2),
+    ("src/controller ComputedStorage", 2),
+    ("src/controller Motion", 2),
+    ("src/controller Page", 2),
+    ("src/controller Recorder", 2),
+];
 
 /// The crates that make an image or the simulator.
 const CRATES: [&str; 8] =
@@ -63,7 +70,12 @@ fn circles(graph: &BTreeMap<String, BTreeSet<String>>) -> usize {
         seen
     };
     let reached: BTreeMap<&String, BTreeSet<String>> = graph.keys().map(|file| (file, reach(file))).collect();
-    reached.iter().filter(|(file, there)| there.contains(**file)).count()
+    let on: Vec<_> = reached.iter().filter(|(file, there)| there.contains(**file)).map(|(file, _)| file).collect();
+    if !on.is_empty() {
+        // For whoever reads the failure.
+        println!("on a circle: {on:?}");
+    }
+    on.len()
 }
 
 #[test]

@@ -144,7 +144,7 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
         return fail("has memory that begins with other bytes than 0 and fills flash: what is lent must be all 0");
     }
     let stack = stack_pointer - chip.ram;
-    if let Some((name, frame)) = largest_frame(&elf, &sections).filter(|(_, frame)| *frame > stack / 2) {
+    if let Some((name, frame)) = largest_frame(&elf, &sections).filter(|(_, frame)| *frame > stack / 8 * 5) {
         return fail(&format!("has a function that takes {frame} of the {stack} bytes of stack: {name}"));
     }
     // What is left is behind the last section: the rest of the vectors' sector takes only what the linker script names.

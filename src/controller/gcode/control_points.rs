@@ -2,7 +2,7 @@
 //! and what a line adds to them (`Addition`: a start or a point).
 
 use super::modal::SPLINES;
-use crate::memory::Lent;
+use crate::lent::Lent;
 use crate::units::{Coordinate, WeightedPoint};
 
 /// So many control points may wait, the start among them: each takes 24 bytes.

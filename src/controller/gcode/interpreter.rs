@@ -8,7 +8,7 @@ use super::checked::{Checked, Flow, Keeping, Motion};
 use super::modal::{Modal, MotionMode, SPLINES, SplineKind};
 use super::offsets::{StoredOffset, TOOL_AXIS};
 use super::parse::Parsed;
-use super::program_end::Place;
+use super::program_end::ProgramPlace;
 use super::saved::Saved;
 use super::scaling::NO_REST;
 use super::state::{BeforeCheck, Interpreter, NO_TANGENT, Tangent};
@@ -132,7 +132,7 @@ impl<const N: usize> Interpreter<N> {
             self.saved.clear();
             self.tangent = NO_TANGENT;
             self.computed.end_program();
-            self.place = Place::End;
+            self.place = ProgramPlace::End;
         }
         self.remember_motion(checked);
     }

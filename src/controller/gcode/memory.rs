@@ -7,7 +7,7 @@ use super::control_points::PointList;
 use super::modal::SPLINES;
 use super::saved::SavedList;
 use super::tools::ToolTable;
-use crate::memory::Lent;
+use crate::lent::Lent;
 
 /// What is lent to one interpreter.
 #[derive(Debug)]

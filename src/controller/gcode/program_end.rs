@@ -7,7 +7,7 @@ use crate::error::Error;
 
 /// Where lines are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Place {
+pub(super) enum ProgramPlace {
     /// In a program.
     Program,
     /// Behind its end.
@@ -20,12 +20,12 @@ impl<const N: usize> Interpreter<N> {
     /// Whether a program has ended, and nothing has told yet that another one begins.
     #[inline]
     pub fn is_behind_end(&self) -> bool {
-        self.place != Place::Program
+        self.place != ProgramPlace::Program
     }
 
     /// What comes next is another program.
     pub fn begin_program(&mut self) {
-        self.place = Place::Program;
+        self.place = ProgramPlace::Program;
     }
 
     /// Looks at a line behind the end. `rested`: the machine has had nothing to do for a while, so a number is that of the next
@@ -35,20 +35,20 @@ impl<const N: usize> Interpreter<N> {
     /// [`Error::BehindEnd`] for the lines of a subprogram.
     pub fn look_behind_end(&mut self, line: &[u8], rested: bool) -> Result<(), Error> {
         match self.place {
-            Place::Program => Ok(()),
-            Place::End if !is_program_number(line) => Ok(()),
-            Place::End if rested => {
-                self.place = Place::Program;
+            ProgramPlace::Program => Ok(()),
+            ProgramPlace::End if !is_program_number(line) => Ok(()),
+            ProgramPlace::End if rested => {
+                self.place = ProgramPlace::Program;
                 Ok(())
             }
-            Place::End => {
-                self.place = Place::Subprogram;
+            ProgramPlace::End => {
+                self.place = ProgramPlace::Subprogram;
                 Err(Error::BehindEnd)
             }
-            Place::Subprogram if line.is_empty() => Ok(()),
-            Place::Subprogram => {
+            ProgramPlace::Subprogram if line.is_empty() => Ok(()),
+            ProgramPlace::Subprogram => {
                 if has_m_word(line, &[b"2", b"30", b"99"]) {
-                    self.place = Place::End;
+                    self.place = ProgramPlace::End;
                 }
                 Err(Error::BehindEnd)
             }
@@ -129,7 +129,7 @@ mod tests {
             assert!(!interpreter.is_behind_end());
         }
         // In a subprogram a rest ends nothing: somebody may have been asked whether to go on.
-        interpreter.place = Place::End;
+        interpreter.place = ProgramPlace::End;
         assert_eq!(interpreter.look_behind_end(b"O1", false), Err(Error::BehindEnd));
         assert_eq!(interpreter.look_behind_end(b"G0X1", true), Err(Error::BehindEnd));
         interpreter.reset();

@@ -4,7 +4,7 @@
 use super::EXPRESSIONS;
 use super::modal::Modal;
 use crate::axes::PerAxis;
-use crate::memory::Lent;
+use crate::lent::Lent;
 use crate::units::Coordinate;
 
 /// So many states are saved at once: without subroutines one.

@@ -8,14 +8,14 @@ use super::cycle::CycleWords;
 use super::memory::ProgramMemory;
 use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode, ROTATION, SPLINES};
 use super::offsets::{Offsets, StoredOffset, TOOL_AXIS};
-use super::program_end::Place;
+use super::program_end::ProgramPlace;
 use super::rotation::{Angle, Reached, RotatedPlane, Rotation};
 use super::saved::SavedStates;
 use super::scaling::{NO_REST, Rest, Scaling};
 use super::tools::{self, Measured, Tool, ToolTable};
 use super::values::{along, in_xy};
 use crate::axes::{LINEAR, PerAxis};
-use crate::memory::Lent;
+use crate::lent::Lent;
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::{Coordinate, WeightedPoint};
 
@@ -52,7 +52,7 @@ pub struct Interpreter<const N: usize> {
     /// Of the last G5; no memory where there are no splines.
     pub(super) tangent: [Option<Tangent>; SPLINES as usize],
     /// Whether lines are behind M2 or M30.
-    pub(super) place: Place,
+    pub(super) place: ProgramPlace,
 }
 
 /// How another G5 continues smoothly where the last one has ended, in X and Y of the machine.
@@ -110,7 +110,7 @@ impl<const N: usize> Interpreter<N> {
             rest: NO_REST,
             control_points: memory.control_points.map(ControlPoints::new),
             tangent: NO_TANGENT,
-            place: Place::Program,
+            place: ProgramPlace::Program,
         }
     }
 
@@ -226,7 +226,7 @@ impl<const N: usize> Interpreter<N> {
         self.position == *place
             && offsets.into_iter().all(|offset| *offset == PerAxis::all(Coordinate::ZERO))
             && !self.is_within_block()
-            && self.place != Place::Subprogram
+            && self.place != ProgramPlace::Subprogram
             && self.before_check.is_none()
             && self.saved.is_empty()
             && self.rotation.is_none()

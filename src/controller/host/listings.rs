@@ -138,7 +138,8 @@ impl<const N: usize> Controller<N> {
         let axes = self.m.settings.axes_in_use();
         let mut rows = (0..settings::lines(axes)).filter_map(|line| Settings::<N>::described(line, axes));
         if let Some(row) = rows.find(|row| row.number == number) {
-            self.say(|out| descriptions::values_of(out, &row));
+            let board = (self.m.settings_lock.least_pulse_tenths(), self.m.settings_lock.most_baud());
+            self.say(|out| descriptions::values_of(out, row, board));
         }
     }
 

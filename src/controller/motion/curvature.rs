@@ -29,7 +29,7 @@ use super::junction::{REVERSAL, SQUARE_CORNER, TurnRule, UNLIMITED2, certain, is
 use super::path_end::way_mm;
 use super::trapezoid::{greater, lesser, square_root};
 use crate::axes::PerAxis;
-use crate::memory::Lent;
+use crate::lent::Lent;
 use crate::units::Coordinate;
 
 /// Lengths of the spans: powers of two from [`SHORTEST`] (mm) to 32 mm. With the spans before it the longest measures a

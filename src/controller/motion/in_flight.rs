@@ -3,7 +3,7 @@
 //! current one gives the reported position and speed, and `queued` is the time of all that have not begun.
 
 use crate::axes::PerAxis;
-use crate::memory::Lent;
+use crate::lent::Lent;
 use crate::messages::SEGMENTS_DEPTH;
 
 /// The queue to the step task, its prefetched segment, and some that it has made ahead of their time or that are on their way.

@@ -59,7 +59,7 @@ pub use spline::{Spline, SplineGeometry};
 pub use stepper::{Stepper, Tick};
 
 use crate::axes::{Arrangement, PerAxis};
-use crate::memory::Lent;
+use crate::lent::Lent;
 use crate::messages::{Observed, ToStep, UNITS_PER_STEP};
 use crate::units::{Coordinate, StepsPerMm};
 use axis_limits::bounded;
@@ -179,9 +179,9 @@ impl<const N: usize, const BLOCKS: usize> MotionStorage<N, BLOCKS> {
 #[cfg(feature = "alloc")]
 pub fn on_heap<const N: usize>(blocks: usize) -> MotionMemory<N> {
     MotionMemory {
-        blocks: alloc::vec![Block::NONE; blocks].into_boxed_slice(),
-        ring: alloc::boxed::Box::new(SegmentsInFlight::RING),
-        scales: alloc::boxed::Box::new(Chain::SCALES),
+        blocks: core::iter::repeat_n(Block::NONE, blocks).collect(),
+        ring: Lent::new(SegmentsInFlight::RING),
+        scales: Lent::new(Chain::SCALES),
     }
 }
 

@@ -41,7 +41,7 @@ use super::jerk::{Bounds, PathState, ramp_distance, ramp_speed};
 use super::jerk_anchors::{Stretch, Target, Way};
 use super::reverse_walk::{Lowered, Walk};
 use super::trapezoid::{greater, lesser, square_root};
-use crate::memory::Lent;
+use crate::lent::Lent;
 use core::ops::Range;
 
 /// A machine that is faster than a lowered override allows: it brakes with what bends leave of the acceleration, and the

@@ -16,7 +16,7 @@ use super::path_end::PathEnd;
 use super::planner::Planner;
 use super::{MotionSettings, Move};
 use crate::axes::PerAxis;
-use crate::memory::Lent;
+use crate::lent::Lent;
 use crate::units::Coordinate;
 
 /// Most steps of slack that are compensated: a hundredth of an inch with 40,000 steps/mm.

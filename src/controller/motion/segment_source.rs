@@ -17,7 +17,7 @@ use super::planner::Planner;
 use super::running::{BlockStage, PathMotion, Running};
 use super::segment::{self, Cut, Pacer};
 use super::trapezoid::{Pace, greater, lesser, square_root};
-use crate::memory::Lent;
+use crate::lent::Lent;
 use crate::messages::{Segment, ToStep, UNITS_PER_STEP};
 
 /// Milliseconds of motion handed to the step task in advance (the segment buffer): enough for a control task that is late, and the latency of a hold.

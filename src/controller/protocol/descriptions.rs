@@ -206,7 +206,8 @@ pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
 }
 
 /// `[MSG:Values of $32: 0 or 1; ...]`, with what there is here of the values that grblHAL has besides.
-pub fn values_of(out: &mut Text, row: &Row) {
+pub fn values_of(out: &mut Text, mut row: Row, board: (u16, u32)) {
+    on_board(&mut row, board);
     put(out, b"[MSG:Values of $");
     whole(out, row.number.into());
     put(out, b": ");
@@ -260,14 +261,18 @@ pub const fn lines(what: Described, axes: usize) -> usize {
     }
 }
 
+/// Narrows a setting to what a board can have: tenths of a microsecond of its shortest step pulse, and the baud that its UART has
+/// at most. The table has the least and the most of all boards.
+fn on_board(row: &mut Row, (least_pulse_tenths, most_baud): (u16, u32)) {
+    match &mut row.entry.kind {
+        Kind::Tenths(least, _) => *least = u32::from(least_pulse_tenths),
+        Kind::Whole(_, most) if row.number == Key::Baud.number() => *most = most_baud,
+        _ => {}
+    }
+}
+
 /// One of them, on a board whose shortest step pulse has so many tenths of a microsecond, and whose UART so many baud at most.
-pub fn line<const N: usize>(
-    out: &mut Text,
-    what: Described,
-    line: usize,
-    axes: usize,
-    (least_pulse_tenths, most_baud): (u16, u32),
-) {
+pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: usize, board: (u16, u32)) {
     match what {
         Described::Settings(format) => match (header(format), line) {
             (Some(header), 0) => {
@@ -276,11 +281,7 @@ pub fn line<const N: usize>(
             }
             (header, line) => {
                 if let Some(mut row) = Settings::<N>::described(line - usize::from(header.is_some()), axes) {
-                    match &mut row.entry.kind {
-                        Kind::Tenths(least, _) => *least = u32::from(least_pulse_tenths),
-                        Kind::Whole(_, most) if row.number == Key::Baud.number() => *most = most_baud,
-                        _ => {}
-                    }
+                    on_board(&mut row, board);
                     setting(out, &row, format);
                 }
             }

@@ -18,7 +18,7 @@ const MOST_BEGUN: usize = 3;
 
 /// Where in its line a link is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Place {
+enum RemarkPlace {
     Words,
     /// In a remark that `)` ends.
     Parentheses,
@@ -29,19 +29,19 @@ enum Place {
 /// The remark of the line that is being received.
 #[derive(Clone, Debug)]
 pub struct Remark {
-    place: Place,
+    place: RemarkPlace,
     /// The character that has begun.
     begun: Vec<u8, MOST_BEGUN>,
 }
 
 impl Remark {
     /// The line has not begun.
-    pub const NONE: Remark = Remark { place: Place::Words, begun: Vec::new() };
+    pub const NONE: Remark = Remark { place: RemarkPlace::Words, begun: Vec::new() };
 
     /// Whether the line is in a remark.
     #[inline]
     pub fn is_inside(&self) -> bool {
-        self.place != Place::Words
+        self.place != RemarkPlace::Words
     }
 
     /// Whether a character has begun and not ended.
@@ -53,17 +53,17 @@ impl Remark {
     /// A byte of the line has come.
     pub fn follow(&mut self, byte: u8) {
         self.place = match (self.place, byte) {
-            (_, b'\n' | b'\r') => Place::Words,
-            (Place::Words, b'(') => Place::Parentheses,
-            (Place::Words, b';') => Place::Semicolon,
-            (Place::Parentheses, b')') => Place::Words,
+            (_, b'\n' | b'\r') => RemarkPlace::Words,
+            (RemarkPlace::Words, b'(') => RemarkPlace::Parentheses,
+            (RemarkPlace::Words, b';') => RemarkPlace::Semicolon,
+            (RemarkPlace::Parentheses, b')') => RemarkPlace::Words,
             (place, _) => place,
         };
     }
 
     /// The line has ended, or bytes were lost: its end may have been among them. What has begun is no character.
     pub fn leave(&mut self) {
-        self.place = Place::Words;
+        self.place = RemarkPlace::Words;
     }
 
     /// Gives the bytes that have begun a character, if this one does not continue it: each is what it is by itself.

@@ -14,7 +14,7 @@
 use crate::error::Error;
 use crate::gcode::program_end::has_m_word;
 use crate::gcode::remark::split_remark;
-use crate::memory::Lent;
+use crate::lent::Lent;
 
 /// Bytes of held text, with one more for each line: a probing macro of 150 lines and the loop that calls it.
 const TEXT: usize = 6144;

@@ -12,7 +12,7 @@ mod real;
 mod tests;
 
 use crate::axes::PerAxis;
-use crate::memory::Lent;
+use crate::lent::Lent;
 use crate::units::Coordinate;
 use flow::{FlowControl, HeldText};
 use parameters::{Cells, Parameters};

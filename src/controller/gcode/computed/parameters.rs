@@ -14,7 +14,7 @@
 use super::expression::ParameterReference;
 use super::real::Real;
 use crate::error::Error;
-use crate::memory::Lent;
+use crate::lent::Lent;
 
 /// Bytes of parameters in force: 315 of those with a number, or 132 names of twenty letters.
 const CAPACITY: usize = 4096;

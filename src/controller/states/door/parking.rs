@@ -14,7 +14,7 @@
 
 use crate::axes::{Axis, PerAxis};
 use crate::error::Alarm;
-use crate::memory::Lent;
+use crate::lent::Lent;
 use crate::messages::{Coolant, Observed, ToStep};
 use crate::motion::{Motion, Move, Speed, Tolerance};
 use crate::settings::{Key, Settings};

@@ -1,0 +1,8 @@
+//! `Lent`: memory that a part works in and does not own.
+
+/// Memory that is lent for good. On boards it lies in `.bss`; hosts (feature `alloc`) take it from the heap.
+#[cfg(feature = "alloc")]
+pub type Lent<T> = alloc::boxed::Box<T>;
+/// Memory that is lent for good. On boards it lies in `.bss`; hosts (feature `alloc`) take it from the heap.
+#[cfg(not(feature = "alloc"))]
+pub type Lent<T> = &'static mut T;
