@@ -280,7 +280,11 @@ mod tests {
             for word in refused {
                 let line = format!("{word} X1 I1");
                 let mut checked = Checked::NOTHING;
-                let checked = Interpreter::<3>::default().check_into(line.as_bytes(), Dialect::Oxmill, &mut checked);
+                let checked = Interpreter::<3>::default().check_into(
+                    line.replace(' ', "").as_bytes(),
+                    Dialect::Oxmill,
+                    &mut checked,
+                );
                 let code = checked.expect_err(word).code();
                 assert_eq!(for_line(code, &line), advice, "{word}");
             }

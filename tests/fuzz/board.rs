@@ -525,8 +525,14 @@ impl Pump<AXES> for Board {
     }
 
     fn next_old_byte(&mut self) -> Option<LineByte> {
-        let (byte, _) = self.lines.front()?;
-        if self.controller.is_old(*byte) { self.next_line_byte() } else { None }
+        let (byte, _) = *self.lines.front()?;
+        if !self.controller.is_old(byte) {
+            return None;
+        }
+        self.lines.pop_front();
+        // Its line is dropped, and not answered.
+        self.book.given(byte, false);
+        Some(byte)
     }
 
     /// As many as a message of the firmware has.

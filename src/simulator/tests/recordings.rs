@@ -213,9 +213,7 @@ fn other_outputs_and_another_clock_part_from_it() {
             "{why}: {changed}"
         );
     };
-    for (from, to) in
-        [("M3 S500\\n", ""), ("M3 S500", "M3 S510"), ("M3 S500", "M4 S500"), ("M3 S500", "M3 S500 M8")]
-    {
+    for (from, to) in [("M3 S500\\n", ""), ("M3 S500", "M3 S510"), ("M3 S500", "M4 S500"), ("M3 S500", "M3 S500 M8")] {
         assert!(text.contains(from));
         differs(text.replace(from, to));
     }
