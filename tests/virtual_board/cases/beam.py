@@ -268,11 +268,12 @@ def raster_stops_at_full_rate(bench):
     while len(obeyed) < 16 and stops < 60:
         wanted = 96 - 6 * len(obeyed)
         bench.ask("$X")
-        goal = len(beam.changes) + 2 + stops % 4
         bench.host.send("G91G1F6000" + row)
+        # All lines have come before the first of their pixels.
+        bench.wait(lambda: bench.host.free_at < board.now, 0.1, "the lines")
+        goal = len(beam.changes) + 2 + stops % 4
         stops += 1
-
-        bench.wait(lambda goal=goal: len(beam.changes) >= goal and bench.host.free_at < board.now, 0.1, "a change of power")
+        bench.wait(lambda goal=goal: len(beam.changes) >= goal, 0.1, "a change of power")
         after = len(bench.host.text)
         lead_s = random.uniform(5, 60) * US
         # A pixel lasts 500 us.
