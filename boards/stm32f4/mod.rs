@@ -1,8 +1,7 @@
-//! The modules that the STM32F4 boards share: what the step interrupt touches ([`step`], `chain`, `dma`, `registers`), and the
+//! The modules that the STM32F4 boards share: what the step interrupt touches ([`step`], `chain`, `registers`), and the
 //! rest of the chip (`chip`, `flash`, `supply`, `usart`, `usb`).
 
 mod chain;
-mod dma;
 pub mod registers;
 pub mod step;
 
@@ -13,11 +12,7 @@ mod flash;
 #[cfg(feature = "stm32f4")]
 mod supply;
 #[cfg(feature = "stm32f4")]
-pub mod usart;
-#[cfg(all(feature = "stm32f4", not(feature = "usb")))]
-pub mod usart_dma;
-#[cfg(feature = "usb")]
-pub mod usart_interrupt;
+mod usart;
 #[cfg(feature = "usb")]
 pub mod usb;
 
@@ -27,3 +22,5 @@ pub use chip::*;
 pub use flash::SettingsFlash;
 #[cfg(feature = "stm32f4")]
 pub use supply::*;
+#[cfg(feature = "stm32f4")]
+pub use usart::{Usart, on_interrupt};

@@ -21,12 +21,8 @@ SAMPLE_S, FILTER_SAMPLES = 50 * US, 8
 STOP_S = 20 * US
 """From the moment a stop is known to the last rising edge."""
 
-BYTE_STOP_S = 75 * US
-"""From the last bit of a byte that stops the machine to the last rising edge: up to a sample of the inputs, which looks at what has
-come, and a run of the step task."""
-
 RUN_CYCLES = 4450
-"""The longest run of the step task (`run_cycles` in profiles.rs)."""
+"""How long a byte may wait for a run of the step task, besides (`run_cycles` in profiles.rs)."""
 
 HOLD_S = 25e-3
 """From `!` to the beginning of the ramp."""
@@ -58,12 +54,6 @@ class Bench:
         self.host = Host(self.board)
         return self.board
 
-    def sample_at(self, cycle):
-        """Has the inputs sampled at a cycle, and in their period before and behind it."""
-        nvic, period = self.board.nvic, self.board.nvic.reload + 1
-        nvic.zero_at = cycle - (cycle - nvic.zero_at) // period * period
-        nvic.plan(nvic.zero_at)
-
     def note_stack(self):
         """Keeps the deepest stack; a board that was made to fail says nothing of it."""
         if self.board is not None and not self.board.faults_expected:
@@ -72,8 +62,8 @@ class Bench:
 
     def boot(self):
         self.fresh()
-        # With DMA it goes out while flash is erased, with an interrupt behind that.
-        self.wait_text("Grbl 1.1h ['$' for help]\r\n", 1.1)
+        self.wait_text("Grbl 1.1h", 1.0)
+        self.wait_text("\r\n", 0.1, after=len(self.host.text))
         self.forget_masks()
 
     def boot_with_usb(self):
