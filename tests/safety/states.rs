@@ -476,7 +476,7 @@ fn search(kind: usize, table: &Table) -> Found {
                 // It waits for what is under way; a move is enough to see what it does then. Where nothing but a reset helps it is
                 // dropped.
                 let is_dropped = machine.bench.mill.unread() == 0;
-                assert!(!is_dropped || ["Alarm", "Sleep"].contains(&to.state.as_str()), "{}", names(event.row));
+                assert!(!is_dropped || ["Critical", "Sleep"].contains(&to.state.as_str()), "{}", names(event.row));
                 if is_dropped || event.row != "move" {
                     continue;
                 }

@@ -25,6 +25,7 @@ mod cycle;
 mod direction;
 mod interpreter;
 mod jog;
+mod m_words;
 mod memory;
 mod modal;
 mod offsets;

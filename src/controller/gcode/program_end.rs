@@ -2,19 +2,9 @@
 //! run, as controls with M98 have them (`O1001` .. `M99`). The interpreter cannot call these, and refuses their lines, so that no
 //! machine falls into them. The number of a program stands behind a tape mark, a reset, or a rest (`O1001` .. `M30`).
 
-use super::state::Interpreter;
+use super::m_words::has_m_word;
+use super::state::{Interpreter, ProgramPlace};
 use crate::error::Error;
-
-/// Where lines are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum ProgramPlace {
-    /// In a program.
-    Program,
-    /// Behind its end.
-    End,
-    /// Behind its end, in a subprogram.
-    Subprogram,
-}
 
 impl<const N: usize> Interpreter<N> {
     /// Whether a program has ended, and nothing has told yet that another one begins.
@@ -62,27 +52,6 @@ fn is_program_number(line: &[u8]) -> bool {
     let digits = numbered.iter().take_while(|byte| byte.is_ascii_digit()).count();
     let number = numbered.get(digits..).filter(|behind| !behind.is_empty()).unwrap_or(line).strip_prefix(b"O");
     number.is_some_and(|number| !number.is_empty() && number.iter().all(u8::is_ascii_digit))
-}
-
-/// Whether a line has one of some M words, written with a plain number.
-pub(super) fn has_m_word(line: &[u8], numbers: &[&[u8]]) -> bool {
-    let mut in_name = false;
-    let mut rest = line;
-    while let Some((byte, behind)) = rest.split_first() {
-        rest = behind;
-        in_name = *byte == b'<' || in_name && *byte != b'>';
-        if *byte != b'M' || in_name {
-            continue;
-        }
-        let digits = behind.iter().take_while(|byte| byte.is_ascii_digit()).count();
-        let (number, after) = behind.split_at_checked(digits).unwrap_or_default();
-        let zeros = number.iter().take_while(|digit| **digit == b'0').count();
-        let number = number.get(zeros..).unwrap_or_default();
-        if numbers.contains(&number) && after.first() != Some(&b'.') {
-            return true;
-        }
-    }
-    false
 }
 
 #[cfg(test)]

@@ -8,7 +8,6 @@ use super::cycle::CycleWords;
 use super::memory::ProgramMemory;
 use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode, ROTATION, SPLINES};
 use super::offsets::{Offsets, StoredOffset, TOOL_AXIS};
-use super::program_end::ProgramPlace;
 use super::rotation::{Angle, Reached, RotatedPlane, Rotation};
 use super::saved::SavedStates;
 use super::scaling::{NO_REST, Rest, Scaling};
@@ -53,6 +52,17 @@ pub struct Interpreter<const N: usize> {
     pub(super) tangent: [Option<Tangent>; SPLINES as usize],
     /// Whether lines are behind M2 or M30.
     pub(super) place: ProgramPlace,
+}
+
+/// Where lines are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ProgramPlace {
+    /// In a program.
+    Program,
+    /// Behind its end.
+    End,
+    /// Behind its end, in a subprogram.
+    Subprogram,
 }
 
 /// How another G5 continues smoothly where the last one has ended, in X and Y of the machine.

@@ -89,8 +89,8 @@ impl Remark {
 /// Bytes of the character that begins so.
 fn length(lead: u8) -> usize {
     match lead {
-        ..0xE0 => 2,
-        ..0xF0 => 3,
+        0..=0xDF => 2,
+        0xE0..=0xEF => 3,
         _ => 4,
     }
 }

@@ -115,7 +115,7 @@ impl<const N: usize> Controller<N> {
     /// A refused line ends the job, if that is wanted, or if the operator would have been asked for another tool by it: what
     /// follows is meant for that one.
     pub(crate) fn stop_at_error(&mut self, asks_for_tool: bool) {
-        let lacks_tool = asks_for_tool && self.prompts_for_tools() && self.dialect() != Dialect::Grbl;
+        let lacks_tool = asks_for_tool && self.m.prompts_for_tools() && self.dialect() != Dialect::Grbl;
         if matches!(self.mode, Mode::Normal) && (lacks_tool || self.m.settings.is_on(Key::StopOnError)) {
             self.stop_softly(true);
         }

@@ -40,7 +40,7 @@ impl<const N: usize> Controller<N> {
             || checked.dwell.is_some()
             || checked.work_offset_changed
             || checked.store.is_some()
-            || checked.tool_change && self.prompts_for_tools()
+            || checked.tool_change && self.m.prompts_for_tools()
             || matches!(checked.motion, gcode::Motion::Probe { .. })
             || checked.pins().is_some_and(|pins| pins.act_at_rest())
             || checked.modal().overrides_held != self.m.interpreter.modal().overrides_held

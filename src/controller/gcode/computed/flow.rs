@@ -12,7 +12,7 @@
 //! line of it is taken for one of the program. What runs is given out line by line; nothing here calls itself.
 
 use crate::error::Error;
-use crate::gcode::program_end::has_m_word;
+use crate::gcode::m_words::has_m_word;
 use crate::gcode::remark::split_remark;
 use crate::lent::Lent;
 

@@ -28,7 +28,7 @@ proptest! {
         blocks in prop::collection::vec(block(), 2..64), begun in 0.0_f32..1.0, reach in 0.0_f32..1.2, speed2 in 0.0_f32..4.0e4,
     ) {
         let mut ring = Box::new(Planner::<3>::new(on_heap(64).blocks));
-        let planner: &mut Planner<3> = &mut *ring;
+        let planner: &mut Planner<3> = &mut ring;
         planner.jerk_limited = true;
         for block in &blocks {
             planner.push(*block, OverrideFactors { feed: 1.0, rapid: 1.0 });
@@ -53,7 +53,7 @@ proptest! {
 #[test]
 fn a_wider_bend_of_a_slower_axis_counts() {
     let mut ring = Box::new(Planner::<3>::new(on_heap(64).blocks));
-    let planner: &mut Planner<3> = &mut *ring;
+    let planner: &mut Planner<3> = &mut ring;
     planner.jerk_limited = true;
     for curve in [CurveLoad::new(100.0, 1024.0), CurveLoad::new(112.0, 64.0)] {
         let block = Block {

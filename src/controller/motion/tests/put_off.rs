@@ -137,7 +137,7 @@ proptest! {
         let mut ring = Box::new(Queue::new(on_heap(24).blocks));
         let mut overrides = AS_PROGRAMMED;
         for (number, change) in changes.into_iter().enumerate() {
-            let queue: &mut Queue = &mut *ring;
+            let queue: &mut Queue = &mut ring;
             match change {
                 Change::Append(block, times) => (0..times).for_each(|_| append(queue, block, overrides)),
                 Change::Limit { nearest, farthest, speed2, curve } => limit(queue, nearest, farthest, speed2, curve),
@@ -163,7 +163,7 @@ proptest! {
             }
             // Not after each: the more has come since the last walk, the more it may have missed.
             if number % seldom == 0 {
-                settle(&mut *ring);
+                settle(&mut ring);
             }
             ring.assert_consistent();
         }
@@ -178,7 +178,7 @@ fn what_rounding_can_take_away_is_not_settled() {
     let mut exits = std::iter::successors(Some(1.0), |exit2| Some(up(*exit2)));
     let exit2 = exits.find(|exit2| bend.braking_entry2(up(*exit2)) < bend.braking_entry2(*exit2)).unwrap();
     let mut ring = Box::new(Queue::new(on_heap(24).blocks));
-    let queue: &mut Queue = &mut *ring;
+    let queue: &mut Queue = &mut ring;
     append(queue, straight(1.0), AS_PROGRAMMED);
     append(queue, Block { corner2: bend.braking_entry2(exit2), ..bend }, AS_PROGRAMMED);
     append(queue, straight(exit2), AS_PROGRAMMED);
@@ -206,7 +206,7 @@ fn straight(speed2: f32) -> Block<3> {
 fn what_is_before_a_bend_that_gets_steep_is_not_settled() {
     for (begin, walked_over) in (0..48).map(|case| (case / 2, case % 2 == 0)) {
         let mut ring = Box::new(Queue::new(on_heap(24).blocks));
-        let queue: &mut Queue = &mut *ring;
+        let queue: &mut Queue = &mut ring;
         for _ in 0..begin {
             append(queue, straight(1.0), AS_PROGRAMMED);
             run(queue);
@@ -231,7 +231,7 @@ fn what_is_before_a_bend_that_gets_steep_is_not_settled() {
 #[test]
 fn what_counts_on_a_lowered_entry_is_lowered() {
     let mut ring = Box::new(Queue::new(on_heap(24).blocks));
-    let queue: &mut Queue = &mut *ring;
+    let queue: &mut Queue = &mut ring;
     append(queue, straight(100.0), AS_PROGRAMMED);
     append(queue, Block { corner2: 110.0, ..straight(50.0) }, AS_PROGRAMMED);
     append(queue, straight(60.0), AS_PROGRAMMED);
@@ -247,7 +247,7 @@ fn what_counts_on_a_lowered_entry_is_lowered() {
 #[test]
 fn with_a_jerk_limit_nothing_is_settled() {
     let mut ring = Box::new(Queue::new(on_heap(24).blocks));
-    let queue: &mut Queue = &mut *ring;
+    let queue: &mut Queue = &mut ring;
     append(queue, straight(100.0), AS_PROGRAMMED);
     append(queue, Block { corner2: 50.0, ..straight(100.0) }, AS_PROGRAMMED);
     append(queue, straight(100.0), AS_PROGRAMMED);
@@ -270,7 +270,7 @@ fn with_a_jerk_limit_nothing_is_settled() {
 fn what_has_been_lowered_moves_up_with_the_queue() {
     for begin in 0..24 {
         let mut ring = Box::new(Queue::new(on_heap(24).blocks));
-        let queue: &mut Queue = &mut *ring;
+        let queue: &mut Queue = &mut ring;
         for _ in 0..24 + begin {
             append(queue, straight(1000.0), AS_PROGRAMMED);
             append(queue, straight(1000.0), AS_PROGRAMMED);

@@ -20,11 +20,6 @@ use crate::work::task::{Job, Stage};
 use crate::work::tool_change::plan::{ChangeOrder, ChangePlan, ToolChange};
 
 impl<const N: usize> Controller<N> {
-    /// Whether M6 stops (`$918`).
-    pub(crate) fn prompts_for_tools(&self) -> bool {
-        EXTENDED && self.m.settings.is_on(Key::ToolChange)
-    }
-
     /// Whether a tool setter measures what M6 has put into the spindle (`$918=2`).
     pub(crate) fn measures_tools(&self) -> bool {
         EXTENDED && self.m.settings.whole(Key::ToolChange) == 2
@@ -33,7 +28,7 @@ impl<const N: usize> Controller<N> {
     /// At rest before the rest of the line: if it asks for another tool, the spindle stops and the program waits for `~`.
     #[inline(never)]
     pub(crate) fn begin_tool_change(&mut self, job: &mut Job) -> Stage {
-        if !(self.line.checked.tool_change && self.prompts_for_tools()) {
+        if !(self.line.checked.tool_change && self.m.prompts_for_tools()) {
             return Stage::Apply;
         }
         if self.measures_tools() {
@@ -49,7 +44,7 @@ impl<const N: usize> Controller<N> {
 
     /// What a tool change that is only checked makes of the program's state, which has been taken over from its line.
     pub(crate) fn check_tool_change(&mut self) {
-        if !(self.line.checked.tool_change && self.prompts_for_tools()) {
+        if !(self.line.checked.tool_change && self.m.prompts_for_tools()) {
             return;
         }
         if self.measures_tools() {

@@ -1,0 +1,22 @@
+//! M words in a line that is not read word by word, because it is held or skipped.
+
+/// Whether a line has one of some M words, written with a plain number.
+pub(super) fn has_m_word(line: &[u8], numbers: &[&[u8]]) -> bool {
+    let mut in_name = false;
+    let mut rest = line;
+    while let Some((byte, behind)) = rest.split_first() {
+        rest = behind;
+        in_name = *byte == b'<' || in_name && *byte != b'>';
+        if *byte != b'M' || in_name {
+            continue;
+        }
+        let digits = behind.iter().take_while(|byte| byte.is_ascii_digit()).count();
+        let (number, after) = behind.split_at_checked(digits).unwrap_or_default();
+        let zeros = number.iter().take_while(|digit| **digit == b'0').count();
+        let number = number.get(zeros..).unwrap_or_default();
+        if numbers.contains(&number) && after.first() != Some(&b'.') {
+            return true;
+        }
+    }
+    false
+}
