@@ -10,9 +10,8 @@ use super::offsets::{StoredOffset, TOOL_AXIS};
 use super::parse::Parsed;
 use super::saved::Saved;
 use super::scaling::NO_REST;
-use super::state::ProgramPlace;
-use super::state::{BeforeCheck, Interpreter, NO_TANGENT, Tangent};
-use super::{Dialect, jog, tools};
+use super::state::{BeforeCheck, Interpreter, NO_TANGENT, ProgramPlace, Tangent};
+use super::{Dialect, EXPRESSIONS, jog, tools};
 use crate::axes::PerAxis;
 use crate::error::Error;
 use crate::units::Coordinate;
@@ -24,7 +23,7 @@ impl<const N: usize> Interpreter<N> {
         self.modal = Modal::INITIAL;
         if let Some(before) = self.before_check.take() {
             self.spindle_tool = before.spindle_tool;
-            self.offsets = before.offsets.unwrap_or(self.offsets);
+            self.offsets = before.offsets().unwrap_or(self.offsets);
             self.tools.end_check();
         }
         self.offsets.g92 = PerAxis::all(Coordinate::ZERO);
@@ -51,13 +50,13 @@ impl<const N: usize> Interpreter<N> {
         self.before_check = Some(BeforeCheck {
             spindle_tool: self.spindle_tool,
             modal: self.modal,
-            offsets: (dialect != Dialect::Grbl).then_some(self.offsets),
+            offsets: [(dialect != Dialect::Grbl).then_some(self.offsets); EXPRESSIONS as usize],
         });
     }
 
     /// The end of a check, which is a reset that leaves G92 and the tool length offset as they were before the check.
     pub fn end_check_mode(&mut self) {
-        let before = self.before_check.as_ref().and_then(|before| before.offsets);
+        let before = self.before_check.as_ref().and_then(BeforeCheck::offsets);
         self.reset();
         self.offsets = before.unwrap_or(self.offsets);
     }

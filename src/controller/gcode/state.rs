@@ -88,8 +88,15 @@ pub(super) const NO_TANGENT: [Option<Tangent>; SPLINES as usize] = [None; SPLINE
 pub(super) struct BeforeCheck<const N: usize> {
     pub(super) spindle_tool: u32,
     pub(super) modal: Modal,
-    /// In Grbl's dialect what is checked sets them.
-    pub(super) offsets: Option<Offsets<N>>,
+    /// In Grbl's dialect, and on a board without room for it, what is checked sets them.
+    pub(super) offsets: [Option<Offsets<N>>; super::EXPRESSIONS as usize],
+}
+
+impl<const N: usize> BeforeCheck<N> {
+    /// The offsets that come back at its end.
+    pub(super) fn offsets(&self) -> Option<Offsets<N>> {
+        self.offsets.first().copied().flatten()
+    }
 }
 
 #[cfg(feature = "alloc")]

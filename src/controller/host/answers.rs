@@ -8,6 +8,7 @@ use crate::error::{Alarm, Error};
 use crate::gcode::{Dialect, Notice, ProgramPins, WITH_VALUES};
 use crate::inputs::levels;
 use crate::messages::Signals;
+use crate::protocol::descriptions::DESCRIPTIONS;
 use crate::protocol::report::{self, PlaceForm};
 use crate::protocol::text::Text;
 use crate::settings::Key;
@@ -160,7 +161,8 @@ impl<const N: usize> Controller<N> {
     /// hosts. A wait that was told to nobody has a message of its own.
     #[inline(never)]
     pub(crate) fn tell_inherited(&mut self) {
-        if self.dialect() == Dialect::Grbl {
+        // The texts are for boards that have room for them.
+        if !DESCRIPTIONS || self.dialect() == Dialect::Grbl {
             return;
         }
         if self.line.is_single_block() {
@@ -217,7 +219,7 @@ impl<const N: usize> Controller<N> {
 
     /// The last message of the program may say what a pause or a tool change is for.
     fn repeat_message(&mut self) {
-        let text = self.line.message().clone();
+        let text = self.line.message();
         if !text.is_empty() {
             self.say(|out| report::program_message(out, &text));
         }

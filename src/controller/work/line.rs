@@ -4,6 +4,7 @@
 use crate::axes::{LINEAR, PerAxis};
 use crate::gcode::{Checked, EXPRESSIONS, Notice};
 use crate::motion::{Arc, ArcGeometry, Curvature, Curve, Nurbs, NurbsGeometry, Spline, SplineGeometry};
+use crate::protocol::descriptions::DESCRIPTIONS;
 use crate::protocol::line::MESSAGE_LENGTH;
 use crate::units::{Coordinate, WeightedPoint};
 use crate::work::tool_change::plan::ToolChange;
@@ -25,8 +26,8 @@ pub(crate) struct LineInWork<const N: usize> {
     told: u8,
     /// The tool change of the line, if its tool is measured.
     change: ToolChange<N>,
-    /// The last message of the program, for a host that takes over.
-    message: Message,
+    /// The last message of the program, for a host that takes over; no memory where that is told nothing.
+    message: [Message; DESCRIPTIONS as usize],
 }
 
 impl<const N: usize> LineInWork<N> {
@@ -37,7 +38,7 @@ impl<const N: usize> LineInWork<N> {
         single_block: false,
         told: 0,
         change: ToolChange::NONE,
-        message: Message::new(),
+        message: [const { Message::new() }; DESCRIPTIONS as usize],
     };
 
     /// Single block: whether the program pauses behind each line that moves, until the operator continues it.
@@ -51,13 +52,15 @@ impl<const N: usize> LineInWork<N> {
     }
 
     /// The last message of the program; empty if there was none.
-    pub(crate) fn message(&self) -> &Message {
-        &self.message
+    pub(crate) fn message(&self) -> Message {
+        self.message.first().cloned().unwrap_or_default()
     }
 
     /// A message of the program has been told. An empty one: the program has ended.
     pub(crate) fn keep_message(&mut self, message: Message) {
-        self.message = message;
+        if let Some(kept) = self.message.first_mut() {
+            *kept = message;
+        }
     }
 
     /// Whether the program has not been told this yet; from here on it has.
