@@ -294,7 +294,7 @@ fn each_error_and_alarm_is_given_somewhere() {
         .windows(4)
         .filter(|tokens| matches!(tokens[0].as_str(), "Error" | "Alarm"))
         .filter_map(|tokens| tokens[1..].iter().find(|token| *token != ":" && *token != "::"))
-        .map(|token| token.clone())
+        .cloned()
         .collect();
     let errors = Error::ALL.iter().map(|error| format!("{error:?}"));
     let alarms = Alarm::ALL.iter().map(|alarm| format!("{alarm:?}"));

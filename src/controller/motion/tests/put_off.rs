@@ -260,7 +260,7 @@ fn with_a_jerk_limit_nothing_is_settled() {
     }
     limit(queue, 1, 1, 36.0, CurveLoad::NONE);
     ring.assert_consistent();
-    let queue: &Queue = &*ring;
+    let queue: &Queue = &ring;
     assert_eq!(queue.block(1).unwrap().entry2, 49.0);
 }
 
