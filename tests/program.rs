@@ -350,7 +350,7 @@ fn bad_usage_and_files_that_cannot_be_read_end_with_2() {
 #[test]
 fn files_that_are_no_jobs_are_named() {
     let utf16: Vec<u8> = "\u{FEFF}G20\r\nG1 X1 F60\r\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
-    let binary: Vec<u8> = (0..2000_u32).map(|n| (n * n >> 3) as u8).collect();
+    let binary: Vec<u8> = (0..2000_u32).map(|n| ((n * n) >> 3) as u8).collect();
     let cases = [("UTF-16", &utf16[..]), ("empty", b""), ("empty", b"\r\n\r\n"), ("binary", &binary)];
     for (number, (what, bytes)) in cases.into_iter().enumerate() {
         let job = file(&format!("no_job_{number}.nc"), "");

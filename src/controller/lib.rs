@@ -18,6 +18,8 @@
 //! 10. the pump writes that to the step pins, or into a trace.
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
+// What is a reference on a board is a box on a host, of which a reference has to be taken.
+#![cfg_attr(not(feature = "alloc"), allow(clippy::needless_borrow))]
 #![cfg_attr(
     not(test),
     deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing, clippy::unreachable)

@@ -142,7 +142,7 @@ fn a_set_is_restored_in_any_order() {
         assert_eq!(machine.state(), "Idle");
         // And it moves, into its travel.
         let place = machine.place();
-        let sign = if set[&932] != 0 && set[&23] / 1000 & 1 != 0 { 1 } else { -1 };
+        let sign = if set[&932] != 0 && (set[&23] / 1000) & 1 != 0 { 1 } else { -1 };
         assert_eq!(machine.ask(&format!("$J=G91 G21 X{} F500", 0.9 * f64::from(sign))), ["ok"], "{lines:?}");
         machine.settle();
         assert!((machine.place()[0] - place[0]) * sign >= 0);

@@ -61,7 +61,7 @@ impl Rig {
         assert!(!LIVES.swap(true, Ordering::Relaxed), "one rig at a time");
         // SAFETY: unsafe because the storage is lent again for each rig; safe because the flag is cleared when a rig is dropped,
         // and its controller, which has what was lent, with it.
-        let storage = unsafe { &mut *(&raw mut STORAGE) };
+        let storage = unsafe { (&raw mut STORAGE).as_mut_unchecked() };
         *storage = Storage::EMPTY;
         let mut controller = Controller::new(profile, storage.lend(&profile));
         controller.start(Instant::from_ticks(0));
