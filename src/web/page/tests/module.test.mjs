@@ -79,7 +79,7 @@ export async function each_setting_is_described() {
 export async function refusals_and_panics_have_a_text() {
   const { x, put, output } = await instance();
   for (const [order, why] of [["{", "not understood"], ['{"board":"toaster"}', "the boards are"], ['{"settings":{"7":1}}', "error:3"]]) {
-    put(encode(order));
+    put(encode(`${order}\0G0 X0\n`));
     assert.equal(x.oxmill_check_begin(), 1);
     assert.match(output(), new RegExp(why));
   }
