@@ -6,5 +6,5 @@ fn main() {
     let is_f401 = ["BLACKPILL_F401", "NUCLEO_F401RE"]
         .iter()
         .any(|board| std::env::var_os(format!("CARGO_FEATURE_{board}")).is_some());
-    oxmill_images::link(&["tests", "bins"], if is_f401 { 32 } else { 108 });
+    oxmill_images::link(&["tests", "bins"], if is_f401 { 32 } else { 84 });
 }
