@@ -79,7 +79,9 @@ fn every_error() {
         for (code, lines) in ERRORS_OF_GRBL {
             for line in lines.iter() {
                 let same = program.error(line) == *code;
-                assert_eq!(same, dialect == Dialect::Grbl, "{line} in {dialect:?}");
+                // D is a habit of CAM programs, which a board may leave out.
+                let is_left_out = line.starts_with('D') && cfg!(not(feature = "cam-words"));
+                assert_eq!(same, dialect == Dialect::Grbl || is_left_out, "{line} in {dialect:?}");
             }
         }
     }
