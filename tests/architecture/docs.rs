@@ -101,3 +101,19 @@ fn every_room_has_a_sentence() {
     }
     assert!(rooms.len() > 18, "{rooms:?}");
 }
+
+/// A file of tests that its program does not name would not be compiled, and nobody would see it.
+#[test]
+fn every_file_of_tests_is_in_its_program() {
+    let folder = root().join("src/controller/tests");
+    let program = fs::read_to_string(folder.join("main.rs")).expect("the program");
+    let mut seen = 0;
+    for entry in fs::read_dir(&folder).unwrap() {
+        let name = entry.unwrap().file_name().to_string_lossy().into_owned();
+        if let Some(name) = name.strip_suffix(".rs").filter(|name| *name != "main") {
+            assert!(program.contains(&format!("mod {name};")), "src/controller/tests/main.rs does not name `{name}`");
+            seen += 1;
+        }
+    }
+    assert!(seen > 15, "{seen}");
+}

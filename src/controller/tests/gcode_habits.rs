@@ -1,10 +1,8 @@
 //! Words that CAM programs write out of habit, as other controls mean them.
 #![cfg(feature = "cam-words")]
 
-mod program;
-
+use crate::program::{Program, in_mm, target, via};
 use oxmill_controller::gcode::{CoordinateSystem, Dialect, Motion, MotionMode, Notice};
-use program::{Program, in_mm, target, via};
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 

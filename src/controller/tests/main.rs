@@ -8,6 +8,7 @@ mod gcode_cycles;
 mod gcode_document;
 mod gcode_errors;
 mod gcode_flow;
+mod gcode_habits;
 mod gcode_left_out;
 mod gcode_macros;
 mod gcode_parameters;
