@@ -228,7 +228,7 @@ def stand_once(board, until):
 
     def and_stand(offset, value):
         write(offset, value)
-        if offset == 0x10 + 0x18 * 5 + M0AR:
+        if offset == 0x10 + 0x18 * 2 + M0AR:
             moments.write = write
             away = (board.word(value) - tim5.count() & 0xFFFF_FFFF) * tim5.cycles / board.clocks[-1][2]
             board.stall(away + until)
