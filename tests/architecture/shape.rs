@@ -10,8 +10,16 @@ const SAME_NAMES: &[(&str, usize)] =
     &[("src/controller Computed", 2), ("src/controller Page", 2), ("src/controller Recorder", 2)];
 
 /// The crates that make an image or the simulator.
-const CRATES: [&str; 8] =
-    ["boards", "src/controller", "src/firmware", "src/sqrt", "src/simulator", "src/step_task", "src/store", "src/web"];
+const CRATES: [&str; 8] = [
+    "boards",
+    "src/controller",
+    "src/firmware",
+    "src/sqrt",
+    "src/simulator",
+    "src/step_task",
+    "src/store",
+    "src/web",
+];
 
 /// Compares what is found with a limit and with the list of what is beyond it.
 fn judge(what: &str, found: &BTreeMap<String, usize>, limit: usize, listed: &[(&str, usize)]) {
