@@ -305,7 +305,7 @@ mod held {
     const _: u32 = board::USUAL_BAUD;
     const _: fn(&mut board::UartInput, u32) = board::UartInput::start;
     const _: fn(&mut board::UartInput) -> Look = board::UartInput::look;
-    const _: fn(&mut board::UartInput) = board::UartInput::pass_on;
+    const _: fn(&mut board::UartInput, bool) = board::UartInput::pass_on;
     const _: fn() -> Option<&'static [u8]> = board::preloaded_job;
     const _: fn() -> ResetCause = board::reset_cause;
     const _: fn(Arguments<'_>) -> ! = board::restart;

@@ -1,6 +1,7 @@
 //! What a UART receives, on its way to the serial task: the bytes lie in a buffer that DMA fills, or the interrupt of the UART, until
-//! the task that samples the inputs passes them on in messages. It looks at the buffer with each sample, so that a command which
-//! stops the machine is passed on within 50 us, and all else once in 800 us (`calls`).
+//! the task that samples the inputs passes them on in messages. It looks at the buffer with each sample: a command which stops the
+//! machine is passed on within 50 us, all else within 200 us; the serial task is called for it once in 800 us (`calls`), and takes
+//! what has been passed on whenever it runs. A sample passes few bytes on, so that it is short whatever comes.
 //!
 //! ```text
 //!  UART ──▶ DMA or interrupt ──▶ buffer ──look, pass_on──▶ messages ──▶ serial task
@@ -13,7 +14,7 @@
 //!
 //! No registers: a [`ByteSource`] has those of the chip, so that all of this runs on a desk as well.
 
-use crate::calls::{REST, is_stop};
+use crate::calls::is_stop;
 use core::sync::atomic::{AtomicU16, Ordering, Ordering::Relaxed, fence};
 
 /// Slots of the buffer: the 255 bytes that a sender with flow control has under way, 64 realtime commands beside them, and the one that
@@ -33,6 +34,10 @@ const TORN: u16 = 0x2000;
 
 /// Bytes of text that may wait for the end of their line without a call.
 const GATHERED: u8 = 32;
+/// Looks after which what has come is passed on.
+const WAITED: u8 = 4;
+/// Bytes that are passed on at a time: five times as many as come between two samples at 1 Mbaud.
+const AT_A_TIME: u8 = 28;
 /// In place of a damaged byte: no line is carried out that has one.
 const REFUSED: u8 = b'@';
 
@@ -93,7 +98,7 @@ pub struct Look {
     pub stop: bool,
     /// There is something for the serial task to do: it is to be called soon.
     pub news: bool,
-    /// Text has waited for the end of its line long enough: it is to be passed on, without a call.
+    /// Something has waited long enough to be passed on, with or without a call.
     pub waits: bool,
 }
 
@@ -106,9 +111,11 @@ pub struct UartReceiver<S> {
     read: usize,
     /// The last byte that was looked at.
     before: u8,
-    /// Bytes of text, and looks, since what waits was passed on.
+    /// Bytes of text since a call, and looks since what waits was passed on.
     text: u8,
     looks: u8,
+    /// The last byte that was passed on since a call.
+    unheard: Option<u8>,
     /// Bytes are missing before the next one.
     is_missing: bool,
     /// The bytes before the next one are damaged.
@@ -117,7 +124,7 @@ pub struct UartReceiver<S> {
     is_doubtful: bool,
     /// A command that stops the machine waits.
     has_stop: bool,
-    /// There was no room for a message.
+    /// Not all could be passed on.
     is_stuck: bool,
     message: ReceivedBytes,
 }
@@ -136,6 +143,7 @@ impl<S: ByteSource> UartReceiver<S> {
             before: 0,
             text: 0,
             looks: 0,
+            unheard: None,
             is_missing: false,
             is_torn: false,
             is_doubtful: false,
@@ -171,12 +179,9 @@ impl<S: ByteSource> UartReceiver<S> {
         if self.seen != place || is_damaged || self.is_doubtful || self.is_at_end(place) {
             self.look_at(place, is_damaged);
         }
-        let mut look = Look { stop: self.has_stop, news: self.is_stuck || self.text >= GATHERED, waits: false };
-        if self.read != self.seen {
-            self.looks = self.looks.saturating_add(1);
-            look.waits = self.looks >= REST;
-        }
-        look
+        self.looks = if self.read == self.seen { 0 } else { self.looks.saturating_add(1) };
+        let waits = self.is_stuck || self.looks >= WAITED;
+        Look { stop: self.has_stop, news: self.is_stuck || self.text >= GATHERED, waits }
     }
 
     /// The slot of the next byte has not been read.
@@ -272,27 +277,37 @@ impl<S: ByteSource> UartReceiver<S> {
         self.before = 0;
     }
 
-    /// Sends what waits in messages, as far as there is room for them.
+    /// Sends what waits in messages, as far as there is room for them and not for too long. `calls`: the serial task is called right
+    /// behind it.
     #[inline(never)]
-    pub fn pass_on(&mut self, mut send: impl FnMut(ReceivedBytes) -> bool) {
-        (self.text, self.looks) = (0, 0);
+    pub fn pass_on(&mut self, calls: bool, mut send: impl FnMut(ReceivedBytes) -> bool) {
+        self.looks = 0;
         self.is_stuck = true;
-        while self.fill() {
+        let mut left = AT_A_TIME;
+        while self.fill(&mut left) {
             if !send(self.message) {
                 return;
             }
+            self.unheard = self.message.from(0).last().copied();
             self.message = ReceivedBytes::EMPTY;
         }
-        (self.is_stuck, self.has_stop) = (false, false);
+        if calls {
+            (self.text, self.unheard) = (0, None);
+        }
+        if self.read != self.seen {
+            return;
+        }
+        self.is_stuck = false;
+        self.has_stop &= !calls;
         if !S::IS_CIRCULAR && self.read == self.source.place() && self.source.begin_anew() {
             (self.seen, self.read) = (0, 0);
         }
     }
 
-    /// Puts what waits into the message, as far as it fits. Whether there is anything in it.
+    /// Puts what waits into the message, as far as it fits and so many bytes are left. Whether there is anything in it.
     #[inline(always)]
-    fn fill(&mut self) -> bool {
-        while self.read != self.seen {
+    fn fill(&mut self, left: &mut u8) -> bool {
+        while self.read != self.seen && *left > 0 {
             let Some(slot) = self.buffer.get(self.read) else { break };
             let word = slot.load(Relaxed);
             let (is_missing, is_torn) = (word & MISSING != 0, word & TORN != 0);
@@ -301,6 +316,7 @@ impl<S: ByteSource> UartReceiver<S> {
                 break;
             }
             slot.store(EMPTY, Relaxed);
+            *left -= 1;
             self.read = Self::after(self.read);
             self.message.is_behind_loss |= is_missing;
             if is_torn {
@@ -308,7 +324,8 @@ impl<S: ByteSource> UartReceiver<S> {
             }
             let byte = word as u8;
             // What is said twice before anybody has heard it says the same.
-            let repeats = (byte == b'?' || is_stop(byte)) && self.message.from(0).last() == Some(&byte);
+            let last = self.message.from(0).last().copied().or(self.unheard);
+            let repeats = (byte == b'?' || is_stop(byte)) && last == Some(byte) && !self.message.is_behind_loss;
             if !repeats {
                 self.message.push(byte);
             }

@@ -96,8 +96,15 @@ fn by_dma() -> (Rc<Wire>, UartReceiver<Dma>) {
 struct Out(Vec<Option<u8>>);
 
 impl Out {
-    fn take<S: ByteSource>(&mut self, receiver: &mut UartReceiver<S>, mut room: usize) {
-        receiver.pass_on(|message: ReceivedBytes| {
+    /// As far as there is room: all of it takes several samples.
+    fn take<S: ByteSource>(&mut self, receiver: &mut UartReceiver<S>, room: usize) {
+        for _ in 0..SLOTS {
+            self.take_some(receiver, room, true);
+        }
+    }
+
+    fn take_some<S: ByteSource>(&mut self, receiver: &mut UartReceiver<S>, mut room: usize, calls: bool) {
+        receiver.pass_on(calls, |message: ReceivedBytes| {
             if room == 0 {
                 return false;
             }
@@ -178,7 +185,7 @@ proptest! {
                 Step::Count => {}
                 Step::Look(messages) => {
                     receiver.look();
-                    out.take(&mut receiver, messages);
+                    out.take_some(&mut receiver, messages, true);
                     wire.write();
                 }
             }
@@ -432,9 +439,9 @@ fn what_is_to_be_called_for() {
     let (wire, mut receiver) = by_dma();
     let mut out = Out::default();
     assert_eq!(receiver.look(), Look::default());
-    // Text alone waits for the end of its line, but is passed on after as many looks as there are between two calls.
+    // Text alone waits for the end of its line, but is passed on soon.
     wire.come_all(b"G1X1");
-    for _ in 1..REST {
+    for _ in 1..4 {
         assert_eq!(receiver.look(), Look::default());
     }
     assert_eq!(receiver.look(), Look { waits: true, ..Look::default() });
@@ -458,15 +465,24 @@ fn what_is_to_be_called_for() {
     wire.come_all(b"?G1X1\n!\n");
     receiver.look();
     out.take(&mut receiver, 0);
-    assert_eq!(receiver.look(), Look { news: true, stop: true, waits: false });
+    assert_eq!(receiver.look(), Look { news: true, stop: true, waits: true });
     out.0.clear();
     out.take(&mut receiver, usize::MAX);
     assert_eq!((receiver.look(), out.text().as_str()), (Look::default(), "?G1X1\n!\n"));
-    // A flood of the same.
+    // A flood of the same: once for each call, however often it is passed on; and a sample passes few on.
     out.0.clear();
-    wire.come_all(&[b'?'; 200]);
-    out.look(&mut receiver);
-    assert_eq!(out.text(), "?");
+    for calls in [false, false, true, false, true] {
+        wire.come_all(&[b'?'; 28]);
+        receiver.look();
+        out.take_some(&mut receiver, usize::MAX, calls);
+    }
+    assert_eq!(out.text(), "??");
+    out.0.clear();
+    wire.come_all(&[b'x'; 100]);
+    receiver.look();
+    out.take_some(&mut receiver, usize::MAX, true);
+    assert_eq!(out.0.len(), 28);
+    assert_eq!(receiver.look(), Look { news: true, stop: false, waits: true });
 }
 
 /// A UART without DMA: its interrupt puts bytes into the slots, as long as there are any.

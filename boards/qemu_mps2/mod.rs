@@ -111,7 +111,7 @@ impl UartInput {
     }
 
     /// Nothing waits here.
-    pub fn pass_on(&mut self) {}
+    pub fn pass_on(&mut self, _calls: bool) {}
 }
 
 /// No rate is set.

@@ -50,12 +50,12 @@ impl<S: ByteSource, const N: usize> UartInput<S, N> {
         self.receiver.look()
     }
 
-    /// Sends what has come to the serial task, which the caller calls.
-    pub fn pass_on(&mut self) {
-        if self.receiver.has_stop() {
+    /// Sends what has come to the serial task. `calls`: the caller calls it.
+    pub fn pass_on(&mut self, calls: bool) {
+        if calls && self.receiver.has_stop() {
             self.hurry.write(());
         }
-        self.receiver.pass_on(|message| self.messages.try_send(message).is_ok());
+        self.receiver.pass_on(calls, |message| self.messages.try_send(message).is_ok());
     }
 }
 

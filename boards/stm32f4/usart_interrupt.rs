@@ -24,8 +24,8 @@ use stm32f4xx_hal::{
     serial::{Rx, Tx},
 };
 
-/// Messages to the serial task: six times what comes between two calls.
-const MESSAGES: usize = 4;
+/// Messages to the serial task: what comes between two calls is passed on in four.
+const MESSAGES: usize = 6;
 /// Bytes that wait to be sent.
 const SENT: usize = 16;
 
@@ -139,7 +139,7 @@ impl Input {
             source.prepare();
         }
         if is_stop(byte) && self.look().stop {
-            self.pass_on();
+            self.pass_on(true);
             crate::call_serial();
         }
     }

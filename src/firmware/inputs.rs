@@ -78,11 +78,12 @@ impl Inputs {
         let received = uart.look();
         let Inputs { calls, left_unread, .. } = self;
         let is_due = calls.sample(|| received.news || left_unread.try_read().is_some());
-        if is_due || received.stop {
-            uart.pass_on();
+        let calls = is_due || received.stop;
+        if calls || received.waits {
+            uart.pass_on(calls);
+        }
+        if calls {
             boards::call_serial();
-        } else if received.waits {
-            uart.pass_on();
         }
         if self.inputs.is_untold() {
             self.tell(uart);
@@ -100,7 +101,7 @@ impl Inputs {
     fn tell(&mut self, uart: &mut UartInput) {
         let Some(sensed) = self.inputs.sensed() else { return };
         // What has been received by now belongs before it: the serial task passes it on before `control` hears of this.
-        uart.pass_on();
+        uart.pass_on(true);
         boards::call_serial();
         let is_known = self.sent == Some(sensed);
         if is_known || self.signals.try_send(sensed).is_ok() {
