@@ -10,7 +10,7 @@
 
 use oxmill_simulator::{Options, Simulator};
 use oxmill_test_support::program::{AXES, Program, SETTINGS, STEPS_PER_MM};
-use oxmill_test_support::{Random, numbers};
+use oxmill_test_support::{Random, number, numbers};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
@@ -330,9 +330,6 @@ fn memory() -> Option<[u64; 2]> {
 
 #[test]
 fn a_long_job_keeps_every_step() {
-    let number = |name: &str, default: u64| {
-        std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
-    };
     let (lines, seed) = (number("OXMILL_SOAK", 3_000), number("OXMILL_SOAK_SEED", 1));
     let mut soak = Soak::new(seed);
     let (begun, mut early) = (Instant::now(), None);

@@ -5,6 +5,7 @@ use super::oracle::AXES;
 use super::rig::HZ;
 use oxmill_controller::messages::Realtime;
 use oxmill_simulator::{Fittings, Options, Simulator};
+use oxmill_test_support::cases;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use std::collections::HashMap;
@@ -196,7 +197,7 @@ fn within_limits(mill: &Simulator, acceleration: [f64; AXES]) -> Result<(), Stri
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 24, rng_seed: RngSeed::Fixed(160), ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: cases(6), rng_seed: RngSeed::Fixed(160), ..ProptestConfig::default() })]
 
     #[test]
     fn carriages_go_the_programmed_way(text in program()) {

@@ -10,6 +10,7 @@ use super::oracle::{AXES, Pulse};
 use super::rig::{HZ, Rig};
 use super::turns::{Style, program, run, seconds, settings};
 use oxmill_controller::messages::Realtime;
+use oxmill_test_support::cases_of;
 use std::collections::HashMap;
 
 type Point = [f64; AXES];
@@ -263,7 +264,7 @@ fn walk(random: &mut Random) -> Vec<Point> {
 
 #[test]
 fn whatever_the_job_it_stays_within_the_tolerance_and_is_no_slower() {
-    let cases = std::env::var("OXMILL_BLENDED").ok().and_then(|cases| cases.parse().ok()).unwrap_or(25);
+    let cases = cases_of("OXMILL_BLENDED", 8);
     let (mut random, mut faults, mut times) = (Random(7), Vec::new(), (0.0, 0.0));
     for case in 0..cases {
         let points = walk(&mut random);
@@ -492,7 +493,7 @@ fn against(rig: &Rig, exact: &Rig, steps_per_mm: f64) -> f64 {
 /// pass the corners by which that is read, by no more than on the exact path over the same link.
 #[test]
 fn over_a_late_link_no_axis_changes_its_speed_faster() {
-    let cases = std::env::var("OXMILL_BLENDED").ok().and_then(|cases| cases.parse().ok()).unwrap_or(25);
+    let cases = cases_of("OXMILL_BLENDED", 8);
     let (mut random, mut greatest, mut faults) = (Random(23), [0.0_f64; 2], Vec::new());
     for case in 0..cases {
         let points = walk(&mut random);

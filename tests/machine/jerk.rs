@@ -328,12 +328,12 @@ const TOUCHES: [u8; 10] = [0x90, 0x91, 0x91, 0x92, 0x92, 0x93, b'!', b'!', b'~',
 
 /// `OXMILL_JERK`: so many random jobs, others than usual.
 fn cases() -> u32 {
-    std::env::var("OXMILL_JERK").map_or(120, |cases| cases.parse().expect("a number"))
+    u32::try_from(oxmill_test_support::cases_of("OXMILL_JERK", 30)).expect("a number of 32 bits")
 }
 
 /// The usual jobs are always the same.
 fn seed() -> u64 {
-    if cases() == 120 { 1 } else { u64::from(cases()) }
+    oxmill_test_support::number("OXMILL_JERK", 1)
 }
 
 proptest! {

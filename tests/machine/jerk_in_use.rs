@@ -10,7 +10,7 @@
 use super::estimator::TOLERANCE;
 use super::oracle::AXES;
 use oxmill_simulator::{Fittings, Options, Simulator, boards};
-use oxmill_test_support::numbers;
+use oxmill_test_support::{cases, numbers};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use std::fmt::Write;
@@ -125,7 +125,7 @@ fn what_exceeds_the_jerk_limit_is_seen() {
 
 proptest! {
     #![proptest_config(ProptestConfig {
-        cases: 24, max_shrink_iters: 20, failure_persistence: None, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default()
+        cases: cases(6), max_shrink_iters: 20, failure_persistence: None, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default()
     })]
 
     /// Circles and helices of any size and feed; their way is the angle.

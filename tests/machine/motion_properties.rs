@@ -5,6 +5,7 @@ use super::examples::places;
 use super::host::assert_near;
 use super::oracle::{AXES, Circle};
 use super::rig::{HZ, Rig};
+use oxmill_test_support::cases;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use std::fmt::Write;
@@ -184,7 +185,7 @@ fn a_remnant_hides_no_corner() {
 
 proptest! {
     #![proptest_config(ProptestConfig {
-        cases: 200, max_shrink_iters: 300, failure_persistence: None, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default()
+        cases: cases(50), max_shrink_iters: 300, failure_persistence: None, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default()
     })]
 
     /// Jobs of straight moves, compared step for step and interval for interval.

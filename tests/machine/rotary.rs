@@ -2,6 +2,7 @@
 //! what RS274NGC says (2.1.2.5 and 2.1.2.6).
 
 use oxmill_simulator::{Options, Simulator, boards};
+use oxmill_test_support::cases;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
@@ -109,7 +110,7 @@ fn it_turns_evenly_along_an_arc() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 24, rng_seed: RngSeed::Fixed(930), ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: cases(6), rng_seed: RngSeed::Fixed(930), ..ProptestConfig::default() })]
 
     /// On a line each axis is within a step of its share of the way, at every step; and the ends are exact however many lines
     /// there are.
@@ -215,7 +216,7 @@ fn time_in_terms_of_meant(links: &[Link], inverse_time: bool) -> (f64, f64) {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 48, rng_seed: RngSeed::Fixed(931), ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: cases(12), rng_seed: RngSeed::Fixed(931), ..ProptestConfig::default() })]
 
     /// Moves too short for a step take their time together with the next one that makes a step, whatever A does and however
     /// long each of them takes. Without Y: lines to and fro are joined to a straight one, which is shorter.

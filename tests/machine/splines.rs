@@ -6,6 +6,7 @@ use super::host::{CARVER, CARVER_STEPS, assert_near};
 use super::oracle::AXES;
 use super::rig::{HZ, Rig};
 use oxmill_controller::messages::Realtime;
+use oxmill_test_support::cases;
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use std::fmt::Write;
@@ -150,7 +151,7 @@ fn frame() -> impl Strategy<Value = Frame> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 24, rng_seed: RngSeed::Fixed(24), ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: cases(12), rng_seed: RngSeed::Fixed(24), ..ProptestConfig::default() })]
 
     /// With a hold and an override in between.
     #[test]

@@ -6,6 +6,7 @@ use super::estimator::Limits;
 use super::optimum::by_the_rule;
 use super::oracle::{AXES, Pulse};
 use super::rig::{HZ, Rig};
+use oxmill_test_support::{cases_of, number};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
@@ -401,11 +402,6 @@ fn reach(limits: &Limits, feed: f64) -> f64 {
     (feed * feed / limits.acceleration[0] / 2.0).clamp(0.5, 12.0)
 }
 
-/// A number from the environment.
-fn number(name: &str, default: u64) -> u64 {
-    std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
-}
-
 /// The same case for the same number.
 fn drawn<S: Strategy>(strategy: &S, case: u64) -> S::Value {
     let mut seed = [0; 32];
@@ -434,8 +430,8 @@ impl Drawn {
 }
 
 /// The cases of a run: `OXMILL_FUZZ=N` of them instead of a few, from `OXMILL_FUZZ_SEED` on.
-fn cases(default: u64) -> Range<u64> {
-    let (cases, first) = (number("OXMILL_FUZZ", default), number("OXMILL_FUZZ_SEED", 1));
+fn cases(usual: u32) -> Range<u64> {
+    let (cases, first) = (cases_of("OXMILL_FUZZ", usual), number("OXMILL_FUZZ_SEED", 1));
     first..first + cases
 }
 
@@ -455,7 +451,7 @@ fn tell(name: &str, mut faults: Vec<(f64, String, String)>) {
 #[test]
 fn no_axis_changes_its_speed_by_more_than_a_whole_turn_is_granted() {
     let mut faults = Vec::new();
-    for case in cases(200) {
+    for case in cases(50) {
         let job = Drawn::new(case);
         let rig = run(&job.settings, &job.text);
         let change = worst(&rig.trace, &job.course, &job.limits).unwrap_or_else(|fault| panic!("case {case}: {fault}"));
@@ -474,7 +470,7 @@ const MOST_VERTICES: usize = 300;
 #[test]
 fn no_turn_takes_longer_than_the_rule_needs() {
     let mut faults = Vec::new();
-    for case in cases(120) {
+    for case in cases(30) {
         let job = Drawn::new(case);
         if job.jerk > 0.0 || job.course.meant.len() > MOST_VERTICES {
             continue;

@@ -9,6 +9,7 @@ mod reference;
 mod talk;
 
 use action::Setup;
+use oxmill_test_support::{cases_of, number};
 use proptest::test_runner::{Config, RngAlgorithm, TestCaseError, TestError, TestRng, TestRunner};
 use std::cell::RefCell;
 use talk::States;
@@ -17,10 +18,6 @@ use talk::States;
 const STATES: [&str; 13] = [
     "Idle", "Run", "Jog", "Hold:0", "Hold:1", "Door:0", "Door:1", "Door:2", "Door:3", "Home", "Alarm", "Check", "Sleep",
 ];
-
-fn number(name: &str, default: u64) -> u64 {
-    std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
-}
 
 /// Plays conversations of a machine and the reference of one that is `told` from its settings. The states that were
 /// passed, or the shortest conversation in which they disagree.
@@ -51,7 +48,7 @@ fn search(count: u64, seed: u64, told: impl Fn(Setup) -> Setup) -> Result<States
 
 #[test]
 fn the_controller_answers_as_the_reference_does() {
-    let (count, seed) = (number("OXMILL_MODEL", 4000), number("OXMILL_MODEL_SEED", 1));
+    let (count, seed) = (cases_of("OXMILL_MODEL", 1000), number("OXMILL_MODEL_SEED", 1));
     let states = search(count, seed, |setup| setup).unwrap_or_else(|fault| panic!("{fault}"));
     println!("{count} conversations of {} actions: {states:?}", states.values().sum::<u64>());
     let seldom: Vec<&str> = STATES.into_iter().filter(|state| states.get(*state).is_none_or(|n| *n < 20)).collect();

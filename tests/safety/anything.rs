@@ -5,7 +5,7 @@
 
 use super::bench::Bench;
 use oxmill_fuzz::session::{MACHINE, PINS, SETTINGS, back_to_idle};
-use oxmill_test_support::Random;
+use oxmill_test_support::{Random, cases_of};
 use std::fmt::Write;
 
 /// Actions of a session.
@@ -199,10 +199,7 @@ fn session(seed: u64) {
 
 #[test]
 fn anything_may_happen() {
-    let number = |name: &str, default: u64| {
-        std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
-    };
-    let (sessions, first) = (number("OXMILL_FUZZ", 300), number("OXMILL_FUZZ_SEED", 1));
+    let (sessions, first) = (cases_of("OXMILL_FUZZ", 100), oxmill_test_support::number("OXMILL_FUZZ_SEED", 1));
     for seed in first..first + sessions {
         session(seed);
     }

@@ -5,7 +5,7 @@
 //! `OXMILL_COMBINED=N` plays N sessions on each machine instead of the few of every run; `OXMILL_COMBINED_SEED` begins elsewhere.
 
 use super::bench::Bench;
-use oxmill_test_support::Random;
+use oxmill_test_support::{Random, cases_of, number};
 use std::fmt::Write;
 
 const SETTINGS: &str = "$0=1 $22=1 $24=60 $25=3000 $26=1 $27=1 $110=6000 $111=5000 $112=4000 $120=900 $121=700 $122=500 \
@@ -309,10 +309,7 @@ fn session(machine: ([&str; 2], &str, [&str; 3]), seed: u64) {
 
 #[test]
 fn machines_of_every_build_are_disturbed() {
-    let number = |name: &str, default: u64| {
-        std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
-    };
-    let (sessions, first) = (number("OXMILL_COMBINED", 8), number("OXMILL_COMBINED_SEED", 1));
+    let (sessions, first) = (cases_of("OXMILL_COMBINED", 2), number("OXMILL_COMBINED_SEED", 1));
     for machine in MACHINES {
         (first..first + sessions).for_each(|seed| session(machine, seed));
     }

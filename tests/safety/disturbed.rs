@@ -4,7 +4,7 @@
 //! `OXMILL_DISTURBED=N` plays N programs on each machine instead of the few of every run; `OXMILL_DISTURBED_SEED` begins elsewhere.
 
 use super::bench::{AXES, Bench, STEPS};
-use oxmill_test_support::Random;
+use oxmill_test_support::{Random, cases_of, number};
 use std::collections::{HashSet, VecDeque};
 
 const MACHINE: &str = r#"
@@ -365,10 +365,7 @@ fn session(seed: u64, homed: &Mill, parks: bool) {
 
 #[test]
 fn a_disturbed_program_ends_as_it_does_alone() {
-    let number = |name: &str, default: u64| {
-        std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
-    };
-    let (programs, first) = (number("OXMILL_DISTURBED", 6), number("OXMILL_DISTURBED_SEED", 1));
+    let (programs, first) = (cases_of("OXMILL_DISTURBED", 2), number("OXMILL_DISTURBED_SEED", 1));
     for (settings, parks) in MACHINES {
         let homed = Mill::new(settings);
         (first..first + programs).for_each(|seed| session(seed, &homed, parks));

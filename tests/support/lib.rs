@@ -1,5 +1,5 @@
-//! What several suites of tests share: random numbers that can be had again, the numbers of a report, folders that go
-//! away.
+//! What several suites of tests share: random numbers that can be had again, how many cases are tried, the numbers of a
+//! report, folders that go away.
 
 pub mod program;
 
@@ -27,6 +27,30 @@ impl Random {
     pub fn of<'a>(&mut self, choices: &[&'a str]) -> &'a str {
         choices[self.below(choices.len() as u64) as usize]
     }
+}
+
+/// A number from the environment, or the usual one.
+///
+/// # Panics
+/// If it is no number.
+pub fn number(name: &str, usual: u64) -> u64 {
+    env::var(name).map_or(usual, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
+}
+
+/// How many random cases a property tries: `OXMILL_CASES` times the usual number.
+///
+/// # Panics
+/// If that is no number of 32 bits.
+pub fn cases(usual: u32) -> u32 {
+    u32::try_from(number("OXMILL_CASES", 1) * u64::from(usual)).expect("a number of 32 bits")
+}
+
+/// As many cases as this variable says, or else [`cases`].
+///
+/// # Panics
+/// As those two.
+pub fn cases_of(name: &str, usual: u32) -> u64 {
+    number(name, cases(usual).into())
 }
 
 /// The numbers behind `name:` in a report, one for each axis; `None` if there is no such field.

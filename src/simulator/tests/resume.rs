@@ -7,6 +7,7 @@ use oxmill_simulator::boards::AXES;
 use oxmill_simulator::power_up::apply_setting;
 use oxmill_simulator::resume::{Begin, Resumed, Wish, resume};
 use oxmill_simulator::{Options, Simulator};
+use oxmill_test_support::{cases_of, number};
 
 fn machine(settings: &[&str]) -> Simulator {
     let mut simulator = Simulator::new(Options { keep_steps: true, ..Options::default() });
@@ -380,9 +381,8 @@ fn any_program(settings: &[&str], seed: u64) -> String {
 
 #[test]
 fn programs_at_random_go_on() {
-    let count = |name: &str, or: u64| std::env::var(name).map_or(or, |text| text.parse().unwrap());
-    let first = count("OXMILL_RESUME_FIRST", 1);
-    for seed in first..first + count("OXMILL_RESUME", 6) {
+    let first = number("OXMILL_RESUME_FIRST", 1);
+    for seed in first..first + cases_of("OXMILL_RESUME", 2) {
         let settings: &[&str] = match seed % 5 {
             0 => &["918=1", "930=4"],
             1 => &["900=0"],

@@ -5,6 +5,7 @@ use super::rig::{Rig, settings, to};
 use crate::axes::{Axis, PerAxis};
 use crate::messages::{Segment, ToStep};
 use crate::units::Coordinate;
+use oxmill_test_support::cases;
 use proptest::prelude::*;
 
 #[test]
@@ -314,7 +315,7 @@ fn smoothing_keeps_ticks_fast() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(60))]
+    #![proptest_config(ProptestConfig::with_cases(cases(15)))]
     #[test]
     fn limits_hold_whatever_the_settings(
         spm in prop::sample::select(vec![1.0_f32, 7.3, 80.0, 250.0, 1600.0, 10_000.0]),

@@ -4,6 +4,7 @@ use super::super::{Speed, Spline, SplineGeometry};
 use super::rig::{Rig, mm, settings, to};
 use crate::axes::PerAxis;
 use crate::units::{Coordinate, DECIMAL_ONE, StepsPerMm};
+use oxmill_test_support::cases;
 use proptest::prelude::*;
 
 type Point = [f64; 2];
@@ -149,7 +150,7 @@ fn anywhere(reach: f64) -> impl Strategy<Value = [Point; 4]> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: cases(100), ..ProptestConfig::default() })]
 
     #[test]
     fn chords_of_any_curve(points in (-3.0_f64..3.0).prop_flat_map(|log| anywhere(10.0_f64.powf(log))), tolerance in 0.0_f64..0.1) {
@@ -228,7 +229,7 @@ fn farthest_off(g: &SplineGeometry<3>, scale: f32, feed: f32, every: Option<usiz
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: cases(6), ..ProptestConfig::default() })]
 
     /// A step lies off by the tolerance of the chords and what a step itself may be off, √2·(1/2 + 1/14) of it, the polygon of
     /// 2000 points by 3·10^-6 of the size.
