@@ -372,6 +372,8 @@ fn motion(tree: &Path) -> Result<bool, Failure> {
 fn tests(tree: &Path, arguments: &[&str]) -> Result<bool, Failure> {
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     cargo.current_dir(tree).env("CARGO_TARGET_DIR", root().join("target/mutants/build")).args(["test", "--quiet"]);
+    // As many random cases as in .ci/run.
+    cargo.env("OXMILL_CASES", "4");
     let all: &[&str] = &["--package", "oxmill", "--package", "oxmill-controller", "--test", "machine", "--lib"];
     cargo.args(if arguments == ["--no-run"] { all } else { &[] }).args(arguments);
     let status = cargo.stdout(Stdio::null()).stderr(Stdio::null()).status().map_err(|error| error.to_string())?;
