@@ -533,7 +533,10 @@ fn unit_chord(arc: &mut Arc<3>) -> Option<PerAxis<Coordinate, 3>> {
 }
 
 fn text_and_arcs() {
-    let memory = cortex_m::singleton!(: ProgramStorage<3> = ProgramStorage::EMPTY).expect("main runs once").lend();
+    let memory = cortex_m::singleton!(: MaybeUninit<ProgramStorage<3>> = MaybeUninit::uninit())
+        .expect("main runs once")
+        .write(ProgramStorage::EMPTY)
+        .lend();
     let mut interpreter = Interpreter::<3>::new(memory);
     let mut checked = Checked::NOTHING;
     row_text();
@@ -733,7 +736,10 @@ fn recording(controller: &Whole) {
 fn main() -> ! {
     step_task();
     let motion = cortex_m::singleton!(: MaybeUninit<Planner> = MaybeUninit::uninit()).expect("main runs once");
-    let blocks = cortex_m::singleton!(: MotionStorage<3, 150> = MotionStorage::EMPTY).expect("main runs once").lend();
+    let blocks = cortex_m::singleton!(: MaybeUninit<MotionStorage<3, 150>> = MaybeUninit::uninit())
+        .expect("main runs once")
+        .write(MotionStorage::EMPTY)
+        .lend();
     planning(motion.write(Motion::new(motion_settings(), blocks)));
     // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses.
     let far = unsafe {

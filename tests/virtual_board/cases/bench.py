@@ -96,7 +96,8 @@ class Bench:
 
     def settings(self, **values):
         for name, value in values.items():
-            self.ask(f"${name[1:]}={value}")
+            # Flash may have to be erased first.
+            self.ask(f"${name[1:]}={value}", 2.0)
         # Whatever the store does ahead of need, it does now.
         self.board.run(seconds=0.01)
 
