@@ -1,7 +1,7 @@
 //! Tells the linker about the board.
 
 fn main() {
-    // The suite `controller` builds whole controllers as local variables, two at a time. The F401s have no room for that: there it
+    // The suite `controller` needs the storage of a controller beside the stack. The F401s have no room for that: there it
     // is not run (xtask/src/suites.rs), and the others do with less.
     let is_f401 = ["BLACKPILL_F401", "NUCLEO_F401RE"]
         .iter()

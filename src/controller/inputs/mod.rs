@@ -1,6 +1,6 @@
 //! Signals of the input pins have changed (`Sensed`): an emergency stop, a driver fault, the reset button, a limit or
 //! homing switch, the door, hold and start; which stop or fault each of them is, if it came (`came`). Levels and their
-//! meaning are kept in `machine/inputs.rs`.
+//! meaning are kept in `levels.rs`.
 
 pub(crate) mod levels;
 

@@ -1,7 +1,7 @@
 //! The safety door and its parking motion, phase by phase of `Mode::Door`: brake, retract (pull the tool out), switch
 //! spindle and coolant off, park; and at `~` all of it backwards: return, restore spindle and coolant, plunge into the
 //! cut, leave. Also for sleep and for a fault that retracts. The points and what the door interrupted are kept in
-//! `machine/door.rs`. It begins the `parking_move` to a `parking_point`, and falls asleep.
+//! `parking.rs`. It begins the `parking_move` to a `parking_point`, and falls asleep.
 
 pub(crate) mod parking;
 

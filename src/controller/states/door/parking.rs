@@ -1,6 +1,6 @@
 //! `SafetyDoor`: what an open safety door has interrupted (coolant, a jog, the job to be forgotten, sleep), and the
 //! parking moves to the points left, clear and park, in a motion of their own. `Opening` says whether the tool retracts
-//! and the spindle stays on. Which phase comes when is decided in `controller/door.rs`.
+//! and the spindle stays on. Which phase comes when is decided in `states/door/mod.rs`.
 //!
 //! The parking moves belong to a motion of their own, so that the job's look-ahead stays as it was. Afterwards the job's
 //! block is entered again at the very unit where it was left.

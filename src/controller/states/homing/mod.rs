@@ -1,4 +1,4 @@
-//! Homing is carried out: each `Order` of `machine/homing.rs` becomes a motion of one motor, or of both motors of a
+//! Homing is carried out: each `Order` of `cycle.rs` becomes a motion of one motor, or of both motors of a
 //! squared axis; a switch that closes stops it; at the end the position is set and the startup lines run.
 
 mod cycle;
