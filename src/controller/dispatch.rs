@@ -19,7 +19,8 @@ use crate::parts::Machine;
 use crate::protocol::recorded::RECORDER;
 use crate::protocol::report;
 use crate::settings::Key;
-use crate::states::{Door, Mode};
+use crate::states::Mode;
+use crate::states::door::DoorPhase;
 use crate::step_rates::StepRates;
 use crate::units::{Duration, Instant};
 use crate::work::line::LineInWork;
@@ -103,7 +104,7 @@ impl<const N: usize> Controller<N> {
             self.m.lines.heartbeat_mut().hear();
         }
         self.m.motion.observe(&observed);
-        self.m.door.observe(&observed);
+        self.m.parking.observe(&observed);
     }
 
     /// Something happened at `now`.
@@ -188,18 +189,21 @@ impl<const N: usize> Controller<N> {
     pub fn next_wakeup(&self) -> Option<Instant> {
         // What a completed hold or a parked door has interrupted continues with an event, not by itself.
         let moving = !self.m.motion.is_at_rest()
-            || !self.m.door.motion().is_at_rest()
+            || !self.m.parking.motion().is_at_rest()
             || self.m.step_supply.is_running() && !self.mode.is_suspended();
         let moving = moving.then(|| {
             self.m.now
                 + crate::machine::step_supply::refill_delay([
-                    self.m.door.motion().queued_us(),
+                    self.m.parking.motion().queued_us(),
                     self.m.motion.queued_us(),
                 ])
         });
         let door = match self.mode {
-            Mode::Door(Door::SpindleRestoring(until)) => Some(self.next_look_at_spindle(until)),
-            Mode::Door(Door::CoolantRestoring(until)) => Some(until),
+            Mode::Door(door) => match door.phase {
+                DoorPhase::SpindleRestoring(until) => Some(self.next_look_at_spindle(until)),
+                DoorPhase::CoolantRestoring(until) => Some(until),
+                _ => None,
+            },
             _ => None,
         };
         // Nor does a dwell that something has ended: its moment would be past for ever.
@@ -278,7 +282,7 @@ impl<const N: usize> Controller<N> {
             && self.m.probe.is_over()
             && self.m.stops.is_idle()
             && self.m.stops.is_open()
-            && !self.m.door.motion().hands_over()
+            && !self.m.parking.motion().hands_over()
             && self.m.drivers.off_at().is_none()
             && !self.m.accessories.is_on()
             && !self.m.accessories.digital().is_waiting()
@@ -364,7 +368,7 @@ impl<const N: usize> Controller<N> {
         if let Some(watch) = self.m.probe.take_watch() {
             return Some(watch);
         }
-        self.m.door.next_message().or_else(|| self.m.motion.next_message())
+        self.m.parking.next_message().or_else(|| self.m.motion.next_message())
     }
 
     /// Follows what has come to an end since the last call: motion, a hold's ramp, a jog, a door's delays.

@@ -22,7 +22,7 @@ impl<const N: usize> Controller<N> {
         self.has_nothing_to_do()
             && self.m.stops.is_idle()
             && self.m.motion.is_idle()
-            && self.m.door.motion().is_idle()
+            && self.m.parking.motion().is_idle()
             && self.m.replies.is_idle()
             && self.m.records.are_stored()
     }
@@ -68,7 +68,7 @@ impl<const N: usize> Controller<N> {
         };
         let door_allows = !self.m.inputs.signals().door
             && match self.mode {
-                Mode::Door(_) => self.m.door.opening().alarm.is_some() && self.m.door.opening().spindle_on,
+                Mode::Door(door) => door.opening.alarm.is_some() && door.opening.spindle_on,
                 _ => true,
             };
         reaction.spindle_on && door_allows && !self.m.accessories.is_suspended()
@@ -78,7 +78,7 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn stop_under_way(&self) -> Option<StopReason> {
         let alarm = match self.mode {
             Mode::Stopping { then } => then.alarm(),
-            Mode::Door(_) => self.m.door.opening().alarm,
+            Mode::Door(door) => door.opening.alarm,
             _ => None,
         };
         let braking = alarm.map(StopReason::Alarm);
@@ -99,7 +99,7 @@ impl<const N: usize> Controller<N> {
 
     /// The same but for answers that are still to be sent: it will be quiet soon if no more lines come.
     pub fn is_nearly_quiet(&self) -> bool {
-        self.has_nothing_to_do() && self.m.motion.is_idle() && self.m.door.motion().is_idle() && self.is_off()
+        self.has_nothing_to_do() && self.m.motion.is_idle() && self.m.parking.motion().is_idle() && self.is_off()
     }
 
     fn is_off(&self) -> bool {
@@ -109,8 +109,8 @@ impl<const N: usize> Controller<N> {
     /// Where the machine is.
     pub fn machine_position(&self) -> PerAxis<Coordinate, N> {
         // A parked machine is where the parking moves led.
-        if self.m.door.is_parking() {
-            self.m.door.motion().machine_position()
+        if self.m.parking.is_away() {
+            self.m.parking.motion().machine_position()
         } else {
             self.m.motion.machine_position()
         }

@@ -13,6 +13,7 @@ use crate::protocol::report::{self, PlaceForm};
 use crate::protocol::text::Text;
 use crate::settings::Key;
 use crate::states::Mode;
+use crate::states::door::Interrupted;
 use crate::units::per_minute;
 use crate::work::line::Message;
 use crate::work::task::{Job, Stage, Task};
@@ -171,7 +172,7 @@ impl<const N: usize> Controller<N> {
         let state = match self.mode {
             Mode::Check => "Enabled",
             Mode::Sleep(_) => "Sleeping",
-            Mode::Door(_) if self.m.door.is_asleep() => "Sleeping",
+            Mode::Door(door) if door.interrupted == Interrupted::Sleep => "Sleeping",
             Mode::Door(_) if !self.mode.is_resuming() => "Check Door",
             Mode::Hold if self.m.accessories.spinning_up().is_some() => "Restoring spindle",
             _ => "",
@@ -275,7 +276,7 @@ impl<const N: usize> Controller<N> {
             show_machine: mask & 1 != 0,
             buffer: (mask & 2 != 0).then_some((self.m.motion.free_blocks(), self.m.step_supply.observed().rx_free)),
             line: (line > 0 && !grbl).then_some(line),
-            feed: per_minute(self.m.motion.speed().max(self.m.door.motion().speed())),
+            feed: per_minute(self.m.motion.speed().max(self.m.parking.motion().speed())),
             speed,
             pins: self.shown_signals(),
             show_offset,

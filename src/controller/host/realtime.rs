@@ -9,8 +9,9 @@ use crate::machine::realtime_override::Overrides;
 use crate::messages::{Coolant, Realtime};
 use crate::protocol::report;
 use crate::settings::Key;
+use crate::states::Mode;
+use crate::states::door::DoorPhase;
 use crate::states::stops::orders::StopReason;
-use crate::states::{Door, Mode};
 use crate::units::Duration;
 
 impl<const N: usize> Controller<N> {
@@ -94,7 +95,7 @@ impl<const N: usize> Controller<N> {
                     self.leave_hold();
                 }
             }
-            Mode::Door(Door::Parked) => self.close_door(),
+            Mode::Door(door) if door.phase == DoorPhase::Parked => self.close_door(door),
             _ => {}
         }
     }

@@ -34,8 +34,10 @@ impl<const N: usize> Controller<N> {
             _ => return None,
         };
         let (place, counters) = self.m.motion.standing()?;
-        let rests =
-            self.m.motion.is_idle() && self.m.door.motion().is_idle() && self.task.is_none() && self.m.stops.is_idle();
+        let rests = self.m.motion.is_idle()
+            && self.m.parking.motion().is_idle()
+            && self.task.is_none()
+            && self.m.stops.is_idle();
         let plain = self.m.interpreter.is_plain(&place) && !self.line.is_single_block() && !self.m.lines.is_checking();
         // Whatever else is active has done something when it became so.
         let active = self.m.inputs.pins().word();

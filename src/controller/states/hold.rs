@@ -97,9 +97,9 @@ impl<const N: usize> Controller<N> {
             self.m.stops.order(StopReason::Alarm(Alarm::HomingReset));
             return;
         }
-        if matches!(self.mode, Mode::Door(_)) {
+        if let Mode::Door(door) = self.mode {
             // The door comes first; the job is forgotten when it is closed.
-            self.m.door.forget_job();
+            self.enter(Mode::Door(door.stop_job()));
             return;
         }
         let going = matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Hold);
@@ -127,7 +127,6 @@ impl<const N: usize> Controller<N> {
         self.forget_waiting_outputs();
         self.m.step_supply.end();
         self.m.probe.break_off();
-        self.m.door.take_jog();
         self.m.interpreter.set_position(self.m.motion.machine_position());
         self.m.start_idle_delay();
         // A beam must not rest on one point, a locked machine does not turn, and no cut waits any more for a spindle that is

@@ -1,6 +1,6 @@
-//! `Mode`: the states of the machine (normal, jog, hold, home, stopping, door, alarm, critical, check, sleep) and their
-//! names in status reports; the phases of `Door`, and what follows a braking (`AfterBraking`). Which states are
-//! suspended, locked, or take lines.
+//! The states of the machine and the table of which may follow which. A state keeps what it alone needs ([`Homing`],
+//! [`Door`], the alarm of a lock); whatever outlives a state belongs to [`Machine`](crate::parts::Machine).
+//! [`Controller::enter`] is the only place that changes the state.
 //!
 //! ```text
 //!            $X, $H ok                 !, M0                      ~
@@ -22,7 +22,7 @@ pub(crate) mod stops;
 
 use crate::dispatch::Controller;
 use crate::error::Alarm;
-use crate::units::Instant;
+pub(crate) use door::Door;
 pub(crate) use homing::Homing;
 
 /// What the machine is doing.
@@ -47,7 +47,7 @@ pub(crate) enum Mode<const N: usize> {
         /// What follows at rest.
         then: AfterBraking,
     },
-    /// Safety door: see [`Door`].
+    /// Safety door.
     Door(Door),
     /// Locked until `$X`, `$H` or a reset; by an alarm, or because the machine has not been homed or looked at.
     Alarm(Option<Alarm>),
@@ -95,31 +95,6 @@ impl AfterBraking {
     }
 }
 
-/// Phases of the safety door.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-// Else the moments inside make the tag of this and of `Mode` one of 64 bits.
-#[repr(u8)]
-pub(crate) enum Door {
-    /// Braking; what follows begins once at rest.
-    Braking,
-    /// Parking: slowly out of the cut, the spindle still turning.
-    PullingOut,
-    /// Parking: fast to the parking position, spindle and coolant off.
-    Parking,
-    /// At rest with spindle and coolant off.
-    Parked,
-    /// Opened again while parking was undone: braking.
-    Reopened,
-    /// `~` came: fast back towards the cut.
-    Returning,
-    /// The spindle runs up until the given time, then the coolant starts.
-    SpindleRestoring(Instant),
-    /// The coolant builds up until the given time, then motion resumes.
-    CoolantRestoring(Instant),
-    /// Slowly back into the cut.
-    Plunging,
-}
-
 impl<const N: usize> Mode<N> {
     /// Whether one may follow the other: the table of the states. `tests/safety/states.rs` says at which event.
     pub(crate) fn may_become(&self, next: &Self) -> bool {
@@ -146,8 +121,7 @@ impl<const N: usize> Mode<N> {
 
     /// Whether a door has been closed, and the machine is on its way back to the job.
     pub fn is_resuming(&self) -> bool {
-        use Door::{CoolantRestoring, Plunging, Returning, SpindleRestoring};
-        matches!(self, Mode::Door(Returning | SpindleRestoring(_) | CoolantRestoring(_) | Plunging))
+        matches!(self, Mode::Door(door) if door.phase.is_resuming())
     }
 
     /// Whether a received line may be read.
@@ -186,10 +160,7 @@ impl<const N: usize> Mode<N> {
             Mode::Hold => "Hold:1",
             Mode::Home(_) => "Home",
             Mode::Stopping { .. } => "Hold:1",
-            Mode::Door(Door::Braking | Door::PullingOut | Door::Parking | Door::Reopened) => "Door:2",
-            Mode::Door(Door::Parked) if door_open => "Door:1",
-            Mode::Door(Door::Parked) => "Door:0",
-            Mode::Door(_) => "Door:3",
+            Mode::Door(door) => door.phase.name(door_open),
             Mode::Alarm(_) | Mode::Critical(_) => "Alarm",
             Mode::Check => "Check",
             Mode::Sleep(_) => "Sleep",

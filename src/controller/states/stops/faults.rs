@@ -15,11 +15,11 @@ use crate::error::Alarm;
 use crate::inputs::levels;
 use crate::protocol::report;
 use crate::settings::Key;
-use crate::states::door::parking::Opening;
+use crate::states::door::{DoorPhase, Opening};
 use crate::states::stops::Stopped;
 use crate::states::stops::orders::StopReason;
 use crate::states::stops::reaction::{Braking, Reaction};
-use crate::states::{AfterBraking, Door, Mode};
+use crate::states::{AfterBraking, Mode};
 
 impl<const N: usize> Controller<N> {
     /// Stops for a fault as its setting says; the alarm follows at rest.
@@ -40,18 +40,18 @@ impl<const N: usize> Controller<N> {
 
     /// Whether it is the switch again for which the tool is being parked, and not that of the axis along which it moves.
     fn is_bounce(&self, alarm: Alarm) -> bool {
-        matches!(self.mode, Mode::Door(_))
+        matches!(self.mode, Mode::Door(door) if door.opening.alarm == Some(alarm))
             && alarm == Alarm::HardLimit
-            && self.m.door.opening().alarm == Some(alarm)
             && !self.m.stops.is_awaited()
             && !self.is_parking_blocked()
     }
 
     fn can_brake(&self) -> bool {
-        matches!(
-            self.mode,
-            Mode::Normal | Mode::Jog { .. } | Mode::Hold | Mode::Stopping { .. } | Mode::Door(Door::Braking)
-        )
+        match self.mode {
+            Mode::Normal | Mode::Jog { .. } | Mode::Hold | Mode::Stopping { .. } => true,
+            Mode::Door(door) => door.phase == DoorPhase::Braking,
+            _ => false,
+        }
     }
 
     fn brake_for(&mut self, alarm: Alarm, braking: Braking) {
@@ -77,8 +77,7 @@ impl<const N: usize> Controller<N> {
             AfterBraking::Alarm(alarm) => self.m.stops.order(StopReason::Alarm(alarm)),
             AfterBraking::Retract(alarm) => {
                 let spindle_on = self.keeps_spindle_on(alarm);
-                self.m.door.open(Opening { retract: !self.is_parking_blocked(), spindle_on, alarm: Some(alarm) });
-                self.begin_parking();
+                self.retract_for(Opening { retract: !self.is_parking_blocked(), spindle_on, alarm: Some(alarm) });
             }
         }
     }
@@ -99,9 +98,8 @@ impl<const N: usize> Controller<N> {
             Braking::Controlled if spindle_on || self.m.settings.is_on(Key::Laser) => self.feed_hold(),
             _ => {
                 let retract = braking == Braking::Retract && !self.m.motion.is_at_rest();
-                self.m.door.open(Opening { retract, spindle_on, alarm: None });
                 self.darken_laser();
-                self.brake_for_door();
+                self.brake_for_door(Opening { retract, spindle_on, alarm: None });
             }
         }
     }

@@ -75,7 +75,7 @@ impl<const N: usize> Controller<N> {
 
     fn stopped_at(&mut self, position: &PerAxis<i32, N>) {
         self.m.motion.stopped(position);
-        self.m.door.stopped(position, &mut self.m.motion);
+        self.m.parking.stopped(position, &mut self.m.motion);
     }
 
     /// What follows a stop, once every stop that was asked for has happened.
@@ -113,7 +113,7 @@ impl<const N: usize> Controller<N> {
 
     /// What a door, a hold or a probe had interrupted is over.
     fn end_pauses(&mut self) {
-        self.m.door.reset();
+        self.m.parking.end();
         self.m.accessories.end_spin_up();
         self.m.probe.forget_move();
     }
