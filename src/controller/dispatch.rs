@@ -198,12 +198,13 @@ impl<const N: usize> Controller<N> {
                     self.m.motion.queued_us(),
                 ])
         });
-        let door = match self.mode {
+        let spindle = match self.mode {
             Mode::Door(door) => match door.phase {
                 DoorPhase::SpindleRestoring(until) => Some(self.next_look_at_spindle(until)),
                 DoorPhase::CoolantRestoring(until) => Some(until),
                 _ => None,
             },
+            Mode::Hold(hold) => hold.ends_with_spindle().map(|until| self.next_look_at_spindle(until)),
             _ => None,
         };
         // Nor does a dwell that something has ended: its moment would be past for ever.
@@ -212,12 +213,11 @@ impl<const N: usize> Controller<N> {
             mode if mode.is_suspended() => None,
             _ => self.task.wakeup(|until| self.next_look_at_spindle(until)),
         };
-        let spinning_up = self.m.accessories.spinning_up().map(|until| self.next_look_at_spindle(until));
         let waits = self.m.accessories.digital().is_waiting() && !self.m.motion.is_at_rest();
         let outputs = waits.then(|| self.m.now + OUTPUTS_LOOK);
         let silent = self.m.lines.heartbeat().silent_at();
         let lost = if self.needs_speed() { self.m.accessories.speed_lost_at() } else { None };
-        [moving, door, task, outputs, self.m.drivers.off_at(), spinning_up, silent, lost].into_iter().flatten().min()
+        [moving, spindle, task, outputs, self.m.drivers.off_at(), silent, lost].into_iter().flatten().min()
     }
 
     /// No more bytes will come: what is queued is started.
@@ -399,11 +399,10 @@ impl<const N: usize> Controller<N> {
             }
             Mode::Stopping { then } if self.m.motion.is_at_rest() => self.settle_braking(then),
             Mode::Normal => self.look_for_spindle(),
-            Mode::Hold => {
-                if let Some(until) = self.m.accessories.spinning_up()
+            Mode::Hold(hold) => {
+                if let Some(until) = hold.ends_with_spindle()
                     && self.has_spun_up(until)
                 {
-                    self.m.accessories.end_spin_up();
                     self.leave_hold();
                 }
             }

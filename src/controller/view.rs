@@ -206,7 +206,7 @@ impl<const N: usize> Controller<N> {
 
     /// Whether the program has paused (M0, or a feed hold) and waits for `~` at rest.
     pub fn is_paused(&self) -> bool {
-        matches!(self.mode, Mode::Hold) && self.m.motion.is_at_rest()
+        matches!(self.mode, Mode::Hold(_)) && self.m.motion.is_at_rest()
     }
 
     pub(crate) fn dialect(&self) -> Dialect {

@@ -174,7 +174,7 @@ impl<const N: usize> Controller<N> {
             Mode::Sleep(_) => "Sleeping",
             Mode::Door(door) if door.interrupted == Interrupted::Sleep => "Sleeping",
             Mode::Door(_) if !self.mode.is_resuming() => "Check Door",
-            Mode::Hold if self.m.accessories.spinning_up().is_some() => "Restoring spindle",
+            Mode::Hold(hold) if hold.ends_with_spindle().is_some() => "Restoring spindle",
             _ => "",
         };
         if !state.is_empty() {
@@ -257,7 +257,7 @@ impl<const N: usize> Controller<N> {
         let busy = self.m.step_supply.is_running()
             || matches!(
                 self.mode,
-                Mode::Hold | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home(_)
+                Mode::Hold(_) | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home(_)
             );
         let (show_offset, show_overrides) = self.m.replies.rare_fields(busy);
         let mask = self.m.settings.whole(Key::StatusReport);

@@ -50,7 +50,10 @@ impl<const N: usize> Controller<N> {
             }
             Realtime::SpindleStop => {
                 // A beam is off in a hold, and does not come back before motion does.
-                if matches!(self.mode, Mode::Hold) && self.m.accessories.is_on() && !self.m.settings.is_on(Key::Laser) {
+                if matches!(self.mode, Mode::Hold(_))
+                    && self.m.accessories.is_on()
+                    && !self.m.settings.is_on(Key::Laser)
+                {
                     self.toggle_spindle();
                 }
             }
@@ -67,7 +70,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn toggle_coolant(&mut self, change: impl FnOnce(&mut Coolant)) {
-        if matches!(self.mode, Mode::Normal | Mode::Hold) {
+        if matches!(self.mode, Mode::Normal | Mode::Hold(_)) {
             let mut coolant = self.m.accessories.coolant();
             change(&mut coolant);
             self.m.accessories.set_coolant(coolant);
@@ -86,15 +89,8 @@ impl<const N: usize> Controller<N> {
         self.m.lines.heartbeat_mut().set_gone(false);
         match self.mode {
             Mode::Normal => self.start_motion(),
-            Mode::Hold if self.m.accessories.spinning_up().is_some() => {}
-            Mode::Hold if self.m.motion.is_at_rest() => {
-                self.restore_spindle();
-                if self.is_spinning_up() {
-                    self.m.accessories.leave_hold(true);
-                } else {
-                    self.leave_hold();
-                }
-            }
+            Mode::Hold(hold) if hold.ends_with_spindle().is_some() => {}
+            Mode::Hold(_) if self.m.motion.is_at_rest() => self.end_hold(),
             Mode::Door(door) if door.phase == DoorPhase::Parked => self.close_door(door),
             _ => {}
         }
@@ -110,7 +106,8 @@ impl<const N: usize> Controller<N> {
             _ if !self.m.settings.is_on(Key::HoldWithoutHost) => {}
             Mode::Normal if self.is_at_work() => self.host_fault(),
             // The fault acts where the job would go on.
-            _ if self.mode.is_resuming() || self.m.accessories.spinning_up().is_some() => {
+            Mode::Hold(hold) if hold.ends_with_spindle().is_some() => self.m.lines.heartbeat_mut().set_gone(true),
+            _ if self.mode.is_resuming() => {
                 self.m.lines.heartbeat_mut().set_gone(true);
             }
             _ => {}

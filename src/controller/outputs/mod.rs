@@ -36,11 +36,10 @@ impl<const N: usize> Controller<N> {
         self.resting_power() == 0
     }
 
-    /// Whether a spindle that was switched on again in this hold is not up to speed yet.
-    pub(crate) fn is_spinning_up(&self) -> bool {
-        let at_speed = self.has_no_speed_to_reach()
-            || self.m.accessories.is_at_speed(self.m.inputs.signals().at_speed, &self.m.settings);
-        self.m.accessories.turns_at().is_some_and(|at| self.m.now < at || !at_speed)
+    /// Whether the spindle is up to speed, as far as can be known.
+    pub(crate) fn has_speed(&self) -> bool {
+        self.has_no_speed_to_reach()
+            || self.m.accessories.is_at_speed(self.m.inputs.signals().at_speed, &self.m.settings)
     }
 
     /// Outputs follow the motion that has begun; they are off where the machine is locked.

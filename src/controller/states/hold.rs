@@ -9,8 +9,28 @@ use crate::protocol::report;
 use crate::settings::Key;
 use crate::states::stops::orders::StopReason;
 use crate::states::{AfterBraking, Mode};
+use crate::units::Instant;
 use crate::work::line::Message;
 use crate::work::task::Task;
+
+/// A feed hold: of the operator, or of the program (M0, a tool change).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Hold {
+    /// The spindle was switched on again in this hold: it turns (`$394`) at this moment at the earliest.
+    turns_at: Option<Instant>,
+    /// `~` came: the hold ends when the spindle is up to speed.
+    leaves: bool,
+}
+
+impl Hold {
+    pub(crate) const BEGUN: Hold = Hold { turns_at: None, leaves: false };
+
+    /// When the spindle turns for which the end of the hold waits, at the earliest.
+    #[inline]
+    pub(crate) fn ends_with_spindle(&self) -> Option<Instant> {
+        self.turns_at.filter(|_| self.leaves)
+    }
+}
 
 impl<const N: usize> Controller<N> {
     pub(crate) fn start_motion(&mut self) {
@@ -27,11 +47,11 @@ impl<const N: usize> Controller<N> {
                 // A jog that has been read and not queued yet ends here like one that moves.
                 self.task.forget_jog();
                 self.task.suspend(self.m.now);
-                self.enter(Mode::Hold);
+                self.enter(Mode::Hold(Hold::BEGUN));
                 self.darken_laser();
             }
             Mode::Jog { .. } => self.cancel_jog(),
-            Mode::Hold => self.m.accessories.leave_hold(false),
+            Mode::Hold(hold) => self.enter(Mode::Hold(Hold { leaves: false, ..hold })),
             _ => {}
         }
     }
@@ -40,7 +60,6 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     pub(crate) fn leave_hold(&mut self) {
         self.restore_spindle();
-        self.m.accessories.end_spin_up();
         self.enter(Mode::Normal);
         self.task.resume(self.m.now);
         // After a contact, or before a soft-limit alarm, there is nothing to resume.
@@ -59,7 +78,7 @@ impl<const N: usize> Controller<N> {
     /// Spindle stop in a hold: at once at rest, and while the machine brakes when it comes to rest; until then a second one
     /// changes nothing, as in Grbl.
     pub(crate) fn toggle_spindle(&mut self) {
-        self.m.accessories.end_spin_up();
+        self.enter(Mode::Hold(Hold::BEGUN));
         if !self.m.motion.is_at_rest() {
             self.m.accessories.stop_at_rest();
         } else if self.m.accessories.is_suspended() {
@@ -74,13 +93,31 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn restore_spindle(&mut self) {
         if self.m.accessories.restore() {
             self.m.replies.overrides_changed();
-            if matches!(self.mode, Mode::Hold) && self.m.accessories.is_on() {
+            if let Mode::Hold(hold) = self.mode
+                && self.m.accessories.is_on()
+            {
                 if !self.m.settings.is_on(Key::Laser) {
-                    self.m.accessories.spin_up(self.m.now + self.m.settings.seconds(Key::SpinUp));
+                    let turns_at = self.m.now + self.m.settings.seconds(Key::SpinUp);
+                    self.enter(Mode::Hold(Hold { turns_at: Some(turns_at), ..hold }));
                 }
                 self.say(|out| report::message(out, "Restoring spindle"));
             }
         }
+    }
+
+    /// `~` in a hold: the end waits for a spindle that was switched on again.
+    pub(crate) fn end_hold(&mut self) {
+        self.restore_spindle();
+        match self.mode {
+            Mode::Hold(hold) if self.is_spinning_up() => self.enter(Mode::Hold(Hold { leaves: true, ..hold })),
+            _ => self.leave_hold(),
+        }
+    }
+
+    /// Whether a spindle that was switched on again in this hold is not up to speed yet.
+    fn is_spinning_up(&self) -> bool {
+        let Mode::Hold(Hold { turns_at: Some(turns_at), .. }) = self.mode else { return false };
+        self.m.now < turns_at || !self.has_speed()
     }
 
     /// No beam while the machine waits.
@@ -102,9 +139,12 @@ impl<const N: usize> Controller<N> {
             self.enter(Mode::Door(door.stop_job()));
             return;
         }
-        let going = matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Hold);
+        let going = matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Hold(_));
         if going && (!self.m.motion.is_idle() || !self.task.is_none() || locked || !matches!(self.mode, Mode::Normal)) {
-            self.m.accessories.leave_hold(false);
+            if self.is_spinning_up() {
+                // No cut waits any more for a spindle that is getting up.
+                self.m.accessories.stop_spindle();
+            }
             self.m.motion.hold();
             self.enter(Mode::Stopping { then: if locked { AfterBraking::Lock } else { AfterBraking::Continue } });
         } else if matches!(self.mode, Mode::Normal | Mode::Check) {
@@ -131,8 +171,7 @@ impl<const N: usize> Controller<N> {
         self.m.start_idle_delay();
         // A beam must not rest on one point, a locked machine does not turn, and no cut waits any more for a spindle that is
         // getting up; else the spindle stays as it is.
-        let turns = !self.m.accessories.is_suspended() && !self.is_spinning_up() && !self.task.waits_for_spindle();
-        self.m.accessories.end_spin_up();
+        let turns = !self.m.accessories.is_suspended() && !self.task.waits_for_spindle();
         if locked || !turns || self.m.settings.is_on(Key::Laser) {
             self.m.accessories.stop_spindle();
         }

@@ -1,5 +1,5 @@
 //! The states of the machine and the table of which may follow which. A state keeps what it alone needs ([`Homing`],
-//! [`Door`], the alarm of a lock); whatever outlives a state belongs to [`Machine`](crate::parts::Machine).
+//! [`Door`], [`Hold`], the alarm of a lock); whatever outlives a state belongs to [`Machine`](crate::parts::Machine).
 //! [`Controller::enter`] is the only place that changes the state.
 //!
 //! ```text
@@ -23,6 +23,7 @@ pub(crate) mod stops;
 use crate::dispatch::Controller;
 use crate::error::Alarm;
 pub(crate) use door::Door;
+pub(crate) use hold::Hold;
 pub(crate) use homing::Homing;
 
 /// What the machine is doing.
@@ -39,7 +40,7 @@ pub(crate) enum Mode<const N: usize> {
         cancelling: bool,
     },
     /// Feed hold: braking or at rest; only `~` resumes.
-    Hold,
+    Hold(Hold),
     /// The homing cycle runs.
     Home(Homing<N>),
     /// Braking; then everything queued is forgotten.
@@ -104,9 +105,9 @@ impl<const N: usize> Mode<N> {
             (_, Alarm(_)) => true,
             (Critical(_) | Sleep(_), Normal) => false,
             (_, Critical(_) | Normal) => true,
-            (Normal, Jog { .. } | Hold | Home(_) | Stopping { .. } | Door(_) | Check) => true,
+            (Normal, Jog { .. } | Hold(_) | Home(_) | Stopping { .. } | Door(_) | Check) => true,
             (Jog { .. }, Jog { .. } | Stopping { .. } | Door(_)) => true,
-            (Hold, Hold | Stopping { .. } | Door(_)) => true,
+            (Hold(_), Hold(_) | Stopping { .. } | Door(_)) => true,
             (Stopping { .. }, Stopping { .. } | Door(_)) => true,
             (Door(_), Door(_) | Stopping { .. } | Sleep(_)) => true,
             (Alarm(_), Home(_) | Sleep(_)) => true,
@@ -116,7 +117,7 @@ impl<const N: usize> Mode<N> {
 
     /// Whether what is under way waits: motion, a dwell, the lines behind it.
     pub fn is_suspended(&self) -> bool {
-        matches!(self, Mode::Hold | Mode::Stopping { .. } | Mode::Door(_) | Mode::Sleep(_) | Mode::Critical(_))
+        matches!(self, Mode::Hold(_) | Mode::Stopping { .. } | Mode::Door(_) | Mode::Sleep(_) | Mode::Critical(_))
     }
 
     /// Whether a door has been closed, and the machine is on its way back to the job.
@@ -156,8 +157,8 @@ impl<const N: usize> Mode<N> {
             Mode::Normal if running => "Run",
             Mode::Normal => "Idle",
             Mode::Jog { .. } => "Jog",
-            Mode::Hold if at_rest => "Hold:0",
-            Mode::Hold => "Hold:1",
+            Mode::Hold(_) if at_rest => "Hold:0",
+            Mode::Hold(_) => "Hold:1",
             Mode::Home(_) => "Home",
             Mode::Stopping { .. } => "Hold:1",
             Mode::Door(door) => door.phase.name(door_open),

@@ -10,7 +10,7 @@ use crate::machine::realtime_override::Overrides;
 use crate::motion::Speed;
 use crate::protocol::report;
 use crate::settings::Key;
-use crate::states::Mode;
+use crate::states::{Hold, Mode};
 use crate::units::Duration;
 use crate::view::dialect;
 use crate::work::limits::{geometry, spline_geometry};
@@ -422,7 +422,7 @@ impl<const N: usize> Controller<N> {
                 None
             }
             Flow::None | Flow::Pause | Flow::OptionalPause => {
-                self.enter(Mode::Hold);
+                self.enter(Mode::Hold(Hold::BEGUN));
                 self.darken_laser();
                 Some(Stage::Paused)
             }

@@ -139,7 +139,7 @@ impl<const N: usize> Controller<N> {
                 self.task.forget_jog();
                 self.enter(Mode::Door(Door::opened(Interrupted::Jog { stopped: false }, Opening::BY_DOOR)));
             }
-            Mode::Normal | Mode::Hold => self.brake_for_door(Opening::BY_DOOR),
+            Mode::Normal | Mode::Hold(_) => self.brake_for_door(Opening::BY_DOOR),
             Mode::Stopping { then: AfterBraking::Continue } => {
                 // The stop stays one: nothing resumes when the door is closed.
                 self.enter(Mode::Door(Door::opened(Interrupted::StoppedJob, Opening::BY_DOOR)));
@@ -179,7 +179,6 @@ impl<const N: usize> Controller<N> {
 
     /// Braking; then what the open door does.
     pub(crate) fn brake_for_door(&mut self, opening: Opening) {
-        self.m.accessories.end_spin_up();
         self.m.motion.hold();
         self.task.forget_jog();
         self.task.suspend(self.m.now);

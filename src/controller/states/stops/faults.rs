@@ -48,7 +48,7 @@ impl<const N: usize> Controller<N> {
 
     fn can_brake(&self) -> bool {
         match self.mode {
-            Mode::Normal | Mode::Jog { .. } | Mode::Hold | Mode::Stopping { .. } => true,
+            Mode::Normal | Mode::Jog { .. } | Mode::Hold(_) | Mode::Stopping { .. } => true,
             Mode::Door(door) => door.phase == DoorPhase::Braking,
             _ => false,
         }
@@ -63,7 +63,6 @@ impl<const N: usize> Controller<N> {
         }
         self.tell_trip(self.m.motion.line_number());
         self.task.forget_jog();
-        self.m.accessories.end_spin_up();
         self.m.motion.hold();
         let then = if retract { AfterBraking::Retract(alarm) } else { AfterBraking::Alarm(alarm) };
         self.enter(Mode::Stopping { then });

@@ -114,7 +114,6 @@ impl<const N: usize> Controller<N> {
     /// What a door, a hold or a probe had interrupted is over.
     fn end_pauses(&mut self) {
         self.m.parking.end();
-        self.m.accessories.end_spin_up();
         self.m.probe.forget_move();
     }
 
@@ -178,7 +177,7 @@ impl<const N: usize> Controller<N> {
     fn finish_reset(&mut self, moving: bool) {
         self.m.motion.discard();
         self.m.lines.clear();
-        if matches!(self.mode, Mode::Hold | Mode::Door(_)) {
+        if matches!(self.mode, Mode::Hold(_) | Mode::Door(_)) {
             // They may have stayed on for whoever changes a tool.
             self.m.start_idle_delay();
         }
