@@ -63,6 +63,15 @@ pub(super) struct Stretch {
 }
 
 impl Stretch {
+    /// All 0: memory that nothing has been written to.
+    pub(super) const BLANK: Self = Self {
+        length: 0.0,
+        slowest2: 0.0,
+        bounds: Bounds { acceleration: 0.0, jerk: 0.0 },
+        straight_acceleration: 0.0,
+        curve: CurveLoad::NONE,
+    };
+
     pub(super) const NONE: Self = Self {
         length: 0.0,
         slowest2: f32::INFINITY,

@@ -9,7 +9,8 @@ use super::backlash::{Backlash, Motors};
 use super::blend::Blend;
 use super::block::{Block, OverrideFactors};
 use super::carried_time::CarriedTime;
-use super::curvature::{Chain, SCALES, Scale};
+use super::curvature::{Chain, Scale};
+use super::jerk_anchors::Stretch;
 use super::join::Join;
 use super::kinematics::Kinematics;
 use super::path_end::PathEnd;
@@ -72,7 +73,7 @@ pub(super) struct MoveQueue<const N: usize> {
 
 impl<const N: usize> MoveQueue<N> {
     /// Empty, before there are settings.
-    pub(super) fn new(blocks: Lent<[Block<N>]>, scales: Lent<[Scale<N>; SCALES]>) -> Self {
+    pub(super) fn new(blocks: Lent<[Block<N>]>, groups: Lent<[Stretch]>, scales: Lent<[Scale<N>]>) -> Self {
         Self {
             kinematics: Kinematics::ONE,
             backlash: Backlash::NONE,
@@ -87,7 +88,7 @@ impl<const N: usize> MoveQueue<N> {
             chain: Chain::new(scales),
             join: Join::NONE,
             blend: Blend::NONE,
-            planner: Planner::new(blocks),
+            planner: Planner::new(blocks, groups),
         }
     }
 
@@ -175,7 +176,7 @@ mod tests {
     #[test]
     fn backlash_keeps_blocks_back_for_what_a_move_takes_up() {
         let room = on_heap(8);
-        let mut any = MoveQueue::<2>::new(room.blocks, room.scales);
+        let mut any = MoveQueue::<2>::new(room.blocks, room.groups, room.scales);
         assert_eq!((any.free_blocks(), any.is_empty()), (8, true));
         any.backlash.configure([5, 0]);
         assert_eq!(any.free_blocks(), 6);

@@ -10,7 +10,7 @@
 
 use super::backlash::{Backlash, Motors};
 use super::block::{Block, OverrideFactors};
-use super::in_flight::{InFlightSegment, RING, SegmentsInFlight};
+use super::in_flight::{InFlightSegment, SegmentsInFlight};
 use super::jerk::PathState;
 use super::jerk_segment;
 use super::planner::Planner;
@@ -85,7 +85,7 @@ pub(super) struct SegmentSource<const N: usize> {
 
 impl<const N: usize> SegmentSource<N> {
     /// At rest with nothing to do.
-    pub(super) fn new(step_clock_hz: u32, ring: Lent<[InFlightSegment<N>; RING]>) -> Self {
+    pub(super) fn new(step_clock_hz: u32, ring: Lent<[InFlightSegment<N>]>) -> Self {
         Self {
             state: FeedState::Idle,
             rest: true,

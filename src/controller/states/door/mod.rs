@@ -296,7 +296,7 @@ impl<const N: usize> Controller<N> {
             self.m.probe.watch_again();
             self.m.motion.reenter();
         }
-        self.m.parking.end();
+        self.m.parking.end(&mut self.m.motion);
         if door.interrupted == Interrupted::StoppedJob {
             self.finish_soft_stop(false);
         } else {
@@ -313,7 +313,7 @@ impl<const N: usize> Controller<N> {
             && self.m.reference.is_trusted()
             && self.locking_setting().is_none()
             && !self.m.interpreter.modal().no_parking;
-        if self.m.parking.leave_job(allowed, &self.m.settings, &self.m.motion)
+        if self.m.parking.leave_job(allowed, &self.m.settings, &mut self.m.motion)
             && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
         {
             self.m.probe.look_away();

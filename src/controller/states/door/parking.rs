@@ -1,7 +1,7 @@
 //! Parking: moves the tool away from the job and back to the position where the job was left. Which move comes when is
 //! decided by the safety door.
 //!
-//! The moves have a motion of their own, so the job's look-ahead stays as it was. Afterwards the job's block continues at
+//! The moves have a small motion of their own, so the job's look-ahead stays as it was. Afterwards the job's block continues at
 //! the unit where it was left.
 //!
 //! ```text
@@ -55,9 +55,11 @@ impl<const N: usize> Parking<N> {
         Self { route: None, motion }
     }
 
-    /// The tool is back at the job, or a stop has ended the job.
-    pub fn end(&mut self) {
-        self.route = None;
+    /// The tool is back at the job, or a stop has ended the job's `motion`.
+    pub fn end(&mut self, motion: &mut Motion<N>) {
+        if self.route.take().is_some() {
+            self.motion.lend_ring(motion);
+        }
     }
 
     /// Whether the tool has left the job for the parking point.
@@ -67,9 +69,10 @@ impl<const N: usize> Parking<N> {
 
     /// Plans where parking leads from the end of the job's `motion`. Whether there is parking: not with homing off, with a
     /// laser, where it is not `allowed`, and where the tool is beyond the parking point already.
-    pub fn leave_job(&mut self, allowed: bool, settings: &Settings<N>, motion: &Motion<N>) -> bool {
+    pub fn leave_job(&mut self, allowed: bool, settings: &Settings<N>, motion: &mut Motion<N>) -> bool {
         self.route = if allowed { Route::from(motion.machine_position(), settings) } else { None };
         if self.is_away() {
+            motion.lend_ring(&mut self.motion);
             self.motion.configure(motion.settings());
             self.motion.stand_where(motion);
         }

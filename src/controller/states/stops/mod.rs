@@ -113,7 +113,7 @@ impl<const N: usize> Controller<N> {
 
     /// What a door, a hold or a probe had interrupted is over.
     fn end_pauses(&mut self) {
-        self.m.parking.end();
+        self.m.parking.end(&mut self.m.motion);
         self.m.probe.forget_move();
     }
 
