@@ -7,7 +7,7 @@ use crate::dispatch::Controller;
 use crate::error::Alarm;
 use crate::gcode::{Dialect, Interpreter, Motion};
 use crate::settings::{Key, Settings};
-use crate::states::Mode;
+use crate::states::State;
 use crate::states::stops::orders::StopReason;
 use crate::states::stops::reaction::Reaction;
 use crate::units::{Coordinate, Instant};
@@ -57,7 +57,7 @@ impl<const N: usize> Controller<N> {
     /// Whether the spindle has to be up to speed: lines of a program are carried out, and none gives it time to come up.
     pub(crate) fn needs_speed(&self) -> bool {
         let works = self.m.step_supply.is_running() || !self.m.motion.is_idle() || self.task.is_program();
-        matches!(self.mode, Mode::Normal) && works && !self.task.is_spinning_up()
+        matches!(self.state, State::Normal) && works && !self.task.is_spinning_up()
     }
 
     /// Whether a spindle that turns continues to, at this alarm.
@@ -67,8 +67,8 @@ impl<const N: usize> Controller<N> {
             alarm => Reaction::to(alarm, &self.m.settings),
         };
         let door_allows = !self.m.inputs.signals().door
-            && match self.mode {
-                Mode::Door(door) => door.opening.alarm.is_some() && door.opening.spindle_on,
+            && match self.state {
+                State::Door(door) => door.opening.alarm.is_some() && door.opening.spindle_on,
                 _ => true,
             };
         reaction.spindle_on && door_allows && !self.m.accessories.is_suspended()
@@ -76,9 +76,9 @@ impl<const N: usize> Controller<N> {
 
     /// Why motion stops or brakes, if it does for good.
     pub(crate) fn stop_under_way(&self) -> Option<StopReason> {
-        let alarm = match self.mode {
-            Mode::Stopping { then } => then.alarm(),
-            Mode::Door(door) => door.opening.alarm,
+        let alarm = match self.state {
+            State::Braking { then } => then.alarm(),
+            State::Door(door) => door.opening.alarm,
             _ => None,
         };
         let braking = alarm.map(StopReason::Alarm);
@@ -89,7 +89,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn has_nothing_to_do(&self) -> bool {
-        self.task.is_none() && !matches!(self.mode, Mode::Home(_))
+        self.task.is_none() && !matches!(self.state, State::Homing(_))
     }
 
     /// Whether in addition nothing turns and nothing burns: the pump may be deaf for a second, to erase flash.
@@ -180,7 +180,7 @@ impl<const N: usize> Controller<N> {
 
     /// The alarm that holds, if any.
     pub fn alarm(&self) -> Option<Alarm> {
-        self.mode.alarm()
+        self.state.alarm()
     }
 
     /// Whether the machine is where the position says, as far as anybody can know: not after a stop at speed, an underrun,
@@ -206,7 +206,7 @@ impl<const N: usize> Controller<N> {
 
     /// Whether the program has paused (M0, or a feed hold) and waits for `~` at rest.
     pub fn is_paused(&self) -> bool {
-        matches!(self.mode, Mode::Hold(_)) && self.m.motion.is_at_rest()
+        matches!(self.state, State::Hold(_)) && self.m.motion.is_at_rest()
     }
 
     pub(crate) fn dialect(&self) -> Dialect {

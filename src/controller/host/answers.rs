@@ -12,7 +12,7 @@ use crate::protocol::descriptions::DESCRIPTIONS;
 use crate::protocol::report::{self, PlaceForm};
 use crate::protocol::text::Text;
 use crate::settings::Key;
-use crate::states::Mode;
+use crate::states::State;
 use crate::states::door::Interrupted;
 use crate::units::per_minute;
 use crate::work::line::Message;
@@ -62,7 +62,7 @@ impl<const N: usize> Controller<N> {
     // By itself: few lines have a message, and it takes much stack.
     #[inline(never)]
     fn tell_message(&mut self, mark: u8, written: &[u8]) {
-        if self.mode.is_alarm() || matches!(self.task, Task::SoftLimit(_)) {
+        if self.state.is_alarm() || matches!(self.task, Task::SoftLimit(_)) {
             return;
         }
         let mut text = Message::new();
@@ -139,10 +139,10 @@ impl<const N: usize> Controller<N> {
 
     /// What a host has to do to unlock the machine.
     pub(crate) fn tell_lock(&mut self) {
-        match self.mode {
-            Mode::Alarm(_) if self.m.records.are_damaged() => self.tell_damage(),
-            Mode::Alarm(_) => self.say(|out| report::message(out, "'$H'|'$X' to unlock")),
-            Mode::Critical(_) => self.say(|out| report::message(out, "Reset to continue")),
+        match self.state {
+            State::Alarm(_) if self.m.records.are_damaged() => self.tell_damage(),
+            State::Alarm(_) => self.say(|out| report::message(out, "'$H'|'$X' to unlock")),
+            State::Critical(_) => self.say(|out| report::message(out, "Reset to continue")),
             _ => {}
         }
     }
@@ -169,12 +169,12 @@ impl<const N: usize> Controller<N> {
         if self.line.is_single_block() {
             self.tell_single_block();
         }
-        let state = match self.mode {
-            Mode::Check => "Enabled",
-            Mode::Sleep(_) => "Sleeping",
-            Mode::Door(door) if door.interrupted == Interrupted::Sleep => "Sleeping",
-            Mode::Door(_) if !self.mode.is_resuming() => "Check Door",
-            Mode::Hold(hold) if hold.ends_with_spindle().is_some() => "Restoring spindle",
+        let state = match self.state {
+            State::Check => "Enabled",
+            State::Sleep(_) => "Sleeping",
+            State::Door(door) if door.interrupted == Interrupted::Sleep => "Sleeping",
+            State::Door(_) if !self.state.is_resuming() => "Check Door",
+            State::Hold(hold) if hold.ends_with_spindle().is_some() => "Restoring spindle",
             _ => "",
         };
         if !state.is_empty() {
@@ -256,8 +256,8 @@ impl<const N: usize> Controller<N> {
     fn report_status(&mut self) {
         let busy = self.m.step_supply.is_running()
             || matches!(
-                self.mode,
-                Mode::Hold(_) | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home(_)
+                self.state,
+                State::Hold(_) | State::Braking { .. } | State::Jog { .. } | State::Door(_) | State::Homing(_)
             );
         let (show_offset, show_overrides) = self.m.replies.rare_fields(busy);
         let mask = self.m.settings.whole(Key::StatusReport);
@@ -266,7 +266,7 @@ impl<const N: usize> Controller<N> {
         let line = self.m.motion.line_number();
         let overrides = self.m.accessories.overrides();
         let status = report::Status {
-            state: self.mode.name(
+            state: self.state.name(
                 self.m.motion.is_at_rest(),
                 self.m.step_supply.is_running(),
                 self.m.inputs.signals().door,

@@ -11,7 +11,7 @@ use crate::protocol::recorded::RECORDER;
 use crate::protocol::report;
 use crate::protocol::system::{self, Allowed, Restore, System};
 use crate::settings::{AxisKey, Key, Settings};
-use crate::states::{Homing, Mode};
+use crate::states::{Homing, State};
 use crate::units::{DECIMAL_ONE, Decimal};
 use crate::work::task::{Answer, Ask, Caller, Listing, Task};
 
@@ -34,11 +34,11 @@ const ZERO_AT_PULL_OFF: u16 = Key::ZeroAtPullOff.number();
 impl<const N: usize> Controller<N> {
     /// A line that begins with `$`.
     pub(crate) fn system(&mut self, line: &[u8]) -> Result<(), Error> {
-        let resting = matches!(self.mode, Mode::Normal) && !self.m.step_supply.is_running();
+        let resting = matches!(self.state, State::Normal) && !self.m.step_supply.is_running();
         let idle = resting && self.m.motion.is_idle();
         match system::allowed(line) {
-            Allowed::AtRest if !(idle || matches!(self.mode, Mode::Alarm(_))) => return Err(Error::NotIdle),
-            Allowed::ForJog if !(idle || matches!(self.mode, Mode::Jog { .. })) => return Err(Error::NotIdle),
+            Allowed::AtRest if !(idle || matches!(self.state, State::Alarm(_))) => return Err(Error::NotIdle),
+            Allowed::ForJog if !(idle || matches!(self.state, State::Jog { .. })) => return Err(Error::NotIdle),
             _ => {}
         }
         let command = system::read(line)?;
@@ -51,7 +51,7 @@ impl<const N: usize> Controller<N> {
                 self.say(|out| report::help(out, grbl));
                 self.say_ok();
             }
-            System::Settings if matches!(self.mode, Mode::Normal) && !idle => return Err(Error::NotIdle),
+            System::Settings if matches!(self.state, State::Normal) && !idle => return Err(Error::NotIdle),
             System::Settings => self.task = Task::Listing(Listing::Settings, 0),
             System::Parameters => self.task = Task::Listing(Listing::Parameters, 0),
             System::StartupLines => self.task = Task::Listing(Listing::StartupLines, 0),
@@ -119,7 +119,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn set_startup_line(&mut self, index: usize, text: &[u8]) -> Result<(), Error> {
-        if !matches!(self.mode, Mode::Normal) {
+        if !matches!(self.state, State::Normal) {
             return Err(Error::NotIdle);
         }
         let stored = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
@@ -133,7 +133,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn set_macro(&mut self, index: usize, text: &[u8]) -> Result<(), Error> {
-        if !matches!(self.mode, Mode::Normal) {
+        if !matches!(self.state, State::Normal) {
             return Err(Error::NotIdle);
         }
         let stored = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
@@ -160,7 +160,7 @@ impl<const N: usize> Controller<N> {
             return Err(error);
         }
         let (homing, next) = Homing::begin(axis, &mut self.m)?;
-        self.enter(Mode::Home(homing));
+        self.enter(State::Homing(homing));
         self.follow(next);
         Ok(())
     }
@@ -238,16 +238,16 @@ impl<const N: usize> Controller<N> {
     }
 
     fn toggle_check_mode(&mut self) -> Result<(), Error> {
-        match self.mode {
-            Mode::Check => {
+        match self.state {
+            State::Check => {
                 self.say(|out| report::message(out, "Disabled"));
                 self.say_ok();
                 self.m.interpreter.end_check_mode();
-                self.enter(Mode::Normal);
+                self.enter(State::Normal);
                 self.initialise();
             }
-            Mode::Normal if self.m.motion.is_idle() => {
-                self.enter(Mode::Check);
+            State::Normal if self.m.motion.is_idle() => {
+                self.enter(State::Check);
                 self.m.interpreter.begin_check_mode(self.dialect());
                 self.say(|out| report::message(out, "Enabled"));
                 self.say_ok();
@@ -258,7 +258,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn unlock(&mut self) -> Result<(), Error> {
-        if let Mode::Alarm(_) = self.mode {
+        if let State::Alarm(_) = self.state {
             if self.m.inputs.signals().door {
                 return Err(Error::DoorOpen);
             }
@@ -270,7 +270,7 @@ impl<const N: usize> Controller<N> {
                 self.tell_damage();
                 return Err(Error::StoreReadFailed);
             }
-            self.enter(Mode::Normal);
+            self.enter(State::Normal);
             self.say(|out| report::message(out, "Caution: Unlocked"));
             if !self.m.reference.is_trusted() && self.dialect() != Dialect::Grbl {
                 self.say(|out| report::message(out, "The position may be lost: home before using machine coordinates"));

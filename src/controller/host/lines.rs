@@ -12,7 +12,7 @@ use crate::protocol::line::{self, Pushed};
 use crate::protocol::line_intake::Taken;
 use crate::protocol::report;
 use crate::settings::{Key, Settings};
-use crate::states::Mode;
+use crate::states::State;
 use crate::units::{Duration, Instant};
 use crate::view::dialect;
 use crate::work::task::{Answer, Caller, Task};
@@ -34,12 +34,12 @@ impl<const N: usize> Controller<N> {
     /// Whether a byte that comes next would be dropped, as it was received before a reset or a stop, or before the reset that is
     /// all that the machine waits for.
     pub fn is_old(&self, byte: LineByte) -> bool {
-        if self.mode.waits_for_reset() {
+        if self.state.waits_for_reset() {
             return !self.m.stops.is_awaited() && !self.m.lines.is_ahead(byte);
         }
         if byte.byte == HOST_CHANGED {
             // It comes before such bytes, and where nothing of the host before is in work it may be taken like them.
-            let waits = matches!(self.mode, Mode::Door(_)) && !self.m.lines.holds();
+            let waits = matches!(self.state, State::Door(_)) && !self.m.lines.holds();
             return waits && matches!(self.task, Task::None | Task::Startup(_, None));
         }
         self.m.lines.is_old(byte)
@@ -47,7 +47,7 @@ impl<const N: usize> Controller<N> {
 
     /// Drops such a byte, also while no line is wanted.
     pub fn drop_old(&mut self, byte: LineByte) {
-        if self.mode.waits_for_reset() {
+        if self.state.waits_for_reset() {
             self.m.lines.drop_next();
         }
         self.other_byte(byte);
@@ -68,8 +68,8 @@ impl<const N: usize> Controller<N> {
         self.answer_status();
         let is_of_program = self.m.lines.has_no_remark()
             && !matches!(self.m.lines.text().first(), None | Some(b'%' | b'$'))
-            && !self.mode.is_alarm()
-            && !matches!(self.mode, Mode::Jog { .. })
+            && !self.state.is_alarm()
+            && !matches!(self.state, State::Jog { .. })
             && self.dialect() != Dialect::Grbl
             && !self.m.interpreter.is_behind_end();
         if is_of_program {
@@ -117,7 +117,7 @@ impl<const N: usize> Controller<N> {
     /// A byte has brought something about.
     #[inline(never)]
     fn taken(&mut self, taken: Taken) {
-        if taken.cut && self.mode.waits_for_reset() {
+        if taken.cut && self.state.waits_for_reset() {
             // Its line in work will not go on, and nobody waits for the answer.
             self.task.abandon();
         }
@@ -189,14 +189,16 @@ impl<const N: usize> Controller<N> {
     /// A jog behind a jog cancel begins once the machine has stopped, from the position where it is then.
     fn must_wait(&self, line: &[u8]) -> bool {
         line.starts_with(b"$J=")
-            && matches!(self.mode, Mode::Jog { cancelling: true })
+            && matches!(self.state, State::Jog { cancelling: true })
             && self.m.lines.is_jog_behind_cancel()
     }
 
     /// The jog that waits for the end of the one before it ([`Task::JogWaits`]). Whether it has begun.
     #[inline(never)]
     pub(crate) fn begin_waiting_jog(&mut self) -> bool {
-        if matches!(self.mode, Mode::Jog { cancelling: true }) || self.mode.is_suspended() || self.m.stops.is_awaited()
+        if matches!(self.state, State::Jog { cancelling: true })
+            || self.state.is_suspended()
+            || self.m.stops.is_awaited()
         {
             return false;
         }
@@ -211,7 +213,7 @@ impl<const N: usize> Controller<N> {
 
     fn dispatch(&mut self, line: &[u8], remark: &[u8]) {
         let result = match line.first() {
-            None if remark.is_empty() || self.mode.is_alarm() => {
+            None if remark.is_empty() || self.state.is_alarm() => {
                 self.say_ok();
                 Ok(())
             }
@@ -220,7 +222,7 @@ impl<const N: usize> Controller<N> {
             // It would be told now, and not when the line is carried out.
             Some(b'$') if !remark.is_empty() && keeps_line(line) => Err(Error::InvalidStatement),
             Some(b'$') => self.system(line).map(|()| self.tell_remark(remark)),
-            Some(_) if self.mode.is_alarm() || matches!(self.mode, Mode::Jog { .. }) => Err(Error::Locked),
+            Some(_) if self.state.is_alarm() || matches!(self.state, State::Jog { .. }) => Err(Error::Locked),
             _ => self.program_line(line, remark),
         };
         match result {

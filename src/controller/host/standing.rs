@@ -10,7 +10,7 @@ use crate::machine::realtime_override::Overrides;
 use crate::messages::{Recorded, Standing, input};
 use crate::protocol::recorded;
 use crate::protocol::text::{Text, fixed, put, real};
-use crate::states::Mode;
+use crate::states::State;
 use crate::units::Coordinate;
 use crate::work::task::{Ask, Listing, Task};
 
@@ -22,15 +22,15 @@ impl<const N: usize> Controller<N> {
 
     /// Whether lines of a program are refused.
     pub fn is_locked(&self) -> bool {
-        self.mode.is_alarm()
+        self.state.is_alarm()
     }
 
     /// The state at rest, if it is one that [`Controller::stand`] brings about in a machine with the same stored records:
     /// no offset but the stored ones, nothing open, nothing on, no override, no switch or button active.
     pub fn standing(&self) -> Option<Standing> {
-        let locked = match self.mode {
-            Mode::Normal => false,
-            Mode::Alarm(None) => true,
+        let locked = match self.state {
+            State::Normal => false,
+            State::Alarm(None) => true,
             _ => return None,
         };
         let (place, counters) = self.m.motion.standing()?;
@@ -66,7 +66,7 @@ impl<const N: usize> Controller<N> {
         self.m.interpreter.set_position(place);
         self.m.interpreter.hold_tool(standing.tool);
         self.m.reference.assume(standing.trusted);
-        self.enter(if lock { Mode::Alarm(None) } else { Mode::Normal });
+        self.enter(if lock { State::Alarm(None) } else { State::Normal });
         self.m.pins.disturb();
     }
 

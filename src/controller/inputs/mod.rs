@@ -8,7 +8,7 @@ use crate::dispatch::Controller;
 use crate::error::Alarm;
 use crate::inputs::levels::InputChange;
 use crate::messages::{Sensed, Signals};
-use crate::states::Mode;
+use crate::states::State;
 use crate::states::stops::Stopped;
 use crate::states::stops::orders::StopReason;
 use crate::states::stops::reaction::Reaction;
@@ -26,11 +26,11 @@ impl<const N: usize> Controller<N> {
             self.stop_for(StopReason::Reset, &mut stopped);
         }
         let limits = came.limits & levels::hard_limits(&self.m.settings);
-        if let Mode::Home(homing) = &mut self.mode {
+        if let State::Homing(homing) = &mut self.state {
             if homing.is_reached(self.m.switches()) {
                 self.stop_for(StopReason::Switch, &mut stopped);
             }
-        } else if limits != 0 && !self.mode.is_alarm() {
+        } else if limits != 0 && !self.state.is_alarm() {
             let closed = levels::axes_of_switches(limits, &self.m.settings);
             let limit = StopReason::Alarm(Alarm::HardLimit);
             let under_way = self.stop_under_way();
@@ -40,7 +40,7 @@ impl<const N: usize> Controller<N> {
             self.fault(Alarm::HardLimit, &mut stopped);
         }
         if stopped.already && !stopped.answered {
-            let homing = matches!(self.mode, Mode::Home(_));
+            let homing = matches!(self.state, State::Homing(_));
             self.m.stops.wait_for(if homing { StopReason::Alarm(Alarm::HardLimit) } else { StopReason::Nothing });
             self.finish_stop();
         }

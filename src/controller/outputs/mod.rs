@@ -13,7 +13,7 @@ use crate::machine::realtime_override::Overrides;
 use crate::machine::spindle::SpindleRange;
 use crate::messages::{Coolant, SlowOutputs, SpindleDirection, Wiring};
 use crate::settings::Key;
-use crate::states::Mode;
+use crate::states::State;
 use crate::states::stops::orders::StopReason;
 use crate::units::Instant;
 
@@ -49,7 +49,7 @@ impl<const N: usize> Controller<N> {
             let mark = self.m.motion.begun_mark();
             self.m.accessories.digital_mut().begun(mark);
         }
-        if self.mode.is_alarm() || matches!(self.mode, Mode::Sleep(_)) {
+        if self.state.is_alarm() || matches!(self.state, State::Sleep(_)) {
             self.switch_outputs_off();
         }
     }
@@ -102,7 +102,7 @@ impl<const N: usize> Controller<N> {
     /// it on.
     fn is_dark_at_rest(&self) -> bool {
         let is_dark = self.m.settings.is_on(Key::Laser) && self.m.settings.is_on(Key::Dialect);
-        is_dark && !matches!(self.mode, Mode::Normal | Mode::Check)
+        is_dark && !matches!(self.state, State::Normal | State::Check)
     }
 
     /// A segment's power under the override of this moment: queued moves feel it too.
@@ -157,13 +157,13 @@ impl<const N: usize> Controller<N> {
 
     #[inline]
     pub(crate) fn changed_wiring(&mut self) -> Option<Wiring> {
-        self.m.pins.changed_wiring(&self.m.settings, self.m.inputs.wiring(), matches!(self.mode, Mode::Home(_)))
+        self.m.pins.changed_wiring(&self.m.settings, self.m.inputs.wiring(), matches!(self.state, State::Homing(_)))
     }
 
     /// No current in the motors, whatever `$1` says: in sleep, and with `$913` until the emergency has been acknowledged.
     fn drivers_held_off(&self) -> bool {
-        matches!(self.mode, Mode::Sleep(_))
-            || matches!(self.mode.alarm(), Some(Alarm::EmergencyStop | Alarm::DriverFault))
+        matches!(self.state, State::Sleep(_))
+            || matches!(self.state.alarm(), Some(Alarm::EmergencyStop | Alarm::DriverFault))
                 && self.m.settings.is_on(Key::EmergencyDriversOff)
     }
 }

@@ -8,7 +8,7 @@ use crate::messages::SpindleDirection;
 use crate::motion::Speed;
 use crate::protocol::report;
 use crate::settings::Key;
-use crate::states::{Hold, Mode};
+use crate::states::{Hold, State};
 use crate::units::{Coordinate, Duration};
 use crate::work::task::{Job, Stage};
 
@@ -43,7 +43,7 @@ impl<const N: usize> Controller<N> {
             Some(CycleStep::SpindleOn(direction)) => return Some(self.cycle_switches_spindle(direction, job)),
             Some(CycleStep::Pause) => {
                 self.say(|out| report::message(out, "Cycle paused, ~ draws the tool back"));
-                self.enter(Mode::Hold(Hold::BEGUN));
+                self.enter(State::Hold(Hold::BEGUN));
                 return Some(Stage::CyclePaused);
             }
         }

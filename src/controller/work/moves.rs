@@ -10,7 +10,7 @@ use crate::machine::spindle::SpindleRange;
 use crate::messages::SpindleDirection;
 use crate::motion::{ArcGeometry, Move, NurbsGeometry, Speed, SplineGeometry, Tolerance};
 use crate::settings::Key;
-use crate::states::Mode;
+use crate::states::State;
 use crate::units::Coordinate;
 use crate::work::task::{Job, Stage};
 
@@ -33,7 +33,7 @@ impl<const N: usize> Controller<N> {
         if !taken {
             self.start_queued();
         } else if job.jog {
-            self.enter(Mode::Jog { cancelling: false });
+            self.enter(State::Jog { cancelling: false });
             self.start_motion();
         } else if self.m.motion.has_joined_enough() {
             self.start_queued();

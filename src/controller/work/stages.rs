@@ -10,7 +10,7 @@ use crate::machine::realtime_override::Overrides;
 use crate::motion::Speed;
 use crate::protocol::report;
 use crate::settings::Key;
-use crate::states::{Hold, Mode};
+use crate::states::{Hold, State};
 use crate::units::Duration;
 use crate::view::dialect;
 use crate::work::limits::{geometry, spline_geometry};
@@ -25,7 +25,7 @@ impl<const N: usize> Controller<N> {
     /// calls [`Controller::advance`] when nothing more urgent is due.
     pub(crate) fn begin(&mut self, answer: Answer, jog: bool) {
         let checked = &self.line.checked;
-        let checking = matches!(self.mode, Mode::Check);
+        let checking = matches!(self.state, State::Check);
         let stops_before = !jog && self.m.interpreter.modal().path == PathControl::ExactStop && self.ends_line_before();
         let drain = !checking && (stops_before || !checked.moves_only() && self.acts_at_rest());
         let stage = if drain { Stage::Drain } else { Stage::Apply };
@@ -80,7 +80,7 @@ impl<const N: usize> Controller<N> {
     #[inline]
     pub(crate) fn may_advance(&self) -> bool {
         match &self.task {
-            Task::None => matches!(self.mode, Mode::Home(_)),
+            Task::None => matches!(self.state, State::Homing(_)),
             Task::Job(job) => !self.waits_for_room(job.stage),
             _ => true,
         }
@@ -97,7 +97,7 @@ impl<const N: usize> Controller<N> {
         moves
             && self.m.motion.free_blocks() == 0
             && self.m.step_supply.is_running()
-            && !matches!(self.mode, Mode::Check)
+            && !matches!(self.state, State::Check)
             && !self.m.stops.has_order()
     }
 
@@ -105,7 +105,7 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     pub(crate) fn advance(&mut self) -> bool {
         if let Task::Job(job) = self.task {
-            return !self.m.stops.is_awaited() && !self.mode.is_suspended() && self.advance_job(job);
+            return !self.m.stops.is_awaited() && !self.state.is_suspended() && self.advance_job(job);
         }
         let progressed = self.advance_task();
         if progressed {
@@ -120,7 +120,7 @@ impl<const N: usize> Controller<N> {
         let progressed = self.advance_line(&mut job);
         let only_moved = self.line.checked.moves_only()
             && !job.jog
-            && matches!(self.mode, Mode::Normal)
+            && matches!(self.state, State::Normal)
             && matches!(job.answer, Answer::Host | Answer::Held(_));
         // A stop that it has ordered goes out at once: nothing else would wake the pump for it.
         let ordered = self.m.stops.has_order();
@@ -142,12 +142,12 @@ impl<const N: usize> Controller<N> {
         }
         match self.task {
             Task::None => {
-                let Mode::Home(homing) = &mut self.mode else { return false };
+                let State::Homing(homing) = &mut self.state else { return false };
                 let next = homing.advance(&mut self.m);
                 return self.follow(next);
             }
             Task::Listing(listing, line) => return self.advance_listing(listing, line),
-            _ if self.mode.is_suspended() => return false,
+            _ if self.state.is_suspended() => return false,
             Task::Startup(index, then) if self.m.inputs.are_known() => {
                 self.task = Task::None;
                 self.run_startup_line(index, then);
@@ -176,13 +176,13 @@ impl<const N: usize> Controller<N> {
         self.m.accessories.switch_off();
         self.tell_alarm(Alarm::SoftLimit);
         self.say(|out| report::message(out, "Reset to continue"));
-        self.enter(Mode::Critical(Alarm::SoftLimit));
+        self.enter(State::Critical(Alarm::SoftLimit));
     }
 
     /// Continues until something has to be waited for or put out first.
     #[inline]
     fn advance_line(&mut self, job: &mut Job) -> bool {
-        let checking = matches!(self.mode, Mode::Check);
+        let checking = matches!(self.state, State::Check);
         let mut progressed = false;
         loop {
             // The stages of a line that only moves; nearly all lines have no others. What they do is neither shown nor waited for.
@@ -208,7 +208,7 @@ impl<const N: usize> Controller<N> {
             progressed = true;
             let shown_first = self.is_shown_before(job.stage, next);
             job.stage = next;
-            if shown_first || self.mode.is_suspended() || self.m.stops.is_awaited() {
+            if shown_first || self.state.is_suspended() || self.m.stops.is_awaited() {
                 break;
             }
         }
@@ -249,7 +249,7 @@ impl<const N: usize> Controller<N> {
             Stage::Probing => {
                 let must_touch = matches!(self.line.checked.motion, gcode::Motion::Probe { alarm: true, .. });
                 // A failed probe has locked the machine: no M0 may open it again.
-                self.end_probe(must_touch).then_some(if self.mode.is_alarm() { Stage::Done } else { Stage::Flow })
+                self.end_probe(must_touch).then_some(if self.state.is_alarm() { Stage::Done } else { Stage::Flow })
             }
             Stage::Flow => self.flow(job, checking),
             Stage::Paused => Some(Stage::Done),
@@ -422,7 +422,7 @@ impl<const N: usize> Controller<N> {
                 None
             }
             Flow::None | Flow::Pause | Flow::OptionalPause => {
-                self.enter(Mode::Hold(Hold::BEGUN));
+                self.enter(State::Hold(Hold::BEGUN));
                 self.darken_laser();
                 Some(Stage::Paused)
             }
@@ -508,7 +508,7 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn jog(&mut self, line: &[u8]) -> Result<(), Error> {
         self.m.interpreter.check_jog_into(line, dialect(&self.m.settings), &mut self.line.checked)?;
         let is_over = self.m.lines.is_jog_stale() || self.m.replies.has_host_left(self.m.lines.hosts_cut());
-        if is_over || matches!(self.mode, Mode::Jog { cancelling: true }) {
+        if is_over || matches!(self.state, State::Jog { cancelling: true }) {
             // Sent before the cancel, or by a host that has gone: it shall not move any more.
             self.say_ok();
             return Ok(());
@@ -577,7 +577,7 @@ impl<const N: usize> Controller<N> {
 
     #[inline(never)]
     fn run_startup_line(&mut self, index: usize, then: Option<Answer>) {
-        let line = if self.mode.is_alarm() { None } else { self.m.records.startup_line(index).cloned() };
+        let line = if self.state.is_alarm() { None } else { self.m.records.startup_line(index).cloned() };
         let Some(line) = line else {
             if let Some(answer) = then {
                 self.finish(answer);

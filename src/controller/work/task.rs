@@ -8,7 +8,7 @@ use crate::units::{Duration, Instant};
 
 /// What the controller is in the middle of. While there is one, no further line is taken.
 #[derive(Clone, Copy, Debug)]
-// As with `Mode`: the tag is asked for before each output.
+// As with `State`: the tag is asked for before each output.
 #[repr(u8)]
 pub(crate) enum Task {
     /// Nothing: the next line may come.

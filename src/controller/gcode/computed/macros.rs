@@ -3,7 +3,7 @@
 //!
 //! They are the first lines of the held text: what ends a program keeps them. A line that a number has none of is empty.
 
-use super::flow::{FlowControl, MOST_MACROS, State};
+use super::flow::{FlowControl, FlowState, MOST_MACROS};
 use crate::error::Error;
 use crate::gcode::state::Interpreter;
 
@@ -34,7 +34,7 @@ impl FlowControl {
         if index >= LINES {
             return Err(Error::InvalidStatement);
         }
-        if self.state != State::Streaming || !self.frames.is_empty() {
+        if self.state != FlowState::Streaming || !self.frames.is_empty() {
             return Err(Error::NotIdle);
         }
         let (mut at, mut missing) = (0, 0);

@@ -5,7 +5,9 @@
 //! `FlowSyntax` error.
 
 use super::Computed;
-use super::flow::{ARGUMENTS, FrameKind, HeldLine, Keyword, LABELS, OWord, PASSES, SPARE, STREAM, State, ends_program};
+use super::flow::{
+    ARGUMENTS, FlowState, FrameKind, HeldLine, Keyword, LABELS, OWord, PASSES, SPARE, STREAM, ends_program,
+};
 use super::real::Real;
 use crate::error::Error;
 use crate::gcode::direction::{Direction, Held};
@@ -27,7 +29,7 @@ impl<const N: usize> Interpreter<N> {
         self.computed.begin();
         let flow = &mut self.computed.flow;
         flow.line = number;
-        let plain = flow.state == State::Streaming && !flow.skipping;
+        let plain = flow.state == FlowState::Streaming && !flow.skipping;
         if plain && !matches!(line.first(), Some(b'O' | b'N')) {
             return Ok(Direction::Check);
         }
@@ -97,7 +99,7 @@ impl<const N: usize> Interpreter<N> {
 
     fn direct_order(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
         self.look_for_end(line, order)?;
-        if let State::Recording(from, error) = self.computed.flow.state {
+        if let FlowState::Recording(from, error) = self.computed.flow.state {
             return self.record(line, remark, order, from, error);
         }
         let flow = &mut self.computed.flow;
@@ -118,7 +120,7 @@ impl<const N: usize> Interpreter<N> {
             Keyword::Sub | Keyword::Do | Keyword::While | Keyword::Repeat => {
                 let from = flow.text.len() as u16;
                 let held = order.must_be_well_formed().and_then(|()| flow.hold(line, remark, 0));
-                flow.state = State::Recording(from, held.err());
+                flow.state = FlowState::Recording(from, held.err());
                 flow.recorded_from = flow.line;
                 if held.is_err() {
                     // What is refused needs its label and kind: without room for them all that follows is refused.
@@ -154,8 +156,8 @@ impl<const N: usize> Interpreter<N> {
             error => error,
         };
         flow.state = match ends {
-            true => State::Streaming,
-            false => State::Recording(from, error),
+            true => FlowState::Streaming,
+            false => FlowState::Recording(from, error),
         };
         match (error, order) {
             (Some(error), Some(order)) if ends => {
@@ -204,8 +206,8 @@ impl<const N: usize> Interpreter<N> {
     pub fn line_refused(&mut self, error: Error) {
         self.computed.begin();
         let flow = &mut self.computed.flow;
-        if let State::Recording(from, None) = flow.state {
-            flow.state = State::Recording(from, Some(error));
+        if let FlowState::Recording(from, None) = flow.state {
+            flow.state = FlowState::Recording(from, Some(error));
         }
     }
 
@@ -222,7 +224,7 @@ impl<const N: usize> Interpreter<N> {
     fn next_line(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         let flow = &mut self.computed.flow;
         line.clear();
-        if !matches!(flow.state, State::Running(_)) {
+        if !matches!(flow.state, FlowState::Running(_)) {
             return Ok(Held::End);
         }
         let Some(text) = flow.line(flow.next) else {

@@ -14,7 +14,7 @@ use crate::protocol::report;
 use crate::settings::Key;
 use crate::states::door::parking::ParkingPoint;
 use crate::states::stops::orders::StopReason;
-use crate::states::{AfterBraking, Mode};
+use crate::states::{AfterBraking, State};
 use crate::units::{Duration, Instant};
 
 /// An open safety door, or whatever acts like one.
@@ -29,7 +29,7 @@ pub(crate) struct Door {
 
 /// Phases of the safety door.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-// Else the moments inside make the tag of this and of `Mode` one of 64 bits.
+// Else the moments inside make the tag of this and of `State` one of 64 bits.
 #[repr(u8)]
 pub(crate) enum DoorPhase {
     /// Braking; what follows begins once at rest.
@@ -133,26 +133,26 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn open_door(&mut self) {
         self.switch_off_for_door();
         self.forget_received_jogs();
-        match self.mode {
-            Mode::Jog { .. } => {
+        match self.state {
+            State::Jog { .. } => {
                 self.m.motion.hold();
                 self.task.forget_jog();
-                self.enter(Mode::Door(Door::opened(Interrupted::Jog { stopped: false }, Opening::BY_DOOR)));
+                self.enter(State::Door(Door::opened(Interrupted::Jog { stopped: false }, Opening::BY_DOOR)));
             }
-            Mode::Normal | Mode::Hold(_) => self.brake_for_door(Opening::BY_DOOR),
-            Mode::Stopping { then: AfterBraking::Continue } => {
+            State::Normal | State::Hold(_) => self.brake_for_door(Opening::BY_DOOR),
+            State::Braking { then: AfterBraking::Continue } => {
                 // The stop stays one: nothing resumes when the door is closed.
-                self.enter(Mode::Door(Door::opened(Interrupted::StoppedJob, Opening::BY_DOOR)));
+                self.enter(State::Door(Door::opened(Interrupted::StoppedJob, Opening::BY_DOOR)));
             }
-            Mode::Door(door) => match door.phase {
+            State::Door(door) => match door.phase {
                 DoorPhase::SpindleRestoring(_) | DoorPhase::CoolantRestoring(_) => self.switch_off_and_park(door),
                 DoorPhase::Returning | DoorPhase::Plunging => {
                     self.m.parking.hold();
-                    self.enter(Mode::Door(Door { phase: DoorPhase::Reopened, ..door }));
+                    self.enter(State::Door(Door { phase: DoorPhase::Reopened, ..door }));
                 }
                 _ => {}
             },
-            Mode::Home(_) => {
+            State::Homing(_) => {
                 self.m.stops.order(StopReason::Alarm(Alarm::HomingDoor));
                 return;
             }
@@ -163,16 +163,16 @@ impl<const N: usize> Controller<N> {
 
     /// A fault may have left the spindle on (`$924` to `$928`); at an open door it does not turn.
     fn switch_off_for_door(&mut self) {
-        match self.mode {
-            Mode::Door(mut door) if door.opening.spindle_on => {
+        match self.state {
+            State::Door(mut door) if door.opening.spindle_on => {
                 door.opening.spindle_on = false;
                 if matches!(door.phase, DoorPhase::Parking | DoorPhase::Parked | DoorPhase::Returning) {
                     self.suspend_for_door(&mut door);
                 }
-                self.enter(Mode::Door(door));
+                self.enter(State::Door(door));
             }
-            Mode::Stopping { then } if then.alarm().is_some() => self.switch_off(),
-            Mode::Critical(_) => self.switch_off(),
+            State::Braking { then } if then.alarm().is_some() => self.switch_off(),
+            State::Critical(_) => self.switch_off(),
             _ => {}
         }
     }
@@ -182,17 +182,17 @@ impl<const N: usize> Controller<N> {
         self.m.motion.hold();
         self.task.forget_jog();
         self.task.suspend(self.m.now);
-        self.enter(Mode::Door(Door::opened(Interrupted::Job, opening)));
+        self.enter(State::Door(Door::opened(Interrupted::Job, opening)));
     }
 
     /// `$SLP`: as a door that only a reset closes.
     pub(crate) fn fall_asleep(&mut self) {
-        if self.mode.is_alarm() {
+        if self.state.is_alarm() {
             // A locked machine does not move, not even to park.
             self.m.accessories.suspend();
             self.rest_asleep();
         } else {
-            self.enter(Mode::Door(Door::opened(Interrupted::Sleep, Opening::BY_DOOR)));
+            self.enter(State::Door(Door::opened(Interrupted::Sleep, Opening::BY_DOOR)));
         }
     }
 
@@ -202,7 +202,7 @@ impl<const N: usize> Controller<N> {
             return;
         }
         if self.parking_move(ParkingPoint::Clear, Key::ParkingFastRate) {
-            self.enter(Mode::Door(Door { phase: DoorPhase::Returning, ..door }));
+            self.enter(State::Door(Door { phase: DoorPhase::Returning, ..door }));
         } else {
             self.restore_spindle_for_door(door);
         }
@@ -213,8 +213,8 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn settle_phases(&mut self, mut door: Door) {
         loop {
             self.settle_door(door);
-            match self.mode {
-                Mode::Door(next) if next.phase != door.phase => door = next,
+            match self.state {
+                State::Door(next) if next.phase != door.phase => door = next,
                 _ => return,
             }
         }
@@ -240,7 +240,7 @@ impl<const N: usize> Controller<N> {
                 // In or near the cut with the spindle on: slowly out, as at first.
                 if !self.m.accessories.is_suspended() && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
                 {
-                    self.enter(Mode::Door(Door { phase: DoorPhase::PullingOut, ..door }));
+                    self.enter(State::Door(Door { phase: DoorPhase::PullingOut, ..door }));
                 } else {
                     self.switch_off_and_park(door);
                 }
@@ -262,7 +262,7 @@ impl<const N: usize> Controller<N> {
                 if delay == Duration::millis(0) {
                     self.plunge(door);
                 } else {
-                    self.enter(Mode::Door(Door { phase: DoorPhase::CoolantRestoring(self.m.now + delay), ..door }));
+                    self.enter(State::Door(Door { phase: DoorPhase::CoolantRestoring(self.m.now + delay), ..door }));
                 }
             }
             DoorPhase::CoolantRestoring(until) if self.m.now >= until => self.plunge(door),
@@ -277,7 +277,7 @@ impl<const N: usize> Controller<N> {
         if self.parking_move(ParkingPoint::Left, Key::ParkingPullOutRate) {
             // The job's block is entered with the slack where it was.
             self.m.parking.end_with_lead(self.m.motion.lead());
-            self.enter(Mode::Door(Door { phase: DoorPhase::Plunging, ..door }));
+            self.enter(State::Door(Door { phase: DoorPhase::Plunging, ..door }));
         } else {
             self.leave_door(door);
         }
@@ -317,7 +317,7 @@ impl<const N: usize> Controller<N> {
             && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
         {
             self.m.probe.look_away();
-            self.enter(Mode::Door(Door { phase: DoorPhase::PullingOut, ..door }));
+            self.enter(State::Door(Door { phase: DoorPhase::PullingOut, ..door }));
         } else {
             self.switch_off_and_park(door);
         }
@@ -342,7 +342,7 @@ impl<const N: usize> Controller<N> {
             self.suspend_for_door(&mut door);
         }
         if self.parking_move(ParkingPoint::Park, Key::ParkingFastRate) {
-            self.enter(Mode::Door(Door { phase: DoorPhase::Parking, ..door }));
+            self.enter(State::Door(Door { phase: DoorPhase::Parking, ..door }));
         } else {
             self.parked(door);
         }
@@ -352,7 +352,7 @@ impl<const N: usize> Controller<N> {
         if door.interrupted == Interrupted::Sleep {
             return self.rest_asleep();
         }
-        self.enter(Mode::Door(Door { phase: DoorPhase::Parked, ..door }));
+        self.enter(State::Door(Door { phase: DoorPhase::Parked, ..door }));
         if let Some(alarm) = door.opening.alarm {
             self.m.stops.order(StopReason::Alarm(alarm));
         }
@@ -363,7 +363,7 @@ impl<const N: usize> Controller<N> {
         self.m.drivers.switch_off();
         // Axes can be moved by hand now.
         self.m.reference.lose();
-        self.enter(Mode::Sleep(self.mode.alarm()));
+        self.enter(State::Sleep(self.state.alarm()));
     }
 
     fn restore_spindle_for_door(&mut self, mut door: Door) {
@@ -376,7 +376,7 @@ impl<const N: usize> Controller<N> {
         let at_once = laser || !self.m.accessories.is_on();
         let delay = if at_once { Duration::millis(0) } else { self.m.settings.seconds(Key::DoorSpindleDelay) };
         door.phase = DoorPhase::SpindleRestoring(self.m.now + delay);
-        self.enter(Mode::Door(door));
+        self.enter(State::Door(door));
         if at_once {
             self.settle_door(door);
         }

@@ -19,7 +19,7 @@ use crate::states::door::{DoorPhase, Opening};
 use crate::states::stops::Stopped;
 use crate::states::stops::orders::StopReason;
 use crate::states::stops::reaction::{Braking, Reaction};
-use crate::states::{AfterBraking, Mode};
+use crate::states::{AfterBraking, State};
 
 impl<const N: usize> Controller<N> {
     /// Stops for a fault as its setting says; the alarm follows at rest.
@@ -40,16 +40,16 @@ impl<const N: usize> Controller<N> {
 
     /// Whether it is the switch again for which the tool is being parked, and not that of the axis along which it moves.
     fn is_bounce(&self, alarm: Alarm) -> bool {
-        matches!(self.mode, Mode::Door(door) if door.opening.alarm == Some(alarm))
+        matches!(self.state, State::Door(door) if door.opening.alarm == Some(alarm))
             && alarm == Alarm::HardLimit
             && !self.m.stops.is_awaited()
             && !self.is_parking_blocked()
     }
 
     fn can_brake(&self) -> bool {
-        match self.mode {
-            Mode::Normal | Mode::Jog { .. } | Mode::Hold(_) | Mode::Stopping { .. } => true,
-            Mode::Door(door) => door.phase == DoorPhase::Braking,
+        match self.state {
+            State::Normal | State::Jog { .. } | State::Hold(_) | State::Braking { .. } => true,
+            State::Door(door) => door.phase == DoorPhase::Braking,
             _ => false,
         }
     }
@@ -57,7 +57,7 @@ impl<const N: usize> Controller<N> {
     fn brake_for(&mut self, alarm: Alarm, braking: Braking) {
         // What rests when the fault comes is not set in motion.
         let retract = braking == Braking::Retract && !self.m.motion.is_at_rest() && !self.is_parking_blocked();
-        if self.m.settings.is_on(Key::Laser) || matches!(self.mode, Mode::Door(_)) {
+        if self.m.settings.is_on(Key::Laser) || matches!(self.state, State::Door(_)) {
             // The segments that are still to come carry the beam's power; and an open door means no spindle.
             self.m.accessories.suspend();
         }
@@ -65,7 +65,7 @@ impl<const N: usize> Controller<N> {
         self.task.forget_jog();
         self.m.motion.hold();
         let then = if retract { AfterBraking::Retract(alarm) } else { AfterBraking::Alarm(alarm) };
-        self.enter(Mode::Stopping { then });
+        self.enter(State::Braking { then });
     }
 
     /// What a controlled stop was for, at rest.

@@ -13,7 +13,7 @@ use crate::gcode::{CoordinateSystem, EXTENDED, Feed, Motion, StoredOffset};
 use crate::messages::{Coolant, SpindleDirection};
 use crate::motion::Speed;
 use crate::settings::Key;
-use crate::states::{Hold, Mode};
+use crate::states::{Hold, State};
 use crate::units::{Coordinate, per_second};
 use crate::work::probe::seek;
 use crate::work::task::{Job, Stage};
@@ -66,7 +66,7 @@ impl<const N: usize> Controller<N> {
     /// Until `~`. Whoever pulls at the spindle does not move the axes: the drivers are on.
     fn wait_for_operator(&mut self) {
         self.m.drivers.switch_on();
-        self.enter(Mode::Hold(Hold::BEGUN));
+        self.enter(State::Hold(Hold::BEGUN));
     }
 
     /// Why the tool cannot be changed and measured, before anything moves.
