@@ -7,7 +7,7 @@
 //!
 //! The journey of `G1 X10 F600`:
 //! 1. `protocol::realtime` passes its bytes on (a `?` between them would be answered at once);
-//! 2. `protocol::line` collects them, without blanks, as `G1X10F600`;
+//! 2. `protocol::line_filter` collects them, without blanks, as `G1X10F600`;
 //! 3. `gcode` reads words, checks them against each other and the modal state, and returns a checked line: feed, target;
 //! 4. `controller` waits for room in the look-ahead, takes the new modal state over and hands the move to `motion`;
 //! 5. `motion::planner` makes a block of whole motor steps and fits its speeds to those of its neighbours;
@@ -53,9 +53,8 @@ pub mod pump;
 #[cfg(feature = "recorder")]
 pub mod recorder;
 #[cfg(not(feature = "recorder"))]
-pub mod recorder_left_out;
-#[cfg(not(feature = "recorder"))]
-pub use recorder_left_out as recorder;
+#[path = "recorder/none.rs"]
+pub mod recorder;
 mod states;
 mod step_rates;
 mod step_timing;
@@ -64,8 +63,8 @@ mod work;
 pub use dispatch::{Controller, Profile};
 pub use messages::ResetCause;
 pub use motion::stepper::{Stepper, Tick};
+pub use protocol::byte_channel::{LineReader, LineSender};
 pub use protocol::coalescing::Coalescing;
-pub use protocol::line_queue::{LineReader, LineSender};
 pub use protocol::link::{HostArbiter, Link, Queues};
 pub use protocol::owed::Owed;
 pub use protocol::realtime::Received;

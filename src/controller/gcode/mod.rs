@@ -18,7 +18,8 @@ mod code;
 #[cfg(feature = "expressions")]
 mod computed;
 #[cfg(not(feature = "expressions"))]
-mod computed_left_out;
+#[path = "computed/none.rs"]
+mod computed;
 mod continuation;
 mod control_points;
 mod cycle;
@@ -39,9 +40,6 @@ mod state;
 mod tools;
 mod values;
 mod word;
-
-#[cfg(not(feature = "expressions"))]
-use computed_left_out as computed;
 
 pub use checked::{ArcMove, Checked, Feed, Flow, InputWait, Motion, Notice, NurbsMove, ProgramPins, SplineMove};
 pub use computed::HeldLine;

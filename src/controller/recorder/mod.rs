@@ -26,7 +26,7 @@ use crate::messages::{
     CrashKind, Event, HOST_CHANGED, LineByte, Noted, Realtime, Record, Recorded, Restart, Sensed, Standing, StepEvent,
     Stopping, ToStep,
 };
-use crate::protocol::line_intake::EPOCHS;
+use crate::protocol::intake::EPOCHS;
 use crate::protocol::realtime;
 use crate::units::{Coordinate, Instant};
 use core::sync::atomic::{Ordering, compiler_fence};
