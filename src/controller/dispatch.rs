@@ -16,7 +16,7 @@
 use crate::memory::Memory;
 use crate::messages::{Event, LineByte, Observed, Output, Record, Restart, Room, Store, ToStep};
 use crate::parts::Machine;
-use crate::protocol::recorded::RECORDER;
+use crate::protocol::recording::RECORDER;
 use crate::protocol::report;
 use crate::settings::Key;
 use crate::states::State;

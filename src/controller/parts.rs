@@ -16,7 +16,7 @@ use crate::memory::Memory;
 use crate::messages::SpindleDirection;
 use crate::motion::Motion;
 use crate::outputs::given::Pins;
-use crate::protocol::line_intake::LineIntake;
+use crate::protocol::intake::LineIntake;
 use crate::protocol::replies::Replies;
 use crate::settings::{Key, Settings};
 use crate::states::door::parking::Parking;

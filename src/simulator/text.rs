@@ -9,7 +9,7 @@ use crate::left_out;
 use crate::realtime_bytes;
 use crate::summary::Warning;
 use oxmill_controller::error::Error;
-use oxmill_controller::protocol::checked_line::ANSWER_HEADER;
+use oxmill_controller::protocol::line_checksum::ANSWER_HEADER;
 use std::collections::VecDeque;
 use std::io::{self, BufRead};
 

@@ -8,7 +8,7 @@ use super::work::at_most;
 use oxmill_controller::gcode::{
     AS_WRITTEN, Checked, Dialect, Direction, Held, HeldLine, Interpreter, WITH_VALUES, split_remark,
 };
-use oxmill_controller::protocol::line::{self, Line, LineRules, Pushed};
+use oxmill_controller::protocol::line_filter::{self, Line, LineRules, Pushed};
 
 /// X, Y, Z and A, of which the first byte may leave A out.
 const AXES: usize = 4;
@@ -30,7 +30,7 @@ pub fn run(data: &[u8]) {
     let Some((first, text)) = data.split_first() else { return };
     let dialect = [Dialect::Oxmill, Dialect::Grbl, Dialect::Seed][usize::from(*first % 3)];
     let rules = || LineRules {
-        length: if dialect == Dialect::Grbl { line::GRBL_LENGTH } else { line::LENGTH },
+        length: if dialect == Dialect::Grbl { line_filter::GRBL_LENGTH } else { line_filter::LENGTH },
         merge_crlf: dialect != Dialect::Grbl,
         nested_remarks: dialect != Dialect::Grbl,
         expressions: dialect != Dialect::Grbl,

@@ -7,7 +7,7 @@ use crate::dispatch::Controller;
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::protocol::descriptions::DESCRIPTIONS;
-use crate::protocol::recorded::RECORDER;
+use crate::protocol::recording::RECORDER;
 use crate::protocol::report;
 use crate::protocol::system::{self, Allowed, Restore, System};
 use crate::settings::{AxisKey, Key, Settings};

@@ -8,7 +8,7 @@ use crate::dispatch::Controller;
 use crate::gcode::{Distance, FeedMode, Modal, MotionMode, Units};
 use crate::machine::realtime_override::Overrides;
 use crate::messages::{Recorded, Standing, input};
-use crate::protocol::recorded;
+use crate::protocol::recording;
 use crate::protocol::text::{Text, fixed, put, real};
 use crate::states::State;
 use crate::units::Coordinate;
@@ -74,7 +74,7 @@ impl<const N: usize> Controller<N> {
     pub fn recorded(&mut self, piece: &Recorded) {
         let Task::Listing(Listing::Recording(Ask::Asked), line) = self.task else { return };
         let hz = self.m.motion.settings().step_clock_hz;
-        self.say(|out| recorded::piece(out, hz, piece));
+        self.say(|out| recording::piece(out, hz, piece));
         if *piece == Recorded::End {
             self.task = Task::None;
             self.say_ok();

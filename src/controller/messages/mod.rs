@@ -34,7 +34,7 @@ pub const REALTIME_DEPTH: usize = 64;
 /// Bytes of lines that fit between serial and control; what `Bf:` counts. Full: receive is paused where the link has
 /// back-pressure (USB, QEMU; see `protocol::link`); on a plain UART the byte is dropped and the next one says so ([`LineByte::damaged`]).
 pub const LINES_DEPTH: usize = 255;
-/// Depth of serial -> control, in messages of such bytes. They fit however they arrive (see `protocol::line_queue`), also with a
+/// Depth of serial -> control, in messages of such bytes. They fit however they arrive (see `protocol::byte_channel`), also with a
 /// jog cancel behind each line: the shortest jog, `$J=X1F9` with its end, has 8 bytes. One more may be on its way out.
 pub const LINE_MESSAGES: usize = LINES_DEPTH.div_ceil(8) + MOST_PARTIAL + 1;
 /// So many messages are sent before they are full, since the queue was last seen empty, besides those that an epoch ends.

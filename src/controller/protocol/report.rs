@@ -11,7 +11,7 @@
 //! Plain data in, text out. Each function makes one or more whole lines, ended by CR LF.
 
 use super::descriptions::DESCRIPTIONS;
-use super::recorded::RECORDER;
+use super::recording::RECORDER;
 use super::text::{END, Text, length, put, real, whole};
 use crate::axes::{Axis, AxisMask, LINEAR, PerAxis};
 use crate::messages::{

@@ -5,7 +5,7 @@
 //! `CheckLines`, `ClearNoise`, `ParserState`, `Parameters`, `Recording`, `ResetCause`, `Unlock`, `Describe`
 //! (`Described`); a command is `alone` or has a `rest` of its text, `numbered` reads an index, `known_to_grbl` tells.
 
-use super::checked_line::is_session;
+use super::line_checksum::is_session;
 use crate::axes::Axis;
 use crate::error::Error;
 use crate::number::{self, Digits, Number};

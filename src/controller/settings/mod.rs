@@ -7,15 +7,15 @@
 //!
 //! Calls go down this list and never up:
 //!
-//! * `checks`: `$n=v`; `listing`: `$$`; `runnable`: whether the machine can run with what is set
+//! * `ranges`: `$n=v`; `listing`: `$$`; `runnable`: whether the machine can run with what is set
 //! * `values`: what the settings are set to, also as they are stored
 //! * `index`: which row a number or a line of `$$` belongs to
 //! * `table`: the rows, and the keys that name them
 //! * `row`: what a row says
 
-mod checks;
 mod index;
 mod listing;
+mod ranges;
 mod row;
 mod runnable;
 mod table;

@@ -5,7 +5,7 @@ use crate::axes::{LINEAR, PerAxis};
 use crate::gcode::{Checked, EXPRESSIONS, Notice};
 use crate::motion::{Arc, ArcGeometry, Curvature, Curve, Nurbs, NurbsGeometry, Spline, SplineGeometry};
 use crate::protocol::descriptions::DESCRIPTIONS;
-use crate::protocol::line::MESSAGE_LENGTH;
+use crate::protocol::line_filter::MESSAGE_LENGTH;
 use crate::units::{Coordinate, WeightedPoint};
 use crate::work::tool_change::plan::ToolChange;
 

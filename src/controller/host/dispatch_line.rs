@@ -7,9 +7,9 @@ use crate::dispatch::Controller;
 use crate::error::Error;
 use crate::gcode::{self, AS_WRITTEN, CAM_WORDS, Dialect, Direction, Notice, WITH_VALUES};
 use crate::messages::{HOST_CHANGED, LineByte};
-use crate::protocol::checked_line::Verdict;
-use crate::protocol::line::{self, Pushed};
-use crate::protocol::line_intake::Taken;
+use crate::protocol::intake::Taken;
+use crate::protocol::line_checksum::Verdict;
+use crate::protocol::line_filter::{self, Pushed};
 use crate::protocol::report;
 use crate::settings::{Key, Settings};
 use crate::states::State;
@@ -22,7 +22,7 @@ use crate::work::task::{Answer, Caller, Task};
 const REST: Duration = Duration::from_ticks(5_000_000);
 
 /// The message of a line, with its mark.
-type Remark = heapless::Vec<u8, { line::MESSAGE_LENGTH + 1 }>;
+type Remark = heapless::Vec<u8, { line_filter::MESSAGE_LENGTH + 1 }>;
 
 impl<const N: usize> Controller<N> {
     pub(crate) fn release_held(&mut self) {
@@ -152,7 +152,7 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     fn complete(&mut self) {
         // Filled where they are: a returned value would be copied with its whole capacity.
-        let (mut text, mut remark) = (heapless::Vec::<u8, { line::LENGTH }>::new(), Remark::new());
+        let (mut text, mut remark) = (heapless::Vec::<u8, { line_filter::LENGTH }>::new(), Remark::new());
         let _ = text.extend_from_slice(self.m.lines.text());
         self.read_remark(&mut remark);
         if CAM_WORDS && self.m.lines.has_nested_remark() && self.dialect() == Dialect::Oxmill {
@@ -202,7 +202,7 @@ impl<const N: usize> Controller<N> {
         {
             return false;
         }
-        let (mut text, mut remark) = (heapless::Vec::<u8, { line::LENGTH }>::new(), Remark::new());
+        let (mut text, mut remark) = (heapless::Vec::<u8, { line_filter::LENGTH }>::new(), Remark::new());
         let _ = text.extend_from_slice(self.m.lines.text());
         self.read_remark(&mut remark);
         self.m.lines.clear();
@@ -294,17 +294,17 @@ fn keeps_line(line: &[u8]) -> bool {
 }
 
 /// How lines are read.
-fn line_rules<const N: usize>(settings: &Settings<N>) -> line::LineRules {
+fn line_rules<const N: usize>(settings: &Settings<N>) -> line_filter::LineRules {
     match dialect(settings) {
-        Dialect::Grbl => line::LineRules {
-            length: line::GRBL_LENGTH,
+        Dialect::Grbl => line_filter::LineRules {
+            length: line_filter::GRBL_LENGTH,
             merge_crlf: false,
             nested_remarks: false,
             expressions: false,
             block_delete: false,
         },
-        dialect => line::LineRules {
-            length: line::LENGTH,
+        dialect => line_filter::LineRules {
+            length: line_filter::LENGTH,
             merge_crlf: true,
             nested_remarks: dialect == Dialect::Seed || CAM_WORDS,
             expressions: true,
