@@ -5,7 +5,7 @@
 use crate::axes::PerAxis;
 use crate::dispatch::Controller;
 use crate::error::Alarm;
-use crate::gcode::{Dialect, Interpreter, Motion};
+use crate::gcode::{Dialect, Interpreter, MotionCommand};
 use crate::settings::{Key, Settings};
 use crate::states::State;
 use crate::states::stops::orders::StopReason;
@@ -145,7 +145,7 @@ impl<const N: usize> Controller<N> {
     /// The tool that the spindle holds in the motion of the line that is carried out, or else now; 0 for none that M6 named.
     pub fn tool_in_work(&self) -> u32 {
         match self.task {
-            Task::Job(_) => self.line.checked.spindle_tool(),
+            Task::Job(_) => self.line.action.spindle_tool(),
             _ => self.m.interpreter.spindle_tool(),
         }
     }
@@ -153,13 +153,16 @@ impl<const N: usize> Controller<N> {
     /// Whether the line that is carried out is an arc or a spline.
     pub fn is_arc_in_work(&self) -> bool {
         matches!(self.task, Task::Job(_))
-            && matches!(self.line.checked.motion, Motion::Arc(_) | Motion::Spline(_) | Motion::Nurbs(_))
+            && matches!(
+                self.line.action.motion,
+                MotionCommand::Arc(_) | MotionCommand::Spline(_) | MotionCommand::Nurbs(_)
+            )
     }
 
     /// While the line that is carried out waits: until when for its spindle, and after that for its dwell.
     pub fn waits_for_spindle_until(&self) -> Option<Instant> {
         let Task::Job(job) = &self.task else { return None };
-        match (job.stage, self.line.checked.dwell) {
+        match (job.stage, self.line.action.dwell) {
             (Stage::Dwell, _) if job.spindle_delay.is_zero() => Some(Instant::from_ticks(0)),
             (Stage::Dwell | Stage::SpinningUp, Some(dwell)) => Some(job.until - dwell),
             (Stage::Dwell | Stage::SpinningUp, None) => Some(NEVER),

@@ -334,7 +334,7 @@ mod the_reader_itself {
             ("gcode/mod.rs", "pub use super::{units::Decimal, controller::Controller};"),
             ("units.rs", "use crate::axes::Axis;"),
             ("motion/planner.rs", "use crate::settings::Settings;"),
-            ("machine/hold.rs", "use crate::gcode::Checked;"),
+            ("machine/hold.rs", "use crate::gcode::Action;"),
             ("messages/host.rs", "use crate::protocol::text;"),
             ("protocol/report.rs", "struct A(crate::motion::Motion);"),
             ("protocol/report.rs", "use crate::Stepper;"),

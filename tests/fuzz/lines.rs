@@ -6,7 +6,7 @@
 
 use super::work::at_most;
 use oxmill_controller::gcode::{
-    AS_WRITTEN, Checked, Dialect, Direction, Held, HeldLine, Interpreter, WITH_VALUES, split_remark,
+    AS_WRITTEN, Action, Dialect, Direction, Held, HeldLine, Interpreter, WITH_VALUES, split_remark,
 };
 use oxmill_controller::protocol::line_filter::{self, Line, LineRules, Pushed};
 
@@ -20,7 +20,7 @@ const MOST_LINES: usize = 2_000;
 
 struct Program {
     interpreter: Interpreter<AXES>,
-    checked: Checked<AXES>,
+    checked: Action<AXES>,
     dialect: Dialect,
     lines: usize,
 }
@@ -36,7 +36,7 @@ pub fn run(data: &[u8]) {
         expressions: dialect != Dialect::Grbl,
         block_delete: first & 0x40 != 0,
     };
-    let mut program = Program { interpreter: Interpreter::default(), checked: Checked::NOTHING, dialect, lines: 0 };
+    let mut program = Program { interpreter: Interpreter::default(), checked: Action::NOTHING, dialect, lines: 0 };
     program.interpreter.set_axes(if first & 0x20 != 0 { AXES } else { 3 });
     let mut line = Line::new();
     for byte in text {

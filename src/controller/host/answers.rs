@@ -45,8 +45,8 @@ impl<const N: usize> Controller<N> {
     // By itself: a text has 320 bytes of stack.
     #[inline(never)]
     fn answer_checked(&mut self, text: &[u8]) {
-        if let Some(checked) = self.m.lines.checked_answer(text) {
-            self.m.replies.push(&checked, self.m.lines.hosts_cut());
+        if let Some(action) = self.m.lines.checked_answer(text) {
+            self.m.replies.push(&action, self.m.lines.hosts_cut());
         }
     }
 
@@ -117,7 +117,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn tell_unchecked(&mut self) {
-        self.say(|out| report::message(out, "Lines are not checked any more"));
+        self.say(|out| report::message(out, "Lines are not action any more"));
     }
 
     /// Which inputs caused the alarm, where, and at which line, if that has not been told yet.
@@ -188,7 +188,7 @@ impl<const N: usize> Controller<N> {
     /// What a line waits for.
     fn tell_wait(&mut self, job: &Job) {
         let seconds = job.left(self.m.now).to_micros().div_ceil(1_000_000) as u32;
-        match (job.stage, self.line.checked.pins()) {
+        match (job.stage, self.line.action.pins()) {
             (Stage::Paused | Stage::CyclePaused, _) => {
                 self.repeat_message();
                 self.say(|out| report::message(out, "Program paused"));
@@ -205,7 +205,7 @@ impl<const N: usize> Controller<N> {
                 Some(ToolWait::Confirm) => self.tell_first_tool(),
                 None => {}
             },
-            (Stage::Dwell | Stage::DwellSuspended, _) if self.line.checked.dwell.is_some() => {
+            (Stage::Dwell | Stage::DwellSuspended, _) if self.line.action.dwell.is_some() => {
                 self.say(|out| report::message_number(out, "Dwell, seconds left: ", seconds));
             }
             (Stage::Dwell | Stage::DwellSuspended | Stage::SpinningUp | Stage::SpinningDown, _) => {
@@ -228,7 +228,7 @@ impl<const N: usize> Controller<N> {
 
     /// The tool that is waited for.
     pub(crate) fn tell_tool(&mut self) {
-        let tool = self.line.checked.spindle_tool();
+        let tool = self.line.action.spindle_tool();
         self.say(|out| report::message_number(out, "Tool change T", tool));
     }
 

@@ -87,7 +87,7 @@ impl<const N: usize> Controller<N> {
         let (text, dialect) = (self.m.lines.text(), dialect(&self.m.settings));
         let checked = match self.m.interpreter.direct(text, &[], self.m.lines.lines_read()) {
             Ok(Direction::Check) => {
-                let checked = self.m.interpreter.check_into(text, dialect, &mut self.line.checked);
+                let checked = self.m.interpreter.check_into(text, dialect, &mut self.line.action);
                 checked.map(|()| Direction::Check)
             }
             directed => directed,
@@ -97,7 +97,7 @@ impl<const N: usize> Controller<N> {
         match checked {
             Ok(Direction::Check) => {
                 if let Err(error) = self.begin_checked(Answer::Host) {
-                    self.refuse_program_line(error, self.line.checked.tool_change);
+                    self.refuse_program_line(error, self.line.action.tool_change);
                 }
             }
             Ok(direction) => self.directed(direction, &[]),

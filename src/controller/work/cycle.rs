@@ -3,7 +3,7 @@
 //! `gcode/cycle.rs`.
 
 use crate::dispatch::Controller;
-use crate::gcode::{CycleStep, EXTENDED, Motion};
+use crate::gcode::{CycleStep, EXTENDED, MotionCommand};
 use crate::messages::SpindleDirection;
 use crate::motion::Speed;
 use crate::protocol::report;
@@ -20,7 +20,7 @@ impl<const N: usize> Controller<N> {
             return Some(Stage::Flow);
         }
         let clearance = Coordinate::from_mm_f32(self.m.settings.value(Key::PeckClearance));
-        let Motion::Cycle(cycle) = &mut self.line.checked.motion else { return Some(Stage::Flow) };
+        let MotionCommand::Cycle(cycle) = &mut self.line.action.motion else { return Some(Stage::Flow) };
         let ready = if cycle.next_rests() { self.m.motion.is_idle() } else { self.m.motion.free_blocks() > 0 };
         if !ready {
             self.start_queued();

@@ -5,7 +5,7 @@
 
 use crate::axes::{LINEAR, PerAxis};
 use crate::dispatch::Controller;
-use crate::gcode::{Dialect, Feed, Motion, NurbsMove, PathControl};
+use crate::gcode::{Dialect, Feed, MotionCommand, NurbsMove, PathControl};
 use crate::machine::spindle::SpindleRange;
 use crate::messages::SpindleDirection;
 use crate::motion::{ArcGeometry, Move, NurbsGeometry, Speed, SplineGeometry, Tolerance};
@@ -49,7 +49,7 @@ impl<const N: usize> Controller<N> {
             0
         } else {
             // The override is applied when its turn comes (`outputs`).
-            SpindleRange::of(&self.m.settings).output(self.line.checked.speed, 100).0
+            SpindleRange::of(&self.m.settings).output(self.line.action.speed, 100).0
         };
         Move {
             target: *target,
@@ -57,9 +57,9 @@ impl<const N: usize> Controller<N> {
             power,
             // M4: the laser's power follows the speed.
             scale_power: laser && self.m.accessories.spindle() == SpindleDirection::CounterClockwise,
-            line_number: self.line.checked.line_number,
+            line_number: self.line.action.line_number,
             no_feed_override: jog,
-            digit: self.line.checked.digit,
+            digit: self.line.action.digit,
             tolerance: self.tolerance(target, speed),
         }
     }
@@ -67,8 +67,8 @@ impl<const N: usize> Controller<N> {
     /// How far a move may be from its path: lines at a feed only, along which nothing turns. Of a piece that cuts off a corner at which
     /// A turns back, F would say nothing.
     fn tolerance(&self, target: &PerAxis<Coordinate, N>, speed: Speed) -> Tolerance {
-        let within = match (speed, self.line.checked.motion, self.m.interpreter.modal().path) {
-            (Speed::Feed(_), Motion::Line { .. }, PathControl::Within(tolerance)) => tolerance,
+        let within = match (speed, self.line.action.motion, self.m.interpreter.modal().path) {
+            (Speed::Feed(_), MotionCommand::Line { .. }, PathControl::Within(tolerance)) => tolerance,
             _ => return Tolerance::EXACT,
         };
         if N > LINEAR && turns(&self.m.motion.planned_position(), target) {

@@ -24,34 +24,34 @@ impl<const N: usize> Controller<N> {
     /// Nothing is done here: the line is kept as [`Task::Job`], and its path continues in [`Controller::output`], which
     /// calls [`Controller::advance`] when nothing more urgent is due.
     pub(crate) fn begin(&mut self, answer: Answer, jog: bool) {
-        let checked = &self.line.checked;
+        let action = &self.line.action;
         let checking = matches!(self.state, State::Check);
         let stops_before = !jog && self.m.interpreter.modal().path == PathControl::ExactStop && self.ends_line_before();
-        let drain = !checking && (stops_before || !checked.moves_only() && self.acts_at_rest());
+        let drain = !checking && (stops_before || !action.moves_only() && self.acts_at_rest());
         let stage = if drain { Stage::Drain } else { Stage::Apply };
         self.task = Task::Job(Job::new(answer, stage, jog));
     }
 
     /// Whether the line has something to do for which the machine has to be at rest.
     fn acts_at_rest(&self) -> bool {
-        let checked = &self.line.checked;
-        checked.spindle.is_some()
-            || checked.coolant.is_some()
-            || checked.dwell.is_some()
-            || checked.work_offset_changed
-            || checked.store.is_some()
-            || checked.tool_change && self.m.prompts_for_tools()
-            || matches!(checked.motion, gcode::Motion::Probe { .. })
-            || checked.pins().is_some_and(|pins| pins.act_at_rest())
-            || checked.modal().overrides_held != self.m.interpreter.modal().overrides_held
+        let action = &self.line.action;
+        action.spindle.is_some()
+            || action.coolant.is_some()
+            || action.dwell.is_some()
+            || action.work_offset_changed
+            || action.store.is_some()
+            || action.tool_change && self.m.prompts_for_tools()
+            || matches!(action.motion, gcode::MotionCommand::Probe { .. })
+            || action.pins().is_some_and(|pins| pins.act_at_rest())
+            || action.modal().overrides_held != self.m.interpreter.modal().overrides_held
             || self.speed_needs_rest()
             || self.starts_to_turn()
     }
 
     /// Whether a line comes before which G61.1, in force for the one before it, brings the machine to rest.
     fn ends_line_before(&self) -> bool {
-        let checked = &self.line.checked;
-        checked.motion != gcode::Motion::None || checked.modal().path != PathControl::ExactStop
+        let action = &self.line.action;
+        action.motion != gcode::MotionCommand::None || action.modal().path != PathControl::ExactStop
     }
 
     /// S rides with the motion. Only a laser without a motion to ride with changes its power at rest.
@@ -61,9 +61,9 @@ impl<const N: usize> Controller<N> {
 
     /// Whether S makes a spindle turn that M3 or M4 has switched on with S0, and motion has to wait for it.
     fn starts_to_turn(&self) -> bool {
-        let (checked, settings) = (&self.line.checked, &self.m.settings);
-        checked.speed_changed
-            && checked.spindle.is_none()
+        let (action, settings) = (&self.line.action, &self.m.settings);
+        action.speed_changed
+            && action.spindle.is_none()
             && self.m.accessories.is_on_without_speed()
             && (settings.is_on(Key::SpinUp) || self.m.accessories.must_tell_speed(settings))
             && !settings.is_on(Key::Laser)
@@ -71,9 +71,9 @@ impl<const N: usize> Controller<N> {
 
     /// Whether the next report shows the accessories because of S.
     fn shows_speed(&self) -> bool {
-        self.line.checked.speed_changed
+        self.line.action.speed_changed
             && self.m.accessories.is_on()
-            && !(self.m.settings.is_on(Key::Laser) && self.line.checked.motion != gcode::Motion::None)
+            && !(self.m.settings.is_on(Key::Laser) && self.line.action.motion != gcode::MotionCommand::None)
     }
 
     /// Whether the controller is in the middle of something. Asked before each segment: no call for nothing.
@@ -90,7 +90,7 @@ impl<const N: usize> Controller<N> {
     #[inline]
     fn waits_for_room(&self, stage: Stage) -> bool {
         let moves = match stage {
-            Stage::Target => matches!(self.line.checked.motion, gcode::Motion::Line { .. }),
+            Stage::Target => matches!(self.line.action.motion, gcode::MotionCommand::Line { .. }),
             Stage::Chords => true,
             _ => false,
         };
@@ -118,7 +118,7 @@ impl<const N: usize> Controller<N> {
     fn advance_job(&mut self, mut job: Job) -> bool {
         self.task = Task::None;
         let progressed = self.advance_line(&mut job);
-        let only_moved = self.line.checked.moves_only()
+        let only_moved = self.line.action.moves_only()
             && !job.jog
             && matches!(self.state, State::Normal)
             && matches!(job.answer, Answer::Host | Answer::Held(_));
@@ -188,16 +188,16 @@ impl<const N: usize> Controller<N> {
             // The stages of a line that only moves; nearly all lines have no others. What they do is neither shown nor waited for.
             let next = match job.stage {
                 // There is nothing to wait for but a record of a line before.
-                Stage::Apply if self.line.checked.moves_only() && self.m.records.are_stored() => {
-                    self.m.interpreter.commit(&self.line.checked);
+                Stage::Apply if self.line.action.moves_only() && self.m.records.are_stored() => {
+                    self.m.interpreter.commit(&self.line.action);
                     // A stop may have left another one.
-                    self.m.accessories.set_speed(self.line.checked.speed);
+                    self.m.accessories.set_speed(self.line.action.speed);
                     job.stage = Stage::Target;
                     progressed = true;
                     continue;
                 }
                 Stage::Target if !checking => self.begin_motion(job),
-                Stage::Flow if self.line.checked.flow == Flow::None && !self.line.is_single_block() => {
+                Stage::Flow if self.line.action.flow == Flow::None && !self.line.is_single_block() => {
                     job.stage = Stage::Done;
                     return true;
                 }
@@ -238,8 +238,8 @@ impl<const N: usize> Controller<N> {
             Stage::Input => self.has_read_input(job).then(|| self.begin_dwell(job, false)),
             Stage::Dwell => (self.m.now >= job.until).then_some(Stage::Via),
             Stage::SpinningUp => self.has_spun_up(job.until).then_some(Stage::Via),
-            Stage::Via => match self.line.checked.motion {
-                gcode::Motion::Line { via: Some(via), .. } if !checking => {
+            Stage::Via => match self.line.action.motion {
+                gcode::MotionCommand::Line { via: Some(via), .. } if !checking => {
                     self.queue(&via, Speed::Rapid, job).then_some(Stage::Target)
                 }
                 _ => Some(Stage::Target),
@@ -247,7 +247,7 @@ impl<const N: usize> Controller<N> {
             Stage::Target => Some(self.check_target()),
             Stage::Chords => self.next_chord(job),
             Stage::Probing => {
-                let must_touch = matches!(self.line.checked.motion, gcode::Motion::Probe { alarm: true, .. });
+                let must_touch = matches!(self.line.action.motion, gcode::MotionCommand::Probe { alarm: true, .. });
                 // A failed probe has locked the machine: no M0 may open it again.
                 self.end_probe(must_touch).then_some(if self.state.is_alarm() { Stage::Done } else { Stage::Flow })
             }
@@ -263,9 +263,9 @@ impl<const N: usize> Controller<N> {
     #[inline]
     fn is_shown_before(&self, stage: Stage, next: Stage) -> bool {
         match stage {
-            Stage::Apply => self.line.checked.changes_outputs(),
-            Stage::Via => matches!(self.line.checked.motion, gcode::Motion::Line { via: Some(_), .. }),
-            Stage::Target => matches!(self.line.checked.motion, gcode::Motion::Cycle(_)),
+            Stage::Apply => self.line.action.changes_outputs(),
+            Stage::Via => matches!(self.line.action.motion, gcode::MotionCommand::Line { via: Some(_), .. }),
+            Stage::Target => matches!(self.line.action.motion, gcode::MotionCommand::Cycle(_)),
             // One chord a call.
             Stage::Chords => next == Stage::Chords,
             Stage::Drain | Stage::Probing | Stage::Measuring => true,
@@ -275,7 +275,7 @@ impl<const N: usize> Controller<N> {
 
     /// The motion of a line that is only checked.
     fn check_target(&mut self) -> Stage {
-        if matches!(self.line.checked.motion, gcode::Motion::Probe { .. }) {
+        if matches!(self.line.action.motion, gcode::MotionCommand::Probe { .. }) {
             // Taken to touch at its target, where the program continues from.
             let target = *self.m.interpreter.position();
             self.m.interpreter.set_probed(&target, true);
@@ -291,9 +291,9 @@ impl<const N: usize> Controller<N> {
 
     /// G4 and the time of the spindle, if there is any to wait for.
     fn begin_dwell(&self, job: &mut Job, checking: bool) -> Stage {
-        let dwell = self.line.checked.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
+        let dwell = self.line.action.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
         let wait = dwell + job.spindle_delay;
-        let switched = self.line.checked.spindle.is_some() || !job.spindle_delay.is_zero();
+        let switched = self.line.action.spindle.is_some() || !job.spindle_delay.is_zero();
         if switched && self.m.accessories.must_tell_speed(&self.m.settings) && !checking {
             job.wait(Stage::SpinningUp, self.m.now + wait)
         } else if wait.is_zero() {
@@ -307,8 +307,8 @@ impl<const N: usize> Controller<N> {
     #[inline]
     fn begin_motion(&mut self, job: &mut Job) -> Option<Stage> {
         self.m.accessories.digital_mut().motion_follows();
-        match self.line.checked.motion {
-            gcode::Motion::Line { ref target, feed, .. } => {
+        match self.line.action.motion {
+            gcode::MotionCommand::Line { ref target, feed, .. } => {
                 let mv = self.move_of(target, speed(feed), job.jog);
                 self.queue_move(&mv, job).then_some(Stage::Flow)
             }
@@ -319,54 +319,55 @@ impl<const N: usize> Controller<N> {
     /// The motion of a line that is not straight.
     #[inline(never)]
     fn begin_other_motion(&mut self, job: &mut Job) -> Option<Stage> {
-        match self.line.checked.motion {
-            gcode::Motion::Arc(ref arc) => {
+        match self.line.action.motion {
+            gcode::MotionCommand::Arc(ref arc) => {
                 let (geometry, feed) = (geometry(arc), arc.feed);
                 Some(self.begin_arc(&geometry, feed, job))
             }
-            gcode::Motion::Spline(ref spline) if SPLINES => {
+            gcode::MotionCommand::Spline(ref spline) if SPLINES => {
                 let (geometry, feed) = (spline_geometry(spline), spline.feed);
                 Some(self.begin_spline(&geometry, feed, job))
             }
-            gcode::Motion::Nurbs(nurbs) if SPLINES => Some(self.begin_nurbs(&nurbs, job)),
-            gcode::Motion::Probe { target, feed, away, .. } => {
-                let begun = self.begin_probe(&target, speed(feed), away, self.line.checked.line_number);
+            gcode::MotionCommand::Nurbs(nurbs) if SPLINES => Some(self.begin_nurbs(&nurbs, job)),
+            gcode::MotionCommand::Probe { target, feed, away, .. } => {
+                let begun = self.begin_probe(&target, speed(feed), away, self.line.action.line_number);
                 Some(if begun { Stage::Probing } else { Stage::Done })
             }
-            gcode::Motion::Cycle(_) => self.go_on_cycle(job),
-            gcode::Motion::None | gcode::Motion::Line { .. } | gcode::Motion::Spline(_) | gcode::Motion::Nurbs(_) => {
-                Some(Stage::Flow)
-            }
+            gcode::MotionCommand::Cycle(_) => self.go_on_cycle(job),
+            gcode::MotionCommand::None
+            | gcode::MotionCommand::Line { .. }
+            | gcode::MotionCommand::Spline(_)
+            | gcode::MotionCommand::Nurbs(_) => Some(Stage::Flow),
         }
     }
 
     /// Takes the line's modal state over and sets what does not move. How long the spindle then takes.
     fn apply(&mut self, checking: bool) -> Duration {
         let dialect = self.dialect();
-        let checked = &self.line.checked;
+        let action = &self.line.action;
         let mut delay = Duration::from_ticks(0);
-        let before = checked.work_offset_changed.then(|| self.m.interpreter.work_zero(dialect));
+        let before = action.work_offset_changed.then(|| self.m.interpreter.work_zero(dialect));
         let held = self.m.interpreter.modal().overrides_held;
-        let freed = checked.removes_tool().and_then(|number| self.m.interpreter.tools().find(number));
-        self.m.interpreter.commit(checked);
+        let freed = action.removes_tool().and_then(|number| self.m.interpreter.tools().find(number));
+        self.m.interpreter.commit(action);
         if before.is_some_and(|before| self.m.interpreter.work_zero(dialect) != before) {
             self.m.replies.offset_changed();
         }
-        match (checked.store, freed) {
+        match (action.store, freed) {
             // Grbl stores coordinate systems also of programs that it only checks.
             _ if checking && dialect != gcode::Dialect::Grbl => {}
             (_, Some(slot)) => self.m.records.remove_tool(slot),
             (Some(offset), None) => self.m.records.save_offset(offset, &self.m.interpreter),
             (None, None) => {}
         }
-        if let Some(notice) = self.line.checked.notice() {
+        if let Some(notice) = self.line.action.notice() {
             self.tell_notice(notice);
         }
         if checking {
             self.check_tool_change();
             return delay;
         }
-        if self.line.checked.pins().is_some() {
+        if self.line.action.pins().is_some() {
             self.change_output();
         }
         if self.m.interpreter.modal().overrides_held != held {
@@ -376,15 +377,15 @@ impl<const N: usize> Controller<N> {
             // None to wait for would be no spindle to look at.
             delay = self.m.settings.seconds(Key::SpinUp).max(Duration::from_ticks(1));
         }
-        self.m.accessories.set_speed(self.line.checked.speed);
+        self.m.accessories.set_speed(self.line.action.speed);
         if self.shows_speed() {
             self.m.replies.overrides_changed();
         }
-        if let Some(spindle) = self.line.checked.spindle {
+        if let Some(spindle) = self.line.action.spindle {
             delay = self.m.accessories.set_spindle(spindle, &self.m.settings);
             self.m.replies.overrides_changed();
         }
-        if let Some(coolant) = self.line.checked.coolant {
+        if let Some(coolant) = self.line.action.coolant {
             self.m.accessories.set_coolant(coolant);
             self.m.replies.overrides_changed();
         }
@@ -398,9 +399,9 @@ impl<const N: usize> Controller<N> {
             self.line.is_single_block()
                 && !job.jog
                 && matches!(job.answer, Answer::Host | Answer::Held(Caller::Host))
-                && self.line.checked.motion != gcode::Motion::None
+                && self.line.action.motion != gcode::MotionCommand::None
         };
-        match self.line.checked.flow {
+        match self.line.action.flow {
             Flow::Pause => true,
             Flow::OptionalPause
                 if self.m.settings.is_on(Key::OptionalStop) && self.dialect() != gcode::Dialect::Grbl =>
@@ -415,7 +416,7 @@ impl<const N: usize> Controller<N> {
     /// Program pause and end: both wait for the end of motion.
     fn flow(&mut self, job: &Job, checking: bool) -> Option<Stage> {
         let pauses = self.pauses_behind(job);
-        match self.line.checked.flow {
+        match self.line.action.flow {
             Flow::None | Flow::Pause | Flow::OptionalPause if !pauses || checking => Some(Stage::Done),
             _ if !self.m.motion.is_idle() => {
                 self.start_queued();
@@ -474,7 +475,7 @@ impl<const N: usize> Controller<N> {
     }
 
     pub(crate) fn gcode(&mut self, line: &[u8], answer: Answer) -> Result<(), Error> {
-        self.m.interpreter.check_into(line, dialect(&self.m.settings), &mut self.line.checked)?;
+        self.m.interpreter.check_into(line, dialect(&self.m.settings), &mut self.line.action)?;
         self.begin_checked(answer)
     }
 
@@ -483,7 +484,7 @@ impl<const N: usize> Controller<N> {
         if let Some(error) = self.refuse_line() {
             return Err(error);
         }
-        if self.line.checked.needs_machine() {
+        if self.line.action.needs_machine() {
             self.allow_change_and_pins()?;
         }
         if self.violates_soft_limits() {
@@ -501,12 +502,12 @@ impl<const N: usize> Controller<N> {
         if self.lacks_pin() {
             return Err(Error::NoSuchPin);
         }
-        let refused = self.line.checked.tool_change && self.measures_tools();
+        let refused = self.line.action.tool_change && self.measures_tools();
         refused.then(|| self.refuse_tool_change()).flatten().map_or(Ok(()), Err)
     }
 
     pub(crate) fn jog(&mut self, line: &[u8]) -> Result<(), Error> {
-        self.m.interpreter.check_jog_into(line, dialect(&self.m.settings), &mut self.line.checked)?;
+        self.m.interpreter.check_jog_into(line, dialect(&self.m.settings), &mut self.line.action)?;
         let is_over = self.m.lines.is_jog_stale() || self.m.replies.has_host_left(self.m.lines.hosts_cut());
         if is_over || matches!(self.state, State::Jog { cancelling: true }) {
             // Sent before the cancel, or by a host that has gone: it shall not move any more.
