@@ -410,7 +410,7 @@ impl<const N: usize> Controller<N> {
         }
         // It may have been opened just now.
         if let State::Door(door) = self.state {
-            self.settle_phases(door);
+            self.settle_phases(door.phase);
         }
         self.m.drivers.look(self.m.now);
         self.look_for_host();

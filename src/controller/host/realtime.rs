@@ -10,7 +10,6 @@ use crate::messages::{Coolant, Realtime};
 use crate::protocol::report;
 use crate::settings::Key;
 use crate::states::State;
-use crate::states::door::DoorPhase;
 use crate::states::stops::orders::StopReason;
 use crate::units::Duration;
 
@@ -91,7 +90,7 @@ impl<const N: usize> Controller<N> {
             State::Normal => self.start_motion(),
             State::Hold(hold) if hold.ends_with_spindle().is_some() => {}
             State::Hold(_) if self.m.motion.is_at_rest() => self.end_hold(),
-            State::Door(door) if door.phase == DoorPhase::Parked => self.close_door(door),
+            State::Door(_) => self.close_door(),
             _ => {}
         }
     }

@@ -344,6 +344,7 @@ impl<const N: usize> Motion<N> {
 
     /// Another motion takes over while this one rests, or gives back what it was lent: the two exchange their rings of
     /// segments in flight.
+    #[inline(never)]
     pub fn lend_ring(&mut self, other: &mut Self) {
         self.source.in_flight.exchange_ring(&mut other.source.in_flight);
     }

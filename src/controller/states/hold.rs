@@ -134,10 +134,9 @@ impl<const N: usize> Controller<N> {
             self.m.stops.order(StopReason::Alarm(Alarm::HomingReset));
             return;
         }
-        if let State::Door(door) = self.state {
+        if let State::Door(door) = &mut self.state {
             // The door comes first; the job is forgotten when it is closed.
-            self.enter(State::Door(door.stop_job()));
-            return;
+            return door.stop_job();
         }
         let going = matches!(self.state, State::Normal | State::Jog { .. } | State::Hold(_));
         if going && (!self.m.motion.is_idle() || !self.task.is_none() || locked || !matches!(self.state, State::Normal))

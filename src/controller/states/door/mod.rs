@@ -89,19 +89,25 @@ impl Door {
         Door { phase: DoorPhase::Braking, interrupted, opening, coolant: None }
     }
 
+    /// 0x19 came: the job is forgotten when the door is closed.
+    pub(crate) fn stop_job(&mut self) {
+        self.interrupted = match self.interrupted {
+            Interrupted::Job | Interrupted::StoppedJob => Interrupted::StoppedJob,
+            Interrupted::Jog { .. } => Interrupted::Jog { stopped: true },
+            Interrupted::Sleep => Interrupted::Sleep,
+        };
+    }
+
     /// Coolant is switched off. What was switched off before, by an opening of the same door, is not forgotten.
     fn keep_coolant(&mut self, coolant: Coolant) {
         self.coolant.get_or_insert(coolant);
     }
 
-    /// 0x19 came: the job is forgotten when the door is closed.
-    pub(crate) fn stop_job(self) -> Door {
-        let interrupted = match self.interrupted {
-            Interrupted::Job | Interrupted::StoppedJob => Interrupted::StoppedJob,
-            Interrupted::Jog { .. } => Interrupted::Jog { stopped: true },
-            Interrupted::Sleep => Interrupted::Sleep,
-        };
-        Door { interrupted, ..self }
+    /// The machine has come to rest: a jog is forgotten now. Whether there is one.
+    fn forget_jog(&mut self) -> bool {
+        let Interrupted::Jog { stopped } = self.interrupted else { return false };
+        self.interrupted = if stopped { Interrupted::StoppedJob } else { Interrupted::Job };
+        true
     }
 }
 
@@ -137,18 +143,16 @@ impl<const N: usize> Controller<N> {
             State::Jog { .. } => {
                 self.m.motion.hold();
                 self.task.forget_jog();
-                self.enter(State::Door(Door::opened(Interrupted::Jog { stopped: false }, Opening::BY_DOOR)));
+                self.open(Interrupted::Jog { stopped: false }, Opening::BY_DOOR);
             }
             State::Normal | State::Hold(_) => self.brake_for_door(Opening::BY_DOOR),
-            State::Braking { then: AfterBraking::Continue } => {
-                // The stop stays one: nothing resumes when the door is closed.
-                self.enter(State::Door(Door::opened(Interrupted::StoppedJob, Opening::BY_DOOR)));
-            }
+            // The stop stays one: nothing resumes when the door is closed.
+            State::Braking { then: AfterBraking::Continue } => self.open(Interrupted::StoppedJob, Opening::BY_DOOR),
             State::Door(door) => match door.phase {
-                DoorPhase::SpindleRestoring(_) | DoorPhase::CoolantRestoring(_) => self.switch_off_and_park(door),
+                DoorPhase::SpindleRestoring(_) | DoorPhase::CoolantRestoring(_) => self.switch_off_and_park(),
                 DoorPhase::Returning | DoorPhase::Plunging => {
                     self.m.parking.hold();
-                    self.enter(State::Door(Door { phase: DoorPhase::Reopened, ..door }));
+                    self.enter_phase(DoorPhase::Reopened);
                 }
                 _ => {}
             },
@@ -161,15 +165,27 @@ impl<const N: usize> Controller<N> {
         self.say(|out| report::message(out, "Check Door"));
     }
 
+    #[inline(never)]
+    fn open(&mut self, interrupted: Interrupted, opening: Opening) {
+        self.enter(State::Door(Door::opened(interrupted, opening)));
+    }
+
+    /// The next phase of the door that is open.
+    #[inline(never)]
+    fn enter_phase(&mut self, phase: DoorPhase) {
+        if let State::Door(door) = &mut self.state {
+            door.phase = phase;
+        }
+    }
+
     /// A fault may have left the spindle on (`$924` to `$928`); at an open door it does not turn.
     fn switch_off_for_door(&mut self) {
-        match self.state {
-            State::Door(mut door) if door.opening.spindle_on => {
+        match &mut self.state {
+            State::Door(door) if door.opening.spindle_on => {
                 door.opening.spindle_on = false;
                 if matches!(door.phase, DoorPhase::Parking | DoorPhase::Parked | DoorPhase::Returning) {
-                    self.suspend_for_door(&mut door);
+                    self.suspend_for_door();
                 }
-                self.enter(State::Door(door));
             }
             State::Braking { then } if then.alarm().is_some() => self.switch_off(),
             State::Critical(_) => self.switch_off(),
@@ -182,7 +198,13 @@ impl<const N: usize> Controller<N> {
         self.m.motion.hold();
         self.task.forget_jog();
         self.task.suspend(self.m.now);
-        self.enter(State::Door(Door::opened(Interrupted::Job, opening)));
+        self.open(Interrupted::Job, opening);
+    }
+
+    /// A fault has been braked for: the tool retracts, and the alarm follows.
+    pub(crate) fn retract_for(&mut self, opening: Opening) {
+        self.open(Interrupted::Job, opening);
+        self.begin_parking();
     }
 
     /// `$SLP`: as a door that only a reset closes.
@@ -192,29 +214,34 @@ impl<const N: usize> Controller<N> {
             self.m.accessories.suspend();
             self.rest_asleep();
         } else {
-            self.enter(State::Door(Door::opened(Interrupted::Sleep, Opening::BY_DOOR)));
+            self.open(Interrupted::Sleep, Opening::BY_DOOR);
         }
     }
 
     /// `~` at a closed door.
-    pub(crate) fn close_door(&mut self, door: Door) {
-        if self.m.inputs.signals().door || door.interrupted == Interrupted::Sleep || door.opening.alarm.is_some() {
+    pub(crate) fn close_door(&mut self) {
+        let State::Door(door) = &self.state else { return };
+        let opens = door.phase == DoorPhase::Parked
+            && door.interrupted != Interrupted::Sleep
+            && door.opening.alarm.is_none()
+            && !self.m.inputs.signals().door;
+        if !opens {
             return;
         }
         if self.parking_move(ParkingPoint::Clear, Key::ParkingFastRate) {
-            self.enter(State::Door(Door { phase: DoorPhase::Returning, ..door }));
+            self.enter_phase(DoorPhase::Returning);
         } else {
-            self.restore_spindle_for_door(door);
+            self.restore_spindle_for_door();
         }
     }
 
     /// Begins the next phases as the ones before come to their end. One of no length has come to it at once, and nothing
     /// would wake the controller for it.
-    pub(crate) fn settle_phases(&mut self, mut door: Door) {
+    pub(crate) fn settle_phases(&mut self, mut phase: DoorPhase) {
         loop {
-            self.settle_door(door);
+            self.settle_door(phase);
             match self.state {
-                State::Door(next) if next.phase != door.phase => door = next,
+                State::Door(door) if door.phase != phase => phase = door.phase,
                 _ => return,
             }
         }
@@ -222,35 +249,36 @@ impl<const N: usize> Controller<N> {
 
     /// Begins the next phase when one has come to its end.
     #[inline(never)]
-    fn settle_door(&mut self, mut door: Door) {
-        match door.phase {
+    fn settle_door(&mut self, phase: DoorPhase) {
+        match phase {
             DoorPhase::Braking if self.m.motion.is_at_rest() => {
-                if let Interrupted::Jog { stopped } = door.interrupted {
-                    door.interrupted = if stopped { Interrupted::StoppedJob } else { Interrupted::Job };
+                if let State::Door(door) = &mut self.state
+                    && door.forget_jog()
+                {
                     self.m.motion.discard();
                     self.m.step_supply.end();
                     self.m.interpreter.set_position(self.m.motion.machine_position());
                 }
-                self.begin_parking(door);
+                self.begin_parking();
             }
-            DoorPhase::PullingOut if self.m.parking.motion().is_idle() => self.switch_off_and_park(door),
-            DoorPhase::Parking if self.m.parking.motion().is_idle() => self.parked(door),
+            DoorPhase::PullingOut if self.m.parking.motion().is_idle() => self.switch_off_and_park(),
+            DoorPhase::Parking if self.m.parking.motion().is_idle() => self.parked(),
             DoorPhase::Reopened if self.m.parking.motion().is_at_rest() => {
                 self.m.parking.discard();
                 // In or near the cut with the spindle on: slowly out, as at first.
                 if !self.m.accessories.is_suspended() && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
                 {
-                    self.enter(State::Door(Door { phase: DoorPhase::PullingOut, ..door }));
+                    self.enter_phase(DoorPhase::PullingOut);
                 } else {
-                    self.switch_off_and_park(door);
+                    self.switch_off_and_park();
                 }
             }
-            DoorPhase::Returning if self.m.parking.motion().is_idle() => self.restore_spindle_for_door(door),
+            DoorPhase::Returning if self.m.parking.motion().is_idle() => self.restore_spindle_for_door(),
             DoorPhase::SpindleRestoring(until) => {
                 if !self.has_spun_up(until) {
                     return;
                 }
-                let coolant = door.coolant.unwrap_or_default();
+                let coolant = self.kept_coolant();
                 self.m.accessories.set_coolant(coolant);
                 self.m.replies.overrides_changed();
                 let delay = if coolant == Coolant::default() {
@@ -260,26 +288,26 @@ impl<const N: usize> Controller<N> {
                 };
                 // A phase of no length would leave a wake-up that is now.
                 if delay == Duration::millis(0) {
-                    self.plunge(door);
+                    self.plunge();
                 } else {
-                    self.enter(State::Door(Door { phase: DoorPhase::CoolantRestoring(self.m.now + delay), ..door }));
+                    self.enter_phase(DoorPhase::CoolantRestoring(self.m.now + delay));
                 }
             }
-            DoorPhase::CoolantRestoring(until) if self.m.now >= until => self.plunge(door),
-            DoorPhase::Plunging if self.m.parking.motion().is_idle() => self.leave_door(door),
+            DoorPhase::CoolantRestoring(until) if self.m.now >= until => self.plunge(),
+            DoorPhase::Plunging if self.m.parking.motion().is_idle() => self.leave_door(),
             _ => {}
         }
     }
 
     /// Slowly back into the cut, if the tool was parked.
     #[inline(never)]
-    fn plunge(&mut self, door: Door) {
+    fn plunge(&mut self) {
         if self.parking_move(ParkingPoint::Left, Key::ParkingPullOutRate) {
             // The job's block is entered with the slack where it was.
             self.m.parking.end_with_lead(self.m.motion.lead());
-            self.enter(State::Door(Door { phase: DoorPhase::Plunging, ..door }));
+            self.enter_phase(DoorPhase::Plunging);
         } else {
-            self.leave_door(door);
+            self.leave_door();
         }
     }
 
@@ -291,13 +319,13 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    fn leave_door(&mut self, door: Door) {
+    fn leave_door(&mut self) {
         if self.m.parking.is_away() {
             self.m.probe.watch_again();
             self.m.motion.reenter();
         }
         self.m.parking.end(&mut self.m.motion);
-        if door.interrupted == Interrupted::StoppedJob {
+        if matches!(self.state, State::Door(Door { interrupted: Interrupted::StoppedJob, .. })) {
             self.finish_soft_stop(false);
         } else {
             self.leave_hold();
@@ -308,8 +336,8 @@ impl<const N: usize> Controller<N> {
     /// settings that lock motion, or where a program holds it off (M56 P0), besides what [`Parking::leave_job`] knows.
     ///
     /// [`Parking::leave_job`]: crate::states::door::parking::Parking::leave_job
-    fn begin_parking(&mut self, door: Door) {
-        let allowed = door.opening.retract
+    fn begin_parking(&mut self) {
+        let allowed = matches!(self.state, State::Door(door) if door.opening.retract)
             && self.m.reference.is_trusted()
             && self.locking_setting().is_none()
             && !self.m.interpreter.modal().no_parking;
@@ -317,42 +345,48 @@ impl<const N: usize> Controller<N> {
             && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
         {
             self.m.probe.look_away();
-            self.enter(State::Door(Door { phase: DoorPhase::PullingOut, ..door }));
+            self.enter_phase(DoorPhase::PullingOut);
         } else {
-            self.switch_off_and_park(door);
+            self.switch_off_and_park();
         }
     }
 
-    /// A fault has been braked for: the tool retracts, and the alarm follows.
-    pub(crate) fn retract_for(&mut self, opening: Opening) {
-        self.begin_parking(Door::opened(Interrupted::Job, opening));
+    fn keep_coolant(&mut self) {
+        if let State::Door(door) = &mut self.state {
+            door.keep_coolant(self.m.accessories.coolant());
+        }
     }
 
-    fn suspend_for_door(&mut self, door: &mut Door) {
-        door.keep_coolant(self.m.accessories.coolant());
+    fn kept_coolant(&self) -> Coolant {
+        if let State::Door(door) = &self.state { door.coolant.unwrap_or_default() } else { Coolant::default() }
+    }
+
+    fn suspend_for_door(&mut self) {
+        self.keep_coolant();
         self.m.accessories.set_coolant(Coolant::default());
         self.m.accessories.suspend();
         self.m.replies.overrides_changed();
     }
 
-    fn switch_off_and_park(&mut self, mut door: Door) {
-        if door.opening.spindle_on {
-            door.keep_coolant(self.m.accessories.coolant());
+    fn switch_off_and_park(&mut self) {
+        if matches!(self.state, State::Door(door) if door.opening.spindle_on) {
+            self.keep_coolant();
         } else {
-            self.suspend_for_door(&mut door);
+            self.suspend_for_door();
         }
         if self.parking_move(ParkingPoint::Park, Key::ParkingFastRate) {
-            self.enter(State::Door(Door { phase: DoorPhase::Parking, ..door }));
+            self.enter_phase(DoorPhase::Parking);
         } else {
-            self.parked(door);
+            self.parked();
         }
     }
 
-    fn parked(&mut self, door: Door) {
+    fn parked(&mut self) {
+        let State::Door(door) = &mut self.state else { return };
         if door.interrupted == Interrupted::Sleep {
             return self.rest_asleep();
         }
-        self.enter(State::Door(Door { phase: DoorPhase::Parked, ..door }));
+        door.phase = DoorPhase::Parked;
         if let Some(alarm) = door.opening.alarm {
             self.m.stops.order(StopReason::Alarm(alarm));
         }
@@ -366,7 +400,7 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Sleep(self.state.alarm()));
     }
 
-    fn restore_spindle_for_door(&mut self, mut door: Door) {
+    fn restore_spindle_for_door(&mut self) {
         let laser = self.m.settings.is_on(Key::Laser);
         if !laser {
             // A beam comes back with the motion: it would burn on one point while the coolant (an air assist) is waited for.
@@ -375,10 +409,10 @@ impl<const N: usize> Controller<N> {
         }
         let at_once = laser || !self.m.accessories.is_on();
         let delay = if at_once { Duration::millis(0) } else { self.m.settings.seconds(Key::DoorSpindleDelay) };
-        door.phase = DoorPhase::SpindleRestoring(self.m.now + delay);
-        self.enter(State::Door(door));
+        let phase = DoorPhase::SpindleRestoring(self.m.now + delay);
+        self.enter_phase(phase);
         if at_once {
-            self.settle_door(door);
+            self.settle_door(phase);
         }
     }
 
@@ -407,9 +441,14 @@ mod tests {
 
     #[test]
     fn a_stop_forgets_whatever_would_resume() {
-        let stopped = |interrupted| Door::opened(interrupted, Opening::BY_DOOR).stop_job().interrupted;
-        assert_eq!(stopped(Interrupted::Job), Interrupted::StoppedJob);
-        assert_eq!(stopped(Interrupted::Jog { stopped: false }), Interrupted::Jog { stopped: true });
-        assert_eq!(stopped(Interrupted::Sleep), Interrupted::Sleep);
+        let stopped = |interrupted| {
+            let mut door = Door::opened(interrupted, Opening::BY_DOOR);
+            door.stop_job();
+            let jog = door.forget_jog();
+            (door.interrupted, jog)
+        };
+        assert_eq!(stopped(Interrupted::Job), (Interrupted::StoppedJob, false));
+        assert_eq!(stopped(Interrupted::Jog { stopped: false }), (Interrupted::StoppedJob, true));
+        assert_eq!(stopped(Interrupted::Sleep), (Interrupted::Sleep, false));
     }
 }
