@@ -40,7 +40,7 @@ impl Vector {
     }
 
     /// An error unless both parts are such that the vector may be computed with.
-    pub fn action(self) -> Result<Vector, Error> {
+    pub fn checked(self) -> Result<Vector, Error> {
         const MAX: u64 = 2 * Coordinate::LIMIT.0.unsigned_abs();
         if self.first.unsigned_abs() > MAX || self.second.unsigned_abs() > MAX {
             return Err(Error::InvalidTarget);
@@ -87,7 +87,7 @@ pub(super) fn centre_by_radius(
     clockwise: bool,
     tolerance: Coordinate,
 ) -> Result<Vector, Error> {
-    let chord = chord.action()?;
+    let chord = chord.checked()?;
     if chord.square() == 0 {
         return Err(Error::InvalidTarget);
     }
@@ -120,15 +120,15 @@ pub(super) fn rounding_of_radii(digit: Coordinate) -> Coordinate {
 
 /// Whether the arc radius at the start agrees with that at the end, by `tolerance` at least.
 pub(super) fn radii_agree(chord: Vector, centre: Vector, tolerance: Coordinate) -> Result<bool, Error> {
-    let radius = centre.action()?.length();
-    let difference = (chord.action()?.minus(centre).length() - radius).abs();
+    let radius = centre.checked()?.length();
+    let difference = (chord.checked()?.minus(centre).length() - radius).abs();
     Ok(difference <= tolerance.0
         || (difference <= RADIUS_TOLERANCE_MAX && difference.saturating_mul(RADIUS_TOLERANCE_PART) <= radius))
 }
 
 /// Where the ray from the centre to the programmed end point crosses the circle, as a chord from the start.
 pub(super) fn ray_crossing(chord: Vector, centre: Vector) -> Result<Vector, Error> {
-    let ray = chord.action()?.minus(centre.action()?);
+    let ray = chord.checked()?.minus(centre.checked()?);
     if ray.square() == 0 || centre.square() == 0 {
         return Err(Error::InvalidTarget);
     }

@@ -164,9 +164,9 @@ impl<const N: usize> Draft<'_, N> {
         };
         if ROTATION && let Some(rotated) = self.rotated {
             let [first, second] = rotated.angle.turn([centre_along(axes.first), centre_along(axes.second)]);
-            return Vector::new(first, second).action();
+            return Vector::new(first, second).checked();
         }
-        Vector::new(centre_along(axes.first), centre_along(axes.second)).action()
+        Vector::new(centre_along(axes.first), centre_along(axes.second)).checked()
     }
 
     /// The last digit of the words of an arc: 0.01 mm or 0.001 inch at most, for trailing zeros are often left out.
