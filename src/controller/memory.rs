@@ -1,6 +1,6 @@
-//! The large parts of a controller lie in memory of their own, which whoever makes the controller lends it for good: motion
-//! with its look-ahead, the interpreter with held subroutines, parameters and tools, queued replies, stored texts. 20 to 70 KB
-//! in all. Each part is built in its place, so the stack never carries more than one of them.
+//! The large parts of a controller lie in memory of their own, which the caller lends it for good: motion with its
+//! look-ahead, the interpreter, queued replies and stored texts, 20 to 70 KB in all. Each part is built in its place,
+//! so the stack never holds more than one of them.
 
 use crate::dispatch::Profile;
 use crate::gcode::Interpreter;

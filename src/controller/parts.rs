@@ -1,5 +1,5 @@
-//! `Machine`: all that states and lines work on, and what they ask of more than one part of it. It knows neither the state
-//! that the machine is in nor the line that is carried out.
+//! [`Machine`]: the parts of the machine that all states and lines work on. It knows neither the present state nor the
+//! line that is carried out.
 
 use crate::axes::AxisMask;
 use crate::dispatch::Profile;

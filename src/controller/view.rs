@@ -1,6 +1,5 @@
-//! What can be asked of the controller; nothing changes: whether it is idle, free, quiet, at work or paused, machine
-//! and work position, line numbers and the tool in work, which alarm or stop is under way, whether the spindle stays
-//! on, the settings, and the dialect.
+//! Questions about the controller; nothing changes here. Whether it is idle or at rest, positions, line numbers, the
+//! alarm, and the dialect in force.
 
 use crate::axes::PerAxis;
 use crate::dispatch::Controller;

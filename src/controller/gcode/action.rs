@@ -1,6 +1,6 @@
-//! `Action`, the result of a check: what a line asks for, as data that the controller carries out (spindle, speed,
-//! coolant, tool, dwell, stored offset, flow, pins, and the `Motion` in machine coordinates), and the state that it
-//! leaves `Afterwards`.
+//! [`Action`] is the result of checking a line: what to do, as plain data. The controller carries it out (spindle,
+//! coolant, tool, dwell, outputs, and the [`MotionCommand`] in machine coordinates), and the interpreter takes the new
+//! modal state over when the line is committed. Checking has no other effect.
 
 use super::control_points::Addition;
 use super::cycle::Cycle;

@@ -1,5 +1,5 @@
-//! Whether the lines that follow mean the same to two interpreters: `differs_from` names the first part of the state
-//! (modal state, place, offsets, tool, parameters, a curve or a cycle in force) that a program could notice.
+//! Compares two interpreters: whether the lines that follow would mean the same to both. Returns the first part of the
+//! state that a program could tell apart. Used by `oxmill resume` to prove that a rest of a job is complete.
 
 use super::control_points::ControlPoints;
 use super::modal::{FeedMode, Modal, MotionMode, SplineKind};

@@ -1,7 +1,5 @@
-//! What the `Interpreter` does: `check_into` checks a line against its state, `commit` takes over what the line changes
-//! (modal state, offsets, rotation, scaling, saved states, tangent, cycle words), `reset` forgets, check mode begins,
-//! the dialect changes. Also `check_jog`, whether G92 acts or is kept (`g92_acts`), and the tool in the spindle
-//! afterwards.
+//! Checks and commits lines. `check` turns a line into an [`Action`] and changes nothing; `commit` takes over what the
+//! line changes: modal state, offsets, rotation, saved states. Also resets, check mode, and a change of dialect.
 
 use super::action::{Action, Flow, Keeping, MotionCommand};
 use super::check::{self, Purpose};

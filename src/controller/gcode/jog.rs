@@ -1,5 +1,5 @@
-//! The check of a jog line: `$J=` with axis words, F, and of the commands only G20, G21, G90, G91 and G53, for this
-//! line alone; all else is `InvalidJog`.
+//! Checks a jog (`$J=`): axis words and F, with G20, G21, G90, G91 and G53 for this line only. Everything else is
+//! refused.
 
 use super::Dialect;
 use super::action::Action;

@@ -1,5 +1,6 @@
-//! What the `Interpreter` knows: modal state, offsets, tools, saved states, rotation and scaling, and the position that
-//! a program has reached; and how others ask and correct it.
+//! The state of the [`Interpreter`]: modal state, offsets, tools, saved states and the position at the end of all
+//! committed lines. Here are the ways in which the controller reads it and corrects it, for example after a stop or a
+//! probe.
 
 use super::Dialect;
 use super::computed::Computed;

@@ -1,7 +1,6 @@
-//! What the host is told (`say`): the answer to a line (also in checked form) or its refusal, messages and remarks of
-//! programs, alarms, which input tripped, the lock and what unlocks it, the welcome of `greet`, what a host that takes
-//! over inherits, and the status report, whose fields (`report::Status`) are gathered here. `queue_text` and `message_with_values` put texts into the
-//! replies.
+//! Everything the host is told: `ok` and errors, alarms, messages, the welcome line and the status report. Replies to
+//! checked lines get their number and checksum here. Texts come from `protocol::report`; this file fills in the values
+//! and puts the result into the queue of replies.
 
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};

@@ -1,6 +1,5 @@
-//! `$` commands are carried out: settings (`$n=v`) with what changes by them, unlock (`$X`), home (`$H`), check mode
-//! (`$C`), sleep (`$SLP`), defaults (`$RST`), the record of a failure (`$RC`), pins, listings, checked lines (`$LC`),
-//! startup lines and macros.
+//! Carries out `$` commands: settings, unlock, homing, check mode, sleep, defaults, startup lines and macros, and the
+//! start of a listing. A command that the present state forbids is refused before anything changes.
 
 use crate::axes::{Axis, AxisMask};
 use crate::dispatch::Controller;

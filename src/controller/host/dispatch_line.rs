@@ -1,7 +1,6 @@
-//! Received bytes become lines, and each line is dispatched to where it is carried out: `$` line, tape mark, program
-//! line with O words, or a jog that must wait (while another is `cancelling`). Invalid and too long lines are refused;
-//! the message of a remark is kept with its mark. `LineRules` of each dialect. The intake's `Verdict` and what is
-//! `Taken` decide whether a line is pushed on, answered with an error, or kept; `tell_remark` says a message.
+//! Where a received line goes. Bytes are collected by the intake; a complete line is a `$` command, a jog or a line of
+//! a program, and each is passed on or refused with an error. A jog that arrives while another one brakes waits until
+//! that is at rest.
 
 use crate::dispatch::Controller;
 use crate::error::Error;

@@ -1,7 +1,6 @@
-//! Realtime commands: what a byte that no line holds back does to the state: reset, stop, status, cycle start, feed
-//! hold, jog cancel (`State::Jog`, which is not `cancelling` yet), spindle stop, toggles of flood, mist and single
-//! block, overrides. Also the host: one that has left or is silent (heartbeat) is a fault, or ends its jog.
-//! `look_for_silence`, `release_held`, `restore_spindle` and `set_overrides` are parts of it.
+//! Carries out realtime commands (reset, stop, status, hold, start, jog cancel, overrides and toggles). They act at
+//! once, whatever line is being executed. Also reacts to a host that has disconnected or has been silent for too long
+//! (`$914`, `$922`, `$923`).
 
 use crate::dispatch::Controller;
 use crate::gcode::Dialect;

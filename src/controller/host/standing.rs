@@ -1,7 +1,6 @@
-//! The state (`Standing`) from which a replay of a recording can begin: whether the machine is plain and at rest, by
-//! its mode (idle, alarm, check, sleep), its
-//! counters, place, tool and modal words; `stand` brings a machine into it. Also the pieces of a recording that is
-//! listed (`Ask`).
+//! Where a replay of a recording can begin: a machine at rest with nothing switched on and no override. Reads this
+//! state from a controller, and puts another controller into it. Also passes on the pieces of a recording while `$REC`
+//! lists it.
 
 use crate::axes::{Axis, PerAxis};
 use crate::dispatch::Controller;

@@ -1,6 +1,5 @@
-//! Signals of the input pins have changed (`Sensed`): an emergency stop, a driver fault, the reset button, a limit or
-//! homing switch, the door, hold and start; which stop or fault each of them is, if it came (`came`). Levels and their
-//! meaning are kept in `levels.rs`.
+//! Reacts to a change of the input pins: emergency stop, driver fault, reset button, limit switches, door, hold and
+//! start. The step task may have stopped by itself already; then the reason for that stop is found here.
 
 pub(crate) mod levels;
 

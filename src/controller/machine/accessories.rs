@@ -1,6 +1,6 @@
-//! `Accessories`: spindle (or laser) direction and speed, coolant, overrides and digital outputs, as the program has
-//! switched them on, and whether the spindle is suspended. How long it takes to spin up or down, whether it is up to
-//! speed (`SpinUp`), a watch (`SpeedWatch`) for speed lost in mid-job, and its power at rest.
+//! Spindle or laser, coolant, overrides and the digital outputs of programs, as the program has set them. Also whether
+//! the spindle is suspended (in a hold or a door), whether it is up to speed, and whether it has lost its speed during
+//! a job. Only the state is kept here; the outputs follow it in `outputs`.
 //!
 //! ```text
 //!  S, M3, M4, M5 ──▶ program ──▶ override ──▶ [suspended?] ──▶ power of the output

@@ -1,6 +1,4 @@
-//! Every type that crosses between tasks, by who is at its other end, and here the depth of every queue: `LINES_DEPTH`
-//! and `LINE_MESSAGES` (`MOST_PARTIAL`), `REALTIME_DEPTH`, `REPLIES_DEPTH`, `SEGMENTS_DEPTH`, `EVENTS_DEPTH` and
-//! `SIGNALS_DEPTH`.
+//! All types that cross between tasks, one file for each pair of tasks, and the depths of the queues between them.
 //!
 //! ```text
 //!  serial ──realtime──▶ control ──segments──▶ step        stops: a sticky mark that `step` looks at first

@@ -1,6 +1,5 @@
-//! Segments that have been handed to the step task: `SegmentsInFlight` is a ring of records (`InFlightSegment`) with
-//! end position, lead, speed, clocks, line number, power and mark of each. `observe` removes those that have begun; the
-//! current one gives the reported position and speed, and `queued` is the time of all that have not begun.
+//! The segments that have been handed to the step task, in a ring: end position, speed, time, line number and power of
+//! each. Those that have begun are removed; the last of them gives the position and speed that are reported.
 
 use crate::axes::PerAxis;
 use crate::lent::Lent;

@@ -1,6 +1,5 @@
-//! Motion: straight moves in, messages for the step task out. `Motion` is the facade of this room: `line` and `chord`
-//! queue a move; `start`, `hold`, `resume`, `discard` and `stopped` control the motion; `observe` and `next_message`
-//! hand segments over; the rest tells position, speed and line numbers.
+//! Motion: straight moves in, messages for the step task out. [`Motion`] queues moves, starts, holds and resumes them,
+//! and reports position and speed. The controller has one for the job, and a small one for parking.
 //!
 //! ```text
 //!  Move ─ kinematics ─▶ block ─▶ planner (look-ahead) ─▶ segment ─▶ ToStep … the step task: stepper

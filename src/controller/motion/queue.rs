@@ -1,8 +1,5 @@
-//! `MoveQueue`: the planner's ring of blocks and all that is known of their end (kinematics, backlash, axis limits,
-//! overrides, `PathEnd`, chain, join, blend, the long move, the mark, and numbering by words or a given number), with
-//! set-up, restart, and how many blocks are free. [`super::enqueue`] makes blocks of moves, [`super::short_moves`] one
-//! block of short ones. `substep_offset` is how far the end is beyond its steps, `MOST_BACKLASH` and
-//! `MOST_BLOCKS_OF_A_MOVE` are bounds.
+//! The way into motion: the planner's blocks and everything known of the end of the path. [`super::enqueue`] makes
+//! blocks of moves; [`super::short_moves`] and [`super::rounding`] join and blend them before.
 
 use super::axis_limits::AxisLimits;
 use super::backlash::{Backlash, Motors};

@@ -1,7 +1,6 @@
-//! What the outputs are to be now: power and direction of the spindle under the acting overrides, at rest and in
-//! segments, whether a laser burns at rest, whether the spindle has spun up; digital outputs that wait for a motion's
-//! mark; drivers held off in an emergency. Collected as `SlowOutputs` (`changed_pins`). `begun_mark`, `changed_wiring`,
-//! `next_look` and `settle_outputs` follow the motion.
+//! What the outputs should be now: power and direction of the spindle under the overrides, coolant, drivers and digital
+//! outputs. The controller compares this with what was given out last and sends the difference. Also says whether the
+//! spindle is up to speed.
 
 pub(crate) mod given;
 

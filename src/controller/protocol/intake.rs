@@ -1,7 +1,6 @@
-//! `LineIntake`: which of the received line bytes still count, and the line that they make. It compares the epoch of
-//! each byte with that of the last reset or jog cancel, drops bytes and stale jogs, holds a byte that is ahead of its
-//! command, cuts the line of a host that has gone, counts the lines read, and passes lines through their check. `Taken`
-//! tells what a byte has brought about. It also hears the heartbeat.
+//! Decides which received bytes still count, and collects them into lines. Bytes from before a reset and jogs from
+//! before a jog cancel are dropped; a byte that is ahead of its realtime command is held. Complete lines pass their
+//! checksum, if lines are checked.
 //!
 //! Realtime commands and line bytes come through two queues that keep no order between them. Each byte carries the epoch
 //! it was received in ([`LineByte`]), and each soft reset (Ctrl-X), stop and jog cancel opens an epoch:

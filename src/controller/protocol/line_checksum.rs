@@ -1,8 +1,6 @@
-//! `LineChecksum`: lines with a number, a length and a checksum (CRC-32) in a header of letter digits, for links that
-//! damage, drop, double or delay bytes (`$LC=ON`, better `$LC=ONQKXW` with letters of a session). The `Verdict` on a line is valid, known or damaged; answers have the same
-//! form with the wanted number. A reset lets the check lapse. What is carried out is exactly what was sent, in its
-//! order and once. A line in which a byte is off is not whole (`is_whole`) and its check fails. `Crc` adds bytes
-//! one by one.
+//! Checked lines (`$LC=ON`): each line has a number, a length and a CRC-32, for links that damage, drop, double or
+//! delay bytes. A damaged line is refused, and the reply carries the number of the line that is wanted next. What is
+//! executed is exactly what was sent, in its order and once.
 //!
 //! ```text
 //!  : NNN LL CCCCCCCC text LF

@@ -1,5 +1,4 @@
-//! Bytes in, text out: what crosses the serial line, and nothing of what it means to the machine. Only the list of the
-//! room's modules.
+//! The serial protocol: bytes in, text out. What a line means to the machine is decided elsewhere.
 //!
 //! [`realtime`] picks commands out of the byte stream, [`link`] brings both into their queues ([`byte_channel`] with several bytes in a message, [`owed`] those commands for which there is no room) from the host that has the machine (`floor`), [`remark`] tells text from commands, [`line_filter`] makes filtered lines, [`intake`]
 //! knows which of their bytes still count, [`line_checksum`] whether a line is what was sent, [`heartbeat`] whether anything comes at all, [`system`] reads `$`

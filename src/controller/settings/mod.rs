@@ -1,6 +1,4 @@
-//! The `$` settings: what there are, and what they are set to. Only the list of the room's files and what they give
-//! out: `Kind`, `Entry`, `Description`, `Row`, `SettingGroup`, `SCALARS`, `PER_AXIS`, their descriptions, `Key`,
-//! `AxisKey`, `lines` and `Settings`.
+//! The `$` settings: their table, their values, and their checks.
 //!
 //! `$$`, the checks of `$n=v` and the documents come from one table. A setting that is legal alone is stored, as senders
 //! restore them one by one; whether the *set* can be run is asked by [`Settings::unrunnable`].

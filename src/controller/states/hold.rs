@@ -1,5 +1,5 @@
-//! Feed holds, jog cancels and soft stops: motion brakes, then the job is resumed, with its spindle and laser, or
-//! forgotten. Also the start of motion, and the drivers' idle delay (`$1`) at its end.
+//! Feed hold, jog cancel and soft stop: motion brakes, then the job resumes or is forgotten. A hold keeps whether its
+//! spindle was switched on again ([`Hold`]), as its end waits for the speed. Motion also starts here.
 
 use crate::dispatch::Controller;
 use crate::error::Alarm;

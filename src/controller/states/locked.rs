@@ -1,7 +1,6 @@
-//! What a reset, an alarm and changed settings make of the machine: `initialise` ends every power-up and reset
-//! (greeting, limits and emergencies checked, startup lines), `lock` holds an alarm, `fail_homing` ends homing, and
-//! `reconfigure` hands derived settings to motion (`MotionSettings`). They come from each `AxisKey` (`MaxRate`, `Jerk`)
-//! and `Key` (`JunctionDeviation`, `CurveAcceleration`).
+//! How a reset and an alarm leave the machine. Every power-up and reset ends here: the host is greeted, inputs are
+//! checked, and the startup lines begin unless the machine is locked. Also hands changed settings on to motion and
+//! inputs.
 
 use crate::dispatch::Controller;
 use crate::error::Alarm;

@@ -1,6 +1,5 @@
-//! A canned cycle is carried out: one `CycleStep` at a time (rapid, feed, dwell, spindle off or on, pause), so that a
-//! hold, a reset or a report comes between two moves of a peck as between two lines. The cycle itself is in
-//! `gcode/cycle.rs`.
+//! Carries out a canned cycle, one step at a time: a move, a dwell, the spindle, a pause. A hold, a reset or a report
+//! can come between any two steps. The steps come from `gcode::cycle`.
 
 use crate::dispatch::Controller;
 use crate::gcode::{CycleStep, EXTENDED, MotionCommand};

@@ -1,7 +1,6 @@
-//! Why a line may not be carried out though it is correct: settings that lock motion or damaged ones, a machine that
-//! needs homing, coordinates out of range, and soft limits, for which every kind of motion (line, arc, spline, cycle
-//! corners) is looked at for points outside the travel. A jog is clipped to the travel. Names the locking setting to
-//! the host. The greatest and least coordinate of the geometry of a curve is its extent on each axis (`leaves_range`).
+//! Why a correct line may not be carried out: settings that lock motion, a position that needs homing, targets out of
+//! range, and soft limits. All kinds of motion are checked for points outside the travel; a jog is shortened to it
+//! instead.
 
 use crate::axes::{Arrangement, Axis, PerAxis};
 use crate::dispatch::Controller;

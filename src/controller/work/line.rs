@@ -1,5 +1,5 @@
-//! `LineInWork`: the action line of G-code that is carried out, with the `Curve` (arc, spline, nurbs) whose chords it
-//! has begun, its tool change, whether single block is on, and the last message of the program.
+//! The line that is being carried out: its action, its curve as far as chords have been queued, its tool change, and
+//! the last message of the program. There is one at a time, and its memory is reused.
 
 use crate::axes::{LINEAR, PerAxis};
 use crate::gcode::{Action, EXPRESSIONS, Notice};

@@ -1,7 +1,5 @@
-//! A target becomes a `Move` in the look-ahead: its speed from the feed, spindle or laser power, digit and tolerance;
-//! `queue` hands it to motion and starts what is queued when there is no room. An arc, spline or nurbs of a line
-//! begins, with the feed of its chords. `begin_arc` and its like take the geometry and control points; the feed is per
-//! minute or inverse time, with the stretch by rotary axes.
+//! Turns targets into moves of the look-ahead, with speed, power and tolerance. Queues a move when there is room, and
+//! starts motion when the queue is full. Arcs and splines begin here, chord by chord.
 
 use crate::axes::{LINEAR, PerAxis};
 use crate::dispatch::Controller;

@@ -1,6 +1,5 @@
-//! Outputs and inputs of programs (M62 to M68) are carried out: an output is set now or with the next motion's mark if
-//! there is room; M66 waits until an input reads as it should or the longest time is over; a number that the board
-//! lacks is refused.
+//! Carries out M62 to M68: switches an output now or with the next motion, and waits for an input with a timeout (M66).
+//! A pin that the board does not have is refused.
 
 use crate::dispatch::Controller;
 use crate::gcode::ProgramPins;

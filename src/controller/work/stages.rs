@@ -1,7 +1,6 @@
-//! A checked line of G-code is carried out, `Stage` by stage of its `Job`: drain the motion before it, apply modal
-//! state, overrides, spindle and other accessories, store, dwell or delay, check soft limits or clip a jog, begin the
-//! motion or its chords, change the tool, then the program flow (pause, end) and `finish` with the answer. `advance`
-//! does one bounded piece of the [`Task`], with progress or without.
+//! Carries out a line of G-code in stages: wait for rest if needed, apply modal state and outputs, dwell, move, then
+//! pause or end. Each call does one bounded piece and returns, so realtime commands are never late. The last stage
+//! answers the host.
 
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};

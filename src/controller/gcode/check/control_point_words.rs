@@ -1,6 +1,6 @@
-//! Words of curves whose control points have a line each: G5.2 with X, Y, weight P and order L, and G5.3 at the end,
-//! which makes the `NurbsMove`; too few, too many, not begun or not ended points are refused. Points are `in_xy`, and
-//! the order so far is known.
+//! Curves whose control points have a line each: G5.2 begins or continues one, G5.3 ends it. Points are collected in
+//! the interpreter, and G5.3 turns them into a move. A curve that is not begun, not ended, or has too few or too many
+//! points is refused.
 
 use super::draft::Draft;
 use crate::axes::{Axis, AxisMask};

@@ -1,6 +1,6 @@
-//! Words of canned cycles (G73 to G89): those that stay in force in a series (R, depth, Q, P), which are missing, the
-//! levels and the pitch that they give, and L for the repeats of the hole. A peck or depth may be `ValueOutOfRange`;
-//! some kinds stop the spindle.
+//! Canned cycles (G73, G81 to G89): reads hole, levels, peck, dwell and repeats from a line, and takes words that the
+//! line lacks from the line before, as long as the series lasts. The result is a [`Cycle`](crate::gcode::Cycle) that
+//! the controller carries out step by step.
 
 use super::draft::Draft;
 use crate::axes::{Axis, PerAxis};

@@ -1,7 +1,6 @@
-//! `Draft`, a line half checked, and what each step of the check asks of it: modal words over the modal state at its
-//! begin, whether a letter is still unused (`take`), lengths in the line's unit, axis words over a place, work and tool
-//! offset, and the feed of a motion, also of rotary axes. It gives the coordinate along an axis in a coordinate system,
-//! the feed mode, the motion mode, and the `Claim` and purpose of axis words.
+//! A line while it is checked: the words that no step has used yet, and the [`Action`] as far as it is known. The steps
+//! of the check (the other files of this folder) are methods of [`Draft`]. Here are the helpers that several of them
+//! share: lengths in the line's unit, axis words as a target, and the feed of a motion.
 
 use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::error::Error;

@@ -1,6 +1,5 @@
-//! Words that CAM programs write out of habit, and what they are here: G54.1 and G154 name a coordinate system by P, U, V
-//! and W of G28 and G30 are distances, D is the register of a radius that nothing uses; switches of the look-ahead and the
-//! announcement of rigid tapping do nothing, and a notice says so.
+//! Words that CAM programs write out of habit: some mean here what they mean on other controls (G54.1 P, G154 P, U V W
+//! of G28), others have no effect. A word without effect is accepted, and a notice tells the host once.
 
 use super::draft::{CENTRE, Draft};
 use crate::axes::PerAxis;

@@ -1,7 +1,6 @@
-//! Second step: what the words of a line mean in the present modal state. `check` calls one function for each step, in
-//! the order in which Grbl looks, and the first fault wins; here are those for line number, feed mode and feed
-//! (`UndefinedFeed`), speed, spindle, coolant and tool values, parking, path control (G61, G64), dwell, the letters of
-//! unused words, and what a line does besides its motion by `NonModal` and M words.
+//! The second step of G-code: what the words of a line mean in the present modal state. The steps run in the order in
+//! which Grbl checks, and the first error wins. The interpreter calls [`check`] for lines of a program and for jogs;
+//! nothing changes before the line is committed. Steps of few lines are here, the others in files of their own.
 
 mod control_point_words;
 mod cycle_words;

@@ -1,7 +1,5 @@
-//! Words of motion, by the motion mode: straight lines (G0, G1), arcs (G2, G3) by radius or by centre I, J, K with
-//! their turns P, probing moves (G38); other modes are passed on to splines and cycles. `feed_to` gives the feed to the
-//! target; an arc whose only words are of its centre `is_circle`; chord and radius are `along` the first and second
-//! axis of the plane; used letters are removed from the `unused`.
+//! Moves of a line: straight lines, arcs by radius or centre, and probing moves. Splines and canned cycles are passed
+//! on to their own files. Targets are in machine coordinates, after offsets, rotation and scaling.
 
 use super::draft::{CENTRE, Draft};
 use crate::axes::Axis;

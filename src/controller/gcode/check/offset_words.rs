@@ -1,7 +1,5 @@
-//! Words of group 0 (`NonModal`) and their offsets: G10 L2 and L20 set a coordinate system, G28 and G30 go to a stored
-//! place or keep one, G52, G92 and G92.1 to G92.3 set, clear, suspend and restore an offset, G53. Values come from axis
-//! words or the present position (`from_position`), a return goes via a point, and `system_of` finds the system; what a
-//! dialect lacks is `UnsupportedCommand`.
+//! Offsets and stored positions: G10 L2 and L20, G28 and G30 with their .1 forms, G52, G53, and G92 with its .1 to .3
+//! forms. A change is noted in the line's action and acts when the line is committed.
 
 use super::draft::Draft;
 use crate::axes::{Axis, LINEAR, PerAxis};

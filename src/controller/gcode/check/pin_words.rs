@@ -1,5 +1,5 @@
-//! Words of the outputs and inputs of programs: M62 to M65 (digital, with motion or at once), M66 (wait for an input, L
-//! and Q), M67 and M68 (analog), with the number of the pin in P or E.
+//! Outputs and inputs of programs: M62 to M65 switch an output, M66 waits for an input or reads one, M67 and M68 set an
+//! analog output. P or E is the number of the pin; whether the board has it is checked when the line is carried out.
 
 use super::draft::Draft;
 use crate::error::Error;

@@ -1,5 +1,6 @@
-//! Where axis words lead to (`target`): from program to machine coordinates, through rotated and scaled axes, absolute
-//! or incremental. Also G68 and G69, and which offset words are refused in a rotated plane.
+//! Where axis words lead to: from the program's coordinates to those of the machine, through scaling, rotation and
+//! offsets, absolute or incremental. Also G68 and G69, and the offset words that are refused while the plane is
+//! rotated.
 
 use super::draft::{Draft, Purpose};
 use crate::axes::{Axis, PerAxis};

@@ -1,7 +1,5 @@
-//! G51 with factors and centre (`new_scaling`) and G50, and where they act on the values of a line: a scaled length,
-//! vector or size, the rest kept, mirrored arcs, and what scaling forbids (`ScalingActs`, `UnequalScaling`).
-//! `scaling_of`, `scaled_word`, `scaled_length`, `scaled_vector`, `scaled_size`, `keep_rest`, `mirrors`,
-//! `written_vector` and `needs_no_scaling` are its functions.
+//! G51 and G50: reads factors and centre of a scaling, and applies the scaling to the values of a line: positions,
+//! distances, arc centres and radii. What cannot be scaled, such as an arc with unequal factors, is refused.
 
 use super::draft::{CENTRE, Draft, Purpose};
 use crate::axes::Axis;

@@ -1,5 +1,5 @@
-//! Words of splines: G5 (cubic, by I, J, P, Q) and G5.1 (quadratic), which lie in the plane of X and Y: their control
-//! points leaving and arriving, or the tangent of the last one.
+//! G5 (cubic, by I, J, P, Q) and G5.1 (quadratic, by I, J) in the plane of X and Y. A G5 without I and J continues the
+//! curve before it smoothly.
 
 use super::draft::Draft;
 use crate::axes::Axis;

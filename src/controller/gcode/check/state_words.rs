@@ -1,5 +1,5 @@
-//! Words that keep, restore and hold off: M48 to M53 for the operator's overrides (held for feed or spindle), M70 to
-//! M73 to save, forget and restore the modal state (`Keeping`).
+//! M48 to M53 enable and disable the operator's overrides; M70 to M73 save and restore the modal state. The changes act
+//! when the line is committed.
 
 use super::draft::Draft;
 use crate::error::Error;

@@ -1,6 +1,5 @@
-//! Words of tools: T selects, M6 changes, M61 names the tool in the spindle; G43 to G49 set the tool length offset, by
-//! H from the table or by axis words; G10 L1, L10 and L11 set or remove a tool of the table. A number may be too high
-//! (`ToolNumberTooHigh`), unknown (`UnknownTool`) or that of a removed tool.
+//! Tools: T selects, M6 changes, M61 names the tool in the spindle. G43 to G49 set the tool length offset, from the
+//! table or from axis words; G10 L1, L10 and L11 set or remove an entry of the table.
 
 use super::draft::Draft;
 use crate::axes::{AxisMask, PerAxis};

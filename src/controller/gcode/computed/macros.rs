@@ -1,5 +1,5 @@
-//! Macros: numbered lines (`$Mn=line`) that outlive programs, resets and the power, so that subroutines among them can
-//! be called at any time: set, cleared and read (`macro_line`) as the first lines of the held text.
+//! Macros (`$Mn=line`): numbered lines that outlive programs, resets and power cycles. A program can call a subroutine
+//! that they define.
 //!
 //! They are the first lines of the held text: what ends a program keeps them. A line that a number has none of is empty.
 

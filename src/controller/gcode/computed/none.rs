@@ -1,5 +1,5 @@
-//! In place of `computed` where expressions, parameters and O words are left out to save flash: functions of the same
-//! names that do nothing, and refuse what needs them by an error of its own (`ExpressionsLeftOut`).
+//! Stands in for the folder in builds without the feature `expressions`: the same functions, which do nothing. Lines
+//! that need them are refused with an error of their own.
 
 use crate::axes::PerAxis;
 use crate::error::Error;

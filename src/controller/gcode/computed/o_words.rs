@@ -1,8 +1,6 @@
-//! O words in a program: what becomes of each line of the host (`direct`), and which line of held text is next
-//! (`next_held`). The `OWord` order of a line, with its keyword and label, is recorded into a subroutine or loop, or
-//! skipped, or acts on the flow: a condition takes a branch (`has_taken`), a loop begins or ends a pass (`end_pass`,
-//! repeat), a call pushes a frame (`FrameKind`) with arguments and returns. One that is not well formed is a
-//! `FlowSyntax` error.
+//! O words: decides for each line of the host whether it is run, recorded or skipped, and which held line runs next.
+//! Conditions, loops, subroutines and their calls are here; the open blocks are kept in `flow`. A malformed O word is
+//! refused, and so is whatever else belongs to its block.
 
 use super::Computed;
 use super::flow::{

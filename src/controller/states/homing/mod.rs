@@ -1,5 +1,5 @@
-//! Homing is carried out: each `Order` of `cycle.rs` becomes a motion of one motor, or of both motors of a
-//! squared axis; a switch that closes stops it; at the end the position is set and the startup lines run.
+//! The homing state: carries out the orders of [`cycle`]. A closing switch stops the step task; at the end the position
+//! is set, and the startup lines run.
 
 mod cycle;
 

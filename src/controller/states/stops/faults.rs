@@ -1,7 +1,6 @@
-//! How the machine stops for a fault (`$924` to `$928`): at once, or it brakes under control and perhaps retracts, and
-//! which alarm follows at rest. Whether it can brake, whether parking is blocked, whether a switch only bounces; a host
-//! that is gone or silent, and a spindle that has lost its speed. The laser is darkened, the spindle kept on while it
-//! brakes, and the `StopReason` kept.
+//! How the machine stops for a fault (`$924` to `$928`): at once, or by braking along the path, perhaps with the tool
+//! retracted. The alarm follows at rest. Faults are limit switches, emergency stop, driver faults, a lost spindle
+//! speed, and a host that is gone or silent.
 //!
 //! ```text
 //!  switch, driver, spindle ──▶ fault ──┬── at once ───────────────────────────▶ stop ──▶ alarm

@@ -1,7 +1,5 @@
-//! What follows a stop once the step task reports it (`step_event`: stopped, probed, underrun, miscounted): by its
-//! reason (hard limit, emergency, driver fault, reset, switch, contact) the machine is locked, reset, or continues from
-//! where it stopped. `finish_alarm`, `finish_emergency`, `finish_reset` are the three endings. Position and reference
-//! may be lost, pauses end (`end_pauses`), moves are forgotten, and the trip is told.
+//! What follows when the step task has stopped. By the reason of the stop the machine is locked, reset, or continues
+//! from its position. A stop at speed may have lost steps, so the position is no longer trusted afterwards.
 
 mod faults;
 pub(crate) mod orders;

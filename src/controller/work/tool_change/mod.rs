@@ -1,8 +1,5 @@
-//! M6 carried out: the spindle stops, the host is prompted, and the program waits until somebody has put the tool in;
-//! with `$918=2` a `ChangePlan` is made from G30, G59.3 and the settings, refused if it cannot be followed, and each
-//! `ChangeOrder` of `plan.rs` becomes a move or a probe; then the tool returns to the work. The tool
-//! setter's place and rates come from settings (`Key`); the spindle's direction and the accessories are set again after
-//! it.
+//! Carries out M6: the spindle stops, the host is asked for the tool, and the program waits for `~`. With `$918=2` the
+//! new tool is then measured at a tool setter, and its length offset is set.
 
 pub(crate) mod plan;
 
