@@ -238,22 +238,6 @@ impl<const N: usize> Interpreter<N> {
         &self.position
     }
 
-    /// Whether nothing holds but what is modal and what is stored, and the program believes to be there.
-    pub fn is_plain(&self, place: &PerAxis<Coordinate, N>) -> bool {
-        let offsets = [&self.offsets.g92, &self.offsets.g92_kept, &self.offsets.tool_length];
-        self.position == *place
-            && offsets.into_iter().all(|offset| *offset == PerAxis::all(Coordinate::ZERO))
-            && !self.is_within_block()
-            && self.place != ProgramPlace::Subprogram
-            && self.before_check.is_none()
-            && self.saved.is_empty()
-            && self.rotation.is_none()
-            && self.scaling.is_none()
-            && self.measured == Measured::NOTHING
-            && self.computed.is_blank()
-            && self.modal.tool == self.spindle_tool
-    }
-
     /// For a replay: the tool is in the spindle.
     pub fn hold_tool(&mut self, tool: u32) {
         (self.spindle_tool, self.modal.tool) = (tool, tool);
