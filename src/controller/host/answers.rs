@@ -44,8 +44,8 @@ impl<const N: usize> Controller<N> {
     // By itself: a text has 320 bytes of stack.
     #[inline(never)]
     fn answer_checked(&mut self, text: &[u8]) {
-        if let Some(action) = self.m.lines.checked_answer(text) {
-            self.m.replies.push(&action, self.m.lines.hosts_cut());
+        if let Some(checked) = self.m.lines.checked_answer(text) {
+            self.m.replies.push(&checked, self.m.lines.hosts_cut());
         }
     }
 
@@ -116,7 +116,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn tell_unchecked(&mut self) {
-        self.say(|out| report::message(out, "Lines are not action any more"));
+        self.say(|out| report::message(out, "Lines are not checked any more"));
     }
 
     /// Which inputs caused the alarm, where, and at which line, if that has not been told yet.

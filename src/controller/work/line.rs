@@ -15,7 +15,7 @@ const MESSAGE: usize = if EXPRESSIONS { 160 } else { MESSAGE_LENGTH };
 /// A message of a program.
 pub(crate) type Message = heapless::Vec<u8, MESSAGE>;
 
-/// A action line, and its curve once that has begun.
+/// The line in work, and its curve once that has begun.
 #[derive(Clone, Debug)]
 pub(crate) struct LineInWork<const N: usize> {
     /// The line. Canned cycles and jogs change it while they are carried out.
