@@ -1,5 +1,5 @@
-//! What a person can do about an error or an alarm: a sentence of advice for each of them, and what to write instead of
-//! words that are refused (G33, G41, M98). The controller's own texts say what is wrong; these say what helps.
+//! What a person can do about each error and alarm, and what to write instead of words that are refused (G33, G41,
+//! M98). The controller's own texts say what is wrong; these say what helps.
 
 use oxmill_controller::error::{Alarm, Error};
 

@@ -1,7 +1,5 @@
-//! The controller on a desk: the same code as on the board, with a virtual clock and a traced machine around it. The
-//! list of modules, and `main` of the program, which parses the command and turns its `Ending` into an exit code.
-//! Features (`cfg(feature = "program")`) leave out `server`, `plot` and the rest that a module for the web does not
-//! need; shell completions are generated here.
+//! The controller on a desk: the same code as on the board, with a virtual clock and a traced machine around it. Here
+//! are the list of modules and `main` of the program.
 //!
 //! The feature `program` is the program: `run` sends a job through it and says what the machine did; `serve` is a Grbl device
 //! for senders. Without it this is a library that has no files, threads, clock or drawing, and runs wherever a processor is:

@@ -1,5 +1,5 @@
-//! `JobText`: a job as text of any length, given to the controller byte by byte; each answer of the controller is
-//! matched to its line, with errors, messages and the line of an alarm.
+//! Gives a job's text to the controller byte by byte, and matches each reply to its line: errors, messages, and the
+//! line of an alarm.
 //!
 //! A file is not a wire: no byte of it is a realtime command. Comments may hold any UTF-8; what is not ASCII reaches the
 //! controller as `?`, which means nothing in a comment and is refused anywhere else. Every line gets exactly one answer,
