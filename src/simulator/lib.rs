@@ -37,7 +37,6 @@ pub mod host_link;
 pub mod input_task;
 #[cfg(feature = "program")]
 pub mod job;
-mod left_out;
 pub mod machine;
 #[cfg(feature = "program")]
 mod manual;
@@ -64,6 +63,7 @@ pub mod server;
 #[cfg(feature = "program")]
 pub mod short_report;
 pub mod simulator;
+mod small_board;
 pub mod step_task;
 pub mod store;
 pub mod streaming;

@@ -5,8 +5,8 @@
 //! controller as `?`, which means nothing in a comment and is refused anywhere else. Every line gets exactly one answer,
 //! in order, as for any sender.
 
-use crate::left_out;
 use crate::realtime_bytes;
+use crate::small_board;
 use crate::summary::Warning;
 use oxmill_controller::error::Error;
 use oxmill_controller::protocol::line_checksum::ANSWER_HEADER;
@@ -277,7 +277,7 @@ impl JobText {
         self.has_words |= !is_remark(text);
         self.bytes.extend(text.chars().map(plain));
         self.bytes.push_back(b'\n');
-        let left_out = if self.has_all_words { None } else { left_out::error_of(text) };
+        let left_out = if self.has_all_words { None } else { small_board::error_of(text) };
         let shown = text.trim().chars().take(120).map(shown_character).collect();
         self.unanswered.push_back((self.lines, shown, left_out));
     }
