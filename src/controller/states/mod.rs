@@ -1,6 +1,6 @@
 //! The states of the machine and the table of which may follow which. A state keeps what it alone needs ([`Homing`],
 //! [`Door`], [`Hold`], the alarm of a lock); whatever outlives a state belongs to [`Machine`](crate::parts::Machine).
-//! [`Controller::enter`] is the only place that changes the state.
+//! [`Controller::enter`] is the only place that enters a state; what a state keeps changes within it.
 //!
 //! ```text
 //!            $X, $H ok                 !, M0                      ~
@@ -170,7 +170,7 @@ impl<const N: usize> State<N> {
 }
 
 impl<const N: usize> Controller<N> {
-    /// The only place in which the state changes.
+    /// The only place in which another state is entered.
     pub(crate) fn enter(&mut self, next: State<N>) {
         debug_assert!(self.state.may_become(&next), "{:?} to {:?}", self.state, next);
         self.state = next;
