@@ -1,5 +1,5 @@
 //! Debounces 32 inputs at once. A level changes after eight samples in a row that differ from it; a shorter change is
-//! rejected and counted as noise. Used by the inputs task.
+//! rejected. Used by the inputs task.
 
 /// Samples in a second that the inputs task takes: a change passes after 0.4 ms.
 pub const SAMPLE_HZ: u32 = 20_000;

@@ -1,6 +1,6 @@
-//! Canned cycles (G73, G81 to G89): reads hole, levels, peck, dwell and repeats from a line, and takes words that the
-//! line lacks from the line before, as long as the series lasts. The result is a [`Cycle`](crate::gcode::Cycle) that
-//! the controller carries out step by step.
+//! Canned cycles (G73 to G89): reads hole, levels, peck, dwell and repeats from a line, and takes words that the line
+//! lacks from the line before, as long as the series lasts. The result is a [`Cycle`](crate::gcode::Cycle) that the
+//! controller carries out step by step.
 
 use super::draft::Draft;
 use crate::axes::{Axis, PerAxis};
