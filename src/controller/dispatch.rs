@@ -109,8 +109,8 @@ impl<const N: usize> Controller<N> {
 
     /// Something happened at `now`.
     ///
-    /// The path of a line: its bytes come in here and are collected by `LineIntake`. The last one leads through `lines` to
-    /// `execute`, which checks the line and keeps it as a task. That is all an event does; what the line asks for is done by
+    /// The path of a line: its bytes come in here and are collected by `LineIntake`. At the last one `host::dispatch_line` has
+    /// the line checked and `work::stages` keeps it as a task. That is all an event does; what the line asks for is done by
     /// [`Controller::output`].
     // Always, so that the middle of a line costs no call.
     #[inline(always)]
