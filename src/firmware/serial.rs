@@ -14,11 +14,12 @@ use crate::boards::{self, Incoming, Port, SerialPort, UsbPort};
 use crate::shared::{self, ASKED, CONTROL, SERIAL, Wake};
 use core::sync::atomic::{AtomicU32, Ordering};
 use oxmill_controller::messages::{Chunk, LINE_MESSAGES, LineByte, LineBytes, REALTIME_DEPTH, REPLIES_DEPTH, Realtime};
+use oxmill_controller::protocol::link::{AMBIGUOUS_US, MOST_HELD};
 use oxmill_controller::{HostArbiter, LineSender, Link, Queues};
 use rtic_sync::channel::{Receiver, Sender};
 
-/// Line bytes of a USB host that are kept beyond the queue: two packets more than the one that must always fit.
-const USB_HELD: usize = 3 * 64;
+/// Bytes of a USB packet.
+const PACKET: usize = 64;
 /// A UART's sender does not wait: the queue is all that it may fill.
 const UART_HELD: usize = 1;
 
@@ -30,6 +31,8 @@ const OTHER_US: u32 = 200;
 /// CR LF have between two calls (`boards::calls::REST`) at 1 Mbaud, and so few that `control` has its turn before the next call. A host
 /// that counts what it sends has no more under way than there is room for.
 const MOST_SINGLY: usize = 24;
+/// Runs in which nothing comes behind a `!` that may be text, before it is a command: some 800 us apart.
+const QUIET_RUNS: u8 = 16;
 
 /// Number of the USART among the links, and of USB.
 const UART: usize = 0;
@@ -130,19 +133,22 @@ pub fn receive() {
 }
 
 /// A link and its port.
-struct Ported<P, const HELD: usize> {
+struct Ported<P> {
     port: P,
-    link: Link<HELD>,
+    link: Link,
     open: bool,
+    /// Since when, and in how many runs, nothing has come behind a `!` that may be text.
+    quiet_since: u32,
+    quiet_runs: u8,
 }
 
-impl<P: Port, const HELD: usize> Ported<P, HELD> {
-    const fn new(number: usize, port: P) -> Self {
-        Ported { port, link: Link::new(number), open: false }
+impl<P: Port> Ported<P> {
+    const fn new(number: usize, port: P, may_hold: usize) -> Self {
+        Ported { port, link: Link::new(number, may_hold), open: false, quiet_since: 0, quiet_runs: 0 }
     }
 
     /// Looks whether a host has come or gone. Whether there is news for `control`.
-    fn look<const O: usize>(&mut self, arbiter: &mut HostArbiter, other: &mut Link<O>, queues: &ToControl) -> bool {
+    fn look(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &ToControl) -> bool {
         let mut news = false;
         // One host may go and another come at the same moment.
         for _ in 0..2 {
@@ -163,12 +169,7 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
     }
 
     /// Fetches what has come, as far as there is room. Whether there is news for `control`.
-    fn receive<const O: usize>(
-        &mut self,
-        arbiter: &mut HostArbiter,
-        other: &mut Link<O>,
-        queues: &mut ToControl,
-    ) -> bool {
+    fn receive(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut ToControl) -> bool {
         queues.may_owe = !P::WAITS;
         let mut news = self.link.pass_on(arbiter, queues);
         let (mut limited, mut singly) = (false, 0);
@@ -179,12 +180,16 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
             let queued = queues.bytes_queued;
             match self.port.receive() {
                 Incoming::Nothing => break,
-                Incoming::Lost => self.link.lose(),
+                Incoming::Lost => {
+                    self.link.lose();
+                    news |= self.link.pass_on(arbiter, queues);
+                }
                 Incoming::Byte(byte) => news |= self.link.take(byte, arbiter, other, queues),
             }
             // Of lines no more is queued than there is room for, however they end.
             queues.others = queues.others.saturating_sub(u32::from(queues.bytes_queued == queued));
             singly += 1;
+            self.quiet_runs = 0;
             let is_long = !P::WAITS && singly >= MOST_SINGLY;
             limited = (is_long || queues.others == 0 && queues.bytes_queued == queued) && !self.port.is_urgent();
             if limited {
@@ -195,7 +200,29 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
         }
         // Until the rest has been taken there is no room for more.
         self.port.allow(if limited { 0 } else { self.link.room() });
+        if self.link.is_ambiguous() && !limited && (!P::WAITS || self.link.room() >= PACKET) {
+            news |= self.await_rest(arbiter, queues);
+        }
         news
+    }
+
+    /// The last byte is a `!` that may be text, and the host could send more. Whether it is a command by now: where the processor has
+    /// stood, the rest may have come and not been looked at, so time alone does not tell.
+    #[cold]
+    fn await_rest(&mut self, arbiter: &mut HostArbiter, queues: &mut ToControl) -> bool {
+        let now = boards::clock_ticks();
+        if self.quiet_runs == 0 {
+            self.quiet_since = now;
+        }
+        self.quiet_runs = self.quiet_runs.saturating_add(1);
+        let has_waited = now.wrapping_sub(self.quiet_since) >= AMBIGUOUS_US * boards::CLOCK_TICKS_PER_US;
+        if !has_waited || self.quiet_runs < QUIET_RUNS {
+            // To be called again, though nothing comes.
+            boards::calls::call_soon();
+            return false;
+        }
+        self.link.take_as_command();
+        self.link.pass_on(arbiter, queues)
     }
 
     /// Sends what the host is refused. `false` while there is more of it.
@@ -208,8 +235,8 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
 /// Everything the task owns.
 pub struct Serial {
     arbiter: HostArbiter,
-    uart: Ported<SerialPort, UART_HELD>,
-    usb: Ported<UsbPort, USB_HELD>,
+    uart: Ported<SerialPort>,
+    usb: Ported<UsbPort>,
     queues: ToControl,
     replies: Receiver<'static, Chunk, REPLIES_DEPTH>,
     sending: Chunk,
@@ -231,8 +258,8 @@ impl Serial {
     ) -> Serial {
         Serial {
             arbiter: HostArbiter::new(),
-            uart: Ported::new(UART, uart),
-            usb: Ported::new(USB, usb),
+            uart: Ported::new(UART, uart, UART_HELD),
+            usb: Ported::new(USB, usb, MOST_HELD),
             queues: ToControl {
                 may_owe: false,
                 flushed: true,

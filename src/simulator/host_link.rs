@@ -1,4 +1,4 @@
-//! The host's end of the link. Bytes wait in the host's port, the boards' own [`Link`](oxmill_controller::Link) fetches
+//! The host's end of the link. Bytes wait in the host's port, the boards' own [`Link`] fetches
 //! them, and the controller takes them from the queues. A host can connect, disconnect, lose bytes and stay silent.
 //!
 //! ```text
@@ -9,11 +9,11 @@
 
 use crate::boards::AXES;
 use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, REALTIME_DEPTH, Realtime};
+use oxmill_controller::protocol::link::{AMBIGUOUS_US, MOST_HELD};
+use oxmill_controller::units::{Duration, Instant};
 use oxmill_controller::{HostArbiter, Link, Queues};
 use std::collections::VecDeque;
 
-/// Line bytes that the link keeps beyond the queue, as that of USB on the boards.
-const HELD: usize = 3 * 64;
 /// Number of the host's link, and of the one that has no host.
 const HOST: usize = 0;
 const UNUSED: usize = 1;
@@ -70,14 +70,16 @@ impl Queues for ToControl {
 pub struct HostLink {
     /// Sent by the host and not yet fetched by the link, which has no room.
     port: VecDeque<u8>,
-    link: Link<HELD>,
-    unused_link: Link<1>,
+    link: Link,
+    unused_link: Link,
     arbiter: HostArbiter,
     queues: ToControl,
     /// Bytes that the link has fetched (wrapping).
     heard: u16,
     connected: bool,
     disconnected: bool,
+    /// When a `!` that may be text is a command, if nothing comes until then.
+    command_at: Option<Instant>,
     /// More bytes wait behind those that were sent, in a replay.
     more: bool,
     /// The host is never silent, in a replay.
@@ -88,13 +90,14 @@ impl Default for HostLink {
     fn default() -> Self {
         HostLink {
             port: VecDeque::new(),
-            link: Link::new(HOST),
-            unused_link: Link::new(UNUSED),
+            link: Link::new(HOST, MOST_HELD),
+            unused_link: Link::new(UNUSED, 0),
             arbiter: HostArbiter::new(),
             queues: ToControl::default(),
             heard: 0,
             connected: false,
             disconnected: false,
+            command_at: None,
             more: false,
             never_silent: false,
         }
@@ -156,6 +159,28 @@ impl HostLink {
         Some(self.link.take(byte, &mut self.arbiter, &mut self.unused_link, &mut self.queues))
     }
 
+    /// All that could be fetched has been: if the last byte is a `!` that may be text, the rest of its line is waited for.
+    /// Whether it has been waited for long enough, and a command was queued.
+    pub fn await_rest(&mut self, now: Instant) -> bool {
+        if !self.link.is_ambiguous() {
+            self.command_at = None;
+            return false;
+        }
+        // What has no room yet may be the rest.
+        let at = *self.command_at.get_or_insert(now + Duration::micros(AMBIGUOUS_US.into()));
+        if !self.port.is_empty() || now < at {
+            return false;
+        }
+        self.command_at = None;
+        self.link.take_as_command();
+        self.pass_on()
+    }
+
+    /// When to look again at a `!` that may be text, if the host could send the rest of its line.
+    pub fn rest_due(&self) -> Option<Instant> {
+        self.command_at.filter(|_| self.port.is_empty())
+    }
+
     /// Whether the step task has to be stopped; `true` once.
     pub fn wants_stop(&mut self) -> bool {
         std::mem::take(&mut self.queues.stop)
@@ -163,7 +188,7 @@ impl HostLink {
 
     /// Whether something has found no room.
     pub fn waits(&self) -> bool {
-        !self.port.is_empty() || self.link.is_waiting()
+        !self.port.is_empty() || self.link.is_waiting() || self.link.is_ambiguous()
     }
 
     // The control task

@@ -1,10 +1,6 @@
-//! `Link`: received bytes of one host on the way into the queues to `control`: commands out of the byte stream, even
-//! `mid_line`, and line bytes, which are held while a queue is full; lines get a `Refusal` up to their end (`after_cr`)
-//! from a host without the floor, which is ignored or answered. `HostArbiter` with its `Floor` decides which of two
-//! hosts is the `holder` (claim, seize, leave, cut). Lives in the serial task. `Queues` says whether all `is_free`, and takes a `Realtime` command or
-//! a `LineByte`; functions are `take`, `pass_on`, `void_line`, `turn_to`, `came`, `went`, `owes_cut`, `is_waiting`,
-//! `forget`. A command without room is `stuck` (`FeedHold`, `SafetyDoor`), bytes may be `lost`; `OTHER` belongs to the
-//! other link.
+//! What a host sends, on its way to the control task. A `Link` takes the bytes of one host, in the serial task. It picks out realtime
+//! commands, which go ahead of all lines, and keeps bytes of lines for which the queue has no room. Two hosts may be connected, by UART
+//! and USB: `HostArbiter` says which of them has the floor. Lines of the other one are refused with `error:8`.
 //!
 //! ```text
 //!  host ──▶ Link ──realtime──────────────────────▶ queue     at once, past all lines
@@ -22,11 +18,21 @@
 //!
 //! Characters of a remark are text, though a byte of them may look like a command: see [`remark`](super::remark). Whether
 //! they are is known with their last byte, so the bytes before wait here; if it is no character, they are commands after all.
+//!
+//! A `!` in a remark may be text, as in `(slow!)`, or an operator's. It is text if the line goes on behind it, and a command if
+//! nothing comes for [`AMBIGUOUS_US`]: see [`Link::take_as_command`]. A `~` in a remark is text: a pause of the host must not start
+//! a machine that is held. In dialect `grbl` both always are commands.
 
 use crate::messages::{HOST_CHANGED, LineByte, Realtime};
 use crate::protocol::floor::Floor;
 use crate::protocol::realtime::{Received, is_plain};
 use crate::protocol::remark::Remark;
+
+/// How long a `!` in a remark waits for the rest of its line, in µs: 230 bytes at 115,200 baud.
+pub const AMBIGUOUS_US: u32 = 20_000;
+
+/// Bytes of lines that a link can hold: two packets of USB more than the one that must always fit.
+pub const MOST_HELD: usize = 3 * 64;
 
 /// The way to `control`.
 pub trait Queues {
@@ -105,7 +111,7 @@ impl HostArbiter {
 
     /// A host sends a line: whether it has the floor.
     #[inline]
-    fn claim<const OTHER: usize>(&mut self, link: usize, other: &mut Link<OTHER>, queues: &impl Queues) -> bool {
+    fn claim(&mut self, link: usize, other: &mut Link, queues: &impl Queues) -> bool {
         // Nearly always, and nothing changes by it.
         if self.floor.is_held_by(link) {
             return true;
@@ -116,7 +122,7 @@ impl HostArbiter {
 
     /// Lets `ask` ask for the floor. Where another host takes over, the one that loses it is cut short: its half line, the partial
     /// line that it has sent so far, is void.
-    fn turn_to<const OTHER: usize>(&mut self, other: &mut Link<OTHER>, ask: impl FnOnce(&mut Floor) -> bool) -> bool {
+    fn turn_to(&mut self, other: &mut Link, ask: impl FnOnce(&mut Floor) -> bool) -> bool {
         let before = self.floor.holder();
         let granted = ask(&mut self.floor);
         if self.floor.holder() != before {
@@ -128,11 +134,13 @@ impl HostArbiter {
     }
 }
 
-/// The receiving side of one link to a host. At most `HELD` bytes of lines wait here for room in the queue.
+/// The receiving side of one link to a host.
 #[derive(Clone, Debug)]
-pub struct Link<const HELD: usize> {
+pub struct Link {
     number: usize,
-    held: heapless::Deque<LineByte, HELD>,
+    /// Bytes of lines that wait for room in the queue, and how many may.
+    held: heapless::Deque<LineByte, MOST_HELD>,
+    may_hold: usize,
     /// Commands for which there was no room: nothing more is taken, as they may not be overtaken by another. One, or those that
     /// [`Remark::break_off`] has given with it.
     stuck: heapless::Deque<Realtime, 4>,
@@ -146,23 +154,28 @@ pub struct Link<const HELD: usize> {
     after_cr: bool,
     /// The remark that the line is in, and the bytes of its next character.
     remark: Remark,
+    /// A hold came in a remark, and nothing behind it yet.
+    is_ambiguous: bool,
     /// What is left of the refusals to be sent: so many, less so many bytes of the first.
     refusals: u16,
     refused_bytes: usize,
 }
 
-impl<const HELD: usize> Link<HELD> {
-    /// Nothing received.
-    pub const fn new(number: usize) -> Self {
+impl Link {
+    /// Nothing received. `may_hold`: how many bytes of lines may wait here for room in the queue, at most [`MOST_HELD`].
+    pub const fn new(number: usize, may_hold: usize) -> Self {
+        assert!(may_hold <= MOST_HELD);
         Self {
             number,
             held: heapless::Deque::new(),
+            may_hold,
             stuck: heapless::Deque::new(),
             lost: false,
             mid_line: false,
             refusing_line: false,
             after_cr: false,
             remark: Remark::NONE,
+            is_ambiguous: false,
             refusals: 0,
             refused_bytes: 0,
         }
@@ -170,7 +183,7 @@ impl<const HELD: usize> Link<HELD> {
 
     /// How many bytes can be taken, whatever they are, with both queues full.
     pub fn room(&self) -> usize {
-        if !self.stuck.is_empty() { 0 } else { HELD - self.held.len() }
+        if !self.stuck.is_empty() { 0 } else { self.may_hold.saturating_sub(self.held.len()) }
     }
 
     /// Line bytes that wait for room in the queue.
@@ -185,24 +198,12 @@ impl<const HELD: usize> Link<HELD> {
 
     /// Takes a byte. Without room it is lost, which the next byte of a line says: a link that can wait is not read then.
     /// Gives whether something was queued.
-    pub fn take<const OTHER: usize>(
-        &mut self,
-        byte: u8,
-        arbiter: &mut HostArbiter,
-        other: &mut Link<OTHER>,
-        queues: &mut impl Queues,
-    ) -> bool {
+    pub fn take(&mut self, byte: u8, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut impl Queues) -> bool {
         self.take_text(&[byte], arbiter, queues) > 0 || self.take_any(byte, arbiter, other, queues)
     }
 
     /// Takes a byte of whatever kind.
-    fn take_any<const OTHER: usize>(
-        &mut self,
-        byte: u8,
-        arbiter: &mut HostArbiter,
-        other: &mut Link<OTHER>,
-        queues: &mut impl Queues,
-    ) -> bool {
+    fn take_any(&mut self, byte: u8, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut impl Queues) -> bool {
         let mut any = false;
         for byte in self.remark.break_off(byte) {
             if let Received::Realtime(command) = Received::of(byte) {
@@ -210,6 +211,7 @@ impl<const HELD: usize> Link<HELD> {
             }
         }
         if self.remark.takes(byte, || queues.reads_characters()) {
+            self.is_ambiguous = false;
             queues.ignored();
             return any;
         }
@@ -217,15 +219,16 @@ impl<const HELD: usize> Link<HELD> {
     }
 
     /// Takes a byte that is no part of a character.
-    fn take_alone<const OTHER: usize>(
-        &mut self,
-        byte: u8,
-        arbiter: &mut HostArbiter,
-        other: &mut Link<OTHER>,
-        queues: &mut impl Queues,
-    ) -> bool {
+    fn take_alone(&mut self, byte: u8, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut impl Queues) -> bool {
         match Received::of(byte) {
             Received::Nothing => {
+                queues.ignored();
+                false
+            }
+            Received::Realtime(command @ (Realtime::FeedHold | Realtime::CycleStart))
+                if self.remark.is_inside() && queues.reads_characters() =>
+            {
+                self.is_ambiguous |= command == Realtime::FeedHold;
                 queues.ignored();
                 false
             }
@@ -240,6 +243,7 @@ impl<const HELD: usize> Link<HELD> {
                 }
                 if matches!(command, Realtime::Reset | Realtime::Stop) {
                     self.remark.leave();
+                    self.is_ambiguous = false;
                     other.void_line(arbiter);
                 }
                 // A realtime command cuts no line: the answer to a `?` goes to the host that is within a line.
@@ -250,6 +254,7 @@ impl<const HELD: usize> Link<HELD> {
                 self.command(command, arbiter, queues)
             }
             Received::Line(byte) => {
+                self.is_ambiguous = false;
                 self.remark.follow(byte);
                 let second_of_crlf = byte == b'\n' && self.after_cr;
                 self.after_cr = byte == b'\r';
@@ -271,7 +276,7 @@ impl<const HELD: usize> Link<HELD> {
                 }
                 let byte = LineByte { byte, epoch: arbiter.epoch, damaged: self.lost };
                 let queued = self.held.is_empty() && arbiter.line(byte, queues);
-                self.lost = !queued && self.held.push_back(byte).is_err();
+                self.lost = !queued && (self.held.len() >= self.may_hold || self.held.push_back(byte).is_err());
                 queued
             }
         }
@@ -286,7 +291,7 @@ impl<const HELD: usize> Link<HELD> {
             return 0;
         }
         let has_floor = !arbiter.cut && arbiter.floor.is_held_by(self.number);
-        let has_no_room = self.held.is_full() && !queues.waits() && has_floor;
+        let has_no_room = self.held.len() >= self.may_hold && !queues.waits() && has_floor;
         if self.mid_line && (self.refusing_line || has_no_room) {
             return self.drop_text(bytes);
         }
@@ -299,6 +304,7 @@ impl<const HELD: usize> Link<HELD> {
         let taken = if text.is_empty() { 0 } else { queues.text(arbiter.epoch, text) };
         if let Some(last) = taken.checked_sub(1).and_then(|last| bytes.get(last)) {
             self.mid_line = *last != b'\n';
+            self.is_ambiguous = false;
         }
         if self.remark.is_inside() && text.iter().take(taken).any(|byte| *byte == b'\n') {
             self.remark.leave();
@@ -311,9 +317,25 @@ impl<const HELD: usize> Link<HELD> {
         let dropped = bytes.iter().take_while(|byte| is_plain(**byte)).count();
         if dropped > 0 {
             self.after_cr = false;
+            self.is_ambiguous = false;
             self.lost |= !self.refusing_line;
         }
         dropped
+    }
+
+    /// Whether the last byte is a `!` that may be text.
+    #[inline]
+    pub fn is_ambiguous(&self) -> bool {
+        self.is_ambiguous
+    }
+
+    /// Nothing has come behind a `!` in a remark for [`AMBIGUOUS_US`], though the link could have taken it, or what comes next may
+    /// belong to another line: it is a hold, which [`Link::pass_on`] queues.
+    pub fn take_as_command(&mut self) {
+        if core::mem::take(&mut self.is_ambiguous) {
+            // There is room: it holds what stuck behind this one, and that was no more than a command.
+            let _ = self.stuck.push_back(Realtime::FeedHold);
+        }
     }
 
     fn command(&mut self, command: Realtime, arbiter: &mut HostArbiter, queues: &mut impl Queues) -> bool {
@@ -345,6 +367,7 @@ impl<const HELD: usize> Link<HELD> {
 
     /// The other host has reset the machine: of the line that has begun here nothing may be read.
     fn void_line(&mut self, arbiter: &mut HostArbiter) {
+        self.is_ambiguous = false;
         if !self.mid_line || self.refusing_line {
             return;
         }
@@ -358,18 +381,14 @@ impl<const HELD: usize> Link<HELD> {
     /// Bytes were lost on the way here: the line that they belong to will be refused.
     pub fn lose(&mut self) {
         self.lost = true;
+        self.take_as_command();
         self.remark.leave();
     }
 
     /// A host has opened its port. Gives whether it has the floor: another host's job continues, and this one is not greeted
     /// within it. A [`HOST_CHANGED`] goes before its first byte of a line: it ends what was there before. What has no place in the
     /// queue is forgotten: it was sent before the port was opened, and the start of its line may be in front of the cut.
-    pub fn came<const OTHER: usize>(
-        &mut self,
-        arbiter: &mut HostArbiter,
-        other: &mut Link<OTHER>,
-        queues: &impl Queues,
-    ) -> bool {
+    pub fn came(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &impl Queues) -> bool {
         let free = queues.is_free();
         let granted = arbiter.turn_to(other, |floor| floor.claim(self.number, free, true));
         arbiter.cut |= granted;
@@ -390,8 +409,9 @@ impl<const HELD: usize> Link<HELD> {
     }
 
     fn forget(&mut self) {
+        self.take_as_command();
         let stuck = core::mem::take(&mut self.stuck);
-        *self = Self { stuck, ..Self::new(self.number) };
+        *self = Self { stuck, ..Self::new(self.number, self.may_hold) };
     }
 
     /// Sends what the host is refused. `false` while there is more of it.
@@ -475,8 +495,8 @@ mod tests {
     struct Both<const HELD: usize> {
         queues: Depths,
         arbiter: HostArbiter,
-        uart: Link<1>,
-        usb: Link<HELD>,
+        uart: Link,
+        usb: Link,
     }
 
     impl<const HELD: usize> Both<HELD> {
@@ -484,8 +504,8 @@ mod tests {
             Both {
                 queues: Depths { most_commands, most_lines, ..Depths::default() },
                 arbiter: HostArbiter::new(),
-                uart: Link::new(0),
-                usb: Link::new(1),
+                uart: Link::new(0, 1),
+                usb: Link::new(1, HELD),
             }
         }
 
@@ -843,19 +863,71 @@ mod tests {
         assert_eq!((both.text().as_str(), &both.queues.commands[..]), ("(uere Kontur)\n", &[SafetyDoor][..]));
     }
 
+    /// What becomes of bytes behind which nothing comes for long.
+    fn heard(bytes: &[u8], is_grbl: bool) -> (String, Vec<Realtime>, Vec<Realtime>) {
+        let mut both = Both::<16>::new(8, 100);
+        both.queues.is_grbl = is_grbl;
+        both.usb(bytes);
+        let at_once = core::mem::take(&mut both.queues.commands);
+        both.usb.take_as_command();
+        both.pass_on();
+        (both.text(), at_once, both.queues.commands)
+    }
+
+    #[test]
+    fn a_hold_in_a_remark_is_text_if_the_line_goes_on() {
+        use Realtime::{CycleStart, FeedHold, Reset, Status};
+        for (bytes, text, at_once, later) in [
+            (&b"(slow!)G1\n"[..], "(slow)G1\n", &[][..], &[][..]),
+            (b"; slow!\n", "; slow\n", &[], &[]),
+            (b"; slow!\r\n", "; slow\r\n", &[], &[]),
+            (b"(5~10 mm, wow!!", "(510 mm, wow", &[], &[FeedHold]),
+            (b"(a~", "(a", &[], &[]),
+            (b"(a~!", "(a", &[], &[FeedHold]),
+            (b"(a!~", "(a", &[], &[FeedHold]),
+            (b"(a!?)", "(a)", &[Status], &[]),
+            (b"(a!?", "(a", &[Status], &[FeedHold]),
+            (b"(a!\xC3\x84", "(a", &[], &[]),
+            (b"(a!\x18", "(a", &[Reset], &[]),
+            (b"(a)!", "(a)", &[FeedHold], &[]),
+            (b"G1!X~1\n", "G1X1\n", &[FeedHold, CycleStart], &[]),
+        ] {
+            let expected = (text.to_owned(), at_once.to_vec(), later.to_vec());
+            assert_eq!(heard(bytes, false), expected, "{}", bytes.escape_ascii());
+        }
+        assert_eq!(heard(b"(slow!)~", true), ("(slow)".into(), vec![FeedHold, CycleStart], vec![]));
+    }
+
+    #[test]
+    fn a_hold_in_a_remark_is_a_hold_where_bytes_are_lost_or_the_host_goes() {
+        for (byte, expected) in [(b'!', &[Realtime::FeedHold][..]), (b'~', &[])] {
+            let mut both = Both::<16>::new(8, 100);
+            both.uart(&[b'(', byte]);
+            both.uart.lose();
+            both.uart(b"a)\n");
+            both.pass_on();
+            assert_eq!(both.queues.commands, expected);
+            let mut both = Both::<16>::new(8, 100);
+            both.uart(&[b'(', byte]);
+            both.uart.went(&mut both.arbiter);
+            both.pass_on();
+            assert_eq!(both.queues.commands, expected);
+        }
+    }
+
     /// What waits for the rest of a character that does not come is not lost with it, and finds room in its order.
     #[test]
     fn a_character_that_is_broken_off_is_commands() {
-        use Realtime::{FeedHold, FeedReset, JogCancel, SafetyDoor};
+        use Realtime::{FeedReset, JogCancel, SafetyDoor, Status};
         let mut both = Both::<16>::new(0, 100);
-        both.usb(b"(\xF0\x90\x85!");
+        both.usb(b"(\xF0\x90\x85?");
         assert_eq!((both.usb.room(), both.queues.commands.len()), (0, 0));
         both.queues.most_commands = 2;
         both.pass_on();
         assert_eq!(both.usb.room(), 0);
         both.queues.most_commands = 3;
         both.pass_on();
-        assert_eq!(both.queues.commands, [FeedReset, JogCancel, FeedHold]);
+        assert_eq!(both.queues.commands, [FeedReset, JogCancel, Status]);
         assert_eq!(both.usb.room(), 16);
         // Bytes were lost: what follows may be of another character, or of no remark.
         let mut both = Both::<16>::new(8, 100);
@@ -922,7 +994,7 @@ mod tests {
         ]
     }
 
-    /// What a Grbl makes of all bytes but the characters of remarks, which the standard library finds.
+    /// What a Grbl makes of all bytes but the text of remarks, whose characters the standard library finds.
     fn commands_of(bytes: &[u8]) -> Vec<Realtime> {
         let mut commands = Vec::new();
         let mut give = |bytes: &[u8]| {
@@ -938,7 +1010,8 @@ mod tests {
             let ends = |byte: &u8| matches!(byte, b'\n' | b'\r' | 0x18 | 0x19) || *byte == b')' && remark[0] == b'(';
             let end = remark.iter().position(ends).unwrap_or(remark.len());
             for chunk in remark[..end].utf8_chunks() {
-                let kept: String = chunk.valid().chars().filter(|character| *character < '\u{C0}').collect();
+                let acts = |character: &char| *character < '\u{C0}' && !matches!(*character, '!' | '~');
+                let kept: String = chunk.valid().chars().filter(acts).collect();
                 give(kept.as_bytes());
                 give(chunk.invalid());
             }
@@ -984,7 +1057,7 @@ mod tests {
     }
 
     proptest! {
-        /// A command is never lost or made up, but for the bytes of a remark's characters: whatever comes, in whatever pieces,
+        /// A command is never lost or made up, but for the text of remarks: whatever comes, in whatever pieces,
         /// and however little room there is.
         #[test]
         fn a_stop_byte_is_never_lost(
