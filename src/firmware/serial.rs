@@ -16,6 +16,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use oxmill_controller::messages::{Chunk, LINE_MESSAGES, LineByte, LineBytes, REALTIME_DEPTH, REPLIES_DEPTH, Realtime};
 use oxmill_controller::{HostArbiter, LineSender, Link, Queues};
 use rtic_sync::channel::{Receiver, Sender};
+use rtic_sync::signal::SignalWriter;
 
 /// Line bytes of a USB host that are kept beyond the queue: two packets more than the one that must always fit.
 const USB_HELD: usize = 3 * 64;
@@ -49,8 +50,9 @@ struct ToControl {
     /// Bytes that are no parts of lines that may still be taken, and since when one has been made up for.
     others: u32,
     others_since: u32,
-    /// Others have come that may not be taken yet.
-    left_unread: bool,
+    /// Others have come that may not be taken yet, and the task is to be called again.
+    leaves_unread: bool,
+    left_unread: SignalWriter<'static, ()>,
 }
 
 impl ToControl {
@@ -121,14 +123,6 @@ impl Queues for ToControl {
     }
 }
 
-/// The interrupt of the UART, above the step task: it keeps a byte that has come, and calls [`Serial::run`] where that has
-/// something to do.
-#[inline(always)]
-pub fn receive() {
-    ASKED.receive.store(false, Ordering::Relaxed);
-    boards::on_receive();
-}
-
 /// A link and its port.
 struct Ported<P, const HELD: usize> {
     port: P,
@@ -188,8 +182,8 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
             let is_long = !P::WAITS && singly >= MOST_SINGLY;
             limited = (is_long || queues.others == 0 && queues.bytes_queued == queued) && !self.port.is_urgent();
             if limited {
-                queues.left_unread = true;
-                boards::calls::call_soon();
+                queues.leaves_unread = true;
+                queues.left_unread.write(());
                 break;
             }
         }
@@ -227,7 +221,7 @@ impl Serial {
         realtime: Sender<'static, Realtime, REALTIME_DEPTH>,
         lines: Sender<'static, LineBytes, LINE_MESSAGES>,
         replies: Receiver<'static, Chunk, REPLIES_DEPTH>,
-        wake: Wake,
+        (wake, left_unread): (Wake, SignalWriter<'static, ()>),
     ) -> Serial {
         Serial {
             arbiter: HostArbiter::new(),
@@ -242,7 +236,8 @@ impl Serial {
                 bytes_queued: 0,
                 others: MOST_OTHERS,
                 others_since: 0,
-                left_unread: false,
+                leaves_unread: false,
+                left_unread,
             },
             replies,
             sending: Chunk { len: 0, bytes: [0; 15] },
@@ -252,7 +247,7 @@ impl Serial {
         }
     }
 
-    /// Called for a received byte or packet, for room to send, and by `control` (an answer to send; room
+    /// Called for received bytes or a packet, for room to send, and by `control` (an answer to send; room
     /// in the queues). Once in the image, and not in each of two vectors.
     #[inline(never)]
     pub fn run(&mut self) {
@@ -260,7 +255,7 @@ impl Serial {
         let Serial { arbiter, uart, usb, queues, .. } = self;
         queues.flushed = self.sent >= self.sending.as_bytes().len()
             && self.replies.is_empty()
-            && !core::mem::take(&mut queues.left_unread);
+            && !core::mem::take(&mut queues.leaves_unread);
         queues.allow_others();
         let mut news = uart.receive(arbiter, &mut usb.link, queues);
         news |= usb.look(arbiter, &mut uart.link, queues);
@@ -270,10 +265,9 @@ impl Serial {
         count(&SERIAL.heard, queued);
         count(&SERIAL.bytes_queued, queued);
         news |= queues.flush();
-        SERIAL.gathers.store(queues.line_sender.is_waiting(), Ordering::Relaxed);
-        SERIAL.holds_byte.store(uart.link.is_waiting() || usb.link.is_waiting(), Ordering::Relaxed);
         let held = uart.link.held() + usb.link.held();
-        let held = (held + usize::from(held > 0 && arbiter.owes_cut())) as u32;
+        let is_stuck = held == 0 && (uart.link.is_waiting() || usb.link.is_waiting());
+        let held = (held + usize::from(held > 0 && arbiter.owes_cut() || is_stuck)) as u32;
         SERIAL.bytes_received.store(SERIAL.bytes_queued.load(Ordering::Relaxed).wrapping_add(held), Ordering::Relaxed);
         news |= self.send();
         if news {

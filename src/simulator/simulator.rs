@@ -93,6 +93,7 @@ impl Simulator {
             has_second_motor: true,
             has_at_speed: board.has_at_speed,
             program_pins: board.program_pins,
+            most_baud: board.most_baud,
             has_store: true,
         };
         let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, BLOCKS)));

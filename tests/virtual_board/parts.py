@@ -94,6 +94,10 @@ class Wiring:
     program_outputs: tuple = ()
     program_inputs: tuple = ()
     step_irq: int = 50
+    serial_irq: int = 17
+    """The vector of the stream that sends; on a Black Pill that of SPI2."""
+    uart_irq: int | None = None
+    """The UART's own, where DMA does not serve it."""
     usb: bool = False
     """OTG_FS is the first link to the host."""
     left_out: tuple = ()
@@ -120,6 +124,10 @@ class Wiring:
         return 4 if "axes: AXES," in row else 3
 
     @property
+    def most_baud(self):
+        return self.promised("most_baud")
+
+    @property
     def least_pulse_us(self):
         return self.promised("least_pulse_tenths") / 10
 
@@ -135,7 +143,7 @@ BLACKPILL_F411 = Wiring(
     step=("A1", "A2", "A3"), direction=("A4", "A5", "A6"), limits=("B12", "B13", "B14"),
     enable="B0", spindle="B1", spindle_direction="B10", flood="B8", mist="B9", pwm="A7",
     probe="B15", door="B7", hold="B5", start="B6", reset="B4", driver_fault="B3", second_step="A8", second_direction="A15",
-    second_limit="A0", at_speed=None, usart="USART1", usb=True,
+    second_limit="A0", at_speed=None, usart="USART1", serial_irq=36, uart_irq=37, usb=True,
 )  # fmt: skip
 BLACKPILL_F401 = replace(BLACKPILL_F411, name="blackpill_f401", part=STM32F401, core_hz=84 * MHZ, left_out=("splines", "recording"))
 NUCLEO_F446RE = Wiring(
