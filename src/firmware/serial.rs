@@ -14,12 +14,15 @@ use crate::boards::{self, Incoming, Port, SerialPort, UsbPort};
 use crate::shared::{self, ASKED, CONTROL, SERIAL, Wake};
 use core::sync::atomic::{AtomicU32, Ordering};
 use oxmill_controller::messages::{Chunk, LINE_MESSAGES, LineByte, LineBytes, REALTIME_DEPTH, REPLIES_DEPTH, Realtime};
+use oxmill_controller::protocol::link::AMBIGUOUS_US;
 use oxmill_controller::{HostArbiter, LineSender, Link, Queues};
 use rtic_sync::channel::{Receiver, Sender};
 use rtic_sync::signal::SignalWriter;
 
+/// Bytes of a USB packet.
+const PACKET: usize = 64;
 /// Line bytes of a USB host that are kept beyond the queue: two packets more than the one that must always fit.
-const USB_HELD: usize = 3 * 64;
+const USB_HELD: usize = 3 * PACKET;
 /// A UART's sender does not wait: the queue is all that it may fill.
 const UART_HELD: usize = 1;
 
@@ -128,11 +131,13 @@ struct Ported<P, const HELD: usize> {
     port: P,
     link: Link<HELD>,
     open: bool,
+    /// Since when nothing has come behind a `!` or `~` that may be text.
+    quiet_since: Option<u32>,
 }
 
 impl<P: Port, const HELD: usize> Ported<P, HELD> {
     const fn new(number: usize, port: P) -> Self {
-        Ported { port, link: Link::new(number), open: false }
+        Ported { port, link: Link::new(number), open: false, quiet_since: None }
     }
 
     /// Looks whether a host has come or gone. Whether there is news for `control`.
@@ -189,7 +194,26 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
         }
         // Until the rest has been taken there is no room for more.
         self.port.allow(if limited { 0 } else { self.link.room() });
+        if !self.link.is_ambiguous() {
+            self.quiet_since = None;
+        } else if !limited && (!P::WAITS || self.link.room() >= PACKET) {
+            news |= self.await_rest(arbiter, queues);
+        }
         news
+    }
+
+    /// The last byte is a `!` or `~` that may be text, and the host could send more. Whether it is a command by now.
+    #[cold]
+    fn await_rest(&mut self, arbiter: &mut HostArbiter, queues: &mut ToControl) -> bool {
+        let now = boards::clock_ticks();
+        let since = *self.quiet_since.get_or_insert(now);
+        if now.wrapping_sub(since) < AMBIGUOUS_US * boards::CLOCK_TICKS_PER_US {
+            // To be called again, though nothing comes.
+            queues.left_unread.write(());
+            return false;
+        }
+        self.link.take_as_command();
+        self.link.pass_on(arbiter, queues)
     }
 
     /// Sends what the host is refused. `false` while there is more of it.

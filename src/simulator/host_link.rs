@@ -10,6 +10,8 @@
 
 use crate::boards::AXES;
 use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, REALTIME_DEPTH, Realtime};
+use oxmill_controller::protocol::link::AMBIGUOUS_US;
+use oxmill_controller::units::{Duration, Instant};
 use oxmill_controller::{HostArbiter, Link, Queues};
 use std::collections::VecDeque;
 
@@ -79,6 +81,8 @@ pub struct HostLink {
     heard: u16,
     connected: bool,
     disconnected: bool,
+    /// When a `!` or `~` that may be text is a command, if nothing comes until then.
+    command_at: Option<Instant>,
     /// More bytes wait behind those that were sent, in a replay.
     more: bool,
     /// The host is never silent, in a replay.
@@ -96,6 +100,7 @@ impl Default for HostLink {
             heard: 0,
             connected: false,
             disconnected: false,
+            command_at: None,
             more: false,
             never_silent: false,
         }
@@ -157,6 +162,28 @@ impl HostLink {
         Some(self.link.take(byte, &mut self.arbiter, &mut self.unused_link, &mut self.queues))
     }
 
+    /// All that could be fetched has been: if the last byte is a `!` or `~` that may be text, the rest of its line is waited for.
+    /// Whether it has been waited for long enough, and a command was queued.
+    pub fn await_rest(&mut self, now: Instant) -> bool {
+        if !self.link.is_ambiguous() {
+            self.command_at = None;
+            return false;
+        }
+        // What has no room yet may be the rest.
+        let at = *self.command_at.get_or_insert(now + Duration::micros(AMBIGUOUS_US.into()));
+        if !self.port.is_empty() || now < at {
+            return false;
+        }
+        self.command_at = None;
+        self.link.take_as_command();
+        self.pass_on()
+    }
+
+    /// When to look again at a `!` or `~` that may be text, if the host could send the rest of its line.
+    pub fn rest_due(&self) -> Option<Instant> {
+        self.command_at.filter(|_| self.port.is_empty())
+    }
+
     /// Whether the step task has to be stopped; `true` once.
     pub fn wants_stop(&mut self) -> bool {
         std::mem::take(&mut self.queues.stop)
@@ -164,7 +191,7 @@ impl HostLink {
 
     /// Whether something has found no room.
     pub fn waits(&self) -> bool {
-        !self.port.is_empty() || self.link.is_waiting()
+        !self.port.is_empty() || self.link.is_waiting() || self.link.is_ambiguous()
     }
 
     // The control task

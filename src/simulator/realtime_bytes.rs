@@ -61,7 +61,7 @@ pub fn warning(line: &[u8]) -> Option<String> {
     (!told.is_empty()).then(|| format!("sent as it is, {}", told.join("; ")))
 }
 
-/// Which bytes are characters of a remark, and no commands but to Grbl.
+/// Which bytes are text of a remark, and no commands but to Grbl.
 fn texts(line: &[u8]) -> Vec<bool> {
     let mut remark = Remark::NONE;
     let mut is_text = vec![false; line.len()];
@@ -72,6 +72,8 @@ fn texts(line: &[u8]) -> Vec<bool> {
             begun_at = at;
         }
         if !remark.takes(*byte, || true) {
+            // The line goes on behind it, at least by its end.
+            is_text[at] = matches!(byte, b'!' | b'~') && remark.is_inside();
             remark.follow(*byte);
         } else if !remark.has_begun_character() {
             is_text[begun_at..=at].fill(true);
@@ -109,15 +111,16 @@ mod tests {
     fn what_a_line_would_do_is_told_by_dialect() {
         let told = |line: &str| warning(line.as_bytes());
         assert_eq!(told("G1 X1 (plain, really?) ; µm ° ß ü é 切"), None);
-        assert_eq!(told("(wow! good!)").unwrap(), "sent as it is, `!` holds the machine in every dialect");
+        assert_eq!(told("(wow! good!)").unwrap(), "sent as it is, `!` holds the machine in dialect grbl");
+        assert_eq!(told("(wow) !").unwrap(), "sent as it is, `!` holds the machine in every dialect");
         assert_eq!(
             told("(Äußere Kontur)").unwrap(),
             "sent as it is, byte 0x84 of `Ä` opens the safety door in dialect grbl"
         );
         assert_eq!(
             told("G1 X1 ; à (Ö ~").unwrap(),
-            "sent as it is, `~` goes on where the machine is held in every dialect; byte 0xA0 of `à` switches flood coolant \
-             on or off, byte 0x96 of `Ö` sets rapids to 50 % in dialect grbl"
+            "sent as it is, byte 0xA0 of `à` switches flood coolant on or off, byte 0x96 of `Ö` sets rapids to 50 %, `~` goes on \
+             where the machine is held in dialect grbl"
         );
         assert_eq!(
             told("Ä(20\u{A0}mm \u{1F604})").unwrap(),

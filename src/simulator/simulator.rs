@@ -346,9 +346,11 @@ impl Simulator {
         true
     }
 
-    /// The tick of the controller's next wake-up, if the clock comes to it.
+    /// The tick at which something is to be done next, by the controller or for a byte that may be text or a command, if the clock
+    /// comes to it.
     fn wake_due(&self) -> Option<u64> {
-        let due = self.clock.ticks_at(self.controller.next_wakeup()?);
+        let due = [self.controller.next_wakeup(), self.host.rest_due()].into_iter().flatten();
+        let due = due.map(|instant| self.clock.ticks_at(instant)).min()?;
         (due <= self.clock.end()).then(|| due.max(self.clock.now() + 1))
     }
 
@@ -368,6 +370,7 @@ impl Simulator {
         self.controller.is_idle()
             && self.step.is_done()
             && self.unread() == 0
+            && self.host.rest_due().is_none()
             && !self.power_is_gone()
             && self.job.0.as_ref().is_none_or(|job| job.is_used_up())
     }
@@ -557,7 +560,7 @@ impl Simulator {
                 self.stop();
             }
         }
-        any
+        any | self.host.await_rest(self.clock.instant())
     }
 
     /// One turn of the control task at the present time.

@@ -22,11 +22,17 @@
 //!
 //! Characters of a remark are text, though a byte of them may look like a command: see [`remark`](super::remark). Whether
 //! they are is known with their last byte, so the bytes before wait here; if it is no character, they are commands after all.
+//!
+//! A `!` or `~` in a remark may be text, as in `(slow!)`, or an operator's. It is text if the line goes on behind it, and a
+//! command if nothing comes for [`AMBIGUOUS_US`]: see [`Link::take_as_command`]. In dialect `grbl` it always is a command.
 
 use crate::messages::{HOST_CHANGED, LineByte, Realtime};
 use crate::protocol::floor::Floor;
 use crate::protocol::realtime::{Received, is_plain};
 use crate::protocol::remark::Remark;
+
+/// How long a `!` or `~` in a remark waits for the rest of its line, in µs: 230 bytes at 115,200 baud.
+pub const AMBIGUOUS_US: u32 = 20_000;
 
 /// The way to `control`.
 pub trait Queues {
@@ -146,6 +152,8 @@ pub struct Link<const HELD: usize> {
     after_cr: bool,
     /// The remark that the line is in, and the bytes of its next character.
     remark: Remark,
+    /// A hold or a start that came in a remark, and behind which nothing has come yet.
+    ambiguous: Option<Realtime>,
     /// What is left of the refusals to be sent: so many, less so many bytes of the first.
     refusals: u16,
     refused_bytes: usize,
@@ -163,6 +171,7 @@ impl<const HELD: usize> Link<HELD> {
             refusing_line: false,
             after_cr: false,
             remark: Remark::NONE,
+            ambiguous: None,
             refusals: 0,
             refused_bytes: 0,
         }
@@ -210,6 +219,7 @@ impl<const HELD: usize> Link<HELD> {
             }
         }
         if self.remark.takes(byte, || queues.reads_characters()) {
+            self.ambiguous = None;
             queues.ignored();
             return any;
         }
@@ -229,6 +239,14 @@ impl<const HELD: usize> Link<HELD> {
                 queues.ignored();
                 false
             }
+            Received::Realtime(command)
+                if is_ambiguous(byte) && self.remark.is_inside() && queues.reads_characters() =>
+            {
+                // Of both the hold counts.
+                self.ambiguous = self.ambiguous.filter(|before| *before == Realtime::FeedHold).or(Some(command));
+                queues.ignored();
+                false
+            }
             Received::Realtime(command) => {
                 if command == Realtime::Reset {
                     queues.stop();
@@ -240,6 +258,7 @@ impl<const HELD: usize> Link<HELD> {
                 }
                 if matches!(command, Realtime::Reset | Realtime::Stop) {
                     self.remark.leave();
+                    self.ambiguous = None;
                     other.void_line(arbiter);
                 }
                 // A realtime command cuts no line: the answer to a `?` goes to the host that is within a line.
@@ -250,6 +269,7 @@ impl<const HELD: usize> Link<HELD> {
                 self.command(command, arbiter, queues)
             }
             Received::Line(byte) => {
+                self.ambiguous = None;
                 self.remark.follow(byte);
                 let second_of_crlf = byte == b'\n' && self.after_cr;
                 self.after_cr = byte == b'\r';
@@ -299,6 +319,7 @@ impl<const HELD: usize> Link<HELD> {
         let taken = if text.is_empty() { 0 } else { queues.text(arbiter.epoch, text) };
         if let Some(last) = taken.checked_sub(1).and_then(|last| bytes.get(last)) {
             self.mid_line = *last != b'\n';
+            self.ambiguous = None;
         }
         if self.remark.is_inside() && text.iter().take(taken).any(|byte| *byte == b'\n') {
             self.remark.leave();
@@ -311,9 +332,31 @@ impl<const HELD: usize> Link<HELD> {
         let dropped = bytes.iter().take_while(|byte| is_plain(**byte)).count();
         if dropped > 0 {
             self.after_cr = false;
+            self.ambiguous = None;
             self.lost |= !self.refusing_line;
         }
         dropped
+    }
+
+    /// Whether the last byte is a `!` or `~` that may be text.
+    #[inline]
+    pub fn is_ambiguous(&self) -> bool {
+        self.ambiguous.is_some()
+    }
+
+    /// Nothing has come behind a `!` or `~` in a remark for [`AMBIGUOUS_US`], though the link could have taken it: it is a command,
+    /// which [`Link::pass_on`] queues.
+    pub fn take_as_command(&mut self) {
+        if let Some(command) = self.ambiguous.take() {
+            // There is room: it holds what stuck behind this one, and that was no more than a command.
+            let _ = self.stuck.push_back(command);
+        }
+    }
+
+    /// What comes next may belong to another line: a hold that may be text is one, and a start is none.
+    fn hold_if_ambiguous(&mut self) {
+        self.ambiguous = self.ambiguous.filter(|command| *command == Realtime::FeedHold);
+        self.take_as_command();
     }
 
     fn command(&mut self, command: Realtime, arbiter: &mut HostArbiter, queues: &mut impl Queues) -> bool {
@@ -345,6 +388,7 @@ impl<const HELD: usize> Link<HELD> {
 
     /// The other host has reset the machine: of the line that has begun here nothing may be read.
     fn void_line(&mut self, arbiter: &mut HostArbiter) {
+        self.ambiguous = None;
         if !self.mid_line || self.refusing_line {
             return;
         }
@@ -358,6 +402,7 @@ impl<const HELD: usize> Link<HELD> {
     /// Bytes were lost on the way here: the line that they belong to will be refused.
     pub fn lose(&mut self) {
         self.lost = true;
+        self.hold_if_ambiguous();
         self.remark.leave();
     }
 
@@ -390,6 +435,7 @@ impl<const HELD: usize> Link<HELD> {
     }
 
     fn forget(&mut self) {
+        self.hold_if_ambiguous();
         let stuck = core::mem::take(&mut self.stuck);
         *self = Self { stuck, ..Self::new(self.number) };
     }
@@ -409,6 +455,11 @@ impl<const HELD: usize> Link<HELD> {
         }
         true
     }
+}
+
+/// Whether a byte of a remark may be text or a command. The other commands have bytes that nobody writes.
+fn is_ambiguous(byte: u8) -> bool {
+    matches!(byte, b'!' | b'~')
 }
 
 fn is_end(byte: u8) -> bool {
@@ -843,19 +894,71 @@ mod tests {
         assert_eq!((both.text().as_str(), &both.queues.commands[..]), ("(uere Kontur)\n", &[SafetyDoor][..]));
     }
 
+    /// What becomes of bytes behind which nothing comes for long.
+    fn heard(bytes: &[u8], is_grbl: bool) -> (String, Vec<Realtime>, Vec<Realtime>) {
+        let mut both = Both::<16>::new(8, 100);
+        both.queues.is_grbl = is_grbl;
+        both.usb(bytes);
+        let at_once = core::mem::take(&mut both.queues.commands);
+        both.usb.take_as_command();
+        both.pass_on();
+        (both.text(), at_once, both.queues.commands)
+    }
+
+    #[test]
+    fn a_hold_in_a_remark_is_text_if_the_line_goes_on() {
+        use Realtime::{CycleStart, FeedHold, Reset, Status};
+        for (bytes, text, at_once, later) in [
+            (&b"(slow!)G1\n"[..], "(slow)G1\n", &[][..], &[][..]),
+            (b"; slow!\n", "; slow\n", &[], &[]),
+            (b"; slow!\r\n", "; slow\r\n", &[], &[]),
+            (b"(5~10 mm, wow!!", "(510 mm, wow", &[], &[FeedHold]),
+            (b"(a~", "(a", &[], &[CycleStart]),
+            (b"(a~!", "(a", &[], &[FeedHold]),
+            (b"(a!~", "(a", &[], &[FeedHold]),
+            (b"(a!?)", "(a)", &[Status], &[]),
+            (b"(a!?", "(a", &[Status], &[FeedHold]),
+            (b"(a!\xC3\x84", "(a", &[], &[]),
+            (b"(a!\x18", "(a", &[Reset], &[]),
+            (b"(a)!", "(a)", &[FeedHold], &[]),
+            (b"G1!X~1\n", "G1X1\n", &[FeedHold, CycleStart], &[]),
+        ] {
+            let expected = (text.to_owned(), at_once.to_vec(), later.to_vec());
+            assert_eq!(heard(bytes, false), expected, "{}", bytes.escape_ascii());
+        }
+        assert_eq!(heard(b"(slow!)~", true), ("(slow)".into(), vec![FeedHold, CycleStart], vec![]));
+    }
+
+    #[test]
+    fn a_hold_in_a_remark_is_a_hold_where_bytes_are_lost_or_the_host_goes() {
+        for (byte, expected) in [(b'!', &[Realtime::FeedHold][..]), (b'~', &[])] {
+            let mut both = Both::<16>::new(8, 100);
+            both.uart(&[b'(', byte]);
+            both.uart.lose();
+            both.uart(b"a)\n");
+            both.pass_on();
+            assert_eq!(both.queues.commands, expected);
+            let mut both = Both::<16>::new(8, 100);
+            both.uart(&[b'(', byte]);
+            both.uart.went(&mut both.arbiter);
+            both.pass_on();
+            assert_eq!(both.queues.commands, expected);
+        }
+    }
+
     /// What waits for the rest of a character that does not come is not lost with it, and finds room in its order.
     #[test]
     fn a_character_that_is_broken_off_is_commands() {
-        use Realtime::{FeedHold, FeedReset, JogCancel, SafetyDoor};
+        use Realtime::{FeedReset, JogCancel, SafetyDoor, Status};
         let mut both = Both::<16>::new(0, 100);
-        both.usb(b"(\xF0\x90\x85!");
+        both.usb(b"(\xF0\x90\x85?");
         assert_eq!((both.usb.room(), both.queues.commands.len()), (0, 0));
         both.queues.most_commands = 2;
         both.pass_on();
         assert_eq!(both.usb.room(), 0);
         both.queues.most_commands = 3;
         both.pass_on();
-        assert_eq!(both.queues.commands, [FeedReset, JogCancel, FeedHold]);
+        assert_eq!(both.queues.commands, [FeedReset, JogCancel, Status]);
         assert_eq!(both.usb.room(), 16);
         // Bytes were lost: what follows may be of another character, or of no remark.
         let mut both = Both::<16>::new(8, 100);
@@ -922,7 +1025,7 @@ mod tests {
         ]
     }
 
-    /// What a Grbl makes of all bytes but the characters of remarks, which the standard library finds.
+    /// What a Grbl makes of all bytes but the text of remarks, whose characters the standard library finds.
     fn commands_of(bytes: &[u8]) -> Vec<Realtime> {
         let mut commands = Vec::new();
         let mut give = |bytes: &[u8]| {
@@ -938,7 +1041,8 @@ mod tests {
             let ends = |byte: &u8| matches!(byte, b'\n' | b'\r' | 0x18 | 0x19) || *byte == b')' && remark[0] == b'(';
             let end = remark.iter().position(ends).unwrap_or(remark.len());
             for chunk in remark[..end].utf8_chunks() {
-                let kept: String = chunk.valid().chars().filter(|character| *character < '\u{C0}').collect();
+                let acts = |character: &char| *character < '\u{C0}' && !matches!(*character, '!' | '~');
+                let kept: String = chunk.valid().chars().filter(acts).collect();
                 give(kept.as_bytes());
                 give(chunk.invalid());
             }
@@ -984,7 +1088,7 @@ mod tests {
     }
 
     proptest! {
-        /// A command is never lost or made up, but for the bytes of a remark's characters: whatever comes, in whatever pieces,
+        /// A command is never lost or made up, but for the text of remarks: whatever comes, in whatever pieces,
         /// and however little room there is.
         #[test]
         fn a_stop_byte_is_never_lost(
