@@ -1,10 +1,10 @@
-//! What a UART receives, on its way to the serial task: the bytes lie in a buffer that DMA fills, or the interrupt of the UART, until
-//! the task that samples the inputs passes them on in messages. It looks at the buffer with each sample: a command which stops the
-//! machine is passed on within 50 us, all else within 200 us; the serial task is called for it once in 800 us (`calls`), and takes
-//! what has been passed on whenever it runs. A sample passes few bytes on, so that it is short whatever comes.
+//! What a UART receives, on its way to the serial task. DMA or the interrupt of the UART puts bytes into a buffer. The task that samples
+//! the inputs reads them with each sample and sends them on in messages: a command which stops the machine within 50 us, all else
+//! within 200 us. The serial task is called for them once in 800 us (`calls`), and takes what has been sent whenever it runs. A look reads
+//! few bytes, so that a sample is short whatever comes.
 //!
 //! ```text
-//!  UART ──▶ DMA or interrupt ──▶ buffer ──look, pass_on──▶ messages ──▶ serial task
+//!  UART ──▶ DMA or interrupt ──▶ buffer ──look──▶ messages ──▶ serial task
 //! ```
 //! Bytes leave in the order in which they came. Where bytes are missing, the message behind them says so. Where some of several bytes
 //! are damaged and it is not known which, no line that has one of them is carried out.
@@ -29,16 +29,15 @@ pub type Buffer = [AtomicU16; SLOTS];
 const EMPTY: u16 = 0x8000;
 /// Bytes are missing before this one.
 const MISSING: u16 = 0x4000;
-/// The bytes before this one are damaged: `REFUSED` goes in front, as one of them may have become the end of a line.
-const TORN: u16 = 0x2000;
 
 /// Bytes of text that may wait for the end of their line without a call.
 const GATHERED: u8 = 32;
 /// Looks after which what has come is passed on.
 const WAITED: u8 = 4;
-/// Bytes that are passed on at a time: five times as many as come between two samples at 1 Mbaud.
+/// Bytes that a look reads at most: five times as many as come between two samples at 1 Mbaud.
 const AT_A_TIME: u8 = 28;
-/// In place of a damaged byte: no line is carried out that has one.
+/// In place of a damaged byte, and behind damaged ones, as the last of them may have become the end of a line: no line is carried out
+/// that has one.
 const REFUSED: u8 = b'@';
 
 /// What puts bytes into the buffer.
@@ -83,6 +82,11 @@ impl ReceivedBytes {
     }
 
     #[inline]
+    fn clear(&mut self) {
+        (self.is_behind_loss, self.len) = (false, 0);
+    }
+
+    #[inline]
     fn push(&mut self, byte: u8) {
         if let Some(slot) = self.bytes.get_mut(usize::from(self.len)) {
             *slot = byte;
@@ -102,18 +106,19 @@ pub struct Look {
     pub waits: bool,
 }
 
-/// The reader of the buffer.
+/// The reader of the buffer. Sends are made by the caller's `send`, which says whether there was room.
 pub struct UartReceiver<S> {
     source: S,
     buffer: &'static Buffer,
-    /// The next slot to look at, and the next to be read: what lies between them waits.
-    seen: usize,
+    /// The next slot to be read.
     read: usize,
-    /// The last byte that was looked at.
-    before: u8,
-    /// Bytes of text since a call, and looks since what waits was passed on.
-    text: u8,
+    /// The message that is being filled, and looks since its first byte.
+    message: ReceivedBytes,
     looks: u8,
+    /// The last byte that was read.
+    before: u8,
+    /// Bytes of text since a call.
+    text: u8,
     /// The last byte that was passed on since a call.
     unheard: Option<u8>,
     /// Bytes are missing before the next one.
@@ -122,11 +127,10 @@ pub struct UartReceiver<S> {
     is_torn: bool,
     /// Those that come up to the next look may be damaged.
     is_doubtful: bool,
-    /// A command that stops the machine waits.
+    /// A command that stops the machine has been read and not been passed on with a call.
     has_stop: bool,
-    /// Not all could be passed on.
+    /// More is in the buffer than could be read.
     is_stuck: bool,
-    message: ReceivedBytes,
 }
 
 impl<S: ByteSource> UartReceiver<S> {
@@ -138,18 +142,17 @@ impl<S: ByteSource> UartReceiver<S> {
         UartReceiver {
             source,
             buffer,
-            seen: 0,
             read: 0,
+            message: ReceivedBytes::EMPTY,
+            looks: 0,
             before: 0,
             text: 0,
-            looks: 0,
             unheard: None,
             is_missing: false,
             is_torn: false,
             is_doubtful: false,
             has_stop: false,
             is_stuck: false,
-            message: ReceivedBytes::EMPTY,
         }
     }
 
@@ -159,7 +162,7 @@ impl<S: ByteSource> UartReceiver<S> {
         &mut self.source
     }
 
-    /// Whether a command that stops the machine waits.
+    /// Whether a command that stops the machine has been read and not been passed on with a call.
     #[inline(always)]
     pub fn has_stop(&self) -> bool {
         self.has_stop
@@ -169,19 +172,18 @@ impl<S: ByteSource> UartReceiver<S> {
         if S::IS_CIRCULAR && at + 1 == SLOTS { 0 } else { at + 1 }
     }
 
-    /// Looks at what has come since the look before.
+    /// Reads what has come since the look before, and sends what fills a message.
     #[inline(always)]
-    pub fn look(&mut self) -> Look {
+    pub fn look(&mut self, send: impl FnMut(ReceivedBytes) -> bool) -> Look {
         let place = self.source.place();
         // In this order: a damaged byte is told of before it is counted, so none is among those before the place if nothing is told.
         fence(Ordering::SeqCst);
         let is_damaged = self.source.is_damaged();
-        if self.seen != place || is_damaged || self.is_doubtful || self.is_at_end(place) {
-            self.look_at(place, is_damaged);
+        if self.read != place || is_damaged || self.is_doubtful || self.is_at_end(place) {
+            self.read_up_to(place, is_damaged, send);
         }
-        self.looks = if self.read == self.seen { 0 } else { self.looks.saturating_add(1) };
-        let waits = self.is_stuck || self.looks >= WAITED;
-        Look { stop: self.has_stop, news: self.is_stuck || self.text >= GATHERED, waits }
+        self.looks = if self.message.len == 0 { 0 } else { self.looks.saturating_add(1) };
+        Look { stop: self.has_stop, news: self.is_stuck || self.text >= GATHERED, waits: self.looks >= WAITED }
     }
 
     /// The slot of the next byte has not been read.
@@ -191,7 +193,7 @@ impl<S: ByteSource> UartReceiver<S> {
     }
 
     #[inline(never)]
-    fn look_at(&mut self, place: usize, is_damaged: bool) {
+    fn read_up_to(&mut self, place: usize, is_damaged: bool, mut send: impl FnMut(ReceivedBytes) -> bool) {
         if self.is_at_end(place) && self.is_full(place) {
             self.lose_all();
             return;
@@ -202,43 +204,72 @@ impl<S: ByteSource> UartReceiver<S> {
         }
         let is_bad = is_damaged || self.is_doubtful;
         self.is_doubtful = is_damaged;
-        while self.seen != place {
-            let Some(slot) = self.buffer.get(self.seen) else { break };
+        self.is_stuck = false;
+        let mut left = AT_A_TIME;
+        while self.read != place {
+            let Some(slot) = self.buffer.get(self.read) else { break };
             let word = slot.load(Relaxed);
-            if word == EMPTY {
-                // Counted, and not written yet.
+            // A byte may have been counted and not be written yet.
+            let is_read = word != EMPTY && left > 0 && self.append(word, is_bad, &mut send);
+            if !is_read {
+                self.is_stuck = word != EMPTY;
                 self.is_doubtful |= is_bad;
-                break;
+                return;
             }
-            self.see(slot, word, is_bad);
-            self.seen = Self::after(self.seen);
+            slot.store(EMPTY, Relaxed);
+            left -= 1;
+            self.read = Self::after(self.read);
+        }
+        if !S::IS_CIRCULAR && self.read == self.source.place() && self.source.begin_anew() {
+            self.read = 0;
         }
     }
 
-    /// Looks at a byte, and marks it if it is missing something or damaged.
+    /// Puts a byte into the message, behind what tells that it is missing something or damaged. Whether there was room.
     #[inline(always)]
-    fn see(&mut self, slot: &AtomicU16, word: u16, is_bad: bool) {
-        let mut byte = word as u8;
-        let mut marks = word & MISSING;
-        if is_bad || self.is_torn || self.is_missing {
-            if core::mem::take(&mut self.is_missing) {
-                marks |= MISSING;
-            }
-            if is_bad {
-                byte = refused(byte);
-            } else if self.is_torn {
-                marks |= TORN;
-            }
-            self.is_torn = is_bad;
+    fn append(&mut self, word: u16, is_bad: bool, send: &mut impl FnMut(ReceivedBytes) -> bool) -> bool {
+        let byte = if is_bad { refused(word as u8) } else { word as u8 };
+        let is_missing = self.is_missing || word & MISSING != 0;
+        let is_torn = self.is_torn && !is_bad;
+        let len = usize::from(self.message.len);
+        if (is_missing && len > 0 || len + usize::from(is_torn) >= ReceivedBytes::MOST) && !self.send_message(send) {
+            return false;
         }
-        slot.store(u16::from(byte) | marks, Relaxed);
+        self.is_missing = false;
+        self.message.is_behind_loss |= is_missing;
+        if is_torn {
+            self.message.push(REFUSED);
+        }
+        self.is_torn = is_bad;
         if is_text(byte) {
+            self.message.push(byte);
             self.text = self.text.saturating_add(1);
         } else {
-            self.text = GATHERED;
-            self.has_stop |= is_stop(byte) && byte != self.before;
+            self.append_command(byte);
         }
         self.before = byte;
+        true
+    }
+
+    /// A byte that is no text. Said twice before anybody has heard it, it says the same.
+    #[inline(always)]
+    fn append_command(&mut self, byte: u8) {
+        let last = self.message.from(0).last().copied().or(self.unheard);
+        let repeats = (byte == b'?' || is_stop(byte)) && last == Some(byte) && !self.message.is_behind_loss;
+        if !repeats {
+            self.message.push(byte);
+        }
+        self.text = GATHERED;
+        self.has_stop |= is_stop(byte) && byte != self.before;
+    }
+
+    fn send_message(&mut self, send: &mut impl FnMut(ReceivedBytes) -> bool) -> bool {
+        let is_sent = send(self.message);
+        if is_sent {
+            self.unheard = self.message.from(0).last().copied();
+            self.message.clear();
+        }
+        is_sent
     }
 
     /// No slot is free, and that is not because the last byte is about to be counted.
@@ -265,72 +296,30 @@ impl<S: ByteSource> UartReceiver<S> {
             emptied += 1;
             at = Self::after(at);
         }
-        (self.seen, self.read) = (at, at);
-        self.message = ReceivedBytes::EMPTY;
+        self.read = at;
+        self.message.clear();
         if let Some(stop) = stop {
             self.message.is_behind_loss = true;
             self.message.push(stop);
             self.has_stop = true;
         }
         self.is_missing = true;
+        self.is_stuck = false;
         self.text = GATHERED;
         self.before = 0;
     }
 
-    /// Sends what waits in messages, as far as there is room for them and not for too long. `calls`: the serial task is called right
-    /// behind it.
+    /// Sends what has been read. `calls`: the serial task is called right behind it.
     #[inline(never)]
     pub fn pass_on(&mut self, calls: bool, mut send: impl FnMut(ReceivedBytes) -> bool) {
-        self.looks = 0;
-        self.is_stuck = true;
-        let mut left = AT_A_TIME;
-        while self.fill(&mut left) {
-            if !send(self.message) {
-                return;
-            }
-            self.unheard = self.message.from(0).last().copied();
-            self.message = ReceivedBytes::EMPTY;
-        }
-        if calls {
-            (self.text, self.unheard) = (0, None);
-        }
-        if self.read != self.seen {
+        if self.message.len > 0 && !self.send_message(&mut send) {
+            self.looks = WAITED;
             return;
         }
-        self.is_stuck = false;
-        self.has_stop &= !calls;
-        if !S::IS_CIRCULAR && self.read == self.source.place() && self.source.begin_anew() {
-            (self.seen, self.read) = (0, 0);
+        self.looks = 0;
+        if calls {
+            (self.text, self.unheard, self.has_stop) = (0, None, false);
         }
-    }
-
-    /// Puts what waits into the message, as far as it fits and so many bytes are left. Whether there is anything in it.
-    #[inline(always)]
-    fn fill(&mut self, left: &mut u8) -> bool {
-        while self.read != self.seen && *left > 0 {
-            let Some(slot) = self.buffer.get(self.read) else { break };
-            let word = slot.load(Relaxed);
-            let (is_missing, is_torn) = (word & MISSING != 0, word & TORN != 0);
-            let len = usize::from(self.message.len);
-            if is_missing && len > 0 || len + usize::from(is_torn) >= ReceivedBytes::MOST {
-                break;
-            }
-            slot.store(EMPTY, Relaxed);
-            *left -= 1;
-            self.read = Self::after(self.read);
-            self.message.is_behind_loss |= is_missing;
-            if is_torn {
-                self.message.push(REFUSED);
-            }
-            let byte = word as u8;
-            // What is said twice before anybody has heard it says the same.
-            let last = self.message.from(0).last().copied().or(self.unheard);
-            let repeats = (byte == b'?' || is_stop(byte)) && last == Some(byte) && !self.message.is_behind_loss;
-            if !repeats {
-                self.message.push(byte);
-            }
-        }
-        self.message.len > 0
     }
 
     /// For an interrupt that fills the buffer: a byte goes into the slot at `place`, behind a loss or not. Whether there was room.

@@ -96,30 +96,39 @@ fn by_dma() -> (Rc<Wire>, UartReceiver<Dma>) {
 struct Out(Vec<Option<u8>>);
 
 impl Out {
-    /// As far as there is room: all of it takes several samples.
-    fn take<S: ByteSource>(&mut self, receiver: &mut UartReceiver<S>, room: usize) {
-        for _ in 0..SLOTS {
-            self.take_some(receiver, room, true);
+    fn send(&mut self, room: &mut usize, message: ReceivedBytes) -> bool {
+        if *room == 0 {
+            return false;
         }
+        *room -= 1;
+        self.0.extend(message.is_behind_loss.then_some(None));
+        assert!(!message.from(0).is_empty() && message.from(0).len() <= ReceivedBytes::MOST);
+        self.0.extend(message.from(0).iter().copied().map(Some));
+        true
     }
 
-    fn take_some<S: ByteSource>(&mut self, receiver: &mut UartReceiver<S>, mut room: usize, calls: bool) {
-        receiver.pass_on(calls, |message: ReceivedBytes| {
-            if room == 0 {
-                return false;
-            }
-            room -= 1;
-            self.0.extend(message.is_behind_loss.then_some(None));
-            assert!(!message.from(0).is_empty() && message.from(0).len() <= ReceivedBytes::MOST);
-            self.0.extend(message.from(0).iter().copied().map(Some));
-            true
-        });
+    /// A look with room for some messages.
+    fn glance<S: ByteSource>(&mut self, receiver: &mut UartReceiver<S>, room: &mut usize) -> Look {
+        receiver.look(|message| self.send(room, message))
     }
 
+    fn pass_on<S: ByteSource>(&mut self, receiver: &mut UartReceiver<S>, room: &mut usize, calls: bool) {
+        receiver.pass_on(calls, |message| self.send(room, message));
+    }
+
+    /// Looks until all has come out: a look reads few bytes.
     fn look<S: ByteSource>(&mut self, receiver: &mut UartReceiver<S>) -> Look {
-        let look = receiver.look();
-        self.take(receiver, usize::MAX);
-        look
+        let (mut room, mut found) = (usize::MAX, Look::default());
+        loop {
+            let before = self.0.len();
+            let look = self.glance(receiver, &mut room);
+            self.pass_on(receiver, &mut room, true);
+            found =
+                Look { stop: found.stop | look.stop, news: found.news | look.news, waits: found.waits | look.waits };
+            if self.0.len() - before < AT_A_TIME {
+                return found;
+            }
+        }
     }
 
     fn text(&self) -> String {
@@ -145,6 +154,9 @@ impl Out {
         lines
     }
 }
+
+/// Bytes that a look reads at most.
+const AT_A_TIME: usize = 28;
 
 #[derive(Clone, Debug)]
 enum Step {
@@ -183,9 +195,9 @@ proptest! {
                 Step::Come(count) => (0..count.min(room)).for_each(|_| wire.come(next(&mut sent))),
                 Step::Count if room > 0 => wire.count(next(&mut sent)),
                 Step::Count => {}
-                Step::Look(messages) => {
-                    receiver.look();
-                    out.take_some(&mut receiver, messages, true);
+                Step::Look(mut room) => {
+                    out.glance(&mut receiver, &mut room);
+                    out.pass_on(&mut receiver, &mut room, true);
                     wire.write();
                 }
             }
@@ -303,8 +315,7 @@ fn nothing_is_dropped_behind_damaged_bytes() {
         let mut out = Out::default();
         wire.damaged.set(true);
         wire.come_all(&vec![b'x'; count]);
-        receiver.look();
-        receiver.look();
+        (0..3).for_each(|_| _ = out.glance(&mut receiver, &mut usize::MAX.clone()));
         wire.come_all(b"abc");
         out.look(&mut receiver);
         assert_eq!(out.text(), format!("#{}abc", "@".repeat(count + 1)));
@@ -429,7 +440,7 @@ fn a_byte_that_is_about_to_be_counted() {
     wire.buffer[place].store(u16::from(b'a'), Ordering::Relaxed);
     // It is counted while the look waits for it.
     wire.at_settle.replace(b"a".to_vec());
-    receiver.look();
+    out.glance(&mut receiver, &mut 0);
     out.look(&mut receiver);
     assert_eq!(out.text(), "a");
 }
@@ -437,16 +448,16 @@ fn a_byte_that_is_about_to_be_counted() {
 #[test]
 fn what_is_to_be_called_for() {
     let (wire, mut receiver) = by_dma();
-    let mut out = Out::default();
-    assert_eq!(receiver.look(), Look::default());
+    let (mut out, mut room) = (Out::default(), usize::MAX);
+    assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
     // Text alone waits for the end of its line, but is passed on soon.
     wire.come_all(b"G1X1");
     for _ in 1..4 {
-        assert_eq!(receiver.look(), Look::default());
+        assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
     }
-    assert_eq!(receiver.look(), Look { waits: true, ..Look::default() });
-    out.take(&mut receiver, usize::MAX);
-    assert_eq!((receiver.look(), out.text().as_str()), (Look::default(), "G1X1"));
+    assert_eq!(out.glance(&mut receiver, &mut room), Look { waits: true, ..Look::default() });
+    out.pass_on(&mut receiver, &mut room, true);
+    assert_eq!((out.glance(&mut receiver, &mut room), out.text().as_str()), (Look::default(), "G1X1"));
     for (bytes, look) in [
         (b"\n".as_slice(), Look { news: true, ..Look::default() }),
         (b"?", Look { news: true, ..Look::default() }),
@@ -457,32 +468,32 @@ fn what_is_to_be_called_for() {
         (b"\x18", Look { news: true, ..Look::default() }),
     ] {
         wire.come_all(bytes);
-        assert_eq!(receiver.look(), look, "{bytes:?}");
-        out.take(&mut receiver, usize::MAX);
-        assert_eq!(receiver.look(), Look::default());
+        assert_eq!(out.look(&mut receiver), look, "{bytes:?}");
+        assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
     }
     // What has no room stays, and is called for again: a stop at once.
-    wire.come_all(b"?G1X1\n!\n");
-    receiver.look();
-    out.take(&mut receiver, 0);
-    assert_eq!(receiver.look(), Look { news: true, stop: true, waits: true });
     out.0.clear();
-    out.take(&mut receiver, usize::MAX);
-    assert_eq!((receiver.look(), out.text().as_str()), (Look::default(), "?G1X1\n!\n"));
-    // A flood of the same: once for each call, however often it is passed on; and a sample passes few on.
+    wire.come_all(b"?G1X1\n!\n");
+    out.glance(&mut receiver, &mut 0);
+    out.pass_on(&mut receiver, &mut 0, true);
+    assert_eq!(out.glance(&mut receiver, &mut 0), Look { news: true, stop: true, waits: true });
+    out.pass_on(&mut receiver, &mut room, true);
+    assert_eq!((out.glance(&mut receiver, &mut room), out.text().as_str()), (Look::default(), "?G1X1\n!\n"));
+    // A flood of the same: once for each call, however often it is passed on.
     out.0.clear();
     for calls in [false, false, true, false, true] {
-        wire.come_all(&[b'?'; 28]);
-        receiver.look();
-        out.take_some(&mut receiver, usize::MAX, calls);
+        wire.come_all(&[b'?'; AT_A_TIME]);
+        out.glance(&mut receiver, &mut room);
+        out.pass_on(&mut receiver, &mut room, calls);
     }
     assert_eq!(out.text(), "??");
+    // A look reads few bytes, and the rest is called for.
     out.0.clear();
     wire.come_all(&[b'x'; 100]);
-    receiver.look();
-    out.take_some(&mut receiver, usize::MAX, true);
-    assert_eq!(out.0.len(), 28);
-    assert_eq!(receiver.look(), Look { news: true, stop: false, waits: true });
+    out.glance(&mut receiver, &mut room);
+    out.pass_on(&mut receiver, &mut room, true);
+    assert_eq!(out.0.len(), AT_A_TIME);
+    assert!(out.glance(&mut receiver, &mut room).news);
 }
 
 /// A UART without DMA: its interrupt puts bytes into the slots, as long as there are any.

@@ -47,7 +47,8 @@ impl<S: ByteSource, const N: usize> UartInput<S, N> {
     /// Looks at what has come.
     #[inline(always)]
     pub fn look(&mut self) -> Look {
-        self.receiver.look()
+        let messages = &mut self.messages;
+        self.receiver.look(|message| messages.try_send(message).is_ok())
     }
 
     /// Sends what has come to the serial task. `calls`: the caller calls it.
