@@ -22,6 +22,9 @@ use core::sync::atomic::{AtomicU16, Ordering, Ordering::Relaxed, fence};
 pub const SLOTS: usize = 320;
 /// Slots that only a command which stops the machine may take, where the interrupt fills the buffer.
 const FOR_STOPS: usize = 16;
+/// Bytes that wait in a circular buffer while the messages have no room, at most. Beyond them the oldest are lost, a few with each look:
+/// so DMA does not come round while somebody looks, and no look has to empty the whole buffer.
+pub const MOST_WAITING: usize = SLOTS - 64;
 /// What the UART puts its bytes into: nine bits of its data register, or [`EMPTY`], and marks. Atomic, as DMA writes it.
 pub type Buffer = [AtomicU16; SLOTS];
 
@@ -214,6 +217,9 @@ impl<S: ByteSource> UartReceiver<S> {
             if !is_read {
                 self.is_stuck = word != EMPTY;
                 self.is_doubtful |= is_bad;
+                if self.is_stuck && left > 0 {
+                    self.lose_oldest(place);
+                }
                 return;
             }
             slot.store(EMPTY, Relaxed);
@@ -270,6 +276,27 @@ impl<S: ByteSource> UartReceiver<S> {
             self.message.clear();
         }
         is_sent
+    }
+
+    /// There is no room for what comes next: if too much waits, the oldest bytes are lost, up to one that stops the machine.
+    #[cold]
+    #[inline(never)]
+    fn lose_oldest(&mut self, place: usize) {
+        let waiting = if self.read <= place { place - self.read } else { place + SLOTS - self.read };
+        let lost = if S::IS_CIRCULAR { waiting.saturating_sub(MOST_WAITING).min(AT_A_TIME.into()) } else { 0 };
+        for _ in 0..lost {
+            let Some(slot) = self.buffer.get(self.read) else { return };
+            let byte = slot.load(Relaxed) as u8;
+            if is_stop(byte) {
+                // The serial task makes room for it.
+                self.has_stop = true;
+                return;
+            }
+            slot.store(EMPTY, Relaxed);
+            self.read = Self::after(self.read);
+            self.is_missing = true;
+            self.before = byte;
+        }
     }
 
     /// No slot is free, and that is not because the last byte is about to be counted.

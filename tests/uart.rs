@@ -2,7 +2,7 @@
 //! place, and no line with a damaged byte is carried out, whatever comes in between any two accesses.
 
 use oxmill_boards::calls::{Calls, REST, is_stop};
-use oxmill_boards::uart_receiver::{Buffer, ByteSource, Look, ReceivedBytes, SLOTS, UartReceiver};
+use oxmill_boards::uart_receiver::{Buffer, ByteSource, Look, MOST_WAITING, ReceivedBytes, SLOTS, UartReceiver};
 use proptest::prelude::*;
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
@@ -184,7 +184,7 @@ proptest! {
         let (wire, mut receiver) = by_dma();
         let (mut out, mut sent) = (Out::default(), Vec::new());
         for step in steps {
-            let room = SLOTS - 1 - (sent.len() - out.0.len()).min(SLOTS - 1);
+            let room = MOST_WAITING - (sent.len() - out.0.len()).min(MOST_WAITING);
             let next = |sent: &mut Vec<u8>| {
                 // Text that counts up.
                 let byte = b'A' + (sent.len() % 50) as u8;
@@ -384,6 +384,40 @@ fn a_full_buffer_and_a_lap() {
             }
         }
     }
+}
+
+/// Nobody takes the messages while bytes come without end: the oldest are lost, once told, but for what stops the machine; DMA never comes
+/// round, so no look has to empty all slots.
+#[test]
+fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
+    let (wire, mut receiver) = by_dma();
+    let (mut out, mut sent) = (Out::default(), 0);
+    let mut come = |count: usize| {
+        let text: Vec<u8> = (sent..sent + count).map(|number| b'A' + (number % 50) as u8).collect();
+        sent += count;
+        wire.come_all(&text);
+        text
+    };
+    let mut last = Vec::new();
+    for _ in 0..300 {
+        last.extend(come(5));
+        out.glance(&mut receiver, &mut 0);
+        out.pass_on(&mut receiver, &mut 0, true);
+    }
+    wire.come(b'!');
+    last.extend(b"!");
+    for _ in 0..300 {
+        last.extend(come(1));
+        assert!(out.glance(&mut receiver, &mut 0).news);
+    }
+    let look = out.look(&mut receiver);
+    assert!(look.stop, "the stop has waited for room");
+    // What has come first is in the message that could not be sent; what is behind the loss is all that came last.
+    let (first, behind) = out.0.split_at(ReceivedBytes::MOST);
+    assert_eq!(first, last[..ReceivedBytes::MOST].iter().copied().map(Some).collect::<Vec<_>>());
+    assert_eq!(behind[0], None, "the loss is told");
+    let behind: Vec<u8> = behind[1..].iter().map(|byte| byte.expect("it is told once")).collect();
+    assert!(last.ends_with(&behind) && behind[0] == b'!' && behind.len() == 301, "{} behind the loss", behind.len());
 }
 
 /// Bytes come while the slots are emptied: they are lost as well, but for a stop; those that come when the last slot has been emptied

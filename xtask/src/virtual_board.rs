@@ -24,6 +24,7 @@ const LONGEST: &[&str] = &["-bursts of overrides", "-late starts", "-lines at st
 /// named has all cases.
 const SIBLING: &[&str] = &[
     "boot",
+    "tasks",
     "stream axes.nc",
     "pulses",
     "safe rate",
