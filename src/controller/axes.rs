@@ -1,5 +1,5 @@
-//! `Axis`, its letter and index, which axes are linear or rotary; `PerAxis`, a value for each axis with `map` and
-//! `zip`; `AxisMask`, a set of axes; and the `Arrangement` of the motors, Cartesian or CoreXY.
+//! The axes of the machine: their letters, sets of them, and [`PerAxis`], which holds one value for each. Also how the
+//! motors move the axes: Cartesian or CoreXY.
 //!
 //! The number of axes `N` (3 to 6) is a constant of the board and a const generic here, so a three-axis board pays for
 //! three. X, Y and Z always exist; A, B and C when `N` reaches them and the machine has them (`$930`): the others never

@@ -1,5 +1,5 @@
-//! `Digest`: a hash (FNV-1a, basis and prime) of a step stream, over the times and over the order of its step and
-//! direction bits, by which two machines are compared: the simulator computes it from its trace, a target without pins
+//! A hash (FNV-1a) of a step stream: once over the times of the step events, and once over their order. Two machines
+//! that have made the same steps have the same digest. The simulator computes it from its trace, a target without pins
 //! from what it would have written to them.
 
 /// Running digest over (time, step bits, direction bits) of each step event.

@@ -16,10 +16,11 @@
 use crate::memory::Memory;
 use crate::messages::{Event, LineByte, Observed, Output, Record, Restart, Room, Store, ToStep};
 use crate::parts::Machine;
-use crate::protocol::recorded::RECORDER;
+use crate::protocol::recording::RECORDER;
 use crate::protocol::report;
 use crate::settings::Key;
-use crate::states::{Door, Mode};
+use crate::states::State;
+use crate::states::door::DoorPhase;
 use crate::step_rates::StepRates;
 use crate::units::{Duration, Instant};
 use crate::work::line::LineInWork;
@@ -56,7 +57,7 @@ pub struct Profile {
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
 pub struct Controller<const N: usize> {
-    pub(crate) mode: Mode<N>,
+    pub(crate) state: State<N>,
     pub(crate) task: Task,
     pub(crate) line: LineInWork<N>,
     pub(crate) m: Machine<N>,
@@ -66,14 +67,14 @@ impl<const N: usize> Controller<N> {
     /// A controller with default settings, which works in the memory that it is lent. Stored records follow with
     /// [`Controller::restore`], then [`Controller::start`].
     pub fn new(profile: Profile, memory: Memory<N>) -> Self {
-        Self { mode: Mode::Normal, task: Task::None, line: LineInWork::NONE, m: Machine::new(profile, memory) }
+        Self { state: State::Normal, task: Task::None, line: LineInWork::NONE, m: Machine::new(profile, memory) }
     }
 
     /// What is known of the end before this start; before [`Controller::start`]. After a failure the machine is locked, for a
     /// host that noticed nothing may still be sending its job.
     pub fn restarted(&mut self, restart: Restart) {
         if restart.is_failure() {
-            self.enter(Mode::Alarm(None));
+            self.enter(State::Alarm(None));
             self.m.reference.lose();
         }
         self.m.replies.restarted(restart);
@@ -86,11 +87,11 @@ impl<const N: usize> Controller<N> {
         self.m.settings.settle();
         self.reconfigure();
         if self.m.settings.is_on(Key::Homing) {
-            self.enter(Mode::Alarm(None));
+            self.enter(State::Alarm(None));
             self.m.reference.lose();
         }
         if self.m.records.are_damaged() {
-            self.enter(Mode::Alarm(None));
+            self.enter(State::Alarm(None));
         }
         self.initialise();
     }
@@ -105,13 +106,13 @@ impl<const N: usize> Controller<N> {
             self.m.lines.heartbeat_mut().hear();
         }
         self.m.motion.observe(&observed);
-        self.m.door.observe(&observed);
+        self.m.parking.observe(&observed);
     }
 
     /// Something happened at `now`.
     ///
-    /// The path of a line: its bytes come in here and are collected by `LineIntake`. The last one leads through `lines` to
-    /// `execute`, which checks the line and keeps it as a task. That is all an event does; what the line asks for is done by
+    /// The path of a line: its bytes come in here and are collected by `LineIntake`. At the last one `host::dispatch_line` has
+    /// the line checked and `work::stages` keeps it as a task. That is all an event does; what the line asks for is done by
     /// [`Controller::output`].
     // Always, so that the middle of a line costs no call.
     #[inline(always)]
@@ -170,14 +171,14 @@ impl<const N: usize> Controller<N> {
         self.task.is_none()
             && !self.m.lines.holds()
             && !self.m.stops.is_awaited()
-            && self.mode.takes_lines()
+            && self.state.takes_lines()
             && self.m.replies.has_room()
     }
 
     /// Whether received lines wait for an operator or for the end of a motion, and bytes from before a reset with them.
     #[inline]
     pub fn lets_lines_wait(&self) -> bool {
-        !self.mode.takes_lines()
+        !self.state.takes_lines()
     }
 
     /// Whether the step task will soon have done all that it has been given of a motion that continues.
@@ -190,32 +191,35 @@ impl<const N: usize> Controller<N> {
     pub fn next_wakeup(&self) -> Option<Instant> {
         // What a completed hold or a parked door has interrupted continues with an event, not by itself.
         let moving = !self.m.motion.is_at_rest()
-            || !self.m.door.motion().is_at_rest()
-            || self.m.step_supply.is_running() && !self.mode.is_suspended();
+            || !self.m.parking.motion().is_at_rest()
+            || self.m.step_supply.is_running() && !self.state.is_suspended();
         let moving = moving.then(|| {
             self.m.now
                 + crate::machine::step_supply::refill_delay([
-                    self.m.door.motion().queued_us(),
+                    self.m.parking.motion().queued_us(),
                     self.m.motion.queued_us(),
                 ])
         });
-        let door = match self.mode {
-            Mode::Door(Door::SpindleRestoring(until)) => Some(self.next_look_at_spindle(until)),
-            Mode::Door(Door::CoolantRestoring(until)) => Some(until),
+        let spindle = match self.state {
+            State::Door(door) => match door.phase {
+                DoorPhase::SpindleRestoring(until) => Some(self.next_look_at_spindle(until)),
+                DoorPhase::CoolantRestoring(until) => Some(until),
+                _ => None,
+            },
+            State::Hold(hold) => hold.ends_with_spindle().map(|until| self.next_look_at_spindle(until)),
             _ => None,
         };
         // Nor does a dwell that something has ended: its moment would be past for ever.
-        let task = match &self.mode {
-            Mode::Home(homing) => homing.wakeup(),
-            mode if mode.is_suspended() => None,
+        let task = match &self.state {
+            State::Homing(homing) => homing.wakeup(),
+            state if state.is_suspended() => None,
             _ => self.task.wakeup(|until| self.next_look_at_spindle(until)),
         };
-        let spinning_up = self.m.accessories.spinning_up().map(|until| self.next_look_at_spindle(until));
         let waits = self.m.accessories.digital().is_waiting() && !self.m.motion.is_at_rest();
         let outputs = waits.then(|| self.m.now + OUTPUTS_LOOK);
         let silent = self.m.lines.heartbeat().silent_at();
         let lost = if self.needs_speed() { self.m.accessories.speed_lost_at() } else { None };
-        [moving, door, task, outputs, self.m.drivers.off_at(), spinning_up, silent, lost].into_iter().flatten().min()
+        [moving, spindle, task, outputs, self.m.drivers.off_at(), silent, lost].into_iter().flatten().min()
     }
 
     /// No more bytes will come: what is queued is started.
@@ -276,11 +280,11 @@ impl<const N: usize> Controller<N> {
 
     /// Whether nothing is under way but motion: then time and the step task change nothing but that it ends.
     fn only_moves(&self) -> bool {
-        matches!(self.mode, Mode::Normal)
+        matches!(self.state, State::Normal)
             && self.m.probe.is_over()
             && self.m.stops.is_idle()
             && self.m.stops.is_open()
-            && !self.m.door.motion().hands_over()
+            && !self.m.parking.motion().hands_over()
             && self.m.drivers.off_at().is_none()
             && !self.m.accessories.is_on()
             && !self.m.accessories.digital().is_waiting()
@@ -360,13 +364,13 @@ impl<const N: usize> Controller<N> {
         if let Some(stops) = self.m.stops.take_resume() {
             return Some(ToStep::Resume { stops });
         }
-        if self.mode.is_alarm() || matches!(self.mode, Mode::Sleep(_)) || self.m.probe.is_braking() {
+        if self.state.is_alarm() || matches!(self.state, State::Sleep(_)) || self.m.probe.is_braking() {
             return None;
         }
         if let Some(watch) = self.m.probe.take_watch() {
             return Some(watch);
         }
-        self.m.door.next_message().or_else(|| self.m.motion.next_message())
+        self.m.parking.next_message().or_else(|| self.m.motion.next_message())
     }
 
     /// Follows what has come to an end since the last call: motion, a hold's ramp, a jog, a door's delays.
@@ -382,34 +386,33 @@ impl<const N: usize> Controller<N> {
         if self.m.step_supply.is_running() && self.m.motion.is_idle() {
             self.m.step_supply.end();
             // Between the moves of homing the drivers stay on.
-            if !matches!(self.mode, Mode::Home(_)) {
+            if !matches!(self.state, State::Homing(_)) {
                 self.m.start_idle_delay();
             }
         }
         if self.m.motion.is_at_rest() && self.m.accessories.rests() {
             self.m.replies.overrides_changed();
         }
-        match self.mode {
-            Mode::Jog { cancelling }
+        match self.state {
+            State::Jog { cancelling }
                 if self.m.motion.is_at_rest() && (cancelling || (self.m.motion.is_idle() && self.task.is_none())) =>
             {
                 self.end_jog(cancelling);
             }
-            Mode::Stopping { then } if self.m.motion.is_at_rest() => self.settle_braking(then),
-            Mode::Normal => self.look_for_spindle(),
-            Mode::Hold => {
-                if let Some(until) = self.m.accessories.spinning_up()
+            State::Braking { then } if self.m.motion.is_at_rest() => self.settle_braking(then),
+            State::Normal => self.look_for_spindle(),
+            State::Hold(hold) => {
+                if let Some(until) = hold.ends_with_spindle()
                     && self.has_spun_up(until)
                 {
-                    self.m.accessories.end_spin_up();
                     self.leave_hold();
                 }
             }
             _ => {}
         }
         // It may have been opened just now.
-        if let Mode::Door(door) = self.mode {
-            self.settle_phases(door);
+        if let State::Door(door) = self.state {
+            self.settle_phases(door.phase);
         }
         self.m.drivers.look(self.m.now);
         self.look_for_host();
@@ -419,11 +422,11 @@ impl<const N: usize> Controller<N> {
     fn auto_start(&mut self) {
         // A move queued while the last piece of the one before was already in the step queue belongs to the same
         // run: without a start of its own it would never begin.
-        if self.m.step_supply.is_running() && matches!(self.mode, Mode::Normal | Mode::Jog { cancelling: false }) {
+        if self.m.step_supply.is_running() && matches!(self.state, State::Normal | State::Jog { cancelling: false }) {
             self.m.motion.start();
             return;
         }
-        if matches!(self.mode, Mode::Normal)
+        if matches!(self.state, State::Normal)
             && !self.m.motion.is_idle()
             && self.task.is_none()
             && self.m.step_supply.has_no_more()

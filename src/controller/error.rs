@@ -1,7 +1,5 @@
-//! Every `Error` that refuses a line and every `Alarm` that locks the machine, each with its code and its text in
-//! English: `NoAxisWords = 26, "..."`. The numbers are those that Grbl 1.1 gives on the wire, then grblHAL's and
-//! Oxmill's own. Words are unknown, unsupported, malformed, missing or outside a range; something does not exist or has
-//! no room on this board.
+//! The errors that refuse a line and the alarms that lock the machine, each with its number and English text. The
+//! numbers are those of Grbl 1.1 on the wire, then grblHAL's, then Oxmill's own.
 
 /// A table of codes: for each its name, its number on the wire, and a text for people.
 macro_rules! codes {

@@ -1,4 +1,4 @@
-//! `Lent`: memory that a part works in and does not own.
+//! Memory that a part uses and does not own: a reference on boards, a box on hosts.
 
 /// Memory that is lent for good. On boards it lies in `.bss`; hosts (feature `alloc`) take it from the heap.
 #[cfg(feature = "alloc")]

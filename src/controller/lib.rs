@@ -1,5 +1,4 @@
-//! What the machine decides: protocol, G-code, planning and stepping of a CNC mill that speaks Grbl 1.1. The list of
-//! the crate's modules and the lints that keep it free of panics.
+//! The controller of a CNC mill that speaks Grbl 1.1: protocol, G-code, planning and stepping.
 //!
 //! No hardware, no clock, no queues and no waiting live here: bytes, levels and the time come in through
 //! [`Controller::event`], and what is to be done comes out of [`Controller::output`]. So the same code, bit for bit, runs
@@ -7,11 +6,11 @@
 //!
 //! The journey of `G1 X10 F600`:
 //! 1. `protocol::realtime` passes its bytes on (a `?` between them would be answered at once);
-//! 2. `protocol::line` collects them, without blanks, as `G1X10F600`;
-//! 3. `gcode` reads words, checks them against each other and the modal state, and returns a checked line: feed, target;
-//! 4. `controller` waits for room in the look-ahead, takes the new modal state over and hands the move to `motion`;
+//! 2. `protocol::line_filter` collects them, without blanks, as `G1X10F600`;
+//! 3. `gcode` reads words, checks them against each other and the modal state, and returns an action: feed, target;
+//! 4. `work` waits for room in the look-ahead, takes the new modal state over and hands the move to `motion`;
 //! 5. `motion::planner` makes a block of whole motor steps and fits its speeds to those of its neighbours;
-//! 6. `controller` answers `ok`;
+//! 6. `host` answers `ok`;
 //! 7. `motion::segment` cuts the block into pieces of about a millisecond, each with evenly changing tick intervals;
 //! 8. the pump carries them, about 16 ms ahead, to the step task;
 //! 9. `motion::stepper` decides at each tick which motors step and when the next tick comes;
@@ -53,9 +52,8 @@ pub mod pump;
 #[cfg(feature = "recorder")]
 pub mod recorder;
 #[cfg(not(feature = "recorder"))]
-pub mod recorder_left_out;
-#[cfg(not(feature = "recorder"))]
-pub use recorder_left_out as recorder;
+#[path = "recorder/none.rs"]
+pub mod recorder;
 mod states;
 mod step_rates;
 mod step_timing;
@@ -64,8 +62,8 @@ mod work;
 pub use dispatch::{Controller, Profile};
 pub use messages::ResetCause;
 pub use motion::stepper::{Stepper, Tick};
+pub use protocol::byte_channel::{LineReader, LineSender};
 pub use protocol::coalescing::Coalescing;
-pub use protocol::line_queue::{LineReader, LineSender};
 pub use protocol::link::{HostArbiter, Link, Queues};
 pub use protocol::owed::Owed;
 pub use protocol::realtime::Received;

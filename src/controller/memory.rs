@@ -1,6 +1,6 @@
-//! The large parts of a controller lie in memory of their own, which whoever makes the controller lends it for good: motion
-//! with its look-ahead, the interpreter with held subroutines, parameters and tools, queued replies, stored texts. 20 to 70 KB
-//! in all. Each part is built in its place, so the stack never carries more than one of them.
+//! The large parts of a controller lie in memory of their own, which the caller lends it for good: motion with its
+//! look-ahead, the interpreter, queued replies and stored texts, 20 to 70 KB in all. Each part is built in its place,
+//! so the stack never holds more than one of them.
 
 use crate::dispatch::Profile;
 use crate::gcode::Interpreter;
@@ -19,17 +19,14 @@ pub struct Memory<const N: usize> {
     pub(crate) records: Lent<Records>,
 }
 
-/// Blocks of the parking motion: one move, and one to take up the slack.
-const PARKING_BLOCKS: usize = 2;
-
 #[cfg(feature = "alloc")]
 impl<const N: usize> Memory<N> {
     /// Memory from the heap, with a look-ahead of so many blocks.
     pub fn on_heap(profile: &Profile, blocks: usize) -> Self {
-        let motion = |blocks| Lent::new(Motion::unconfigured(profile.step_clock_hz, crate::motion::on_heap(blocks)));
+        let motion = |memory| Lent::new(Motion::unconfigured(profile.step_clock_hz, memory));
         Self {
-            motion: motion(blocks),
-            parking: motion(PARKING_BLOCKS),
+            motion: motion(crate::motion::on_heap(blocks)),
+            parking: motion(crate::motion::on_heap_for_single_moves()),
             interpreter: Lent::new(Interpreter::new(crate::gcode::ProgramMemory::on_heap())),
             replies: Lent::new(Replies::new()),
             records: Lent::new(Records::new(profile.has_store)),
@@ -45,14 +42,14 @@ pub use on_board::Storage;
 mod on_board {
     use super::*;
     use crate::gcode::ProgramStorage;
-    use crate::motion::MotionStorage;
+    use crate::motion::{MotionStorage, SingleMoveStorage};
     use core::mem::MaybeUninit;
 
     /// Owns the large parts on a board, with a look-ahead of `BLOCKS` blocks.
     #[derive(Debug)]
     pub struct Storage<const N: usize, const BLOCKS: usize> {
         job: MotionStorage<N, BLOCKS>,
-        parked: MotionStorage<N, PARKING_BLOCKS>,
+        parked: SingleMoveStorage<N>,
         program: ProgramStorage<N>,
         motion: MaybeUninit<Motion<N>>,
         parking: MaybeUninit<Motion<N>>,
@@ -65,7 +62,7 @@ mod on_board {
         /// All bytes are 0 or nothing, so a static one needs no flash (`cargo fw` checks the size of `.data`).
         pub const EMPTY: Self = Self {
             job: MotionStorage::EMPTY,
-            parked: MotionStorage::EMPTY,
+            parked: SingleMoveStorage::EMPTY,
             program: ProgramStorage::EMPTY,
             motion: MaybeUninit::uninit(),
             parking: MaybeUninit::uninit(),

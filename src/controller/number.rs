@@ -1,6 +1,5 @@
-//! Decimal text to exact [`Decimal`]: the numbers of programs and of `$` lines. `read` takes sign, digits and point
-//! into a mantissa and a power of ten, in a short form for most numbers and a long one for any, and counts the places
-//! of the fraction; `Digits` says how many digits count.
+//! Reads decimal text as an exact [`Decimal`]: the numbers of programs and of `$` lines. Digits beyond the seventh
+//! decimal are dropped; in Grbl's dialect only the first eight digits count.
 
 use crate::units::{DECIMAL_PLACES, Decimal};
 

@@ -1,5 +1,5 @@
-//! `Machine`: all that states and lines work on, and what they ask of more than one part of it. It knows neither the state
-//! that the machine is in nor the line that is carried out.
+//! [`Machine`]: the parts of the machine that all states and lines work on. It knows neither the present state nor the
+//! line that is carried out.
 
 use crate::axes::AxisMask;
 use crate::dispatch::Profile;
@@ -16,10 +16,10 @@ use crate::memory::Memory;
 use crate::messages::SpindleDirection;
 use crate::motion::Motion;
 use crate::outputs::given::Pins;
-use crate::protocol::line_intake::LineIntake;
+use crate::protocol::intake::LineIntake;
 use crate::protocol::replies::Replies;
 use crate::settings::{Key, Settings};
-use crate::states::door::parking::SafetyDoor;
+use crate::states::door::parking::Parking;
 use crate::states::stops::orders::Stops;
 use crate::units::Instant;
 use crate::work::probe::phases::Probe;
@@ -45,7 +45,7 @@ pub(crate) struct Machine<const N: usize> {
     pub interpreter: Lent<Interpreter<N>>,
     pub replies: Lent<Replies>,
     pub records: Lent<Records>,
-    pub door: SafetyDoor<N>,
+    pub parking: Parking<N>,
     pub motion: Lent<Motion<N>>,
 }
 
@@ -55,7 +55,7 @@ impl<const N: usize> Machine<N> {
             settings: Settings::of_board(profile.axes),
             interpreter: memory.interpreter,
             motion: memory.motion,
-            door: SafetyDoor::new(memory.parking),
+            parking: Parking::new(memory.parking),
             lines: LineIntake::new(),
             reference: Reference::ASSUMED,
             step_supply: StepSupply::AT_REST,

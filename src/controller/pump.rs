@@ -1,7 +1,6 @@
-//! The order in which the controller is told what has happened and asked what is to be done: a `round` observes, tells
-//! the events of each `Source`, passes on bytes of lines and puts outputs out until one begins a round again. The trait
-//! `Pump` is what firmware, simulator and the suites on the target implement, so that they make the same steps of the
-//! same bytes.
+//! The order in which a platform drives the controller: observe, pass on events, pass on bytes of lines, then carry out
+//! outputs until nothing is left. Firmware, simulator and the suites on the target implement [`Pump`], so the same
+//! bytes make the same steps everywhere.
 //!
 //! ```text
 //!  round ─▶ observe ─▶ events, source by source ─▶ bytes of lines ─▶ outputs ─┬─▶ none: the round ends

@@ -1,5 +1,5 @@
-//! `StepRates`: how fast a board can step. The greatest rate in steps/s that pulses of a length allow, with the pause
-//! between two pulses, up to the board's safe rate.
+//! How fast a board can step: the maximum step rate for a length of step pulse, up to the rate that is safe for its
+//! processor.
 
 /// Nanoseconds in the unit of `$0`, a tenth of a microsecond.
 const TENTH_NS: u32 = 100;

@@ -1,6 +1,5 @@
-//! `StepTiming`: when edges of the step outputs may come, in ticks of the step clock. From the pulse (`$0`) and the
-//! direction set-up (`$29`) follow the gap and the split between events; `between` places an event that changes nothing
-//! in a long pause, `is_regular` and `later` compare intervals and moments.
+//! When the edges of the step outputs may come, in ticks of the step clock: the pulse (`$0`) and the direction set-up
+//! (`$29`) give the minimum distances between events. The step task places its events by these.
 //!
 //! ```text
 //!  step       ____┌─────┐_______________________┌─────┐____

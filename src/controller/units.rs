@@ -1,6 +1,4 @@
-//! The quantities the controller computes with, each a type of its own: `Coordinate` in 0.1 nm (50 m at most),
-//! `Decimal` in 10^-7, `StepsPerMm`, `Instant` and `Duration` in microseconds, the `WeightedPoint` of a curve. Integer
-//! arithmetic is exact; sums saturate.
+//! The quantities the controller computes with, each a type of its own. Integer arithmetic is exact, and sums saturate.
 //!
 //! Places are integers: [`Coordinate`] counts 0.1 nm (exact for seven decimals of a millimetre and for six of an inch),
 //! steps count motor steps. The way from one to the other is integer arithmetic ([`StepsPerMm`]), so a million moves of

@@ -1,13 +1,12 @@
-//! What can be asked of the controller; nothing changes: whether it is idle, free, quiet, at work or paused, machine
-//! and work position, line numbers and the tool in work, which alarm or stop is under way, whether the spindle stays
-//! on, the settings, and the dialect.
+//! Questions about the controller; nothing changes here. Whether it is idle or at rest, positions, line numbers, the
+//! alarm, and the dialect in force.
 
 use crate::axes::PerAxis;
 use crate::dispatch::Controller;
 use crate::error::Alarm;
-use crate::gcode::{Dialect, Interpreter, Motion};
+use crate::gcode::{Dialect, Interpreter, MotionCommand};
 use crate::settings::{Key, Settings};
-use crate::states::Mode;
+use crate::states::State;
 use crate::states::stops::orders::StopReason;
 use crate::states::stops::reaction::Reaction;
 use crate::units::{Coordinate, Instant};
@@ -22,7 +21,7 @@ impl<const N: usize> Controller<N> {
         self.has_nothing_to_do()
             && self.m.stops.is_idle()
             && self.m.motion.is_idle()
-            && self.m.door.motion().is_idle()
+            && self.m.parking.motion().is_idle()
             && self.m.replies.is_idle()
             && self.m.records.are_stored()
     }
@@ -57,7 +56,7 @@ impl<const N: usize> Controller<N> {
     /// Whether the spindle has to be up to speed: lines of a program are carried out, and none gives it time to come up.
     pub(crate) fn needs_speed(&self) -> bool {
         let works = self.m.step_supply.is_running() || !self.m.motion.is_idle() || self.task.is_program();
-        matches!(self.mode, Mode::Normal) && works && !self.task.is_spinning_up()
+        matches!(self.state, State::Normal) && works && !self.task.is_spinning_up()
     }
 
     /// Whether a spindle that turns continues to, at this alarm.
@@ -67,8 +66,8 @@ impl<const N: usize> Controller<N> {
             alarm => Reaction::to(alarm, &self.m.settings),
         };
         let door_allows = !self.m.inputs.signals().door
-            && match self.mode {
-                Mode::Door(_) => self.m.door.opening().alarm.is_some() && self.m.door.opening().spindle_on,
+            && match self.state {
+                State::Door(door) => door.opening.alarm.is_some() && door.opening.spindle_on,
                 _ => true,
             };
         reaction.spindle_on && door_allows && !self.m.accessories.is_suspended()
@@ -76,9 +75,9 @@ impl<const N: usize> Controller<N> {
 
     /// Why motion stops or brakes, if it does for good.
     pub(crate) fn stop_under_way(&self) -> Option<StopReason> {
-        let alarm = match self.mode {
-            Mode::Stopping { then } => then.alarm(),
-            Mode::Door(_) => self.m.door.opening().alarm,
+        let alarm = match self.state {
+            State::Braking { then } => then.alarm(),
+            State::Door(door) => door.opening.alarm,
             _ => None,
         };
         let braking = alarm.map(StopReason::Alarm);
@@ -89,7 +88,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn has_nothing_to_do(&self) -> bool {
-        self.task.is_none() && !matches!(self.mode, Mode::Home(_))
+        self.task.is_none() && !matches!(self.state, State::Homing(_))
     }
 
     /// Whether in addition nothing turns and nothing burns: the pump may be deaf for a second, to erase flash.
@@ -99,7 +98,7 @@ impl<const N: usize> Controller<N> {
 
     /// The same but for answers that are still to be sent: it will be quiet soon if no more lines come.
     pub fn is_nearly_quiet(&self) -> bool {
-        self.has_nothing_to_do() && self.m.motion.is_idle() && self.m.door.motion().is_idle() && self.is_off()
+        self.has_nothing_to_do() && self.m.motion.is_idle() && self.m.parking.motion().is_idle() && self.is_off()
     }
 
     fn is_off(&self) -> bool {
@@ -109,8 +108,8 @@ impl<const N: usize> Controller<N> {
     /// Where the machine is.
     pub fn machine_position(&self) -> PerAxis<Coordinate, N> {
         // A parked machine is where the parking moves led.
-        if self.m.door.is_parking() {
-            self.m.door.motion().machine_position()
+        if self.m.parking.is_away() {
+            self.m.parking.motion().machine_position()
         } else {
             self.m.motion.machine_position()
         }
@@ -145,7 +144,7 @@ impl<const N: usize> Controller<N> {
     /// The tool that the spindle holds in the motion of the line that is carried out, or else now; 0 for none that M6 named.
     pub fn tool_in_work(&self) -> u32 {
         match self.task {
-            Task::Job(_) => self.line.checked.spindle_tool(),
+            Task::Job(_) => self.line.action.spindle_tool(),
             _ => self.m.interpreter.spindle_tool(),
         }
     }
@@ -153,13 +152,16 @@ impl<const N: usize> Controller<N> {
     /// Whether the line that is carried out is an arc or a spline.
     pub fn is_arc_in_work(&self) -> bool {
         matches!(self.task, Task::Job(_))
-            && matches!(self.line.checked.motion, Motion::Arc(_) | Motion::Spline(_) | Motion::Nurbs(_))
+            && matches!(
+                self.line.action.motion,
+                MotionCommand::Arc(_) | MotionCommand::Spline(_) | MotionCommand::Nurbs(_)
+            )
     }
 
     /// While the line that is carried out waits: until when for its spindle, and after that for its dwell.
     pub fn waits_for_spindle_until(&self) -> Option<Instant> {
         let Task::Job(job) = &self.task else { return None };
-        match (job.stage, self.line.checked.dwell) {
+        match (job.stage, self.line.action.dwell) {
             (Stage::Dwell, _) if job.spindle_delay.is_zero() => Some(Instant::from_ticks(0)),
             (Stage::Dwell | Stage::SpinningUp, Some(dwell)) => Some(job.until - dwell),
             (Stage::Dwell | Stage::SpinningUp, None) => Some(NEVER),
@@ -180,7 +182,7 @@ impl<const N: usize> Controller<N> {
 
     /// The alarm that holds, if any.
     pub fn alarm(&self) -> Option<Alarm> {
-        self.mode.alarm()
+        self.state.alarm()
     }
 
     /// Whether the machine is where the position says, as far as anybody can know: not after a stop at speed, an underrun,
@@ -206,7 +208,7 @@ impl<const N: usize> Controller<N> {
 
     /// Whether the program has paused (M0, or a feed hold) and waits for `~` at rest.
     pub fn is_paused(&self) -> bool {
-        matches!(self.mode, Mode::Hold) && self.m.motion.is_at_rest()
+        matches!(self.state, State::Hold(_)) && self.m.motion.is_at_rest()
     }
 
     pub(crate) fn dialect(&self) -> Dialect {

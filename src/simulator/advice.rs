@@ -1,5 +1,5 @@
-//! What a person can do about an error or an alarm: a sentence of advice for each of them, and what to write instead of
-//! words that are refused (G33, G41, M98). The controller's own texts say what is wrong; these say what helps.
+//! What a person can do about each error and alarm, and what to write instead of words that are refused (G33, G41,
+//! M98). The controller's own texts say what is wrong; these say what helps.
 
 use oxmill_controller::error::{Alarm, Error};
 
@@ -271,7 +271,7 @@ pub fn for_alarm(alarm: Alarm) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use oxmill_controller::gcode::{Checked, Dialect, Interpreter};
+    use oxmill_controller::gcode::{Action, Dialect, Interpreter};
 
     #[test]
     fn words_that_are_refused_have_something_to_write_instead() {
@@ -279,7 +279,7 @@ mod tests {
             assert!(advice.ends_with('.') && !advice.contains("  "), "{advice}");
             for word in refused {
                 let line = format!("{word} X1 I1");
-                let mut checked = Checked::NOTHING;
+                let mut checked = Action::NOTHING;
                 let checked = Interpreter::<3>::default().check_into(
                     line.replace(' ', "").as_bytes(),
                     Dialect::Oxmill,

@@ -1,6 +1,6 @@
-//! A board's recording, as `$REC` has listed it, played into the simulator: the state at its beginning is restored,
-//! bytes and inputs come at their times, and counters and blocks are compared at each rest. Says where the simulator
-//! has parted from the board, or why the recording cannot be played.
+//! Plays a board's recording (`$REC`) into the simulator. The state at its beginning is restored, bytes and inputs come
+//! at their times, and step counters are compared at each rest. Reports where the simulator differs from the board, or
+//! why the recording cannot be played.
 //!
 //! A board is later than the simulator by the time that its processor takes, and what it did at a moment it did at another
 //! place than the simulator would. So what has stopped the board is played where the recording says that the board was cut off,

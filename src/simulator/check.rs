@@ -1,6 +1,5 @@
-//! `Check`: a job through the controller, a number of rounds at a time, and the report about it: refused lines with
-//! advice, messages, the alarm, times, distances, extents and peaks. It uses no files, threads or clock of the host;
-//! whoever drives it shows the progress.
+//! Checks a job: runs it through the controller as fast as possible and collects the report. Uses no files, threads or
+//! clock of the host; the caller shows the progress, between calls.
 
 use crate::advice;
 use crate::boards::AXES;

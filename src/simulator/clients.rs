@@ -1,6 +1,5 @@
-//! The clients of `serve`: what the threads that wait for bytes share with the loop that owns the simulator. Each
-//! client has an inbox that a thread fills and a thread that writes its answers; what happens to it goes to the loop
-//! through a channel.
+//! The clients of `serve`, and what their threads share with the loop that owns the simulator. A thread reads a
+//! client's bytes into an inbox, another writes its replies; events go to the loop through a channel.
 
 use crate::no_browser::is_realtime;
 use std::collections::VecDeque;

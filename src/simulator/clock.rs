@@ -1,5 +1,5 @@
-//! The virtual `Clock`: time in step-clock ticks (`hz`) since power-up, and the controller's `Instant` in whole
-//! microseconds made from it and back (`ticks_at`, `ticks_in`, `seconds`). It has an `end`, thousands of years ahead.
+//! The virtual clock: counts ticks of the step clock since power-up and converts them to the controller's microseconds
+//! and back. It moves only when told to, and never backwards.
 
 use oxmill_controller::units::Instant;
 use std::time::Duration;

@@ -1,5 +1,4 @@
-//! The words of the command line and nothing of what they do: commands, their options, and the exit status. The help
-//! texts and manual pages are made from the comments here.
+//! The command line: commands, options and exit status. Help texts and manual pages are made from the comments here.
 
 use crate::boards::{self, Board};
 use crate::power_up::{Dialect, board_named};

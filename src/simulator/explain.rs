@@ -1,5 +1,5 @@
-//! What each setting does and when a person changes it, in a sentence or two for every `Key` and `AxisKey`. Number,
-//! name, unit, range and default are in the controller's own table; boards do not have these sentences.
+//! What each setting does and when to change it, in a sentence or two. The controller's table has number, name, unit,
+//! range and default; boards do not have these sentences.
 
 use oxmill_controller::settings::{AxisKey, Key};
 

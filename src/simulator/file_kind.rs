@@ -1,4 +1,5 @@
-//! What a file is that is no text for a machine: `refuse` tells so by its first bytes, before any line of it is read.
+//! Refuses files that cannot be a job, by their first bytes and before any line is read: empty files, binary files and
+//! UTF-16 text.
 
 /// Of a file that is no job says what it is and what to do.
 ///

@@ -1,7 +1,6 @@
-//! The files of a run: none is written over another (`Role`, `check_apart` by path and metadata, symbolic links
-//! followed), every `Output` can be opened before the machine starts, is locked as long as it
-//! is written, and is removed if it was made and not written.
-//! What is read has a bound of bytes: a device or a pipe may have no end.
+//! The files of a run. No file is overwritten that the run also reads (symbolic links are followed). Every output is
+//! opened and locked before the machine starts, and an output that was not written is removed. Files that are read may
+//! not exceed a size, as a device or a pipe may have no end.
 
 use crate::file_kind;
 use crate::fittings::Fittings;

@@ -1,7 +1,5 @@
-//! What is fitted to the simulated machine (`Fittings`, described in TOML): limit switches as contacts with side,
-//! bounce and the second motor, a probe plate, backlash and a racked gantry in mm, and the switches that homing asks
-//! for (`HomeSwitches`). It follows where the motors drive the carriages, tells which contacts are closed or chatter,
-//! and knows nothing of the controller.
+//! What is fitted to the simulated machine, as described in TOML: limit switches, probe plate, backlash, a racked
+//! gantry. Follows the motors and says which contacts are closed or still bounce. It knows nothing of the controller.
 
 use crate::boards::AXES;
 use crate::machine::Machine;

@@ -1,7 +1,5 @@
-//! A machine that is homed before its job, with its work zero at a known place (`--work-zero`): `home` fits the
-//! switches that the settings ask for, says `$H` and G10 L2 to the controller, and names the steps from machine zero.
-//! Soft limits act in the job then. A switch is half a travel from the start, on the side of `HomingDirection`
-//! (`to_negative`).
+//! Homes a simulated machine before its job and sets its work zero (`--work-zero`), so that soft limits act in the job.
+//! Fits the switches that the settings ask for, and sends `$H` and G10 L2 like a host.
 
 use crate::boards::AXES;
 use crate::fittings::HomeSwitches;

@@ -1,6 +1,5 @@
-//! The host's end of the link: bytes wait in its port, the boards' own `Link` fetches them, and the queues of realtime
-//! commands and line bytes (`ToControl`) follow; a second link is unused. A host can connect, disconnect, lose bytes
-//! and be silent; tells what is received, heard and unread.
+//! The host's end of the link. Bytes wait in the host's port, the boards' own [`Link`](oxmill_controller::Link) fetches
+//! them, and the controller takes them from the queues. A host can connect, disconnect, lose bytes and stay silent.
 //!
 //! ```text
 //!  host ──▶ port ──▶ Link ──▶ queues of commands and lines ──▶ control task

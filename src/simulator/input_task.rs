@@ -1,7 +1,5 @@
-//! The input task: the boards' own filter and polarity, sampled at the moment that is due, over pins that a hand moves
-//! and the machine's contacts. It counts the noise of each input that the filter rejected, and tells whether an armed
-//! input stops the step task. `sample_due` is the next moment; contacts are settled once they are steady.
-//! `sample_contacts` and `sample_at` a tick note what is `sensed`; `set_hand` is what the hand holds.
+//! The input task: samples the simulated pins through the boards' own filter. A pin is low if a hand or a closed
+//! contact pulls it. Reports changes to the controller, and stops the step task if an armed input becomes active.
 
 use crate::clock::Clock;
 use crate::fittings::Fittings;

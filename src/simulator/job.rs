@@ -1,8 +1,5 @@
-//! The commands `run`, `check`, `plot` and `replay` carried out: reads the files that the options name and checks that
-//! their roles do not collide, powers a simulator up with its settings and machine, sends the job text through the
-//! controller in simulated time with a progress bar, and writes trace, recording, drawings and what the controller
-//! `said`, with the printed summary (whole, short or JSON). `Ending` tells how it ended: good, faulty, or other steps
-//! than the recording.
+//! Carries out `run`, `check`, `plot`, `replay` and `resume`: reads the files, powers up a simulator, sends the job,
+//! and writes summary, trace, recording and drawings. Returns how the command has ended, for its exit status.
 
 use crate::board_replay;
 use crate::check::Check;

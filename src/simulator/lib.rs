@@ -1,7 +1,5 @@
-//! The controller on a desk: the same code as on the board, with a virtual clock and a traced machine around it. The
-//! list of modules, and `main` of the program, which parses the command and turns its `Ending` into an exit code.
-//! Features (`cfg(feature = "program")`) leave out `server`, `plot` and the rest that a module for the web does not
-//! need; shell completions are generated here.
+//! The controller on a desk: the same code as on the board, with a virtual clock and a traced machine around it. Here
+//! are the list of modules and `main` of the program.
 //!
 //! The feature `program` is the program: `run` sends a job through it and says what the machine did; `serve` is a Grbl device
 //! for senders. Without it this is a library that has no files, threads, clock or drawing, and runs wherever a processor is:
@@ -39,7 +37,6 @@ pub mod host_link;
 pub mod input_task;
 #[cfg(feature = "program")]
 pub mod job;
-mod left_out;
 pub mod machine;
 #[cfg(feature = "program")]
 mod manual;
@@ -66,6 +63,7 @@ pub mod server;
 #[cfg(feature = "program")]
 pub mod short_report;
 pub mod simulator;
+mod small_board;
 pub mod step_task;
 pub mod store;
 pub mod streaming;

@@ -1,6 +1,5 @@
-//! The machine behind the step pins: net position and pulses of each motor, the second motor of a ganged axis, and the
-//! carriages, Cartesian or CoreXY, with the extents (low, high) that they reached. `step` moves them by step and
-//! direction bits.
+//! The machine behind the step pins: net steps and pulses of each motor, and the extents that the carriages have
+//! reached, on a Cartesian or CoreXY machine.
 
 use crate::boards::AXES;
 

@@ -1,5 +1,5 @@
-//! The manual (`oxmill man`): a page of the program and one of each subcommand, rendered from the words of the command
-//! line to standard output or into a folder.
+//! `oxmill man`: writes the manual pages, one for the program and one for each command, from the help texts of the
+//! command line.
 
 use crate::command_line::CommandLine;
 use crate::files;

@@ -1,6 +1,5 @@
-//! Which line and which tool a move belongs to, and whether it is an arc (`Mark`). The controller gives each move a
-//! number on its way through the look-ahead; `Marks` keeps what the known numbers mean, as long as moves of them may
-//! still come.
+//! Which line and tool each move belongs to. The controller carries a number with each move; this table says what the
+//! number means, as long as moves with it may still come.
 
 use std::collections::VecDeque;
 

@@ -1,6 +1,6 @@
-//! How far and how fast the tool went, in mm, measured on the blocks and segments that the step task executed:
-//! distance, rapids, times, peaks of speed and acceleration (only what rounding to steps cannot explain), and samples
-//! for the drawing.
+//! Measures how far and how fast the tool went, on the blocks and segments that the step task executed: distances,
+//! times, and peaks of speed and acceleration that rounding to steps cannot explain. Also takes samples for the
+//! drawing.
 //!
 //! A segment says how many units of its block it advances and in how many ticks of the step clock, and a block how many
 //! steps each axis takes. Nothing here is done per step.

@@ -1,8 +1,6 @@
-//! `NoBrowser`, a reader for ports that take lines: any web page can have a browser send a request, with lines of
-//! G-code in it, to a port of this computer. The first line of a connection (an HTTP method, or the beginning of TLS)
-//! tells a browser from a host, and nothing of a browser's is passed on; realtime commands in front of it are. It reads
-//! pieces until the line is text with a `version` or longer than the `LONGEST_METHOD`, and passes on to the `buffer`
-//! what `is_realtime`.
+//! Keeps browsers away from ports that take lines. Any web page can make a browser send a request to a port of this
+//! computer, and the request could hold G-code. The first line of a connection shows whether it is HTTP or TLS; if so,
+//! nothing of it is passed on except realtime commands in front of it.
 
 use std::io::{self, ErrorKind, Read};
 

@@ -1,7 +1,5 @@
-//! A `Drawing`, the data that a drawing needs of a job: points of the path (place, speed, rapid, mark) and columns of
-//! mean and top speed over time, of bounded number however long the job is. Samples are added one at a time; when
-//! points are too many they are thinned out within a tolerance (`simplified`, by Douglas and Peucker: what is farthest
-//! off the line), and when columns are, neighbours are merged and their `width` in seconds doubles.
+//! The data of a drawing: points of the tool path, and speeds over time. Both are bounded however long the job is:
+//! points are thinned within a tolerance (Douglas and Peucker), and neighbouring columns of time are merged.
 
 use crate::marks::Mark;
 use oxmill_controller::axes::LINEAR;

@@ -1,7 +1,5 @@
-//! A simulator as its user wants it: a board by its name, the `Dialect` (Grbl, Oxmill, seed), and settings `n=v` that
-//! are applied as if a host had sent them (`apply_setting`), or why one was refused. `SettingRefused` is
-//! `NoAssignment`, an `Error(code)` with its `error_text`, or `PowerGone`; `assignment` is the `$n=v` of a dialect
-//! (`by_name`), and `board_named` lists the boards.
+//! Powers up a simulator: finds the board by its name, selects the dialect, and applies settings as if a host had sent
+//! them. A setting that is refused is reported with the reason.
 
 use crate::boards::{self, Board};
 use crate::simulator::Simulator;

@@ -1,8 +1,6 @@
-//! The lines in front of the rest of a job (`resume`): `prologue` writes modal state, tool, offsets, the way to the
-//! place (an `Entry`: at the clearance, then down at the plunge feed) and spindle and coolant; numbers are exact, to
-//! seven decimals of a millimetre. Arcs and canned cycles have no word that could stand alone: `mode_of` finds
-//! the first line that continues in such a mode, and `put_in_front` writes the mode, and the words that stay in force
-//! in a cycle, into it.
+//! Writes the lines that restore a machine's state before the rest of a job (`oxmill resume`): modal state, tool,
+//! offsets, the way to the position, spindle and coolant. Numbers are exact. If the rest begins within arcs or canned
+//! cycles, their words are added to its first line.
 
 use crate::boards::AXES;
 use oxmill_controller::axes::{Axis, PerAxis};

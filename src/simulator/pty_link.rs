@@ -1,6 +1,5 @@
-//! `serve --pty`: a pseudo terminal (`openpty`, its `master`, raw by `cfmakeraw`) that a sender opens like a serial port,
-//! by its name or by a symbolic link. The `Port` looks by `poll` whether a client has it open, passes its bytes to the
-//! `Inbox` and throws away what it has not read (`tcflush`) when it closes. Several programs that have it open are one client.
+//! `serve --pty`: a pseudo terminal that a sender opens like a serial port, by its name or a symbolic link. When the
+//! client closes it, what it has not read is thrown away. Several programs that have it open count as one client.
 
 use crate::clients::{Client, ENDLESS, Happened, Inbox, LOOK, PIECE, Writer, hung_up, writer};
 use anyhow::{Context, Result, bail};

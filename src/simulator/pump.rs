@@ -1,5 +1,5 @@
-//! How the simulator carries the controller, in the order of [`oxmill_controller::pump`]: where each event comes from
-//! and where each output goes.
+//! Connects the controller to the simulated board, in the order of [`oxmill_controller::pump`]: where events come from,
+//! and where outputs go.
 
 use crate::boards::AXES;
 use crate::marks::Mark;

@@ -1,5 +1,5 @@
-//! Bytes of a line that are realtime commands on the way to a machine: `warning` says what they would do, and in which
-//! dialects, if a sender sends the line as it is.
+//! Bytes of a job's line that a machine would take as realtime commands if a sender sends them as they are. Warns what
+//! they would do, and in which dialects.
 
 use oxmill_controller::messages::Realtime;
 use oxmill_controller::protocol::realtime::command;

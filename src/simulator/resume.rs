@@ -1,9 +1,10 @@
-//! `oxmill resume`: a job from one of its lines on, as a program that a machine without any memory of the job can run.
-//! The lines in front of that one are carried out in a simulator (`Walk`), twice with other work zeros: what the two
-//! do not agree on depends on where the machine was when the job began, and is refused. `prologue` writes the lines
-//! that restore the state; a third simulator, powered up after them, takes these and the line, and must then be in the state
-//! of the first one (`Interpreter::differs_from`), or nothing is written. A `Wish` has the line (`Begin`), clearance,
-//! plunge feed and spin-up; `Resumed` has the program and what a person wants to read of it.
+//! `oxmill resume`: writes the rest of a job as a program of its own, which a machine without any memory of the job can
+//! run.
+//!
+//! The lines in front are run twice in a simulator, with different work zeros. If the two runs differ in anything, it
+//! depends on where the machine stood when the job began, and the job is refused. `prologue` then writes lines that
+//! restore the state. A third simulator runs these lines and the first of the rest; unless its state equals that of the
+//! first run (`Interpreter::differs_from`), nothing is written.
 
 use crate::boards::AXES;
 use crate::power_up::{Dialect, apply_setting, error_text};

@@ -1,8 +1,5 @@
-//! `serve`: the simulator as a Grbl device. It opens the link (TCP, a page, a pseudo terminal, or standard input and
-//! output) and has one loop, the `Device`, to which threads tell through a channel (`sender`, `receiver`) what
-//! happened: a client to admit, to turn away (`TURNED_AWAY`) or to keep waiting, one that has gone, lines that move
-//! pins. It records each `Input`, sends bytes to the simulator, and lets virtual time pass in a `SLICE` from its
-//! `anchor`, at a `Speed`.
+//! `serve`: the simulator as a Grbl device for senders. Opens the link (TCP, a page, a pseudo terminal, or standard
+//! input and output), and lets virtual time pass with the host's clock.
 //!
 //! Threads do nothing but wait for bytes and hand them to the one loop that owns the simulator. Virtual time follows the
 //! host's clock times the speed; when the machine would fall behind, time slows down rather than pile up.

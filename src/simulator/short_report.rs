@@ -1,7 +1,5 @@
-//! `ShortReport`, what `check` prints on one screen: the verdict in colour, the first refused lines with their error
-//! and advice, the alarm, messages, time by part and tool, and extents. Of a list, `SHOWN_ERRORS` are written
-//! (`writeln!`) and the count of more. A `verdict` is in a `Style` of `AnsiColor` (bold for a good or bad verdict,
-//! green, red); the rows come from the `summary`.
+//! What `check` prints on one screen: the verdict, the first refused lines with advice, the alarm, messages, times by
+//! tool, and extents. Long lists are cut short, with the number of further entries.
 
 use crate::summary::{Summary, clock_time, counted};
 use anstyle::{AnsiColor, Style};

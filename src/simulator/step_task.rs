@@ -1,7 +1,6 @@
-//! `StepTask`: the controller's own stepper with a queue of messages in front of it, and a timer that is due at a tick
-//! of the virtual clock. Each tick steps the motors of the `World` (machine, fittings, meter, trace), looks at the
-//! probe, sets the power of the segment, and makes events of stops and underruns. It takes over the slow outputs, and
-//! after a stop its gate is `shut`.
+//! The step task of the simulator: the controller's own stepper, with a queue of messages and a timer in virtual time.
+//! Each tick steps the motors, checks the probe and is traced. Stops and underruns are reported to the controller as on
+//! a board.
 
 use crate::boards::AXES;
 use crate::clock::Clock;

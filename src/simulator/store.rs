@@ -1,7 +1,5 @@
-//! The flash `Image`: the two settings sectors of a board, in memory, under the log that the boards use (`Store`). A
-//! copy may be kept elsewhere word by word (`Keep`); a power cut can be ordered after so many operations and leaves a
-//! torn word or half an erased sector. Records are applied, restored and erased ahead. It fails with a `Failure`, and
-//! tells whether its power is gone.
+//! The settings store of a simulated board: two flash sectors in memory under the log that the boards use. Every word
+//! written can be copied to a file at once.
 //!
 //! Whoever keeps a copy is told of every word at once, so whatever ends the process leaves what a power cut would leave. A
 //! power cut can also be ordered: after so many words and erases, the next one is left half done and nothing is taken any

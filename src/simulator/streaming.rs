@@ -1,7 +1,5 @@
-//! A job sent over a link of a baud rate by a sender that counts characters: how long it takes when bytes in flight and
-//! answers on the way back come no faster (`credit`, `carried`), and at which lines the machine lost time against a
-//! link without limit (`Streamed`, `Lost`). Bytes are outgoing, `in_flight` or read (`lines_before`); a place with a
-//! noticeable lag is kept; `forecast_s` is the expected time.
+//! Forecasts a job over a serial link: how long it takes with a sender that counts characters at a baud rate, and at
+//! which lines the machine waits for bytes. Compared with the same job over a link without limit.
 //!
 //! The sender counts characters: it sends a line as long as what the controller has not answered, with it, fits into the
 //! receive buffer. Answers need their time on the way back, too. Time passes in slices of a millisecond.

@@ -1,5 +1,5 @@
-//! `Summary`: what a job did, as fields of JSON and as rows of text for people: errors, alarm, messages, forecast,
-//! times, position, steps, distances, extents, peaks and hashes.
+//! The result of a job: errors, alarm, messages, times, distances, extents, peaks and digests. Written as JSON, or as
+//! text for people.
 
 use crate::times::ToolTime;
 use oxmill_controller::axes::Axis;

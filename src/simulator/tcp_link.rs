@@ -1,6 +1,5 @@
-//! `serve --tcp` and `--pins`: listeners on TCP (`listen`, `TcpListener`), their connections (`set_up`: time-outs
-//! `UNREAD`, `UNACKNOWLEDGED`, keep-alive by `SILENCE` and `QUESTIONS`), one that is refused (`CROWDED`) or turned away,
-//! and clients of the pin protocol, a line (`PIN_LINE`, `PIN_BUFFER`) and its answer at a time.
+//! `serve --tcp` and `--pins`: accepts TCP connections, serves one client of the machine and some pin clients, and
+//! turns the others away. Time-outs and keep-alive end connections of clients that are gone or do not read.
 
 use crate::clients::{Connection, ENDLESS, Happened, Incoming, LOOK, PIECE, Places};
 use crate::files::remark;

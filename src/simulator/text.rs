@@ -1,15 +1,15 @@
-//! `JobText`: a job as text of any length, given to the controller byte by byte; each answer of the controller is
-//! matched to its line, with errors, messages and the line of an alarm.
+//! Gives a job's text to the controller byte by byte, and matches each reply to its line: errors, messages, and the
+//! line of an alarm.
 //!
 //! A file is not a wire: no byte of it is a realtime command. Comments may hold any UTF-8; what is not ASCII reaches the
 //! controller as `?`, which means nothing in a comment and is refused anywhere else. Every line gets exactly one answer,
 //! in order, as for any sender.
 
-use crate::left_out;
 use crate::realtime_bytes;
+use crate::small_board;
 use crate::summary::Warning;
 use oxmill_controller::error::Error;
-use oxmill_controller::protocol::checked_line::ANSWER_HEADER;
+use oxmill_controller::protocol::line_checksum::ANSWER_HEADER;
 use std::collections::VecDeque;
 use std::io::{self, BufRead};
 
@@ -277,7 +277,7 @@ impl JobText {
         self.has_words |= !is_remark(text);
         self.bytes.extend(text.chars().map(plain));
         self.bytes.push_back(b'\n');
-        let left_out = if self.has_all_words { None } else { left_out::error_of(text) };
+        let left_out = if self.has_all_words { None } else { small_board::error_of(text) };
         let shown = text.trim().chars().take(120).map(shown_character).collect();
         self.unanswered.push_back((self.lines, shown, left_out));
     }

@@ -1,5 +1,4 @@
-//! The time of a job by tool and by kind: a row (`ToolTime`) of seconds at feed, in rapids, dwelling and waiting for
-//! the spindle to spin up. And the lines that take longer than an hour.
+//! The time of a job by tool: feed, rapids, dwells and spin-up. Also lists the lines that take longer than an hour.
 
 use serde::Serialize;
 

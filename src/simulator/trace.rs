@@ -1,5 +1,5 @@
-//! `Trace`: what the step outputs did, step event by step event: digests always, and on request a row for each event in
-//! a CSV file or a list in memory.
+//! What the step outputs did, event by event: digests always, and on request a row for each event in a CSV file or a
+//! list in memory.
 
 use oxmill_controller::axes::{Axis, LINEAR};
 use oxmill_controller::digest::Digest;

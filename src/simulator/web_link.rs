@@ -1,7 +1,4 @@
-//! `serve --web`: the `Site` answers HTTP requests of a browser with the page, after a look at the headers `Host` and
-//! `Origin`, and upgrades `/machine` to a WebSocket whose binary messages are carried to and from the machine
-//! (`pass_messages`); on the loopback only. Another page is refused (403) or turned away. The TCP listener, time-outs
-//! (`REQUEST_TIME`), the HTML with its content policy, and host names with ports.
+//! `serve --web`: serves the page over HTTP and carries the machine's bytes over a WebSocket, on the loopback only.
 //!
 //! A web site that somebody visits can reach ports of this computer. So nothing is answered unless `Host` names the loopback
 //! (a name of another site may be made to lead here), and no machine is driven unless `Origin` is this page's: a browser

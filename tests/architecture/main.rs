@@ -37,7 +37,6 @@ const ROOMS: &[(&str, &[&str])] = &[
     ("outputs", ALL),
     ("pump", &["dispatch", "messages", "units"]),
     ("recorder", &["dispatch", "messages", "protocol", "units"]),
-    ("recorder_left_out", &["dispatch", "messages", "units"]),
 ];
 
 /// The rooms that carry out what comes in: all of them are about `Controller` and `Machine`. Which of their files may call
@@ -89,7 +88,7 @@ fn sources(folder: &Path) -> Vec<(PathBuf, String)> {
     found
 }
 
-/// Names of the modules that lead to a file: `protocol/line.rs` is [protocol, line], `gcode/mod.rs` is [gcode].
+/// Names of the modules that lead to a file: `protocol/text.rs` is [protocol, text], `gcode/mod.rs` is [gcode].
 fn module_of(file: &Path) -> Vec<String> {
     let mut parts: Vec<String> =
         file.with_extension("").components().map(|c| c.as_os_str().to_string_lossy().into_owned()).collect();
@@ -330,12 +329,12 @@ mod the_reader_itself {
             ("gcode/check.rs", "use crate::{axes::Axis, motion::{Move, Speed}};"),
             ("gcode/check.rs", "use crate::motion as m;"),
             ("gcode/check.rs", "fn f() { let m = crate::motion::Move::new(); }"),
-            ("gcode/check.rs", "use super::super::protocol::line;"),
+            ("gcode/check.rs", "use super::super::protocol::line_filter;"),
             ("gcode/mod.rs", "use super::protocol;"),
             ("gcode/mod.rs", "pub use super::{units::Decimal, controller::Controller};"),
             ("units.rs", "use crate::axes::Axis;"),
             ("motion/planner.rs", "use crate::settings::Settings;"),
-            ("machine/hold.rs", "use crate::gcode::Checked;"),
+            ("machine/hold.rs", "use crate::gcode::Action;"),
             ("messages/host.rs", "use crate::protocol::text;"),
             ("protocol/report.rs", "struct A(crate::motion::Motion);"),
             ("protocol/report.rs", "use crate::Stepper;"),

@@ -11,7 +11,6 @@ const SAME_NAMES: &[(&str, usize)] = &[
     ("src/controller Computed", 2),
     ("src/controller ComputedMemory", 2),
     ("src/controller ComputedStorage", 2),
-    ("src/controller Motion", 2),
     ("src/controller Page", 2),
     ("src/controller Recorder", 2),
 ];
@@ -85,7 +84,8 @@ fn calls_between_the_files_of_a_room_go_one_way() {
         let mut methods: BTreeMap<(String, String), String> = BTreeMap::new();
         let read: Vec<(&String, Vec<Item>)> =
             files.iter().map(|(file, text)| (file, source::items(&source::lex(&source::bare(text))))).collect();
-        for (file, items) in &read {
+        // A `none.rs` has the functions of what it stands in for.
+        for (file, items) in read.iter().filter(|(file, _)| !file.ends_with("none.rs")) {
             for item in items.iter().filter(|item| item.kind == "impl") {
                 for name in item.functions() {
                     methods.insert((item.name.clone(), name), (*file).clone());

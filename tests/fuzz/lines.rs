@@ -6,9 +6,9 @@
 
 use super::work::at_most;
 use oxmill_controller::gcode::{
-    AS_WRITTEN, Checked, Dialect, Direction, Held, HeldLine, Interpreter, WITH_VALUES, split_remark,
+    AS_WRITTEN, Action, Dialect, Direction, Held, HeldLine, Interpreter, WITH_VALUES, split_remark,
 };
-use oxmill_controller::protocol::line::{self, Line, LineRules, Pushed};
+use oxmill_controller::protocol::line_filter::{self, Line, LineRules, Pushed};
 
 /// X, Y, Z and A, of which the first byte may leave A out.
 const AXES: usize = 4;
@@ -20,7 +20,7 @@ const MOST_LINES: usize = 2_000;
 
 struct Program {
     interpreter: Interpreter<AXES>,
-    checked: Checked<AXES>,
+    checked: Action<AXES>,
     dialect: Dialect,
     lines: usize,
 }
@@ -30,13 +30,13 @@ pub fn run(data: &[u8]) {
     let Some((first, text)) = data.split_first() else { return };
     let dialect = [Dialect::Oxmill, Dialect::Grbl, Dialect::Seed][usize::from(*first % 3)];
     let rules = || LineRules {
-        length: if dialect == Dialect::Grbl { line::GRBL_LENGTH } else { line::LENGTH },
+        length: if dialect == Dialect::Grbl { line_filter::GRBL_LENGTH } else { line_filter::LENGTH },
         merge_crlf: dialect != Dialect::Grbl,
         nested_remarks: dialect != Dialect::Grbl,
         expressions: dialect != Dialect::Grbl,
         block_delete: first & 0x40 != 0,
     };
-    let mut program = Program { interpreter: Interpreter::default(), checked: Checked::NOTHING, dialect, lines: 0 };
+    let mut program = Program { interpreter: Interpreter::default(), checked: Action::NOTHING, dialect, lines: 0 };
     program.interpreter.set_axes(if first & 0x20 != 0 { AXES } else { 3 });
     let mut line = Line::new();
     for byte in text {

@@ -1,7 +1,6 @@
-//! The geometry by which an arc is checked and its centre found, in the plane and in integers of 0.1 nm:
-//! `centre_by_radius` for R, `radii_agree` for I, J, K, `ray_crossing` where they do not. `Vector` is a chord or a
-//! centre from the start; square roots are taken with many bits. `RADIUS_TOLERANCE_MAX` bounds the difference of the
-//! first and second radius; an impossible one is `ImpossibleRadius`.
+//! The shape of an arc in its plane: finds the centre of an arc with R, and checks that the radii at both ends agree
+//! for an arc with I, J, K. All of it is integer arithmetic in units of 0.1 nm. Called while a line is checked; chords
+//! are computed later, by `motion::arc`.
 //!
 //! ```text
 //!        second                     chord: start to target

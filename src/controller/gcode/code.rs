@@ -1,5 +1,4 @@
-//! `Code`: the number of a G or M word as whole part and hundredths (G38.2 is 38 and 20), as Grbl rounds it, or
-//! `NO_CODE`.
+//! The number of a G or M word as whole part and hundredths: G38.2 is 38 and 20. Rounded as Grbl rounds it.
 
 use crate::units::{DECIMAL_ONE, Decimal, ones};
 

@@ -1,10 +1,13 @@
-//! Whether the lines that follow mean the same to two interpreters: `differs_from` names the first part of the state
-//! (modal state, place, offsets, tool, parameters, a curve or a cycle in force) that a program could notice.
+//! Compares two interpreters: whether the lines that follow would mean the same to both. Returns the first part of the
+//! state that a program could tell apart. Used by `oxmill resume` to prove that a rest of a job is complete. Also whether
+//! an interpreter is in the plain state from which a recording can be replayed.
 
 use super::control_points::ControlPoints;
 use super::modal::{FeedMode, Modal, MotionMode, SplineKind};
-use super::state::Interpreter;
+use super::state::{Interpreter, ProgramPlace};
+use super::tools::Measured;
 use super::values::in_xy;
+use crate::axes::PerAxis;
 use crate::units::{Coordinate, Decimal};
 
 impl<const N: usize> Interpreter<N> {
@@ -29,6 +32,22 @@ impl<const N: usize> Interpreter<N> {
             (self.waiting_points() != other.waiting_points(), "a curve whose control points are being read"),
         ];
         parts.into_iter().find_map(|(differs, part)| differs.then_some(part))
+    }
+
+    /// Whether nothing holds but what is modal and what is stored, and the program believes to be there.
+    pub fn is_plain(&self, place: &PerAxis<Coordinate, N>) -> bool {
+        let offsets = [&self.offsets.g92, &self.offsets.g92_kept, &self.offsets.tool_length];
+        self.position == *place
+            && offsets.into_iter().all(|offset| *offset == PerAxis::all(Coordinate::ZERO))
+            && !self.is_within_block()
+            && self.place != ProgramPlace::Subprogram
+            && self.before_check.is_none()
+            && self.saved.is_empty()
+            && self.rotation.is_none()
+            && self.scaling.is_none()
+            && self.measured == Measured::NOTHING
+            && self.computed.is_blank()
+            && self.modal.tool == self.spindle_tool
     }
 
     /// The control points, with their order, that wait for a G5.3.

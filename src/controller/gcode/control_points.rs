@@ -1,5 +1,4 @@
-//! `ControlPoints` of G5.2, each with its weight, which wait for the G5.3 that leads along their curve; their order,
-//! and what a line adds to them (`Addition`: a start or a point).
+//! The control points of a G5.2 curve, each with its weight, until G5.3 runs the curve.
 
 use super::modal::SPLINES;
 use crate::lent::Lent;

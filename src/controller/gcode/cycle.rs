@@ -1,7 +1,5 @@
-//! Canned cycles: one line that drills, pecks or bores holes, cut into steps (`CycleStep`): rise, to the next hole in
-//! the plane, approach R, cut to the bottom or by a peck, and what follows the bottom (dwell, `stops_spindle`,
-//! pause, retract). `Cycle` has the holes left, their pitch, and the levels R, bottom and clear; `CycleWords` stay in force in
-//! a series. `at_depth`, `rapid_to_clear` and `feed_to_r` give the place of a step.
+//! Canned cycles as a sequence of simple steps: rapids, feeds, dwells and spindle stops. The controller asks for one
+//! step at a time, so a hold or a reset acts between any two of them.
 //!
 //! ```text
 //!  clear  ───▶ (in the plane, rapid) ──┐                        ▲

@@ -1,5 +1,4 @@
-//! What becomes of a line when there are O words: `Direction` says whether a line of the host is to be checked now, is
-//! done, left out, or calls held text; `Held` what comes next of held text.
+//! The two answers that O words give: what to do with a line of the host, and what comes next of held text.
 
 /// What a line of the host is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,10 +1,8 @@
-//! What the `Interpreter` does: `check_into` checks a line against its state, `commit` takes over what the line changes
-//! (modal state, offsets, rotation, scaling, saved states, tangent, cycle words), `reset` forgets, check mode begins,
-//! the dialect changes. Also `check_jog`, whether G92 acts or is kept (`g92_acts`), and the tool in the spindle
-//! afterwards.
+//! Checks and commits lines. `check` turns a line into an [`Action`] and changes nothing; `commit` takes over what the
+//! line changes: modal state, offsets, rotation, saved states. Also resets, check mode, and a change of dialect.
 
+use super::action::{Action, Flow, Keeping, MotionCommand};
 use super::check::{self, Purpose};
-use super::checked::{Checked, Flow, Keeping, Motion};
 use super::modal::{Modal, MotionMode, SPLINES, SplineKind};
 use super::offsets::{StoredOffset, TOOL_AXIS};
 use super::parse::Parsed;
@@ -79,106 +77,106 @@ impl<const N: usize> Interpreter<N> {
     /// Checks a line of a program. `line` is filtered: capital letters, no blanks, no comments. Parameters that the line
     /// sets are read, and not kept for a commit.
     #[cfg(feature = "alloc")]
-    pub fn check(&self, line: &[u8], dialect: Dialect) -> Result<Checked<N>, Error> {
-        let mut checked = Checked::NOTHING;
-        self.clone().check_into(line, dialect, &mut checked)?;
-        Ok(checked)
+    pub fn check(&self, line: &[u8], dialect: Dialect) -> Result<Action<N>, Error> {
+        let mut action = Action::NOTHING;
+        self.clone().check_into(line, dialect, &mut action)?;
+        Ok(action)
     }
 
     /// The same, with the result in its place; it is worth nothing after an error. Parameters that the line sets wait for
     /// its commit, or for the next check, which forgets them.
     #[inline]
-    pub fn check_into(&mut self, line: &[u8], dialect: Dialect, checked: &mut Checked<N>) -> Result<(), Error> {
+    pub fn check_into(&mut self, line: &[u8], dialect: Dialect, action: &mut Action<N>) -> Result<(), Error> {
         let mut parsed = Parsed::empty();
         self.computed.begin();
         parsed.read(line, dialect, self)?;
-        check::check(self, &parsed, dialect, Purpose::Program, checked)
+        check::check(self, &parsed, dialect, Purpose::Program, action)
     }
 
     /// Checks what follows `$J=`. The motion of the result is a jog; of the state its commit changes the position
     /// only.
     #[cfg(feature = "alloc")]
-    pub fn check_jog(&self, line: &[u8], dialect: Dialect) -> Result<Checked<N>, Error> {
-        let mut checked = Checked::NOTHING;
-        self.clone().check_jog_into(line, dialect, &mut checked)?;
-        Ok(checked)
+    pub fn check_jog(&self, line: &[u8], dialect: Dialect) -> Result<Action<N>, Error> {
+        let mut action = Action::NOTHING;
+        self.clone().check_jog_into(line, dialect, &mut action)?;
+        Ok(action)
     }
 
     /// The same, with the result in its place; it is worth nothing after an error.
-    pub fn check_jog_into(&mut self, line: &[u8], dialect: Dialect, checked: &mut Checked<N>) -> Result<(), Error> {
-        jog::check(self, line, dialect, checked)
+    pub fn check_jog_into(&mut self, line: &[u8], dialect: Dialect, action: &mut Action<N>) -> Result<(), Error> {
+        jog::check(self, line, dialect, action)
     }
 
     /// Takes over what a line has changed. The position becomes the end of the line's motion; a probing move that ends
     /// elsewhere is followed by [`Interpreter::set_position`].
-    pub fn commit(&mut self, checked: &Checked<N>) {
+    pub fn commit(&mut self, action: &Action<N>) {
         // The operator may have switched the coolant since the line was checked.
         let coolant = self.modal.coolant;
-        self.modal = checked.modal;
-        if checked.coolant.is_none() && checked.flow != Flow::End {
+        self.modal = action.modal;
+        if action.coolant.is_none() && action.flow != Flow::End {
             self.modal.coolant = coolant;
         }
-        if !checked.moves_only() {
-            self.commit_beside_motion(checked);
+        if !action.moves_only() {
+            self.commit_beside_motion(action);
         }
-        self.rest = checked.rotated.scaled.rest.unwrap_or(self.rest);
-        if checked.rotated.reached.is_some() {
-            self.reached = checked.rotated.reached;
+        self.rest = action.rotated.scaled.rest.unwrap_or(self.rest);
+        if action.rotated.reached.is_some() {
+            self.reached = action.rotated.reached;
         }
-        self.position = checked.position;
+        self.position = action.position;
         self.computed.commit();
-        if checked.flow == Flow::End {
+        if action.flow == Flow::End {
             self.saved.clear();
             self.tangent = NO_TANGENT;
             self.computed.end_program();
             self.place = ProgramPlace::End;
         }
-        self.remember_motion(checked);
+        self.remember_motion(action);
     }
 
     /// What a line changes beside the motion mode and the position.
     #[inline(never)]
-    fn commit_beside_motion(&mut self, checked: &Checked<N>) {
-        self.offsets.g92 = checked.g92;
-        self.offsets.g92_acts = checked.after.g92_acts;
-        if checked.after.keeps_g92 {
-            self.offsets.g92_kept = checked.g92;
+    fn commit_beside_motion(&mut self, action: &Action<N>) {
+        self.offsets.g92 = action.g92;
+        self.offsets.g92_acts = action.after.g92_acts;
+        if action.after.keeps_g92 {
+            self.offsets.g92_kept = action.g92;
         }
-        if !matches!(checked.after.keeping, Keeping::Leave) {
-            self.keep_state(checked);
+        if !matches!(action.after.keeping, Keeping::Leave) {
+            self.keep_state(action);
         }
-        self.offsets.tool_length = checked.tool_length;
-        if let (Some(which), Some(value)) = (checked.store, checked.stored) {
+        self.offsets.tool_length = action.tool_length;
+        if let (Some(which), Some(value)) = (action.store, action.stored) {
             self.set_stored(which, value);
         }
-        if let (Some(StoredOffset::System(system)), Some(angle)) = (checked.store, checked.rotated.angle) {
+        if let (Some(StoredOffset::System(system)), Some(angle)) = (action.store, action.rotated.angle) {
             self.offsets.set_angle(system, angle);
         }
-        if let Some(rotation) = checked.rotated.rotation {
+        if let Some(rotation) = action.rotated.rotation {
             self.rotation = rotation;
         }
-        if let Some(scaling) = checked.rotated.scaled.scaling {
+        if let Some(scaling) = action.rotated.scaled.scaling {
             self.scaling = scaling;
         }
-        if let Some(number) = checked.removes_tool() {
+        if let Some(number) = action.removes_tool() {
             self.tools.remove(tools::entry_number(number, self.is_checking()));
         }
-        if checked.after.spindle_tool != self.spindle_tool && !self.is_checking() {
+        if action.after.spindle_tool != self.spindle_tool && !self.is_checking() {
             self.measured.forget_tool();
         }
-        self.spindle_tool = checked.after.spindle_tool;
+        self.spindle_tool = action.after.spindle_tool;
     }
 
     /// M70 to M73, G5.2.
     #[inline(never)]
-    fn keep_state(&mut self, checked: &Checked<N>) {
+    fn keep_state(&mut self, action: &Action<N>) {
         let level = self.computed.level();
-        match checked.after.keeping {
+        match action.after.keeping {
             Keeping::Leave => {}
             Keeping::Save { until_return } => self.saved.save(Saved {
-                modal: checked.modal,
-                tool_length: checked.tool_length,
-                g92_acts: checked.after.g92_acts,
+                modal: action.modal,
+                tool_length: action.tool_length,
+                g92_acts: action.after.g92_acts,
                 spindle_tool: self.spindle_tool,
                 is_measured_anew: false,
                 level,
@@ -195,12 +193,14 @@ impl<const N: usize> Interpreter<N> {
 
     /// What a spline or cycle leaves for the line behind it.
     #[inline]
-    fn remember_motion(&mut self, checked: &Checked<N>) {
-        match &checked.motion {
-            Motion::Spline(spline) if SPLINES && checked.modal.motion == MotionMode::Spline(SplineKind::Cubic) => {
+    fn remember_motion(&mut self, action: &Action<N>) {
+        match &action.motion {
+            MotionCommand::Spline(spline)
+                if SPLINES && action.modal.motion == MotionMode::Spline(SplineKind::Cubic) =>
+            {
                 self.tangent.fill(Some(Tangent::behind(&spline.target, spline.arriving)));
             }
-            Motion::Cycle(cycle) => self.cycle = cycle.words,
+            MotionCommand::Cycle(cycle) => self.cycle = cycle.words,
             _ => {}
         }
     }

@@ -1,9 +1,9 @@
-//! The check of a jog line: `$J=` with axis words, F, and of the commands only G20, G21, G90, G91 and G53, for this
-//! line alone; all else is `InvalidJog`.
+//! Checks a jog (`$J=`): axis words and F, with G20, G21, G90, G91 and G53 for this line only. Everything else is
+//! refused.
 
 use super::Dialect;
+use super::action::Action;
 use super::check::{self, Purpose};
-use super::checked::Checked;
 use super::parse::Parsed;
 use super::state::Interpreter;
 use super::word::{Groups, NonModal};
@@ -15,12 +15,12 @@ pub(super) fn check<const N: usize>(
     state: &mut Interpreter<N>,
     line: &[u8],
     dialect: Dialect,
-    checked: &mut Checked<N>,
+    action: &mut Action<N>,
 ) -> Result<(), Error> {
     let mut parsed = Parsed::empty();
     state.computed.begin();
     parsed.read(line, dialect, state)?;
-    check::check(state, &parsed, dialect, Purpose::Jog, checked)?;
+    check::check(state, &parsed, dialect, Purpose::Jog, action)?;
     if state.computed.assigns() || !parsed.groups.within(Groups::OF_JOGS) {
         return Err(Error::InvalidJog);
     }
@@ -28,6 +28,6 @@ pub(super) fn check<const N: usize>(
         None | Some(NonModal::MachineCoordinates) => {}
         Some(_) => return Err(Error::InvalidJog),
     }
-    checked.only_moves(state);
+    action.only_moves(state);
     Ok(())
 }

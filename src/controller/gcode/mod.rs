@@ -1,8 +1,8 @@
-//! G-code: the text of one line becomes one [`Checked`] action, or an error and nothing at all. The list of the room's
+//! G-code: the text of one line becomes one [`Action`], or an error and nothing at all. The list of the room's
 //! modules, and the `Dialect` (Grbl, Oxmill, seed) in which words are meant.
 //!
 //! ```text
-//!  bytes ──parse──▶ Parsed ──check──▶ Checked ──commit──▶ modal state, offsets, program position
+//!  bytes ──parse──▶ Parsed ──check──▶ Action ──commit──▶ modal state, offsets, program position
 //!         (words,            (meaning, in the             (only when the caller
 //!          groups)            order of Grbl)               carries the line out)
 //! ```
@@ -11,14 +11,15 @@
 //! length (`protocol`), carrying out what a line means (`controller`), the shape of arcs and speeds (`motion`), travel
 //! limits.
 
+mod action;
 mod arc;
 mod check;
-mod checked;
 mod code;
 #[cfg(feature = "expressions")]
 mod computed;
 #[cfg(not(feature = "expressions"))]
-mod computed_left_out;
+#[path = "computed/none.rs"]
+mod computed;
 mod continuation;
 mod control_points;
 mod cycle;
@@ -40,10 +41,7 @@ mod tools;
 mod values;
 mod word;
 
-#[cfg(not(feature = "expressions"))]
-use computed_left_out as computed;
-
-pub use checked::{ArcMove, Checked, Feed, Flow, InputWait, Motion, Notice, NurbsMove, ProgramPins, SplineMove};
+pub use action::{Action, ArcMove, Feed, Flow, InputWait, MotionCommand, Notice, NurbsMove, ProgramPins, SplineMove};
 pub use computed::HeldLine;
 pub use cycle::{Cycle, CycleStep, CycleWords};
 pub use direction::{Direction, Held};

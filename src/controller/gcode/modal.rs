@@ -1,6 +1,5 @@
-//! `Modal`: what stays in force from line to line, one type for each modal group, with the word that selects each value
-//! (`MotionMode::Linear => "G1"`). Its initial state, what the end of a program sets back, and which features this
-//! build has.
+//! The modal state: one type for each modal group, the state after a reset, and what the end of a program resets. The
+//! constants at the top say which features this build has.
 
 use crate::axes::Axis;
 use crate::messages::{Coolant, SpindleDirection};

@@ -1,7 +1,5 @@
-//! `Offsets`: where the program's coordinates lie in the machine: work position = machine position - (WCS + G92 + TLO),
-//! but for rotations (`rotation`). The origins and angles of the coordinate systems, G28, G30, G92 with what is kept of
-//! it, tool length; which are stored (`StoredOffset`), their total, and the rotated plane that follows. `of_system`
-//! gives the zero of a `CoordinateSystem` per axis; `g92_acts` or not; `tool_length` is along an axis.
+//! All offsets of the interpreter. Machine position minus coordinate system, G92 and tool length gives the work
+//! position; a rotation acts in between (see `rotation`). Coordinate systems, G28 and G30 are stored, G92 is not.
 
 use super::modal::{CoordinateSystem, Plane, ROTATION};
 use super::rotation::{Angle, RotatedPlane, Rotation, difference, sum};

@@ -1,7 +1,5 @@
-//! First step: the text of a line to its words (`Parsed`), sorted by what they are: G words by group and claim, modal
-//! words, M words, words that Grbl lacks (`Extended`), axis words with their places, and a value for each letter.
-//! Refuses repeated, negative and too great values. Nothing here depends on the modal state. `take_g` and `take_m` sort
-//! a `GWord` or `MWord` by its code and dialect.
+//! The first step of G-code: sorts the words of a line into modal words, M words, axis words and values. Refuses
+//! repeated letters, two words of one group, and values out of range. Nothing here depends on the modal state.
 
 use super::Dialect;
 use super::code::Code;

@@ -71,8 +71,8 @@ mod tests {
             if interpreter.look_behind_end(line, false).is_err() {
                 return false;
             }
-            let checked = interpreter.check(line, Dialect::Oxmill).unwrap();
-            interpreter.commit(&checked);
+            let action = interpreter.check(line, Dialect::Oxmill).unwrap();
+            interpreter.commit(&action);
             true
         };
         lines.iter().map(take).collect()
@@ -91,8 +91,8 @@ mod tests {
         assert_eq!(taken(&["%", "O1", "M30", "%", "O2", "G0X1", "M30"]), [true; 7]);
         let mut interpreter = Interpreter::<3>::default();
         for end in ["M2", "M30"] {
-            let checked = interpreter.check(end.as_bytes(), Dialect::Oxmill).unwrap();
-            interpreter.commit(&checked);
+            let action = interpreter.check(end.as_bytes(), Dialect::Oxmill).unwrap();
+            interpreter.commit(&action);
             assert!(interpreter.is_behind_end());
             assert_eq!(interpreter.look_behind_end(b"O1", true), Ok(()));
             assert!(!interpreter.is_behind_end());

@@ -1,6 +1,5 @@
-//! Rotated coordinates: G10 L2 R turns a coordinate system about its origin, G68 turns what a program writes about a
-//! centre. `Angle` turns a vector by cosine and sine in fixed point; `RotatedPlane` leads from program to machine
-//! coordinates and back, and `Reached` keeps a place as the program wrote it.
+//! Rotated coordinates: G10 L2 R turns a coordinate system about its origin, G68 turns the program about a centre. Both
+//! are combined into one rotation of the plane, in fixed point.
 //!
 //! ```text
 //!      second │      ╱ second of the program

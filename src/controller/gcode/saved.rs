@@ -1,5 +1,5 @@
-//! `SavedStates` that M70 and M73 have saved: the program's own, and one of each level of calls under way; which M72
-//! restores, M71 forgets, and the return of a call wants back (`until_return`).
+//! Modal states saved by M70 and M73, one for each level of subroutine calls. M72 restores the state, M71 forgets it,
+//! and a call that began with M73 restores it when it returns.
 
 use super::EXPRESSIONS;
 use super::modal::Modal;

@@ -1,7 +1,5 @@
-//! Scaled coordinates (`Scaling`): G51 multiplies what a program writes along X, Y and Z by factors, seen from a
-//! centre; what comes of it is rotated (`rotation`) and offset. A place, a way or a size is scaled, `written` is the
-//! inverse, and the `Rest` of each rounding is kept. A factor is a numerator over a denominator, in `Fine` numbers of
-//! 128 bits, `divided` to the nearest.
+//! Scaled coordinates: G51 multiplies what a program writes along X, Y and Z by factors, seen from a centre. The result
+//! is rotated (`rotation`) and offset afterwards.
 //!
 //! ```text
 //!                       scaled = centre + factor · (written - centre)         a distance: factor · written

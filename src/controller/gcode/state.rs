@@ -1,5 +1,6 @@
-//! What the `Interpreter` knows: modal state, offsets, tools, saved states, rotation and scaling, and the position that
-//! a program has reached; and how others ask and correct it.
+//! The state of the [`Interpreter`]: modal state, offsets, tools, saved states and the position at the end of all
+//! committed lines. Here are the ways in which the controller reads it and corrects it, for example after a stop or a
+//! probe.
 
 use super::Dialect;
 use super::computed::Computed;
@@ -235,22 +236,6 @@ impl<const N: usize> Interpreter<N> {
     /// The machine position the program believes in.
     pub fn position(&self) -> &PerAxis<Coordinate, N> {
         &self.position
-    }
-
-    /// Whether nothing holds but what is modal and what is stored, and the program believes to be there.
-    pub fn is_plain(&self, place: &PerAxis<Coordinate, N>) -> bool {
-        let offsets = [&self.offsets.g92, &self.offsets.g92_kept, &self.offsets.tool_length];
-        self.position == *place
-            && offsets.into_iter().all(|offset| *offset == PerAxis::all(Coordinate::ZERO))
-            && !self.is_within_block()
-            && self.place != ProgramPlace::Subprogram
-            && self.before_check.is_none()
-            && self.saved.is_empty()
-            && self.rotation.is_none()
-            && self.scaling.is_none()
-            && self.measured == Measured::NOTHING
-            && self.computed.is_blank()
-            && self.modal.tool == self.spindle_tool
     }
 
     /// For a replay: the tool is in the spindle.

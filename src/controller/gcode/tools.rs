@@ -1,6 +1,5 @@
-//! `ToolTable`: the tools and their offsets by number, a slot for each, entries that only a check has set (`CHECKED`),
-//! and what a tool setter has measured (`Measured`) against the first tool as reference. Entries are found, stored and
-//! forgotten by number.
+//! The tool table: numbers and length offsets of tools. Also what a tool setter has measured (`$918=2`): the first tool
+//! is the reference, and later ones get an offset against it.
 
 use super::code::Code;
 use super::modal::EXTENDED;

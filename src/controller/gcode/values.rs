@@ -1,5 +1,5 @@
-//! Small helpers for the values of words: a `whole` number without fraction, `seconds` as a time, the coordinate
-//! `along` an axis, the `nearest` coordinate, and whether a place is `reachable`.
+//! Small conversions of word values: whole numbers, seconds, and coordinates within the range that the controller
+//! computes with.
 
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;

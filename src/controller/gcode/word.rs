@@ -1,5 +1,5 @@
-//! Words: a letter and its number, read from a line one by one (`Words`), and what G and M words mean: tables from a
-//! `Code` to a `GWord` or `MWord`, by dialect and feature, with the modal `Group` of each.
+//! Words of a line: reads letter and number one by one, and translates G and M numbers into their meaning, by dialect
+//! and by the features of this build. Each word has a modal group.
 
 use super::code::Code;
 use super::modal::{

@@ -1,7 +1,6 @@
-//! What the host is told (`say`): the answer to a line (also in checked form) or its refusal, messages and remarks of
-//! programs, alarms, which input tripped, the lock and what unlocks it, the welcome of `greet`, what a host that takes
-//! over inherits, and the status report, whose fields (`report::Status`) are gathered here. `queue_text` and `message_with_values` put texts into the
-//! replies.
+//! Everything the host is told: `ok` and errors, alarms, messages, the welcome line and the status report. Replies to
+//! checked lines get their number and checksum here. Texts come from `protocol::report`; this file fills in the values
+//! and puts the result into the queue of replies.
 
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};
@@ -12,7 +11,8 @@ use crate::protocol::descriptions::DESCRIPTIONS;
 use crate::protocol::report::{self, PlaceForm};
 use crate::protocol::text::Text;
 use crate::settings::Key;
-use crate::states::Mode;
+use crate::states::State;
+use crate::states::door::Interrupted;
 use crate::units::per_minute;
 use crate::work::line::Message;
 use crate::work::task::{Job, Stage, Task};
@@ -61,7 +61,7 @@ impl<const N: usize> Controller<N> {
     // By itself: few lines have a message, and it takes much stack.
     #[inline(never)]
     fn tell_message(&mut self, mark: u8, written: &[u8]) {
-        if self.mode.is_alarm() || matches!(self.task, Task::SoftLimit(_)) {
+        if self.state.is_alarm() || matches!(self.task, Task::SoftLimit(_)) {
             return;
         }
         let mut text = Message::new();
@@ -138,10 +138,10 @@ impl<const N: usize> Controller<N> {
 
     /// What a host has to do to unlock the machine.
     pub(crate) fn tell_lock(&mut self) {
-        match self.mode {
-            Mode::Alarm(_) if self.m.records.are_damaged() => self.tell_damage(),
-            Mode::Alarm(_) => self.say(|out| report::message(out, "'$H'|'$X' to unlock")),
-            Mode::Critical(_) => self.say(|out| report::message(out, "Reset to continue")),
+        match self.state {
+            State::Alarm(_) if self.m.records.are_damaged() => self.tell_damage(),
+            State::Alarm(_) => self.say(|out| report::message(out, "'$H'|'$X' to unlock")),
+            State::Critical(_) => self.say(|out| report::message(out, "Reset to continue")),
             _ => {}
         }
     }
@@ -168,12 +168,12 @@ impl<const N: usize> Controller<N> {
         if self.line.is_single_block() {
             self.tell_single_block();
         }
-        let state = match self.mode {
-            Mode::Check => "Enabled",
-            Mode::Sleep(_) => "Sleeping",
-            Mode::Door(_) if self.m.door.is_asleep() => "Sleeping",
-            Mode::Door(_) if !self.mode.is_resuming() => "Check Door",
-            Mode::Hold if self.m.accessories.spinning_up().is_some() => "Restoring spindle",
+        let state = match self.state {
+            State::Check => "Enabled",
+            State::Sleep(_) => "Sleeping",
+            State::Door(door) if door.interrupted == Interrupted::Sleep => "Sleeping",
+            State::Door(_) if !self.state.is_resuming() => "Check Door",
+            State::Hold(hold) if hold.ends_with_spindle().is_some() => "Restoring spindle",
             _ => "",
         };
         if !state.is_empty() {
@@ -187,7 +187,7 @@ impl<const N: usize> Controller<N> {
     /// What a line waits for.
     fn tell_wait(&mut self, job: &Job) {
         let seconds = job.left(self.m.now).to_micros().div_ceil(1_000_000) as u32;
-        match (job.stage, self.line.checked.pins()) {
+        match (job.stage, self.line.action.pins()) {
             (Stage::Paused | Stage::CyclePaused, _) => {
                 self.repeat_message();
                 self.say(|out| report::message(out, "Program paused"));
@@ -204,7 +204,7 @@ impl<const N: usize> Controller<N> {
                 Some(ToolWait::Confirm) => self.tell_first_tool(),
                 None => {}
             },
-            (Stage::Dwell | Stage::DwellSuspended, _) if self.line.checked.dwell.is_some() => {
+            (Stage::Dwell | Stage::DwellSuspended, _) if self.line.action.dwell.is_some() => {
                 self.say(|out| report::message_number(out, "Dwell, seconds left: ", seconds));
             }
             (Stage::Dwell | Stage::DwellSuspended | Stage::SpinningUp | Stage::SpinningDown, _) => {
@@ -227,7 +227,7 @@ impl<const N: usize> Controller<N> {
 
     /// The tool that is waited for.
     pub(crate) fn tell_tool(&mut self) {
-        let tool = self.line.checked.spindle_tool();
+        let tool = self.line.action.spindle_tool();
         self.say(|out| report::message_number(out, "Tool change T", tool));
     }
 
@@ -255,8 +255,8 @@ impl<const N: usize> Controller<N> {
     fn report_status(&mut self) {
         let busy = self.m.step_supply.is_running()
             || matches!(
-                self.mode,
-                Mode::Hold | Mode::Stopping { .. } | Mode::Jog { .. } | Mode::Door(_) | Mode::Home(_)
+                self.state,
+                State::Hold(_) | State::Braking { .. } | State::Jog { .. } | State::Door(_) | State::Homing(_)
             );
         let (show_offset, show_overrides) = self.m.replies.rare_fields(busy);
         let mask = self.m.settings.whole(Key::StatusReport);
@@ -265,7 +265,7 @@ impl<const N: usize> Controller<N> {
         let line = self.m.motion.line_number();
         let overrides = self.m.accessories.overrides();
         let status = report::Status {
-            state: self.mode.name(
+            state: self.state.name(
                 self.m.motion.is_at_rest(),
                 self.m.step_supply.is_running(),
                 self.m.inputs.signals().door,
@@ -275,7 +275,7 @@ impl<const N: usize> Controller<N> {
             show_machine: mask & 1 != 0,
             buffer: (mask & 2 != 0).then_some((self.m.motion.free_blocks(), self.m.step_supply.observed().rx_free)),
             line: (line > 0 && !grbl).then_some(line),
-            feed: per_minute(self.m.motion.speed().max(self.m.door.motion().speed())),
+            feed: per_minute(self.m.motion.speed().max(self.m.parking.motion().speed())),
             speed,
             pins: self.shown_signals(),
             show_offset,

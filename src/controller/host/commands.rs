@@ -1,17 +1,16 @@
-//! `$` commands are carried out: settings (`$n=v`) with what changes by them, unlock (`$X`), home (`$H`), check mode
-//! (`$C`), sleep (`$SLP`), defaults (`$RST`), the record of a failure (`$RC`), pins, listings, checked lines (`$LC`),
-//! startup lines and macros.
+//! Carries out `$` commands: settings, unlock, homing, check mode, sleep, defaults, startup lines and macros, and the
+//! start of a listing. A command that the present state forbids is refused before anything changes.
 
 use crate::axes::{Axis, AxisMask};
 use crate::dispatch::Controller;
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::protocol::descriptions::DESCRIPTIONS;
-use crate::protocol::recorded::RECORDER;
+use crate::protocol::recording::RECORDER;
 use crate::protocol::report;
 use crate::protocol::system::{self, Allowed, Restore, System};
 use crate::settings::{AxisKey, Key, Settings};
-use crate::states::{Homing, Mode};
+use crate::states::{Homing, State};
 use crate::units::{DECIMAL_ONE, Decimal};
 use crate::work::task::{Answer, Ask, Caller, Listing, Task};
 
@@ -35,11 +34,11 @@ const ZERO_AT_PULL_OFF: u16 = Key::ZeroAtPullOff.number();
 impl<const N: usize> Controller<N> {
     /// A line that begins with `$`.
     pub(crate) fn system(&mut self, line: &[u8]) -> Result<(), Error> {
-        let resting = matches!(self.mode, Mode::Normal) && !self.m.step_supply.is_running();
+        let resting = matches!(self.state, State::Normal) && !self.m.step_supply.is_running();
         let idle = resting && self.m.motion.is_idle();
         match system::allowed(line) {
-            Allowed::AtRest if !(idle || matches!(self.mode, Mode::Alarm(_))) => return Err(Error::NotIdle),
-            Allowed::ForJog if !(idle || matches!(self.mode, Mode::Jog { .. })) => return Err(Error::NotIdle),
+            Allowed::AtRest if !(idle || matches!(self.state, State::Alarm(_))) => return Err(Error::NotIdle),
+            Allowed::ForJog if !(idle || matches!(self.state, State::Jog { .. })) => return Err(Error::NotIdle),
             _ => {}
         }
         let command = system::read(line)?;
@@ -52,7 +51,7 @@ impl<const N: usize> Controller<N> {
                 self.say(|out| report::help(out, grbl));
                 self.say_ok();
             }
-            System::Settings if matches!(self.mode, Mode::Normal) && !idle => return Err(Error::NotIdle),
+            System::Settings if matches!(self.state, State::Normal) && !idle => return Err(Error::NotIdle),
             System::Settings => self.task = Task::Listing(Listing::Settings, 0),
             System::Parameters => self.task = Task::Listing(Listing::Parameters, 0),
             System::StartupLines => self.task = Task::Listing(Listing::StartupLines, 0),
@@ -120,7 +119,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn set_startup_line(&mut self, index: usize, text: &[u8]) -> Result<(), Error> {
-        if !matches!(self.mode, Mode::Normal) {
+        if !matches!(self.state, State::Normal) {
             return Err(Error::NotIdle);
         }
         let stored = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
@@ -134,7 +133,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn set_macro(&mut self, index: usize, text: &[u8]) -> Result<(), Error> {
-        if !matches!(self.mode, Mode::Normal) {
+        if !matches!(self.state, State::Normal) {
             return Err(Error::NotIdle);
         }
         let stored = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
@@ -161,7 +160,7 @@ impl<const N: usize> Controller<N> {
             return Err(error);
         }
         let (homing, next) = Homing::begin(axis, &mut self.m)?;
-        self.enter(Mode::Home(homing));
+        self.enter(State::Homing(homing));
         self.follow(next);
         Ok(())
     }
@@ -243,16 +242,16 @@ impl<const N: usize> Controller<N> {
     }
 
     fn toggle_check_mode(&mut self) -> Result<(), Error> {
-        match self.mode {
-            Mode::Check => {
+        match self.state {
+            State::Check => {
                 self.say(|out| report::message(out, "Disabled"));
                 self.say_ok();
                 self.m.interpreter.end_check_mode();
-                self.enter(Mode::Normal);
+                self.enter(State::Normal);
                 self.initialise();
             }
-            Mode::Normal if self.m.motion.is_idle() => {
-                self.enter(Mode::Check);
+            State::Normal if self.m.motion.is_idle() => {
+                self.enter(State::Check);
                 self.m.interpreter.begin_check_mode(self.dialect());
                 self.say(|out| report::message(out, "Enabled"));
                 self.say_ok();
@@ -263,7 +262,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn unlock(&mut self) -> Result<(), Error> {
-        if let Mode::Alarm(_) = self.mode {
+        if let State::Alarm(_) = self.state {
             if self.m.inputs.signals().door {
                 return Err(Error::DoorOpen);
             }
@@ -275,7 +274,7 @@ impl<const N: usize> Controller<N> {
                 self.tell_damage();
                 return Err(Error::StoreReadFailed);
             }
-            self.enter(Mode::Normal);
+            self.enter(State::Normal);
             self.say(|out| report::message(out, "Caution: Unlocked"));
             if !self.m.reference.is_trusted() && self.dialect() != Dialect::Grbl {
                 self.say(|out| report::message(out, "The position may be lost: home before using machine coordinates"));

@@ -7,7 +7,7 @@ use crate::gcode::{Angle, CoordinateSystem, Dialect, EXPRESSIONS, ROTATION, Stor
 use crate::host::stored::STORED_TEXT;
 use crate::messages::{LINES_DEPTH, PinView, SECOND_SWITCH, input};
 use crate::protocol::descriptions::{self, DESCRIPTIONS};
-use crate::protocol::recorded::RECORDER;
+use crate::protocol::recording::RECORDER;
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::Described;
 use crate::settings::{self, Key, Settings};

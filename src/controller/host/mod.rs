@@ -2,7 +2,7 @@
 
 mod answers;
 mod commands;
-mod lines;
+mod dispatch_line;
 mod listings;
 mod realtime;
 pub(crate) mod settings_lock;

@@ -1,7 +1,6 @@
-//! Realtime commands: what a byte that no line holds back does to the state: reset, stop, status, cycle start, feed
-//! hold, jog cancel (`Mode::Jog`, which is not `cancelling` yet), spindle stop, toggles of flood, mist and single
-//! block, overrides. Also the host: one that has left or is silent (heartbeat) is a fault, or ends its jog.
-//! `look_for_silence`, `release_held`, `restore_spindle` and `set_overrides` are parts of it.
+//! Carries out realtime commands (reset, stop, status, hold, start, jog cancel, overrides and toggles). They act at
+//! once, whatever line is being executed. Also reacts to a host that has disconnected or has been silent for too long
+//! (`$914`, `$922`, `$923`).
 
 use crate::dispatch::Controller;
 use crate::gcode::Dialect;
@@ -9,8 +8,8 @@ use crate::machine::realtime_override::Overrides;
 use crate::messages::{Coolant, Realtime};
 use crate::protocol::report;
 use crate::settings::Key;
+use crate::states::State;
 use crate::states::stops::orders::StopReason;
-use crate::states::{Door, Mode};
 use crate::units::Duration;
 
 impl<const N: usize> Controller<N> {
@@ -40,7 +39,7 @@ impl<const N: usize> Controller<N> {
             Realtime::SafetyDoor => self.open_door(),
             Realtime::JogCancel => {
                 self.m.lines.cancel_jogs();
-                if matches!(self.mode, Mode::Jog { cancelling: false }) {
+                if matches!(self.state, State::Jog { cancelling: false }) {
                     self.cancel_jog();
                 }
                 // One that has been read and not queued yet has no mode of its own.
@@ -49,7 +48,10 @@ impl<const N: usize> Controller<N> {
             }
             Realtime::SpindleStop => {
                 // A beam is off in a hold, and does not come back before motion does.
-                if matches!(self.mode, Mode::Hold) && self.m.accessories.is_on() && !self.m.settings.is_on(Key::Laser) {
+                if matches!(self.state, State::Hold(_))
+                    && self.m.accessories.is_on()
+                    && !self.m.settings.is_on(Key::Laser)
+                {
                     self.toggle_spindle();
                 }
             }
@@ -66,7 +68,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn toggle_coolant(&mut self, change: impl FnOnce(&mut Coolant)) {
-        if matches!(self.mode, Mode::Normal | Mode::Hold) {
+        if matches!(self.state, State::Normal | State::Hold(_)) {
             let mut coolant = self.m.accessories.coolant();
             change(&mut coolant);
             self.m.accessories.set_coolant(coolant);
@@ -83,18 +85,11 @@ impl<const N: usize> Controller<N> {
 
     pub(crate) fn cycle_start(&mut self) {
         self.m.lines.heartbeat_mut().set_gone(false);
-        match self.mode {
-            Mode::Normal => self.start_motion(),
-            Mode::Hold if self.m.accessories.spinning_up().is_some() => {}
-            Mode::Hold if self.m.motion.is_at_rest() => {
-                self.restore_spindle();
-                if self.is_spinning_up() {
-                    self.m.accessories.leave_hold(true);
-                } else {
-                    self.leave_hold();
-                }
-            }
-            Mode::Door(Door::Parked) => self.close_door(),
+        match self.state {
+            State::Normal => self.start_motion(),
+            State::Hold(hold) if hold.ends_with_spindle().is_some() => {}
+            State::Hold(_) if self.m.motion.is_at_rest() => self.end_hold(),
+            State::Door(_) => self.close_door(),
             _ => {}
         }
     }
@@ -104,12 +99,13 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn host_left(&mut self) {
         // One that has been read and has not begun.
         self.task.forget_jog();
-        match self.mode {
-            Mode::Jog { .. } => self.end_jog_of_no_host(self.m.settings.is_on(Key::HoldWithoutHost)),
+        match self.state {
+            State::Jog { .. } => self.end_jog_of_no_host(self.m.settings.is_on(Key::HoldWithoutHost)),
             _ if !self.m.settings.is_on(Key::HoldWithoutHost) => {}
-            Mode::Normal if self.is_at_work() => self.host_fault(),
+            State::Normal if self.is_at_work() => self.host_fault(),
             // The fault acts where the job would go on.
-            _ if self.mode.is_resuming() || self.m.accessories.spinning_up().is_some() => {
+            State::Hold(hold) if hold.ends_with_spindle().is_some() => self.m.lines.heartbeat_mut().set_gone(true),
+            _ if self.state.is_resuming() => {
                 self.m.lines.heartbeat_mut().set_gone(true);
             }
             _ => {}
@@ -118,14 +114,14 @@ impl<const N: usize> Controller<N> {
 
     /// A host that has said nothing for too long (`$922`, `$923`) may have gone: not every link tells that.
     pub(crate) fn look_for_host(&mut self) {
-        if matches!(self.mode, Mode::Normal) {
+        if matches!(self.state, State::Normal) {
             let left_jog = self.m.lines.heartbeat_mut().take_left_jog();
             if self.m.lines.heartbeat_mut().take_gone() && self.is_at_work() || left_jog && self.burns() {
                 self.host_fault();
             }
         }
-        let longest = match self.mode {
-            Mode::Jog { cancelling: false } => Key::JogSilence,
+        let longest = match self.state {
+            State::Jog { cancelling: false } => Key::JogSilence,
             _ => Key::HostSilence,
         };
         if !self.m.settings.is_on(longest) {
@@ -137,11 +133,11 @@ impl<const N: usize> Controller<N> {
 
     #[inline(never)]
     fn look_for_silence(&mut self, longest: Duration) {
-        let is_at_work = match self.mode {
+        let is_at_work = match self.state {
             // Too short to be told from none.
             _ if longest == Duration::from_ticks(0) => false,
-            Mode::Jog { cancelling } => !cancelling,
-            Mode::Normal => self.is_at_work(),
+            State::Jog { cancelling } => !cancelling,
+            State::Normal => self.is_at_work(),
             _ => false,
         };
         if !is_at_work {
@@ -149,8 +145,8 @@ impl<const N: usize> Controller<N> {
         } else if self.m.lines.heartbeat_mut().is_silent(self.m.now, longest) {
             self.m.lines.heartbeat_mut().rest();
             self.say(|out| report::message(out, "The host is silent"));
-            match self.mode {
-                Mode::Jog { .. } => self.end_jog_of_no_host(true),
+            match self.state {
+                State::Jog { .. } => self.end_jog_of_no_host(true),
                 _ => self.host_fault(),
             }
         }

@@ -1,6 +1,5 @@
-//! `SettingsLock`: which setting, if any, makes motion impossible with the board's step rates, motors and inputs (looked for
-//! once per `revision`), and whether the host has been told its name: after a change, or at a refused line. Also the
-//! number of program pins.
+//! Settings that make motion impossible on this board, such as a rate beyond its step rate. Looks for one after each
+//! change of a setting and tells the host which one it is.
 //!
 //! A set that cannot be run locks motion by its first setting at fault ([`Settings::unrunnable`]). The host is told which
 //! one: after the `ok` to the change that brought it about, and before the first `error:9` to a line that would move.

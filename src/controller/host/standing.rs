@@ -1,16 +1,15 @@
-//! The state (`Standing`) from which a replay of a recording can begin: whether the machine is plain and at rest, by
-//! its mode (idle, alarm, check, sleep), its
-//! counters, place, tool and modal words; `stand` brings a machine into it. Also the pieces of a recording that is
-//! listed (`Ask`).
+//! Where a replay of a recording can begin: a machine at rest with nothing switched on and no override. Reads this
+//! state from a controller, and puts another controller into it. Also passes on the pieces of a recording while `$REC`
+//! lists it.
 
 use crate::axes::{Axis, PerAxis};
 use crate::dispatch::Controller;
 use crate::gcode::{Distance, FeedMode, Modal, MotionMode, Units};
 use crate::machine::realtime_override::Overrides;
 use crate::messages::{Recorded, Standing, input};
-use crate::protocol::recorded;
+use crate::protocol::recording;
 use crate::protocol::text::{Text, fixed, put, real};
-use crate::states::Mode;
+use crate::states::State;
 use crate::units::Coordinate;
 use crate::work::task::{Ask, Listing, Task};
 
@@ -22,20 +21,22 @@ impl<const N: usize> Controller<N> {
 
     /// Whether lines of a program are refused.
     pub fn is_locked(&self) -> bool {
-        self.mode.is_alarm()
+        self.state.is_alarm()
     }
 
     /// The state at rest, if it is one that [`Controller::stand`] brings about in a machine with the same stored records:
     /// no offset but the stored ones, nothing open, nothing on, no override, no switch or button active.
     pub fn standing(&self) -> Option<Standing> {
-        let locked = match self.mode {
-            Mode::Normal => false,
-            Mode::Alarm(None) => true,
+        let locked = match self.state {
+            State::Normal => false,
+            State::Alarm(None) => true,
             _ => return None,
         };
         let (place, counters) = self.m.motion.standing()?;
-        let rests =
-            self.m.motion.is_idle() && self.m.door.motion().is_idle() && self.task.is_none() && self.m.stops.is_idle();
+        let rests = self.m.motion.is_idle()
+            && self.m.parking.motion().is_idle()
+            && self.task.is_none()
+            && self.m.stops.is_idle();
         let plain = self.m.interpreter.is_plain(&place) && !self.line.is_single_block() && !self.m.lines.is_checking();
         // Whatever else is active has done something when it became so.
         let active = self.m.inputs.pins().word();
@@ -64,7 +65,7 @@ impl<const N: usize> Controller<N> {
         self.m.interpreter.set_position(place);
         self.m.interpreter.hold_tool(standing.tool);
         self.m.reference.assume(standing.trusted);
-        self.enter(if lock { Mode::Alarm(None) } else { Mode::Normal });
+        self.enter(if lock { State::Alarm(None) } else { State::Normal });
         self.m.pins.disturb();
     }
 
@@ -72,7 +73,7 @@ impl<const N: usize> Controller<N> {
     pub fn recorded(&mut self, piece: &Recorded) {
         let Task::Listing(Listing::Recording(Ask::Asked), line) = self.task else { return };
         let hz = self.m.motion.settings().step_clock_hz;
-        self.say(|out| recorded::piece(out, hz, piece));
+        self.say(|out| recording::piece(out, hz, piece));
         if *piece == Recorded::End {
             self.task = Task::None;
             self.say_ok();

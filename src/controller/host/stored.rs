@@ -1,7 +1,6 @@
-//! `Records`: what outlives the power. Records are restored at power-up by their key (settings, offsets, tools, startup
-//! lines, build info, macros), saved or removed when something changes, and handed over to the store, whose answers are
-//! counted (`unstored`). `Damage` of stored settings, and values that a setting cannot have (`refused`), must be listed
-//! and confirmed. Stored numbers are little-endian bytes (`from_le_bytes`), stored texts slices.
+//! What outlives a power cycle: settings, offsets, tools, startup lines, macros and the build info text. Restores
+//! records at power-up, turns changes into records for the store, and keeps count of those not yet stored. If records
+//! were damaged, the machine stays locked until the operator confirms the settings with `$X`.
 
 use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::gcode::{Angle, Interpreter, StoredOffset, Tool};

@@ -1,6 +1,6 @@
-//! `InputLevels`: the inputs as the controller sees them: levels of the pins, what counts of them by the settings
-//! (`fitted`), what came and what has tripped, which inputs are armed to stop the step task, their polarity and
-//! resistors (`InputWiring`), and the view for `$PINS`. Polarity and filter come before (`machine::signals`).
+//! The inputs as the controller sees them. Takes the levels from the inputs task, ignores inputs that the settings say
+//! are not fitted, and keeps which input has tripped for the alarm's message. Also decides which inputs are armed to
+//! stop the step task by themselves. Polarity and filter come earlier, in `machine::signals`.
 //!
 //! ```text
 //!  Sensed ──▶ levels ──▶ [fitted? reset button = emergency stop?] ──▶ signals

@@ -1,6 +1,5 @@
-//! Signals of the input pins have changed (`Sensed`): an emergency stop, a driver fault, the reset button, a limit or
-//! homing switch, the door, hold and start; which stop or fault each of them is, if it came (`came`). Levels and their
-//! meaning are kept in `levels.rs`.
+//! Reacts to a change of the input pins: emergency stop, driver fault, reset button, limit switches, door, hold and
+//! start. The step task may have stopped by itself already; then the reason for that stop is found here.
 
 pub(crate) mod levels;
 
@@ -8,7 +7,7 @@ use crate::dispatch::Controller;
 use crate::error::Alarm;
 use crate::inputs::levels::InputChange;
 use crate::messages::{Sensed, Signals};
-use crate::states::Mode;
+use crate::states::State;
 use crate::states::stops::Stopped;
 use crate::states::stops::orders::StopReason;
 use crate::states::stops::reaction::Reaction;
@@ -26,11 +25,11 @@ impl<const N: usize> Controller<N> {
             self.stop_for(StopReason::Reset, &mut stopped);
         }
         let limits = came.limits & levels::hard_limits(&self.m.settings);
-        if let Mode::Home(homing) = &mut self.mode {
+        if let State::Homing(homing) = &mut self.state {
             if homing.is_reached(self.m.switches()) {
                 self.stop_for(StopReason::Switch, &mut stopped);
             }
-        } else if limits != 0 && !self.mode.is_alarm() {
+        } else if limits != 0 && !self.state.is_alarm() {
             let closed = levels::axes_of_switches(limits, &self.m.settings);
             let limit = StopReason::Alarm(Alarm::HardLimit);
             let under_way = self.stop_under_way();
@@ -40,7 +39,7 @@ impl<const N: usize> Controller<N> {
             self.fault(Alarm::HardLimit, &mut stopped);
         }
         if stopped.already && !stopped.answered {
-            let homing = matches!(self.mode, Mode::Home(_));
+            let homing = matches!(self.state, State::Homing(_));
             self.m.stops.wait_for(if homing { StopReason::Alarm(Alarm::HardLimit) } else { StopReason::Nothing });
             self.finish_stop();
         }

@@ -1,6 +1,6 @@
-//! `Accessories`: spindle (or laser) direction and speed, coolant, overrides and digital outputs, as the program has
-//! switched them on, and whether the spindle is suspended. How long it takes to spin up or down, whether it is up to
-//! speed (`SpinUp`), a watch (`SpeedWatch`) for speed lost in mid-job, and its power at rest.
+//! Spindle or laser, coolant, overrides and the digital outputs of programs, as the program has set them. Also whether
+//! the spindle is suspended (in a hold or a door), whether it is up to speed, and whether it has lost its speed during
+//! a job. Only the state is kept here; the outputs follow it in `outputs`.
 //!
 //! ```text
 //!  S, M3, M4, M5 ──▶ program ──▶ override ──▶ [suspended?] ──▶ power of the output
@@ -29,10 +29,6 @@ pub struct Accessories {
     stops_at_rest: bool,
     /// S of the last line, rpm.
     speed: f32,
-    /// The spindle was switched on again in this hold: it turns (`$394`) at this moment at the earliest.
-    turns_at: Option<Instant>,
-    /// The hold is being left: motion resumes then.
-    leaves_hold: bool,
     watch: SpeedWatch,
     digital: DigitalOutputs,
 }
@@ -76,8 +72,6 @@ impl Accessories {
         suspended: false,
         stops_at_rest: false,
         speed: 0.0,
-        turns_at: None,
-        leaves_hold: false,
         watch: SpeedWatch::NONE,
         digital: DigitalOutputs::OFF,
     };
@@ -211,33 +205,6 @@ impl Accessories {
             self.forget_speed();
         }
         core::mem::take(&mut self.suspended)
-    }
-
-    /// When the spindle for which the end of a hold waits turns, at the earliest.
-    #[inline]
-    pub fn spinning_up(&self) -> Option<Instant> {
-        self.turns_at.filter(|_| self.leaves_hold)
-    }
-
-    /// When a spindle that was switched on again in this hold turns, at the earliest.
-    pub fn turns_at(&self) -> Option<Instant> {
-        self.turns_at
-    }
-
-    /// The spindle is switched on again in a hold.
-    pub fn spin_up(&mut self, until: Instant) {
-        self.turns_at = Some(until);
-    }
-
-    /// Whether the hold is being left: its end waits for the spindle.
-    pub fn leave_hold(&mut self, leaves: bool) {
-        self.leaves_hold = leaves;
-    }
-
-    /// The hold has ended, or its spindle has been stopped again.
-    pub fn end_spin_up(&mut self) {
-        self.turns_at = None;
-        self.leaves_hold = false;
     }
 
     /// Whether a cut has to wait for the input that tells of the spindle's speed (`$915`).

@@ -1,5 +1,5 @@
-//! `DigitalOutputs` of programs: the levels that are on now, and groups of changes (`DueTogether`, mask and on) that
-//! wait for the next motion (M62, M63), each due when a block with its mark has begun.
+//! Digital outputs of programs (M62 to M65). Changes that wait for the next motion are kept in groups, and each group
+//! acts when a block with its mark begins.
 //!
 //! Each block of motion carries a mark: how many groups of changes come before it. When a block begins, the groups up to its mark
 //! are due. A group gathers all that is asked for between two motions.

@@ -1,5 +1,5 @@
-//! `Drivers`: the current of the motor drivers, on from the first motion, off at a moment after the last one (`$1`,
-//! idle delay), always on with 255, or held until something moves.
+//! The current of the motor drivers: on from the first motion, off some time after the last (`$1`), or always on
+//! (`$1=255`).
 
 use crate::units::{Duration, Instant};
 

@@ -1,6 +1,5 @@
-//! `Filter` debounces 32 inputs at once by counters of bits, and keeps the noise of long wires away from the
-//! controller: a level changes after eight samples in a row that contradict it, and a shorter change is rejected. Lives
-//! in the inputs task.
+//! Debounces 32 inputs at once. A level changes after eight samples in a row that differ from it; a shorter change is
+//! rejected. Used by the inputs task.
 
 /// Samples in a second that the inputs task takes: a change passes after 0.4 ms.
 pub const SAMPLE_HZ: u32 = 20_000;

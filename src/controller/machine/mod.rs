@@ -1,5 +1,5 @@
-//! What the machine is doing, apart from moving along a path: its state, its overrides, its spindle, its drivers. Only
-//! the list of the room's modules.
+//! The parts of the machine besides motion: spindle and coolant, drivers, inputs, overrides and the position's
+//! reference. They know nothing of states, lines or the host.
 
 pub mod accessories;
 pub mod digital;

@@ -1,5 +1,5 @@
-//! `Overrides`: the percent that the operator puts on feed, rapids and spindle while the job runs, how a realtime
-//! command changes them in steps of 1 or 10, and those that act while the program holds some of them off.
+//! The operator's overrides of feed, rapids and spindle, in percent. Realtime commands change them; a program can
+//! disable them (M48 to M51).
 
 use crate::messages::Realtime;
 

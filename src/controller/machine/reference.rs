@@ -1,4 +1,4 @@
-//! `Reference`: whether the machine is where its counters say, trusted or lost, and which axes have been homed since.
+//! Whether the machine is where its step counters say, and which axes have been homed.
 
 use crate::axes::AxisMask;
 

@@ -1,6 +1,6 @@
-//! `Inputs`, from levels of pins to what they mean: a sample passes polarity (inverted) and filter, changes the active
-//! signals of `Sensed`, and trips if the input is armed, which stops the machine by itself. Nothing is known before the
-//! filter has settled. Lives in the inputs task.
+//! From pin levels to input signals: applies polarity and filter to each sample and reports changes. If an input is
+//! armed, its change stops the step task at once. Used by the inputs task, so it does not depend on the controller's
+//! speed.
 //!
 //! ```text
 //!  pin ──▶ polarity ──▶ filter ──┬──▶ Sensed ──▶ control

@@ -1,5 +1,4 @@
-//! `SpindleRange`: from the spindle speed of an S word, between minimum (`$31`) and maximum (`$30`), to the power
-//! (duty) of the PWM output, under an override in percent, and back to rpm.
+//! Converts between spindle speed (S, rpm) and PWM power, within `$30` and `$31` and under an override.
 
 use crate::settings::{Key, Settings};
 

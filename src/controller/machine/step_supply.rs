@@ -1,6 +1,5 @@
-//! `StepSupply`: whether queued motion has been started and is running, how well the step queue is filled (well filled,
-//! low water), so that segments or planning come first, whether the input has ended, what was observed last, and the
-//! refill delay until the next call.
+//! Keeps the step queue filled. Says when segments have to come before planning, whether motion has been started, and
+//! when the controller has to be called again to refill the queue.
 //!
 //! ```text
 //!  step time queued

@@ -1,5 +1,4 @@
-//! What the pump hands to the controller and takes from it: an `Event`, what it has `Observed`, the `Room` in its queues;
-//! and an `Output`.
+//! Messages between the pump and the controller: events in, outputs out, and what the pump observes of the queues.
 
 use super::host::{Chunk, LineByte, Realtime};
 use super::inputs::{PinView, Sensed};

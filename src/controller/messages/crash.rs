@@ -1,4 +1,4 @@
-//! How a start came about: `Restart` with the `ResetCause`, and the `Crash` of the program before it with its `CrashKind`.
+//! Why the controller started: the cause of the reset and, after a failure, what the program before it reported.
 
 /// Why the processor was reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,6 +1,5 @@
-//! Between the serial and the control task: `Realtime` commands (`JogCancel` or a reset `opens_epoch`), a `LineByte` with
-//! its epoch, up to `MOST` of them as `LineBytes` (`push`, `extend`, `undamaged`), `HOST_CHANGED` in place of one, and a
-//! `Chunk` of answer.
+//! Messages between the serial task and the control task: realtime commands, bytes of lines with their epoch, and
+//! pieces of replies.
 
 /// A command that acts at once, even in the middle of a line; one byte on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,6 +1,5 @@
-//! Input pins on their way to the control task: the bits of a word of them (`input::PROBE`, `AT_SPEED`, `DRIVER_FAULT`,
-//! `EMERGENCY_STOP`, `HOLD`, `SECOND_PROGRAM`; `SECOND_SWITCH`), their levels as `Signals`, with what they have stopped as
-//! `Sensed`, and as they are at this moment as a `PinView`.
+//! Messages of the inputs task: the bit of each input, the levels of all of them, and which of them have stopped the
+//! step task.
 
 /// Bit of [`Signals::limits`] for the switch at the second motor of an axis that has two.
 pub const SECOND_SWITCH: u8 = 1 << 6;

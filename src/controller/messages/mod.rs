@@ -1,6 +1,4 @@
-//! Every type that crosses between tasks, by who is at its other end, and here the depth of every queue: `LINES_DEPTH`
-//! and `LINE_MESSAGES` (`MOST_PARTIAL`), `REALTIME_DEPTH`, `REPLIES_DEPTH`, `SEGMENTS_DEPTH`, `EVENTS_DEPTH` and
-//! `SIGNALS_DEPTH`.
+//! All types that cross between tasks, one file for each pair of tasks, and the depths of the queues between them.
 //!
 //! ```text
 //!  serial ──realtime──▶ control ──segments──▶ step        stops: a sticky mark that `step` looks at first
@@ -34,7 +32,7 @@ pub const REALTIME_DEPTH: usize = 64;
 /// Bytes of lines that fit between serial and control; what `Bf:` counts. Full: receive is paused where the link has
 /// back-pressure (USB, QEMU; see `protocol::link`); on a plain UART the byte is dropped and the next one says so ([`LineByte::damaged`]).
 pub const LINES_DEPTH: usize = 255;
-/// Depth of serial -> control, in messages of such bytes. They fit however they arrive (see `protocol::line_queue`), also with a
+/// Depth of serial -> control, in messages of such bytes. They fit however they arrive (see `protocol::byte_channel`), also with a
 /// jog cancel behind each line: the shortest jog, `$J=X1F9` with its end, has 8 bytes. One more may be on its way out.
 pub const LINE_MESSAGES: usize = LINES_DEPTH.div_ceil(8) + MOST_PARTIAL + 1;
 /// So many messages are sent before they are full, since the queue was last seen empty, besides those that an epoch ends.

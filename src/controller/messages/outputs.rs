@@ -1,5 +1,5 @@
-//! Output pins on their way from the control task: `SlowOutputs` with `SpindleDirection` and `Coolant`, and `Wiring`, what
-//! the tasks that own fast pins know of the settings: polarity, pulse, `InputWiring` (`PULL_UPS`) and `GangedMotors`.
+//! Messages to the tasks that own output pins: levels of spindle, coolant and drivers, and the wiring (polarity, pulse
+//! length, pull-ups, ganged motors) that follows from settings.
 
 /// Which way the spindle turns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -1,5 +1,4 @@
-//! A recording of what comes in: its entries (`Noted`, of `HOST_BYTES` at most; `Stopping`), the state from which a replay
-//! can begin (`Standing`), and the pieces in which it is listed (`Recorded`). Lists are of `heapless`.
+//! The entries of a recording, the state from which it can be replayed, and the pieces in which `$REC` lists it.
 
 use super::crash::CrashKind;
 use super::store::Record;

@@ -1,6 +1,5 @@
-//! Between the control and the step task: `ToStep` with a block's `AxisSteps` (`STEP_BITS`, `PARTS`, `FARTHEST`) or a
-//! `Segment` (`FLAG_NEW_BLOCK`, `FLAG_LAST`, `FLAG_WAIT`, `FLAG_RAPID`), in `UNITS_PER_STEP` and intervals with
-//! `INTERVAL_FRACTION_BITS`; back comes a `StepEvent`.
+//! Messages between the control task and the step task: blocks and segments in one direction, stops, contacts and
+//! underruns in the other.
 
 use crate::axes::PerAxis;
 

@@ -1,5 +1,4 @@
-//! What crosses to the settings store: a `Record` of bytes under a key, of which `STORE_DAMAGED` is the store's own, and
-//! `Store`, a change of records.
+//! Messages to the settings store: a record of bytes under a key, and a change of records.
 
 /// Key of the record by which a store tells that it has been damaged and has lost others. It is empty, and holds until it is
 /// removed.

@@ -1,7 +1,6 @@
-//! An arc or helix (`ArcGeometry`: start, target, offsets, plane axes, turns) as a chain of chords, computed one at a
-//! time by `next_chord` from the share of the angle before it. The centre as two coordinates, radius and sweep of the
-//! plain arc come from exact integers of 128 bits; the direction vector (`x_turned`, `y_turned`) is turned by sine and
-//! versine of a chord in 2^-30 fixed point (`UNIT_BITS`) and kept at length 1 over all full turns.
+//! An arc or helix as a chain of chords, computed one at a time. Centre, radius and sweep come from exact integers. A
+//! direction vector in 2^-30 fixed point is turned from chord to chord and kept at length 1, so the error does not grow
+//! over many turns.
 
 use super::trapezoid::square_root;
 use crate::axes::{Axis, PerAxis};

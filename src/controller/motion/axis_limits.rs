@@ -1,6 +1,5 @@
-//! `AxisLimits`: the maximum rate, acceleration and jerk of each axis from `MotionSettings`, bounded by the least and
-//! greatest values that can be computed with. `along` gives the acceleration and speed at which no axis of a way
-//! exceeds its own share, `jerk_along` the jerk, and `least_acceleration` what all of its axes can take.
+//! The limits of the axes (rate, acceleration, jerk), and what they allow along a direction: the greatest speed,
+//! acceleration and jerk at which no axis exceeds its own limit.
 
 use super::MotionSettings;
 use super::junction::TurnRule;

@@ -1,7 +1,5 @@
-//! Backlash: the slack that a motor must turn through after a reversal before the tool follows. `Backlash` keeps the
-//! slack of each drive, the lead of each motor over the tool and the lead that is wanted; what is outstanding is taken
-//! up in the moves that follow, a share of their length at most. `Motors` holds motor steps and their lead, and gives
-//! the steps of the tool.
+//! Backlash compensation: the slack that a motor must turn through after a reversal before the tool follows. Keeps how
+//! far each motor leads the tool, and adds the missing steps to the moves that follow.
 //!
 //! ```text
 //!   motor ──┐ slack ┌── tool        moving to positive: the slack is open on the motor's leading side, motor = tool + slack

@@ -1,8 +1,6 @@
-//! The geometry of a `Tolerance` (G64 P and Q). `Slopes` tell, by their main axis and reach, whether several short
-//! moves stay within it and can be merged into one `HeldMove`. A `Corner` between two legs, with its turn, sine and
-//! cosine under a `TurnRule`, is cut by the vertices of a `Fillet`, a circle that touches both, by its radius and
-//! deviation. `Blend` holds the two moves at the end of the queue that may still be merged or cut. [`super::rounding`]
-//! says when they are queued.
+//! The geometry of path blending (G64 P Q): merges short moves that stay within the tolerance into one, and cuts
+//! corners by a polygon within a circle that touches both moves. Holds the last two moves of the queue meanwhile.
+//! [`super::rounding`] decides when they are queued.
 //!
 //! ```text
 //!              C                      M                A move merged of several (A to M) passes all points between at

@@ -1,8 +1,6 @@
-//! A `Block`: one straight move with everything that planning and stepping need to know, in 68 bytes at most: steps by
-//! axis, length, acceleration, jerk, programmed speed, limit, corner and entry speeds (a `2` at the end means squared:
-//! `corner2`, `max_entry2`, `entry2`), power, flags and mark. `CurveLoad` is what a bend leaves of the acceleration at
-//! a speed², `Ramp` the way to the next anchor with `ceiling2` and bounds, and `OverrideFactors` give the nominal
-//! speed.
+//! A [`Block`]: one straight move with all that planning and stepping need, in at most 68 bytes. In names a `2` at the
+//! end means squared (`entry2` is an entry speed squared). Also what overrides and bends leave of a block's speed and
+//! acceleration.
 
 use super::jerk::Bounds;
 use super::trapezoid::{greater, lesser, square_root};

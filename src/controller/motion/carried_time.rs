@@ -1,6 +1,8 @@
-//! `CarriedTime`: what the length that is carried over to the next block is meant to take ([`super::path_end`] has the
-//! length). In moves of one feed that is the length at this feed. Where feeds differ along the path (F another one, A
-//! turning more or less, inverse time), a block gets the speed at which it takes the time of its move and of those before it without a step.
+//! The time of moves that are too short for a step. Their length is carried over to the next block
+//! ([`super::path_end`]), which has to take their time as well.
+//!
+//! With one feed along the path, the time is that length at this feed. Where feeds differ (another F, a rotary axis
+//! that turns more or less, inverse time), the block gets the speed at which it takes the time of all its moves.
 
 use super::Speed;
 use super::trapezoid::{greater, lesser};

@@ -1,7 +1,5 @@
-//! A block as the step generator runs it (`Course`): rates, threshold and total units, how far each axis begins beyond
-//! its rounded step, the units at which the block is entered, and its base and end. The position is not counted but
-//! computed from the units done and what is left until the next step. `Contact` keeps all of this where a probe
-//! touched.
+//! The block that the step generator is running: rates, threshold and length in units, and where each axis began
+//! between two steps. Also keeps a copy for the position at which a probe touched.
 //!
 //! No position is counted: it follows from the units that the block has advanced and from what is left until each axis' next step,
 //! exactly, so that a tick costs nothing for it. The arithmetic is that of `measure`.

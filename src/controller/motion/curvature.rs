@@ -404,7 +404,7 @@ impl LastDigit {
 pub(super) struct Chain<const N: usize> {
     /// The last single pieces.
     pieces: History<N>,
-    scales: Lent<[Scale<N>; SCALES]>,
+    scales: Lent<[Scale<N>]>,
     /// So many scales are no longer than the last piece: their spans are the single pieces. On moves that are long
     /// anyway nothing is gathered at all.
     whole: usize,
@@ -412,14 +412,14 @@ pub(super) struct Chain<const N: usize> {
 }
 
 impl<const N: usize> Chain<N> {
-    /// What its scales are before there is a path.
+    /// What its scales are before there is a path. A chain without scales knows single turns only.
     pub(super) const SCALES: [Scale<N>; SCALES] = {
         let none = History([Span::NONE; HISTORY]);
         let scale = Scale { history: none, start: PerAxis::all(Coordinate::ZERO), path: 0.0, fast2: 0.0, blocks: 0 };
         [scale; SCALES]
     };
 
-    pub(super) fn new(scales: Lent<[Scale<N>; SCALES]>) -> Self {
+    pub(super) fn new(scales: Lent<[Scale<N>]>) -> Self {
         Self { pieces: History([Span::NONE; HISTORY]), scales, whole: 0, digit: LastDigit::NONE }
     }
 

@@ -1,5 +1,4 @@
-//! A `Curve` that has begun: an `Arc`, a `Spline` (Bezier) or `Nurbs` (B-spline) behind one `next_chord` and one
-//! `curvature`.
+//! A curve of which chords are still to come: an arc, a spline or a NURBS behind one interface.
 
 use super::arc::{Arc, Curvature};
 use super::nurbs::Nurbs;

@@ -1,6 +1,5 @@
-//! The DDA (Bresenham's algorithm) of the step generator: which axes step at a tick. Each axis counts down what is left
-//! until its next step by its increment, and gets the threshold added when it is stepping: `step_axes` for one tick,
-//! `steps_into` for many ticks in a row, as words out of a table; axes that step always or never need no countdown.
+//! The DDA of the step generator (Bresenham's algorithm): which axes step at a tick. `step_axes` computes one tick,
+//! `steps_into` many ticks in a row.
 //!
 //! One threshold serves all axes. A tick takes each axis' own rate (times the units the tick advances) off what is left
 //! until its next step; an axis with less than that left steps and gets the threshold added. On a line the rate is the axis'

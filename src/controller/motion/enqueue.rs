@@ -1,12 +1,6 @@
-//! Moves on their way in: from the target of a `line` or `chord` to a block of the queue. `append` finds the motor
-//! steps by axis and directions, `StepSizes` (`step_mm`, `least_mm`), length and displacement of the `Path`, the
-//! programmed speed and the greatest speed, acceleration and jerk along it, and the curve speed of a chord
-//! (`curve_speed2`); a move of more than `max_steps` is cut into pieces (`LongMove`), and steps that take up backlash
-//! are added (`turn_motors`). The block is pushed into the planner. `planned_steps` and `target_steps` differ by
-//! `signed_steps`, `unsigned_steps` and a bit of `directions` for each of the `MotorSteps`; `steps_with_ends` adds the
-//! parts beyond. A path `leads_nowhere` if it is longer than the `straight` way by much. Functions are
-//! `continue_long_move`, `cut_long_move`, `looks_ahead`, `set_speeds`, `entry_corner2`, `path_to`, `way_of_steps`,
-//! `begin_taking_up`, `take_up_before_plunge` and `finish_taking_up`; `kinematics`, `limits` and `backlash` are asked.
+//! Turns a move into a block at the end of the queue: steps of each motor, length, speed, acceleration and jerk, and
+//! the speed at the corner before it. A move with too many steps for one block is cut into pieces, and steps for
+//! backlash are added.
 
 use super::arc::Curvature;
 use super::axis_limits::{GREATEST_ACCELERATION, shares};

@@ -1,5 +1,5 @@
-//! The `extent` of an arc, its least and greatest coordinates: the start, the target, and each quarter point of the
-//! circle (centre plus or minus radius), farthest along an axis, to which the angle leads forward within the sweep.
+//! The bounding box of an arc: its ends, and each quarter point of the circle that lies within its sweep. For soft
+//! limits.
 
 use super::arc::{ArcGeometry, integer_length};
 use crate::axes::{Axis, PerAxis};

@@ -1,15 +1,15 @@
-//! Segments that have been handed to the step task: `SegmentsInFlight` is a ring of records (`InFlightSegment`) with
-//! end position, lead, speed, clocks, line number, power and mark of each. `observe` removes those that have begun; the
-//! current one gives the reported position and speed, and `queued` is the time of all that have not begun.
+//! The segments that have been handed to the step task, in a ring: end position, speed, time, line number and power of
+//! each. Those that have begun are removed; the last of them gives the position and speed that are reported.
 
 use crate::axes::PerAxis;
 use crate::lent::Lent;
 use crate::messages::SEGMENTS_DEPTH;
 
-/// The queue to the step task, its prefetched segment, and some that it has made ahead of their time or that are on their way.
-const MOST: usize = SEGMENTS_DEPTH + 4;
-/// The same, the segment begun last and the one before it.
-pub(super) const RING: usize = MOST + 2;
+/// The segment begun last and the one before it.
+pub(super) const BEGUN: usize = 2;
+/// The queue to the step task, its prefetched segment, some that it has made ahead of their time or that are on their way, and
+/// the ones begun.
+pub(super) const RING: usize = SEGMENTS_DEPTH + 4 + BEGUN;
 
 /// A segment in words of the machine.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +29,7 @@ pub struct InFlightSegment<const N: usize> {
 
 impl<const N: usize> InFlightSegment<N> {
     /// Where an index would be out of the ring, which none is.
-    const NONE: Self = Self::still(PerAxis([0; N]), [0; N]);
+    pub(super) const NONE: Self = Self::still(PerAxis([0; N]), [0; N]);
 
     const fn still(position: PerAxis<i32, N>, lead: [i32; N]) -> Self {
         Self { position, lead, speed: 0.0, clocks: 0, line_number: 0, power: 0, mark: 0 }
@@ -46,7 +46,7 @@ impl<const N: usize> InFlightSegment<N> {
 #[cfg_attr(feature = "alloc", derive(Clone))]
 pub(super) struct SegmentsInFlight<const N: usize> {
     /// A ring buffer. In the two slots before `first` are the segment begun last and the one before it.
-    ring: Lent<[InFlightSegment<N>; RING]>,
+    ring: Lent<[InFlightSegment<N>]>,
     first: usize,
     len: usize,
     /// Time of all records in the ring.
@@ -58,17 +58,30 @@ pub(super) struct SegmentsInFlight<const N: usize> {
 }
 
 impl<const N: usize> SegmentsInFlight<N> {
-    /// What its ring is made of.
-    pub(super) const RING: [InFlightSegment<N>; RING] = [InFlightSegment::NONE; RING];
-
-    /// At position 0.
-    pub(super) fn new(ring: Lent<[InFlightSegment<N>; RING]>) -> Self {
+    /// At position 0. The ring has room for [`BEGUN`] segments more than can be in flight.
+    pub(super) fn new(ring: Lent<[InFlightSegment<N>]>) -> Self {
         Self { ring, first: 0, len: 0, queued: 0, begun: 0, moves: false }
     }
 
     #[inline]
     pub(super) fn is_full(&self) -> bool {
-        self.len >= MOST
+        self.len + BEGUN >= self.ring.len()
+    }
+
+    /// Two motions exchange their rings; both are at rest.
+    pub(super) fn exchange_ring(&mut self, other: &mut Self) {
+        debug_assert!(self.is_empty() && other.is_empty());
+        let begun = [(*self.before(), *self.current()), (*other.before(), *other.current())];
+        core::mem::swap(&mut self.ring, &mut other.ring);
+        for (own, (before, current)) in [self, other].into_iter().zip(begun) {
+            (own.first, own.len, own.queued) = (0, 0, 0);
+            for (many, segment) in [(2, before), (1, current)] {
+                let slot = own.slot(many);
+                if let Some(begun) = own.ring.get_mut(slot) {
+                    *begun = segment;
+                }
+            }
+        }
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -103,12 +116,12 @@ impl<const N: usize> SegmentsInFlight<N> {
     /// The slot so many before the first.
     #[inline]
     fn slot(&self, many: usize) -> usize {
-        if self.first >= many { self.first - many } else { self.first + RING - many }
+        if self.first >= many { self.first - many } else { self.first + self.ring.len() - many }
     }
 
     pub(super) fn push(&mut self, record: InFlightSegment<N>) {
         let index = self.first + self.len;
-        let index = if index >= RING { index - RING } else { index };
+        let index = if index >= self.ring.len() { index - self.ring.len() } else { index };
         if let Some(slot) = self.ring.get_mut(index) {
             *slot = record;
             self.len += 1;
@@ -122,7 +135,7 @@ impl<const N: usize> SegmentsInFlight<N> {
         while self.len > 0 && self.begun != begun {
             let clocks = self.ring.get(self.first).map_or(0, |record| record.clocks);
             self.queued = self.queued.saturating_sub(clocks);
-            self.first = if self.first + 1 >= RING { 0 } else { self.first + 1 };
+            self.first = if self.first + 1 >= self.ring.len() { 0 } else { self.first + 1 };
             self.len -= 1;
             self.begun = self.begun.wrapping_add(1);
             self.moves = true;

@@ -1,7 +1,5 @@
-//! What the look-ahead knows of ramps with bounded jerk: the `Way` back from an anchor while the reverse pass goes along
-//! it, a `Stretch` of blocks as a machine sees it that eases off its acceleration meanwhile, and the `Target` of a ramp,
-//! the next anchor seen from a place before it. An anchor is an entry at which a ramp ends; [`super::planner`] draws it
-//! and walks along its ring of blocks with these.
+//! The look-ahead with a jerk limit: what the reverse pass and the running ramp know of the way to the next anchor. An
+//! anchor is an entry at which a ramp ends; [`super::planner`] shows how they are found.
 
 use super::block::{Block, CurveLoad};
 use super::jerk::{Bounds, PathState, ramp_distance, ramp_speed};
@@ -63,6 +61,15 @@ pub(super) struct Stretch {
 }
 
 impl Stretch {
+    /// All 0: memory that nothing has been written to.
+    pub(super) const BLANK: Self = Self {
+        length: 0.0,
+        slowest2: 0.0,
+        bounds: Bounds { acceleration: 0.0, jerk: 0.0 },
+        straight_acceleration: 0.0,
+        curve: CurveLoad::NONE,
+    };
+
     pub(super) const NONE: Self = Self {
         length: 0.0,
         slowest2: f32::INFINITY,

@@ -1,7 +1,5 @@
-//! Cuts the next segment with a jerk limit (S-curve): from the state that the machine is in (`SegmentStart`), as fast
-//! as the planner's bounds allow. It leaves rest, keeps moving to the nominal speed with the best acceleration or the
-//! one as before, ramps down to the speed aimed at, or comes to rest; `Travelled` is the time in seconds and the state
-//! at the end, and `ease_off_limit` what bounds the acceleration ahead.
+//! Cuts the next segment of a block with a jerk limit (S-curve), from the present speed and acceleration and as fast as
+//! the planned anchors allow.
 //!
 //! Each segment chooses the greatest of these for its end: the acceleration that leads to the nominal speed soonest; the
 //! one it has; or, if after either the machine could not meet the next anchors any more, that of a ramp down to them.

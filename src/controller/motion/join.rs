@@ -1,7 +1,6 @@
-//! The `Join`: what is known of the last block of the queue, as long as short collinear moves may continue its line:
-//! whether it is open, kept from the chain or fresh, the slopes that all points passed so far allow, the path along
-//! them, what its moves have in common, and the end of the queue before the block. The look-ahead so reaches farther
-//! than its count of blocks. `short_moves` decides which moves continue.
+//! Joins short collinear moves into one block: keeps what is known of the last block of the queue, as long as further
+//! moves may continue its line. So the look-ahead reaches farther than its number of blocks. [`super::short_moves`]
+//! decides which moves continue.
 //!
 //! ```text
 //!            P1 ───┐ half a step of each motor, and no more than the program's last digit can make

@@ -1,7 +1,5 @@
-//! The rule of turns for two unit vectors (`TurnRule`, junction deviation, `$11`): `turn2` is the square of their
-//! difference, `certain` takes off what noise explains, `across` and `in_plane` are the accelerations that the axes
-//! allow for a turn, and `junction2` is the speed² of the corner, from sine, cosine and deviation. [`super::curvature`]
-//! says where the rule is from and applies it to the whole path.
+//! The speed at a corner (junction deviation, `$11`): how fast the path may turn from one direction to another within
+//! the axes' accelerations. [`super::curvature`] derives the rule and applies it to the whole path.
 
 use super::trapezoid::{greater, lesser, quotient, square_root};
 

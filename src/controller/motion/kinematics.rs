@@ -1,6 +1,4 @@
-//! `Kinematics`: from places of the tool to steps of the motors and back, for a Cartesian or CoreXY arrangement with
-//! its `steps_per_mm`: the steps nearest to a place and the sevenths of a step beyond them, the ways of axes and of
-//! motors, half a step in mm, and the least way of the tool in a step.
+//! Converts between positions of the tool and steps of the motors, for Cartesian and CoreXY machines.
 //!
 //! ```text
 //!  Cartesian   each motor moves one axis

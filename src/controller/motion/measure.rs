@@ -1,6 +1,5 @@
-//! `Measure`, the exact whole-number arithmetic of steps within a block: total units, threshold, the rate and the
-//! credit of each axis, and from these `steps_taken` after some units (`advance` is rate times units). The step
-//! generator counts down to the next step with it, and the planner's side computes where a segment ends.
+//! The exact arithmetic of steps within a block: how many steps each axis has taken after some units. The step
+//! generator and the planner's side both use it, so they agree on where a segment ends.
 //!
 //! On a line an axis' rate is its steps, and the threshold is the steps of the dominant axis. A chord of an arc begins and ends
 //! between steps, at f and g of a step beside them ([`AxisSteps`]). An axis with n steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ of them

@@ -1,6 +1,5 @@
-//! Motion: straight moves in, messages for the step task out. `Motion` is the facade of this room: `line` and `chord`
-//! queue a move; `start`, `hold`, `resume`, `discard` and `stopped` control the motion; `observe` and `next_message`
-//! hand segments over; the rest tells position, speed and line numbers.
+//! Motion: straight moves in, messages for the step task out. [`Motion`] queues moves, starts, holds and resumes them,
+//! and reports position and speed. The controller has one for the job, and a small one for parking.
 //!
 //! ```text
 //!  Move ─ kinematics ─▶ block ─▶ planner (look-ahead) ─▶ segment ─▶ ToStep … the step task: stepper
@@ -66,8 +65,10 @@ use axis_limits::bounded;
 use backlash::Motors;
 pub use block::Block;
 use block::{MARK_SHIFT, NO_OVERRIDE, OverrideFactors};
-use curvature::{Chain, SCALES, Scale};
-use in_flight::{InFlightSegment, RING, SegmentsInFlight};
+use curvature::{Chain, Scale};
+use in_flight::{BEGUN, InFlightSegment, RING};
+use jerk_anchors::Stretch;
+use planner::GROUPS;
 use queue::{MoveQueue, Numbering};
 use segment_source::SegmentSource;
 
@@ -151,8 +152,9 @@ pub struct Motion<const N: usize> {
 #[derive(Debug)]
 pub struct MotionMemory<const N: usize> {
     blocks: Lent<[Block<N>]>,
-    ring: Lent<[InFlightSegment<N>; RING]>,
-    scales: Lent<[Scale<N>; SCALES]>,
+    groups: Lent<[Stretch]>,
+    ring: Lent<[InFlightSegment<N>]>,
+    scales: Lent<[Scale<N>]>,
 }
 
 /// That memory, to be lent: all 0, so that it needs no flash.
@@ -160,18 +162,52 @@ pub struct MotionMemory<const N: usize> {
 #[cfg(not(feature = "alloc"))]
 pub struct MotionStorage<const N: usize, const BLOCKS: usize> {
     blocks: [Block<N>; BLOCKS],
+    groups: [Stretch; GROUPS],
     ring: [InFlightSegment<N>; RING],
-    scales: [Scale<N>; SCALES],
+    scales: [Scale<N>; curvature::SCALES],
 }
 
 #[cfg(not(feature = "alloc"))]
 impl<const N: usize, const BLOCKS: usize> MotionStorage<N, BLOCKS> {
     /// Nothing in it counts.
-    pub const EMPTY: Self = Self { blocks: [Block::NONE; BLOCKS], ring: SegmentsInFlight::RING, scales: Chain::SCALES };
+    pub const EMPTY: Self = Self {
+        blocks: [Block::NONE; BLOCKS],
+        groups: [Stretch::BLANK; GROUPS],
+        ring: [InFlightSegment::NONE; RING],
+        scales: Chain::SCALES,
+    };
 
     /// For good.
     pub fn lend(&'static mut self) -> MotionMemory<N> {
-        MotionMemory { blocks: &mut self.blocks, ring: &mut self.ring, scales: &mut self.scales }
+        MotionMemory {
+            blocks: &mut self.blocks,
+            groups: &mut self.groups,
+            ring: &mut self.ring,
+            scales: &mut self.scales,
+        }
+    }
+}
+
+/// Blocks of a motion for single moves: one for the move, and one to take up the slack.
+const SINGLE_MOVE_BLOCKS: usize = 2;
+
+/// Memory of a motion for single straight moves, each from rest to rest. Such a motion needs the ring of another one that
+/// rests meanwhile ([`Motion::lend_ring`]).
+#[derive(Debug)]
+#[cfg(not(feature = "alloc"))]
+pub struct SingleMoveStorage<const N: usize> {
+    blocks: [Block<N>; SINGLE_MOVE_BLOCKS],
+    ring: [InFlightSegment<N>; BEGUN],
+}
+
+#[cfg(not(feature = "alloc"))]
+impl<const N: usize> SingleMoveStorage<N> {
+    /// Nothing in it counts.
+    pub const EMPTY: Self = Self { blocks: [Block::NONE; SINGLE_MOVE_BLOCKS], ring: [InFlightSegment::NONE; BEGUN] };
+
+    /// For good.
+    pub fn lend(&'static mut self) -> MotionMemory<N> {
+        MotionMemory { blocks: &mut self.blocks, groups: &mut [], ring: &mut self.ring, scales: &mut [] }
     }
 }
 
@@ -180,8 +216,20 @@ impl<const N: usize, const BLOCKS: usize> MotionStorage<N, BLOCKS> {
 pub fn on_heap<const N: usize>(blocks: usize) -> MotionMemory<N> {
     MotionMemory {
         blocks: core::iter::repeat_n(Block::NONE, blocks).collect(),
-        ring: Lent::new(SegmentsInFlight::RING),
+        groups: Lent::new([Stretch::BLANK; GROUPS]),
+        ring: Lent::new([InFlightSegment::NONE; RING]),
         scales: Lent::new(Chain::SCALES),
+    }
+}
+
+/// A workspace on the heap as the one of `SingleMoveStorage`.
+#[cfg(feature = "alloc")]
+pub fn on_heap_for_single_moves<const N: usize>() -> MotionMemory<N> {
+    MotionMemory {
+        blocks: Lent::new([Block::NONE; SINGLE_MOVE_BLOCKS]),
+        groups: Lent::new([]),
+        ring: Lent::new([InFlightSegment::NONE; BEGUN]),
+        scales: Lent::new([]),
     }
 }
 
@@ -210,7 +258,7 @@ impl<const N: usize> Motion<N> {
                 step_clock_hz,
             },
             source: SegmentSource::new(step_clock_hz, room.ring),
-            queue: MoveQueue::new(room.blocks, room.scales),
+            queue: MoveQueue::new(room.blocks, room.groups, room.scales),
             step_idle: true,
             origin: PerAxis::all(0),
         }
@@ -291,6 +339,13 @@ impl<const N: usize> Motion<N> {
         self.origin = other.origin;
         self.source.in_flight.forget(motors.tool(), motors.lead);
         self.plan_from(motors);
+    }
+
+    /// Another motion takes over while this one rests, or gives back what it was lent: the two exchange their rings of
+    /// segments in flight.
+    #[inline(never)]
+    pub fn lend_ring(&mut self, other: &mut Self) {
+        self.source.in_flight.exchange_ring(&mut other.source.in_flight);
     }
 
     /// Begins to execute what is queued. Until then, and again after the queue has been emptied, nothing is handed over.

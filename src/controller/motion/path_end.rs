@@ -1,6 +1,5 @@
-//! `PathEnd`, the end of the queue: where the next move begins, as programmed and in steps (`planned`,
-//! `planned_steps`), where the last block ended, its direction, the length carried over from moves too short for a
-//! step, and whether the last block turned motors only.
+//! The end of the queue, where the next move begins: as programmed, in steps, and where the last block ended. Lengths
+//! too short for a step are carried over from here.
 
 use super::trapezoid::square_root;
 use crate::axes::PerAxis;

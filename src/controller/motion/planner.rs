@@ -79,7 +79,7 @@ impl Fall {
 /// Groups of neighbouring places of the ring of which the planner keeps in mind what an ease-off across them must know: it
 /// may span hundreds of blocks and is looked at with each segment. With 512 blocks two groups of 16 are walked through
 /// at most, the first and the last, and 31 taken as a whole.
-const GROUPS: usize = 32;
+pub(super) const GROUPS: usize = 32;
 
 /// The ring of blocks. The first one may be running; its entry speed is then history.
 #[derive(Debug)]
@@ -102,12 +102,12 @@ pub(super) struct Planner<const N: usize> {
     pub raised: bool,
     blocks: Lent<[Block<N>]>,
     /// Of the groups that are in the queue as a whole; with a jerk limit only.
-    groups: [Stretch; GROUPS],
+    groups: Lent<[Stretch]>,
 }
 
 impl<const N: usize> Planner<N> {
     #[inline(always)]
-    pub(super) fn new(blocks: Lent<[Block<N>]>) -> Self {
+    pub(super) fn new(blocks: Lent<[Block<N>]>, groups: Lent<[Stretch]>) -> Self {
         Self {
             first: 0,
             len: 0,
@@ -115,7 +115,7 @@ impl<const N: usize> Planner<N> {
             changed: usize::MAX,
             settled: 0,
             lowered: Lowered::NONE,
-            groups: [Stretch::NONE; GROUPS],
+            groups,
             jerk_limited: false,
             raised: false,
             blocks,

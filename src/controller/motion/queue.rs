@@ -1,15 +1,13 @@
-//! `MoveQueue`: the planner's ring of blocks and all that is known of their end (kinematics, backlash, axis limits,
-//! overrides, `PathEnd`, chain, join, blend, the long move, the mark, and numbering by words or a given number), with
-//! set-up, restart, and how many blocks are free. [`super::enqueue`] makes blocks of moves, [`super::short_moves`] one
-//! block of short ones. `substep_offset` is how far the end is beyond its steps, `MOST_BACKLASH` and
-//! `MOST_BLOCKS_OF_A_MOVE` are bounds.
+//! The way into motion: the planner's blocks and everything known of the end of the path. [`super::enqueue`] makes
+//! blocks of moves; [`super::short_moves`] and [`super::rounding`] join and blend them before.
 
 use super::axis_limits::AxisLimits;
 use super::backlash::{Backlash, Motors};
 use super::blend::Blend;
 use super::block::{Block, OverrideFactors};
 use super::carried_time::CarriedTime;
-use super::curvature::{Chain, SCALES, Scale};
+use super::curvature::{Chain, Scale};
+use super::jerk_anchors::Stretch;
 use super::join::Join;
 use super::kinematics::Kinematics;
 use super::path_end::PathEnd;
@@ -72,7 +70,7 @@ pub(super) struct MoveQueue<const N: usize> {
 
 impl<const N: usize> MoveQueue<N> {
     /// Empty, before there are settings.
-    pub(super) fn new(blocks: Lent<[Block<N>]>, scales: Lent<[Scale<N>; SCALES]>) -> Self {
+    pub(super) fn new(blocks: Lent<[Block<N>]>, groups: Lent<[Stretch]>, scales: Lent<[Scale<N>]>) -> Self {
         Self {
             kinematics: Kinematics::ONE,
             backlash: Backlash::NONE,
@@ -87,7 +85,7 @@ impl<const N: usize> MoveQueue<N> {
             chain: Chain::new(scales),
             join: Join::NONE,
             blend: Blend::NONE,
-            planner: Planner::new(blocks),
+            planner: Planner::new(blocks, groups),
         }
     }
 
@@ -175,7 +173,7 @@ mod tests {
     #[test]
     fn backlash_keeps_blocks_back_for_what_a_move_takes_up() {
         let room = on_heap(8);
-        let mut any = MoveQueue::<2>::new(room.blocks, room.scales);
+        let mut any = MoveQueue::<2>::new(room.blocks, room.groups, room.scales);
         assert_eq!((any.free_blocks(), any.is_empty()), (8, true));
         any.backlash.configure([5, 0]);
         assert_eq!(any.free_blocks(), 6);

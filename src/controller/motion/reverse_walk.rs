@@ -1,7 +1,6 @@
-//! The reverse pass without a jerk limit, on blocks that lie in a row: a `Walk` goes from the last of them to the first,
-//! gives each the greatest entry speed from which it can be braked to the exit speed behind it, and ends at the first
-//! entry that stays. `Lowered` notes which blocks a bend has lowered since. Where the blocks lie in the ring is known to
-//! [`super::planner`].
+//! The reverse pass without a jerk limit. From the last block to the first it sets the greatest entry speed from which
+//! the machine can brake to the exit speed; it ends at the first entry that does not change. [`super::planner`] calls
+//! it on pieces of its ring.
 
 use super::block::Block;
 use super::curvature::Bend;

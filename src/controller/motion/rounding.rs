@@ -1,7 +1,6 @@
-//! When moves with a tolerance are queued: `take` may hold a feed move back, merge it with the last one or queue the
-//! oldest, whose corner may be cut ([`super::blend`]) so that the number and program digit of each piece are kept;
-//! `release` queues all that is held, at the latest once the end is so near that the first block's speed may depend on
-//! it (no entry of a look-ahead is full).
+//! Decides when moves with a tolerance (G64) are queued. A move may be held back, merged with the next, or queued with
+//! its corner cut off ([`super::blend`]). All of them are queued as soon as the speed of the first block may depend on
+//! them.
 //!
 //! What is held back costs nothing while the machine does not need it: as long as some entry ahead is as fast as it can ever
 //! be, all speeds before it are what they are with any number of moves behind, but for a tight bend among those, for which the

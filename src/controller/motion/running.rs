@@ -1,11 +1,5 @@
-//! `Running`: the block that is being cut into segments, with its rates, credits, threshold, total and done units,
-//! programmed and nominal speed. `BlockStage` says what the step task must be told next: the announcement (upper axes,
-//! block), `Reenter`, or the first segment. It gives the trapezoid of the rest of the block, also for braking in a
-//! hold, the steps taken so far, and the laser power at a speed. `PathMotion` is pace and acceleration at the end of
-//! what was handed over. `steps_by_axis` and `AxisSteps` are given in a `ToStep`; in it are also `announce_again`,
-//! `steps_from`, `acceleration_towards`, `power_at`, `is_rapid`, `left`, `braking`; the planner's `exit2` is
-//! `planned2`. A crawl in which a unit takes longer than `CRAWL_S` stops where it is if it can. The `ease_off_limit`
-//! is that of the jerk rule.
+//! The block that is being cut into segments: how far it is, its speed limits, and what the step task must be told
+//! before the next segment. Gives the speed curve of the rest of the block, also for braking in a hold.
 
 use super::block::{Block, MARK_SHIFT, OverrideFactors, RAPID, SCALE_POWER};
 use super::measure::{Measure, signed_add, steps_taken};

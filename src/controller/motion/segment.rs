@@ -1,7 +1,5 @@
-//! Cuts the next segment out of a block's speed curve: a `Cut` of units, ticks, seconds and ramp, at the AMASS level
-//! and grain (units of a tick) that suit the pace, with a reach of a millisecond or two at most, up to the edge of a
-//! level or phase. The `Pacer` puts its time into fixed-point `Intervals`, flat or with an even ramp, and carries the remainder
-//! over to the next one.
+//! Cuts the next segment out of a block's speed curve: a number of ticks with evenly changing intervals, at the AMASS
+//! level that suits the speed. What the fixed-point intervals cannot hold is carried over to the next segment.
 //!
 //! A segment lasts 1 ms at most, 2 ms where the speed stays or hardly changes (or one tick, if that takes longer), has whole
 //! ticks, and ends where a phase of the curve ends. Its intervals change evenly from tick to tick; their sum is the exact time of the curve, and what the fixed point

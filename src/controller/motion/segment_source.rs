@@ -1,16 +1,10 @@
-//! `SegmentSource`: blocks of the planner on their way out. It announces the running block (`begin_block`, with
-//! backlash), has the `Pacer` cut its ramp into segments of ticks, intervals and acceleration, and hands them over
-//! (`emit`) while less than `QUEUED_TIME_MS` is in flight; `FeedState` is idle, running, braking or held. It makes the
-//! still segment of rest (`rest_here`), waits for a tick that is far away (`LongTick`) in pieces of the step clock
-//! (`step_clock_hz`), and knows the motors at the block's start and at the last rest. It has a `BlockStage`, a
-//! `PathMotion` (pace, nominal) and `SegmentsInFlight`. `clocks_per_us`, `JOIN_MS`, `SHORT_MS`, `REST_US`, `FAR_MS` and
-//! `WAIT_MS` are its times; `run_out`, `wants_more`, `waits_for_rest`, `is_short_of_segments`, `path_state`,
-//! `set_nominal`, `motors_in_block`, `next_cut`, `holds_time` and `ends_at_rest` its questions and steps,
-//! with `restart`, `hold`, `resume` and `stop`.
+//! The way out of motion: announces the running block, cuts its segments, and hands them over as long as less than
+//! [`QUEUED_TIME_MS`] is in flight. Brakes to a stop in a hold. A tick that is far away is waited for in short pieces,
+//! so that a hold is never late.
 
 use super::backlash::{Backlash, Motors};
 use super::block::{Block, OverrideFactors};
-use super::in_flight::{InFlightSegment, RING, SegmentsInFlight};
+use super::in_flight::{InFlightSegment, SegmentsInFlight};
 use super::jerk::PathState;
 use super::jerk_segment;
 use super::planner::Planner;
@@ -85,7 +79,7 @@ pub(super) struct SegmentSource<const N: usize> {
 
 impl<const N: usize> SegmentSource<N> {
     /// At rest with nothing to do.
-    pub(super) fn new(step_clock_hz: u32, ring: Lent<[InFlightSegment<N>; RING]>) -> Self {
+    pub(super) fn new(step_clock_hz: u32, ring: Lent<[InFlightSegment<N>]>) -> Self {
         Self {
             state: FeedState::Idle,
             rest: true,

@@ -1,7 +1,6 @@
-//! Which short, nearly collinear moves are joined to the last block ([`super::join`]): those that are a line of a small
-//! length and little winding, pass by all points, and continue it so that nothing promised to the planner's blocks
-//! before is broken (`promised`). The queue then takes the last block back and makes a longer one; `end_join` gives the
-//! chain the finished piece.
+//! Decides which short moves are joined to the last block ([`super::join`]): those that continue its line, as long as
+//! nothing changes that the planner has promised to the blocks before. The last block is then taken back and a longer
+//! one queued.
 
 use super::Move;
 use super::axis_limits::shares;

@@ -1,7 +1,5 @@
-//! The speed curve (velocity profile) within a block (`Trapezoid`): speed² as a function of the distance left, with a slope of twice the
-//! acceleration between nominal and exit speed. `phase` tells by its sign whether it accelerates, cruises or brakes
-//! next, `advance` the exact time of a piece. `Pace` is a speed and its square; `lesser` and `greater` compare two
-//! numbers.
+//! The speed curve within a block: speed squared over the distance left, with edges of constant acceleration. Tells
+//! whether the block accelerates, cruises or brakes next, and the exact time of a piece of it.
 //!
 //! ```text
 //!  v²   nominal² ________________

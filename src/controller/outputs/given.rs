@@ -1,6 +1,5 @@
-//! `Pins`: the levels of the slow outputs and the wiring (step and direction inversion, direction set-up, PWM
-//! frequency, ganged motors) as they were given out last, so that only what has changed is told to the pump. `calm`
-//! until something may `disturb` them.
+//! The outputs and the wiring as they were given out last, so that only changes are sent. Also notes whether anything
+//! has happened since: while nothing has, the controller skips this check.
 
 use crate::axes::AxisMask;
 use crate::inputs::levels;

@@ -1,7 +1,6 @@
-//! What the outputs are to be now: power and direction of the spindle under the acting overrides, at rest and in
-//! segments, whether a laser burns at rest, whether the spindle has spun up; digital outputs that wait for a motion's
-//! mark; drivers held off in an emergency. Collected as `SlowOutputs` (`changed_pins`). `begun_mark`, `changed_wiring`,
-//! `next_look` and `settle_outputs` follow the motion.
+//! What the outputs should be now: power and direction of the spindle under the overrides, coolant, drivers and digital
+//! outputs. The controller compares this with what was given out last and sends the difference. Also says whether the
+//! spindle is up to speed.
 
 pub(crate) mod given;
 
@@ -13,7 +12,7 @@ use crate::machine::realtime_override::Overrides;
 use crate::machine::spindle::SpindleRange;
 use crate::messages::{Coolant, SlowOutputs, SpindleDirection, Wiring};
 use crate::settings::Key;
-use crate::states::Mode;
+use crate::states::State;
 use crate::states::stops::orders::StopReason;
 use crate::units::Instant;
 
@@ -36,11 +35,10 @@ impl<const N: usize> Controller<N> {
         self.resting_power() == 0
     }
 
-    /// Whether a spindle that was switched on again in this hold is not up to speed yet.
-    pub(crate) fn is_spinning_up(&self) -> bool {
-        let at_speed = self.has_no_speed_to_reach()
-            || self.m.accessories.is_at_speed(self.m.inputs.signals().at_speed, &self.m.settings);
-        self.m.accessories.turns_at().is_some_and(|at| self.m.now < at || !at_speed)
+    /// Whether the spindle is up to speed, as far as can be known.
+    pub(crate) fn has_speed(&self) -> bool {
+        self.has_no_speed_to_reach()
+            || self.m.accessories.is_at_speed(self.m.inputs.signals().at_speed, &self.m.settings)
     }
 
     /// Outputs follow the motion that has begun; they are off where the machine is locked.
@@ -50,7 +48,7 @@ impl<const N: usize> Controller<N> {
             let mark = self.m.motion.begun_mark();
             self.m.accessories.digital_mut().begun(mark);
         }
-        if self.mode.is_alarm() || matches!(self.mode, Mode::Sleep(_)) {
+        if self.state.is_alarm() || matches!(self.state, State::Sleep(_)) {
             self.switch_outputs_off();
         }
     }
@@ -103,7 +101,7 @@ impl<const N: usize> Controller<N> {
     /// it on.
     fn is_dark_at_rest(&self) -> bool {
         let is_dark = self.m.settings.is_on(Key::Laser) && self.m.settings.is_on(Key::Dialect);
-        is_dark && !matches!(self.mode, Mode::Normal | Mode::Check)
+        is_dark && !matches!(self.state, State::Normal | State::Check)
     }
 
     /// A segment's power under the override of this moment: queued moves feel it too.
@@ -158,13 +156,13 @@ impl<const N: usize> Controller<N> {
 
     #[inline]
     pub(crate) fn changed_wiring(&mut self) -> Option<Wiring> {
-        self.m.pins.changed_wiring(&self.m.settings, self.m.inputs.wiring(), matches!(self.mode, Mode::Home(_)))
+        self.m.pins.changed_wiring(&self.m.settings, self.m.inputs.wiring(), matches!(self.state, State::Homing(_)))
     }
 
     /// No current in the motors, whatever `$1` says: in sleep, and with `$913` until the emergency has been acknowledged.
     fn drivers_held_off(&self) -> bool {
-        matches!(self.mode, Mode::Sleep(_))
-            || matches!(self.mode.alarm(), Some(Alarm::EmergencyStop | Alarm::DriverFault))
+        matches!(self.state, State::Sleep(_))
+            || matches!(self.state.alarm(), Some(Alarm::EmergencyStop | Alarm::DriverFault))
                 && self.m.settings.is_on(Key::EmergencyDriversOff)
     }
 }

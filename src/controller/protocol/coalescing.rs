@@ -1,7 +1,5 @@
-//! `Coalescing`: answers of lines that wait one behind the other go to the serial task together, for each message to it
-//! costs a run, a packet of the link and, by what the host sends for it, another. `begin` is told of each round,
-//! `holds` says whether answers are held back in it, `sent` that some have gone, and `release` lets them go before the
-//! pump sleeps; `LONGEST` bounds the time.
+//! Holds replies back for a moment, so that several go to the serial task in one message. Each message costs a run of
+//! that task and a packet on the link.
 //!
 //! It promises: an answer is held only while whole or part of another line waits to be taken, so a host that waits for it
 //! before it sends more never finds it held; and no longer than `LONGEST` and a round.

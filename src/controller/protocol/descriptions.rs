@@ -1,8 +1,5 @@
-//! Settings, errors and alarms in words, for senders that show names instead of numbers: `$ES`, `$ESG`, `$ESH`, `$EG`,
-//! `$EA`, `$EE`, in the formats of grblHAL. Rows of fields, commas or tabs with columns for name, unit, group,
-//! `DataType` (switch, bits, choice, integer, decimal), labels of the bits, range and values. Each row is `put` into
-//! `out` behind a header. A row of an `axis` is named behind its letter, one of homing with the number of its `cycle`;
-//! `bound`s, `labelled` bits and each `Choice` are listed.
+//! Settings, errors and alarms in words (`$ES`, `$ESG`, `$ESH`, `$EG`, `$EA`, `$EE`), in the formats of grblHAL, for
+//! senders that show names instead of numbers.
 
 use super::system::{Described, Format};
 use super::text::{END, Text, put, whole};

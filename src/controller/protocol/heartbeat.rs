@@ -1,5 +1,5 @@
-//! `Heartbeat`: a host that has gone silent. A UART does not tell that its cable was pulled, so each byte of a line and
-//! each realtime command counts as heard; `is_silent` compares that moment with the longest silence allowed.
+//! Notices a host that has gone silent. A UART does not report a pulled cable, so every byte of a line and every
+//! realtime command counts as a sign of life.
 
 use crate::units::{Duration, Instant};
 

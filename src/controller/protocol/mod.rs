@@ -1,22 +1,25 @@
-//! Bytes in, text out: what crosses the serial line, and nothing of what it means to the machine. Only the list of the
-//! room's modules.
+//! The serial protocol: bytes in, text out. What a line means to the machine is decided elsewhere.
 //!
-//! [`realtime`] picks commands out of the byte stream, [`link`] brings both into their queues ([`line_queue`] with several bytes in a message, [`owed`] those commands for which there is no room) from the host that has the machine (`floor`), [`remark`] tells text from commands, [`mod@line`] makes filtered lines, [`line_intake`]
-//! knows which of their bytes still count, [`checked_line`] whether a line is what was sent, [`heartbeat`] whether anything comes at all, [`system`] reads `$`
-//! lines, [`text`] prints numbers, [`report`] prints every answer that a host can get, [`descriptions`] those that put numbers into words, [`replies`] keeps them until they are sent, [`coalescing`] says which are sent together.
+//! * [`link`] takes the bytes of a host: [`realtime`] finds commands, [`remark`] tells them from text, and a host may have to
+//!   wait for the machine. [`owed`] keeps commands for which there is no room.
+//! * [`byte_channel`] carries bytes of lines to the control task. [`intake`] drops those that count no more, [`line_filter`] makes
+//!   lines of the others, [`line_checksum`] checks them, and [`heartbeat`] notices a silent host.
+//! * [`system`] reads `$` lines.
+//! * [`report`] prints replies with [`text`], [`descriptions`] those in words, [`recording`] those of `$REC`. [`replies`] keeps them
+//!   until they are sent, and [`coalescing`] says which are sent together.
 
-pub mod checked_line;
+pub mod byte_channel;
 pub mod coalescing;
 pub mod descriptions;
 mod floor;
 pub mod heartbeat;
-pub mod line;
-pub mod line_intake;
-pub mod line_queue;
+pub mod intake;
+pub mod line_checksum;
+pub mod line_filter;
 pub mod link;
 pub mod owed;
 pub mod realtime;
-pub mod recorded;
+pub mod recording;
 pub mod remark;
 pub mod replies;
 pub mod report;

@@ -1,5 +1,5 @@
-//! `Owed`: realtime commands (reset, feed hold, safety door) of a link that cannot wait, for which there was no room in the
-//! queue; a word that the serial task adds to and `control` takes, in their order. `RESETS` is a count.
+//! Realtime commands of a link that cannot wait, for which there was no room in the queue: resets, feed holds and door
+//! commands. The serial task adds to them, and `control` takes them in order. None of these commands is lost.
 
 use crate::messages::Realtime;
 

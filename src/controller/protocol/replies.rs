@@ -1,6 +1,5 @@
-//! `Replies`: what waits to be sent to the host. The queue of answers, given out in chunks and with room kept for the
-//! answer to the line in work, a status report that is due with its rare fields, the echo of startup lines, and the
-//! restart after a failure, told once.
+//! Text that waits to be sent to the host, in order and in chunks. Room is kept for the answer to the line in work.
+//! Also when a status report is due, and which of its rare fields it carries.
 
 use super::report::{RareFields, is_answer, is_of_one_host};
 use super::text::PIECE;

@@ -1,17 +1,9 @@
-//! Every answer that a host can get, `put` into `out` byte for byte as Grbl 1.1h prints it (plus what Grbl does not
-//! have): `ok`, errors, alarms, the welcome, `[MSG:` texts, the rows of `$$`, `$#`, `$G` (`ParserState`), `$I`,
-//! `$PINS`, tripped inputs, reset cause and crash, help, and the `Status` report with position (`MPos`, `offset`),
-//! buffer, feed, pins, accessory letters and overrides. `PlaceForm` says how many axes and which unit, `RareFields`
-//! when `WCO` and `Ov` come. `whole`, `real` and `length` numbers and names as bytes go into it: names of a
-//! `ResetCause`, of a `CrashKind`, of inputs (driver fault, emergency stop), `SpindleDirection`, coolant letters,
-//! `PinView` with `InputWiring`, version, date and `RELEASE`, `more_options` of `build_info`, `kept_line`,
-//! `startup_echo`, `program_message`, a probe's `success`, and `overrides_changed`. `is_of_one_host` and `is_answer`
-//! look at a text.
+//! Every reply that a host can get, byte for byte as Grbl 1.1h prints it, and what Oxmill adds.
 //!
 //! Plain data in, text out. Each function makes one or more whole lines, ended by CR LF.
 
 use super::descriptions::DESCRIPTIONS;
-use super::recorded::RECORDER;
+use super::recording::RECORDER;
 use super::text::{END, Text, length, put, real, whole};
 use crate::axes::{Axis, AxisMask, LINEAR, PerAxis};
 use crate::messages::{

@@ -1,11 +1,7 @@
-//! `$` lines: which `System` command it is (help, settings, startup line, macro, home, jog, restore, sleep, `$n=v`) and
-//! with what, or why not; the states a command is `Allowed` in, by its letter, the format of descriptions, and what
-//! Grbl knows of them. Whether the machine's state allows it now is not known here. Errors are `InvalidStatement` and
-//! `BadNumber`. Commands are `SetStartupLine`, `SetMacro`, `SetBuildInfo`, `BuildInfo`, `MoreBuildInfo`, `CheckMode`,
-//! `CheckLines`, `ClearNoise`, `ParserState`, `Parameters`, `Recording`, `ResetCause`, `Unlock`, `Describe`
-//! (`Described`); a command is `alone` or has a `rest` of its text, `numbered` reads an index, `known_to_grbl` tells.
+//! Reads `$` lines: which command it is, with which value, and in which states it is allowed. The command is carried
+//! out in `host::commands`.
 
-use super::checked_line::is_session;
+use super::line_checksum::is_session;
 use crate::axes::Axis;
 use crate::error::Error;
 use crate::number::{self, Digits, Number};

@@ -1,6 +1,4 @@
-//! Numbers as text, without `core::fmt`: `put` appends bytes to a `Text`, `whole`, `fixed`, `real` and `length` numbers
-//! with their decimals, in mm or inches. A few hundred bytes instead of many KiB of flash, and the same digits
-//! everywhere.
+//! Prints numbers without `core::fmt`, which would cost many KiB of flash. The digits are the same on every machine.
 
 use crate::units::Coordinate;
 

@@ -1,5 +1,4 @@
-//! Where a setting is in the tables: `Index`, a row of `SCALARS` or a row of `PER_AXIS` and the axis. It is found
-//! `of_number`, the one after `$`, or `of_line`, the row of `$$`, and gives its `row`: the `Entry` and the number.
+//! Finds a setting's row: by its number after `$`, or by its line in the listing of `$$`.
 
 use super::row::Entry;
 use super::table::{Key, PER_AXIS, SCALARS};

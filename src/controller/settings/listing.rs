@@ -1,5 +1,5 @@
-//! The rows of `$$`, line by line: how many `lines` there are with so many axes in use (`LINES` with all), each `row`
-//! with its number, value and `Entry`, and as it is `described` to people and senders.
+//! The rows of `$$`, one at a time, for a machine with a given number of axes; also with name and unit, for senders
+//! that ask for descriptions.
 
 use super::index::Index;
 use super::row::{Entry, Row};

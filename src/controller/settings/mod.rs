@@ -1,21 +1,19 @@
-//! The `$` settings: what there are, and what they are set to. Only the list of the room's files and what they give
-//! out: `Kind`, `Entry`, `Description`, `Row`, `SettingGroup`, `SCALARS`, `PER_AXIS`, their descriptions, `Key`,
-//! `AxisKey`, `lines` and `Settings`.
+//! The `$` settings: their table, their values, and their checks.
 //!
 //! `$$`, the checks of `$n=v` and the documents come from one table. A setting that is legal alone is stored, as senders
 //! restore them one by one; whether the *set* can be run is asked by [`Settings::unrunnable`].
 //!
 //! Calls go down this list and never up:
 //!
-//! * `checks`: `$n=v`; `listing`: `$$`; `runnable`: whether the machine can run with what is set
+//! * `ranges`: `$n=v`; `listing`: `$$`; `runnable`: whether the machine can run with what is set
 //! * `values`: what the settings are set to, also as they are stored
 //! * `index`: which row a number or a line of `$$` belongs to
 //! * `table`: the rows, and the keys that name them
 //! * `row`: what a row says
 
-mod checks;
 mod index;
 mod listing;
+mod ranges;
 mod row;
 mod runnable;
 mod table;

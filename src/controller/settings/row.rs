@@ -1,5 +1,5 @@
-//! What a row of the `$` table says: number, default, how a value is checked and printed (`Kind`), and whether Grbl has
-//! it; name, unit, group and labels for people. The macro `table` makes entries, descriptions and keys from one list.
+//! What a row of the table of settings says: number, default, kind of value, and whether Grbl has it; for people also
+//! name, unit, group and labels. The macro here makes table, keys and descriptions from one list.
 
 use crate::axes::{Axis, LINEAR};
 use crate::error::codes;

@@ -1,5 +1,5 @@
-//! Whether the machine can run with what is set: `unrunnable` gives the number of the first setting that makes it
-//! impossible, such as a rate beyond what the board can step, or that makes a cycle endless.
+//! Whether the machine can run with the present settings. Returns the number of the first setting that makes motion
+//! impossible, such as a rate beyond the board's step rate.
 
 use super::table::{AxisKey, Key, SOFT_LIMITS};
 use super::values::Settings;

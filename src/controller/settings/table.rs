@@ -1,5 +1,4 @@
-//! The `$` table: a row for each `Key` and each `AxisKey` with number, name, unit, group, labels, kind, default and
-//! whether Grbl has it. To add a setting, add a row here.
+//! The table of all settings. To add a setting, add a row here.
 
 use super::row::{ALL_AXIS_LABELS, AXIS_LABELS, Description, Entry, Kind, SettingGroup, table};
 use crate::axes::Axis;

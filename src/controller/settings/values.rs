@@ -1,6 +1,6 @@
-//! `Settings`: what the settings are set to; a new controller has the defaults. A value is read as a number, a mask, a
-//! switch or a time by its key, and some have a meaning of their own, such as the axes in use, the homing cycles and
-//! the kinematics.
+//! The values of the settings, with the defaults of a new machine. A setting is read by its key: as a number, switch,
+//! mask or time. Settings with a meaning of their own, such as the homing cycles or the kinematics, have their own
+//! functions.
 
 use super::index::Index;
 use super::table::{AxisKey, Key, PER_AXIS, SCALARS, SOFT_LIMITS, homing_cycle};

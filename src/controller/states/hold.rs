@@ -1,5 +1,5 @@
-//! Feed holds, jog cancels and soft stops: motion brakes, then the job is resumed, with its spindle and laser, or
-//! forgotten. Also the start of motion, and the drivers' idle delay (`$1`) at its end.
+//! Feed hold, jog cancel and soft stop: motion brakes, then the job resumes or is forgotten. A hold keeps whether its
+//! spindle was switched on again ([`Hold`]), as its end waits for the speed. Motion also starts here.
 
 use crate::dispatch::Controller;
 use crate::error::Alarm;
@@ -8,30 +8,50 @@ use crate::messages::Coolant;
 use crate::protocol::report;
 use crate::settings::Key;
 use crate::states::stops::orders::StopReason;
-use crate::states::{AfterBraking, Mode};
+use crate::states::{AfterBraking, State};
+use crate::units::Instant;
 use crate::work::line::Message;
 use crate::work::task::Task;
 
+/// A feed hold: of the operator, or of the program (M0, a tool change).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Hold {
+    /// The spindle was switched on again in this hold: it turns (`$394`) at this moment at the earliest.
+    turns_at: Option<Instant>,
+    /// `~` came: the hold ends when the spindle is up to speed.
+    leaves: bool,
+}
+
+impl Hold {
+    pub(crate) const BEGUN: Hold = Hold { turns_at: None, leaves: false };
+
+    /// When the spindle turns for which the end of the hold waits, at the earliest.
+    #[inline]
+    pub(crate) fn ends_with_spindle(&self) -> Option<Instant> {
+        self.turns_at.filter(|_| self.leaves)
+    }
+}
+
 impl<const N: usize> Controller<N> {
     pub(crate) fn start_motion(&mut self) {
-        if matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Home(_)) {
+        if matches!(self.state, State::Normal | State::Jog { .. } | State::Homing(_)) {
             self.m.start_motion();
         }
     }
 
     pub(crate) fn feed_hold(&mut self) {
         self.forget_received_jogs();
-        match self.mode {
-            Mode::Normal => {
+        match self.state {
+            State::Normal => {
                 self.m.motion.hold();
                 // A jog that has been read and not queued yet ends here like one that moves.
                 self.task.forget_jog();
                 self.task.suspend(self.m.now);
-                self.enter(Mode::Hold);
+                self.enter(State::Hold(Hold::BEGUN));
                 self.darken_laser();
             }
-            Mode::Jog { .. } => self.cancel_jog(),
-            Mode::Hold => self.m.accessories.leave_hold(false),
+            State::Jog { .. } => self.cancel_jog(),
+            State::Hold(hold) => self.enter(State::Hold(Hold { leaves: false, ..hold })),
             _ => {}
         }
     }
@@ -40,8 +60,7 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     pub(crate) fn leave_hold(&mut self) {
         self.restore_spindle();
-        self.m.accessories.end_spin_up();
-        self.enter(Mode::Normal);
+        self.enter(State::Normal);
         self.task.resume(self.m.now);
         // After a contact, or before a soft-limit alarm, there is nothing to resume.
         if !self.m.probe.has_touched() && !matches!(self.task, Task::SoftLimit(_)) {
@@ -59,7 +78,7 @@ impl<const N: usize> Controller<N> {
     /// Spindle stop in a hold: at once at rest, and while the machine brakes when it comes to rest; until then a second one
     /// changes nothing, as in Grbl.
     pub(crate) fn toggle_spindle(&mut self) {
-        self.m.accessories.end_spin_up();
+        self.enter(State::Hold(Hold::BEGUN));
         if !self.m.motion.is_at_rest() {
             self.m.accessories.stop_at_rest();
         } else if self.m.accessories.is_suspended() {
@@ -74,13 +93,31 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn restore_spindle(&mut self) {
         if self.m.accessories.restore() {
             self.m.replies.overrides_changed();
-            if matches!(self.mode, Mode::Hold) && self.m.accessories.is_on() {
+            if let State::Hold(hold) = self.state
+                && self.m.accessories.is_on()
+            {
                 if !self.m.settings.is_on(Key::Laser) {
-                    self.m.accessories.spin_up(self.m.now + self.m.settings.seconds(Key::SpinUp));
+                    let turns_at = self.m.now + self.m.settings.seconds(Key::SpinUp);
+                    self.enter(State::Hold(Hold { turns_at: Some(turns_at), ..hold }));
                 }
                 self.say(|out| report::message(out, "Restoring spindle"));
             }
         }
+    }
+
+    /// `~` in a hold: the end waits for a spindle that was switched on again.
+    pub(crate) fn end_hold(&mut self) {
+        self.restore_spindle();
+        match self.state {
+            State::Hold(hold) if self.is_spinning_up() => self.enter(State::Hold(Hold { leaves: true, ..hold })),
+            _ => self.leave_hold(),
+        }
+    }
+
+    /// Whether a spindle that was switched on again in this hold is not up to speed yet.
+    fn is_spinning_up(&self) -> bool {
+        let State::Hold(Hold { turns_at: Some(turns_at), .. }) = self.state else { return false };
+        self.m.now < turns_at || !self.has_speed()
     }
 
     /// No beam while the machine waits.
@@ -93,21 +130,24 @@ impl<const N: usize> Controller<N> {
 
     /// Brakes to a stop and forgets the job; the position stays true.
     pub(crate) fn stop_softly(&mut self, locked: bool) {
-        if matches!(self.mode, Mode::Home(_)) {
+        if matches!(self.state, State::Homing(_)) {
             self.m.stops.order(StopReason::Alarm(Alarm::HomingReset));
             return;
         }
-        if matches!(self.mode, Mode::Door(_)) {
+        if let State::Door(door) = &mut self.state {
             // The door comes first; the job is forgotten when it is closed.
-            self.m.door.forget_job();
-            return;
+            return door.stop_job();
         }
-        let going = matches!(self.mode, Mode::Normal | Mode::Jog { .. } | Mode::Hold);
-        if going && (!self.m.motion.is_idle() || !self.task.is_none() || locked || !matches!(self.mode, Mode::Normal)) {
-            self.m.accessories.leave_hold(false);
+        let going = matches!(self.state, State::Normal | State::Jog { .. } | State::Hold(_));
+        if going && (!self.m.motion.is_idle() || !self.task.is_none() || locked || !matches!(self.state, State::Normal))
+        {
+            if self.is_spinning_up() {
+                // No cut waits any more for a spindle that is getting up.
+                self.m.accessories.stop_spindle();
+            }
             self.m.motion.hold();
-            self.enter(Mode::Stopping { then: if locked { AfterBraking::Lock } else { AfterBraking::Continue } });
-        } else if matches!(self.mode, Mode::Normal | Mode::Check) {
+            self.enter(State::Braking { then: if locked { AfterBraking::Lock } else { AfterBraking::Continue } });
+        } else if matches!(self.state, State::Normal | State::Check) {
             self.m.interpreter.abandon_program();
         }
     }
@@ -116,7 +156,7 @@ impl<const N: usize> Controller<N> {
     /// follows is meant for that one.
     pub(crate) fn stop_at_error(&mut self, asks_for_tool: bool) {
         let lacks_tool = asks_for_tool && self.m.prompts_for_tools() && self.dialect() != Dialect::Grbl;
-        if matches!(self.mode, Mode::Normal) && (lacks_tool || self.m.settings.is_on(Key::StopOnError)) {
+        if matches!(self.state, State::Normal) && (lacks_tool || self.m.settings.is_on(Key::StopOnError)) {
             self.stop_softly(true);
         }
     }
@@ -127,13 +167,11 @@ impl<const N: usize> Controller<N> {
         self.forget_waiting_outputs();
         self.m.step_supply.end();
         self.m.probe.break_off();
-        self.m.door.take_jog();
         self.m.interpreter.set_position(self.m.motion.machine_position());
         self.m.start_idle_delay();
         // A beam must not rest on one point, a locked machine does not turn, and no cut waits any more for a spindle that is
         // getting up; else the spindle stays as it is.
-        let turns = !self.m.accessories.is_suspended() && !self.is_spinning_up() && !self.task.waits_for_spindle();
-        self.m.accessories.end_spin_up();
+        let turns = !self.m.accessories.is_suspended() && !self.task.waits_for_spindle();
         if locked || !turns || self.m.settings.is_on(Key::Laser) {
             self.m.accessories.stop_spindle();
         }
@@ -148,7 +186,7 @@ impl<const N: usize> Controller<N> {
         if self.task.abandon() {
             self.say_ok();
         }
-        self.enter(if locked { Mode::Alarm(None) } else { Mode::Normal });
+        self.enter(if locked { State::Alarm(None) } else { State::Normal });
         if locked {
             self.say(|out| report::message(out, "Job stopped at an error, $X to go on"));
         }
@@ -157,13 +195,13 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn cancel_jog(&mut self) {
         self.m.motion.hold();
         self.task.forget_jog();
-        self.enter(Mode::Jog { cancelling: true });
+        self.enter(State::Jog { cancelling: true });
     }
 
     /// A hold or a door has no epoch of its own: of what has been received by now no jog shall move any more. In Grbl's
     /// dialect only a jog that moves ends with those behind it.
     pub(crate) fn forget_received_jogs(&mut self) {
-        if self.dialect() != Dialect::Grbl || matches!(self.mode, Mode::Jog { .. }) {
+        if self.dialect() != Dialect::Grbl || matches!(self.state, State::Jog { .. }) {
             self.m.lines.end_received_jogs(self.m.step_supply.observed().received);
         }
     }
@@ -176,7 +214,7 @@ impl<const N: usize> Controller<N> {
             self.task.forget_jog();
             self.m.interpreter.set_position(self.m.motion.machine_position());
         }
-        self.enter(Mode::Normal);
+        self.enter(State::Normal);
         self.m.step_supply.end();
         self.m.start_idle_delay();
     }

@@ -1,7 +1,6 @@
-//! What a reset, an alarm and changed settings make of the machine: `initialise` ends every power-up and reset
-//! (greeting, limits and emergencies checked, startup lines), `lock` holds an alarm, `fail_homing` ends homing, and
-//! `reconfigure` hands derived settings to motion (`MotionSettings`). They come from each `AxisKey` (`MaxRate`, `Jerk`)
-//! and `Key` (`JunctionDeviation`, `CurveAcceleration`).
+//! How a reset and an alarm leave the machine. Every power-up and reset ends here: the host is greeted, inputs are
+//! checked, and the startup lines begin unless the machine is locked. Also hands changed settings on to motion and
+//! inputs.
 
 use crate::dispatch::Controller;
 use crate::error::Alarm;
@@ -11,7 +10,7 @@ use crate::messages::GangedMotors;
 use crate::motion::MotionSettings;
 use crate::protocol::report;
 use crate::settings::{AxisKey, Key, Settings};
-use crate::states::Mode;
+use crate::states::State;
 use crate::units::{StepsPerMm, per_second};
 use crate::view::dialect;
 use crate::work::line::Message;
@@ -34,7 +33,7 @@ impl<const N: usize> Controller<N> {
         self.m.replies.reset();
         self.greet();
         if self.m.inputs.signals().limits & levels::hard_limits(&self.m.settings) != 0 {
-            self.enter(Mode::Alarm(self.mode.alarm()));
+            self.enter(State::Alarm(self.state.alarm()));
             self.say(|out| report::message(out, "Check Limits"));
         }
         if let Some((alarm, _)) = self.m.inputs.emergency() {
@@ -47,7 +46,7 @@ impl<const N: usize> Controller<N> {
                 self.say(|out| report::message(out, still));
             }
         }
-        if let Mode::Alarm(_) = self.mode {
+        if let State::Alarm(_) = self.state {
             self.tell_lock();
         } else {
             if self.m.inputs.signals().door {
@@ -60,7 +59,7 @@ impl<const N: usize> Controller<N> {
     /// Locks the machine until `$X`, `$H` or a reset.
     pub(crate) fn lock(&mut self, alarm: Alarm) {
         self.tell_alarm(alarm);
-        self.enter(Mode::Alarm(Some(alarm)));
+        self.enter(State::Alarm(Some(alarm)));
     }
 
     /// Homing has ended in an alarm: announced, answered, and then as after a reset.

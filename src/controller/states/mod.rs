@@ -1,6 +1,6 @@
-//! `Mode`: the states of the machine (normal, jog, hold, home, stopping, door, alarm, critical, check, sleep) and their
-//! names in status reports; the phases of `Door`, and what follows a braking (`AfterBraking`). Which states are
-//! suspended, locked, or take lines.
+//! The states of the machine and the table of which may follow which. A state keeps what it alone needs ([`Homing`],
+//! [`Door`], [`Hold`], the alarm of a lock); whatever outlives a state belongs to [`Machine`](crate::parts::Machine).
+//! [`Controller::enter`] is the only place that enters a state; what a state keeps changes within it.
 //!
 //! ```text
 //!            $X, $H ok                 !, M0                      ~
@@ -9,10 +9,10 @@
 //!    │ reset in motion,   │ │ │ └── $C, reset ── Check
 //!    │ limit, underrun    │ │ └───── $J= ──────▶ Jog ── at rest, 0x85, ! ──▶ Normal
 //!    └────────────────────┘ └─ restored ── Door ◀── 0x84, door pin
-//!   Stopping (0x19, a refused line with $901, a fault): brakes, then Normal, Alarm or Critical
+//!   Braking (0x19, a refused line with $901, a fault): brakes, then Normal, Alarm or Critical
 //!                  Sleep ◀── $SLP (only a reset leaves it, to Alarm)
 //! ```
-//! `Idle` and `Run` are both [`Mode::Normal`]: whether something moves is asked of `motion`, so the two cannot disagree.
+//! `Idle` and `Run` are both [`State::Normal`]: whether something moves is asked of `motion`, so the two cannot disagree.
 
 pub(crate) mod door;
 mod hold;
@@ -22,7 +22,8 @@ pub(crate) mod stops;
 
 use crate::dispatch::Controller;
 use crate::error::Alarm;
-use crate::units::Instant;
+pub(crate) use door::Door;
+pub(crate) use hold::Hold;
 pub(crate) use homing::Homing;
 
 /// What the machine is doing.
@@ -30,7 +31,7 @@ pub(crate) use homing::Homing;
 #[derive(Clone, Debug)]
 // The tag is asked for before each output: a byte of its own, not folded into the data of a mode.
 #[repr(u8)]
-pub(crate) enum Mode<const N: usize> {
+pub(crate) enum State<const N: usize> {
     /// Program lines are executed.
     Normal,
     /// A jog is moving. `cancelling`: it is braking and will be forgotten.
@@ -39,15 +40,15 @@ pub(crate) enum Mode<const N: usize> {
         cancelling: bool,
     },
     /// Feed hold: braking or at rest; only `~` resumes.
-    Hold,
+    Hold(Hold),
     /// The homing cycle runs.
-    Home(Homing<N>),
+    Homing(Homing<N>),
     /// Braking; then everything queued is forgotten.
-    Stopping {
+    Braking {
         /// What follows at rest.
         then: AfterBraking,
     },
-    /// Safety door: see [`Door`].
+    /// Safety door.
     Door(Door),
     /// Locked until `$X`, `$H` or a reset; by an alarm, or because the machine has not been homed or looked at.
     Alarm(Option<Alarm>),
@@ -95,82 +96,56 @@ impl AfterBraking {
     }
 }
 
-/// Phases of the safety door.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-// Else the moments inside make the tag of this and of `Mode` one of 64 bits.
-#[repr(u8)]
-pub(crate) enum Door {
-    /// Braking; what follows begins once at rest.
-    Braking,
-    /// Parking: slowly out of the cut, the spindle still turning.
-    PullingOut,
-    /// Parking: fast to the parking position, spindle and coolant off.
-    Parking,
-    /// At rest with spindle and coolant off.
-    Parked,
-    /// Opened again while parking was undone: braking.
-    Reopened,
-    /// `~` came: fast back towards the cut.
-    Returning,
-    /// The spindle runs up until the given time, then the coolant starts.
-    SpindleRestoring(Instant),
-    /// The coolant builds up until the given time, then motion resumes.
-    CoolantRestoring(Instant),
-    /// Slowly back into the cut.
-    Plunging,
-}
-
-impl<const N: usize> Mode<N> {
+impl<const N: usize> State<N> {
     /// Whether one may follow the other: the table of the states. `tests/safety/states.rs` says at which event.
     pub(crate) fn may_become(&self, next: &Self) -> bool {
-        use Mode::{Alarm, Check, Critical, Door, Hold, Home, Jog, Normal, Sleep, Stopping};
+        use State::{Alarm, Braking, Check, Critical, Door, Hold, Homing, Jog, Normal, Sleep};
         match (self, next) {
             // A stop, a fault and a reset end every state.
             (_, Alarm(_)) => true,
             (Critical(_) | Sleep(_), Normal) => false,
             (_, Critical(_) | Normal) => true,
-            (Normal, Jog { .. } | Hold | Home(_) | Stopping { .. } | Door(_) | Check) => true,
-            (Jog { .. }, Jog { .. } | Stopping { .. } | Door(_)) => true,
-            (Hold, Hold | Stopping { .. } | Door(_)) => true,
-            (Stopping { .. }, Stopping { .. } | Door(_)) => true,
-            (Door(_), Door(_) | Stopping { .. } | Sleep(_)) => true,
-            (Alarm(_), Home(_) | Sleep(_)) => true,
+            (Normal, Jog { .. } | Hold(_) | Homing(_) | Braking { .. } | Door(_) | Check) => true,
+            (Jog { .. }, Jog { .. } | Braking { .. } | Door(_)) => true,
+            (Hold(_), Hold(_) | Braking { .. } | Door(_)) => true,
+            (Braking { .. }, Braking { .. } | Door(_)) => true,
+            (Door(_), Door(_) | Braking { .. } | Sleep(_)) => true,
+            (Alarm(_), Homing(_) | Sleep(_)) => true,
             _ => false,
         }
     }
 
     /// Whether what is under way waits: motion, a dwell, the lines behind it.
     pub fn is_suspended(&self) -> bool {
-        matches!(self, Mode::Hold | Mode::Stopping { .. } | Mode::Door(_) | Mode::Sleep(_) | Mode::Critical(_))
+        matches!(self, State::Hold(_) | State::Braking { .. } | State::Door(_) | State::Sleep(_) | State::Critical(_))
     }
 
     /// Whether a door has been closed, and the machine is on its way back to the job.
     pub fn is_resuming(&self) -> bool {
-        use Door::{CoolantRestoring, Plunging, Returning, SpindleRestoring};
-        matches!(self, Mode::Door(Returning | SpindleRestoring(_) | CoolantRestoring(_) | Plunging))
+        matches!(self, State::Door(door) if door.phase.is_resuming())
     }
 
     /// Whether a received line may be read.
     #[inline]
     pub fn takes_lines(&self) -> bool {
-        matches!(self, Mode::Normal | Mode::Jog { .. } | Mode::Alarm(_) | Mode::Check)
+        matches!(self, State::Normal | State::Jog { .. } | State::Alarm(_) | State::Check)
     }
 
     /// Whether nothing but a reset helps, with which all lines received before it are void.
     pub fn waits_for_reset(&self) -> bool {
-        matches!(self, Mode::Sleep(_) | Mode::Critical(_))
+        matches!(self, State::Sleep(_) | State::Critical(_))
     }
 
     /// Whether the machine is locked.
     pub fn is_alarm(&self) -> bool {
-        matches!(self, Mode::Alarm(_) | Mode::Critical(_))
+        matches!(self, State::Alarm(_) | State::Critical(_))
     }
 
     /// The alarm that holds, if any.
     pub fn alarm(&self) -> Option<Alarm> {
         match self {
-            Mode::Alarm(alarm) | Mode::Sleep(alarm) => *alarm,
-            Mode::Critical(alarm) => Some(*alarm),
+            State::Alarm(alarm) | State::Sleep(alarm) => *alarm,
+            State::Critical(alarm) => Some(*alarm),
             _ => None,
         }
     }
@@ -179,28 +154,25 @@ impl<const N: usize> Mode<N> {
     /// door input is active.
     pub fn name(&self, at_rest: bool, running: bool, door_open: bool) -> &'static str {
         match self {
-            Mode::Normal if running => "Run",
-            Mode::Normal => "Idle",
-            Mode::Jog { .. } => "Jog",
-            Mode::Hold if at_rest => "Hold:0",
-            Mode::Hold => "Hold:1",
-            Mode::Home(_) => "Home",
-            Mode::Stopping { .. } => "Hold:1",
-            Mode::Door(Door::Braking | Door::PullingOut | Door::Parking | Door::Reopened) => "Door:2",
-            Mode::Door(Door::Parked) if door_open => "Door:1",
-            Mode::Door(Door::Parked) => "Door:0",
-            Mode::Door(_) => "Door:3",
-            Mode::Alarm(_) | Mode::Critical(_) => "Alarm",
-            Mode::Check => "Check",
-            Mode::Sleep(_) => "Sleep",
+            State::Normal if running => "Run",
+            State::Normal => "Idle",
+            State::Jog { .. } => "Jog",
+            State::Hold(_) if at_rest => "Hold:0",
+            State::Hold(_) => "Hold:1",
+            State::Homing(_) => "Home",
+            State::Braking { .. } => "Hold:1",
+            State::Door(door) => door.phase.name(door_open),
+            State::Alarm(_) | State::Critical(_) => "Alarm",
+            State::Check => "Check",
+            State::Sleep(_) => "Sleep",
         }
     }
 }
 
 impl<const N: usize> Controller<N> {
-    /// The only place in which the state changes.
-    pub(crate) fn enter(&mut self, next: Mode<N>) {
-        debug_assert!(self.mode.may_become(&next), "{:?} to {:?}", self.mode, next);
-        self.mode = next;
+    /// The only place in which another state is entered.
+    pub(crate) fn enter(&mut self, next: State<N>) {
+        debug_assert!(self.state.may_become(&next), "{:?} to {:?}", self.state, next);
+        self.state = next;
     }
 }

@@ -5,7 +5,7 @@
 #![cfg(feature = "extended-gcode")]
 
 use crate::program::{Program, in_mm};
-use oxmill_controller::gcode::{Checked, CycleStep, Dialect, Motion};
+use oxmill_controller::gcode::{Action, CycleStep, Dialect, MotionCommand};
 use oxmill_controller::units::Coordinate;
 
 /// The clearance of a new controller, 0.01 inch.
@@ -13,8 +13,8 @@ const CLEARANCE: Coordinate = Coordinate(2_540_000);
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 
 /// What a checked line does after `before`.
-fn steps_of(checked: &Checked<3>, mut before: [f64; 3]) -> Vec<String> {
-    let Motion::Cycle(mut cycle) = checked.motion else { panic!("no cycle") };
+fn steps_of(checked: &Action<3>, mut before: [f64; 3]) -> Vec<String> {
+    let MotionCommand::Cycle(mut cycle) = checked.motion else { panic!("no cycle") };
     let mut list = Vec::new();
     while let Some(step) = cycle.step(CLEARANCE) {
         let (letter, place) = match step {
@@ -277,7 +277,7 @@ fn words_on_the_line_act_before_the_cycle() {
         let mut program = ready(dialect);
         let checked = program.run("N7 M8 S200 F120 G81 X2 Z-1 R2");
         assert_eq!((checked.line_number, checked.speed, checked.coolant.is_some()), (7, 200.0, true));
-        let Motion::Cycle(mut cycle) = checked.motion else { panic!() };
+        let MotionCommand::Cycle(mut cycle) = checked.motion else { panic!() };
         let feeds: Vec<f32> = core::iter::from_fn(|| cycle.step(CLEARANCE))
             .filter_map(|step| if let CycleStep::Feed(_, feed) = step { Some(feed) } else { None })
             .collect();

@@ -2,7 +2,9 @@
 //! where the document and Grbl or NIST disagree.
 
 use crate::program::{DIALECTS, Program, in_mm, target, via};
-use oxmill_controller::gcode::{Checked, CoordinateSystem, Dialect, Feed, Flow, Motion, MotionMode, StoredOffset};
+use oxmill_controller::gcode::{
+    Action, CoordinateSystem, Dialect, Feed, Flow, MotionCommand, MotionMode, StoredOffset,
+};
 use oxmill_controller::messages::SpindleDirection;
 use oxmill_controller::units::Duration;
 
@@ -21,13 +23,13 @@ fn g92(program: &Program) -> [f64; 3] {
     in_mm(&program.interpreter.offsets().g92)
 }
 
-fn feed(checked: &Checked<3>) -> Feed {
+fn feed(checked: &Action<3>) -> Feed {
     match checked.motion {
-        Motion::Line { feed, .. } | Motion::Probe { feed, .. } => feed,
-        Motion::Arc(arc) => arc.feed,
-        Motion::Spline(spline) => spline.feed,
-        Motion::Nurbs(nurbs) => nurbs.feed,
-        Motion::None | Motion::Cycle(_) => panic!("no motion"),
+        MotionCommand::Line { feed, .. } | MotionCommand::Probe { feed, .. } => feed,
+        MotionCommand::Arc(arc) => arc.feed,
+        MotionCommand::Spline(spline) => spline.feed,
+        MotionCommand::Nurbs(nurbs) => nurbs.feed,
+        MotionCommand::None | MotionCommand::Cycle(_) => panic!("no motion"),
     }
 }
 
@@ -51,7 +53,7 @@ fn non_modal_commands_2_dwell() {
         program.run("N2 G54");
         assert_eq!(target(&program.run("N10 G0 X30 Y40")), [30.0, 40.0, 0.0]);
         let dwell = program.run("N20 G4 P2");
-        assert_eq!((dwell.dwell, dwell.motion), (Some(Duration::secs(2)), Motion::None));
+        assert_eq!((dwell.dwell, dwell.motion), (Some(Duration::secs(2)), MotionCommand::None));
         let back = program.run("N30 X20 Y50");
         assert_eq!((target(&back), feed(&back), back.dwell), ([20.0, 50.0, 0.0], Feed::Rapid, None));
     }
@@ -156,7 +158,7 @@ fn order_within_a_line() {
         assert_eq!(all.flow, Flow::Pause);
         // The offset is set before the motion mode changes and nothing moves: axis words belong to G92.
         let offset = program.run("G92 X0 M2");
-        assert_eq!((offset.motion, offset.flow), (Motion::None, Flow::End));
+        assert_eq!((offset.motion, offset.flow), (MotionCommand::None, Flow::End));
         // M2 has gone back to G54, where G92 holds as well: it was computed in G55.
         assert_eq!(g92(&program), [7.0, 0.0, 0.0]);
         assert_eq!(program.work(), [100.0, 0.0, 2.0]);
@@ -176,9 +178,9 @@ fn g0_and_g1() {
     }
 }
 
-fn centre(checked: &Checked<3>) -> [f64; 2] {
+fn centre(checked: &Action<3>) -> [f64; 2] {
     match checked.motion {
-        Motion::Arc(arc) => [arc.i.0 as f64 / 1e7, arc.j.0 as f64 / 1e7],
+        MotionCommand::Arc(arc) => [arc.i.0 as f64 / 1e7, arc.j.0 as f64 / 1e7],
         _ => panic!("no arc"),
     }
 }
@@ -487,7 +489,7 @@ const FIVE_CIRCLES: &str = "
 fn circles(program: &mut Program, text: &str) -> Vec<[f64; 3]> {
     let mut circles = Vec::new();
     for line in text.lines().map(str::trim).filter(|line| !line.is_empty()) {
-        if let Motion::Arc(arc) = program.run(line).motion {
+        if let MotionCommand::Arc(arc) = program.run(line).motion {
             assert_eq!((arc.start, arc.clockwise, arc.turns), (arc.target, false, 0), "{line} is no full circle");
             let [x, y, z] = in_mm(&arc.start);
             circles.push([x + arc.i.0 as f64 / 1e7, y + arc.j.0 as f64 / 1e7, z]);

@@ -1,7 +1,7 @@
 //! Error numbers and their order, motions that no recording shows, and what Oxmill's own words do.
 
 use crate::program::{DIALECTS, Program, target};
-use oxmill_controller::gcode::{Checked, Dialect, Feed, Flow, Interpreter, Motion};
+use oxmill_controller::gcode::{Action, Dialect, Feed, Flow, Interpreter, MotionCommand};
 use oxmill_controller::messages::{Coolant, SpindleDirection};
 
 /// Each error, by lines that meet it in every dialect. F is 100, the plane XY, the motion mode G0, the place (0,0,0).
@@ -154,7 +154,7 @@ fn arcs_of_rounded_words() {
         }
     }
     // The half circle has half of the way for its radius.
-    let Motion::Arc(arc) = ready(Dialect::Oxmill).run("G3 X4.9287 R2.4643").motion else { panic!() };
+    let MotionCommand::Arc(arc) = ready(Dialect::Oxmill).run("G3 X4.9287 R2.4643").motion else { panic!() };
     assert_eq!((arc.i.0, arc.j.0), (24_643_500, 0));
     #[cfg(feature = "rotation")]
     for factor in ["100", "0.01"] {
@@ -180,7 +180,7 @@ fn arcs_of_rounded_words() {
         assert_eq!(ready(Dialect::Oxmill).error(line), error, "{line}");
     }
     // The dialect that ends such arcs on their circle ends them there still, and Grbl's has neither.
-    let Motion::Arc(arc) = ready(Dialect::Seed).run("G2 X5.02 I2.5").motion else { panic!() };
+    let MotionCommand::Arc(arc) = ready(Dialect::Seed).run("G2 X5.02 I2.5").motion else { panic!() };
     assert_eq!(arc.target.0[0].0, 50_000_000);
     let grbl = ready(Dialect::Grbl);
     assert_eq!(["G3 X4.9287 Y0 R2.4643", "G2 X5.02 I2.5"].map(|line| grbl.error(line)), [34, 33]);
@@ -240,9 +240,9 @@ fn words_of_oxmill() {
     }
 }
 
-fn turns(checked: &Checked<3>) -> u32 {
+fn turns(checked: &Action<3>) -> u32 {
     match checked.motion {
-        Motion::Arc(arc) => arc.turns,
+        MotionCommand::Arc(arc) => arc.turns,
         _ => panic!("no arc"),
     }
 }
@@ -269,11 +269,11 @@ fn planes() {
         for (line, i, j) in
             [("G17 G2 X10 Y10 R10", 10, 0), ("G18 G2 Z10 X10 R10", 10, 0), ("G19 G2 Y10 Z10 R10", 10, 0)]
         {
-            let Motion::Arc(arc) = program.check(line).unwrap().motion else { panic!("{line}") };
+            let MotionCommand::Arc(arc) = program.check(line).unwrap().motion else { panic!("{line}") };
             assert_eq!((arc.i.0, arc.j.0), (i * 10_000_000, j * 10_000_000), "{line}");
         }
         program.run("G18");
-        let Motion::Arc(arc) = program.check("G3 X0 Z0 Y3 I1 K2").unwrap().motion else { panic!() };
+        let MotionCommand::Arc(arc) = program.check("G3 X0 Z0 Y3 I1 K2").unwrap().motion else { panic!() };
         assert_eq!((arc.i.0, arc.j.0, arc.clockwise), (20_000_000, 10_000_000, false));
     }
 }
@@ -283,7 +283,7 @@ fn planes() {
 fn arc_without_radius() {
     for dialect in DIALECTS {
         let checked = ready(dialect).check("G2 X0 Y0 Z5 I0 J0").unwrap();
-        let Motion::Line { via: None, feed: Feed::PerMinute(_), .. } = checked.motion else { panic!() };
+        let MotionCommand::Line { via: None, feed: Feed::PerMinute(_), .. } = checked.motion else { panic!() };
         assert_eq!(target(&checked), [0.0, 0.0, 5.0]);
     }
 }
@@ -297,7 +297,7 @@ fn probing_moves() {
         {
             let checked = program.check(&format!("{word} Z-5")).unwrap();
             match checked.motion {
-                Motion::Probe { away: a, alarm: b, .. } => assert_eq!((a, b), (away, alarm), "{word}"),
+                MotionCommand::Probe { away: a, alarm: b, .. } => assert_eq!((a, b), (away, alarm), "{word}"),
                 _ => panic!("{word}"),
             }
             assert_eq!(target(&checked), [0.0, 0.0, -5.0]);
@@ -348,7 +348,7 @@ fn jogs_leave_the_state_alone() {
         // A jog is a line even under G80, in the program's units and distance mode unless it says otherwise.
         let jog = before.check_jog(b"X1F60N7", program.dialect).unwrap();
         assert_eq!(target(&jog), [25.4, 0.0, 0.0]);
-        let Motion::Line { feed: Feed::PerMinute(feed), .. } = jog.motion else { panic!() };
+        let MotionCommand::Line { feed: Feed::PerMinute(feed), .. } = jog.motion else { panic!() };
         assert_eq!((feed, jog.line_number), (25.4, 7));
         let absolute = before.check_jog(b"G21G90G53X2F60", program.dialect).unwrap();
         assert_eq!(target(&absolute), [2.0, 0.0, 0.0]);
@@ -357,7 +357,7 @@ fn jogs_leave_the_state_alone() {
         program.interpreter.set_position(*before.position());
         assert!(program.interpreter == before);
         let nothing = before.check_jog(b"F100", program.dialect).unwrap();
-        assert_eq!((nothing.motion, nothing.position()), (Motion::None, before.position()));
+        assert_eq!((nothing.motion, nothing.position()), (MotionCommand::None, before.position()));
         for (jog, code) in [("", 22), ("X1", 22), ("X1F0", 22), ("G0X1F1", 16), ("M3X1F1", 16), ("X1F1S1", 36)] {
             assert_eq!(before.check_jog(jog.as_bytes(), program.dialect).unwrap_err().code(), code, "{jog}");
         }
@@ -375,7 +375,7 @@ fn four_axes() {
         }
         assert_eq!(interpreter.position().0.map(|place| place.0), [508_000_000, 0, 0, 1_000_000_000]);
         let helix = interpreter.check(b"G2X1Y0I1A0", dialect).unwrap();
-        let Motion::Arc(arc) = helix.motion else { panic!() };
+        let MotionCommand::Arc(arc) = helix.motion else { panic!() };
         assert_eq!(arc.target.0.map(|place| place.0), [508_000_000, 0, 0, 100_000_000]);
         assert_eq!(interpreter.check(b"B1", dialect).unwrap_err().code(), 150);
         let grbl = dialect == Dialect::Grbl;

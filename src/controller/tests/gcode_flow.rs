@@ -2,7 +2,7 @@
 //! where it takes the same text.
 #![cfg(feature = "expressions")]
 
-use oxmill_controller::gcode::{Checked, Dialect, Direction, Held, HeldLine, Interpreter, Motion};
+use oxmill_controller::gcode::{Action, Dialect, Direction, Held, HeldLine, Interpreter, MotionCommand};
 use proptest::prelude::*;
 
 /// A program as a host sends it: what X every rapid goes to, and the error numbers.
@@ -20,11 +20,11 @@ impl Sender {
     }
 
     fn carry_out(&mut self, line: &[u8]) -> bool {
-        let mut checked = Checked::NOTHING;
+        let mut checked = Action::NOTHING;
         self.lines += 1;
         match self.interpreter.check_into(line, Dialect::Oxmill, &mut checked) {
             Ok(()) => {
-                if let Motion::Line { target, .. } = checked.motion {
+                if let MotionCommand::Line { target, .. } = checked.motion {
                     self.went.push(target.0[0].0 / 10_000_000);
                 }
                 self.interpreter.commit(&checked);

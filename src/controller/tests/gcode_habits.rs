@@ -2,7 +2,7 @@
 #![cfg(feature = "cam-words")]
 
 use crate::program::{Program, in_mm, target, via};
-use oxmill_controller::gcode::{CoordinateSystem, Dialect, Motion, MotionMode, Notice};
+use oxmill_controller::gcode::{CoordinateSystem, Dialect, MotionCommand, MotionMode, Notice};
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 
@@ -45,7 +45,7 @@ fn d_beside_g43_or_alone() {
         for line in ["D1", "N10 D12", "G49 D0", "G40 D1", "G43 H5 D1 G1 X1 Y1", "G0 G40 G49 D3 X1", "G43.1 Z2 D1"] {
             assert_eq!(program.error(line), 0, "{line}");
         }
-        assert_eq!(program.run("D1").motion, Motion::None);
+        assert_eq!(program.run("D1").motion, MotionCommand::None);
         for (line, error) in [
             ("D-1", 4),
             ("D1.5", 23),
@@ -73,7 +73,7 @@ fn skip() {
             program.run_all("G0 X0 Y0\nG1");
             program.run(before);
             let checked = program.run("G31 Z-10 F50");
-            let Motion::Probe { away: false, alarm: false, .. } = checked.motion else {
+            let MotionCommand::Probe { away: false, alarm: false, .. } = checked.motion else {
                 panic!("{:?}", checked.motion)
             };
             assert_eq!(target(&checked)[2], -10.0);
@@ -112,7 +112,7 @@ fn look_ahead() {
         ] {
             let before = *program.interpreter.modal();
             let checked = program.run(line);
-            assert_eq!((checked.motion, checked.notice()), (Motion::None, Some(Notice::LookAhead)), "{line}");
+            assert_eq!((checked.motion, checked.notice()), (MotionCommand::None, Some(Notice::LookAhead)), "{line}");
             assert!(!checked.moves_only(), "{line}");
             assert_eq!(*program.interpreter.modal(), before, "{line}");
             let mut new = Program::new(program.dialect);
@@ -146,7 +146,7 @@ fn rigid_tapping() {
         let checked = program.run("M29 S500");
         assert_eq!(
             (checked.motion, checked.notice(), checked.speed),
-            (Motion::None, Some(Notice::RigidTapping), 500.0)
+            (MotionCommand::None, Some(Notice::RigidTapping), 500.0)
         );
         assert_eq!((program.error("G84 X1 Z-5 R2"), program.error("M29 M29"), program.error("M29.5")), (121, 21, 23));
         assert_eq!(program.error("M29 P1"), 36);
@@ -157,7 +157,7 @@ fn rigid_tapping() {
 fn numbers_of_programs() {
     each(&[(":1000", 1), ("O1000", 20)], |program| {
         for line in ["O1000", ":1000", "N5 :1000", "N5 O1000", ":0001"] {
-            assert_eq!(program.run(line).motion, Motion::None, "{line}");
+            assert_eq!(program.run(line).motion, MotionCommand::None, "{line}");
         }
         for (line, error) in [(":", 1), (":X", 1), (":1000 G0 X1", 36), ("G0 X1 :5", 36), ("::1", 1)] {
             assert_eq!(program.error(line), error, "{line}");

@@ -5,7 +5,7 @@
 use crate::program::{Program, target};
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;
-use oxmill_controller::gcode::{Checked, Dialect};
+use oxmill_controller::gcode::{Action, Dialect};
 use oxmill_controller::messages::SpindleDirection;
 use oxmill_controller::units::Coordinate;
 use proptest::prelude::*;
@@ -104,7 +104,7 @@ fn unset_parameters() {
 fn a_refused_line_sets_nothing() {
     let mut program = ready();
     program.run("#1=1");
-    let mut checked = Checked::NOTHING;
+    let mut checked = Action::NOTHING;
     for line in ["#1=2X", "#1=2G0G1", "#1=2X1X2", "#1=2X[1/0]", "#1=2G2X1", "#1=2#5220=3"] {
         assert!(program.interpreter.check_into(line.as_bytes(), Dialect::Oxmill, &mut checked).is_err(), "{line}");
         assert_eq!(x(&program, "#1"), 1.0, "{line}");
@@ -283,7 +283,7 @@ fn values_in_remarks() {
     assert_eq!(expand(&"#1".repeat(40)).len(), 64);
     // A line may set what it shows.
     let mut program = program.clone();
-    let mut checked = Checked::NOTHING;
+    let mut checked = Action::NOTHING;
     let check = program.interpreter.check_into(b"#1=3#1=4", Dialect::Oxmill, &mut checked);
     let mut out = heapless::Vec::<u8, 64>::new();
     program.interpreter.expand(b"#1 #2", &mut out);

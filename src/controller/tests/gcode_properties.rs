@@ -2,7 +2,7 @@
 
 use crate::program::{DIALECTS, Program};
 use oxmill_controller::axes::PerAxis;
-use oxmill_controller::gcode::{Checked, CycleStep, Dialect, Feed, Flow, Interpreter, Motion};
+use oxmill_controller::gcode::{Action, CycleStep, Dialect, Feed, Flow, Interpreter, MotionCommand};
 use oxmill_controller::units::Coordinate;
 use proptest::prelude::*;
 
@@ -32,22 +32,22 @@ fn in_reach(place: &PerAxis<Coordinate, 3>) -> bool {
 }
 
 /// What every action promises.
-fn sound(before: &Interpreter<3>, checked: &Checked<3>) -> Result<(), TestCaseError> {
+fn sound(before: &Interpreter<3>, checked: &Action<3>) -> Result<(), TestCaseError> {
     let feeds = |feed: Feed| match feed {
         Feed::Rapid => true,
         Feed::PerMinute(feed) | Feed::InverseTime(feed) => feed.is_finite() && feed > 0.0,
     };
     match checked.motion {
-        Motion::None => prop_assert_eq!(checked.position(), before.position()),
-        Motion::Line { via, target, feed } => {
+        MotionCommand::None => prop_assert_eq!(checked.position(), before.position()),
+        MotionCommand::Line { via, target, feed } => {
             prop_assert!(via.is_none_or(|via| in_reach(&via)) && in_reach(&target) && feeds(feed));
             prop_assert_eq!(*checked.position(), target);
         }
-        Motion::Probe { target, feed, .. } => {
+        MotionCommand::Probe { target, feed, .. } => {
             prop_assert!(in_reach(&target) && feeds(feed));
             prop_assert_eq!(*checked.position(), target);
         }
-        Motion::Cycle(mut cycle) => {
+        MotionCommand::Cycle(mut cycle) => {
             let corners = cycle.corners();
             for _ in 0..2000 {
                 let place = match cycle.step(Coordinate(2_540_000)) {
@@ -70,17 +70,17 @@ fn sound(before: &Interpreter<3>, checked: &Checked<3>) -> Result<(), TestCaseEr
                 }
             }
         }
-        Motion::Nurbs(nurbs) => {
+        MotionCommand::Nurbs(nurbs) => {
             prop_assert!(in_reach(&nurbs.target) && feeds(nurbs.feed) && (3..=8).contains(&nurbs.order));
             prop_assert_eq!((*checked.position(), *before.position()), (nurbs.target, nurbs.start));
             prop_assert!(before.control_points().len() >= usize::from(nurbs.order));
         }
-        Motion::Spline(spline) => {
+        MotionCommand::Spline(spline) => {
             prop_assert!(spline.corners().iter().all(in_reach) && feeds(spline.feed));
             prop_assert_eq!((*checked.position(), *before.position()), (spline.target, spline.start));
             prop_assert_eq!(spline.start.0[2], spline.target.0[2]);
         }
-        Motion::Arc(arc) => {
+        MotionCommand::Arc(arc) => {
             prop_assert!(in_reach(&arc.target) && feeds(arc.feed));
             prop_assert_eq!((*checked.position(), *before.position()), (arc.target, arc.start));
             let from_centre = |place: &PerAxis<Coordinate, 3>| {

@@ -1,7 +1,7 @@
 //! A fourth axis that turns: its words, its offsets, and what F means to it (RS274NGC, 2.1.2.5 and 2.1.2.6).
 
 use oxmill_controller::error::Error;
-use oxmill_controller::gcode::{Checked, Dialect, Feed, Interpreter, Motion};
+use oxmill_controller::gcode::{Action, Dialect, Feed, Interpreter, MotionCommand};
 use oxmill_controller::units::Coordinate;
 
 struct Program(Interpreter<4>);
@@ -19,11 +19,11 @@ impl Program {
         program
     }
 
-    fn check(&self, line: &str) -> Result<Checked<4>, Error> {
+    fn check(&self, line: &str) -> Result<Action<4>, Error> {
         self.0.check(line.replace(' ', "").as_bytes(), Dialect::Oxmill)
     }
 
-    fn run(&mut self, line: &str) -> Checked<4> {
+    fn run(&mut self, line: &str) -> Action<4> {
         let checked = self.check(line).unwrap_or_else(|error| panic!("{line}: {error:?}"));
         self.0.commit(&checked);
         checked
@@ -36,9 +36,8 @@ impl Program {
     /// The speed along the path of all axes, per minute.
     fn speed(&mut self, line: &str) -> f32 {
         match self.run(line).motion {
-            Motion::Line { feed: Feed::PerMinute(feed), .. } | Motion::Probe { feed: Feed::PerMinute(feed), .. } => {
-                feed * 60.0
-            }
+            MotionCommand::Line { feed: Feed::PerMinute(feed), .. }
+            | MotionCommand::Probe { feed: Feed::PerMinute(feed), .. } => feed * 60.0,
             other => panic!("{line}: {other:?}"),
         }
     }
@@ -79,7 +78,7 @@ fn f_of_a_move_that_only_turns_is_degrees_per_minute_as_written() {
 fn inverse_time_is_for_all_axes() {
     let mut program = Program::new("G21 G91 G93");
     for line in ["G1 A90 F2", "X1 A90 F2", "X1 F2"] {
-        let Motion::Line { feed, .. } = program.run(line).motion else { panic!("{line}") };
+        let MotionCommand::Line { feed, .. } = program.run(line).motion else { panic!("{line}") };
         assert_eq!(feed, Feed::InverseTime(30.0), "{line}");
     }
     assert_eq!(program.check("A1"), Err(Error::UndefinedFeed));
@@ -115,7 +114,7 @@ fn degrees_have_no_unit_and_all_the_offsets() {
 #[test]
 fn an_arc_carries_it_along() {
     let mut program = Program::new("G21 G90 F600");
-    let Motion::Arc(arc) = program.run("G2 X10 I5 A180").motion else { panic!("an arc") };
+    let MotionCommand::Arc(arc) = program.run("G2 X10 I5 A180").motion else { panic!("an arc") };
     assert_eq!((value(arc.start.0[3]), value(arc.target.0[3])), (0.0, 180.0));
     assert_eq!(arc.feed, Feed::PerMinute(10.0), "along X, Y and Z");
     assert_eq!(program.check("G2 A90"), Err(Error::NoPlaneAxisForArc));

@@ -3,7 +3,7 @@
 #![cfg(all(feature = "extended-gcode", feature = "rotation"))]
 
 use crate::program::{Program, in_mm, play, ready};
-use oxmill_controller::gcode::{Angle, CoordinateSystem, Dialect, Motion};
+use oxmill_controller::gcode::{Angle, CoordinateSystem, Dialect, MotionCommand};
 use oxmill_controller::units::{DECIMAL_ONE, Decimal};
 
 /// Half of the root of 3.
@@ -79,11 +79,11 @@ fn arcs() {
     for line in ["G2 I5", "G2 X10 Y0 I5", "G3 X10 I0 J7 P2", "G90.1 G3 I3 J4", "G91.1 G91 G2 I5", "G91 G2 X0 I5"] {
         let start = program.machine();
         match program.run(line).motion {
-            Motion::Arc(arc) => assert_eq!((arc.start, in_mm(&arc.target)), (arc.target, start), "{line}"),
+            MotionCommand::Arc(arc) => assert_eq!((arc.start, in_mm(&arc.target)), (arc.target, start), "{line}"),
             motion => panic!("{line}: {motion:?}"),
         }
     }
-    let Motion::Arc(arc) = program.run("G90 G2 X15 Y5 I5").motion else { panic!("no arc") };
+    let MotionCommand::Arc(arc) = program.run("G90 G2 X15 Y5 I5").motion else { panic!("no arc") };
     let centre = [arc.i, arc.j].map(|way| way.0 as f64 / DECIMAL_ONE as f64);
     assert!((centre[0] - 5.0 * H).abs() < 1e-6 && (centre[1] - 2.5).abs() < 1e-6, "{centre:?}");
     for line in ["G18 G2 X20 Z5 R10", "G19 G2 Y20 Z5 R10", "G18 G81 X1 Z1 Y-1 R1"] {
@@ -91,7 +91,7 @@ fn arcs() {
     }
     // From a place that has no exact coordinates in the program.
     program.run("G53 G0 X1.2345679 Y7");
-    let Motion::Arc(arc) = program.run("G3 I1").motion else { panic!("no arc") };
+    let MotionCommand::Arc(arc) = program.run("G3 I1").motion else { panic!("no arc") };
     assert_eq!(arc.start, arc.target);
 }
 

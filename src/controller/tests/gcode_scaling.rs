@@ -3,7 +3,7 @@
 #![cfg(all(feature = "extended-gcode", feature = "rotation"))]
 
 use crate::program::{Program, in_mm, play, ready, target, via};
-use oxmill_controller::gcode::{CycleStep, Dialect, Feed, Motion};
+use oxmill_controller::gcode::{CycleStep, Dialect, Feed, MotionCommand};
 use oxmill_controller::units::{Coordinate, DECIMAL_ONE};
 
 #[test]
@@ -52,11 +52,11 @@ fn mirrored() {
         &[("G0 X12 Y3", [8.0, 3.0, 0.0]), ("G91 X1", [7.0, 3.0, 0.0]), ("G90 X10", [10.0, 3.0, 0.0])],
     );
     let mut program = ready("G51 X0 Y0 I-2 J2\nG0 X1 Y0");
-    let Motion::Arc(arc) = program.run("G2 X2 Y1 I1 J0").motion else { panic!() };
+    let MotionCommand::Arc(arc) = program.run("G2 X2 Y1 I1 J0").motion else { panic!() };
     let way = |c: Coordinate| c.0 as f64 / DECIMAL_ONE as f64;
     assert_eq!((arc.clockwise, way(arc.i), way(arc.j), in_mm(&arc.target)), (false, -2.0, 0.0, [-4.0, 2.0, 0.0]));
     let mut program = ready("G51 X0 Y0 I-2 J-2\nG0 X1 Y0");
-    let Motion::Arc(arc) = program.run("G3 X2 Y1 I1 J0").motion else { panic!() };
+    let MotionCommand::Arc(arc) = program.run("G3 X2 Y1 I1 J0").motion else { panic!() };
     assert_eq!((arc.clockwise, way(arc.i), in_mm(&arc.target)), (false, -2.0, [-4.0, -2.0, 0.0]));
 }
 
@@ -65,13 +65,13 @@ fn arcs() {
     let way = |c: Coordinate| c.0 as f64 / DECIMAL_ONE as f64;
     for line in ["G2 X2 Y0 I1 J0", "G2 X2 Y0 R1", "G90.1 G2 X2 Y0 I1 J0", "G91 G2 X2 I1", "G2 X2 Y0 I1 Z3"] {
         let mut program = ready("G10 L2 P1 X5\nG51 X1 Y0 Z0 P2.5\nG0 X0 Y0");
-        let Motion::Arc(arc) = program.run(line).motion else { panic!("{line}") };
+        let MotionCommand::Arc(arc) = program.run(line).motion else { panic!("{line}") };
         assert_eq!((way(arc.i), way(arc.j), arc.clockwise), (2.5, 0.0, true), "{line}");
         assert_eq!(in_mm(&arc.target)[..2], [8.5, 0.0], "{line}");
     }
     // A full circle, and ends that the program has rounded to a digit: the tolerance is that of what it writes.
     let mut program = ready("G51 X0 Y0 P20\nG0 X1.234 Y0");
-    let Motion::Arc(arc) = program.run("G3 I-1.234").motion else { panic!() };
+    let MotionCommand::Arc(arc) = program.run("G3 I-1.234").motion else { panic!() };
     assert_eq!(arc.start, arc.target);
     assert_eq!([program.error("G3 X0.873 Y0.873 I-1.234 J0"), program.error("G3 X0.8 Y0.9 I-1.234 J0")], [0, 33]);
     // No ellipses: but in a plane with equal factors.
@@ -81,7 +81,7 @@ fn arcs() {
     {
         assert_eq!(program.error(line), error, "{line}");
     }
-    let Motion::Arc(arc) = program.run("G18 G2 X2 Z0 I.5 Y2").motion else { panic!() };
+    let MotionCommand::Arc(arc) = program.run("G18 G2 X2 Z0 I.5 Y2").motion else { panic!() };
     assert_eq!((way(arc.i), way(arc.j), in_mm(&arc.target)), (0.0, 1.0, [4.0, 6.0, 0.0]));
 }
 
@@ -89,14 +89,14 @@ fn arcs() {
 #[test]
 fn splines() {
     let mut program = ready("G51 X0 Y0 I2 J-3\nG0 X1 Y1");
-    let Motion::Spline(spline) = program.run("G5 X2 Y1 I1 J1 P-.5 Q1").motion else { panic!() };
+    let MotionCommand::Spline(spline) = program.run("G5 X2 Y1 I1 J1 P-.5 Q1").motion else { panic!() };
     let corners = spline.corners().map(|corner| in_mm(&corner));
     assert_eq!(corners, [[2.0, -3.0, 0.0], [4.0, -6.0, 0.0], [3.0, -6.0, 0.0], [4.0, -3.0, 0.0]]);
 }
 
 /// Steps of a cycle as heights.
 fn heights(program: &mut Program, line: &str) -> Vec<f64> {
-    let Motion::Cycle(mut cycle) = program.run(line).motion else { panic!("{line}") };
+    let MotionCommand::Cycle(mut cycle) = program.run(line).motion else { panic!("{line}") };
     let mut heights = Vec::new();
     while let Some(step) = cycle.step(Coordinate::mm(1)) {
         if let CycleStep::Rapid(place) | CycleStep::Feed(place, _) = step {
@@ -150,9 +150,9 @@ fn jogs() {
 fn feed_probe_and_digit() {
     let mut program = ready("G51 X0 Y0 P2");
     let checked = program.run("G1 X1.25");
-    assert!(matches!(checked.motion, Motion::Line { feed: Feed::PerMinute(5.0), .. }));
+    assert!(matches!(checked.motion, MotionCommand::Line { feed: Feed::PerMinute(5.0), .. }));
     assert!((checked.digit - 0.02).abs() < 1e-6);
-    let Motion::Probe { target, .. } = program.run("G38.2 X5").motion else { panic!() };
+    let MotionCommand::Probe { target, .. } = program.run("G38.2 X5").motion else { panic!() };
     assert_eq!(in_mm(&target), [10.0, 0.0, 0.0]);
     assert_eq!(program.written(), [5.0, 0.0, 0.0]);
 }

@@ -3,7 +3,7 @@
 #![cfg(all(feature = "extended-gcode", feature = "rotation", feature = "splines"))]
 
 use crate::program::{Program, in_mm};
-use oxmill_controller::gcode::{Checked, Dialect, Feed, Motion};
+use oxmill_controller::gcode::{Action, Dialect, Feed, MotionCommand};
 use oxmill_controller::units::DECIMAL_ONE;
 
 /// Half of the root of 3.
@@ -17,8 +17,8 @@ fn ready(setup: &str) -> Program {
 }
 
 /// The control points in X and Y of the machine, mm.
-fn curve(checked: &Checked<3>) -> [[f64; 2]; 4] {
-    let Motion::Spline(spline) = checked.motion else { panic!("no spline: {:?}", checked.motion) };
+fn curve(checked: &Action<3>) -> [[f64; 2]; 4] {
+    let MotionCommand::Spline(spline) = checked.motion else { panic!("no spline: {:?}", checked.motion) };
     assert_eq!((spline.corners()[0], spline.corners()[3]), (spline.start, spline.target));
     assert_eq!(*checked.position(), spline.target);
     spline.corners().map(|corner| [corner.0[0], corner.0[1]].map(|c| c.0 as f64 / DECIMAL_ONE as f64))
@@ -101,7 +101,7 @@ fn going_on_smoothly() {
 #[test]
 fn feeds() {
     let feed = |line: &str| match ready("").run(line).motion {
-        Motion::Spline(spline) => spline.feed,
+        MotionCommand::Spline(spline) => spline.feed,
         _ => panic!("{line}"),
     };
     assert_eq!(feed("G5 I1 J2 P-1 Q0 X3"), Feed::PerMinute(5.0));
@@ -221,7 +221,7 @@ fn control_points_of_a_curve() {
     let mut program = ready("G0 X1 Y1 Z5\nG5.2 P2 L4\nX2 Y2 P1\nX4 Y0 P.5\nF60 M8\nG5.2 X6 Y6 P3");
     assert_eq!(control_points(&program), [(1.0, 1.0, 2.0), (2.0, 2.0, 1.0), (4.0, 0.0, 0.5), (6.0, 6.0, 3.0)]);
     assert_eq!((program.machine(), program.interpreter.modal().motion.word()), ([1.0, 1.0, 5.0], "G5.2"));
-    let Motion::Nurbs(nurbs) = program.run("N7 G5.3").motion else { panic!() };
+    let MotionCommand::Nurbs(nurbs) = program.run("N7 G5.3").motion else { panic!() };
     assert_eq!((nurbs.order, nurbs.feed), (4, Feed::PerMinute(1.0)));
     assert_eq!((in_mm(&nurbs.start), program.machine()), ([1.0, 1.0, 5.0], [6.0, 6.0, 5.0]));
     assert_eq!(program.interpreter.modal().motion.word(), "G80");
@@ -231,7 +231,7 @@ fn control_points_of_a_curve() {
     // Distances count from where the tool is, which is the start.
     program.run_all("G91 G5.2 X1 Y0 P1\nX1 Y1 P1\nL3 X0 Y2 P1");
     assert_eq!(control_points(&program)[1..], [(9.0, 7.0, 1.0), (9.0, 8.0, 1.0), (8.0, 9.0, 1.0)]);
-    let Motion::Nurbs(nurbs) = program.run("G93 F2 G5.3").motion else { panic!() };
+    let MotionCommand::Nurbs(nurbs) = program.run("G93 F2 G5.3").motion else { panic!() };
     assert_eq!(nurbs.feed, Feed::InverseTime(30.0));
     // What acts on coordinates acts on control points.
     let mut program = ready("G10 L2 P1 X10 R90\nG0 X0 Y0\nG20\nG5.2 X1 Y0 P1\nG21 X0 Y5 P1\nG5.3");

@@ -4,7 +4,7 @@
 #![cfg(feature = "extended-gcode")]
 
 use crate::program::{Program, in_mm};
-use oxmill_controller::gcode::{CycleStep, Dialect, Flow, Motion, PathControl};
+use oxmill_controller::gcode::{CycleStep, Dialect, Flow, MotionCommand, PathControl};
 use oxmill_controller::messages::SpindleDirection;
 use oxmill_controller::units::Coordinate;
 
@@ -69,7 +69,7 @@ fn g92_changes_before_the_cycle_of_its_line() {
         let mut program = ready(dialect);
         program.run_all("G92 X11 Z13");
         let levels = |program: &mut Program, line: &str| {
-            let Motion::Cycle(mut cycle) = program.run(line).motion else { panic!("{line}") };
+            let MotionCommand::Cycle(mut cycle) = program.run(line).motion else { panic!("{line}") };
             let mut lowest = [f64::MAX; 3];
             while let Some(step) = cycle.step(Coordinate(0)) {
                 if let CycleStep::Feed(place, _) = step {
@@ -136,11 +136,11 @@ fn full_circles_need_no_axis_word() {
         for (line, i, j, z) in
             [("G2 I5", 5, 0, 3.0), ("I3", 3, 0, 3.0), ("G2 Z1 I5", 5, 0, 1.0), ("G3 X1 J2", 0, 2, 1.0)]
         {
-            let Motion::Arc(arc) = program.run(line).motion else { panic!("{line}") };
+            let MotionCommand::Arc(arc) = program.run(line).motion else { panic!("{line}") };
             assert_eq!((arc.i.0, arc.j.0), (i * 10_000_000, j * 10_000_000), "{line}");
             assert_eq!(program.machine(), [1.0, 2.0, z], "{line}");
         }
-        let Motion::Arc(arc) = program.run("G18 I5").motion else { panic!() };
+        let MotionCommand::Arc(arc) = program.run("G18 I5").motion else { panic!() };
         assert_eq!((arc.i.0, arc.j.0), (0, 50_000_000));
         for (line, code) in [("G2", 26), ("G2 R5", 26), ("R5", 36), ("G17 G2 Z5 R5", 32), ("G0 I5", 36)] {
             assert_eq!(program.error(line), code, "{line}");
@@ -232,7 +232,7 @@ fn words_that_say_what_is_so() {
     for dialect in NEW {
         let mut program = ready(dialect);
         for line in ["G50 G69 G97", "G0 G49 G40 G17 G80 G50 G90", "O1000", "N10 O7", "M60", "M6"] {
-            assert_eq!(program.run(line).motion, Motion::None, "{line}");
+            assert_eq!(program.run(line).motion, MotionCommand::None, "{line}");
         }
         assert_eq!((program.run("M60").flow, program.run("M1").flow), (Flow::Pause, Flow::OptionalPause));
         for line in ["O1000 G0", "O1000 X1", "O1000 S500 T3", "O1000 F1", "O1000 T1", "O1000 R1", "O1000 N1 S1"] {

@@ -3,7 +3,7 @@
 #![cfg(feature = "extended-gcode")]
 
 use crate::program::{Program, in_mm};
-use oxmill_controller::gcode::{Dialect, Motion, TOOLS, ToolTable};
+use oxmill_controller::gcode::{Dialect, MotionCommand, TOOLS, ToolTable};
 use oxmill_controller::units::Coordinate;
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
@@ -165,7 +165,7 @@ fn what_is_refused() {
     }
     assert_eq!(program.error("G43.1 X1"), 37);
     program.run("G43.1 Z1");
-    assert!(matches!(program.run("G0 Z1").motion, Motion::Line { .. }));
+    assert!(matches!(program.run("G0 Z1").motion, MotionCommand::Line { .. }));
     assert_eq!(program.machine(), [1.0, 2.0, 2.0]);
 }
 

@@ -1,14 +1,13 @@
-//! A canned cycle is carried out: one `CycleStep` at a time (rapid, feed, dwell, spindle off or on, pause), so that a
-//! hold, a reset or a report comes between two moves of a peck as between two lines. The cycle itself is in
-//! `gcode/cycle.rs`.
+//! Carries out a canned cycle, one step at a time: a move, a dwell, the spindle, a pause. A hold, a reset or a report
+//! can come between any two steps. The steps come from `gcode::cycle`.
 
 use crate::dispatch::Controller;
-use crate::gcode::{CycleStep, EXTENDED, Motion};
+use crate::gcode::{CycleStep, EXTENDED, MotionCommand};
 use crate::messages::SpindleDirection;
 use crate::motion::Speed;
 use crate::protocol::report;
 use crate::settings::Key;
-use crate::states::Mode;
+use crate::states::{Hold, State};
 use crate::units::{Coordinate, Duration};
 use crate::work::task::{Job, Stage};
 
@@ -20,7 +19,7 @@ impl<const N: usize> Controller<N> {
             return Some(Stage::Flow);
         }
         let clearance = Coordinate::from_mm_f32(self.m.settings.value(Key::PeckClearance));
-        let Motion::Cycle(cycle) = &mut self.line.checked.motion else { return Some(Stage::Flow) };
+        let MotionCommand::Cycle(cycle) = &mut self.line.action.motion else { return Some(Stage::Flow) };
         let ready = if cycle.next_rests() { self.m.motion.is_idle() } else { self.m.motion.free_blocks() > 0 };
         if !ready {
             self.start_queued();
@@ -43,7 +42,7 @@ impl<const N: usize> Controller<N> {
             Some(CycleStep::SpindleOn(direction)) => return Some(self.cycle_switches_spindle(direction, job)),
             Some(CycleStep::Pause) => {
                 self.say(|out| report::message(out, "Cycle paused, ~ draws the tool back"));
-                self.enter(Mode::Hold);
+                self.enter(State::Hold(Hold::BEGUN));
                 return Some(Stage::CyclePaused);
             }
         }

@@ -1,7 +1,6 @@
-//! Why a line may not be carried out though it is correct: settings that lock motion or damaged ones, a machine that
-//! needs homing, coordinates out of range, and soft limits, for which every kind of motion (line, arc, spline, cycle
-//! corners) is looked at for points outside the travel. A jog is clipped to the travel. Names the locking setting to
-//! the host. The greatest and least coordinate of the geometry of a curve is its extent on each axis (`leaves_range`).
+//! Why a correct line may not be carried out: settings that lock motion, a position that needs homing, targets out of
+//! range, and soft limits. All kinds of motion are checked for points outside the travel; a jog is shortened to it
+//! instead.
 
 use crate::axes::{Arrangement, Axis, PerAxis};
 use crate::dispatch::Controller;
@@ -15,12 +14,12 @@ use crate::units::Coordinate;
 impl<const N: usize> Controller<N> {
     /// Why the line may not be carried out though it is correct, if so.
     pub(crate) fn refuse_line(&mut self) -> Option<Error> {
-        if self.line.checked.motion != gcode::Motion::None
+        if self.line.action.motion != gcode::MotionCommand::None
             && let Some(error) = self.motion_locked()
         {
             return Some(error);
         }
-        if self.line.checked.uses_machine_place && self.needs_homing() {
+        if self.line.action.uses_machine_place && self.needs_homing() {
             self.say(|out| report::message(out, "Home first: the machine position is not known"));
             return Some(Error::Locked);
         }
@@ -32,7 +31,8 @@ impl<const N: usize> Controller<N> {
     #[inline]
     fn leaves_range(&self) -> bool {
         // The check has looked at the target of a line, and nothing of it is beyond.
-        let is_plain = matches!(self.line.checked.motion, gcode::Motion::None | gcode::Motion::Line { .. });
+        let is_plain =
+            matches!(self.line.action.motion, gcode::MotionCommand::None | gcode::MotionCommand::Line { .. });
         !(is_plain && self.m.settings.arrangement() == Arrangement::Cartesian) && self.bulges_out()
     }
 
@@ -46,8 +46,8 @@ impl<const N: usize> Controller<N> {
             };
             sum > Coordinate::LIMIT.0 || !position.iter().all(|coordinate| coordinate.in_range())
         };
-        match &self.line.checked.motion {
-            gcode::Motion::Arc(arc) => {
+        match &self.line.action.motion {
+            gcode::MotionCommand::Arc(arc) => {
                 let wide = arc.i.0.unsigned_abs().max(arc.j.0.unsigned_abs()) > Coordinate::LIMIT.0.unsigned_abs() / 8;
                 let near = |position: &PerAxis<Coordinate, N>| {
                     position
@@ -61,19 +61,21 @@ impl<const N: usize> Controller<N> {
                 let farthest = least.zip(&greatest, |a, b| Coordinate(a.0.saturating_abs().max(b.0.saturating_abs())));
                 outside(&farthest)
             }
-            gcode::Motion::Line { via, target, .. } if belts => via.as_ref().is_some_and(outside) || outside(target),
-            gcode::Motion::Probe { target, .. } if belts => outside(target),
+            gcode::MotionCommand::Line { via, target, .. } if belts => {
+                via.as_ref().is_some_and(outside) || outside(target)
+            }
+            gcode::MotionCommand::Probe { target, .. } if belts => outside(target),
             // The curve lies within its polygon.
-            gcode::Motion::Spline(spline) if SPLINES && belts => spline.corners().iter().any(outside),
-            gcode::Motion::Nurbs(nurbs) if SPLINES && belts => self.nurbs_geometry(nurbs).leaves(outside),
-            gcode::Motion::Cycle(cycle) if belts => cycle.corners().iter().any(outside),
+            gcode::MotionCommand::Spline(spline) if SPLINES && belts => spline.corners().iter().any(outside),
+            gcode::MotionCommand::Nurbs(nurbs) if SPLINES && belts => self.nurbs_geometry(nurbs).leaves(outside),
+            gcode::MotionCommand::Cycle(cycle) if belts => cycle.corners().iter().any(outside),
             _ => false,
         }
     }
 
     /// Lets a jog end where the travel does. An axis that is outside already goes no further out.
     pub(crate) fn clip_to_travel(&mut self) {
-        if let gcode::Motion::Line { target, .. } = &self.line.checked.motion
+        if let gcode::MotionCommand::Line { target, .. } = &self.line.action.motion
             && self.limits_travel()
         {
             let here = self.m.interpreter.position();
@@ -84,7 +86,7 @@ impl<const N: usize> Controller<N> {
                     *end = (*end).clamp(here.min(least), here.max(greatest));
                 }
             }
-            self.line.checked.redirect(end);
+            self.line.action.redirect(end);
         }
     }
 
@@ -102,21 +104,21 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     fn leaves_travel(&self) -> bool {
         let outside = |position: &PerAxis<Coordinate, N>| self.is_outside_travel(position);
-        match &self.line.checked.motion {
-            gcode::Motion::None => false,
-            gcode::Motion::Line { via, target, .. } => via.as_ref().is_some_and(outside) || outside(target),
-            gcode::Motion::Arc(arc) => {
+        match &self.line.action.motion {
+            gcode::MotionCommand::None => false,
+            gcode::MotionCommand::Line { via, target, .. } => via.as_ref().is_some_and(outside) || outside(target),
+            gcode::MotionCommand::Arc(arc) => {
                 let (least, greatest) = extent(&geometry(arc));
                 outside(&least) || outside(&greatest)
             }
-            gcode::Motion::Spline(spline) if SPLINES => {
+            gcode::MotionCommand::Spline(spline) if SPLINES => {
                 let (least, greatest) = spline_geometry(spline).extent();
                 outside(&least) || outside(&greatest)
             }
-            gcode::Motion::Nurbs(nurbs) if SPLINES => self.nurbs_geometry(nurbs).leaves(outside),
-            gcode::Motion::Spline(_) | gcode::Motion::Nurbs(_) => false,
-            gcode::Motion::Probe { target, .. } => outside(target),
-            gcode::Motion::Cycle(cycle) => cycle.corners().iter().any(outside),
+            gcode::MotionCommand::Nurbs(nurbs) if SPLINES => self.nurbs_geometry(nurbs).leaves(outside),
+            gcode::MotionCommand::Spline(_) | gcode::MotionCommand::Nurbs(_) => false,
+            gcode::MotionCommand::Probe { target, .. } => outside(target),
+            gcode::MotionCommand::Cycle(cycle) => cycle.corners().iter().any(outside),
         }
     }
 

@@ -1,11 +1,11 @@
-//! `LineInWork`: the checked line of G-code that is carried out, with the `Curve` (arc, spline, nurbs) whose chords it
-//! has begun, its tool change, whether single block is on, and the last message of the program.
+//! The line that is being carried out: its action, its curve as far as chords have been queued, its tool change, and
+//! the last message of the program. There is one at a time, and its memory is reused.
 
 use crate::axes::{LINEAR, PerAxis};
-use crate::gcode::{Checked, EXPRESSIONS, Notice};
+use crate::gcode::{Action, EXPRESSIONS, Notice};
 use crate::motion::{Arc, ArcGeometry, Curvature, Curve, Nurbs, NurbsGeometry, Spline, SplineGeometry};
 use crate::protocol::descriptions::DESCRIPTIONS;
-use crate::protocol::line::MESSAGE_LENGTH;
+use crate::protocol::line_filter::MESSAGE_LENGTH;
 use crate::units::{Coordinate, WeightedPoint};
 use crate::work::tool_change::plan::ToolChange;
 
@@ -15,11 +15,11 @@ const MESSAGE: usize = if EXPRESSIONS { 160 } else { MESSAGE_LENGTH };
 /// A message of a program.
 pub(crate) type Message = heapless::Vec<u8, MESSAGE>;
 
-/// A checked line, and its curve once that has begun.
+/// The line in work, and its curve once that has begun.
 #[derive(Clone, Debug)]
 pub(crate) struct LineInWork<const N: usize> {
     /// The line. Canned cycles and jogs change it while they are carried out.
-    pub(crate) checked: Checked<N>,
+    pub(crate) action: Action<N>,
     curve: Option<Curve<N>>,
     single_block: bool,
     /// Notices that the program has been told, a bit each.
@@ -33,7 +33,7 @@ pub(crate) struct LineInWork<const N: usize> {
 impl<const N: usize> LineInWork<N> {
     /// There is none.
     pub(crate) const NONE: Self = Self {
-        checked: Checked::NOTHING,
+        action: Action::NOTHING,
         curve: None,
         single_block: false,
         told: 0,

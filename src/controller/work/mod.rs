@@ -1,4 +1,4 @@
-//! A line of G-code is carried out, stage by stage: its move, arc, cycle, tool change, probe cycle, and outputs.
+//! Carries out a line of G-code, stage by stage: its moves, cycles, probing, tool change, outputs and program flow.
 
 mod cycle;
 mod limits;

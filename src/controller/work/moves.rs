@@ -1,16 +1,14 @@
-//! A target becomes a `Move` in the look-ahead: its speed from the feed, spindle or laser power, digit and tolerance;
-//! `queue` hands it to motion and starts what is queued when there is no room. An arc, spline or nurbs of a line
-//! begins, with the feed of its chords. `begin_arc` and its like take the geometry and control points; the feed is per
-//! minute or inverse time, with the stretch by rotary axes.
+//! Turns targets into moves of the look-ahead, with speed, power and tolerance. Queues a move when there is room, and
+//! starts motion when the queue is full. Arcs and splines begin here, chord by chord.
 
 use crate::axes::{LINEAR, PerAxis};
 use crate::dispatch::Controller;
-use crate::gcode::{Dialect, Feed, Motion, NurbsMove, PathControl};
+use crate::gcode::{Dialect, Feed, MotionCommand, NurbsMove, PathControl};
 use crate::machine::spindle::SpindleRange;
 use crate::messages::SpindleDirection;
 use crate::motion::{ArcGeometry, Move, NurbsGeometry, Speed, SplineGeometry, Tolerance};
 use crate::settings::Key;
-use crate::states::Mode;
+use crate::states::State;
 use crate::units::Coordinate;
 use crate::work::task::{Job, Stage};
 
@@ -33,7 +31,7 @@ impl<const N: usize> Controller<N> {
         if !taken {
             self.start_queued();
         } else if job.jog {
-            self.enter(Mode::Jog { cancelling: false });
+            self.enter(State::Jog { cancelling: false });
             self.start_motion();
         } else if self.m.motion.has_joined_enough() {
             self.start_queued();
@@ -49,7 +47,7 @@ impl<const N: usize> Controller<N> {
             0
         } else {
             // The override is applied when its turn comes (`outputs`).
-            SpindleRange::of(&self.m.settings).output(self.line.checked.speed, 100).0
+            SpindleRange::of(&self.m.settings).output(self.line.action.speed, 100).0
         };
         Move {
             target: *target,
@@ -57,9 +55,9 @@ impl<const N: usize> Controller<N> {
             power,
             // M4: the laser's power follows the speed.
             scale_power: laser && self.m.accessories.spindle() == SpindleDirection::CounterClockwise,
-            line_number: self.line.checked.line_number,
+            line_number: self.line.action.line_number,
             no_feed_override: jog,
-            digit: self.line.checked.digit,
+            digit: self.line.action.digit,
             tolerance: self.tolerance(target, speed),
         }
     }
@@ -67,8 +65,8 @@ impl<const N: usize> Controller<N> {
     /// How far a move may be from its path: lines at a feed only, along which nothing turns. Of a piece that cuts off a corner at which
     /// A turns back, F would say nothing.
     fn tolerance(&self, target: &PerAxis<Coordinate, N>, speed: Speed) -> Tolerance {
-        let within = match (speed, self.line.checked.motion, self.m.interpreter.modal().path) {
-            (Speed::Feed(_), Motion::Line { .. }, PathControl::Within(tolerance)) => tolerance,
+        let within = match (speed, self.line.action.motion, self.m.interpreter.modal().path) {
+            (Speed::Feed(_), MotionCommand::Line { .. }, PathControl::Within(tolerance)) => tolerance,
             _ => return Tolerance::EXACT,
         };
         if N > LINEAR && turns(&self.m.motion.planned_position(), target) {

@@ -1,6 +1,5 @@
-//! Outputs and inputs of programs (M62 to M68) are carried out: an output is set now or with the next motion's mark if
-//! there is room; M66 waits until an input reads as it should or the longest time is over; a number that the board
-//! lacks is refused.
+//! Carries out M62 to M68: switches an output now or with the next motion, and waits for an input with a timeout (M66).
+//! A pin that the board does not have is refused.
 
 use crate::dispatch::Controller;
 use crate::gcode::ProgramPins;
@@ -10,7 +9,7 @@ impl<const N: usize> Controller<N> {
     /// Whether the line asks for a pin that the board does not have. None has analog ones.
     pub(crate) fn lacks_pin(&self) -> bool {
         let [outputs, inputs] = self.m.settings_lock.program_pins();
-        match self.line.checked.pins() {
+        match self.line.action.pins() {
             None => false,
             Some(ProgramPins::Digital { number, .. }) => number >= u32::from(outputs),
             Some(ProgramPins::Wait { number, .. }) => number >= u32::from(inputs),
@@ -21,7 +20,7 @@ impl<const N: usize> Controller<N> {
     /// Whether the line can be carried out now: an output that changes with a motion may have to wait until those before it do.
     #[inline]
     pub(crate) fn has_room_for_pins(&mut self) -> bool {
-        match self.line.checked.pins() {
+        match self.line.action.pins() {
             Some(ProgramPins::Digital { with_motion: true, .. }) => self.has_room_for_change(),
             _ => true,
         }
@@ -41,7 +40,7 @@ impl<const N: usize> Controller<N> {
     /// M62 to M65.
     #[inline(never)]
     pub(crate) fn change_output(&mut self) {
-        if let Some(ProgramPins::Digital { number, on, with_motion }) = self.line.checked.pins() {
+        if let Some(ProgramPins::Digital { number, on, with_motion }) = self.line.action.pins() {
             if with_motion {
                 let idle = self.m.motion.is_idle();
                 let mark = self.m.accessories.digital_mut().set_with_motion(number, on, idle);
@@ -54,7 +53,7 @@ impl<const N: usize> Controller<N> {
 
     /// Before the dwell of a line: M66, if it has one.
     pub(crate) fn begin_wait(&self, job: &mut Job) -> Option<Stage> {
-        match self.line.checked.pins() {
+        match self.line.action.pins() {
             Some(ProgramPins::Wait { number, longest, .. }) => {
                 job.input_before = self.reads_input(number);
                 Some(job.wait(Stage::Input, self.m.now + longest))
@@ -71,7 +70,7 @@ impl<const N: usize> Controller<N> {
     /// Whether M66 has ended.
     #[inline(never)]
     pub(crate) fn has_read_input(&mut self, job: &mut Job) -> bool {
-        let Some(ProgramPins::Wait { number, until: wait, .. }) = self.line.checked.pins() else { return true };
+        let Some(ProgramPins::Wait { number, until: wait, .. }) = self.line.action.pins() else { return true };
         let now = self.reads_input(number);
         let is_over = wait.is_over(job.input_before, now);
         if !is_over && self.m.now < job.until {

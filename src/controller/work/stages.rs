@@ -1,7 +1,6 @@
-//! A checked line of G-code is carried out, `Stage` by stage of its `Job`: drain the motion before it, apply modal
-//! state, overrides, spindle and other accessories, store, dwell or delay, check soft limits or clip a jog, begin the
-//! motion or its chords, change the tool, then the program flow (pause, end) and `finish` with the answer. `advance`
-//! does one bounded piece of the [`Task`], with progress or without.
+//! Carries out a line of G-code in stages: wait for rest if needed, apply modal state and outputs, dwell, move, then
+//! pause or end. Each call does one bounded piece and returns, so realtime commands are never late. The last stage
+//! answers the host.
 
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};
@@ -10,7 +9,7 @@ use crate::machine::realtime_override::Overrides;
 use crate::motion::Speed;
 use crate::protocol::report;
 use crate::settings::Key;
-use crate::states::Mode;
+use crate::states::{Hold, State};
 use crate::units::Duration;
 use crate::view::dialect;
 use crate::work::limits::{geometry, spline_geometry};
@@ -24,34 +23,34 @@ impl<const N: usize> Controller<N> {
     /// Nothing is done here: the line is kept as [`Task::Job`], and its path continues in [`Controller::output`], which
     /// calls [`Controller::advance`] when nothing more urgent is due.
     pub(crate) fn begin(&mut self, answer: Answer, jog: bool) {
-        let checked = &self.line.checked;
-        let checking = matches!(self.mode, Mode::Check);
+        let action = &self.line.action;
+        let checking = matches!(self.state, State::Check);
         let stops_before = !jog && self.m.interpreter.modal().path == PathControl::ExactStop && self.ends_line_before();
-        let drain = !checking && (stops_before || !checked.moves_only() && self.acts_at_rest());
+        let drain = !checking && (stops_before || !action.moves_only() && self.acts_at_rest());
         let stage = if drain { Stage::Drain } else { Stage::Apply };
         self.task = Task::Job(Job::new(answer, stage, jog));
     }
 
     /// Whether the line has something to do for which the machine has to be at rest.
     fn acts_at_rest(&self) -> bool {
-        let checked = &self.line.checked;
-        checked.spindle.is_some()
-            || checked.coolant.is_some()
-            || checked.dwell.is_some()
-            || checked.work_offset_changed
-            || checked.store.is_some()
-            || checked.tool_change && self.m.prompts_for_tools()
-            || matches!(checked.motion, gcode::Motion::Probe { .. })
-            || checked.pins().is_some_and(|pins| pins.act_at_rest())
-            || checked.modal().overrides_held != self.m.interpreter.modal().overrides_held
+        let action = &self.line.action;
+        action.spindle.is_some()
+            || action.coolant.is_some()
+            || action.dwell.is_some()
+            || action.work_offset_changed
+            || action.store.is_some()
+            || action.tool_change && self.m.prompts_for_tools()
+            || matches!(action.motion, gcode::MotionCommand::Probe { .. })
+            || action.pins().is_some_and(|pins| pins.act_at_rest())
+            || action.modal().overrides_held != self.m.interpreter.modal().overrides_held
             || self.speed_needs_rest()
             || self.starts_to_turn()
     }
 
     /// Whether a line comes before which G61.1, in force for the one before it, brings the machine to rest.
     fn ends_line_before(&self) -> bool {
-        let checked = &self.line.checked;
-        checked.motion != gcode::Motion::None || checked.modal().path != PathControl::ExactStop
+        let action = &self.line.action;
+        action.motion != gcode::MotionCommand::None || action.modal().path != PathControl::ExactStop
     }
 
     /// S rides with the motion. Only a laser without a motion to ride with changes its power at rest.
@@ -61,9 +60,9 @@ impl<const N: usize> Controller<N> {
 
     /// Whether S makes a spindle turn that M3 or M4 has switched on with S0, and motion has to wait for it.
     fn starts_to_turn(&self) -> bool {
-        let (checked, settings) = (&self.line.checked, &self.m.settings);
-        checked.speed_changed
-            && checked.spindle.is_none()
+        let (action, settings) = (&self.line.action, &self.m.settings);
+        action.speed_changed
+            && action.spindle.is_none()
             && self.m.accessories.is_on_without_speed()
             && (settings.is_on(Key::SpinUp) || self.m.accessories.must_tell_speed(settings))
             && !settings.is_on(Key::Laser)
@@ -71,16 +70,16 @@ impl<const N: usize> Controller<N> {
 
     /// Whether the next report shows the accessories because of S.
     fn shows_speed(&self) -> bool {
-        self.line.checked.speed_changed
+        self.line.action.speed_changed
             && self.m.accessories.is_on()
-            && !(self.m.settings.is_on(Key::Laser) && self.line.checked.motion != gcode::Motion::None)
+            && !(self.m.settings.is_on(Key::Laser) && self.line.action.motion != gcode::MotionCommand::None)
     }
 
     /// Whether the controller is in the middle of something. Asked before each segment: no call for nothing.
     #[inline]
     pub(crate) fn may_advance(&self) -> bool {
         match &self.task {
-            Task::None => matches!(self.mode, Mode::Home(_)),
+            Task::None => matches!(self.state, State::Homing(_)),
             Task::Job(job) => !self.waits_for_room(job.stage),
             _ => true,
         }
@@ -90,14 +89,14 @@ impl<const N: usize> Controller<N> {
     #[inline]
     fn waits_for_room(&self, stage: Stage) -> bool {
         let moves = match stage {
-            Stage::Target => matches!(self.line.checked.motion, gcode::Motion::Line { .. }),
+            Stage::Target => matches!(self.line.action.motion, gcode::MotionCommand::Line { .. }),
             Stage::Chords => true,
             _ => false,
         };
         moves
             && self.m.motion.free_blocks() == 0
             && self.m.step_supply.is_running()
-            && !matches!(self.mode, Mode::Check)
+            && !matches!(self.state, State::Check)
             && !self.m.stops.has_order()
     }
 
@@ -105,7 +104,7 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     pub(crate) fn advance(&mut self) -> bool {
         if let Task::Job(job) = self.task {
-            return !self.m.stops.is_awaited() && !self.mode.is_suspended() && self.advance_job(job);
+            return !self.m.stops.is_awaited() && !self.state.is_suspended() && self.advance_job(job);
         }
         let progressed = self.advance_task();
         if progressed {
@@ -118,9 +117,9 @@ impl<const N: usize> Controller<N> {
     fn advance_job(&mut self, mut job: Job) -> bool {
         self.task = Task::None;
         let progressed = self.advance_line(&mut job);
-        let only_moved = self.line.checked.moves_only()
+        let only_moved = self.line.action.moves_only()
             && !job.jog
-            && matches!(self.mode, Mode::Normal)
+            && matches!(self.state, State::Normal)
             && matches!(job.answer, Answer::Host | Answer::Held(_));
         // A stop that it has ordered goes out at once: nothing else would wake the pump for it.
         let ordered = self.m.stops.has_order();
@@ -142,12 +141,12 @@ impl<const N: usize> Controller<N> {
         }
         match self.task {
             Task::None => {
-                let Mode::Home(homing) = &mut self.mode else { return false };
+                let State::Homing(homing) = &mut self.state else { return false };
                 let next = homing.advance(&mut self.m);
                 return self.follow(next);
             }
             Task::Listing(listing, line) => return self.advance_listing(listing, line),
-            _ if self.mode.is_suspended() => return false,
+            _ if self.state.is_suspended() => return false,
             Task::Startup(index, then) if self.m.inputs.are_known() => {
                 self.task = Task::None;
                 self.run_startup_line(index, then);
@@ -176,28 +175,28 @@ impl<const N: usize> Controller<N> {
         self.m.accessories.switch_off();
         self.tell_alarm(Alarm::SoftLimit);
         self.say(|out| report::message(out, "Reset to continue"));
-        self.enter(Mode::Critical(Alarm::SoftLimit));
+        self.enter(State::Critical(Alarm::SoftLimit));
     }
 
     /// Continues until something has to be waited for or put out first.
     #[inline]
     fn advance_line(&mut self, job: &mut Job) -> bool {
-        let checking = matches!(self.mode, Mode::Check);
+        let checking = matches!(self.state, State::Check);
         let mut progressed = false;
         loop {
             // The stages of a line that only moves; nearly all lines have no others. What they do is neither shown nor waited for.
             let next = match job.stage {
                 // There is nothing to wait for but a record of a line before.
-                Stage::Apply if self.line.checked.moves_only() && self.m.records.are_stored() => {
-                    self.m.interpreter.commit(&self.line.checked);
+                Stage::Apply if self.line.action.moves_only() && self.m.records.are_stored() => {
+                    self.m.interpreter.commit(&self.line.action);
                     // A stop may have left another one.
-                    self.m.accessories.set_speed(self.line.checked.speed);
+                    self.m.accessories.set_speed(self.line.action.speed);
                     job.stage = Stage::Target;
                     progressed = true;
                     continue;
                 }
                 Stage::Target if !checking => self.begin_motion(job),
-                Stage::Flow if self.line.checked.flow == Flow::None && !self.line.is_single_block() => {
+                Stage::Flow if self.line.action.flow == Flow::None && !self.line.is_single_block() => {
                     job.stage = Stage::Done;
                     return true;
                 }
@@ -208,7 +207,7 @@ impl<const N: usize> Controller<N> {
             progressed = true;
             let shown_first = self.is_shown_before(job.stage, next);
             job.stage = next;
-            if shown_first || self.mode.is_suspended() || self.m.stops.is_awaited() {
+            if shown_first || self.state.is_suspended() || self.m.stops.is_awaited() {
                 break;
             }
         }
@@ -238,8 +237,8 @@ impl<const N: usize> Controller<N> {
             Stage::Input => self.has_read_input(job).then(|| self.begin_dwell(job, false)),
             Stage::Dwell => (self.m.now >= job.until).then_some(Stage::Via),
             Stage::SpinningUp => self.has_spun_up(job.until).then_some(Stage::Via),
-            Stage::Via => match self.line.checked.motion {
-                gcode::Motion::Line { via: Some(via), .. } if !checking => {
+            Stage::Via => match self.line.action.motion {
+                gcode::MotionCommand::Line { via: Some(via), .. } if !checking => {
                     self.queue(&via, Speed::Rapid, job).then_some(Stage::Target)
                 }
                 _ => Some(Stage::Target),
@@ -247,9 +246,9 @@ impl<const N: usize> Controller<N> {
             Stage::Target => Some(self.check_target()),
             Stage::Chords => self.next_chord(job),
             Stage::Probing => {
-                let must_touch = matches!(self.line.checked.motion, gcode::Motion::Probe { alarm: true, .. });
+                let must_touch = matches!(self.line.action.motion, gcode::MotionCommand::Probe { alarm: true, .. });
                 // A failed probe has locked the machine: no M0 may open it again.
-                self.end_probe(must_touch).then_some(if self.mode.is_alarm() { Stage::Done } else { Stage::Flow })
+                self.end_probe(must_touch).then_some(if self.state.is_alarm() { Stage::Done } else { Stage::Flow })
             }
             Stage::Flow => self.flow(job, checking),
             Stage::Paused => Some(Stage::Done),
@@ -263,9 +262,9 @@ impl<const N: usize> Controller<N> {
     #[inline]
     fn is_shown_before(&self, stage: Stage, next: Stage) -> bool {
         match stage {
-            Stage::Apply => self.line.checked.changes_outputs(),
-            Stage::Via => matches!(self.line.checked.motion, gcode::Motion::Line { via: Some(_), .. }),
-            Stage::Target => matches!(self.line.checked.motion, gcode::Motion::Cycle(_)),
+            Stage::Apply => self.line.action.changes_outputs(),
+            Stage::Via => matches!(self.line.action.motion, gcode::MotionCommand::Line { via: Some(_), .. }),
+            Stage::Target => matches!(self.line.action.motion, gcode::MotionCommand::Cycle(_)),
             // One chord a call.
             Stage::Chords => next == Stage::Chords,
             Stage::Drain | Stage::Probing | Stage::Measuring => true,
@@ -275,7 +274,7 @@ impl<const N: usize> Controller<N> {
 
     /// The motion of a line that is only checked.
     fn check_target(&mut self) -> Stage {
-        if matches!(self.line.checked.motion, gcode::Motion::Probe { .. }) {
+        if matches!(self.line.action.motion, gcode::MotionCommand::Probe { .. }) {
             // Taken to touch at its target, where the program continues from.
             let target = *self.m.interpreter.position();
             self.m.interpreter.set_probed(&target, true);
@@ -291,9 +290,9 @@ impl<const N: usize> Controller<N> {
 
     /// G4 and the time of the spindle, if there is any to wait for.
     fn begin_dwell(&self, job: &mut Job, checking: bool) -> Stage {
-        let dwell = self.line.checked.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
+        let dwell = self.line.action.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
         let wait = dwell + job.spindle_delay;
-        let switched = self.line.checked.spindle.is_some() || !job.spindle_delay.is_zero();
+        let switched = self.line.action.spindle.is_some() || !job.spindle_delay.is_zero();
         if switched && self.m.accessories.must_tell_speed(&self.m.settings) && !checking {
             job.wait(Stage::SpinningUp, self.m.now + wait)
         } else if wait.is_zero() {
@@ -307,8 +306,8 @@ impl<const N: usize> Controller<N> {
     #[inline]
     fn begin_motion(&mut self, job: &mut Job) -> Option<Stage> {
         self.m.accessories.digital_mut().motion_follows();
-        match self.line.checked.motion {
-            gcode::Motion::Line { ref target, feed, .. } => {
+        match self.line.action.motion {
+            gcode::MotionCommand::Line { ref target, feed, .. } => {
                 let mv = self.move_of(target, speed(feed), job.jog);
                 self.queue_move(&mv, job).then_some(Stage::Flow)
             }
@@ -319,54 +318,55 @@ impl<const N: usize> Controller<N> {
     /// The motion of a line that is not straight.
     #[inline(never)]
     fn begin_other_motion(&mut self, job: &mut Job) -> Option<Stage> {
-        match self.line.checked.motion {
-            gcode::Motion::Arc(ref arc) => {
+        match self.line.action.motion {
+            gcode::MotionCommand::Arc(ref arc) => {
                 let (geometry, feed) = (geometry(arc), arc.feed);
                 Some(self.begin_arc(&geometry, feed, job))
             }
-            gcode::Motion::Spline(ref spline) if SPLINES => {
+            gcode::MotionCommand::Spline(ref spline) if SPLINES => {
                 let (geometry, feed) = (spline_geometry(spline), spline.feed);
                 Some(self.begin_spline(&geometry, feed, job))
             }
-            gcode::Motion::Nurbs(nurbs) if SPLINES => Some(self.begin_nurbs(&nurbs, job)),
-            gcode::Motion::Probe { target, feed, away, .. } => {
-                let begun = self.begin_probe(&target, speed(feed), away, self.line.checked.line_number);
+            gcode::MotionCommand::Nurbs(nurbs) if SPLINES => Some(self.begin_nurbs(&nurbs, job)),
+            gcode::MotionCommand::Probe { target, feed, away, .. } => {
+                let begun = self.begin_probe(&target, speed(feed), away, self.line.action.line_number);
                 Some(if begun { Stage::Probing } else { Stage::Done })
             }
-            gcode::Motion::Cycle(_) => self.go_on_cycle(job),
-            gcode::Motion::None | gcode::Motion::Line { .. } | gcode::Motion::Spline(_) | gcode::Motion::Nurbs(_) => {
-                Some(Stage::Flow)
-            }
+            gcode::MotionCommand::Cycle(_) => self.go_on_cycle(job),
+            gcode::MotionCommand::None
+            | gcode::MotionCommand::Line { .. }
+            | gcode::MotionCommand::Spline(_)
+            | gcode::MotionCommand::Nurbs(_) => Some(Stage::Flow),
         }
     }
 
     /// Takes the line's modal state over and sets what does not move. How long the spindle then takes.
     fn apply(&mut self, checking: bool) -> Duration {
         let dialect = self.dialect();
-        let checked = &self.line.checked;
+        let action = &self.line.action;
         let mut delay = Duration::from_ticks(0);
-        let before = checked.work_offset_changed.then(|| self.m.interpreter.work_zero(dialect));
+        let before = action.work_offset_changed.then(|| self.m.interpreter.work_zero(dialect));
         let held = self.m.interpreter.modal().overrides_held;
-        let freed = checked.removes_tool().and_then(|number| self.m.interpreter.tools().find(number));
-        self.m.interpreter.commit(checked);
+        let freed = action.removes_tool().and_then(|number| self.m.interpreter.tools().find(number));
+        self.m.interpreter.commit(action);
         if before.is_some_and(|before| self.m.interpreter.work_zero(dialect) != before) {
             self.m.replies.offset_changed();
         }
-        match (checked.store, freed) {
+        match (action.store, freed) {
             // Grbl stores coordinate systems also of programs that it only checks.
             _ if checking && dialect != gcode::Dialect::Grbl => {}
             (_, Some(slot)) => self.m.records.remove_tool(slot),
             (Some(offset), None) => self.m.records.save_offset(offset, &self.m.interpreter),
             (None, None) => {}
         }
-        if let Some(notice) = self.line.checked.notice() {
+        if let Some(notice) = self.line.action.notice() {
             self.tell_notice(notice);
         }
         if checking {
             self.check_tool_change();
             return delay;
         }
-        if self.line.checked.pins().is_some() {
+        if self.line.action.pins().is_some() {
             self.change_output();
         }
         if self.m.interpreter.modal().overrides_held != held {
@@ -376,15 +376,15 @@ impl<const N: usize> Controller<N> {
             // None to wait for would be no spindle to look at.
             delay = self.m.settings.seconds(Key::SpinUp).max(Duration::from_ticks(1));
         }
-        self.m.accessories.set_speed(self.line.checked.speed);
+        self.m.accessories.set_speed(self.line.action.speed);
         if self.shows_speed() {
             self.m.replies.overrides_changed();
         }
-        if let Some(spindle) = self.line.checked.spindle {
+        if let Some(spindle) = self.line.action.spindle {
             delay = self.m.accessories.set_spindle(spindle, &self.m.settings);
             self.m.replies.overrides_changed();
         }
-        if let Some(coolant) = self.line.checked.coolant {
+        if let Some(coolant) = self.line.action.coolant {
             self.m.accessories.set_coolant(coolant);
             self.m.replies.overrides_changed();
         }
@@ -398,9 +398,9 @@ impl<const N: usize> Controller<N> {
             self.line.is_single_block()
                 && !job.jog
                 && matches!(job.answer, Answer::Host | Answer::Held(Caller::Host))
-                && self.line.checked.motion != gcode::Motion::None
+                && self.line.action.motion != gcode::MotionCommand::None
         };
-        match self.line.checked.flow {
+        match self.line.action.flow {
             Flow::Pause => true,
             Flow::OptionalPause
                 if self.m.settings.is_on(Key::OptionalStop) && self.dialect() != gcode::Dialect::Grbl =>
@@ -415,14 +415,14 @@ impl<const N: usize> Controller<N> {
     /// Program pause and end: both wait for the end of motion.
     fn flow(&mut self, job: &Job, checking: bool) -> Option<Stage> {
         let pauses = self.pauses_behind(job);
-        match self.line.checked.flow {
+        match self.line.action.flow {
             Flow::None | Flow::Pause | Flow::OptionalPause if !pauses || checking => Some(Stage::Done),
             _ if !self.m.motion.is_idle() => {
                 self.start_queued();
                 None
             }
             Flow::None | Flow::Pause | Flow::OptionalPause => {
-                self.enter(Mode::Hold);
+                self.enter(State::Hold(Hold::BEGUN));
                 self.darken_laser();
                 Some(Stage::Paused)
             }
@@ -474,7 +474,7 @@ impl<const N: usize> Controller<N> {
     }
 
     pub(crate) fn gcode(&mut self, line: &[u8], answer: Answer) -> Result<(), Error> {
-        self.m.interpreter.check_into(line, dialect(&self.m.settings), &mut self.line.checked)?;
+        self.m.interpreter.check_into(line, dialect(&self.m.settings), &mut self.line.action)?;
         self.begin_checked(answer)
     }
 
@@ -483,7 +483,7 @@ impl<const N: usize> Controller<N> {
         if let Some(error) = self.refuse_line() {
             return Err(error);
         }
-        if self.line.checked.needs_machine() {
+        if self.line.action.needs_machine() {
             self.allow_change_and_pins()?;
         }
         if self.violates_soft_limits() {
@@ -501,14 +501,14 @@ impl<const N: usize> Controller<N> {
         if self.lacks_pin() {
             return Err(Error::NoSuchPin);
         }
-        let refused = self.line.checked.tool_change && self.measures_tools();
+        let refused = self.line.action.tool_change && self.measures_tools();
         refused.then(|| self.refuse_tool_change()).flatten().map_or(Ok(()), Err)
     }
 
     pub(crate) fn jog(&mut self, line: &[u8]) -> Result<(), Error> {
-        self.m.interpreter.check_jog_into(line, dialect(&self.m.settings), &mut self.line.checked)?;
+        self.m.interpreter.check_jog_into(line, dialect(&self.m.settings), &mut self.line.action)?;
         let is_over = self.m.lines.is_jog_stale() || self.m.replies.has_host_left(self.m.lines.hosts_cut());
-        if is_over || matches!(self.mode, Mode::Jog { cancelling: true }) {
+        if is_over || matches!(self.state, State::Jog { cancelling: true }) {
             // Sent before the cancel, or by a host that has gone: it shall not move any more.
             self.say_ok();
             return Ok(());
@@ -577,7 +577,7 @@ impl<const N: usize> Controller<N> {
 
     #[inline(never)]
     fn run_startup_line(&mut self, index: usize, then: Option<Answer>) {
-        let line = if self.mode.is_alarm() { None } else { self.m.records.startup_line(index).cloned() };
+        let line = if self.state.is_alarm() { None } else { self.m.records.startup_line(index).cloned() };
         let Some(line) = line else {
             if let Some(answer) = then {
                 self.finish(answer);

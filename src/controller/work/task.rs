@@ -1,14 +1,12 @@
-//! `Task`: what the controller is in the middle of (startup line, held text, listing, storing, soft limit, a `Job`),
-//! and the `Answer` or `Caller` that waits for its end. A `Job` is a line under way with its `Stage`, the moment it
-//! waits until, and what a hold suspends. `answers_host` says who is answered, `spindle_delay` how long the spindle is
-//! waited for.
+//! What the controller is in the middle of: a line of G-code, a listing, startup lines, a store. While there is a task,
+//! no further line is taken. A task also knows who gets the answer.
 
 use crate::protocol::system::Described;
 use crate::units::{Duration, Instant};
 
 /// What the controller is in the middle of. While there is one, no further line is taken.
 #[derive(Clone, Copy, Debug)]
-// As with `Mode`: the tag is asked for before each output.
+// As with `State`: the tag is asked for before each output.
 #[repr(u8)]
 pub(crate) enum Task {
     /// Nothing: the next line may come.

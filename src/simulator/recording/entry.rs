@@ -1,5 +1,5 @@
-//! What a recording consists of: each `Input` with its time, what only a board has `Told`, and the place and state of the
-//! machine by which two runs are compared.
+//! The entries of a recording: inputs with their times, and the state of the machine by which two runs are compared.
+//! Also the entries that only a board writes.
 
 use crate::boards::AXES;
 use crate::simulator::Simulator;

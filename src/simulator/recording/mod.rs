@@ -19,7 +19,7 @@
 //! job G0 X1\n                             each line of it
 //! ```
 //! A board lists what it has recorded by `$REC`, each line as `[REC:...]`; in a log of a terminal all other lines are left out, and of several
-//! listings the last one counts. It has other lines besides, which `protocol::recorded` of the controller writes and [`crate::board_replay`] plays.
+//! listings the last one counts. It has other lines besides, which `protocol::recording` of the controller writes and [`crate::board_replay`] plays.
 //!
 //! Lines begin with their time but for those in front of `begin` and those of a job.
 

@@ -15,7 +15,7 @@ use core::sync::atomic::Ordering;
 use oxmill_boards::stm32f4::registers::Map;
 use oxmill_boards::stm32f4::step::{Clocks, Place, Rings};
 use oxmill_controller::axes::{Arrangement, Axis, PerAxis};
-use oxmill_controller::gcode::{Checked, Dialect, Interpreter, ProgramStorage};
+use oxmill_controller::gcode::{Action, Dialect, Interpreter, ProgramStorage};
 use oxmill_controller::memory::{Memory, Storage};
 use oxmill_controller::messages::*;
 use oxmill_controller::motion::{Arc, ArcGeometry, Motion, MotionSettings, MotionStorage, Move, Speed, Tolerance};
@@ -519,7 +519,7 @@ fn planning_with_jerk(motion: &mut FarPlanner) {
 #[unsafe(no_mangle)]
 #[inline(never)]
 // unsafe because of the name, as above.
-fn unit_text(interpreter: &mut Interpreter<3>, line: &[u8], checked: &mut Checked<3>) {
+fn unit_text(interpreter: &mut Interpreter<3>, line: &[u8], checked: &mut Action<3>) {
     if interpreter.check_into(line, Dialect::Oxmill, checked).is_ok() {
         interpreter.commit(black_box(checked));
     }
@@ -538,7 +538,7 @@ fn text_and_arcs() {
         .write(ProgramStorage::EMPTY)
         .lend();
     let mut interpreter = Interpreter::<3>::new(memory);
-    let mut checked = Checked::NOTHING;
+    let mut checked = Action::NOTHING;
     row_text();
     for _ in 0..4 {
         unit_text(black_box(&mut interpreter), black_box(b"G1X12.345Y-6.789F1200"), black_box(&mut checked));

@@ -8,7 +8,7 @@ use super::ours::Mill;
 use super::{Event, canon};
 use crate::Failure;
 use oxmill_controller::gcode::{Direction, Flow, Held, HeldLine, Interpreter, split_remark};
-use oxmill_controller::protocol::line::{self, Line, LineRules, Pushed};
+use oxmill_controller::protocol::line_filter::{self, Line, LineRules, Pushed};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -119,7 +119,7 @@ fn interpret(text: &[u8]) -> Ours {
     // LinuxCNC starts so.
     assert!(program.mill.run("G99").is_ok());
     let rules = || LineRules {
-        length: line::LENGTH,
+        length: line_filter::LENGTH,
         merge_crlf: true,
         nested_remarks: false,
         expressions: true,

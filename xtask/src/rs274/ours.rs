@@ -4,8 +4,8 @@ use super::{AXES, Event, NO_MOVE, TOLERANCE};
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{
-    Angle, Checked, CoordinateSystem, CycleStep, Dialect, Direction, Feed, Flow, Held, HeldLine, Interpreter, Motion,
-    MotionMode, ProgramPins, SplineKind, Units,
+    Action, Angle, CoordinateSystem, CycleStep, Dialect, Direction, Feed, Flow, Held, HeldLine, Interpreter,
+    MotionCommand, MotionMode, ProgramPins, SplineKind, Units,
 };
 use oxmill_controller::units::Coordinate;
 use std::f64::consts::TAU;
@@ -87,7 +87,7 @@ impl Mill {
     /// The same; and how the program goes on.
     pub fn carry_out(&mut self, line: &str) -> Result<(Vec<Event>, Flow), Error> {
         let text = line.replace(' ', "");
-        let mut checked = Checked::NOTHING;
+        let mut checked = Action::NOTHING;
         self.interpreter.check_into(text.as_bytes(), Dialect::Oxmill, &mut checked)?;
         self.interpreter.commit(&checked);
         let output = match checked.pins() {
@@ -103,15 +103,15 @@ impl Mill {
         let dwell = checked.dwell.map(|time| Event::Dwell(time.to_micros() as f64 / 1e6));
         let mut events: Vec<Event> = output.into_iter().chain(dwell).collect();
         match checked.motion {
-            Motion::None => {}
-            Motion::Line { via, target, feed } => {
+            MotionCommand::None => {}
+            MotionCommand::Line { via, target, feed } => {
                 if let Some(via) = via {
                     self.go(&via, true, &mut events);
                 }
                 self.go(&target, feed == Feed::Rapid, &mut events);
             }
-            Motion::Probe { target, .. } => self.go(&target, false, &mut events),
-            Motion::Arc(arc) => {
+            MotionCommand::Probe { target, .. } => self.go(&target, false, &mut events),
+            MotionCommand::Arc(arc) => {
                 let mut centre = arc.start;
                 for (axis, way) in [(arc.axes.first, arc.i), (arc.axes.second, arc.j)] {
                     centre.0[axis.index()] = centre.0[axis.index()] + way;
@@ -123,19 +123,19 @@ impl Mill {
                 self.place = mm(&arc.target);
                 self.is_place_untold = false;
             }
-            Motion::Spline(spline) => {
+            MotionCommand::Spline(spline) => {
                 let is_cubic = matches!(checked.modal().motion, MotionMode::Spline(SplineKind::Cubic));
                 events.push(Event::Spline(if is_cubic { 4 } else { 3 }));
                 // `rs274` does not print where it ends: the next move tells.
                 self.place = mm(&spline.target);
                 self.is_place_untold = true;
             }
-            Motion::Nurbs(nurbs) => {
+            MotionCommand::Nurbs(nurbs) => {
                 events.push(Event::Spline(self.interpreter.control_points().len() as u8));
                 self.place = mm(&nurbs.target);
                 self.is_place_untold = true;
             }
-            Motion::Cycle(mut cycle) => {
+            MotionCommand::Cycle(mut cycle) => {
                 let mut is_first = true;
                 while let Some(step) = cycle.step(CLEARANCE) {
                     match step {
@@ -156,16 +156,16 @@ impl Mill {
     }
 
     /// What G93 makes of the length of a motion and its time, in mm/min.
-    fn inverse_time_rate(&self, motion: &Motion<AXES>) -> Option<f64> {
+    fn inverse_time_rate(&self, motion: &MotionCommand<AXES>) -> Option<f64> {
         let (length, feed) = match motion {
-            Motion::Line { target, feed, .. } => {
+            MotionCommand::Line { target, feed, .. } => {
                 let ([x, y, z, a], [from_x, from_y, from_z, from_a]) = (mm(target), self.place);
                 let way = distance(&[x, y, z], &[from_x, from_y, from_z]);
                 // Degrees have no unit, but the rate that `rs274` makes of them is taken for one of lengths.
                 let unit = if self.interpreter.modal().units == Units::Inch { 25.4 } else { 1.0 };
                 (if way > 0.0 { way } else { (a - from_a).abs() * unit }, feed)
             }
-            Motion::Arc(arc) => {
+            MotionCommand::Arc(arc) => {
                 let [i, j] = [arc.i, arc.j].map(|way| way.0 as f64 / 1e7);
                 let (start, end) = (mm(&arc.start), mm(&arc.target));
                 let [a, b, c] = [arc.axes.first, arc.axes.second, arc.axes.linear]

@@ -4,7 +4,7 @@ use super::Event;
 use super::ours::Mill;
 use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{AS_WRITTEN, Direction, Flow, Held, HeldLine, WITH_VALUES, split_remark};
-use oxmill_controller::protocol::line::{self, Line, LineRules, Pushed};
+use oxmill_controller::protocol::line_filter::{self, Line, LineRules, Pushed};
 
 /// Programs one after the other on one machine.
 #[derive(Clone)]
@@ -30,7 +30,7 @@ impl Runner {
     pub fn run(&mut self, text: &str, events: &mut Vec<Event>) -> Result<(), Refusal> {
         let block_delete = self.deletes_blocks;
         let rules = || LineRules {
-            length: line::LENGTH,
+            length: line_filter::LENGTH,
             merge_crlf: true,
             nested_remarks: false,
             expressions: true,

@@ -1,11 +1,11 @@
-//! Words of curves whose control points have a line each: G5.2 with X, Y, weight P and order L, and G5.3 at the end,
-//! which makes the `NurbsMove`; too few, too many, not begun or not ended points are refused. Points are `in_xy`, and
-//! the order so far is known.
+//! Curves whose control points have a line each: G5.2 begins or continues one, G5.3 ends it. Points are collected in
+//! the interpreter, and G5.3 turns them into a move. A curve that is not begun, not ended, or has too few or too many
+//! points is refused.
 
-use super::line::Check;
+use super::draft::Draft;
 use crate::axes::{Axis, AxisMask};
 use crate::error::Error;
-use crate::gcode::checked::{Keeping, Motion, NurbsMove};
+use crate::gcode::action::{Keeping, MotionCommand, NurbsMove};
 use crate::gcode::control_points::{Addition, ControlPoints, ORDER, ORDERS};
 use crate::gcode::modal::{MotionMode, Plane, SPLINES, SplineKind};
 use crate::gcode::values::{in_xy, reachable, whole};
@@ -15,7 +15,7 @@ use crate::units::{Decimal, WeightedPoint};
 /// What a line has while control points follow.
 const POINTS: MotionMode = MotionMode::Spline(SplineKind::Nurbs);
 
-impl<const N: usize> Check<'_, N> {
+impl<const N: usize> Draft<'_, N> {
     /// Whether control points have begun, and the tool is still where they begin.
     fn has_control_points(&self) -> bool {
         let here = in_xy(&self.state.position);
@@ -37,7 +37,7 @@ impl<const N: usize> Check<'_, N> {
             return Err(Error::ControlPointsNotBegun);
         }
         let is_in_plane = !Axis::of_machine::<N>().skip(2).any(|axis| self.line.axes.has(axis));
-        if !is_in_plane || self.checked.modal.plane != Plane::Xy {
+        if !is_in_plane || self.action.modal.plane != Plane::Xy {
             return Err(Error::SplineOutsideXy);
         }
         self.needs_plane(Plane::Xy.axes())?;
@@ -59,10 +59,10 @@ impl<const N: usize> Check<'_, N> {
         let target = self.target();
         reachable(&target)?;
         // The tool is where it was, and what has been written for it holds.
-        self.checked.rotated.reached = None;
-        self.checked.rotated.scaled.rest = None;
+        self.action.rotated.reached = None;
+        self.action.rotated.scaled.rest = None;
         let weight_of_start = if has_point { 1.0 } else { weight };
-        self.checked.after.keeping = Keeping::Add(
+        self.action.after.keeping = Keeping::Add(
             [Addition {
                 start: begins.then_some(WeightedPoint { place: start, weight: weight_of_start }),
                 point: has_point.then_some(WeightedPoint { place: in_xy(&target), weight }),
@@ -91,7 +91,7 @@ impl<const N: usize> Check<'_, N> {
     /// G5.3: along the curve of the control points. No motion stays in force.
     #[inline(never)]
     pub(super) fn nurbs(&mut self) -> Result<(), Error> {
-        self.checked.modal.motion = MotionMode::Cancelled;
+        self.action.modal.motion = MotionMode::Cancelled;
         if self.claim == Claim::Motion {
             return Err(Error::AxisWordsUnused);
         }
@@ -102,7 +102,7 @@ impl<const N: usize> Check<'_, N> {
         if points.len() < usize::from(order) {
             return Err(Error::TooFewControlPoints);
         }
-        if self.checked.modal.feed == Decimal::ZERO {
+        if self.action.modal.feed == Decimal::ZERO {
             return Err(Error::UndefinedFeed);
         }
         let start = self.state.position;
@@ -110,8 +110,8 @@ impl<const N: usize> Check<'_, N> {
         for (axis, part) in [Axis::X, Axis::Y].into_iter().zip(points.last().map_or(in_xy(&start), |last| last.place)) {
             target.set(axis, part);
         }
-        self.checked.motion = Motion::Nurbs(NurbsMove { start, target, order, feed: self.feed_of_motion() });
-        self.checked.position = target;
+        self.action.motion = MotionCommand::Nurbs(NurbsMove { start, target, order, feed: self.feed_of_motion() });
+        self.action.position = target;
         Ok(())
     }
 }

@@ -1,11 +1,11 @@
-//! Words of canned cycles (G73 to G89): those that stay in force in a series (R, depth, Q, P), which are missing, the
-//! levels and the pitch that they give, and L for the repeats of the hole. A peck or depth may be `ValueOutOfRange`;
-//! some kinds stop the spindle.
+//! Canned cycles (G73 to G89): reads hole, levels, peck, dwell and repeats from a line, and takes words that the line
+//! lacks from the line before, as long as the series lasts. The result is a [`Cycle`](crate::gcode::Cycle) that the
+//! controller carries out step by step.
 
-use super::line::Check;
+use super::draft::Draft;
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
-use crate::gcode::checked::Motion;
+use crate::gcode::action::MotionCommand;
 use crate::gcode::cycle::{Cycle, CyclePhase, CycleWords};
 use crate::gcode::modal::{CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PlaneAxes};
 use crate::gcode::values::{along, reachable, seconds};
@@ -15,19 +15,19 @@ use crate::units::{Coordinate, Decimal};
 /// Most repetitions that L may ask for.
 const REPEATS_MAX: i32 = 1_000_000;
 
-impl<const N: usize> Check<'_, N> {
+impl<const N: usize> Draft<'_, N> {
     /// G73 to G89. Words that are missing are those of the line before, as long as it had the same cycle word in the
     /// same plane.
     pub(super) fn cycle(&mut self, kind: CycleKind) -> Result<(), Error> {
         if !EXTENDED {
             return Err(Error::ExtendedLeftOut);
         }
-        let modal = self.checked.modal;
+        let modal = self.action.modal;
         if modal.feed_mode == FeedMode::InverseTime {
             return Err(Error::CycleNeedsPerMinute);
         }
         // M6 in the line may stop it.
-        let stopped = self.checked.tool_change && self.line.spindle.is_none();
+        let stopped = self.action.tool_change && self.line.spindle.is_none();
         if kind.stops_spindle() && (stopped || modal.spindle == SpindleDirection::Off) {
             return Err(Error::SpindleNotTurning);
         }
@@ -68,8 +68,8 @@ impl<const N: usize> Check<'_, N> {
         for corner in &cycle.corners() {
             reachable(corner)?;
         }
-        self.checked.position = cycle.at_depth(&cycle.hole_after(cycle.left - 1), clear);
-        self.checked.motion = Motion::Cycle(cycle);
+        self.action.position = cycle.at_depth(&cycle.hole_after(cycle.left - 1), clear);
+        self.action.motion = MotionCommand::Cycle(cycle);
         Ok(())
     }
 
@@ -80,7 +80,7 @@ impl<const N: usize> Check<'_, N> {
         axes: PlaneAxes,
         hole: &PerAxis<Coordinate, N>,
     ) -> Result<([Coordinate; 2], [Coordinate; 2], Coordinate), Error> {
-        let incremental = self.checked.modal.distance == Distance::Incremental;
+        let incremental = self.action.modal.distance == Distance::Incremental;
         let [r, depth] = [words.r, words.depth].map(|word| self.scaled_length(axes.linear, word, incremental));
         let peck = self.scaled_size(axes.linear, words.peck);
         if words.peck > Coordinate::ZERO && peck <= Coordinate::ZERO {
@@ -99,7 +99,7 @@ impl<const N: usize> Check<'_, N> {
 
     /// The words of the line over those that are in force.
     fn cycle_words(&mut self, kind: CycleKind, axes: PlaneAxes) -> Result<CycleWords, Error> {
-        let (before, modal) = (&self.state.modal, self.checked.modal);
+        let (before, modal) = (&self.state.modal, self.action.modal);
         let series = matches!(before.motion, MotionMode::Cycle(_)) && self.state.cycle.plane == modal.plane;
         let sticky = series && before.motion == MotionMode::Cycle(kind);
         let mut words = if series {

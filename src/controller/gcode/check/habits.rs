@@ -1,11 +1,10 @@
-//! Words that CAM programs write out of habit, and what they are here: G54.1 and G154 name a coordinate system by P, U, V
-//! and W of G28 and G30 are distances, D is the register of a radius that nothing uses; switches of the look-ahead and the
-//! announcement of rigid tapping do nothing, and a notice says so.
+//! Words that CAM programs write out of habit: some mean here what they mean on other controls (G54.1 P, G154 P, U V W
+//! of G28), others have no effect. A word without effect is accepted, and a notice tells the host once.
 
-use super::line::{CENTRE, Check};
+use super::draft::{CENTRE, Draft};
 use crate::axes::PerAxis;
 use crate::error::Error;
-use crate::gcode::checked::Notice;
+use crate::gcode::action::Notice;
 use crate::gcode::modal::{CAM_WORDS, CoordinateSystem, Distance, MotionMode, SplineKind};
 use crate::gcode::values::whole;
 use crate::gcode::word::{Group, Groups, Letters};
@@ -14,7 +13,7 @@ use crate::units::Coordinate;
 /// How many systems of Grbl come before the first that G54.1 names.
 const BEFORE_THE_FIRST: usize = CoordinateSystem::OF_GRBL;
 
-impl<const N: usize> Check<'_, N> {
+impl<const N: usize> Draft<'_, N> {
     /// G54.1, G154, G8, G187, M29.
     pub(super) fn habits(&mut self) -> Result<(), Error> {
         let extended = &self.line.extended;
@@ -22,7 +21,7 @@ impl<const N: usize> Check<'_, N> {
             return Ok(());
         }
         if extended.system_by_number {
-            self.checked.modal.coordinate_system = self.system_by_number()?;
+            self.action.modal.coordinate_system = self.system_by_number()?;
         }
         if let Some(number) = extended.look_ahead {
             // G8 alone is a word of lathes.
@@ -30,10 +29,10 @@ impl<const N: usize> Check<'_, N> {
                 return Err(Error::NotSupported);
             }
             self.unused.remove(Letters::of(b"EQ"));
-            self.checked.after.notice = Some(Notice::LookAhead);
+            self.action.after.notice = Some(Notice::LookAhead);
         }
         if extended.rigid_tapping {
-            self.checked.after.notice = Some(Notice::RigidTapping);
+            self.action.after.notice = Some(Notice::RigidTapping);
         }
         Ok(())
     }
@@ -56,9 +55,9 @@ impl<const N: usize> Check<'_, N> {
         if distances != self.line.axes {
             return Err(Error::NoParallelAxes);
         }
-        let distance = core::mem::replace(&mut self.checked.modal.distance, Distance::Incremental);
+        let distance = core::mem::replace(&mut self.action.modal.distance, Distance::Incremental);
         let point = self.target();
-        self.checked.modal.distance = distance;
+        self.action.modal.distance = distance;
         Ok(point)
     }
 
@@ -95,8 +94,8 @@ impl<const N: usize> Check<'_, N> {
     /// A line that switches the look-ahead. The motion in force stays.
     pub(super) fn switch_look_ahead(&mut self) -> Result<(), Error> {
         self.unused.remove(Letters::of(b"PQR"));
-        self.checked.modal.motion = self.state.modal.motion;
-        self.checked.after.notice = Some(Notice::LookAhead);
+        self.action.modal.motion = self.state.modal.motion;
+        self.action.after.notice = Some(Notice::LookAhead);
         Ok(())
     }
 }

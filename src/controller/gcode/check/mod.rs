@@ -1,12 +1,11 @@
-//! Second step: what the words of a line mean in the present modal state. `check` calls one function for each step, in
-//! the order in which Grbl looks, and the first fault wins; here are those for line number, feed mode and feed
-//! (`UndefinedFeed`), speed, spindle, coolant and tool values, parking, path control (G61, G64), dwell, the letters of
-//! unused words, and what a line does besides its motion by `NonModal` and M words.
+//! The second step of G-code: what the words of a line mean in the present modal state. The steps run in the order in
+//! which Grbl checks, and the first error wins. The interpreter calls [`check`] for lines of a program and for jogs;
+//! nothing changes before the line is committed. Steps of few lines are here, the others in files of their own.
 
 mod control_point_words;
 mod cycle_words;
+mod draft;
 mod habits;
-mod line;
 mod motion_words;
 mod offset_words;
 mod pin_words;
@@ -17,7 +16,7 @@ mod state_words;
 mod tool_words;
 
 use super::Dialect;
-use super::checked::{Checked, Flow, Keeping, Motion};
+use super::action::{Action, Flow, Keeping, MotionCommand};
 use super::modal::{BLENDING, CAM_WORDS, FeedMode, MotionMode, PathControl, PathTolerance, ROTATION, Units};
 use super::offsets::StoredOffset;
 use super::parse::Parsed;
@@ -27,8 +26,8 @@ use super::word::{Claim, Groups, Letters, MWord, NonModal};
 use crate::error::Error;
 use crate::messages::Coolant;
 use crate::units::{Decimal, per_second};
-use line::Check;
-pub(super) use line::Purpose;
+use draft::Draft;
+pub(super) use draft::Purpose;
 
 /// Greatest line number.
 const LINE_NUMBER_MAX: i32 = 10_000_000;
@@ -39,71 +38,72 @@ pub(super) fn check<const N: usize>(
     line: &Parsed<N>,
     dialect: Dialect,
     purpose: Purpose,
-    checked: &mut Checked<N>,
+    action: &mut Action<N>,
 ) -> Result<(), Error> {
-    let mut check = Check::begin(state, line, dialect, purpose, checked);
+    let mut draft = Draft::begin(state, line, dialect, purpose, action);
     // Most lines have none of these, and every instruction counts.
     let is_extended = line.extended.any;
     if is_extended {
-        check.sign_of_p()?;
-        check.keep_state()?;
-        check.habits()?;
+        draft.sign_of_p()?;
+        draft.keep_state()?;
+        draft.habits()?;
     }
-    check.line_number()?;
-    check.feed()?;
+    draft.line_number()?;
+    draft.feed()?;
     // A line without T deselects the tool in Grbl's dialect.
     let is_move = line.is_move() && (dialect != Dialect::Grbl || state.modal.tool == 0);
     if !is_move {
-        check.speed();
-        check.tool()?;
-        check.spindle_and_coolant();
-        check.parking_override();
+        draft.speed();
+        draft.tool()?;
+        draft.spindle_and_coolant();
+        draft.parking_override();
     }
     if is_extended {
-        check.overrides()?;
-        check.path_control()?;
+        draft.overrides()?;
+        draft.path_control()?;
     }
     if !is_move {
-        check.dwell()?;
-        check.tool_length()?;
+        draft.dwell()?;
+        draft.tool_length()?;
         if dialect != Dialect::Grbl {
-            check.offset_acts();
+            draft.offset_acts();
         }
     }
-    check.rotation()?;
+    draft.rotation()?;
     if !is_move {
-        check.non_modal()?;
+        draft.non_modal()?;
     }
-    check.motion()?;
+    draft.motion()?;
     if is_extended {
-        check.pins()?;
+        draft.pins()?;
     }
-    check.unused_words()?;
-    check.precision();
+    draft.unused_words()?;
+    draft.precision();
     if is_move {
-        let checked = check.checked;
-        checked.after.moves_only =
-            matches!(checked.motion, Motion::None | Motion::Line { .. } | Motion::Arc(_) | Motion::Spline(_))
-                && matches!(checked.after.keeping, Keeping::Leave)
-                && checked.after.notice.is_none();
+        let action = draft.action;
+        action.after.moves_only = matches!(
+            action.motion,
+            MotionCommand::None | MotionCommand::Line { .. } | MotionCommand::Arc(_) | MotionCommand::Spline(_)
+        ) && matches!(action.after.keeping, Keeping::Leave)
+            && action.after.notice.is_none();
     } else {
         // Grbl finds the target of a line before its G92.1 acts.
         if dialect == Dialect::Grbl {
-            check.offset_acts();
+            draft.offset_acts();
         }
-        check.finish();
+        draft.finish();
     }
     Ok(())
 }
 
-impl<const N: usize> Check<'_, N> {
+impl<const N: usize> Draft<'_, N> {
     fn line_number(&mut self) -> Result<(), Error> {
         if self.line.values.has(b'N') {
             let number = self.line.value(b'N').truncate();
             if number > LINE_NUMBER_MAX {
                 return Err(Error::InvalidLineNumber);
             }
-            self.checked.line_number = number.unsigned_abs();
+            self.action.line_number = number.unsigned_abs();
         }
         Ok(())
     }
@@ -115,8 +115,8 @@ impl<const N: usize> Check<'_, N> {
             return Ok(());
         }
         let given = self.line.values.has(b'F');
-        let modal = self.checked.modal;
-        self.checked.modal.feed = match (modal.feed_mode, given) {
+        let modal = self.action.modal;
+        self.action.modal.feed = match (modal.feed_mode, given) {
             (_, false) if self.purpose == Purpose::Jog => return Err(Error::UndefinedFeed),
             (FeedMode::InverseTime, true) => self.line.value(b'F'),
             (FeedMode::InverseTime, false) => {
@@ -127,9 +127,9 @@ impl<const N: usize> Check<'_, N> {
                 Decimal::ZERO
             }
             (FeedMode::PerMinute, true) => {
-                self.checked.modal.feed_in_inches = modal.units == Units::Inch;
+                self.action.modal.feed_in_inches = modal.units == Units::Inch;
                 let feed = Decimal(self.length(self.line.value(b'F')).0);
-                self.checked.modal.feed_per_second = per_second(feed.to_f32());
+                self.action.modal.feed_per_second = per_second(feed.to_f32());
                 feed
             }
             (FeedMode::PerMinute, false) if self.state.modal.feed_mode == FeedMode::PerMinute => modal.feed,
@@ -139,16 +139,16 @@ impl<const N: usize> Check<'_, N> {
     }
 
     fn speed(&mut self) {
-        let (line, modal) = (self.line, &mut self.checked.modal);
+        let (line, modal) = (self.line, &mut self.action.modal);
         if line.values.has(b'S') {
             modal.speed = line.value(b'S').to_f32();
         }
-        self.checked.speed = self.checked.modal.speed;
-        self.checked.speed_changed = self.checked.speed != self.state.modal.speed;
+        self.action.speed = self.action.modal.speed;
+        self.action.speed_changed = self.action.speed != self.state.modal.speed;
     }
 
     fn spindle_and_coolant(&mut self) {
-        let (line, modal) = (self.line, &mut self.checked.modal);
+        let (line, modal) = (self.line, &mut self.action.modal);
         modal.spindle = line.spindle.unwrap_or(modal.spindle);
         match line.coolant {
             Some(MWord::Mist) => modal.coolant.mist = true,
@@ -156,15 +156,15 @@ impl<const N: usize> Check<'_, N> {
             Some(_) => modal.coolant = Coolant::default(),
             None => {}
         }
-        let (before, modal) = (&self.state.modal, &self.checked.modal);
-        self.checked.spindle = (modal.spindle != before.spindle).then_some(modal.spindle);
-        self.checked.coolant = (modal.coolant != before.coolant).then_some(modal.coolant);
+        let (before, modal) = (&self.state.modal, &self.action.modal);
+        self.action.spindle = (modal.spindle != before.spindle).then_some(modal.spindle);
+        self.action.coolant = (modal.coolant != before.coolant).then_some(modal.coolant);
     }
 
     /// As in Grbl and grblHAL: M56 P0 holds parking off; M56 alone or with another P lets the tool park again.
     fn parking_override(&mut self) {
         if self.line.parking_override {
-            self.checked.modal.no_parking = self.line.values.has(b'P') && self.line.value(b'P') == Decimal::ZERO;
+            self.action.modal.no_parking = self.line.values.has(b'P') && self.line.value(b'P') == Decimal::ZERO;
             self.unused.remove(Letters::of(b"P"));
         }
     }
@@ -172,7 +172,7 @@ impl<const N: usize> Check<'_, N> {
     /// G61, G61.1, G64 and the tolerances of G64. Without P, or with P0, the path is exact; Q is P if it is not there.
     fn path_control(&mut self) -> Result<(), Error> {
         let Some(path) = self.line.extended.path else { return Ok(()) };
-        self.checked.modal.path = path;
+        self.action.modal.path = path;
         if !self.line.extended.is_path_tolerance {
             return Ok(());
         }
@@ -189,7 +189,7 @@ impl<const N: usize> Check<'_, N> {
                 return Err(Error::BlendingLeftOut);
             }
             let merging = if values.has(b'Q') { within(merging) } else { path };
-            self.checked.modal.path = PathControl::Within(PathTolerance { path, merging });
+            self.action.modal.path = PathControl::Within(PathTolerance { path, merging });
         }
         Ok(())
     }
@@ -202,7 +202,7 @@ impl<const N: usize> Check<'_, N> {
             return Err(Error::ValueWordMissing);
         }
         self.unused.remove(Letters::of(b"P"));
-        self.checked.dwell = Some(seconds(self.line.value(b'P')));
+        self.action.dwell = Some(seconds(self.line.value(b'P')));
         Ok(())
     }
 
@@ -230,45 +230,46 @@ impl<const N: usize> Check<'_, N> {
     /// The last digit of its words.
     #[inline(always)]
     fn precision(&mut self) {
-        let checked = &mut *self.checked;
+        let action = &mut *self.action;
         // A cycle goes through its points exactly, and of a spline all points are known.
-        let exact = matches!(checked.motion, Motion::Cycle(_) | Motion::Spline(_) | Motion::Nurbs(_));
-        checked.digit = if exact { 0.0 } else { last_digit(checked.modal.units, self.line.places) };
+        let exact =
+            matches!(action.motion, MotionCommand::Cycle(_) | MotionCommand::Spline(_) | MotionCommand::Nurbs(_));
+        action.digit = if exact { 0.0 } else { last_digit(action.modal.units, self.line.places) };
         if ROTATION && let Some(scaling) = self.scaled {
-            checked.digit *= scaling.least();
+            action.digit *= scaling.least();
         }
     }
 
     /// What a line does beside its motion.
     fn finish(self) {
-        let checked = self.checked;
-        checked.flow = match self.line.flow {
+        let action = self.action;
+        action.flow = match self.line.flow {
             Some(MWord::Pause) => Flow::Pause,
             Some(MWord::OptionalPause) => Flow::OptionalPause,
             Some(MWord::End) => Flow::End,
             _ => Flow::None,
         };
-        checked.uses_machine_place = matches!(
+        action.uses_machine_place = matches!(
             self.line.non_modal,
             Some(NonModal::MachineCoordinates | NonModal::Go(_) | NonModal::StorePosition(_))
         );
-        if checked.flow == Flow::End {
-            checked.modal.end_program();
-            checked.rotated.rotation = Some(None);
-            checked.rotated.scaled.scaling = Some(None);
+        if action.flow == Flow::End {
+            action.modal.end_program();
+            action.rotated.rotation = Some(None);
+            action.rotated.scaled.scaling = Some(None);
         }
-        let (before, after) = (self.state.modal.coordinate_system, checked.modal.coordinate_system);
-        let system_changed = match (checked.store, &checked.stored) {
+        let (before, after) = (self.state.modal.coordinate_system, action.modal.coordinate_system);
+        let system_changed = match (action.store, &action.stored) {
             (Some(StoredOffset::System(system)), Some(value)) if system == after => {
                 let angle = self.state.offsets.angle(system);
-                *value != self.state.offsets.system(system) || checked.rotated.angle.is_some_and(|new| new != angle)
+                *value != self.state.offsets.system(system) || action.rotated.angle.is_some_and(|new| new != angle)
             }
             _ => false,
         };
-        checked.work_offset_changed = system_changed
+        action.work_offset_changed = system_changed
             || before != after
-            || checked.g92 != self.state.offsets.g92
-            || checked.tool_length != self.state.offsets.tool_length;
+            || action.g92 != self.state.offsets.g92
+            || action.tool_length != self.state.offsets.tool_length;
     }
 }
 

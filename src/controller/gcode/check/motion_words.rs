@@ -1,14 +1,12 @@
-//! Words of motion, by the motion mode: straight lines (G0, G1), arcs (G2, G3) by radius or by centre I, J, K with
-//! their turns P, probing moves (G38); other modes are passed on to splines and cycles. `feed_to` gives the feed to the
-//! target; an arc whose only words are of its centre `is_circle`; chord and radius are `along` the first and second
-//! axis of the plane; used letters are removed from the `unused`.
+//! Moves of a line: straight lines, arcs by radius or centre, and probing moves. Splines and canned cycles are passed
+//! on to their own files. Targets are in machine coordinates, after offsets, rotation and scaling.
 
-use super::line::{CENTRE, Check};
+use super::draft::{CENTRE, Draft};
 use crate::axes::Axis;
 use crate::error::Error;
 use crate::gcode::Dialect;
+use crate::gcode::action::{ArcMove, Feed, MotionCommand};
 use crate::gcode::arc::{self, Vector};
-use crate::gcode::checked::{ArcMove, Feed, Motion};
 use crate::gcode::modal::{
     ArcDistance, CAM_WORDS, MotionMode, PlaneAxes, ProbeMode, ROTATION, SPLINES, SplineKind, Units,
 };
@@ -19,12 +17,12 @@ use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 /// Most turns that P may give an arc.
 const TURNS_MAX: i32 = 1_000_000;
 
-impl<const N: usize> Check<'_, N> {
+impl<const N: usize> Draft<'_, N> {
     pub(super) fn motion(&mut self) -> Result<(), Error> {
         if SPLINES && self.line.extended.ends_control_points {
             return self.nurbs();
         }
-        let mode = self.checked.modal.motion;
+        let mode = self.action.modal.motion;
         if SPLINES && self.line.modal.motion.is_some() {
             self.leaves_control_points(mode)?;
         }
@@ -36,7 +34,7 @@ impl<const N: usize> Check<'_, N> {
         if self.claim != Claim::Motion {
             return Ok(());
         }
-        if mode != MotionMode::Rapid && self.checked.modal.feed == Decimal::ZERO {
+        if mode != MotionMode::Rapid && self.action.modal.feed == Decimal::ZERO {
             return if self.is_look_ahead() { self.switch_look_ahead() } else { Err(Error::UndefinedFeed) };
         }
         match mode {
@@ -59,8 +57,8 @@ impl<const N: usize> Check<'_, N> {
         let target = self.target();
         reachable(&target)?;
         let feed = if mode == MotionMode::Rapid { Feed::Rapid } else { self.feed_to(&target) };
-        self.checked.motion = Motion::Line { via: None, target, feed };
-        self.checked.position = target;
+        self.action.motion = MotionCommand::Line { via: None, target, feed };
+        self.action.position = target;
         Ok(())
     }
 
@@ -74,16 +72,16 @@ impl<const N: usize> Check<'_, N> {
         }
         reachable(&target)?;
         let feed = self.feed_to(&target);
-        self.checked.motion = Motion::Probe { target, feed, away: mode.away, alarm: mode.alarm };
+        self.action.motion = MotionCommand::Probe { target, feed, away: mode.away, alarm: mode.alarm };
         if CAM_WORDS && self.line.extended.probe_once {
-            self.checked.modal.motion = self.checked.modal.straight;
+            self.action.modal.motion = self.action.modal.straight;
         }
-        self.checked.position = target;
+        self.action.position = target;
         Ok(())
     }
 
     fn arc(&mut self, clockwise: bool) -> Result<(), Error> {
-        let axes = self.checked.modal.plane.axes();
+        let axes = self.action.modal.plane.axes();
         let is_circle = self.dialect != Dialect::Grbl && self.line.values.has_any(CENTRE);
         if self.line.axes.is_empty() && !is_circle {
             return Err(Error::NoAxisWords);
@@ -131,12 +129,12 @@ impl<const N: usize> Check<'_, N> {
         let feed = self.feed_of_motion();
         let (i, j) = (Coordinate(centre.first), Coordinate(centre.second));
         // Without a radius there is nothing to go round; what is left is the way of the other axes.
-        self.checked.motion = if arc::is_point(centre) {
-            Motion::Line { via: None, target, feed: self.feed_to(&target) }
+        self.action.motion = if arc::is_point(centre) {
+            MotionCommand::Line { via: None, target, feed: self.feed_to(&target) }
         } else {
-            Motion::Arc(ArcMove { start, target, axes, i, j, clockwise, turns, feed })
+            MotionCommand::Arc(ArcMove { start, target, axes, i, j, clockwise, turns, feed })
         };
-        self.checked.position = target;
+        self.action.position = target;
         Ok(())
     }
 
@@ -144,7 +142,7 @@ impl<const N: usize> Check<'_, N> {
     fn centre(&mut self, axes: PlaneAxes) -> Result<Vector, Error> {
         let (first, second) = (centre_letter(axes.first), centre_letter(axes.second));
         let (has_first, has_second) = (self.line.values.has(first), self.line.values.has(second));
-        let absolute = self.dialect != Dialect::Grbl && self.checked.modal.arc_distance == ArcDistance::Absolute;
+        let absolute = self.dialect != Dialect::Grbl && self.action.modal.arc_distance == ArcDistance::Absolute;
         // As distances each is 0 unless given; of coordinates none can be guessed.
         if !(has_first || has_second) || absolute && !(has_first && has_second) {
             return Err(Error::NoPlaneOffsets);
@@ -175,7 +173,7 @@ impl<const N: usize> Check<'_, N> {
         let line = self.line;
         let ends = [axes.first, axes.second].map(|axis| line.axis.get(axis).unwrap_or(Decimal::ZERO));
         let others = [b'I', b'J', b'K', b'R'].map(|letter| line.value(letter));
-        let mut digit = DECIMAL_ONE / if self.checked.modal.units == Units::Mm { 100 } else { 1000 };
+        let mut digit = DECIMAL_ONE / if self.action.modal.units == Units::Mm { 100 } else { 1000 };
         for value in ends.into_iter().chain(others) {
             while value.0 % digit != 0 {
                 digit /= 10;

@@ -1,13 +1,11 @@
-//! Words of group 0 (`NonModal`) and their offsets: G10 L2 and L20 set a coordinate system, G28 and G30 go to a stored
-//! place or keep one, G52, G92 and G92.1 to G92.3 set, clear, suspend and restore an offset, G53. Values come from axis
-//! words or the present position (`from_position`), a return goes via a point, and `system_of` finds the system; what a
-//! dialect lacks is `UnsupportedCommand`.
+//! Offsets and stored positions: G10 L2 and L20, G28 and G30 with their .1 forms, G52, G53, and G92 with its .1 to .3
+//! forms. A change is noted in the line's action and acts when the line is committed.
 
-use super::line::Check;
+use super::draft::Draft;
 use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
-use crate::gcode::checked::{Feed, Motion};
+use crate::gcode::action::{Feed, MotionCommand};
 use crate::gcode::modal::{CAM_WORDS, CoordinateSystem, MotionMode, ROTATION};
 use crate::gcode::offsets::StoredOffset;
 use crate::gcode::rotation::Angle;
@@ -15,12 +13,12 @@ use crate::gcode::values::{along, reachable, whole};
 use crate::gcode::word::{Letters, NonModal};
 use crate::units::{Coordinate, Decimal};
 
-impl<const N: usize> Check<'_, N> {
+impl<const N: usize> Draft<'_, N> {
     pub(super) fn non_modal(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.non_modal else { return Ok(()) };
         self.non_modal_word(word)?;
-        self.allow_offset(&self.checked.g92)?;
-        self.checked.stored.map_or(Ok(()), |stored| self.allow_offset(&stored))
+        self.allow_offset(&self.action.g92)?;
+        self.action.stored.map_or(Ok(()), |stored| self.allow_offset(&stored))
     }
 
     fn non_modal_word(&mut self, word: NonModal) -> Result<(), Error> {
@@ -29,18 +27,18 @@ impl<const N: usize> Check<'_, N> {
             NonModal::SetOffset => self.set_offset(),
             NonModal::Go(which) => self.go_to_stored(which),
             NonModal::StorePosition(which) => {
-                self.checked.store = Some(which);
-                self.checked.stored = Some(self.state.position);
+                self.action.store = Some(which);
+                self.action.stored = Some(self.state.position);
                 Ok(())
             }
             NonModal::LocalOffset if self.line.axes.is_empty() => Err(Error::NoAxisWords),
             NonModal::LocalOffset => {
-                self.checked.g92 = self.with_axis_words(self.state.offsets.g92, |_, value| value);
-                self.checked.after.keeps_g92 = true;
-                self.checked.after.g92_acts = true;
+                self.action.g92 = self.with_axis_words(self.state.offsets.g92, |_, value| value);
+                self.action.after.keeps_g92 = true;
+                self.action.after.g92_acts = true;
                 Ok(())
             }
-            NonModal::MachineCoordinates => match self.checked.modal.motion {
+            NonModal::MachineCoordinates => match self.action.modal.motion {
                 MotionMode::Rapid | MotionMode::Linear => Ok(()),
                 _ => Err(Error::G53NeedsMotion),
             },
@@ -52,7 +50,7 @@ impl<const N: usize> Check<'_, N> {
     pub(super) fn offset_acts(&mut self) {
         match self.line.non_modal {
             Some(word @ (NonModal::ClearOffset | NonModal::SuspendOffset)) => {
-                self.checked.after.keeps_g92 = word == NonModal::ClearOffset;
+                self.action.after.keeps_g92 = word == NonModal::ClearOffset;
                 self.let_offset_act(false);
             }
             Some(NonModal::RestoreOffset) => self.let_offset_act(true),
@@ -62,8 +60,8 @@ impl<const N: usize> Check<'_, N> {
 
     /// Takes the offset of G92 back, or away.
     pub(super) fn let_offset_act(&mut self, acts: bool) {
-        self.checked.g92 = if acts { self.state.offsets.g92_kept } else { PerAxis::all(Coordinate::ZERO) };
-        self.checked.after.g92_acts = acts;
+        self.action.g92 = if acts { self.state.offsets.g92_kept } else { PerAxis::all(Coordinate::ZERO) };
+        self.action.after.g92_acts = acts;
     }
 
     /// G10. L2 gives the system's origin in machine coordinates; L20 moves the origin so that the present position gets
@@ -98,7 +96,7 @@ impl<const N: usize> Check<'_, N> {
         let from_position = match line.value(b'L').truncate() {
             2 if line.values.has(b'R') && !rotates => return Err(Error::UnsupportedCommand),
             2 => {
-                self.checked.rotated.angle = self.take(b'R').then(|| Angle::of(line.value(b'R')));
+                self.action.rotated.angle = self.take(b'R').then(|| Angle::of(line.value(b'R')));
                 self.keeps_planes(system)?;
                 false
             }
@@ -111,11 +109,11 @@ impl<const N: usize> Check<'_, N> {
         self.unused.remove(Letters::of(b"LP"));
         let which = StoredOffset::System(system);
         let present = self.state.offsets.stored(which);
-        self.checked.store = Some(which);
+        self.action.store = Some(which);
         if from_position && self.moves_rotated_origin(system)? {
             return Ok(());
         }
-        self.checked.stored = Some(self.with_axis_words(present, |axis, value| {
+        self.action.stored = Some(self.with_axis_words(present, |axis, value| {
             if from_position {
                 self.position(axis) - along(&self.state.offsets.g92, axis) - self.tool_offset(axis) - value
             } else {
@@ -129,7 +127,7 @@ impl<const N: usize> Check<'_, N> {
     fn system_of(&self, p: i32) -> Result<CoordinateSystem, Error> {
         let count = if self.dialect == Dialect::Grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
         match usize::try_from(p) {
-            Ok(0) => Ok(self.checked.modal.coordinate_system),
+            Ok(0) => Ok(self.action.modal.coordinate_system),
             Ok(p) => CoordinateSystem::ALL
                 .get(..count)
                 .and_then(|systems| systems.get(p - 1))
@@ -146,16 +144,16 @@ impl<const N: usize> Check<'_, N> {
         }
         self.needs_no_rotation()?;
         self.needs_no_scaling()?;
-        let origin = self.state.offsets.system(self.checked.modal.coordinate_system);
+        let origin = self.state.offsets.system(self.action.modal.coordinate_system);
         let rotated = self.rotated.filter(|_| ROTATION);
-        self.checked.g92 = self.with_axis_words(self.state.offsets.g92, |axis, value| {
+        self.action.g92 = self.with_axis_words(self.state.offsets.g92, |axis, value| {
             if rotated.is_some() {
                 return self.program_coordinate(axis) + along(&self.state.offsets.g92, axis) - value;
             }
             self.position(axis) - along(&origin, axis) - self.tool_offset(axis) - value
         });
-        self.checked.after.keeps_g92 = true;
-        self.checked.after.g92_acts = true;
+        self.action.after.keeps_g92 = true;
+        self.action.after.g92_acts = true;
         Ok(())
     }
 
@@ -177,8 +175,8 @@ impl<const N: usize> Check<'_, N> {
             (Some(via), target)
         };
         reachable(&target)?;
-        self.checked.motion = Motion::Line { via, target, feed: Feed::Rapid };
-        self.checked.position = target;
+        self.action.motion = MotionCommand::Line { via, target, feed: Feed::Rapid };
+        self.action.position = target;
         Ok(())
     }
 }

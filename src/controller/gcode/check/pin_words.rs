@@ -1,20 +1,20 @@
-//! Words of the outputs and inputs of programs: M62 to M65 (digital, with motion or at once), M66 (wait for an input, L
-//! and Q), M67 and M68 (analog), with the number of the pin in P or E.
+//! Outputs and inputs of programs: M62 to M65 switch an output, M66 waits for an input or reads one, M67 and M68 set an
+//! analog output. P or E is the number of the pin; whether the board has it is checked when the line is carried out.
 
-use super::line::Check;
+use super::draft::Draft;
 use crate::error::Error;
-use crate::gcode::checked::{InputWait, ProgramPins};
+use crate::gcode::action::{InputWait, ProgramPins};
 use crate::gcode::modal::{EXTENDED, PROGRAM_PINS};
 use crate::gcode::values::{seconds, whole};
 use crate::gcode::word::Letters;
 use crate::units::{Decimal, Duration};
 
-impl<const N: usize> Check<'_, N> {
+impl<const N: usize> Draft<'_, N> {
     /// M62 to M68. P may also be that of a dwell or an arc on the line, as in LinuxCNC.
     pub(super) fn pins(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.extended.pins.filter(|_| EXTENDED && PROGRAM_PINS) else { return Ok(()) };
         let (has_p, has_e) = (self.line.values.has(b'P'), self.line.values.has(b'E'));
-        self.checked.after.pins = Some(match word {
+        self.action.after.pins = Some(match word {
             62..=65 => {
                 let number = self.pin(b'P', self.line.value(b'P'))?;
                 ProgramPins::Digital { number, on: word % 2 == 0, with_motion: word < 64 }

@@ -1,7 +1,8 @@
-//! Where axis words lead to (`target`): from program to machine coordinates, through rotated and scaled axes, absolute
-//! or incremental. Also G68 and G69, and which offset words are refused in a rotated plane.
+//! Where axis words lead to: from the program's coordinates to those of the machine, through scaling, rotation and
+//! offsets, absolute or incremental. Also G68 and G69, and the offset words that are refused while the plane is
+//! rotated.
 
-use super::line::{Check, Purpose};
+use super::draft::{Draft, Purpose};
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
@@ -11,11 +12,11 @@ use crate::gcode::values::along;
 use crate::gcode::word::{Letters, NonModal};
 use crate::units::Coordinate;
 
-impl<const N: usize> Check<'_, N> {
+impl<const N: usize> Draft<'_, N> {
     /// How the line's coordinates are rotated. Nothing is where Grbl is spoken, which could not end it.
     #[inline]
     pub(super) fn rotation(&mut self) -> Result<(), Error> {
-        let system = self.checked.modal.coordinate_system;
+        let system = self.action.modal.coordinate_system;
         let is_plain = self.state.rotation.is_none()
             && self.state.scaling.is_none()
             && self.line.extended.rotation.is_none()
@@ -36,11 +37,11 @@ impl<const N: usize> Check<'_, N> {
                 let rotation = self.new_rotation()?;
                 // By no angle nothing is rotated, in whatever plane.
                 let rotation = Some(rotation).filter(|rotation| rotation.angle != Angle::ZERO);
-                self.checked.rotated.rotation = Some(rotation);
+                self.action.rotated.rotation = Some(rotation);
                 self.plane_with(rotation.as_ref()).map(|_| ())
             }
             Some(false) => {
-                self.checked.rotated.rotation = Some(None);
+                self.action.rotated.rotation = Some(None);
                 self.rotated = self.plane_with(None)?;
                 self.scaling()
             }
@@ -52,14 +53,14 @@ impl<const N: usize> Check<'_, N> {
     }
 
     fn plane_with(&self, rotation: Option<&Rotation>) -> Result<Option<RotatedPlane>, Error> {
-        let system = self.checked.modal.coordinate_system;
-        self.state.offsets.rotated_plane(system, &self.checked.g92, &self.checked.tool_length, rotation)
+        let system = self.action.modal.coordinate_system;
+        self.state.offsets.rotated_plane(system, &self.action.g92, &self.action.tool_length, rotation)
     }
 
     /// G68: R is the angle; an axis of the plane that is not named has the centre where the tool is. Distance mode plays no
     /// part.
     fn new_rotation(&mut self) -> Result<Rotation, Error> {
-        let plane = self.checked.modal.plane;
+        let plane = self.action.modal.plane;
         let axes = plane.axes();
         if Axis::of_machine::<N>().any(|axis| self.line.axes.has(axis) && axis != axes.first && axis != axes.second) {
             return Err(Error::AxisWordsUnused);
@@ -88,7 +89,7 @@ impl<const N: usize> Check<'_, N> {
         if ROTATION && (self.rotated.is_some() || self.scaled.is_some()) && !machine {
             return self.transformed_target();
         }
-        let incremental = self.checked.modal.distance == Distance::Incremental;
+        let incremental = self.action.modal.distance == Distance::Incremental;
         self.with_axis_words(self.state.position, |axis, value| {
             if machine {
                 value
@@ -104,7 +105,7 @@ impl<const N: usize> Check<'_, N> {
     /// Distances of jogs are along the axes of the machine, as the buttons and the reports show them.
     #[inline(never)]
     fn transformed_target(&mut self) -> PerAxis<Coordinate, N> {
-        let incremental = self.checked.modal.distance == Distance::Incremental;
+        let incremental = self.action.modal.distance == Distance::Incremental;
         self.keep_rest(incremental);
         let target = self.with_axis_words(self.state.position, |axis, value| {
             let value = self.scaled_length(axis, value, incremental);
@@ -140,7 +141,7 @@ impl<const N: usize> Check<'_, N> {
         let machine =
             if program == before { rotated.part_of(&self.state.position) } else { rotated.to_machine(program) };
         rotated.put(&mut target, machine);
-        self.checked.rotated.reached = Some(Reached { rotated, program, machine });
+        self.action.rotated.reached = Some(Reached { rotated, program, machine });
         target
     }
 
@@ -167,10 +168,10 @@ impl<const N: usize> Check<'_, N> {
 
     /// The active system does not get an angle while G68 rotates in another plane: every line after it would be refused.
     pub(super) fn keeps_planes(&self, system: CoordinateSystem) -> Result<(), Error> {
-        let turned = self.checked.rotated.angle.is_some_and(|angle| angle != Angle::ZERO);
+        let turned = self.action.rotated.angle.is_some_and(|angle| angle != Angle::ZERO);
         let ends = self.line.extended.rotation == Some(false);
         match self.state.rotation {
-            Some(rotation) if turned && !ends && system == self.checked.modal.coordinate_system => {
+            Some(rotation) if turned && !ends && system == self.action.modal.coordinate_system => {
                 if rotation.plane == Plane::Xy { Ok(()) } else { Err(Error::NotInRotatedPlane) }
             }
             _ => Ok(()),
@@ -199,7 +200,7 @@ impl<const N: usize> Check<'_, N> {
         }
         self.needs_no_rotation()?;
         let offsets = &self.state.offsets;
-        let rotated = offsets.rotated_plane(system, &offsets.g92, &self.checked.tool_length, None)?;
+        let rotated = offsets.rotated_plane(system, &offsets.g92, &self.action.tool_length, None)?;
         let Some(rotated) = rotated else { return Ok(false) };
         let origin = offsets.system(system);
         let mut moved = self.with_axis_words(origin, |axis, value| {
@@ -207,7 +208,7 @@ impl<const N: usize> Check<'_, N> {
         });
         let stays = rotated.part_of(&origin);
         rotated.put(&mut moved, self.moved_by(rotated, stays));
-        self.checked.stored = Some(moved);
+        self.action.stored = Some(moved);
         Ok(true)
     }
 
@@ -229,7 +230,7 @@ impl<const N: usize> Check<'_, N> {
         let (system, g92) = if l == 11 {
             (CoordinateSystem::G59_3, PerAxis::all(Coordinate::ZERO))
         } else {
-            (self.checked.modal.coordinate_system, offsets.g92)
+            (self.action.modal.coordinate_system, offsets.g92)
         };
         let Some(rotated) = offsets.rotated_plane(system, &g92, present, None)? else { return Ok(false) };
         let origin = offsets.system(system);
@@ -237,7 +238,7 @@ impl<const N: usize> Check<'_, N> {
             self.position(axis) - along(&origin, axis) - along(&g92, axis) - value
         });
         rotated.put(&mut tool, self.moved_by(rotated, rotated.part_of(present)));
-        self.checked.stored = Some(tool);
+        self.action.stored = Some(tool);
         Ok(true)
     }
 

@@ -1,9 +1,7 @@
-//! G51 with factors and centre (`new_scaling`) and G50, and where they act on the values of a line: a scaled length,
-//! vector or size, the rest kept, mirrored arcs, and what scaling forbids (`ScalingActs`, `UnequalScaling`).
-//! `scaling_of`, `scaled_word`, `scaled_length`, `scaled_vector`, `scaled_size`, `keep_rest`, `mirrors`,
-//! `written_vector` and `needs_no_scaling` are its functions.
+//! G51 and G50: reads factors and centre of a scaling, and applies the scaling to the values of a line: positions,
+//! distances, arc centres and radii. What cannot be scaled, such as an arc with unequal factors, is refused.
 
-use super::line::{CENTRE, Check, Purpose};
+use super::draft::{CENTRE, Draft, Purpose};
 use crate::axes::Axis;
 use crate::error::Error;
 use crate::gcode::arc::Vector;
@@ -14,7 +12,7 @@ use crate::units::{Coordinate, Decimal};
 /// Greatest factor of G51.
 const FACTOR_MAX: Decimal = Decimal::from_int(100);
 
-impl<const N: usize> Check<'_, N> {
+impl<const N: usize> Draft<'_, N> {
     /// G51 begins and takes the place of the one before, G50 ends; in other lines what is in force acts.
     #[inline(never)]
     pub(super) fn scaling(&mut self) -> Result<(), Error> {
@@ -23,12 +21,12 @@ impl<const N: usize> Check<'_, N> {
                 // The axes of a rotation that acts are the ones of the program.
                 let scaling = self.new_scaling()?;
                 let acts = [Axis::X, Axis::Y, Axis::Z].into_iter().any(|axis| scaling.scales(axis));
-                self.checked.rotated.scaled.scaling = Some(acts.then_some(scaling));
-                self.checked.rotated.scaled.rest = Some(NO_REST);
+                self.action.rotated.scaled.scaling = Some(acts.then_some(scaling));
+                self.action.rotated.scaled.rest = Some(NO_REST);
             }
             Some(false) => {
-                self.checked.rotated.scaled.scaling = Some(None);
-                self.checked.rotated.scaled.rest = Some(NO_REST);
+                self.action.rotated.scaled.scaling = Some(None);
+                self.action.rotated.scaled.rest = Some(NO_REST);
             }
             None => self.scaled = self.state.scaling.as_ref(),
         }
@@ -101,7 +99,7 @@ impl<const N: usize> Check<'_, N> {
                 *rest = self.scaled_word(axis, self.axis_length(axis), incremental).1;
             }
         }
-        self.checked.rotated.scaled.rest = Some(rest);
+        self.action.rotated.scaled.rest = Some(rest);
     }
 
     /// A vector of the program along two axes.

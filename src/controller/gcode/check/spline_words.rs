@@ -1,21 +1,21 @@
-//! Words of splines: G5 (cubic, by I, J, P, Q) and G5.1 (quadratic), which lie in the plane of X and Y: their control
-//! points leaving and arriving, or the tangent of the last one.
+//! G5 (cubic, by I, J, P, Q) and G5.1 (quadratic, by I, J) in the plane of X and Y. A G5 without I and J continues the
+//! curve before it smoothly.
 
-use super::line::Check;
+use super::draft::Draft;
 use crate::axes::Axis;
 use crate::error::Error;
-use crate::gcode::checked::{Motion, SplineMove};
+use crate::gcode::action::{MotionCommand, SplineMove};
 use crate::gcode::modal::{MotionMode, Plane, ROTATION, SPLINES, SplineKind};
 use crate::gcode::rotation::difference;
 use crate::gcode::values::{in_xy, reachable};
 use crate::gcode::word::Claim;
 use crate::units::Coordinate;
 
-impl<const N: usize> Check<'_, N> {
+impl<const N: usize> Draft<'_, N> {
     /// P of G5 is a distance; all others are numbers that have no sign.
     pub(super) fn sign_of_p(&self) -> Result<(), Error> {
         let is_distance =
-            self.claim == Claim::Motion && self.checked.modal.motion == MotionMode::Spline(SplineKind::Cubic);
+            self.claim == Claim::Motion && self.action.modal.motion == MotionMode::Spline(SplineKind::Cubic);
         if self.line.extended.is_p_negative && !is_distance { Err(Error::NegativeValue) } else { Ok(()) }
     }
 
@@ -30,7 +30,7 @@ impl<const N: usize> Check<'_, N> {
             return Err(Error::NoAxisWords);
         }
         let aside = Axis::of_machine::<N>().skip(2).any(|axis| self.line.axes.has(axis));
-        if aside || self.checked.modal.plane != Plane::Xy {
+        if aside || self.action.modal.plane != Plane::Xy {
             return Err(Error::SplineOutsideXy);
         }
         self.needs_plane(Plane::Xy.axes())?;
@@ -56,8 +56,8 @@ impl<const N: usize> Check<'_, N> {
         for corner in &spline.corners() {
             reachable(corner)?;
         }
-        self.checked.motion = Motion::Spline(spline);
-        self.checked.position = target;
+        self.action.motion = MotionCommand::Spline(spline);
+        self.action.position = target;
         Ok(())
     }
 

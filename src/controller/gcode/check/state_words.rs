@@ -1,15 +1,15 @@
-//! Words that keep, restore and hold off: M48 to M53 for the operator's overrides (held for feed or spindle), M70 to
-//! M73 to save, forget and restore the modal state (`Keeping`).
+//! M48 to M53 enable and disable the operator's overrides; M70 to M73 save and restore the modal state. The changes act
+//! when the line is committed.
 
-use super::line::Check;
+use super::draft::Draft;
 use crate::error::Error;
-use crate::gcode::checked::Keeping;
+use crate::gcode::action::Keeping;
 use crate::gcode::modal::{EXTENDED, Modal, OverridesHeld};
 use crate::gcode::offsets::TOOL_AXIS;
 use crate::gcode::word::{Groups, Letters};
 use crate::units::Decimal;
 
-impl<const N: usize> Check<'_, N> {
+impl<const N: usize> Draft<'_, N> {
     /// M48 to M53. P1, or no P, lets the operator's override act; P0 holds it off.
     pub(super) fn overrides(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.extended.overrides.filter(|_| EXTENDED) else { return Ok(()) };
@@ -20,7 +20,7 @@ impl<const N: usize> Check<'_, N> {
             true if self.line.value(b'P') == Decimal::from_int(1) => true,
             true => return Err(Error::ValueOutOfRange),
         };
-        let held = &mut self.checked.modal.overrides_held;
+        let held = &mut self.action.modal.overrides_held;
         match word {
             48 | 49 => *held = OverridesHeld { feed: !on, spindle: !on },
             50 => held.feed = !on,
@@ -43,22 +43,22 @@ impl<const N: usize> Check<'_, N> {
         let level = self.state.computed.level();
         match word {
             70 | 73 if !self.state.saved.has_room(level) => return Err(Error::TooDeep),
-            70 | 73 => self.checked.after.keeping = Keeping::Save { until_return: word == 73 && level > 0 },
-            71 => self.checked.after.keeping = Keeping::Forget,
+            70 | 73 => self.action.after.keeping = Keeping::Save { until_return: word == 73 && level > 0 },
+            71 => self.action.after.keeping = Keeping::Forget,
             _ => {
                 let saved = *self.state.saved.of(level).ok_or(Error::NothingSaved)?;
-                self.checked.after.keeping = Keeping::Restore;
+                self.action.after.keeping = Keeping::Restore;
                 let before = &self.state.modal;
-                let checked = &mut *self.checked;
-                checked.modal =
+                let action = &mut *self.action;
+                action.modal =
                     Modal { motion: before.motion, straight: before.straight, tool: before.tool, ..saved.modal };
                 if saved.spindle_tool == self.state.spindle_tool && !saved.is_measured_anew {
-                    checked.tool_length = saved.tool_length;
+                    action.tool_length = saved.tool_length;
                 } else if let Some(measured) = self.state.measured_offset(self.state.spindle_tool) {
-                    checked.tool_length.set(TOOL_AXIS, measured.get(TOOL_AXIS).unwrap_or_default());
+                    action.tool_length.set(TOOL_AXIS, measured.get(TOOL_AXIS).unwrap_or_default());
                 }
                 // G92 is not restored, but whether it acts: as by G92.2 or G92.3.
-                if checked.after.g92_acts != saved.g92_acts {
+                if action.after.g92_acts != saved.g92_acts {
                     self.let_offset_act(saved.g92_acts);
                 }
             }

@@ -1,12 +1,11 @@
-//! Words of tools: T selects, M6 changes, M61 names the tool in the spindle; G43 to G49 set the tool length offset, by
-//! H from the table or by axis words; G10 L1, L10 and L11 set or remove a tool of the table. A number may be too high
-//! (`ToolNumberTooHigh`), unknown (`UnknownTool`) or that of a removed tool.
+//! Tools: T selects, M6 changes, M61 names the tool in the spindle. G43 to G49 set the tool length offset, from the
+//! table or from axis words; G10 L1, L10 and L11 set or remove an entry of the table.
 
-use super::line::Check;
+use super::draft::Draft;
 use crate::axes::{AxisMask, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
-use crate::gcode::checked::Notice;
+use crate::gcode::action::Notice;
 use crate::gcode::modal::{CoordinateSystem, EXTENDED};
 use crate::gcode::offsets::{StoredOffset, TOOL_AXIS};
 use crate::gcode::parse::TOOL_MAX;
@@ -15,10 +14,10 @@ use crate::gcode::values::{along, whole};
 use crate::gcode::word::{Claim, Letters, NonModal, ToolLength};
 use crate::units::{Coordinate, Decimal};
 
-impl<const N: usize> Check<'_, N> {
+impl<const N: usize> Draft<'_, N> {
     /// T selects, M6 puts what is selected into the spindle.
     pub(super) fn tool(&mut self) -> Result<(), Error> {
-        let modal = &mut self.checked.modal;
+        let modal = &mut self.action.modal;
         if self.line.values.has(b'T') {
             let number = match self.dialect {
                 Dialect::Grbl => self.line.value(b'T').truncate(),
@@ -28,13 +27,13 @@ impl<const N: usize> Check<'_, N> {
         } else if self.dialect == Dialect::Grbl {
             modal.tool = 0;
         }
-        self.checked.after.spindle_word = self.line.spindle.is_some();
+        self.action.after.spindle_word = self.line.spindle.is_some();
         if self.line.extended.tool_change {
-            self.checked.tool_change = modal.tool != self.state.spindle_tool;
-            self.checked.after.spindle_tool = modal.tool;
+            self.action.tool_change = modal.tool != self.state.spindle_tool;
+            self.action.after.spindle_tool = modal.tool;
             // G28.1 would store the place that the tool has left.
             let stores = matches!(self.line.non_modal, Some(NonModal::StorePosition(_)));
-            self.checked.after.tool_alone = self.claim == Claim::Nobody && self.line.tool_length.is_none() && !stores;
+            self.action.after.tool_alone = self.claim == Claim::Nobody && self.line.tool_length.is_none() && !stores;
         }
         if self.line.extended.tool_number {
             return self.name_tool();
@@ -55,9 +54,9 @@ impl<const N: usize> Check<'_, N> {
             return Err(Error::ToolNumberTooHigh);
         }
         let number = whole(number)?.unsigned_abs();
-        self.checked.after.spindle_tool = number;
+        self.action.after.spindle_tool = number;
         if !self.line.values.has(b'T') {
-            self.checked.modal.tool = number;
+            self.action.modal.tool = number;
         }
         Ok(())
     }
@@ -72,13 +71,13 @@ impl<const N: usize> Check<'_, N> {
                 if self.line.axes.is_empty() || !along_tool {
                     return Err(Error::ToolLengthAxis);
                 }
-                self.with_axis_words(self.checked.tool_length, |_, value| value)
+                self.with_axis_words(self.action.tool_length, |_, value| value)
             }
             ToolLength::FromTable => self.tool_of_h()?,
             ToolLength::Add if !self.line.values.has(b'H') => return Err(Error::ValueWordMissing),
-            ToolLength::Add => self.tool_of_h()?.zip(&self.checked.tool_length, |more, present| more + present),
+            ToolLength::Add => self.tool_of_h()?.zip(&self.action.tool_length, |more, present| more + present),
         };
-        self.checked.tool_length = offset;
+        self.action.tool_length = offset;
         self.allow_offset(&offset)
     }
 
@@ -88,12 +87,12 @@ impl<const N: usize> Check<'_, N> {
             return Err(Error::ExtendedLeftOut);
         }
         let number = if self.take(b'H') { whole(self.line.value(b'H'))?.unsigned_abs() } else { 0 };
-        let number = if number == 0 { self.checked.after.spindle_tool } else { number };
+        let number = if number == 0 { self.action.after.spindle_tool } else { number };
         let measured = self.state.measured_offset(number);
         let known = measured.or_else(|| self.state.tools.offset(number));
         // A table without any entry is one that nobody uses, unless lengths come from elsewhere.
         if known.is_none() && self.state.knows_no_length() {
-            self.checked.after.notice = Some(Notice::NoTools);
+            self.action.after.notice = Some(Notice::NoTools);
             return Ok(PerAxis::all(Coordinate::ZERO));
         }
         known.ok_or(Error::UnknownTool)
@@ -133,9 +132,9 @@ impl<const N: usize> Check<'_, N> {
         let origin = if l == 11 {
             offsets.system(CoordinateSystem::G59_3)
         } else {
-            offsets.system(self.checked.modal.coordinate_system).zip(&offsets.g92, |origin, g92| origin + g92)
+            offsets.system(self.action.modal.coordinate_system).zip(&offsets.g92, |origin, g92| origin + g92)
         };
-        self.checked.store = Some(StoredOffset::Tool(number));
+        self.action.store = Some(StoredOffset::Tool(number));
         if removes {
             return Ok(());
         }
@@ -146,7 +145,7 @@ impl<const N: usize> Check<'_, N> {
         if l != 1 && self.sets_rotated_tool(l, &present)? {
             return Ok(());
         }
-        self.checked.stored = Some(self.with_axis_words(present, |axis, value| {
+        self.action.stored = Some(self.with_axis_words(present, |axis, value| {
             if l == 1 { value } else { self.position(axis) - along(&origin, axis) - value }
         }));
         Ok(())

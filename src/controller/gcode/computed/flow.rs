@@ -204,7 +204,7 @@ pub(super) struct Frame {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum State {
+pub(super) enum FlowState {
     Streaming,
     /// Lines are held; the text of this begins here. With an error they are refused.
     Recording(u16, Option<Error>),
@@ -224,7 +224,7 @@ pub(super) struct FlowControl {
     pub(super) macros: u16,
     pub(super) frames: heapless::Vec<Frame, DEPTH>,
     labels: heapless::Vec<u8, LABELS>,
-    pub(super) state: State,
+    pub(super) state: FlowState,
     /// Lines are skipped up to the next O word of the last frame.
     pub(super) skipping: bool,
     /// The next line that runs.
@@ -250,7 +250,7 @@ impl FlowControl {
             macros: 0,
             frames: heapless::Vec::new(),
             labels: heapless::Vec::new(),
-            state: State::Streaming,
+            state: FlowState::Streaming,
             skipping: false,
             next: 0,
             below: 0,
@@ -268,7 +268,7 @@ impl FlowControl {
         self.text.truncate(usize::from(self.macros));
         self.frames.clear();
         self.labels.clear();
-        self.state = State::Streaming;
+        self.state = FlowState::Streaming;
         self.skipping = false;
         self.next = 0;
         self.below = 0;
@@ -290,16 +290,16 @@ impl FlowControl {
     /// The line of the host with which the outermost block began that has not come to its end.
     pub(super) fn open_since(&self) -> Option<u32> {
         let of_stream = match self.state {
-            State::Running(_) => usize::from(self.below),
+            FlowState::Running(_) => usize::from(self.below),
             _ => self.frames.len(),
         };
-        let recorded = matches!(self.state, State::Recording(..)).then_some(self.recorded_from);
+        let recorded = matches!(self.state, FlowState::Recording(..)).then_some(self.recorded_from);
         self.frames.get(..of_stream)?.first().map(|frame| frame.begun).or(recorded)
     }
 
     /// Whether lines of the host are skipped or recorded.
     pub(super) fn leaves_lines_out(&self) -> bool {
-        self.skipping || matches!(self.state, State::Recording(..))
+        self.skipping || matches!(self.state, FlowState::Recording(..))
     }
 
     /// The held line at a position.
@@ -418,7 +418,7 @@ impl FlowControl {
     }
 
     pub(super) fn run(&mut self, at: u16, of_loop: Option<u16>) {
-        self.state = State::Running(of_loop);
+        self.state = FlowState::Running(of_loop);
         self.next = at;
         self.below = self.frames.len() as u8;
         self.passes = 0;
@@ -426,7 +426,7 @@ impl FlowControl {
 
     /// Held text has come to its end, or is given up.
     pub fn stop(&mut self) {
-        if let State::Running(of_loop) = self.state {
+        if let FlowState::Running(of_loop) = self.state {
             if let Some(at) = of_loop {
                 self.text.truncate(usize::from(at));
             }
@@ -434,7 +434,7 @@ impl FlowControl {
                 self.pop();
             }
             self.skipping = false;
-            self.state = State::Streaming;
+            self.state = FlowState::Streaming;
         }
     }
 }

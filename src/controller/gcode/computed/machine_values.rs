@@ -1,5 +1,6 @@
-//! Values within lines and messages: expressions are computed, parameters of the program and of the machine are looked
-//! up by number (#5061, #5400) or name (`_METRIC`), parameters are assigned, and messages expanded with values.
+//! Values from outside the program: numbered and named parameters that show positions, offsets, tool and modal state
+//! (#5061, #5400, #<_metric>). Also assigns parameters, and puts values into `(DEBUG, ...)` and `(PRINT, ...)`
+//! messages.
 
 use super::expression::{self, ParameterReference};
 use super::parameters;

@@ -1,9 +1,9 @@
-//! Macros: numbered lines (`$Mn=line`) that outlive programs, resets and the power, so that subroutines among them can
-//! be called at any time: set, cleared and read (`macro_line`) as the first lines of the held text.
+//! Macros (`$Mn=line`): numbered lines that outlive programs, resets and power cycles. A program can call a subroutine
+//! that they define.
 //!
 //! They are the first lines of the held text: what ends a program keeps them. A line that a number has none of is empty.
 
-use super::flow::{FlowControl, MOST_MACROS, State};
+use super::flow::{FlowControl, FlowState, MOST_MACROS};
 use crate::error::Error;
 use crate::gcode::state::Interpreter;
 
@@ -34,7 +34,7 @@ impl FlowControl {
         if index >= LINES {
             return Err(Error::InvalidStatement);
         }
-        if self.state != State::Streaming || !self.frames.is_empty() {
+        if self.state != FlowState::Streaming || !self.frames.is_empty() {
             return Err(Error::NotIdle);
         }
         let (mut at, mut missing) = (0, 0);

@@ -1,5 +1,6 @@
-//! Values that a line computes, and parameters that it sets: `Computed` holds the parameters, the flow control, the
-//! value returned by a call, and what a probe or M66 has found, and is begun, committed and reset with each line.
+//! Expressions, parameters and O words of a program. [`Computed`] holds the state of all three; the interpreter begins
+//! it with each line, commits it with the line, and resets it at the end of a program. A build without the feature
+//! `expressions` has `none.rs` instead.
 
 mod expression;
 mod flow;

@@ -1,11 +1,11 @@
-//! O words in a program: what becomes of each line of the host (`direct`), and which line of held text is next
-//! (`next_held`). The `OWord` order of a line, with its keyword and label, is recorded into a subroutine or loop, or
-//! skipped, or acts on the flow: a condition takes a branch (`has_taken`), a loop begins or ends a pass (`end_pass`,
-//! repeat), a call pushes a frame (`FrameKind`) with arguments and returns. One that is not well formed is a
-//! `FlowSyntax` error.
+//! O words: decides for each line of the host whether it is run, recorded or skipped, and which held line runs next.
+//! Conditions, loops, subroutines and their calls are here; the open blocks are kept in `flow`. A malformed O word is
+//! refused, and so is whatever else belongs to its block.
 
 use super::Computed;
-use super::flow::{ARGUMENTS, FrameKind, HeldLine, Keyword, LABELS, OWord, PASSES, SPARE, STREAM, State, ends_program};
+use super::flow::{
+    ARGUMENTS, FlowState, FrameKind, HeldLine, Keyword, LABELS, OWord, PASSES, SPARE, STREAM, ends_program,
+};
 use super::real::Real;
 use crate::error::Error;
 use crate::gcode::direction::{Direction, Held};
@@ -27,7 +27,7 @@ impl<const N: usize> Interpreter<N> {
         self.computed.begin();
         let flow = &mut self.computed.flow;
         flow.line = number;
-        let plain = flow.state == State::Streaming && !flow.skipping;
+        let plain = flow.state == FlowState::Streaming && !flow.skipping;
         if plain && !matches!(line.first(), Some(b'O' | b'N')) {
             return Ok(Direction::Check);
         }
@@ -97,7 +97,7 @@ impl<const N: usize> Interpreter<N> {
 
     fn direct_order(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
         self.look_for_end(line, order)?;
-        if let State::Recording(from, error) = self.computed.flow.state {
+        if let FlowState::Recording(from, error) = self.computed.flow.state {
             return self.record(line, remark, order, from, error);
         }
         let flow = &mut self.computed.flow;
@@ -118,7 +118,7 @@ impl<const N: usize> Interpreter<N> {
             Keyword::Sub | Keyword::Do | Keyword::While | Keyword::Repeat => {
                 let from = flow.text.len() as u16;
                 let held = order.must_be_well_formed().and_then(|()| flow.hold(line, remark, 0));
-                flow.state = State::Recording(from, held.err());
+                flow.state = FlowState::Recording(from, held.err());
                 flow.recorded_from = flow.line;
                 if held.is_err() {
                     // What is refused needs its label and kind: without room for them all that follows is refused.
@@ -154,8 +154,8 @@ impl<const N: usize> Interpreter<N> {
             error => error,
         };
         flow.state = match ends {
-            true => State::Streaming,
-            false => State::Recording(from, error),
+            true => FlowState::Streaming,
+            false => FlowState::Recording(from, error),
         };
         match (error, order) {
             (Some(error), Some(order)) if ends => {
@@ -204,8 +204,8 @@ impl<const N: usize> Interpreter<N> {
     pub fn line_refused(&mut self, error: Error) {
         self.computed.begin();
         let flow = &mut self.computed.flow;
-        if let State::Recording(from, None) = flow.state {
-            flow.state = State::Recording(from, Some(error));
+        if let FlowState::Recording(from, None) = flow.state {
+            flow.state = FlowState::Recording(from, Some(error));
         }
     }
 
@@ -222,7 +222,7 @@ impl<const N: usize> Interpreter<N> {
     fn next_line(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         let flow = &mut self.computed.flow;
         line.clear();
-        if !matches!(flow.state, State::Running(_)) {
+        if !matches!(flow.state, FlowState::Running(_)) {
             return Ok(Held::End);
         }
         let Some(text) = flow.line(flow.next) else {

@@ -1,7 +1,6 @@
-//! `Parameters` that programs set: numbers and names with their values, packed as cells into one stretch of bytes, of
-//! which those in force are at the front and those staged by the line being checked behind, until the commit. Local
-//! ones have the level of their call and are forgotten when it is left. A cell has a key, the length of its name, its
-//! size, and a `Real` as mantissa and exponent; `GLOBAL` is a level of its own; `growth` is what a line adds.
+//! Parameters that a program sets, in a fixed number of bytes. Values in force come first; behind them are those set by
+//! the line being checked, which count once the line is committed. Local parameters belong to a level of calls and are
+//! forgotten with it.
 //!
 //! ```text
 //!  cells   | length of key | call level | key: a number in two bytes, or a name | mantissa, 8 bytes | exponent | ...

@@ -1,6 +1,5 @@
-//! `Real`, the numbers of expressions: decimal floating point with a mantissa of eighteen digits and an exponent,
-//! rounded after each operation; arithmetic, comparisons, roots, and the series for sine, arc tangent, logarithm and
-//! exponential.
+//! The numbers of expressions: decimal floating point with 18 digits, rounded after each operation. Has arithmetic,
+//! comparisons, roots, and the series for sine, arc tangent, logarithm and exponential.
 //!
 //! Sums, differences and products of numbers as programs write them are exact (up to eighteen digits), so `10.1 + 0.2` is
 //! 10.3 and nothing else. A difference below 10⁻¹⁴ of what it is the difference of is rounding and counts as 0, so three

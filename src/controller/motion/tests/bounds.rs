@@ -1,8 +1,8 @@
 //! What the queue bounds a braking with, against the blocks one by one.
 
 use super::super::block::{Block, CurveLoad, OverrideFactors};
-use super::super::on_heap;
 use super::super::planner::Planner;
+use super::rig::planner;
 use proptest::prelude::*;
 
 /// Length, acceleration, and of a bend the speed² that takes all of its acceleration.
@@ -27,7 +27,7 @@ proptest! {
     fn no_block_on_the_way_leaves_less_than_the_bound(
         blocks in prop::collection::vec(block(), 2..64), begun in 0.0_f32..1.0, reach in 0.0_f32..1.2, speed2 in 0.0_f32..4.0e4,
     ) {
-        let mut ring = Box::new(Planner::<3>::new(on_heap(64).blocks));
+        let mut ring = planner(64);
         let planner: &mut Planner<3> = &mut ring;
         planner.jerk_limited = true;
         for block in &blocks {
@@ -52,7 +52,7 @@ proptest! {
 /// A wide bend of a slow axis behind a narrow one of a fast axis.
 #[test]
 fn a_wider_bend_of_a_slower_axis_counts() {
-    let mut ring = Box::new(Planner::<3>::new(on_heap(64).blocks));
+    let mut ring = planner(64);
     let planner: &mut Planner<3> = &mut ring;
     planner.jerk_limited = true;
     for curve in [CurveLoad::new(100.0, 1024.0), CurveLoad::new(112.0, 64.0)] {

@@ -11,6 +11,7 @@ mod joins;
 mod put_off;
 mod ramps;
 mod rig;
+mod single_moves;
 #[cfg(feature = "splines")]
 mod splines;
 mod steps;

@@ -4,8 +4,8 @@
 use super::super::block::{Block, CurveLoad, OverrideFactors};
 use super::super::curvature::Bend;
 use super::super::jerk::PathState;
-use super::super::on_heap;
 use super::super::planner::Planner;
+use super::rig::planner;
 use proptest::prelude::*;
 
 const AS_PROGRAMMED: OverrideFactors = OverrideFactors { feed: 1.0, rapid: 1.0 };
@@ -134,7 +134,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 3000, failure_persistence: None, ..ProptestConfig::default() })]
     #[test]
     fn what_is_asked_for_is_what_has_been_planned(changes in changes(), seldom in 1_usize..12) {
-        let mut ring = Box::new(Queue::new(on_heap(24).blocks));
+        let mut ring = planner(24);
         let mut overrides = AS_PROGRAMMED;
         for (number, change) in changes.into_iter().enumerate() {
             let queue: &mut Queue = &mut ring;
@@ -177,7 +177,7 @@ fn what_rounding_can_take_away_is_not_settled() {
     let up = |exit2: f32| f32::from_bits(exit2.to_bits() + 1);
     let mut exits = std::iter::successors(Some(1.0), |exit2| Some(up(*exit2)));
     let exit2 = exits.find(|exit2| bend.braking_entry2(up(*exit2)) < bend.braking_entry2(*exit2)).unwrap();
-    let mut ring = Box::new(Queue::new(on_heap(24).blocks));
+    let mut ring = planner(24);
     let queue: &mut Queue = &mut ring;
     append(queue, straight(1.0), AS_PROGRAMMED);
     append(queue, Block { corner2: bend.braking_entry2(exit2), ..bend }, AS_PROGRAMMED);
@@ -205,7 +205,7 @@ fn straight(speed2: f32) -> Block<3> {
 #[test]
 fn what_is_before_a_bend_that_gets_steep_is_not_settled() {
     for (begin, walked_over) in (0..48).map(|case| (case / 2, case % 2 == 0)) {
-        let mut ring = Box::new(Queue::new(on_heap(24).blocks));
+        let mut ring = planner(24);
         let queue: &mut Queue = &mut ring;
         for _ in 0..begin {
             append(queue, straight(1.0), AS_PROGRAMMED);
@@ -230,7 +230,7 @@ fn what_is_before_a_bend_that_gets_steep_is_not_settled() {
 /// Of the entries that a turn lowers the last one stays as it is, and what is settled counts on the one before it.
 #[test]
 fn what_counts_on_a_lowered_entry_is_lowered() {
-    let mut ring = Box::new(Queue::new(on_heap(24).blocks));
+    let mut ring = planner(24);
     let queue: &mut Queue = &mut ring;
     append(queue, straight(100.0), AS_PROGRAMMED);
     append(queue, Block { corner2: 110.0, ..straight(50.0) }, AS_PROGRAMMED);
@@ -246,7 +246,7 @@ fn what_counts_on_a_lowered_entry_is_lowered() {
 /// What was settled before a jerk limit came is nothing to it.
 #[test]
 fn with_a_jerk_limit_nothing_is_settled() {
-    let mut ring = Box::new(Queue::new(on_heap(24).blocks));
+    let mut ring = planner(24);
     let queue: &mut Queue = &mut ring;
     append(queue, straight(100.0), AS_PROGRAMMED);
     append(queue, Block { corner2: 50.0, ..straight(100.0) }, AS_PROGRAMMED);
@@ -269,7 +269,7 @@ fn with_a_jerk_limit_nothing_is_settled() {
 #[test]
 fn what_has_been_lowered_moves_up_with_the_queue() {
     for begin in 0..24 {
-        let mut ring = Box::new(Queue::new(on_heap(24).blocks));
+        let mut ring = planner(24);
         let queue: &mut Queue = &mut ring;
         for _ in 0..24 + begin {
             append(queue, straight(1000.0), AS_PROGRAMMED);

@@ -1,11 +1,18 @@
 //! A machine on a desk: pumps `Motion` into `Stepper`, records each tick, and measures speed and acceleration.
 
 use super::super::on_heap;
+use super::super::planner::Planner;
 use super::super::{Arc, Curvature, Motion, MotionSettings, Move, Speed, Stepper, Tolerance};
 use crate::axes::{Arrangement, PerAxis};
 use crate::messages::{AxisSteps, Observed, SEGMENTS_DEPTH, Segment, StepEvent, ToStep};
 use crate::units::{Coordinate, DECIMAL_ONE, StepsPerMm};
 use std::collections::VecDeque;
+
+/// An empty queue of so many blocks.
+pub fn planner(blocks: usize) -> Box<Planner<3>> {
+    let memory = on_heap(blocks);
+    Box::new(Planner::new(memory.blocks, memory.groups))
+}
 
 /// One expiry of the timer that belonged to a segment.
 #[derive(Clone, Copy, Debug)]

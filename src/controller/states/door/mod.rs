@@ -1,7 +1,9 @@
-//! The safety door and its parking motion, phase by phase of `Mode::Door`: brake, retract (pull the tool out), switch
-//! spindle and coolant off, park; and at `~` all of it backwards: return, restore spindle and coolant, plunge into the
-//! cut, leave. Also for sleep and for a fault that retracts. The points and what the door interrupted are kept in
-//! `parking.rs`. It begins the `parking_move` to a `parking_point`, and falls asleep.
+//! The safety door. When it opens, the machine brakes, pulls the tool out, switches spindle and coolant off and parks. At
+//! `~` all of that is undone in reverse order, and the job continues. Sleep, a fault that retracts and a lost host go
+//! through the same phases.
+//!
+//! [`Door`] is what this state knows: its phase, what it interrupted, and what comes back. The tool's way to the parking
+//! position is planned in [`parking`].
 
 pub(crate) mod parking;
 
@@ -10,36 +12,151 @@ use crate::error::Alarm;
 use crate::messages::Coolant;
 use crate::protocol::report;
 use crate::settings::Key;
-use crate::states::door::parking::{Opening, ParkingPoint};
+use crate::states::door::parking::ParkingPoint;
 use crate::states::stops::orders::StopReason;
-use crate::states::{AfterBraking, Door, Mode};
-use crate::units::Duration;
+use crate::states::{AfterBraking, State};
+use crate::units::{Duration, Instant};
+
+/// An open safety door, or whatever acts like one.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Door {
+    pub phase: DoorPhase,
+    pub interrupted: Interrupted,
+    pub opening: Opening,
+    /// Coolant that comes back; `None` while nothing has been switched off.
+    coolant: Option<Coolant>,
+}
+
+/// Phases of the safety door.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+// Else the moments inside make the tag of this and of `State` one of 64 bits.
+#[repr(u8)]
+pub(crate) enum DoorPhase {
+    /// Braking; what follows begins once at rest.
+    Braking,
+    /// Parking: slowly out of the cut, the spindle still turning.
+    PullingOut,
+    /// Parking: fast to the parking position, spindle and coolant off.
+    Parking,
+    /// At rest with spindle and coolant off.
+    Parked,
+    /// Opened again while parking was undone: braking.
+    Reopened,
+    /// `~` came: fast back towards the cut.
+    Returning,
+    /// The spindle runs up until the given time, then the coolant starts.
+    SpindleRestoring(Instant),
+    /// The coolant builds up until the given time, then motion resumes.
+    CoolantRestoring(Instant),
+    /// Slowly back into the cut.
+    Plunging,
+}
+
+/// What the machine was doing when the door opened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Interrupted {
+    /// A job, which resumes when the door is closed.
+    Job,
+    /// A jog, which is forgotten at rest. `stopped`: 0x19 came meanwhile.
+    Jog {
+        /// 0x19 came meanwhile.
+        stopped: bool,
+    },
+    /// A job that was stopped (0x19): it is forgotten when the door is closed.
+    StoppedJob,
+    /// Nothing that resumes: the machine falls asleep.
+    Sleep,
+}
+
+/// What is done at an open door; a fault may do the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Opening {
+    /// The tool is parked, where the settings and the program allow it.
+    pub retract: bool,
+    /// Spindle and coolant stay on.
+    pub spindle_on: bool,
+    /// An alarm follows.
+    pub alarm: Option<Alarm>,
+}
+
+impl Opening {
+    /// By the door itself.
+    pub const BY_DOOR: Opening = Opening { retract: true, spindle_on: false, alarm: None };
+}
+
+impl Door {
+    fn opened(interrupted: Interrupted, opening: Opening) -> Door {
+        Door { phase: DoorPhase::Braking, interrupted, opening, coolant: None }
+    }
+
+    /// 0x19 came: the job is forgotten when the door is closed.
+    pub(crate) fn stop_job(&mut self) {
+        self.interrupted = match self.interrupted {
+            Interrupted::Job | Interrupted::StoppedJob => Interrupted::StoppedJob,
+            Interrupted::Jog { .. } => Interrupted::Jog { stopped: true },
+            Interrupted::Sleep => Interrupted::Sleep,
+        };
+    }
+
+    /// Coolant is switched off. What was switched off before, by an opening of the same door, is not forgotten.
+    fn keep_coolant(&mut self, coolant: Coolant) {
+        self.coolant.get_or_insert(coolant);
+    }
+
+    /// The machine has come to rest: a jog is forgotten now. Whether there is one.
+    fn forget_jog(&mut self) -> bool {
+        let Interrupted::Jog { stopped } = self.interrupted else { return false };
+        self.interrupted = if stopped { Interrupted::StoppedJob } else { Interrupted::Job };
+        true
+    }
+}
+
+impl DoorPhase {
+    /// Whether the door has been closed, and the machine is on its way back to the job.
+    pub(crate) fn is_resuming(self) -> bool {
+        matches!(
+            self,
+            DoorPhase::Returning
+                | DoorPhase::SpindleRestoring(_)
+                | DoorPhase::CoolantRestoring(_)
+                | DoorPhase::Plunging
+        )
+    }
+
+    /// The state as `?` names it. `open`: the door input is active.
+    pub(crate) fn name(self, open: bool) -> &'static str {
+        match self {
+            DoorPhase::Braking | DoorPhase::PullingOut | DoorPhase::Parking | DoorPhase::Reopened => "Door:2",
+            DoorPhase::Parked if open => "Door:1",
+            DoorPhase::Parked => "Door:0",
+            _ => "Door:3",
+        }
+    }
+}
 
 impl<const N: usize> Controller<N> {
     /// The door input or 0x84.
     pub(crate) fn open_door(&mut self) {
         self.switch_off_for_door();
         self.forget_received_jogs();
-        match self.mode {
-            Mode::Jog { .. } => {
+        match self.state {
+            State::Jog { .. } => {
                 self.m.motion.hold();
                 self.task.forget_jog();
-                self.m.door.interrupt_jog();
-                self.enter(Mode::Door(Door::Braking));
+                self.open(Interrupted::Jog { stopped: false }, Opening::BY_DOOR);
             }
-            Mode::Normal | Mode::Hold => self.brake_for_door(),
-            Mode::Stopping { then: AfterBraking::Continue } => {
-                // The stop stays one: nothing resumes when the door is closed.
-                self.m.door.forget_job();
-                self.enter(Mode::Door(Door::Braking));
-            }
-            Mode::Door(Door::SpindleRestoring(_) | Door::CoolantRestoring(_)) => self.switch_off_and_park(),
-            Mode::Door(Door::Returning | Door::Plunging) => {
-                self.m.door.hold();
-                self.enter(Mode::Door(Door::Reopened));
-            }
-            Mode::Door(_) => {}
-            Mode::Home(_) => {
+            State::Normal | State::Hold(_) => self.brake_for_door(Opening::BY_DOOR),
+            // The stop stays one: nothing resumes when the door is closed.
+            State::Braking { then: AfterBraking::Continue } => self.open(Interrupted::StoppedJob, Opening::BY_DOOR),
+            State::Door(door) => match door.phase {
+                DoorPhase::SpindleRestoring(_) | DoorPhase::CoolantRestoring(_) => self.switch_off_and_park(),
+                DoorPhase::Returning | DoorPhase::Plunging => {
+                    self.m.parking.hold();
+                    self.enter_phase(DoorPhase::Reopened);
+                }
+                _ => {}
+            },
+            State::Homing(_) => {
                 self.m.stops.order(StopReason::Alarm(Alarm::HomingDoor));
                 return;
             }
@@ -48,49 +165,71 @@ impl<const N: usize> Controller<N> {
         self.say(|out| report::message(out, "Check Door"));
     }
 
+    #[inline(never)]
+    fn open(&mut self, interrupted: Interrupted, opening: Opening) {
+        self.enter(State::Door(Door::opened(interrupted, opening)));
+    }
+
+    /// The next phase of the door that is open.
+    #[inline(never)]
+    fn enter_phase(&mut self, phase: DoorPhase) {
+        if let State::Door(door) = &mut self.state {
+            door.phase = phase;
+        }
+    }
+
     /// A fault may have left the spindle on (`$924` to `$928`); at an open door it does not turn.
     fn switch_off_for_door(&mut self) {
-        match self.mode {
-            Mode::Door(door) if self.m.door.opening().spindle_on => {
-                self.m.door.open(Opening { spindle_on: false, ..self.m.door.opening() });
-                if matches!(door, Door::Parking | Door::Parked | Door::Returning) {
+        match &mut self.state {
+            State::Door(door) if door.opening.spindle_on => {
+                door.opening.spindle_on = false;
+                if matches!(door.phase, DoorPhase::Parking | DoorPhase::Parked | DoorPhase::Returning) {
                     self.suspend_for_door();
                 }
             }
-            Mode::Stopping { then } if then.alarm().is_some() => self.switch_off(),
-            Mode::Critical(_) => self.switch_off(),
+            State::Braking { then } if then.alarm().is_some() => self.switch_off(),
+            State::Critical(_) => self.switch_off(),
             _ => {}
         }
     }
 
     /// Braking; then what the open door does.
-    pub(crate) fn brake_for_door(&mut self) {
-        self.m.accessories.end_spin_up();
+    pub(crate) fn brake_for_door(&mut self, opening: Opening) {
         self.m.motion.hold();
         self.task.forget_jog();
         self.task.suspend(self.m.now);
-        self.enter(Mode::Door(Door::Braking));
+        self.open(Interrupted::Job, opening);
+    }
+
+    /// A fault has been braked for: the tool retracts, and the alarm follows.
+    pub(crate) fn retract_for(&mut self, opening: Opening) {
+        self.open(Interrupted::Job, opening);
+        self.begin_parking();
     }
 
     /// `$SLP`: as a door that only a reset closes.
     pub(crate) fn fall_asleep(&mut self) {
-        self.m.door.fall_asleep();
-        if self.mode.is_alarm() {
+        if self.state.is_alarm() {
             // A locked machine does not move, not even to park.
             self.m.accessories.suspend();
-            self.parked();
+            self.rest_asleep();
         } else {
-            self.enter(Mode::Door(Door::Braking));
+            self.open(Interrupted::Sleep, Opening::BY_DOOR);
         }
     }
 
     /// `~` at a closed door.
     pub(crate) fn close_door(&mut self) {
-        if self.m.inputs.signals().door || self.m.door.is_asleep() || self.m.door.opening().alarm.is_some() {
+        let State::Door(door) = &self.state else { return };
+        let opens = door.phase == DoorPhase::Parked
+            && door.interrupted != Interrupted::Sleep
+            && door.opening.alarm.is_none()
+            && !self.m.inputs.signals().door;
+        if !opens {
             return;
         }
         if self.parking_move(ParkingPoint::Clear, Key::ParkingFastRate) {
-            self.enter(Mode::Door(Door::Returning));
+            self.enter_phase(DoorPhase::Returning);
         } else {
             self.restore_spindle_for_door();
         }
@@ -98,11 +237,11 @@ impl<const N: usize> Controller<N> {
 
     /// Begins the next phases as the ones before come to their end. One of no length has come to it at once, and nothing
     /// would wake the controller for it.
-    pub(crate) fn settle_phases(&mut self, mut door: Door) {
+    pub(crate) fn settle_phases(&mut self, mut phase: DoorPhase) {
         loop {
-            self.settle_door(door);
-            match self.mode {
-                Mode::Door(next) if next != door => door = next,
+            self.settle_door(phase);
+            match self.state {
+                State::Door(door) if door.phase != phase => phase = door.phase,
                 _ => return,
             }
         }
@@ -110,34 +249,36 @@ impl<const N: usize> Controller<N> {
 
     /// Begins the next phase when one has come to its end.
     #[inline(never)]
-    fn settle_door(&mut self, door: Door) {
-        match door {
-            Door::Braking if self.m.motion.is_at_rest() => {
-                if self.m.door.take_jog() {
+    fn settle_door(&mut self, phase: DoorPhase) {
+        match phase {
+            DoorPhase::Braking if self.m.motion.is_at_rest() => {
+                if let State::Door(door) = &mut self.state
+                    && door.forget_jog()
+                {
                     self.m.motion.discard();
                     self.m.step_supply.end();
                     self.m.interpreter.set_position(self.m.motion.machine_position());
                 }
                 self.begin_parking();
             }
-            Door::PullingOut if self.m.door.motion().is_idle() => self.switch_off_and_park(),
-            Door::Parking if self.m.door.motion().is_idle() => self.parked(),
-            Door::Reopened if self.m.door.motion().is_at_rest() => {
-                self.m.door.discard();
+            DoorPhase::PullingOut if self.m.parking.motion().is_idle() => self.switch_off_and_park(),
+            DoorPhase::Parking if self.m.parking.motion().is_idle() => self.parked(),
+            DoorPhase::Reopened if self.m.parking.motion().is_at_rest() => {
+                self.m.parking.discard();
                 // In or near the cut with the spindle on: slowly out, as at first.
                 if !self.m.accessories.is_suspended() && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
                 {
-                    self.enter(Mode::Door(Door::PullingOut));
+                    self.enter_phase(DoorPhase::PullingOut);
                 } else {
                     self.switch_off_and_park();
                 }
             }
-            Door::Returning if self.m.door.motion().is_idle() => self.restore_spindle_for_door(),
-            Door::SpindleRestoring(until) => {
+            DoorPhase::Returning if self.m.parking.motion().is_idle() => self.restore_spindle_for_door(),
+            DoorPhase::SpindleRestoring(until) => {
                 if !self.has_spun_up(until) {
                     return;
                 }
-                let coolant = self.m.door.kept_coolant();
+                let coolant = self.kept_coolant();
                 self.m.accessories.set_coolant(coolant);
                 self.m.replies.overrides_changed();
                 let delay = if coolant == Coolant::default() {
@@ -149,11 +290,11 @@ impl<const N: usize> Controller<N> {
                 if delay == Duration::millis(0) {
                     self.plunge();
                 } else {
-                    self.enter(Mode::Door(Door::CoolantRestoring(self.m.now + delay)));
+                    self.enter_phase(DoorPhase::CoolantRestoring(self.m.now + delay));
                 }
             }
-            Door::CoolantRestoring(until) if self.m.now >= until => self.plunge(),
-            Door::Plunging if self.m.door.motion().is_idle() => self.leave_door(),
+            DoorPhase::CoolantRestoring(until) if self.m.now >= until => self.plunge(),
+            DoorPhase::Plunging if self.m.parking.motion().is_idle() => self.leave_door(),
             _ => {}
         }
     }
@@ -163,8 +304,8 @@ impl<const N: usize> Controller<N> {
     fn plunge(&mut self) {
         if self.parking_move(ParkingPoint::Left, Key::ParkingPullOutRate) {
             // The job's block is entered with the slack where it was.
-            self.m.door.end_with_lead(self.m.motion.lead());
-            self.enter(Mode::Door(Door::Plunging));
+            self.m.parking.end_with_lead(self.m.motion.lead());
+            self.enter_phase(DoorPhase::Plunging);
         } else {
             self.leave_door();
         }
@@ -179,11 +320,12 @@ impl<const N: usize> Controller<N> {
     }
 
     fn leave_door(&mut self) {
-        if self.m.door.is_parking() {
+        if self.m.parking.is_away() {
             self.m.probe.watch_again();
             self.m.motion.reenter();
         }
-        if self.m.door.close() {
+        self.m.parking.end(&mut self.m.motion);
+        if matches!(self.state, State::Door(Door { interrupted: Interrupted::StoppedJob, .. })) {
             self.finish_soft_stop(false);
         } else {
             self.leave_hold();
@@ -191,57 +333,71 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Retracts the tool: the first move of parking. Straight to switching off where there is none: with an untrusted position or
-    /// settings that lock motion, or where a program holds it off (M56 P0), besides what [`SafetyDoor::leave_job`] knows.
+    /// settings that lock motion, or where a program holds it off (M56 P0), besides what [`Parking::leave_job`] knows.
     ///
-    /// [`SafetyDoor::leave_job`]: crate::states::door::parking::SafetyDoor::leave_job
-    pub(crate) fn begin_parking(&mut self) {
-        let allowed = self.m.door.opening().retract
+    /// [`Parking::leave_job`]: crate::states::door::parking::Parking::leave_job
+    fn begin_parking(&mut self) {
+        let allowed = matches!(self.state, State::Door(door) if door.opening.retract)
             && self.m.reference.is_trusted()
             && self.locking_setting().is_none()
             && !self.m.interpreter.modal().no_parking;
-        if self.m.door.leave_job(allowed, &self.m.settings, &self.m.motion)
+        if self.m.parking.leave_job(allowed, &self.m.settings, &mut self.m.motion)
             && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
         {
             self.m.probe.look_away();
-            self.enter(Mode::Door(Door::PullingOut));
+            self.enter_phase(DoorPhase::PullingOut);
         } else {
             self.switch_off_and_park();
         }
     }
 
+    fn keep_coolant(&mut self) {
+        if let State::Door(door) = &mut self.state {
+            door.keep_coolant(self.m.accessories.coolant());
+        }
+    }
+
+    fn kept_coolant(&self) -> Coolant {
+        if let State::Door(door) = &self.state { door.coolant.unwrap_or_default() } else { Coolant::default() }
+    }
+
     fn suspend_for_door(&mut self) {
-        self.m.door.keep_coolant(self.m.accessories.coolant());
+        self.keep_coolant();
         self.m.accessories.set_coolant(Coolant::default());
         self.m.accessories.suspend();
         self.m.replies.overrides_changed();
     }
 
     fn switch_off_and_park(&mut self) {
-        if self.m.door.opening().spindle_on {
-            self.m.door.keep_coolant(self.m.accessories.coolant());
+        if matches!(self.state, State::Door(door) if door.opening.spindle_on) {
+            self.keep_coolant();
         } else {
             self.suspend_for_door();
         }
         if self.parking_move(ParkingPoint::Park, Key::ParkingFastRate) {
-            self.enter(Mode::Door(Door::Parking));
+            self.enter_phase(DoorPhase::Parking);
         } else {
             self.parked();
         }
     }
 
     fn parked(&mut self) {
-        if self.m.door.is_asleep() {
-            self.m.accessories.stop_spindle();
-            self.m.drivers.switch_off();
-            // Axes can be moved by hand now.
-            self.m.reference.lose();
-            self.enter(Mode::Sleep(self.mode.alarm()));
-        } else {
-            self.enter(Mode::Door(Door::Parked));
-            if let Some(alarm) = self.m.door.opening().alarm {
-                self.m.stops.order(StopReason::Alarm(alarm));
-            }
+        let State::Door(door) = &mut self.state else { return };
+        if door.interrupted == Interrupted::Sleep {
+            return self.rest_asleep();
         }
+        door.phase = DoorPhase::Parked;
+        if let Some(alarm) = door.opening.alarm {
+            self.m.stops.order(StopReason::Alarm(alarm));
+        }
+    }
+
+    fn rest_asleep(&mut self) {
+        self.m.accessories.stop_spindle();
+        self.m.drivers.switch_off();
+        // Axes can be moved by hand now.
+        self.m.reference.lose();
+        self.enter(State::Sleep(self.state.alarm()));
     }
 
     fn restore_spindle_for_door(&mut self) {
@@ -253,18 +409,46 @@ impl<const N: usize> Controller<N> {
         }
         let at_once = laser || !self.m.accessories.is_on();
         let delay = if at_once { Duration::millis(0) } else { self.m.settings.seconds(Key::DoorSpindleDelay) };
-        self.enter(Mode::Door(Door::SpindleRestoring(self.m.now + delay)));
+        let phase = DoorPhase::SpindleRestoring(self.m.now + delay);
+        self.enter_phase(phase);
         if at_once {
-            self.settle_door(Door::SpindleRestoring(self.m.now));
+            self.settle_door(phase);
         }
     }
 
     /// A parking move at the rate of this setting. Whether there is parking.
     fn parking_move(&mut self, to: ParkingPoint, rate: Key) -> bool {
-        let parking = self.m.door.move_to(to, rate, &self.m.settings);
+        let parking = self.m.parking.move_to(to, rate, &self.m.settings);
         if parking {
             self.m.drivers.switch_on();
         }
         parking
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn coolant_of_the_first_opening_comes_back() {
+        let mut door = Door::opened(Interrupted::Job, Opening::BY_DOOR);
+        let flood = Coolant { flood: true, mist: false };
+        door.keep_coolant(flood);
+        door.keep_coolant(Coolant::default());
+        assert_eq!(door.coolant, Some(flood));
+    }
+
+    #[test]
+    fn a_stop_forgets_whatever_would_resume() {
+        let stopped = |interrupted| {
+            let mut door = Door::opened(interrupted, Opening::BY_DOOR);
+            door.stop_job();
+            let jog = door.forget_jog();
+            (door.interrupted, jog)
+        };
+        assert_eq!(stopped(Interrupted::Job), (Interrupted::StoppedJob, false));
+        assert_eq!(stopped(Interrupted::Jog { stopped: false }), (Interrupted::StoppedJob, true));
+        assert_eq!(stopped(Interrupted::Sleep), (Interrupted::Sleep, false));
     }
 }

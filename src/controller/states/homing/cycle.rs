@@ -1,7 +1,6 @@
-//! The homing cycle (`Homing`): which axes seek their switches, pull off and locate them how often, how an axis with
-//! two motors is squared (`lagging`), and where each axis then is. It moves nothing itself: it gives an [`Order`]
-//! (move, wait, reached, done, failed) and is told how that ended; `Homing` keeps what it waits for. An `AxisMask` is a set
-//! of axes; an approach has a rate, a travel and the switches to watch, also those of ganged motors.
+//! The homing cycle as a sequence: which axes seek their switches, pull off, and locate them again, and how an axis
+//! with two motors is squared. It moves nothing itself: it returns an order (move, wait, done, failed) and is told how
+//! that ended.
 //!
 //! ```text
 //!  each cycle ($44 and on; at first Z, then X and Y together):

@@ -1,5 +1,5 @@
-//! Homing is carried out: each `Order` of `cycle.rs` becomes a motion of one motor, or of both motors of a
-//! squared axis; a switch that closes stops it; at the end the position is set and the startup lines run.
+//! The homing state: carries out the orders of [`cycle`]. A closing switch stops the step task; at the end the position
+//! is set, and the startup lines run.
 
 mod cycle;
 
@@ -10,7 +10,7 @@ use crate::messages::GangedMotors;
 use crate::motion::Speed;
 use crate::parts::Machine;
 use crate::settings::{AxisKey, Key};
-use crate::states::{Mode, Next};
+use crate::states::{Next, State};
 use crate::units::{Coordinate, Duration, Instant, per_second};
 use crate::work::probe::seek;
 use crate::work::task::{Answer, Task};
@@ -144,7 +144,7 @@ impl<const N: usize> Controller<N> {
             Next::Wait => return false,
             Next::Stay => {}
             Next::Homed => {
-                self.enter(Mode::Normal);
+                self.enter(State::Normal);
                 self.m.start_idle_delay();
                 self.task = Task::Startup(0, Some(Answer::Host));
             }

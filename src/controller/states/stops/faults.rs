@@ -1,7 +1,6 @@
-//! How the machine stops for a fault (`$924` to `$928`): at once, or it brakes under control and perhaps retracts, and
-//! which alarm follows at rest. Whether it can brake, whether parking is blocked, whether a switch only bounces; a host
-//! that is gone or silent, and a spindle that has lost its speed. The laser is darkened, the spindle kept on while it
-//! brakes, and the `StopReason` kept.
+//! How the machine stops for a fault (`$924` to `$928`): at once, or by braking along the path, perhaps with the tool
+//! retracted. The alarm follows at rest. Faults are limit switches, emergency stop, driver faults, a lost spindle
+//! speed, and a host that is gone or silent.
 //!
 //! ```text
 //!  switch, driver, spindle ──▶ fault ──┬── at once ───────────────────────────▶ stop ──▶ alarm
@@ -15,11 +14,11 @@ use crate::error::Alarm;
 use crate::inputs::levels;
 use crate::protocol::report;
 use crate::settings::Key;
-use crate::states::door::parking::Opening;
+use crate::states::door::{DoorPhase, Opening};
 use crate::states::stops::Stopped;
 use crate::states::stops::orders::StopReason;
 use crate::states::stops::reaction::{Braking, Reaction};
-use crate::states::{AfterBraking, Door, Mode};
+use crate::states::{AfterBraking, State};
 
 impl<const N: usize> Controller<N> {
     /// Stops for a fault as its setting says; the alarm follows at rest.
@@ -40,33 +39,32 @@ impl<const N: usize> Controller<N> {
 
     /// Whether it is the switch again for which the tool is being parked, and not that of the axis along which it moves.
     fn is_bounce(&self, alarm: Alarm) -> bool {
-        matches!(self.mode, Mode::Door(_))
+        matches!(self.state, State::Door(door) if door.opening.alarm == Some(alarm))
             && alarm == Alarm::HardLimit
-            && self.m.door.opening().alarm == Some(alarm)
             && !self.m.stops.is_awaited()
             && !self.is_parking_blocked()
     }
 
     fn can_brake(&self) -> bool {
-        matches!(
-            self.mode,
-            Mode::Normal | Mode::Jog { .. } | Mode::Hold | Mode::Stopping { .. } | Mode::Door(Door::Braking)
-        )
+        match self.state {
+            State::Normal | State::Jog { .. } | State::Hold(_) | State::Braking { .. } => true,
+            State::Door(door) => door.phase == DoorPhase::Braking,
+            _ => false,
+        }
     }
 
     fn brake_for(&mut self, alarm: Alarm, braking: Braking) {
         // What rests when the fault comes is not set in motion.
         let retract = braking == Braking::Retract && !self.m.motion.is_at_rest() && !self.is_parking_blocked();
-        if self.m.settings.is_on(Key::Laser) || matches!(self.mode, Mode::Door(_)) {
+        if self.m.settings.is_on(Key::Laser) || matches!(self.state, State::Door(_)) {
             // The segments that are still to come carry the beam's power; and an open door means no spindle.
             self.m.accessories.suspend();
         }
         self.tell_trip(self.m.motion.line_number());
         self.task.forget_jog();
-        self.m.accessories.end_spin_up();
         self.m.motion.hold();
         let then = if retract { AfterBraking::Retract(alarm) } else { AfterBraking::Alarm(alarm) };
-        self.enter(Mode::Stopping { then });
+        self.enter(State::Braking { then });
     }
 
     /// What a controlled stop was for, at rest.
@@ -77,8 +75,7 @@ impl<const N: usize> Controller<N> {
             AfterBraking::Alarm(alarm) => self.m.stops.order(StopReason::Alarm(alarm)),
             AfterBraking::Retract(alarm) => {
                 let spindle_on = self.keeps_spindle_on(alarm);
-                self.m.door.open(Opening { retract: !self.is_parking_blocked(), spindle_on, alarm: Some(alarm) });
-                self.begin_parking();
+                self.retract_for(Opening { retract: !self.is_parking_blocked(), spindle_on, alarm: Some(alarm) });
             }
         }
     }
@@ -99,9 +96,8 @@ impl<const N: usize> Controller<N> {
             Braking::Controlled if spindle_on || self.m.settings.is_on(Key::Laser) => self.feed_hold(),
             _ => {
                 let retract = braking == Braking::Retract && !self.m.motion.is_at_rest();
-                self.m.door.open(Opening { retract, spindle_on, alarm: None });
                 self.darken_laser();
-                self.brake_for_door();
+                self.brake_for_door(Opening { retract, spindle_on, alarm: None });
             }
         }
     }

@@ -1,7 +1,5 @@
-//! What follows a stop once the step task reports it (`step_event`: stopped, probed, underrun, miscounted): by its
-//! reason (hard limit, emergency, driver fault, reset, switch, contact) the machine is locked, reset, or continues from
-//! where it stopped. `finish_alarm`, `finish_emergency`, `finish_reset` are the three endings. Position and reference
-//! may be lost, pauses end (`end_pauses`), moves are forgotten, and the trip is told.
+//! What follows when the step task has stopped. By the reason of the stop the machine is locked, reset, or continues
+//! from its position. A stop at speed may have lost steps, so the position is no longer trusted afterwards.
 
 mod faults;
 pub(crate) mod orders;
@@ -14,7 +12,7 @@ use crate::machine::spindle::SpindleRange;
 use crate::messages::StepEvent;
 use crate::protocol::report;
 use crate::settings::Key;
-use crate::states::Mode;
+use crate::states::State;
 use crate::states::stops::orders::{Finished, StopReason};
 use crate::work::task::Task;
 
@@ -33,7 +31,7 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn step_event(&mut self, event: &StepEvent<N>) {
         match *event {
             StepEvent::Stopped { stops, moving, position } => {
-                if moving && !matches!(self.mode, Mode::Home(_)) {
+                if moving && !matches!(self.state, State::Homing(_)) {
                     self.keep_speed();
                 }
                 self.m.stops.happened(stops, moving, self.m.motion.line_number());
@@ -75,7 +73,7 @@ impl<const N: usize> Controller<N> {
 
     fn stopped_at(&mut self, position: &PerAxis<i32, N>) {
         self.m.motion.stopped(position);
-        self.m.door.stopped(position, &mut self.m.motion);
+        self.m.parking.stopped(position, &mut self.m.motion);
     }
 
     /// What follows a stop, once every stop that was asked for has happened.
@@ -113,8 +111,7 @@ impl<const N: usize> Controller<N> {
 
     /// What a door, a hold or a probe had interrupted is over.
     fn end_pauses(&mut self) {
-        self.m.door.reset();
-        self.m.accessories.end_spin_up();
+        self.m.parking.end(&mut self.m.motion);
         self.m.probe.forget_move();
     }
 
@@ -122,7 +119,7 @@ impl<const N: usize> Controller<N> {
         if matches!(alarm, Alarm::EmergencyStop | Alarm::DriverFault) {
             return self.finish_emergency(alarm, stop);
         }
-        if matches!(self.mode, Mode::Home(_)) {
+        if matches!(self.state, State::Homing(_)) {
             return self.fail_homing(alarm);
         }
         if stop.moving {
@@ -141,16 +138,16 @@ impl<const N: usize> Controller<N> {
             if self.task.abandon() {
                 self.refuse(Error::Locked);
             }
-            self.enter(Mode::Alarm(Some(alarm)));
+            self.enter(State::Alarm(Some(alarm)));
         } else {
             self.say(|out| report::message(out, "Reset to continue"));
-            self.enter(Mode::Critical(alarm));
+            self.enter(State::Critical(alarm));
         }
     }
 
     /// The emergency stop is latched: only a reset ends it, and one that comes while the input is still active says so again.
     fn finish_emergency(&mut self, alarm: Alarm, stop: &Finished) {
-        let homing = matches!(self.mode, Mode::Home(_));
+        let homing = matches!(self.state, State::Homing(_));
         let drivers_off = self.m.settings.is_on(Key::EmergencyDriversOff);
         // A driver at fault may have lost steps, and a motor without current does not hold.
         if stop.moving || homing || drivers_off || alarm == Alarm::DriverFault {
@@ -170,7 +167,7 @@ impl<const N: usize> Controller<N> {
         }
         self.tell_trip(stop.line);
         self.say(|out| report::message(out, "Reset to continue"));
-        self.enter(Mode::Critical(alarm));
+        self.enter(State::Critical(alarm));
     }
 
     /// A soft reset (Ctrl-X) has taken effect. At rest it is followed by the welcome line; a reset in a motion or in homing aborts a
@@ -178,17 +175,17 @@ impl<const N: usize> Controller<N> {
     fn finish_reset(&mut self, moving: bool) {
         self.m.motion.discard();
         self.m.lines.clear();
-        if matches!(self.mode, Mode::Hold | Mode::Door(_)) {
+        if matches!(self.state, State::Hold(_) | State::Door(_)) {
             // They may have stayed on for whoever changes a tool.
             self.m.start_idle_delay();
         }
-        let homing = matches!(self.mode, Mode::Home(_));
+        let homing = matches!(self.state, State::Homing(_));
         if moving || homing {
             self.m.reference.lose();
             self.lock(if homing { Alarm::HomingReset } else { Alarm::AbortInMotion });
         }
-        if let Mode::Sleep(_) | Mode::Critical(_) = self.mode {
-            self.enter(Mode::Alarm(self.mode.alarm()));
+        if let State::Sleep(_) | State::Critical(_) = self.state {
+            self.enter(State::Alarm(self.state.alarm()));
         }
         // A command that was waiting is answered before the welcome line, as Grbl does: senders count on one answer a line.
         if homing || self.task.answers_host() {
@@ -196,8 +193,8 @@ impl<const N: usize> Controller<N> {
         }
         self.task = Task::None;
         self.m.interpreter.reset();
-        if !self.mode.is_alarm() {
-            self.enter(Mode::Normal);
+        if !self.state.is_alarm() {
+            self.enter(State::Normal);
         }
         self.initialise();
     }

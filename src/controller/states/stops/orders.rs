@@ -1,6 +1,5 @@
-//! `Stops`, the ledger of stops of the step task: how many are expected, how many have been seen, which `StopReason` is
-//! awaited and which of two is heavier, whether one is ordered and when the gate may resume. `Finished` tells the
-//! reason, the line and whether it was moving.
+//! Keeps count of stops of the step task: those expected, those reported, and the most serious reason among them. The
+//! step task is opened again only when all expected stops have happened.
 //!
 //! ```text
 //!  order ──▶ Output::Stop ──▶ step task ──▶ StepEvent::Stopped ──▶ finish ──▶ ToStep::Resume

@@ -1,5 +1,4 @@
-//! `Reaction`: what a fault makes of the motion (`Braking`: at once, controlled, retract) and of the spindle, by the
-//! settings `$924` to `$928` of each alarm.
+//! The reaction to each fault as set in `$924` to `$928`: how motion ends, and whether the spindle stays on.
 
 use crate::error::Alarm;
 use crate::settings::{Key, Settings};

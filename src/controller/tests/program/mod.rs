@@ -3,7 +3,7 @@
 
 use oxmill_controller::axes::PerAxis;
 use oxmill_controller::error::Error;
-use oxmill_controller::gcode::{Checked, Dialect, Interpreter, Motion};
+use oxmill_controller::gcode::{Action, Dialect, Interpreter, MotionCommand};
 use oxmill_controller::units::{Coordinate, DECIMAL_ONE};
 
 pub const DIALECTS: [Dialect; 3] = [Dialect::Grbl, Dialect::Oxmill, Dialect::Seed];
@@ -40,18 +40,18 @@ impl Program {
     }
 
     /// Checks a line that may have blanks.
-    pub fn check(&self, line: &str) -> Result<Checked<3>, Error> {
+    pub fn check(&self, line: &str) -> Result<Action<3>, Error> {
         self.interpreter.check(line.replace(' ', "").as_bytes(), self.dialect)
     }
 
     /// Carries out a line.
-    pub fn run(&mut self, line: &str) -> Checked<3> {
-        let mut checked = Checked::NOTHING;
+    pub fn run(&mut self, line: &str) -> Action<3> {
+        let mut action = Action::NOTHING;
         let text = line.replace(' ', "");
-        let check = self.interpreter.check_into(text.as_bytes(), self.dialect, &mut checked);
+        let check = self.interpreter.check_into(text.as_bytes(), self.dialect, &mut action);
         check.unwrap_or_else(|error| panic!("{line}: {error:?}"));
-        self.interpreter.commit(&checked);
-        checked
+        self.interpreter.commit(&action);
+        action
     }
 
     /// Carries out lines.
@@ -90,20 +90,20 @@ pub fn in_mm(place: &PerAxis<Coordinate, 3>) -> [f64; 3] {
     place.0.map(|coordinate| coordinate.0 as f64 / DECIMAL_ONE as f64)
 }
 
-pub fn target(checked: &Checked<3>) -> [f64; 3] {
-    match checked.motion {
-        Motion::None => panic!("no motion"),
-        Motion::Cycle(_) => in_mm(checked.position()),
-        Motion::Line { target, .. } | Motion::Probe { target, .. } => in_mm(&target),
-        Motion::Arc(arc) => in_mm(&arc.target),
-        Motion::Spline(spline) => in_mm(&spline.target),
-        Motion::Nurbs(nurbs) => in_mm(&nurbs.target),
+pub fn target(action: &Action<3>) -> [f64; 3] {
+    match action.motion {
+        MotionCommand::None => panic!("no motion"),
+        MotionCommand::Cycle(_) => in_mm(action.position()),
+        MotionCommand::Line { target, .. } | MotionCommand::Probe { target, .. } => in_mm(&target),
+        MotionCommand::Arc(arc) => in_mm(&arc.target),
+        MotionCommand::Spline(spline) => in_mm(&spline.target),
+        MotionCommand::Nurbs(nurbs) => in_mm(&nurbs.target),
     }
 }
 
-pub fn via(checked: &Checked<3>) -> Option<[f64; 3]> {
-    match checked.motion {
-        Motion::Line { via, .. } => via.map(|via| in_mm(&via)),
+pub fn via(action: &Action<3>) -> Option<[f64; 3]> {
+    match action.motion {
+        MotionCommand::Line { via, .. } => via.map(|via| in_mm(&via)),
         _ => panic!("no straight move"),
     }
 }

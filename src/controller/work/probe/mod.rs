@@ -1,6 +1,5 @@
-//! Probe moves carried out: `begin_probe` checks the initial state of the input and queues a move that the step task
-//! ends at a contact; `settle_probe` stops it after braking, `end_probe` reports the touched place or locks with an
-//! alarm. `seek` is a move without overrides.
+//! Carries out a probing move (G38): checks the input, queues the move, and lets the step task watch for the contact.
+//! At rest the contact's position is reported; without a contact the machine locks, if the word asks for that.
 
 pub(crate) mod phases;
 

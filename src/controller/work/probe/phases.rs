@@ -1,6 +1,4 @@
-//! `Probe`: a probe move (G38) in its phases seeking, braking and touched, the `Watch` message for the step task, and
-//! the position and success of the last one as its result. It must touch or not (`must_touch`), has succeeded or is
-//! broken off (`break_off`), and `is_over`.
+//! The phases of a probing move, and the result of the last one.
 //!
 //! ```text
 //!  begin ──▶ Seeking ──contact──▶ Braking ──stopped──▶ Touched ──▶ finish

@@ -1,19 +1,16 @@
-//! M6 carried out: the spindle stops, the host is prompted, and the program waits until somebody has put the tool in;
-//! with `$918=2` a `ChangePlan` is made from G30, G59.3 and the settings, refused if it cannot be followed, and each
-//! `ChangeOrder` of `plan.rs` becomes a move or a probe; then the tool returns to the work. The tool
-//! setter's place and rates come from settings (`Key`); the spindle's direction and the accessories are set again after
-//! it.
+//! Carries out M6: the spindle stops, the host is asked for the tool, and the program waits for `~`. With `$918=2` the
+//! new tool is then measured at a tool setter, and its length offset is set.
 
 pub(crate) mod plan;
 
 use crate::axes::Axis;
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};
-use crate::gcode::{CoordinateSystem, EXTENDED, Feed, Motion, StoredOffset};
+use crate::gcode::{CoordinateSystem, EXTENDED, Feed, MotionCommand, StoredOffset};
 use crate::messages::{Coolant, SpindleDirection};
 use crate::motion::Speed;
 use crate::settings::Key;
-use crate::states::Mode;
+use crate::states::{Hold, State};
 use crate::units::{Coordinate, per_second};
 use crate::work::probe::seek;
 use crate::work::task::{Job, Stage};
@@ -28,13 +25,13 @@ impl<const N: usize> Controller<N> {
     /// At rest before the rest of the line: if it asks for another tool, the spindle stops and the program waits for `~`.
     #[inline(never)]
     pub(crate) fn begin_tool_change(&mut self, job: &mut Job) -> Stage {
-        if !(self.line.checked.tool_change && self.m.prompts_for_tools()) {
+        if !(self.line.action.tool_change && self.m.prompts_for_tools()) {
             return Stage::Apply;
         }
         if self.measures_tools() {
             return self.stop_for_tool(job);
         }
-        self.line.checked.spindle_stopped_for_tool();
+        self.line.action.spindle_stopped_for_tool();
         self.m.accessories.stop_spindle();
         self.m.interpreter.set_accessories(SpindleDirection::Off, self.m.accessories.coolant());
         self.m.replies.overrides_changed();
@@ -44,16 +41,16 @@ impl<const N: usize> Controller<N> {
 
     /// What a tool change that is only checked makes of the program's state, which has been taken over from its line.
     pub(crate) fn check_tool_change(&mut self) {
-        if !(self.line.checked.tool_change && self.m.prompts_for_tools()) {
+        if !(self.line.action.tool_change && self.m.prompts_for_tools()) {
             return;
         }
         if self.measures_tools() {
-            if self.line.checked.spindle_tool() != 0 {
+            if self.line.action.spindle_tool() != 0 {
                 self.m.interpreter.assume_measured();
             }
         } else {
-            self.line.checked.spindle_stopped_for_tool();
-            let modal = *self.line.checked.modal();
+            self.line.action.spindle_stopped_for_tool();
+            let modal = *self.line.action.modal();
             self.m.interpreter.set_accessories(modal.spindle, modal.coolant);
         }
     }
@@ -66,13 +63,13 @@ impl<const N: usize> Controller<N> {
     /// Until `~`. Whoever pulls at the spindle does not move the axes: the drivers are on.
     fn wait_for_operator(&mut self) {
         self.m.drivers.switch_on();
-        self.enter(Mode::Hold);
+        self.enter(State::Hold(Hold::BEGUN));
     }
 
     /// Why the tool cannot be changed and measured, before anything moves.
     #[inline(never)]
     pub(crate) fn refuse_tool_change(&mut self) -> Option<Error> {
-        if !self.line.checked.is_tool_change_alone() || self.line.checked.motion != Motion::None {
+        if !self.line.action.is_tool_change_alone() || self.line.action.motion != MotionCommand::None {
             return Some(Error::ToolChangeNotAlone);
         }
         if !self.m.reference.is_trusted() || !self.m.settings.is_on(Key::Homing) {
@@ -98,7 +95,7 @@ impl<const N: usize> Controller<N> {
             depth: Coordinate::from_mm_f32(settings.value(Key::ToolSetterDepth)),
             seek_rate: per_second(settings.value(Key::ToolSetterSeek)),
             locate_rate: per_second(settings.value(Key::ToolSetterLocate)),
-            measures: self.line.checked.spindle_tool() != 0,
+            measures: self.line.action.spindle_tool() != 0,
         }
     }
 
@@ -137,15 +134,15 @@ impl<const N: usize> Controller<N> {
     fn carry_out_change(&mut self, order: ChangeOrder<N>) -> Stage {
         match order {
             ChangeOrder::Rapid(target) => {
-                self.m.motion.line(&seek(target, Speed::Rapid, self.line.checked.line_number));
+                self.m.motion.line(&seek(target, Speed::Rapid, self.line.action.line_number));
                 self.start_motion();
             }
             ChangeOrder::Move(target, rate) => {
-                self.m.motion.line(&seek(target, Speed::Feed(rate), self.line.checked.line_number));
+                self.m.motion.line(&seek(target, Speed::Feed(rate), self.line.action.line_number));
                 self.start_motion();
             }
             ChangeOrder::Probe(target, rate) => {
-                if !self.begin_probe(&target, Speed::Feed(rate), false, self.line.checked.line_number) {
+                if !self.begin_probe(&target, Speed::Feed(rate), false, self.line.action.line_number) {
                     return Stage::Done;
                 }
             }
@@ -154,7 +151,7 @@ impl<const N: usize> Controller<N> {
                 self.prompt();
             }
             ChangeOrder::Measured(place) => {
-                if self.m.interpreter.tool_measured(self.line.checked.spindle_tool(), place) {
+                if self.m.interpreter.tool_measured(self.line.action.spindle_tool(), place) {
                     self.line.change().is_first_tool();
                 }
                 self.m.replies.offset_changed();
@@ -172,7 +169,7 @@ impl<const N: usize> Controller<N> {
     /// Over the work: spindle and coolant come back with the rest of the line, whose motion is the way down.
     fn return_to_work(&mut self) -> Stage {
         let length = self.m.interpreter.offsets().tool_length;
-        let longer = length.zip(&self.line.checked.tool_length(), |new, old| new - old);
+        let longer = length.zip(&self.line.action.tool_length(), |new, old| new - old);
         let longer = longer.get(Axis::Z).unwrap_or(Coordinate::ZERO);
         let clear = Coordinate::from_mm_f32(self.m.settings.value(Key::ParkingPullOut));
         let way = self.line.change().way_back(longer, clear);
@@ -183,7 +180,7 @@ impl<const N: usize> Controller<N> {
         // A laser is dark in rapids only.
         let rate = per_second(self.m.settings.value(Key::ParkingPullOutRate));
         let feed = if self.m.settings.is_on(Key::Laser) { Feed::Rapid } else { Feed::PerMinute(rate) };
-        self.line.checked.return_with_tool(way, feed, length);
+        self.line.action.return_with_tool(way, feed, length);
         Stage::Apply
     }
 

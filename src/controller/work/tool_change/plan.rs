@@ -1,6 +1,5 @@
-//! `ToolChange` with a tool setter (`$918=2`), phase by phase: retract, to the place of change, prompt, seek and locate
-//! at the setter, lift, back to the work. `ChangePlan` has the places, height, depth and rates, and whether it is the
-//! first tool (`is_first_tool`). It moves nothing itself: it gives an [`ChangeOrder`] and is told how that ended.
+//! A tool change with a tool setter (`$918=2`) as a sequence: retract, go to the change position, wait, measure,
+//! return. It moves nothing itself: it returns an order and is told how that ended.
 //!
 //! ```text
 //!  height   retract ──▶ to G30 ──▶ prompt ~ ──▶ to the setter       lift ──▶ back ──▶ (spindle on)

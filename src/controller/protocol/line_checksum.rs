@@ -1,8 +1,6 @@
-//! `LineCheck`: lines with a number, a length and a checksum (CRC-32) in a header of letter digits, for links that
-//! damage, drop, double or delay bytes (`$LC=ON`, better `$LC=ONQKXW` with letters of a session). The `Verdict` on a line is valid, known or damaged; answers have the same
-//! form with the wanted number. A reset lets the check lapse. What is carried out is exactly what was sent, in its
-//! order and once. A line in which a byte is off is not whole (`is_whole`) and its check fails. `Crc` adds bytes
-//! one by one.
+//! Checked lines (`$LC=ON`): each line has a number, a length and a CRC-32, for links that damage, drop, double or
+//! delay bytes. A damaged line is refused, and the reply carries the number of the line that is wanted next. What is
+//! executed is exactly what was sent, in its order and once.
 //!
 //! ```text
 //!  : NNN LL CCCCCCCC text LF
@@ -118,7 +116,7 @@ impl Session {
 
 /// How far the checked lines are. One byte after the other.
 #[derive(Clone, Debug)]
-pub struct LineCheck {
+pub struct LineChecksum {
     /// The number of the line that may come next; none while lines are not checked.
     wanted: Option<u32>,
     session: Session,
@@ -136,7 +134,7 @@ pub struct LineCheck {
     crc: Crc,
 }
 
-impl LineCheck {
+impl LineChecksum {
     /// Lines are not checked.
     pub const OFF: Self = Self {
         wanted: None,
@@ -344,8 +342,8 @@ impl Crc {
 mod tests {
     use super::*;
     use crate::messages::{LineByte, Realtime};
-    use crate::protocol::line::{LENGTH as LONGEST, LineRules, Pushed};
-    use crate::protocol::line_intake::LineIntake;
+    use crate::protocol::intake::LineIntake;
+    use crate::protocol::line_filter::{LENGTH as LONGEST, LineRules, Pushed};
     use crate::protocol::realtime::{Received, command};
     use proptest::prelude::*;
 
@@ -541,7 +539,7 @@ mod tests {
 
     #[test]
     fn answers_have_the_form_of_lines() {
-        let mut check = LineCheck::OFF;
+        let mut check = LineChecksum::OFF;
         assert_eq!(check.answer(b"ok\r\n"), None);
         check.begin(b"");
         let answer = check.answer(b"error:20\r\n").unwrap();
@@ -649,7 +647,7 @@ mod tests {
             for bit in (0..length).filter(|bit| *bit == 0 || *bit == length - 1 || burst >> bit & 1 != 0) {
                 written[(at + bit) / 8] ^= 1 << ((at + bit) % 8);
             }
-            let mut check = LineCheck::OFF;
+            let mut check = LineChecksum::OFF;
             check.begin(b"");
             for byte in written {
                 check.take(byte);

@@ -1,6 +1,6 @@
-//! `Recorder`: what came in, with its time, in a ring of RAM pages that outlives a reset. Lines, realtime commands,
-//! inputs and step events are appended; `keep` holds the ring after a failure, and `next_entry` reads it back from the
-//! oldest page for `$REC`.
+//! Records what comes in, with its time, in a ring of RAM pages that survives a reset. Bytes of lines, realtime
+//! commands, inputs and step events are appended as they reach the controller. After a reset the ring is kept for
+//! `$REC`, until the next program starts.
 //!
 //! ```text
 //!  page n-2 ▶ page n-1 ▶ page n ─┐    a page: mark, number, time of its begin, bytes used and their sum, entries
@@ -26,7 +26,7 @@ use crate::messages::{
     CrashKind, Event, HOST_CHANGED, LineByte, Noted, Realtime, Record, Recorded, Restart, Sensed, Standing, StepEvent,
     Stopping, ToStep,
 };
-use crate::protocol::line_intake::EPOCHS;
+use crate::protocol::intake::EPOCHS;
 use crate::protocol::realtime;
 use crate::units::{Coordinate, Instant};
 use core::sync::atomic::{Ordering, compiler_fence};

@@ -1,18 +1,17 @@
-//! Received bytes become lines, and each line is dispatched to where it is carried out: `$` line, tape mark, program
-//! line with O words, or a jog that must wait (while another is `cancelling`). Invalid and too long lines are refused;
-//! the message of a remark is kept with its mark. `LineRules` of each dialect. The intake's `Verdict` and what is
-//! `Taken` decide whether a line is pushed on, answered with an error, or kept; `tell_remark` says a message.
+//! Where a received line goes. Bytes are collected by the intake; a complete line is a `$` command, a jog or a line of
+//! a program, and each is passed on or refused with an error. A jog that arrives while another one brakes waits until
+//! that is at rest.
 
 use crate::dispatch::Controller;
 use crate::error::Error;
 use crate::gcode::{self, AS_WRITTEN, CAM_WORDS, Dialect, Direction, Notice, WITH_VALUES};
 use crate::messages::{HOST_CHANGED, LineByte};
-use crate::protocol::checked_line::Verdict;
-use crate::protocol::line::{self, Pushed};
-use crate::protocol::line_intake::Taken;
+use crate::protocol::intake::Taken;
+use crate::protocol::line_checksum::Verdict;
+use crate::protocol::line_filter::{self, Pushed};
 use crate::protocol::report;
 use crate::settings::{Key, Settings};
-use crate::states::Mode;
+use crate::states::State;
 use crate::units::{Duration, Instant};
 use crate::view::dialect;
 use crate::work::task::{Answer, Caller, Task};
@@ -22,7 +21,7 @@ use crate::work::task::{Answer, Caller, Task};
 const REST: Duration = Duration::from_ticks(5_000_000);
 
 /// The message of a line, with its mark.
-type Remark = heapless::Vec<u8, { line::MESSAGE_LENGTH + 1 }>;
+type Remark = heapless::Vec<u8, { line_filter::MESSAGE_LENGTH + 1 }>;
 
 impl<const N: usize> Controller<N> {
     pub(crate) fn release_held(&mut self) {
@@ -34,12 +33,12 @@ impl<const N: usize> Controller<N> {
     /// Whether a byte that comes next would be dropped, as it was received before a reset or a stop, or before the reset that is
     /// all that the machine waits for.
     pub fn is_old(&self, byte: LineByte) -> bool {
-        if self.mode.waits_for_reset() {
+        if self.state.waits_for_reset() {
             return !self.m.stops.is_awaited() && !self.m.lines.is_ahead(byte);
         }
         if byte.byte == HOST_CHANGED {
             // It comes before such bytes, and where nothing of the host before is in work it may be taken like them.
-            let waits = matches!(self.mode, Mode::Door(_)) && !self.m.lines.holds();
+            let waits = matches!(self.state, State::Door(_)) && !self.m.lines.holds();
             return waits && matches!(self.task, Task::None | Task::Startup(_, None));
         }
         self.m.lines.is_old(byte)
@@ -47,7 +46,7 @@ impl<const N: usize> Controller<N> {
 
     /// Drops such a byte, also while no line is wanted.
     pub fn drop_old(&mut self, byte: LineByte) {
-        if self.mode.waits_for_reset() {
+        if self.state.waits_for_reset() {
             self.m.lines.drop_next();
         }
         self.other_byte(byte);
@@ -68,8 +67,8 @@ impl<const N: usize> Controller<N> {
         self.answer_status();
         let is_of_program = self.m.lines.has_no_remark()
             && !matches!(self.m.lines.text().first(), None | Some(b'%' | b'$'))
-            && !self.mode.is_alarm()
-            && !matches!(self.mode, Mode::Jog { .. })
+            && !self.state.is_alarm()
+            && !matches!(self.state, State::Jog { .. })
             && self.dialect() != Dialect::Grbl
             && !self.m.interpreter.is_behind_end();
         if is_of_program {
@@ -87,7 +86,7 @@ impl<const N: usize> Controller<N> {
         let (text, dialect) = (self.m.lines.text(), dialect(&self.m.settings));
         let checked = match self.m.interpreter.direct(text, &[], self.m.lines.lines_read()) {
             Ok(Direction::Check) => {
-                let checked = self.m.interpreter.check_into(text, dialect, &mut self.line.checked);
+                let checked = self.m.interpreter.check_into(text, dialect, &mut self.line.action);
                 checked.map(|()| Direction::Check)
             }
             directed => directed,
@@ -97,7 +96,7 @@ impl<const N: usize> Controller<N> {
         match checked {
             Ok(Direction::Check) => {
                 if let Err(error) = self.begin_checked(Answer::Host) {
-                    self.refuse_program_line(error, self.line.checked.tool_change);
+                    self.refuse_program_line(error, self.line.action.tool_change);
                 }
             }
             Ok(direction) => self.directed(direction, &[]),
@@ -117,7 +116,7 @@ impl<const N: usize> Controller<N> {
     /// A byte has brought something about.
     #[inline(never)]
     fn taken(&mut self, taken: Taken) {
-        if taken.cut && self.mode.waits_for_reset() {
+        if taken.cut && self.state.waits_for_reset() {
             // Its line in work will not go on, and nobody waits for the answer.
             self.task.abandon();
         }
@@ -152,7 +151,7 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     fn complete(&mut self) {
         // Filled where they are: a returned value would be copied with its whole capacity.
-        let (mut text, mut remark) = (heapless::Vec::<u8, { line::LENGTH }>::new(), Remark::new());
+        let (mut text, mut remark) = (heapless::Vec::<u8, { line_filter::LENGTH }>::new(), Remark::new());
         let _ = text.extend_from_slice(self.m.lines.text());
         self.read_remark(&mut remark);
         if CAM_WORDS && self.m.lines.has_nested_remark() && self.dialect() == Dialect::Oxmill {
@@ -189,18 +188,20 @@ impl<const N: usize> Controller<N> {
     /// A jog behind a jog cancel begins once the machine has stopped, from the position where it is then.
     fn must_wait(&self, line: &[u8]) -> bool {
         line.starts_with(b"$J=")
-            && matches!(self.mode, Mode::Jog { cancelling: true })
+            && matches!(self.state, State::Jog { cancelling: true })
             && self.m.lines.is_jog_behind_cancel()
     }
 
     /// The jog that waits for the end of the one before it ([`Task::JogWaits`]). Whether it has begun.
     #[inline(never)]
     pub(crate) fn begin_waiting_jog(&mut self) -> bool {
-        if matches!(self.mode, Mode::Jog { cancelling: true }) || self.mode.is_suspended() || self.m.stops.is_awaited()
+        if matches!(self.state, State::Jog { cancelling: true })
+            || self.state.is_suspended()
+            || self.m.stops.is_awaited()
         {
             return false;
         }
-        let (mut text, mut remark) = (heapless::Vec::<u8, { line::LENGTH }>::new(), Remark::new());
+        let (mut text, mut remark) = (heapless::Vec::<u8, { line_filter::LENGTH }>::new(), Remark::new());
         let _ = text.extend_from_slice(self.m.lines.text());
         self.read_remark(&mut remark);
         self.m.lines.clear();
@@ -211,7 +212,7 @@ impl<const N: usize> Controller<N> {
 
     fn dispatch(&mut self, line: &[u8], remark: &[u8]) {
         let result = match line.first() {
-            None if remark.is_empty() || self.mode.is_alarm() => {
+            None if remark.is_empty() || self.state.is_alarm() => {
                 self.say_ok();
                 Ok(())
             }
@@ -220,7 +221,7 @@ impl<const N: usize> Controller<N> {
             // It would be told now, and not when the line is carried out.
             Some(b'$') if !remark.is_empty() && keeps_line(line) => Err(Error::InvalidStatement),
             Some(b'$') => self.system(line).map(|()| self.tell_remark(remark)),
-            Some(_) if self.mode.is_alarm() || matches!(self.mode, Mode::Jog { .. }) => Err(Error::Locked),
+            Some(_) if self.state.is_alarm() || matches!(self.state, State::Jog { .. }) => Err(Error::Locked),
             _ => self.program_line(line, remark),
         };
         match result {
@@ -292,17 +293,17 @@ fn keeps_line(line: &[u8]) -> bool {
 }
 
 /// How lines are read.
-fn line_rules<const N: usize>(settings: &Settings<N>) -> line::LineRules {
+fn line_rules<const N: usize>(settings: &Settings<N>) -> line_filter::LineRules {
     match dialect(settings) {
-        Dialect::Grbl => line::LineRules {
-            length: line::GRBL_LENGTH,
+        Dialect::Grbl => line_filter::LineRules {
+            length: line_filter::GRBL_LENGTH,
             merge_crlf: false,
             nested_remarks: false,
             expressions: false,
             block_delete: false,
         },
-        dialect => line::LineRules {
-            length: line::LENGTH,
+        dialect => line_filter::LineRules {
+            length: line_filter::LENGTH,
             merge_crlf: true,
             nested_remarks: dialect == Dialect::Seed || CAM_WORDS,
             expressions: true,

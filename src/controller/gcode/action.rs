@@ -1,6 +1,6 @@
-//! `Checked`, the result of a check: what a line asks for, as data that the controller carries out (spindle, speed,
-//! coolant, tool, dwell, stored offset, flow, pins, and the `Motion` in machine coordinates), and the state that it
-//! leaves `Afterwards`.
+//! [`Action`] is the result of checking a line: what to do, as plain data. The controller carries it out (spindle,
+//! coolant, tool, dwell, outputs, and the [`MotionCommand`] in machine coordinates), and the interpreter takes the new
+//! modal state over when the line is committed. Checking has no other effect.
 
 use super::control_points::Addition;
 use super::cycle::Cycle;
@@ -16,7 +16,7 @@ use crate::units::{Coordinate, Decimal, Duration};
 /// What a line asks for, in the order in which it is carried out. The last of it is the state afterwards, which
 /// `Interpreter::commit` takes over.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Checked<const N: usize> {
+pub struct Action<const N: usize> {
     /// N; 0 if there is none.
     pub line_number: u32,
     /// The spindle's new state, if it changes before the motion. (At the program's end it stops: see [`Flow::End`].)
@@ -39,7 +39,7 @@ pub struct Checked<const N: usize> {
     /// The stored place that gets a new value at the commit, or the tool that loses its own.
     pub store: Option<StoredOffset>,
     /// The motion.
-    pub motion: Motion<N>,
+    pub motion: MotionCommand<N>,
     /// The last digit of its words, mm: 0.01 mm or 0.001 inch at most, for trailing zeros are often left out.
     pub digit: f32,
     /// What follows the motion.
@@ -61,7 +61,7 @@ pub(super) struct Afterwards {
     pub(super) spindle_word: bool,
     /// M6 is without axis words and tool offsets.
     pub(super) tool_alone: bool,
-    /// See [`Checked::moves_only`].
+    /// See [`Action::moves_only`].
     pub(super) moves_only: bool,
     /// What G92.3 brings back is the G92 of this line.
     pub(super) keeps_g92: bool,
@@ -98,7 +98,7 @@ impl Notice {
     }
 }
 
-impl<const N: usize> Checked<N> {
+impl<const N: usize> Action<N> {
     /// Whether the line is a motion, a change of how motions are meant, or nothing: neither outputs nor offsets nor records change by
     /// it, and nothing waits for it. Nearly all lines are like that.
     #[inline]
@@ -148,7 +148,7 @@ impl<const N: usize> Checked<N> {
     ) {
         self.spindle = (self.modal.spindle != SpindleDirection::Off).then_some(self.modal.spindle);
         self.coolant = (self.modal.coolant != Coolant::default()).then_some(self.modal.coolant);
-        self.motion = Motion::Line { via: Some(via), target, feed };
+        self.motion = MotionCommand::Line { via: Some(via), target, feed };
         self.digit = 0.0;
         self.position = target;
         self.tool_length = length;
@@ -191,7 +191,7 @@ impl<const N: usize> Checked<N> {
 
     /// A straight move that ends elsewhere: a jog cut short at the end of the travel.
     pub fn redirect(&mut self, place: PerAxis<Coordinate, N>) {
-        if let Motion::Line { target, .. } = &mut self.motion {
+        if let MotionCommand::Line { target, .. } = &mut self.motion {
             *target = place;
             self.position = place;
         }
@@ -209,7 +209,7 @@ impl<const N: usize> Checked<N> {
         work_offset_changed: false,
         uses_machine_place: false,
         store: None,
-        motion: Motion::None,
+        motion: MotionCommand::None,
         digit: 0.0,
         flow: Flow::None,
         modal: Modal::INITIAL,
@@ -236,7 +236,7 @@ impl<const N: usize> Checked<N> {
         self.line_number = 0;
         self.uses_machine_place = false;
         self.after.moves_only = false;
-        self.motion = Motion::None;
+        self.motion = MotionCommand::None;
         self.position = state.position;
         self.rotated.reached = None;
         self.rotated.scaled.rest = None;
@@ -344,7 +344,7 @@ impl InputWait {
 
 /// The motion of a line, in machine coordinates. Every target is within [`Coordinate::LIMIT`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Motion<const N: usize> {
+pub enum MotionCommand<const N: usize> {
     /// Nothing moves.
     None,
     /// A straight move.

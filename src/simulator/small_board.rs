@@ -1,5 +1,5 @@
-//! What the image of a small board leaves out ([`Board::has_all_words`]). The simulator has all of it, so a check for such
-//! a board adds what the board would answer to each line: the error of the first of its words that is left out.
+//! What a small board does not support ([`Board::has_all_words`]). The simulator supports everything; a check for such
+//! a board adds the error that the board would answer to each line.
 //!
 //! [`Board::has_all_words`]: oxmill_boards::profiles::Board::has_all_words
 

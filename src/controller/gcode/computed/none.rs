@@ -1,11 +1,11 @@
-//! In place of `computed` where expressions, parameters and O words are left out to save flash: functions of the same
-//! names that do nothing, and refuse what needs them by an error of its own (`ExpressionsLeftOut`).
+//! Stands in for the folder in builds without the feature `expressions`: the same functions, which do nothing. Lines
+//! that need them are refused with an error of their own.
 
-use super::direction::{Direction, Held};
-use super::state::Interpreter;
-use super::word::Word;
 use crate::axes::PerAxis;
 use crate::error::Error;
+use crate::gcode::direction::{Direction, Held};
+use crate::gcode::state::Interpreter;
+use crate::gcode::word::Word;
 use crate::units::Coordinate;
 
 /// There is nothing to be lent.

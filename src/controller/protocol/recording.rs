@@ -1,9 +1,4 @@
-//! A recording as text: the lines `[REC:...]` that `oxmill replay` reads. Each `Recorded` piece is written with its
-//! moment in ticks: board, stored record, host bytes (escaped), inputs in hexadecimal, counters of a stop, rest or
-//! state as integers, and how the program ended. Each `put`s into `out`: `hex_word`, names of a crash and of a stop
-//! (`stopping_name`), tripped and trusted. `Noted` is matched (connect, disconnect, stuck, probed), `CrashKind` (panic,
-//! `StackOverflow`) and `Standing` too; in it are `put_count`, `put_standing`, `piece`, `moment`, `stored`, `entry`,
-//! `integer`, `crash_name`, `step_clock_hz`, `MICROSECONDS`, `RECORDER`, `BEGIN`, `CLOSE`.
+//! A recording as text: the lines `[REC:...]` of `$REC`, which `oxmill replay` reads.
 
 use super::text::{END, Text, length, put, whole};
 use crate::messages::{CrashKind, Noted, Record, Recorded, Standing, Stopping};

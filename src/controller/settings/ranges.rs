@@ -1,6 +1,5 @@
-//! `$n=v`: `Settings::set` takes a value over if it is `checked` to be in the range of its row (`Kind`), and refuses it
-//! otherwise with `NegativeValue`, `InvalidStatement`, `SettingOutOfRange`, `StepPulseTooShort` (`tenths`) or, in Grbl's
-//! dialect, `SoftLimitNeedsHoming`. Homing that is switched off takes soft limits along. `axes_to_set` have settings.
+//! Takes a new value of a setting (`$n=v`): checks it against the range of its row, and refuses it with an error that
+//! says why. Some settings depend on others: soft limits need homing in Grbl's dialect, and go off with it.
 
 use super::index::Index;
 use super::row::Kind;

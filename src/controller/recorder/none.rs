@@ -1,5 +1,4 @@
-//! In place of [`crate::recorder`] on boards whose RAM has no room for one: a `Recorder` with the same functions that
-//! does nothing, keeps nothing and tells nothing, so nothing of it is in the image.
+//! Stands in for the recorder on boards whose RAM has no room for it: the same functions, which do nothing.
 
 use crate::dispatch::Controller;
 use crate::messages::{Event, Record, Recorded, Restart, ToStep};

@@ -1,12 +1,11 @@
-//! `Check`, a line half checked, and what each step of the check asks of it: modal words over the modal state at its
-//! begin, whether a letter is still unused (`take`), lengths in the line's unit, axis words over a place, work and tool
-//! offset, and the feed of a motion, also of rotary axes. It gives the coordinate along an axis in a coordinate system,
-//! the feed mode, the motion mode, and the `Claim` and purpose of axis words.
+//! A line while it is checked: the words that no step has used yet, and the [`Action`] as far as it is known. The steps
+//! of the check (the other files of this folder) are methods of [`Draft`]. Here are the helpers that several of them
+//! share: lengths in the line's unit, axis words as a target, and the feed of a motion.
 
 use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
-use crate::gcode::checked::{Checked, Feed};
+use crate::gcode::action::{Action, Feed};
 use crate::gcode::modal::{FeedMode, MotionMode, ROTATION, Units};
 use crate::gcode::parse::Parsed;
 use crate::gcode::rotation::RotatedPlane;
@@ -45,7 +44,7 @@ fn inverse_time(feed: Decimal) -> Feed {
 }
 
 /// A line half checked.
-pub(super) struct Check<'a, const N: usize> {
+pub(super) struct Draft<'a, const N: usize> {
     pub(super) state: &'a Interpreter<N>,
     pub(super) line: &'a Parsed<N>,
     pub(super) dialect: Dialect,
@@ -59,20 +58,20 @@ pub(super) struct Check<'a, const N: usize> {
     /// And how they are scaled before.
     pub(super) scaled: Option<&'a Scaling>,
     /// The result so far; its modal state is the one that the line's own words have set.
-    pub(super) checked: &'a mut Checked<N>,
+    pub(super) action: &'a mut Action<N>,
 }
 
-impl<'a, const N: usize> Check<'a, N> {
+impl<'a, const N: usize> Draft<'a, N> {
     /// The line's modal words over the modal state; axis words that no command asks for belong to the motion mode.
     pub(super) fn begin(
         state: &'a Interpreter<N>,
         line: &'a Parsed<N>,
         dialect: Dialect,
         purpose: Purpose,
-        checked: &'a mut Checked<N>,
+        action: &'a mut Action<N>,
     ) -> Self {
-        checked.begin(state);
-        let modal = &mut checked.modal;
+        action.begin(state);
+        let modal = &mut action.modal;
         if purpose == Purpose::Jog {
             modal.motion = MotionMode::Linear;
             modal.feed_mode = FeedMode::PerMinute;
@@ -100,7 +99,7 @@ impl<'a, const N: usize> Check<'a, N> {
             Claim::Nobody if !line.axes.is_empty() || is_circle => Claim::Motion,
             claim => claim,
         };
-        Self { state, line, dialect, purpose, claim, unused: line.values, rotated: None, scaled: None, checked }
+        Self { state, line, dialect, purpose, claim, unused: line.values, rotated: None, scaled: None, action }
     }
 
     /// Of greater offsets sums would saturate, and one that was stored would not be read back. Grbl takes any.
@@ -132,7 +131,7 @@ impl<'a, const N: usize> Check<'a, N> {
 
     /// A length in the line's unit.
     pub(super) fn length(&self, value: Decimal) -> Coordinate {
-        match self.checked.modal.units {
+        match self.action.modal.units {
             Units::Mm => Coordinate::from_mm(value),
             Units::Inch => Coordinate::from_inches(value),
         }
@@ -169,17 +168,17 @@ impl<'a, const N: usize> Check<'a, N> {
     /// and the G92 that acts on it.
     pub(super) fn work_offset(&self, axis: Axis) -> Coordinate {
         let offsets = &self.state.offsets;
-        along(&offsets.system(self.checked.modal.coordinate_system), axis)
-            + along(&self.checked.g92, axis)
+        along(&offsets.system(self.action.modal.coordinate_system), axis)
+            + along(&self.action.g92, axis)
             + self.tool_offset(axis)
     }
 
     pub(super) fn tool_offset(&self, axis: Axis) -> Coordinate {
-        along(&self.checked.tool_length, axis)
+        along(&self.action.tool_length, axis)
     }
 
     pub(super) fn feed_of_motion(&self) -> Feed {
-        let modal = &self.checked.modal;
+        let modal = &self.action.modal;
         match modal.feed_mode {
             FeedMode::PerMinute => Feed::PerMinute(modal.feed_per_second),
             FeedMode::InverseTime => inverse_time(modal.feed),
@@ -195,7 +194,7 @@ impl<'a, const N: usize> Check<'a, N> {
                 Feed::PerMinute(if rotary == 0.0 {
                     feed
                 } else if linear == 0.0 {
-                    per_second(self.checked.modal.rotary_feed())
+                    per_second(self.action.modal.rotary_feed())
                 } else {
                     feed * square_root(1.0 + rotary / linear)
                 })

@@ -1,5 +1,5 @@
-//! How bytes of lines cross from the serial task to `control`: `LineSender` puts received bytes into messages
-//! (`LineBytes`), and `LineReader` takes them out.
+//! Carries bytes of lines from the serial task to the control task: [`LineSender`] packs them into messages, and
+//! [`LineReader`] takes them out.
 //!
 //! ```text
 //!  link ──byte──▶ LineSender ──message──▶ queue ──▶ LineReader ──byte──▶ controller

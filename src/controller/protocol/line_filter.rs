@@ -1,7 +1,5 @@
-//! One `Line` as the host wrote it, filtered byte by byte by the `LineRules` of the dialect as Grbl does: no blanks, no
-//! comment in parentheses or behind a semicolon, upper case, a slash that deletes the block, CR LF as one end. Keeps
-//! the latest remark, whose message `(MSG, ...)` it finds; too long a line overflows. `push_plain` is the short form
-//! for most bytes.
+//! Filters one line byte by byte as Grbl does: removes blanks and comments, makes letters capital, and ends it at CR or
+//! LF. Keeps the last `(MSG, ...)` of the line. A line that is too long is marked as such.
 
 /// Longest line in Grbl's dialect, in bytes, without blanks and remarks.
 pub const GRBL_LENGTH: usize = 79;

@@ -1,7 +1,6 @@
-//! `LineIntake`: which of the received line bytes still count, and the line that they make. It compares the epoch of
-//! each byte with that of the last reset or jog cancel, drops bytes and stale jogs, holds a byte that is ahead of its
-//! command, cuts the line of a host that has gone, counts the lines read, and passes lines through their check. `Taken`
-//! tells what a byte has brought about. It also hears the heartbeat.
+//! Decides which received bytes still count, and collects them into lines. Bytes from before a reset and jogs from
+//! before a jog cancel are dropped; a byte that is ahead of its realtime command is held. Complete lines pass their
+//! checksum, if lines are checked.
 //!
 //! Realtime commands and line bytes come through two queues that keep no order between them. Each byte carries the epoch
 //! it was received in ([`LineByte`]), and each soft reset (Ctrl-X), stop and jog cancel opens an epoch:
@@ -14,9 +13,9 @@
 //! What has no epoch of its own counts the bytes received by then instead: a reset button drops them, a feed hold and a door
 //! end the jogs among them.
 
-use super::checked_line::{LineCheck, Verdict};
 use super::heartbeat::Heartbeat;
-use super::line::{Line, LineRules, Pushed};
+use super::line_checksum::{LineChecksum, Verdict};
+use super::line_filter::{Line, LineRules, Pushed};
 use super::text::Text;
 use crate::error::Error;
 use crate::messages::{HOST_CHANGED, LineByte};
@@ -64,7 +63,7 @@ pub struct LineIntake {
     /// The end of a jog has been ordered by 0x85, which leaves the jogs behind it alone.
     keeps_later_jogs: bool,
     line: Line,
-    check: LineCheck,
+    check: LineChecksum,
     heartbeat: Heartbeat,
     /// Of the hosts that have gone (wrapping), those whose last line has been read.
     hosts_cut: u16,
@@ -93,7 +92,7 @@ impl LineIntake {
             line_before_cancel: false,
             keeps_later_jogs: false,
             line: Line::new(),
-            check: LineCheck::OFF,
+            check: LineChecksum::OFF,
             heartbeat: Heartbeat::NONE,
             hosts_cut: 0,
             lines_read: 0,
@@ -383,7 +382,7 @@ fn is_before(epoch: u16, other: u16) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::protocol::line::LENGTH;
+    use crate::protocol::line_filter::LENGTH;
 
     fn rules() -> LineRules {
         LineRules { length: LENGTH, merge_crlf: true, nested_remarks: false, expressions: true, block_delete: false }
