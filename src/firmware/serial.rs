@@ -14,15 +14,13 @@ use crate::boards::{self, Incoming, Port, SerialPort, UsbPort};
 use crate::shared::{self, ASKED, CONTROL, SERIAL, Wake};
 use core::sync::atomic::{AtomicU32, Ordering};
 use oxmill_controller::messages::{Chunk, LINE_MESSAGES, LineByte, LineBytes, REALTIME_DEPTH, REPLIES_DEPTH, Realtime};
-use oxmill_controller::protocol::link::AMBIGUOUS_US;
+use oxmill_controller::protocol::link::{AMBIGUOUS_US, MOST_HELD};
 use oxmill_controller::{HostArbiter, LineSender, Link, Queues};
 use rtic_sync::channel::{Receiver, Sender};
 use rtic_sync::signal::SignalWriter;
 
 /// Bytes of a USB packet.
 const PACKET: usize = 64;
-/// Line bytes of a USB host that are kept beyond the queue: two packets more than the one that must always fit.
-const USB_HELD: usize = 3 * PACKET;
 /// A UART's sender does not wait: the queue is all that it may fill.
 const UART_HELD: usize = 1;
 
@@ -30,10 +28,11 @@ const UART_HELD: usize = 1;
 /// noise on a wire, that sends them without end is not to take all of the processor.
 const MOST_OTHERS: u32 = 128;
 const OTHER_US: u32 = 200;
-/// Bytes of a link that cannot wait which a run takes one by one, as they are no plain text: twice as many as short lines that end by
-/// CR LF have between two calls (`boards::calls::REST`) at 1 Mbaud, and so few that `control` has its turn before the next call. A host
-/// that counts what it sends has no more under way than there is room for.
+/// Bytes of a link that cannot wait which are taken one by one in so many µs, as they are no plain text: twice as many as short lines
+/// that end by CR LF have in that time at 1 Mbaud, and so few that `control` gets on with its work. A host that counts what it sends has no
+/// more under way than there is room for.
 const MOST_SINGLY: usize = 24;
+const SINGLY_US: u32 = 800;
 
 /// Number of the USART among the links, and of USB.
 const UART: usize = 0;
@@ -127,21 +126,24 @@ impl Queues for ToControl {
 }
 
 /// A link and its port.
-struct Ported<P, const HELD: usize> {
+struct Ported<P> {
     port: P,
-    link: Link<HELD>,
+    link: Link,
     open: bool,
+    /// Bytes taken one by one, and since when they are counted.
+    singly: usize,
+    singly_since: u32,
     /// Since when nothing has come behind a `!` or `~` that may be text.
     quiet_since: Option<u32>,
 }
 
-impl<P: Port, const HELD: usize> Ported<P, HELD> {
-    const fn new(number: usize, port: P) -> Self {
-        Ported { port, link: Link::new(number), open: false, quiet_since: None }
+impl<P: Port> Ported<P> {
+    const fn new(number: usize, port: P, may_hold: usize) -> Self {
+        Ported { port, link: Link::new(number, may_hold), open: false, singly: 0, singly_since: 0, quiet_since: None }
     }
 
     /// Looks whether a host has come or gone. Whether there is news for `control`.
-    fn look<const O: usize>(&mut self, arbiter: &mut HostArbiter, other: &mut Link<O>, queues: &ToControl) -> bool {
+    fn look(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &ToControl) -> bool {
         let mut news = false;
         // One host may go and another come at the same moment.
         for _ in 0..2 {
@@ -162,15 +164,13 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
     }
 
     /// Fetches what has come, as far as there is room. Whether there is news for `control`.
-    fn receive<const O: usize>(
-        &mut self,
-        arbiter: &mut HostArbiter,
-        other: &mut Link<O>,
-        queues: &mut ToControl,
-    ) -> bool {
+    fn receive(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut ToControl) -> bool {
         queues.may_owe = !P::WAITS;
         let mut news = self.link.pass_on(arbiter, queues);
-        let (mut limited, mut singly) = (false, 0);
+        if boards::clock_ticks().wrapping_sub(self.singly_since) >= SINGLY_US * boards::CLOCK_TICKS_PER_US {
+            (self.singly, self.singly_since) = (0, boards::clock_ticks());
+        }
+        let mut limited = false;
         while self.link.room() > 0 || !P::WAITS {
             let text = self.link.take_text(self.port.fetched(), arbiter, queues);
             self.port.pass(text);
@@ -183,8 +183,8 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
             }
             // Of lines no more is queued than there is room for, however they end.
             queues.others = queues.others.saturating_sub(u32::from(queues.bytes_queued == queued));
-            singly += 1;
-            let is_long = !P::WAITS && singly >= MOST_SINGLY;
+            self.singly += 1;
+            let is_long = !P::WAITS && self.singly >= MOST_SINGLY;
             limited = (is_long || queues.others == 0 && queues.bytes_queued == queued) && !self.port.is_urgent();
             if limited {
                 queues.leaves_unread = true;
@@ -226,8 +226,8 @@ impl<P: Port, const HELD: usize> Ported<P, HELD> {
 /// Everything the task owns.
 pub struct Serial {
     arbiter: HostArbiter,
-    uart: Ported<SerialPort, UART_HELD>,
-    usb: Ported<UsbPort, USB_HELD>,
+    uart: Ported<SerialPort>,
+    usb: Ported<UsbPort>,
     queues: ToControl,
     replies: Receiver<'static, Chunk, REPLIES_DEPTH>,
     sending: Chunk,
@@ -249,8 +249,8 @@ impl Serial {
     ) -> Serial {
         Serial {
             arbiter: HostArbiter::new(),
-            uart: Ported::new(UART, uart),
-            usb: Ported::new(USB, usb),
+            uart: Ported::new(UART, uart, UART_HELD),
+            usb: Ported::new(USB, usb, MOST_HELD),
             queues: ToControl {
                 may_owe: false,
                 flushed: true,

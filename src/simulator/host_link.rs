@@ -9,13 +9,11 @@
 
 use crate::boards::AXES;
 use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, REALTIME_DEPTH, Realtime};
-use oxmill_controller::protocol::link::AMBIGUOUS_US;
+use oxmill_controller::protocol::link::{AMBIGUOUS_US, MOST_HELD};
 use oxmill_controller::units::{Duration, Instant};
 use oxmill_controller::{HostArbiter, Link, Queues};
 use std::collections::VecDeque;
 
-/// Line bytes that the link keeps beyond the queue, as that of USB on the boards.
-const HELD: usize = 3 * 64;
 /// Number of the host's link, and of the one that has no host.
 const HOST: usize = 0;
 const UNUSED: usize = 1;
@@ -72,8 +70,8 @@ impl Queues for ToControl {
 pub struct HostLink {
     /// Sent by the host and not yet fetched by the link, which has no room.
     port: VecDeque<u8>,
-    link: Link<HELD>,
-    unused_link: Link<1>,
+    link: Link,
+    unused_link: Link,
     arbiter: HostArbiter,
     queues: ToControl,
     /// Bytes that the link has fetched (wrapping).
@@ -92,8 +90,8 @@ impl Default for HostLink {
     fn default() -> Self {
         HostLink {
             port: VecDeque::new(),
-            link: Link::new(HOST),
-            unused_link: Link::new(UNUSED),
+            link: Link::new(HOST, MOST_HELD),
+            unused_link: Link::new(UNUSED, 0),
             arbiter: HostArbiter::new(),
             queues: ToControl::default(),
             heard: 0,

@@ -148,7 +148,7 @@ impl Reader {
 fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
     let mut queues = Depths { commands: Vec::new(), lines: Vec::new(), cannot_wait: false, free: false };
     let mut arbiter = HostArbiter::new();
-    let (mut uart, mut usb) = (Link::<1>::new(0), Link::<64>::new(1));
+    let (mut uart, mut usb) = (Link::new(0, 1), Link::new(1, 64));
     let mut reader = Reader::default();
     while !input.is_empty() {
         match input.arbitrary()? {

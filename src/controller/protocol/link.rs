@@ -1,10 +1,6 @@
-//! `Link`: received bytes of one host on the way into the queues to `control`: commands out of the byte stream, even
-//! `mid_line`, and line bytes, which are held while a queue is full; lines get a `Refusal` up to their end (`after_cr`)
-//! from a host without the floor, which is ignored or answered. `HostArbiter` with its `Floor` decides which of two
-//! hosts is the `holder` (claim, seize, leave, cut). Lives in the serial task. `Queues` says whether all `is_free`, and takes a `Realtime` command or
-//! a `LineByte`; functions are `take`, `pass_on`, `void_line`, `turn_to`, `came`, `went`, `owes_cut`, `is_waiting`,
-//! `forget`. A command without room is `stuck` (`FeedHold`, `SafetyDoor`), bytes may be `lost`; `OTHER` belongs to the
-//! other link.
+//! What a host sends, on its way to the control task. A `Link` takes the bytes of one host, in the serial task. It picks out realtime
+//! commands, which go ahead of all lines, and keeps bytes of lines for which the queue has no room. Two hosts may be connected, by UART
+//! and USB: `HostArbiter` says which of them has the floor. Lines of the other one are refused with `error:8`.
 //!
 //! ```text
 //!  host ──▶ Link ──realtime──────────────────────▶ queue     at once, past all lines
@@ -33,6 +29,9 @@ use crate::protocol::remark::Remark;
 
 /// How long a `!` or `~` in a remark waits for the rest of its line, in µs: 230 bytes at 115,200 baud.
 pub const AMBIGUOUS_US: u32 = 20_000;
+
+/// Bytes of lines that a link can hold: two packets of USB more than the one that must always fit.
+pub const MOST_HELD: usize = 3 * 64;
 
 /// The way to `control`.
 pub trait Queues {
@@ -111,7 +110,7 @@ impl HostArbiter {
 
     /// A host sends a line: whether it has the floor.
     #[inline]
-    fn claim<const OTHER: usize>(&mut self, link: usize, other: &mut Link<OTHER>, queues: &impl Queues) -> bool {
+    fn claim(&mut self, link: usize, other: &mut Link, queues: &impl Queues) -> bool {
         // Nearly always, and nothing changes by it.
         if self.floor.is_held_by(link) {
             return true;
@@ -122,7 +121,7 @@ impl HostArbiter {
 
     /// Lets `ask` ask for the floor. Where another host takes over, the one that loses it is cut short: its half line, the partial
     /// line that it has sent so far, is void.
-    fn turn_to<const OTHER: usize>(&mut self, other: &mut Link<OTHER>, ask: impl FnOnce(&mut Floor) -> bool) -> bool {
+    fn turn_to(&mut self, other: &mut Link, ask: impl FnOnce(&mut Floor) -> bool) -> bool {
         let before = self.floor.holder();
         let granted = ask(&mut self.floor);
         if self.floor.holder() != before {
@@ -134,11 +133,13 @@ impl HostArbiter {
     }
 }
 
-/// The receiving side of one link to a host. At most `HELD` bytes of lines wait here for room in the queue.
+/// The receiving side of one link to a host.
 #[derive(Clone, Debug)]
-pub struct Link<const HELD: usize> {
+pub struct Link {
     number: usize,
-    held: heapless::Deque<LineByte, HELD>,
+    /// Bytes of lines that wait for room in the queue, and how many may.
+    held: heapless::Deque<LineByte, MOST_HELD>,
+    may_hold: usize,
     /// Commands for which there was no room: nothing more is taken, as they may not be overtaken by another. One, or those that
     /// [`Remark::break_off`] has given with it.
     stuck: heapless::Deque<Realtime, 4>,
@@ -159,12 +160,14 @@ pub struct Link<const HELD: usize> {
     refused_bytes: usize,
 }
 
-impl<const HELD: usize> Link<HELD> {
-    /// Nothing received.
-    pub const fn new(number: usize) -> Self {
+impl Link {
+    /// Nothing received. `may_hold`: how many bytes of lines may wait here for room in the queue, at most [`MOST_HELD`].
+    pub const fn new(number: usize, may_hold: usize) -> Self {
+        assert!(may_hold <= MOST_HELD);
         Self {
             number,
             held: heapless::Deque::new(),
+            may_hold,
             stuck: heapless::Deque::new(),
             lost: false,
             mid_line: false,
@@ -179,7 +182,7 @@ impl<const HELD: usize> Link<HELD> {
 
     /// How many bytes can be taken, whatever they are, with both queues full.
     pub fn room(&self) -> usize {
-        if !self.stuck.is_empty() { 0 } else { HELD - self.held.len() }
+        if !self.stuck.is_empty() { 0 } else { self.may_hold.saturating_sub(self.held.len()) }
     }
 
     /// Line bytes that wait for room in the queue.
@@ -194,24 +197,12 @@ impl<const HELD: usize> Link<HELD> {
 
     /// Takes a byte. Without room it is lost, which the next byte of a line says: a link that can wait is not read then.
     /// Gives whether something was queued.
-    pub fn take<const OTHER: usize>(
-        &mut self,
-        byte: u8,
-        arbiter: &mut HostArbiter,
-        other: &mut Link<OTHER>,
-        queues: &mut impl Queues,
-    ) -> bool {
+    pub fn take(&mut self, byte: u8, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut impl Queues) -> bool {
         self.take_text(&[byte], arbiter, queues) > 0 || self.take_any(byte, arbiter, other, queues)
     }
 
     /// Takes a byte of whatever kind.
-    fn take_any<const OTHER: usize>(
-        &mut self,
-        byte: u8,
-        arbiter: &mut HostArbiter,
-        other: &mut Link<OTHER>,
-        queues: &mut impl Queues,
-    ) -> bool {
+    fn take_any(&mut self, byte: u8, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut impl Queues) -> bool {
         let mut any = false;
         for byte in self.remark.break_off(byte) {
             if let Received::Realtime(command) = Received::of(byte) {
@@ -227,13 +218,7 @@ impl<const HELD: usize> Link<HELD> {
     }
 
     /// Takes a byte that is no part of a character.
-    fn take_alone<const OTHER: usize>(
-        &mut self,
-        byte: u8,
-        arbiter: &mut HostArbiter,
-        other: &mut Link<OTHER>,
-        queues: &mut impl Queues,
-    ) -> bool {
+    fn take_alone(&mut self, byte: u8, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut impl Queues) -> bool {
         match Received::of(byte) {
             Received::Nothing => {
                 queues.ignored();
@@ -291,7 +276,7 @@ impl<const HELD: usize> Link<HELD> {
                 }
                 let byte = LineByte { byte, epoch: arbiter.epoch, damaged: self.lost };
                 let queued = self.held.is_empty() && arbiter.line(byte, queues);
-                self.lost = !queued && self.held.push_back(byte).is_err();
+                self.lost = !queued && (self.held.len() >= self.may_hold || self.held.push_back(byte).is_err());
                 queued
             }
         }
@@ -306,7 +291,7 @@ impl<const HELD: usize> Link<HELD> {
             return 0;
         }
         let has_floor = !arbiter.cut && arbiter.floor.is_held_by(self.number);
-        let has_no_room = self.held.is_full() && !queues.waits() && has_floor;
+        let has_no_room = self.held.len() >= self.may_hold && !queues.waits() && has_floor;
         if self.mid_line && (self.refusing_line || has_no_room) {
             return self.drop_text(bytes);
         }
@@ -409,12 +394,7 @@ impl<const HELD: usize> Link<HELD> {
     /// A host has opened its port. Gives whether it has the floor: another host's job continues, and this one is not greeted
     /// within it. A [`HOST_CHANGED`] goes before its first byte of a line: it ends what was there before. What has no place in the
     /// queue is forgotten: it was sent before the port was opened, and the start of its line may be in front of the cut.
-    pub fn came<const OTHER: usize>(
-        &mut self,
-        arbiter: &mut HostArbiter,
-        other: &mut Link<OTHER>,
-        queues: &impl Queues,
-    ) -> bool {
+    pub fn came(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &impl Queues) -> bool {
         let free = queues.is_free();
         let granted = arbiter.turn_to(other, |floor| floor.claim(self.number, free, true));
         arbiter.cut |= granted;
@@ -437,7 +417,7 @@ impl<const HELD: usize> Link<HELD> {
     fn forget(&mut self) {
         self.hold_if_ambiguous();
         let stuck = core::mem::take(&mut self.stuck);
-        *self = Self { stuck, ..Self::new(self.number) };
+        *self = Self { stuck, ..Self::new(self.number, self.may_hold) };
     }
 
     /// Sends what the host is refused. `false` while there is more of it.
@@ -526,8 +506,8 @@ mod tests {
     struct Both<const HELD: usize> {
         queues: Depths,
         arbiter: HostArbiter,
-        uart: Link<1>,
-        usb: Link<HELD>,
+        uart: Link,
+        usb: Link,
     }
 
     impl<const HELD: usize> Both<HELD> {
@@ -535,8 +515,8 @@ mod tests {
             Both {
                 queues: Depths { most_commands, most_lines, ..Depths::default() },
                 arbiter: HostArbiter::new(),
-                uart: Link::new(0),
-                usb: Link::new(1),
+                uart: Link::new(0, 1),
+                usb: Link::new(1, HELD),
             }
         }
 
