@@ -259,7 +259,7 @@ fn errors_of_their_own() {
         assert_eq!(program.error("G8 X1 F100"), 121);
         // A probing move, which has no use for R.
         let code = if cfg!(feature = "cam-words") { 36 } else { 121 };
-        assert_eq!(program.error("G31 X1 R1 F100"), code);
+        assert_eq!(program.error("G31 X1 Z-1 R1 F100"), code);
         for word in ["G41", "G41.1", "G42", "G42.1"] {
             assert_eq!(program.error(&format!("{word} D1 X1")), 122, "{word}");
         }
