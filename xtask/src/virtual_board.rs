@@ -1,6 +1,7 @@
 //! Runs the unmodified STM32 images on the virtual board of `tests/virtual_board`, a Python program in an environment of its
 //! own under `target/tools`.
 
+use crate::python::{environment, module};
 use crate::{Failure, cargo, image, root, run, suites};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -49,7 +50,7 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
         let all: Vec<&str> = BOARDS.iter().map(|(name, _)| *name).collect();
         return Err(format!("there is no such virtual board; there are {}", all.join(", ")));
     }
-    let python = environment()?;
+    let python = environment("virtual-board", "virtual_board")?;
     suites::require_defmt_print()?;
     run(cargo().args(["build", "--quiet", "--locked", "--bin", "oxmill"]))?;
     run(module(&python, "unittest").arg("virtual_board.test_models"))?;
@@ -77,7 +78,7 @@ pub fn soak(board: &str, elf: &Path, script: &Path, wall: Option<u64>) -> Result
     if !BOARDS.iter().any(|(name, _)| *name == board) {
         return Err(format!("there is no such virtual board: {board}"));
     }
-    let python = environment()?;
+    let python = environment("virtual-board", "virtual_board")?;
     let (answers, report) = (script.with_extension("answers"), script.with_extension("report"));
     run(module(&python, "virtual_board.soak")
         .arg(board)
@@ -132,30 +133,6 @@ fn failures(report: &str, errors: &str) -> String {
     }
     found.extend(errors.lines().last().map(str::to_string));
     found.join("; ")
-}
-
-fn module(python: &Path, name: &str) -> Command {
-    let mut command = Command::new(python);
-    command.current_dir(root().join("tests")).env("PYTHONDONTWRITEBYTECODE", "1").args(["-m", name]);
-    command
-}
-
-/// Python with the packages of `requirements.txt`; made anew when that file has changed.
-fn environment() -> Result<PathBuf, Failure> {
-    let folder = root().join("target/tools/virtual-board");
-    let python = folder.join("bin/python");
-    let wanted = root().join("tests/virtual_board/requirements.txt");
-    let installed = folder.join("requirements.txt");
-    let read = |path: &Path| fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()));
-    let text = read(&wanted)?;
-    if read(&installed).is_ok_and(|installed| installed == text) {
-        return Ok(python);
-    }
-    run(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&folder))
-        .map_err(|why| format!("{why}: install Python 3 with venv (Debian: `apt-get install python3-venv`)"))?;
-    run(Command::new(&python).args(["-m", "pip", "install", "--quiet", "--requirement"]).arg(&wanted))?;
-    fs::write(&installed, text).map_err(|error| format!("{}: {error}", installed.display()))?;
-    Ok(python)
 }
 
 #[cfg(test)]
