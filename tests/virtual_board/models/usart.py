@@ -8,11 +8,13 @@ Not modelled: DMA of the transmitter, parity, hardware flow control, synchronous
 """
 
 from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
+from .readings import is_chosen
 
 SR, DR, BRR, CR1, CR2, CR3, GTPR = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14, 0x18
 FE, ORE, IDLE, RXNE, TC, TXE = 1 << 1, 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7
 RE, TE, IDLEIE, RXNEIE, TCIE, TXEIE, UE = 1 << 2, 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7, 1 << 13
 DMAR = 1 << 6
+"""USART_SR, USART_CR1, USART_CR3."""
 
 
 class Usart(Peripheral):
@@ -193,7 +195,7 @@ class Usart(Peripheral):
     def _ask_dma(self):
         if self.values[CR3] & DMAR and self.values[SR] & RXNE:
             if any(dma.request(self.name, self.base + DR, self.received) for dma in self.board.dma):
-                self.values[SR] &= ~RXNE
+                self.values[SR] &= ~(RXNE | (FE | ORE | IDLE if is_chosen("flags-by-dma") else 0))
 
     def _call(self):
         sr, cr = self.values[SR], self.values[CR1]
