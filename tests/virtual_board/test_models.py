@@ -598,6 +598,23 @@ class DmaTraces(unittest.TestCase):
             self.assertEqual(port.read(usart.SR) & (usart.FE | usart.RXNE), left)
 
 
+    def test_an_error_calls_while_dma_receives(self):
+        for name in (None, "flags-by-dma"):
+            if name:
+                readings.choose(name)
+                self.addCleanup(readings.forget)
+            bench, _, _, port = self.receiving(8)
+            levels = []
+            bench.nvic.level = lambda _, up, levels=levels: levels.append(up)
+            port._receive(0x41, 0)
+            port._receive(0x41, usart.FE)
+            self.assertNotIn(True, levels, "no interrupt is enabled")
+            port.write(usart.CR3, usart.DMAR | usart.EIE)
+            port._receive(0x41, usart.FE)
+            # A line that falls again is pending all the same.
+            self.assertIn(True, levels)
+
+
 class ChainTraces(unittest.TestCase):
     """TIM5's moments by DMA1, TIM1's pulses, DMA2's words, as an image sets them up: at 96 MHz all of them count cycles."""
 

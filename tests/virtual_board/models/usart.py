@@ -3,7 +3,8 @@
 Modelled: baud rate from BRR; bytes of a sender whose rate is more than 2.5 % apart, and those that had begun when the receiver was
 switched on, are sampled bit by bit from the levels of the line, which gives other bytes and framing errors; a byte becomes readable in the middle of its stop
 bit, overrun when the one before has not been read (the new byte is lost, ORE stays until SR and DR are read), TXE, TC, IDLE, transmit data register
-and shift register with the time of each frame, interrupt enables, DMA requests of the receiver.
+and shift register with the time of each frame, interrupt enables, that of errors while DMA receives among them, DMA requests of the
+receiver.
 Not modelled: DMA of the transmitter, parity, hardware flow control, synchronous and LIN modes, noise, IDLE as an interrupt.
 """
 
@@ -13,7 +14,7 @@ from .readings import is_chosen
 SR, DR, BRR, CR1, CR2, CR3, GTPR = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14, 0x18
 FE, ORE, IDLE, RXNE, TC, TXE = 1 << 1, 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7
 RE, TE, IDLEIE, RXNEIE, TCIE, TXEIE, UE = 1 << 2, 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7, 1 << 13
-DMAR = 1 << 6
+EIE, DMAR = 1 << 0, 1 << 6
 """USART_SR, USART_CR1, USART_CR3."""
 
 
@@ -24,7 +25,7 @@ class Usart(Peripheral):
         BRR: ("BRR", 0, 0xFFFF),
         CR1: ("CR1", 0, RE | TE | RXNEIE | TCIE | TXEIE | UE),
         CR2: ("CR2", 0, 0),
-        CR3: ("CR3", 0, DMAR),
+        CR3: ("CR3", 0, DMAR | EIE),
     }
 
     def __init__(self, name, board, base, clock, irq, bus):
@@ -198,6 +199,7 @@ class Usart(Peripheral):
                 self.values[SR] &= ~(RXNE | (FE | ORE | IDLE if is_chosen("flags-by-dma") else 0))
 
     def _call(self):
-        sr, cr = self.values[SR], self.values[CR1]
-        wants = sr & (RXNE | ORE) and cr & RXNEIE or sr & TXE and cr & TXEIE or sr & TC and cr & TCIE
+        sr, cr, cr3 = self.values[SR], self.values[CR1], self.values[CR3]
+        wants = cr3 & EIE and cr3 & DMAR and sr & (FE | ORE)
+        wants = wants or sr & (RXNE | ORE) and cr & RXNEIE or sr & TXE and cr & TXEIE or sr & TC and cr & TCIE
         self.board.nvic.level(self.irq, bool(wants))
