@@ -54,7 +54,8 @@ usage:
   cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
   cargo xtask virtual [BOARD [CASE..]]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3);
-                             `--profile` behind a case: where its cycles went
+                             `--profile` behind a case: where its cycles went; `--reading NAME`: with the second reading of a fact that the
+                             manuals leave open
   cargo xtask witness [--faults]  the firmware on an emulator by other hands, belief by belief; with `--faults` three wrong ones, which have to be
                              seen (needs Python 3)
   cargo xtask soak qemu|BOARD [--minutes N|--seconds N] [--wall N] [--seed N]  a job with holds, overrides, resets and hosts that come and go, so

@@ -4,7 +4,7 @@
 use crate::python::{environment, module};
 use crate::{Failure, cargo, image, root, run, suites};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::Mutex;
 use std::thread;
@@ -42,7 +42,17 @@ const SIBLING: &[&str] = &[
 /// Boards of these that are tried with the wires of the loop-back suite: one of each part.
 const LOOPBACK: [&str; 3] = ["blackpill_f411", "nucleo_f446re", "blackpill_f401"];
 
-/// The cases of one board, or of all of them, two at a time, and the loop-back suite; or the cases named.
+/// Second readings of facts that the manuals leave open (`tests/virtual_board/models/readings.py`), each with a board and cases that depend on the
+/// fact. `.ci/nightly` has all cases of two boards under each.
+const READINGS: [(&str, &str, &[&str]); 5] = [
+    ("counted-at-fetch", "blackpill_f411", &["hold", "turns"]),
+    ("compare-on-count", "nucleo_f446re", &["probe"]),
+    ("quick-trigger", "blackpill_f411", &["pulses"]),
+    ("slow-trigger", "nucleo_f446re", &["turns"]),
+    ("flags-by-dma", "nucleo_f446re", &["disturbed line"]),
+];
+
+/// The cases of one board, or of all of them, two at a time, some under second readings, and the loop-back suite; or the cases named.
 pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
     let boards: Vec<(&str, &[&str])> =
         BOARDS.into_iter().filter(|(name, _)| board.is_none_or(|board| board == *name)).collect();
@@ -60,6 +70,12 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
         let mut command = module(&python, "virtual_board");
         command.arg(board).arg(image::build(board)?.path).arg(root().join("target/debug/oxmill"));
         command.args(if cases.is_empty() && !is_named { own } else { cases });
+        runs.push((*board, command));
+    }
+    for (reading, board, own) in READINGS.iter().filter(|_| cases.is_empty() && !is_named) {
+        let mut command = module(&python, "virtual_board");
+        command.arg(board).arg(root().join("target/boards").join(format!("{board}.elf")));
+        command.arg(root().join("target/debug/oxmill")).args(*own).args(["--reading", reading]);
         runs.push((*board, command));
     }
     let has_loopback = |board: &&str| cases.is_empty() && boards.iter().any(|(name, _)| name == board);
