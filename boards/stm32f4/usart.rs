@@ -187,6 +187,8 @@ pub fn shelter<U: Sheltered>(work: &mut dyn FnMut()) {
         // pending afterwards, as nothing else of the USART calls meanwhile.
         let (control, receiving) = (read(usart + CR_1), read(usart + CR_3));
         write(usart + CR_1, control & !CALLS);
+        // The bus may take its time: what is read back has arrived.
+        let _ = read(usart + CR_1);
         pac::NVIC::unpend(U::CALLED);
         write(usart + CR_3, receiving | DMA_RECEIVES | CALL_WHEN_DISTURBED);
         work();
