@@ -138,6 +138,9 @@ pub(super) struct Chain<M, const P: usize> {
     one_by_one: bool,
     /// One by one: an event has been committed and is not out.
     pending: bool,
+    /// Moments that DMA1 has counted when the first is written: 1, or 2 if it counts a word when it fetches it. Of that the manual
+    /// leaves a doubt (DMA_SxNDTR), so the part is asked at each begin.
+    first_moments: usize,
     map: PhantomData<M>,
 }
 
@@ -161,7 +164,17 @@ impl<M: Map, const P: usize> Chain<M, P> {
     const SPARE: usize = if P > 1 { 2 } else { 1 };
 
     pub(super) const fn new(ports: [usize; P], rings: &'static mut Rings<P>) -> Self {
-        Chain { rings, ports, head: 0, pulse: 1, begun: false, one_by_one: false, pending: false, map: PhantomData }
+        Chain {
+            rings,
+            ports,
+            head: 0,
+            pulse: 1,
+            begun: false,
+            one_by_one: false,
+            pending: false,
+            first_moments: 1,
+            map: PhantomData,
+        }
     }
 
     /// At rest: the word of each port that ends all pulses, and their length.
@@ -389,6 +402,9 @@ impl<M: Map, const P: usize> Chain<M, P> {
             write(M::TIM5 + DIER, CALLS | ASKS_FOR_MOMENT);
             write(M::TIM5 + EGR, Due::OUT.0);
             cortex_m::asm::delay(SERVED_CYCLES);
+            // Before the first moment comes, or this is done once more.
+            let counted = self.moments_counted();
+            self.first_moments = if counted == 2 { 2 } else { 1 };
             write(M::TIM1 + DIER, requests);
             let left = self.moment_at(0).wrapping_sub(read(M::TIM5 + CNT));
             if left as i32 > LISTENS_TICKS as i32 {
@@ -448,12 +464,19 @@ impl<M: Map, const P: usize> Chain<M, P> {
         (0..MORE_LOOKS).all(|_| !self.counts_agree())
     }
 
-    /// Between two events: one moment more than edges, as many edges on all ports, and one end of a pulse less at most.
+    /// Moments that DMA1 has counted, modulo the ring.
+    #[inline(always)]
+    fn moments_counted(&self) -> usize {
+        RING.wrapping_sub(read(stream(M::DMA1, MOMENTS) + NDTR) as usize) % RING
+    }
+
+    /// Between two events: as many moments more than edges as at the begin, as many edges on all ports, and one end of a pulse less at
+    /// most.
     #[inline(always)]
     fn counts_agree(&self) -> bool {
         let left = |number| read(stream(M::DMA2, number) + NDTR) as usize;
         let edges = left(streams(0, P).on);
-        let mut agree = edges.wrapping_sub(read(stream(M::DMA1, MOMENTS) + NDTR) as usize) % RING == 1;
+        let mut agree = (self.moments_counted() + edges) % RING == self.first_moments;
         for port in 0..P {
             let Streams { on, off, .. } = streams(port, P);
             agree &= port == 0 || left(on) == edges;
@@ -504,9 +527,9 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
         fault |= (read(M::DMA2 + LISR) | read(M::DMA2 + HISR)) & ERRORS != 0;
         if !self.one_by_one {
-            // One more than events; two, if the next match came after TIM1 had ceased to listen.
-            let moments = RING.wrapping_sub(read(stream(M::DMA1, MOMENTS) + NDTR) as usize).wrapping_sub(tail) % RING;
-            fault |= moments != 1 && moments != 2 || read(M::DMA1 + LISR) & MOMENT_ERRORS != 0;
+            // As many more than events as at the begin; one more, if the next match came after TIM1 had ceased to listen.
+            let more = self.moments_counted().wrapping_sub(tail).wrapping_sub(self.first_moments) % RING;
+            fault |= more > 1 || read(M::DMA1 + LISR) & MOMENT_ERRORS != 0;
         }
         write(stream(M::DMA1, MOMENTS) + CR, 0);
         (tail, fault)

@@ -90,6 +90,8 @@ class Image:
         return None
 
 
+# Of this file: base addresses by RM0383 and RM0390, "Memory map", register boundary addresses; numbers of interrupts by their vector tables; bits
+# of the enable registers by RCC_AHB1ENR, RCC_APB1ENR and RCC_APB2ENR.
 UNIQUE_ID = bytes.fromhex("3300210007504b4b38373320")
 """A part's number, as one of them had it."""
 

@@ -18,18 +18,20 @@ class Part:
     apb1_hz: int
     apb2_hz: int
     wait_states: tuple
-    """Greatest core clock for 0, 1, 2, ... wait states at 2.7 to 3.6 V."""
+    """Greatest core clock for 0, 1, 2, ... wait states at 2.7 to 3.6 V (RM0383, RM0390, RM0368, "Number of wait states according to CPU clock")."""
     scale_hz: dict
-    """Greatest core clock by VOS."""
+    """Greatest core clock by VOS (PWR_CR; data sheet, general operating conditions)."""
     over_drive_hz: int
-    """Greatest core clock with over-drive; 0 where there is none."""
+    """Greatest core clock with over-drive; 0 where there is none (RM0390, "Voltage regulator")."""
     pwr_cr_reset: int
+    """PWR_CR."""
     interrupts: int
+    """Rows of the vector table."""
     asleep: tuple
     """RCC_AHB1LPENR, AHB2LPENR, APB1LPENR and APB2LPENR after a reset, as the manuals have them: whose clocks go on while the processor sleeps.
     On the F401 and F411 that of TIM1 does not, nor those of GPIOE and GPIOH."""
     vco_hz: int = 100 * MHZ
-    """Least frequency of the PLL's oscillator."""
+    """Least frequency of the PLL's oscillator (RCC_PLLCFGR; 192 MHz in RM0368)."""
     flash_kib: int = 512
     ram_kib: int = 128
     flash_start: int = 0x0800_0000

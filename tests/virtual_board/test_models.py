@@ -7,7 +7,7 @@ import unittest
 from types import SimpleNamespace
 
 from .host import Host
-from .models import dma, exti, flash, gpio, iwdg, nvic, otg, pulse, pwr, rcc, timer, usart
+from .models import dma, exti, flash, gpio, iwdg, nvic, otg, pulse, pwr, rcc, readings, timer, usart
 from .models.peripheral import NEVER, Misuse, Unmodelled
 from .parts import BLACKPILL_F411, NUCLEO_F446RE
 from .profile import readable
@@ -624,9 +624,11 @@ class DmaTraces(unittest.TestCase):
         self.assertEqual((self.model.read(base + dma.NDTR), self.model.read(base + dma.CR) & 1, self.model.read(dma.LISR)), (2, 1, 1 << 21))
 
     def test_errors_call_although_dma_reads(self):
+        self.addCleanup(readings.forget)
         for clears_all in False, True:
             self.receiving(8, error=usart.FE)
-            self.port.dma_clears_all = clears_all
+            if clears_all:
+                readings.choose("flags-by-dma")
             self.until(17_300)
             self.assertFalse(self.bench.lines[37])
             # The line rises with the byte, before DMA fetches it.
@@ -708,6 +710,9 @@ class ChainTraces(unittest.TestCase):
         )
         self.tim5.write(timer.CR2, 3 << 4)
         self.tim5.write(timer.CR1, 1)
+
+    def tearDown(self):
+        readings.forget()
 
     def words(self, address, values):
         for k, value in enumerate(values):
@@ -868,6 +873,39 @@ class ChainTraces(unittest.TestCase):
             self.stream(self.dma2, 4, self.OFF, self.BSRR, 2, self.LOW)
         self.tim1.reset()
         self.stream(self.dma2, 4, self.OFF, self.BSRR, 2, self.LOW)
+
+    def test_a_compare_value_written_onto_the_count(self):
+        for name, flag in ((None, 0), ("compare-on-count", 2)):
+            if name:
+                readings.choose(name)
+            self.until(self.bench.now + 100)
+            self.tim5.write(timer.SR, 0)
+            self.tim5.write(timer.CCR1, self.tim5.read(timer.CNT))
+            self.until(self.bench.now)
+            self.assertEqual(self.tim5.read(timer.SR) & 2, flag)
+            self.tim5.write(timer.CCR1, self.tim5.read(timer.CNT) - 1)
+            self.tim5.write(timer.SR, 0)
+            self.until(self.bench.now + 50)
+            self.assertEqual(self.tim5.read(timer.SR) & 2, 0, "what is past matches by neither")
+
+    def test_a_word_that_is_counted_when_it_is_fetched(self):
+        readings.choose("counted-at-fetch")
+        base = 0x10 + 0x18 * 2
+        self.begin([1000, 1200, 1500, 1499], [2, 2, 2, 2])
+        # One is written, the next is fetched.
+        self.assertEqual(self.dma1.read(base + dma.NDTR), 2)
+        self.until(1300)
+        # The fourth is fetched, with which the ring begins again.
+        self.assertEqual((self.dma1.read(base + dma.NDTR), self.dma2.read(0x10 + 0x18 + dma.NDTR)), (4, 3 - 1))
+
+    def test_a_trigger_sooner_and_later(self):
+        for name, edges in (("quick-trigger", (1014, 1110)), ("slow-trigger", (1021, 1117))):
+            self.setUp()
+            readings.forget()
+            readings.choose(name)
+            self.begin([1000, 2000, 1999], [2, 2, 2])
+            self.until(1500)
+            self.assertEqual(tuple(at for at, _, _, _ in self.bench.edges), edges)
 
 
 class BeamTraces(unittest.TestCase):

@@ -99,42 +99,39 @@ class Disturbed:
 
 def disturbed_line(bench):
     """A byte is wrong, and seen to be: none of the lines that come then is carried out with another value than was sent, nor as two, and each
-    is answered. With DMA, whatever it clears of what tells of it."""
-    variants = (False, True) if bench.wiring.uart_irq is None else (False,)
-    for clears_all in variants:
-        boot_fast(bench)
-        board, host = bench.board, bench.host
-        board.usart.dma_clears_all = clears_all
-        disturbed = Disturbed(board.usart, lambda byte: byte ^ 1)
-        begin = len(host.answers)
-        values = [f"{100 + 2 * k}.000" for k in range(400)]
-        host.stream("\n".join(f"${130 + k % 3}={value}" for k, value in enumerate(values)))
-        bench.wait(lambda host=host: host.all_answered, 5, "the last answer")
-        disturbed.end()
-        answers = host.answers[begin:]
-        refused = sum(answer != "ok" for answer in answers)
-        yield f"{len(disturbed.lines)} bytes of {len(values)} lines disturbed, {refused} lines refused"
-        if carried_out := [line for line in disturbed.lines if answers[line] == "ok"]:
-            raise Failure(f"disturbed lines {carried_out} were carried out")
-        # The line itself, and at a fast rate those before and behind it within two samples of the inputs.
-        if refused > 3 * len(disturbed.lines):
-            raise Failure("more lines are refused than were disturbed")
-        listing = bench.ask("$$")
-        for number in range(3):
-            right = [value for value, answer in zip(values[number::3], answers[number::3], strict=True) if answer == "ok"][-1]
-            if f"${130 + number}={right}" not in listing:
-                raise Failure(f"${130 + number} is not {right}: {listing[-12:]}")
-        # Of a line that is cut in two the second half would move.
-        bench.ask("$X")
-        scope = Scope(board)
-        disturbed = Disturbed(board.usart, lambda byte: ord("\n"))
-        host.stream("\n".join(f"G10L2P{k % 6 + 1}X{k}Y1Z2" for k in range(1000)))
-        bench.wait(lambda host=host: host.all_answered, 20, "the last answer")
-        disturbed.end()
-        board.run(seconds=0.1)
-        yield f"{len(disturbed.lines)} bytes have become ends of lines"
-        if scope.steps():
-            raise Failure(f"half a line was carried out: the motors are at {scope.counts()}")
+    is answered."""
+    boot_fast(bench)
+    board, host = bench.board, bench.host
+    disturbed = Disturbed(board.usart, lambda byte: byte ^ 1)
+    begin = len(host.answers)
+    values = [f"{100 + 2 * k}.000" for k in range(400)]
+    host.stream("\n".join(f"${130 + k % 3}={value}" for k, value in enumerate(values)))
+    bench.wait(lambda: host.all_answered, 5, "the last answer")
+    disturbed.end()
+    answers = host.answers[begin:]
+    refused = sum(answer != "ok" for answer in answers)
+    yield f"{len(disturbed.lines)} bytes of {len(values)} lines disturbed, {refused} lines refused"
+    if carried_out := [line for line in disturbed.lines if answers[line] == "ok"]:
+        raise Failure(f"disturbed lines {carried_out} were carried out")
+    # The line itself, and at a fast rate those before and behind it within two samples of the inputs.
+    if refused > 3 * len(disturbed.lines):
+        raise Failure("more lines are refused than were disturbed")
+    listing = bench.ask("$$")
+    for number in range(3):
+        right = [value for value, answer in zip(values[number::3], answers[number::3], strict=True) if answer == "ok"][-1]
+        if f"${130 + number}={right}" not in listing:
+            raise Failure(f"${130 + number} is not {right}: {listing[-12:]}")
+    # Of a line that is cut in two the second half would move.
+    bench.ask("$X")
+    scope = Scope(board)
+    disturbed = Disturbed(board.usart, lambda byte: ord("\n"))
+    host.stream("\n".join(f"G10L2P{k % 6 + 1}X{k}Y1Z2" for k in range(1000)))
+    bench.wait(lambda: host.all_answered, 20, "the last answer")
+    disturbed.end()
+    board.run(seconds=0.1)
+    yield f"{len(disturbed.lines)} bytes have become ends of lines"
+    if scope.steps():
+        raise Failure(f"half a line was carried out: the motors are at {scope.counts()}")
 
 
 FLOODS = {"?": b"?", "ends of lines": b"\n", "ends by CR LF": b"\r\n", "0xFF": b"\xff", "NUL": b"\0", "comments": b"(a)\n"}

@@ -3,17 +3,19 @@
 Modelled: baud rate from BRR; bytes of a sender whose rate is more than 2.5 % apart, and those that had begun when the receiver was
 switched on, are sampled bit by bit from the levels of the line, which gives other bytes and framing errors; a byte becomes readable in the middle of its stop
 bit, overrun when the one before has not been read (the new byte is lost, ORE stays until SR and DR are read), TXE, TC, IDLE, transmit data register
-and shift register with the time of each frame, interrupt enables, that of errors with DMA among them, DMA requests of both halves. A
-DMA stream that reads DR reads no SR: what it clears of flags that nobody has seen, the manuals do not say (`dma_clears_all`).
+and shift register with the time of each frame, interrupt enables, that of errors while DMA receives among them, DMA requests of both
+halves. A DMA stream that reads DR reads no SR: what it clears of flags that nobody has seen, the manuals do not say (`readings`).
 Not modelled: parity, hardware flow control, synchronous and LIN modes, noise, IDLE as an interrupt.
 """
 
 from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
+from .readings import is_chosen
 
 SR, DR, BRR, CR1, CR2, CR3, GTPR = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14, 0x18
 FE, ORE, IDLE, RXNE, TC, TXE = 1 << 1, 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7
 RE, TE, IDLEIE, RXNEIE, TCIE, TXEIE, UE = 1 << 2, 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7, 1 << 13
 EIE, DMAR, DMAT = 1 << 0, 1 << 6, 1 << 7
+"""USART_SR, USART_CR1, USART_CR3."""
 
 
 class Usart(Peripheral):
@@ -51,9 +53,6 @@ class Usart(Peripheral):
         """Since when it listens at this rate."""
         self.searches_from = 0
         """From where it looks for a start bit, if bits are sampled one by one."""
-
-    dma_clears_all = False
-    """A DMA stream that reads DR clears all flags, and not only those that SR has shown."""
 
     def clock_changed(self):
         if self.values[CR1] & UE:
@@ -215,7 +214,7 @@ class Usart(Peripheral):
 
     def _read_by_dma(self, _, at):
         self.asked_to_read = False
-        self.values[SR] &= ~(RXNE | FE | ORE | IDLE if self.dma_clears_all else RXNE | self.seen & (FE | ORE | IDLE))
+        self.values[SR] &= ~(RXNE | FE | ORE | IDLE if is_chosen("flags-by-dma") else RXNE | self.seen & (FE | ORE | IDLE))
         self.seen = 0
         self._call()
         return self.received
