@@ -3,6 +3,8 @@
 export type Vector = [number, number, number];
 const HALF_ANGLE = 0.35;
 const STEEPEST = 1.5707;
+/** How far above the middle of the view the target is, as a part of half its height: the legend is below. */
+const LIFT = 0.12;
 
 export class Camera {
   /** Turn around Z from the front, and height above the table, radians. */
@@ -23,7 +25,8 @@ export class Camera {
   fit(low: Vector, high: Vector, aspect: number): void {
     this.target = low.map((l, i) => (l + high[i]) / 2) as Vector;
     const size = Math.hypot(...high.map((h, i) => h - low[i])) || 10;
-    this.distance = (size * 0.55) / Math.tan(HALF_ANGLE) / Math.min(1, aspect * 0.85);
+    // With room for the legend and the numbers along the grid.
+    this.distance = (size * 0.58) / Math.tan(HALF_ANGLE) / Math.min(1, aspect * 0.85);
   }
 
   /** Moves the target by so many pixels of a view of this height. */
@@ -63,6 +66,7 @@ export class Camera {
     m[13] = dot(rows[1]);
     m[14] = (z * (far + near)) / (near - far) + (2 * far * near) / (near - far);
     m[15] = -z;
+    for (let column = 0; column < 4; column++) m[column * 4 + 1] += LIFT * m[column * 4 + 3];
     return m;
   }
 

@@ -4,7 +4,7 @@ import { existsSync, readFileSync } from "node:fs";
 import { createServer } from "node:http";
 import { pathToFileURL } from "node:url";
 import puppeteer from "puppeteer-core";
-import { open, openJob, PATIENCE } from "./browser.mjs";
+import { open, openJob, PATIENCE, tab } from "./browser.mjs";
 import { BOARDS, example, examples, MILL, page as file, run, same } from "./program.mjs";
 
 const FIREFOX = [process.env.OXMILL_FIREFOX, "/usr/bin/firefox-esr", "/usr/bin/firefox"].find(path => path && existsSync(path));
@@ -30,7 +30,7 @@ export async function the_page_is_the_same_as_a_site(browser) {
     stop();
     const text = example("pocket_mm.nc");
     same(await openJob(page, "pocket_mm.nc", text), run("pocket_mm.nc", text), "from a web server");
-    await page.click("#tab-machine");
+    await tab(page, "run");
     assert(await page.locator("#served").isHidden(), "no machine is behind this server");
     await page.click("#power");
     await page.waitForFunction(() => /^Idle/.test(oxmill.app.machine.status?.state ?? ""), null, { timeout: PATIENCE });
@@ -67,7 +67,7 @@ export async function firefox_says_the_same() {
       page.on("pageerror", error => faults.push(`error: ${error.message}`));
       page.on("console", message => ["error", "warn"].includes(message.type()) && faults.push(`console: ${message.text()}`));
       await page.goto(place);
-      await until(page, () => Boolean(globalThis.oxmill?.app.checked));
+      await until(page, () => Boolean(globalThis.oxmill?.app));
       for (const name of place === url ? ["pocket_mm.nc"] : examples()) {
         for (const board of BOARDS) {
           const order = { board, settings: MILL };
@@ -75,7 +75,7 @@ export async function firefox_says_the_same() {
           same(found, run(name, example(name), order), `${name} on ${board}`);
         }
       }
-      await page.click("#tab-machine");
+      await tab(page, "run");
       await page.click("#power");
       await until(page, () => /^Idle/.test(oxmill.app.machine.status?.state ?? ""));
       assert.deepEqual(faults, []);
