@@ -619,4 +619,14 @@ export async function cutters_are_read_from_comments(browser) {
   assert.deepEqual([await page.inputValue("#shape"), await page.inputValue("#diameter")], ["flat", "3.175"]);
   await page.selectOption("#cutter-tool", "4");
   assert.deepEqual([await page.inputValue("#shape"), await page.inputValue("#diameter"), await page.inputValue("#angle")], ["v", "6", "60"]);
+  // Of a job that changes no tool, the one cutter; what a person has chosen instead stays while the job is edited, and not for another one.
+  const shown = async () => [await page.inputValue("#shape"), await page.inputValue("#diameter")];
+  await openJob(page, "one.nc", "(T1 D=6. CR=0. - ZMIN=-6. - flat end mill)\nG21 G91 F600\nT1\nG1 Z-1\nG1 X5\n");
+  assert.deepEqual(await shown(), ["flat", "6"]);
+  await page.selectOption("#shape", "ball");
+  await page.evaluate(() => oxmill.app.check());
+  assert.deepEqual(await shown(), ["ball", "6"]);
+  // A length beside a move is none of a cutter.
+  await openJob(page, "other.nc", "G21 G91 F600\nG1 Z-1 (down by 1 mm)\n(turned by 60 deg)\nG1 X5\n");
+  assert.deepEqual(await shown(), ["flat", "3"]);
 }

@@ -16,8 +16,8 @@ export async function launch(more = []) {
 export const PATIENCE = Number(process.env.OXMILL_PATIENCE ?? 600_000);
 
 /** Opens the page; `faults` collects what must not happen. */
-export async function open(browser, file, { viewport = { width: 1440, height: 900 }, colorScheme = "light", prepare, first = false } = {}) {
-  const context = await browser.newContext({ viewport, colorScheme });
+export async function open(browser, file, { viewport = { width: 1440, height: 900 }, colorScheme = "light", reducedMotion = "no-preference", prepare, first = false } = {}) {
+  const context = await browser.newContext({ viewport, colorScheme, reducedMotion });
   context.setDefaultTimeout(PATIENCE);
   const page = await context.newPage();
   const faults = [];
