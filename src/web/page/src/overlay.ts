@@ -30,7 +30,7 @@ export class Overlay {
     const pen = canvas.getContext("2d");
     if (!pen || !width) return;
     pen.scale(ratio, ratio);
-    if (withGrid) numbers(pen, picture);
+    if (withGrid) numbers(pen, picture, [width, height]);
     axes(pen, picture);
     for (const at of marks.refused) {
       const place = picture.place(at);
@@ -43,13 +43,18 @@ export class Overlay {
   }
 }
 
-function numbers(pen: CanvasRenderingContext2D, picture: Picture): void {
+function numbers(pen: CanvasRenderingContext2D, picture: Picture, [width, height]: Place): void {
   const { from, to, step } = picture.lattice;
   const zero = picture.workZero;
   pen.fillStyle = css("--ink-3");
   pen.font = `11px ${css("--sans")}`;
   pen.textAlign = "center";
   pen.textBaseline = "middle";
+  // What the edge would cut is left out.
+  const write = (text: string, [x, y]: Place) => {
+    const half = pen.measureText(text).width / 2;
+    if (x >= half && x <= width - half && y >= 6 && y <= height - 6) pen.fillText(text, x, y);
+  };
   for (const axis of [0, 1]) {
     const across = 1 - axis;
     const aside = from[across] - step * 0.45;
@@ -66,11 +71,11 @@ function numbers(pen: CanvasRenderingContext2D, picture: Picture): void {
     if (every === undefined) continue;
     for (let index = Math.ceil(from[axis] / step / every) * every; index <= Math.floor(to[axis] / step + 1e-6); index += every) {
       const place = at(index * step);
-      if (place) pen.fillText(String(Number(((index * step) / units.size).toFixed(4))).replace("-", "−"), ...place);
+      if (place) write(String(Number(((index * step) / units.size).toFixed(4))).replace("-", "−"), place);
     }
   }
-  const corner = picture.place([to[0] + step * 0.5 + zero[0], from[1] - step * 0.45 + zero[1], zero[2]]);
-  if (corner && picture.camera.height > 0.2) pen.fillText(units.name === "mm" ? "mm" : "in", ...corner);
+  const corner = picture.place([to[0] + step * 1.1 + zero[0], from[1] - step * 0.45 + zero[1], zero[2]]);
+  if (corner && picture.camera.height > 0.2) write(units.name === "mm" ? "mm" : "in", corner);
 }
 
 function axes(pen: CanvasRenderingContext2D, picture: Picture): void {

@@ -6,8 +6,8 @@ import type { Page } from "./page";
 import { storedLines } from "./tooltable";
 import { isRapid, lineOf } from "./track";
 
-/** `yes`: fine. `look`: worth a look. `ask`: has to be confirmed. `no`: the job would fail. */
-export type Grade = "yes" | "look" | "ask" | "no";
+/** `yes`: fine. `look`: worth a look. `ask`: has to be confirmed. `wait`: not known yet. `no`: the job would fail. */
+export type Grade = "yes" | "look" | "ask" | "wait" | "no";
 export interface Finding { grade: Grade; text: string; more?: string; line?: number }
 
 /** How long nothing may change before the job is tried with the machine's own settings, ms. */
@@ -62,7 +62,7 @@ export class Preflight {
     const { machine, page } = this;
     const { checked } = page;
     if (!page.job.name) return [{ grade: "no", text: "No job is open", more: "Open a G-code file, or a sample." }];
-    if (!checked) return [{ grade: "no", text: "The job is not checked", more: "Wait for the verdict, or look at it in Check." }];
+    if (!checked) return [{ grade: "wait", text: "The job is not checked", more: "Wait for the verdict, or look at it in Check." }];
     const hindered = hindrance(checked.summary);
     const found: Finding[] = [hindered ? { grade: "no", text: sentence(hindered.text), more: hindered.more, line: hindered.line } : { grade: "yes", text: "Every line is accepted" }];
     if (!machine.isConnected) return found;
@@ -96,7 +96,7 @@ export class Preflight {
     const { trial, wanted, page } = this;
     const own = page.checked?.summary;
     if (Object.keys(this.machine.settings).length === 0) return [{ grade: "look", text: "The machine does not tell its settings", more: "The job was checked with those of the forecast only." }];
-    if (!trial || trial.key !== wanted) return [{ grade: "no", text: "The job is being tried with the settings of this machine" }];
+    if (!trial || trial.key !== wanted) return [{ grade: "wait", text: "The job is being tried with the settings of this machine" }];
     if (trial.why) return [{ grade: "look", text: "The job cannot be tried with the settings of this machine", more: trial.why }];
     const { errors, alarm, complete } = trial.summary as Summary;
     if (alarm) return [{ grade: "no", text: alarm.code === 2 ? "The job leaves the travel of this machine" : `On this machine the job ends in alarm ${alarm.code}`, more: `${alarm.line ? `Line ${alarm.line}: ` : ""}${alarm.text}. ${alarm.advice}`, line: alarm.line ?? undefined }];

@@ -4,7 +4,7 @@ import type { Machine, Trouble } from "./machine";
 import type { Page } from "./page";
 import { type Finding, type Grade, Preflight } from "./preflight";
 
-const ICONS: Record<Grade, string> = { yes: "check", look: "warn", ask: "warn", no: "cross" };
+const ICONS: Record<Grade, string> = { yes: "check", look: "warn", ask: "warn", wait: "turn", no: "cross" };
 /** How far Z is lifted after a stop, mm. */
 const LIFT = 10;
 
@@ -40,7 +40,7 @@ export class RunCard {
     const { machine } = this;
     if (machine.whyNotAtRest !== undefined) return { why: machine.whyNotAtRest };
     const found = this.preflight.findings();
-    const no = found.find(({ grade }) => grade === "no");
+    const no = found.find(({ grade }) => grade === "no") ?? found.find(({ grade }) => grade === "wait");
     if (no) return { why: `Off: ${no.text.charAt(0).toLowerCase()}${no.text.slice(1)}.` };
     const asks = found.filter(({ grade }) => grade === "ask");
     if (asks.length && this.agreed !== keyOf(asks)) return { why: `${asks.map(({ text }) => text).join(". ")}.`, asked: true };

@@ -6,8 +6,8 @@ import { workZero } from "./engine";
 import type { Machine } from "./machine";
 import type { Page } from "./page";
 
-/** Above what a job reaches, mm; and the height where there is no job. */
-const ABOVE = 5;
+/** The least height above work zero, mm; and the one where there is no job. */
+const LEAST = 5;
 const NO_JOB = 10;
 
 /** Least and greatest work coordinates of a job. */
@@ -45,7 +45,7 @@ export class SetupPanel {
   /** The lowest Z of the work at which nothing of the job is in the way, as far as the job tells. */
   safeHeight(): number {
     const { checked } = this.page;
-    return checked ? Math.max(0, extents(checked.summary).max[2]) + (checked.summary.lines ? 0 : ABOVE) || NO_JOB : NO_JOB;
+    return checked ? Math.max(LEAST, extents(checked.summary).max[2]) : NO_JOB;
   }
 
   /** Why there is no homing, if there is none. */

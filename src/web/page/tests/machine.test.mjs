@@ -233,7 +233,7 @@ export async function the_console_takes_realtime_commands(browser) {
     await page.press("#command", "Enter");
   };
   await page.evaluate(() => oxmill.app.settings.replace({ ...oxmill.app.settings.values(), 120: 321 }));
-  await type("G91 G1 X20 F300");
+  await type("G91 G1 X19 F100");
   await state(page, "^Run");
   // In motion a machine does not tell its settings: those of the forecast stay.
   await tab(page, "settings");
@@ -245,6 +245,7 @@ export async function the_console_takes_realtime_commands(browser) {
   await state(page, "^Hold");
   await type("~");
   await state(page, "^Run");
+  await times(page, "10");
   await state(page, "^Idle");
   await tab(page, "settings");
   await page.click("#read");
@@ -409,12 +410,22 @@ export async function buttons_send_their_realtime_commands(browser) {
     const names = await page.locator("[data-realtime]").evaluateAll(buttons => buttons.map(button => button.dataset.realtime));
     assert.deepEqual(names.toSorted(), Object.keys(bytes).toSorted());
     const commands = () => wire.realtime.filter(byte => byte !== 0x3f);
-    for (const name of names) {
+    const sends = async name => {
       const before = commands().length;
       await page.click(`[data-realtime=${name}]`);
       while (commands().length === before) await page.waitForTimeout(5);
       assert.deepEqual(commands().slice(before), [bytes[name]], name);
-    }
+    };
+    for (const name of names.filter(name => !["hold", "resume"].includes(name))) await sends(name);
+    await openJob(page, "long.nc", "G21 G91\nG1 X50 F60\n");
+    await start(page);
+    await state(page, "^Run");
+    await sends("hold");
+    await state(page, "^Hold:0");
+    await sends("resume");
+    await state(page, "^Run");
+    await page.click("#stop");
+    await state(page, "^Idle");
     await page.click("#steps .hold-step");
     const button = await page.getByRole("button", { name: "jog X to plus", exact: true }).boundingBox();
     await page.mouse.move(button.x + 5, button.y + 5);
