@@ -47,6 +47,13 @@ export class RunCard {
     return machine.isAtRest ? {} : { why: "Waiting for the machine to be at rest." };
   }
 
+  /** A job that has ended, as long as no other one is open. */
+  private get ended(): Pick<Machine, "stopped" | "finished"> {
+    const { stopped, finished } = this.machine;
+    const { name } = this.page.job;
+    return { stopped: stopped?.job.name === name ? stopped : undefined, finished: finished?.name === name ? finished : undefined };
+  }
+
   private start(): void {
     const { machine, page } = this;
     try {
@@ -60,7 +67,8 @@ export class RunCard {
 
   private update(): void {
     const { machine } = this;
-    const { phase, running, stopped, trouble, finished } = machine;
+    const { phase, running, trouble } = machine;
+    const { stopped, finished } = this.ended;
     this.preflight.update();
     $("jobcard").classList.toggle("held", phase === "hold" || phase === "door");
     const going = running !== undefined;
@@ -85,11 +93,12 @@ export class RunCard {
     const { phase } = machine;
     const hindered = this.hindered;
     const start = $<HTMLButtonElement>("start");
-    const instead = !going && (machine.stopped !== undefined || (machine.trouble !== undefined && phase === "alarm") || machine.finished !== undefined);
+    const { stopped, finished } = this.ended;
+    const instead = !going && (stopped !== undefined || (machine.trouble !== undefined && phase === "alarm") || finished !== undefined);
     start.hidden = going;
     start.classList.toggle("go", !instead);
     const time = page.checked ? ` · ${minutes(page.checked.summary.forecast_s)}` : "";
-    const text = machine.finished ? `Start it again${time}` : machine.stopped ? `Start again from line 1${time}` : `Start job${time}`;
+    const text = finished ? `Start it again${time}` : stopped ? `Start again from line 1${time}` : `Start job${time}`;
     if (start.textContent !== text) start.replaceChildren(icon("play"), text);
     allow(start, hindered.why);
     const why = $("start-why");

@@ -45,7 +45,7 @@ export class StatusBar {
     let [text, tone, more]: [string, Tone, string] = [...PILLS[phase], ""];
     if (phase === "run" && running) text = `Running ${Math.round((running.follower.time / (running.follower.end || 1)) * 100)} %`;
     if (phase === "alarm" && trouble?.code !== undefined) text = `Alarm ${trouble.code}`;
-    if (phase === "idle" && machine.stopped) [text, tone] = ["Stopped", "warn"];
+    if (phase === "idle" && machine.stopped?.job.name === this.page.job.name) [text, tone] = ["Stopped", "warn"];
     if (phase === "idle" && trouble?.positionLost) [text, tone, more] = ["Unlocked", "warn", "home it"];
     else if (phase === "idle" && machine.homed) more = "homed";
     if (phase === "hold" && machine.pause) more = "waits for you";

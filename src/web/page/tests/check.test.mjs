@@ -365,7 +365,7 @@ export async function forecasts_are_those_of_single_runs(browser) {
     await page.waitForFunction(() => !document.getElementById("vary").disabled && document.querySelectorAll("#whatif-table tr[data-seconds]").length === 6);
     const shown = await page.locator("#whatif-table tbody tr").evaluateAll(rows => rows.map(row => [row.cells[0].textContent, Number(row.dataset.seconds), row.className]));
     const now = absolute ? 0 : parts.indexOf(1);
-    assert.deepEqual(shown.map(([, , name]) => name), parts.map((_, part) => (part === now ? "now" : "")), numbers.join());
+    assert.deepEqual(shown.map(([, , name]) => name), parts.map((_, part) => (part === now ? "now" : shown[part][1] > shown[now][1] ? "worse" : "")), numbers.join());
     for (const [row, [name, seconds]] of shown.entries()) {
       const value = number => (absolute ? parts[row] : parts[row] === 1 ? own[number] : Number((own[number] * parts[row]).toPrecision(3)));
       const varied = Object.fromEntries(numbers.map(number => [number, value(number)]));

@@ -5,6 +5,7 @@ import { createServer } from "node:http";
 import { pathToFileURL } from "node:url";
 import puppeteer from "puppeteer-core";
 import { open, openJob, PATIENCE, tab } from "./browser.mjs";
+import { until, walk } from "./walk.mjs";
 import { BOARDS, example, examples, MILL, page as file, run, same } from "./program.mjs";
 
 const FIREFOX = [process.env.OXMILL_FIREFOX, "/usr/bin/firefox-esr", "/usr/bin/firefox"].find(path => path && existsSync(path));
@@ -43,15 +44,6 @@ export async function the_page_is_the_same_as_a_site(browser) {
   }
 }
 
-/** Waits until something is so. Asked again and again: what Firefox waits with needs `eval`, which the page's policy forbids. */
-async function until(page, condition) {
-  const end = Date.now() + PATIENCE;
-  while (!await page.evaluate(condition)) {
-    assert(Date.now() < end, `never: ${condition}`);
-    await new Promise(resolve => setTimeout(resolve, 100));
-  }
-}
-
 /** Firefox by WebDriver BiDi, as Debian and Mozilla build it. Without it there is nothing to test, and the run says so. */
 export async function firefox_says_the_same() {
   if (!FIREFOX) {
@@ -82,6 +74,14 @@ export async function firefox_says_the_same() {
       await page.close();
     }
     assert.deepEqual(others, []);
+    const page = await browser.newPage();
+    await page.setViewport({ width: 1440, height: 900 });
+    const faults = [];
+    page.on("pageerror", error => faults.push(`error: ${error.message}`));
+    await page.goto(url);
+    await until(page, () => Boolean(globalThis.oxmill?.app));
+    await walk(page);
+    assert.deepEqual(faults, []);
   } finally {
     await browser.close();
     stop();

@@ -5,6 +5,7 @@ import { createRequire } from "node:module";
 import { join } from "node:path";
 import { checked, isAt, launch, open, openJob, tab, timeOf } from "./browser.mjs";
 import { example, page as file, root } from "./program.mjs";
+import { walk } from "./walk.mjs";
 
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 
@@ -72,6 +73,13 @@ export async function a_screen_reader_finds_nothing_serious(browser) {
     await audit("first");
     await page.context().close();
   }
+}
+
+/** Own job checked, machine jogged and zeroed, the job run, held, stopped at a line and continued from it. */
+export async function a_newcomer_comes_from_a_job_to_its_end(browser) {
+  const { page, faults } = await open(browser, file, { first: true });
+  await walk(page);
+  assert.deepEqual(faults, []);
 }
 
 export async function keys_are_enough(browser) {
