@@ -45,21 +45,29 @@ export async function the_page_is_the_same_as_a_site(browser) {
 }
 
 /** Firefox by WebDriver BiDi, as Debian and Mozilla build it. Without it there is nothing to test, and the run says so. */
+async function firefox() {
+  if (FIREFOX) return puppeteer.launch({ browser: "firefox", executablePath: FIREFOX, protocolTimeout: PATIENCE, defaultViewport: null, args: ["--width=1440", "--height=1000"] });
+  console.log("skipped: no Firefox is installed (Debian: firefox-esr)");
+}
+
+/** A page in it, and what goes wrong there. */
+async function opened(browser, place) {
+  const page = await browser.newPage();
+  const faults = [];
+  page.on("pageerror", error => faults.push(`error: ${error.message}`));
+  page.on("console", message => ["error", "warn"].includes(message.type()) && faults.push(`console: ${message.text()}`));
+  await page.goto(place);
+  await until(page, () => Boolean(globalThis.oxmill?.app));
+  return { page, faults };
+}
+
 export async function firefox_says_the_same() {
-  if (!FIREFOX) {
-    console.log("skipped: no Firefox is installed (Debian: firefox-esr)");
-    return;
-  }
+  const browser = await firefox();
+  if (!browser) return;
   const { url, others, stop } = await site();
-  const browser = await puppeteer.launch({ browser: "firefox", executablePath: FIREFOX, protocolTimeout: PATIENCE });
   try {
     for (const place of [pathToFileURL(file).href, url]) {
-      const page = await browser.newPage();
-      const faults = [];
-      page.on("pageerror", error => faults.push(`error: ${error.message}`));
-      page.on("console", message => ["error", "warn"].includes(message.type()) && faults.push(`console: ${message.text()}`));
-      await page.goto(place);
-      await until(page, () => Boolean(globalThis.oxmill?.app));
+      const { page, faults } = await opened(browser, place);
       for (const name of place === url ? ["pocket_mm.nc"] : examples()) {
         for (const board of BOARDS) {
           const order = { board, settings: MILL };
@@ -74,16 +82,21 @@ export async function firefox_says_the_same() {
       await page.close();
     }
     assert.deepEqual(others, []);
-    const page = await browser.newPage();
-    await page.setViewport({ width: 1440, height: 900 });
-    const faults = [];
-    page.on("pageerror", error => faults.push(`error: ${error.message}`));
-    await page.goto(url);
-    await until(page, () => Boolean(globalThis.oxmill?.app));
+  } finally {
+    await browser.close();
+    stop();
+  }
+}
+
+/** The way of a newcomer in Chromium, in Firefox. */
+export async function firefox_goes_from_a_job_to_its_end() {
+  const browser = await firefox();
+  if (!browser) return;
+  try {
+    const { page, faults } = await opened(browser, pathToFileURL(file).href);
     await walk(page);
     assert.deepEqual(faults, []);
   } finally {
     await browser.close();
-    stop();
   }
 }
