@@ -16,7 +16,8 @@ export function cutterIn(text: string): Cutter | undefined {
   const value = (found: RegExpExecArray | null) => (found ? Number(found[1].replace(",", ".")) : undefined);
   const inch = new RegExp(`${number}\\s*(?:in\\b|inch|")`, "i").exec(text);
   const fraction = /\b(\d+)\/(\d+)\s*(?:in\b|inch|")?/i.exec(text);
-  const diameter = value(new RegExp(`\\bD(?:ia(?:meter)?)?\\.?\\s*[=:]?\\s*${number}`, "i").exec(text))
+  // The tip of a pointed cutter is told by its width, and where that is.
+  const diameter = /\bwide\b|\btip\b/i.test(text) ? undefined : value(new RegExp(`\\bD(?:ia(?:meter)?)?\\.?\\s*[=:]?\\s*${number}`, "i").exec(text))
     ?? (inch ? (value(inch) as number) * 25.4 : fraction ? (Number(fraction[1]) / Number(fraction[2])) * 25.4 : undefined)
     ?? value(new RegExp(`(?:^|\\s|Ø)${number}\\s*mm\\b`, "i").exec(text));
   const angle = value(new RegExp(`${number}\\s*(?:°|deg)`, "i").exec(text)) ?? value(new RegExp(`TAPER\\s*=\\s*${number}`, "i").exec(text));

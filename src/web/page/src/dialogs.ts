@@ -31,9 +31,9 @@ export class Dialog {
     this.before?.focus();
   }
 
-  /** The row of buttons at the end: what closes it comes first. */
+  /** The row of buttons at the end: what closes it comes first. A dialog with no other one has nothing to be cancelled. */
   actions(...more: Node[]): HTMLElement {
-    const row = el("div", { className: "actions-row" }, button("Cancel", () => this.close()), ...more);
+    const row = el("div", { className: "actions-row" }, button(more.length ? "Cancel" : "Close", () => this.close()), ...more);
     this.element.append(row);
     return row;
   }

@@ -58,7 +58,8 @@ export class Machine {
   private link?: Link;
   private endPoll = () => {};
   private stopping?: Stopping;
-  private stopCalls = 0;
+  /** How often Stop was pressed, or a connection ended: what was begun before goes no further. */
+  stopCalls = 0;
   private heard = 0;
   private reported = 0;
   /** Why there is no connection any more, if it was lost. */

@@ -7,10 +7,6 @@ import type { Page } from "./page";
 
 export interface Macro { name: string; lines: string }
 const STORED = "oxmill macros";
-const FIRST: Macro[] = [
-  { name: "Park", lines: "G53 G0 Z-2\nG53 G0 X-2 Y-2" },
-  { name: "Warm up", lines: "M3 S6000\nG4 P30\nM3 S12000\nG4 P30\nM5" },
-];
 
 export class Macros {
   private all = stored();
@@ -76,7 +72,7 @@ export class Macros {
       const made = button(name, () => void this.run(lines), "btn mc");
       made.dataset.lines = lines;
       return made;
-    }));
+    }), ...(this.all.length ? [] : [el("p", { className: "why", textContent: "No macro yet: lines of your own, sent at a press." })]));
     this.update();
   }
 
@@ -86,7 +82,7 @@ export class Macros {
   }
 
   private update(): void {
-    for (const made of $("macros").children) allow(made as HTMLElement, this.machine.whyNotAtRest, (made as HTMLElement).dataset.lines);
+    for (const made of $("macros").querySelectorAll("button")) allow(made, this.machine.whyNotAtRest, made.dataset.lines);
   }
 }
 
@@ -97,5 +93,6 @@ function stored(): Macro[] {
   } catch {
     // What another page may have kept is not taken.
   }
-  return FIRST.map(macro => ({ ...macro }));
+  // None is there from the start: what is safe depends on the machine.
+  return [];
 }

@@ -32,6 +32,8 @@ export class ProbePanel {
   /** The circuit has been seen closed, and open again. */
   private closed = false;
   private opened = false;
+  /** Stops that there were before the cycle began. */
+  private stops = 0;
 
   constructor(private readonly machine: Machine) {
     const field = (id: string, label: string, value: string, kinds: Kind[]) => {
@@ -88,13 +90,24 @@ export class ProbePanel {
     this.contact.className = tried ? "finding good" : "finding warn";
     this.contact.textContent = touching ? "The probe is in contact: take it off."
       : tried ? "The probe answers: it was closed, and is open again." : "Touch the plate to the cutter once, to see that the circuit closes. Probing without that is possible, but nobody has seen then that the cable is whole.";
-    allow(this.go, machine.whyNotAtRest ?? (touching ? "The probe is in contact already." : undefined));
+    const turning = /[SC]/.test(machine.accessories) ? "Stop the spindle first." : undefined;
+    allow(this.go, machine.whyNotAtRest ?? turning ?? (touching ? "The probe is in contact already." : undefined));
+  }
+
+  /** Sends a line of the cycle, and gives what was said before its answer. Behind a Stop or a refused line there is no further one. */
+  private async send(line: string): Promise<string[]> {
+    const { machine } = this;
+    const stopped = () => machine.stopCalls !== this.stops;
+    if (stopped()) throw new Ended("Stopped: nothing is set.");
+    const { answer, said } = await machine.ask(line);
+    if (stopped() || answer === "reset") throw new Ended("Stopped: nothing is set.");
+    if (answer !== "ok") throw new Ended(`Nothing is set: ${machine.explain(answer)}`);
+    return said;
   }
 
   /** Moves until the probe touches; the place of the contact in machine coordinates. */
   private async touch(axis: number, way: number, most: number, feed: number): Promise<number | undefined> {
-    const { answer, said } = await this.machine.ask(`G38.3 ${"XYZ"[axis]}${Number((way * most).toFixed(3))} F${feed}`);
-    if (answer !== "ok") throw new Ended(`Nothing is set: ${this.machine.explain(answer)}`);
+    const said = await this.send(`G38.3 ${"XYZ"[axis]}${Number((way * most).toFixed(3))} F${feed}`);
     const found = /\[PRB:([^\]]*):([01])\]/.exec(said.join(" "));
     const scale = this.machine.settings[13] === 1 ? 25.4 : 1;
     return found?.[2] === "1" ? Number(found[1].split(",")[axis]) * scale : undefined;
@@ -109,8 +122,7 @@ export class ProbePanel {
 
   /** A move away from what was touched. */
   private async move(by: Record<number, number>): Promise<void> {
-    const answer = await this.machine.line(`G0 ${Object.entries(by).map(([axis, mm]) => `${"XYZ"[Number(axis)]}${Number(mm.toFixed(3))}`).join(" ")}`);
-    if (answer !== "ok") throw new Ended(`Nothing is set: ${this.machine.explain(answer)}`);
+    await this.send(`G0 ${Object.entries(by).map(([axis, mm]) => `${"XYZ"[Number(axis)]}${Number(mm.toFixed(3))}`).join(" ")}`);
   }
 
   /** A move where nothing should be: it ends at a contact. */
@@ -120,7 +132,7 @@ export class ProbePanel {
 
   /** Where the machine is, at rest. */
   private async here(): Promise<number[]> {
-    await this.machine.line("G4 P0.05");
+    await this.send("G4 P0.05");
     const status = await this.machine.report();
     if (!status) throw new Ended("The machine is gone: nothing is set.");
     return status.machine;
@@ -130,8 +142,7 @@ export class ProbePanel {
   private async setZero(places: Record<number, number>): Promise<void> {
     const here = await this.here();
     const words = Object.entries(places).map(([axis, place]) => `${"XYZ"[Number(axis)]}${Number((here[Number(axis)] - place).toFixed(4))}`);
-    const answer = await this.machine.line(`G10 L20 P0 ${words.join(" ")}`);
-    if (answer !== "ok") throw new Ended(`Nothing is set: ${this.machine.explain(answer)}`);
+    await this.send(`G10 L20 P0 ${words.join(" ")}`);
   }
 
   /** The units and modes of before are in force again behind it, whatever becomes of it. */
@@ -139,11 +150,12 @@ export class ProbePanel {
     const { machine } = this;
     this.dialog.close();
     if (machine.status?.fields.Pn?.includes("P")) return machine.onnote("The probe is in contact already: nothing is probed.");
+    this.stops = machine.stopCalls;
     const modes = (await machine.query("$G")).said.join(" ").match(/\bG(20|21|90|91|93|94|95)\b/g);
     if (!modes) return machine.onnote("The machine does not tell its modes: nothing is probed.");
     machine.onnote("");
     try {
-      await machine.line("G21 G91 G94");
+      await this.send("G21 G91 G94");
       await this.cycle(Math.max(0.1, typed("probe-depth") ?? 25), Math.max(1, typed("probe-feed") ?? 100));
       machine.onnote("The work zero is set.");
     } catch (error) {

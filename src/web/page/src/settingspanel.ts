@@ -223,12 +223,12 @@ export class SettingsPanel {
 
   private buildImport(): Dialog {
     const text = el("textarea", { id: "paste", rows: 8, spellcheck: false, "aria-label": "What $$ prints, or a configuration of FluidNC" });
-    const file = el("input", { type: "file", id: "import-file", "aria-label": "A file with settings" });
+    const file = el("input", { type: "file", id: "import-file", className: "vh", tabIndex: -1, "aria-hidden": "true" });
     const take = button("Take over", () => this.take(), "btn go");
     take.id = "take";
     const dialog = new Dialog("import-dialog", "Import settings", [
       el("p", { className: "intro" }, "Paste what a controller prints for ", el("code", { textContent: "$$" }), " (Oxmill, Grbl, grblHAL), a backup, or the configuration file of FluidNC."), text,
-      el("p", {}, file), el("p", { id: "take-note", className: "note", role: "status" }),
+      el("p", {}, button("Choose a file", () => file.click()), file), el("p", { id: "take-note", className: "note", role: "status" }),
       el("table", { className: "plain", id: "import-table" }, el("thead", {}, el("tr", {}, ...["It says", "It becomes", "Value"].map(textContent => el("th", { scope: "col", textContent })))), this.preview),
     ], true);
     dialog.actions(take);

@@ -9,6 +9,7 @@ const CARDS = [["card-over", "run-left", "pane-over"], ["card-spindle", "run-lef
 const BELOW = ["tab-over", "tab-spindle", "tab-setup"];
 
 export class Workspaces {
+  private readonly narrow = matchMedia("(max-width: 699px)");
   private readonly medium = matchMedia("(min-width: 700px) and (max-width: 1199px)");
 
   constructor(private readonly onchange: () => void) {
@@ -21,6 +22,7 @@ export class Workspaces {
     tabs("dock-tabs");
     tabs("analysis-tabs");
     this.medium.addEventListener("change", () => this.place());
+    this.narrow.addEventListener("change", () => this.landmarks());
     this.place();
     this.part("control");
     this.go("first");
@@ -37,6 +39,7 @@ export class Workspaces {
       else button.removeAttribute("aria-current");
     }
     if (workspace !== "run" && BELOW.some(id => $(id).getAttribute("aria-selected") === "true")) choose("tab-program");
+    this.landmarks();
     this.onchange();
   }
 
@@ -48,7 +51,16 @@ export class Workspaces {
       else button.removeAttribute("aria-current");
     }
     if (part === "more") choose("tab-log");
+    this.landmarks();
     this.onchange();
+  }
+
+  /** The part of Run that a telephone shows is its main one. */
+  private landmarks(): void {
+    const { part } = $("app").dataset;
+    for (const [id, shows] of [["run-left", "job"], ["run-right", "control"]]) {
+      $(id).setAttribute("role", this.narrow.matches && this.now === "run" && part === shows ? "main" : "complementary");
+    }
   }
 
   private place(): void {

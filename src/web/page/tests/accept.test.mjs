@@ -630,3 +630,151 @@ export async function cutters_are_read_from_comments(browser) {
   await openJob(page, "other.nc", "G21 G91 F600\nG1 Z-1 (down by 1 mm)\n(turned by 60 deg)\nG1 X5\n");
   assert.deepEqual(await shown(), ["flat", "3"]);
 }
+
+/** A work of which the page knows nothing: `touches(x, y, z)` tells where a tool would touch, in mm of the machine. */
+const withWork = (page, touches) => page.evaluate(touches => {
+  const inside = new Function("x", "y", "z", `return ${touches};`);
+  fake.online = line => {
+    const words = Object.fromEntries([...line.matchAll(/([XYZ])(-?[\d.]+)/g)].map(([, axis, value]) => ["XYZ".indexOf(axis), Number(value)]));
+    if (/^G0 /.test(line)) fake.at = fake.at.map((at, axis) => at + (words[axis] ?? 0));
+    if (inside(...fake.at)) fake.crashed = line;
+    if (!/^G38\.3/.test(line)) return "ok";
+    const length = Math.hypot(...Object.values(words));
+    const from = [...fake.at];
+    let found = false;
+    for (let way = 0; way <= length && !found; way += 0.01) {
+      fake.at = from.map((at, axis) => at + ((words[axis] ?? 0) / length) * way);
+      found = inside(...fake.at);
+    }
+    // A machine needs a little way to stop.
+    const contact = [...fake.at];
+    fake.at = fake.at.map((at, axis) => at + (found ? Math.sign(words[axis] ?? 0) * 0.02 : 0));
+    fake.say(`[PRB:${contact.map(at => at.toFixed(3))}:${Number(found)}]`);
+    if (found && Math.max(...fake.at.map((at, axis) => Math.abs(at - contact[axis]))) > 0.05) fake.crashed = line;
+    return "ok";
+  };
+}, touches);
+
+/** Each cycle finds its place on a work of known size, and goes nowhere else. */
+export async function edges_corners_and_holes_are_found(browser) {
+  const { page, faults } = await withMachine(browser);
+  const probed = async (kind, fields, touches, from) => {
+    await withWork(page, touches);
+    await page.evaluate(from => {
+      [fake.at, fake.lines.length, fake.crashed] = [from, 0, undefined];
+    }, from);
+    await page.waitForFunction(x => oxmill.app.machine.isAtRest && oxmill.app.machine.status.machine[0] === x, from[0]);
+    await page.click("#open-probe");
+    await page.click(`#probe-dialog [data-kind=${kind}]`);
+    for (const [id, value] of Object.entries(fields)) {
+      if (id === "probe-edge" || id === "probe-corner") await page.selectOption(`#${id}`, value);
+      else await page.fill(`#${id}`, value);
+    }
+    await page.click("#probe");
+    await page.waitForFunction(() => fake.lines.includes("G21 G90 G94"), null, { timeout: PATIENCE });
+    const { at, lines, crashed } = await page.evaluate(() => ({ at: fake.at, lines: fake.lines, crashed: fake.crashed }));
+    const set = lines.find(line => line.startsWith("G10"));
+    // Work zero in machine coordinates, as the line puts it.
+    const zero = Object.fromEntries([...(set ?? "").matchAll(/([XYZ])(-?[\d.]+)/g)].map(([, axis, value]) => [axis, at["XYZ".indexOf(axis)] - Number(value)]));
+    return { zero, crashed, note: await page.textContent("#machine-note") };
+  };
+  const near = ({ zero }, wanted) => {
+    assert.deepEqual(Object.keys(zero).toSorted(), Object.keys(wanted).toSorted());
+    for (const [axis, place] of Object.entries(wanted)) assert(Math.abs(zero[axis] - place) < 0.03, `${axis}: ${zero[axis]} instead of ${place}`);
+  };
+  // A hole of 20 mm by 12 mm around -50, -40; its wall is touched half a cutter before.
+  const hole = await probed("hole", { "probe-depth": "15" }, "Math.abs(x + 50) >= 8.5 || Math.abs(y + 40) >= 4.5", [-47, -38, -10]);
+  near(hole, { X: -50, Y: -40 });
+  // The left side of a work at X -30, with a cutter of 3 mm.
+  const edge = await probed("edge", { "probe-edge": "X+", "probe-cutter": "3", "plate-side": "0" }, "x >= -31.5", [-40, 0, -10]);
+  near(edge, { X: -30 });
+  // The corner of a work at -30, -20, -15, with a plate of 10 mm on it and 5 mm at its sides.
+  for (const [corner, sx, sy] of [["front left", 1, 1], ["back right", -1, -1]]) {
+    const plate = `z <= -5 && ${sx} * (x + 30) >= -6.5 && ${sy} * (y + 20) >= -6.5`;
+    const found = await probed("corner", { "probe-corner": corner, plate: "10", "plate-side": "5", "probe-cutter": "3", "probe-depth": "25" }, plate, [-30 + sx * 3, -20 + sy * 3, 0]);
+    near(found, { Z: -15, X: -30, Y: -20 });
+  }
+  // Nothing there: nothing is set.
+  const none = await probed("edge", { "probe-edge": "Y-", "probe-depth": "5" }, "false", [-40, 0, -10]);
+  assert.deepEqual([none.zero, none.note], [{}, "No contact within 5 mm: the work zero is as it was."]);
+  for (const { crashed } of [hole, edge, none]) assert.equal(crashed, undefined);
+  assert.deepEqual(faults, []);
+}
+
+/** Stop ends a cycle for good: nothing that would move is sent behind it. */
+export async function a_probing_cycle_that_is_stopped_moves_no_more(browser) {
+  const { page, faults } = await withMachine(browser);
+  for (const at of ["G38.3", "G0", "G4"]) {
+    await withWork(page, "z <= -15");
+    await page.evaluate(at => {
+      [fake.at, fake.lines.length, fake.state] = [[-10, -20, -5], 0, "Idle"];
+      const { online } = fake;
+      let stopped = false;
+      fake.online = line => {
+        const answer = online(line);
+        if (line.startsWith(at) && !stopped) {
+          stopped = true;
+          fake.oncommand = byte => byte === 0x18 && fake.say("Grbl 1.1h ['$' for help]");
+          fake.state = "Hold:0";
+          oxmill.app.machine.stop();
+          fake.report();
+          fake.state = "Idle";
+        }
+        return answer;
+      };
+    }, at);
+    await page.waitForFunction(() => oxmill.app.machine.isAtRest);
+    await page.click("#open-probe");
+    await page.click("#probe-dialog [data-kind=z]");
+    await page.click("#probe");
+    await page.waitForFunction(() => document.getElementById("machine-note").textContent === "Stopped: nothing is set.", null, { timeout: PATIENCE });
+    await page.waitForFunction(() => oxmill.app.machine.isAtRest);
+    await page.waitForTimeout(300);
+    const sent = await lines(page);
+    const behind = sent.slice(sent.findIndex(line => line.startsWith(at)) + 1).filter(line => !/^(G\d+ ?)+$/.test(line));
+    assert.deepEqual(behind, [], `${at}: ${sent}`);
+  }
+  assert.deepEqual(faults, []);
+}
+
+/** Macros, tools, spindle and coolant: what is sent, and what is refused before. */
+export async function macros_tools_spindle_and_outline_send_their_lines(browser) {
+  const { page, faults } = await withMachine(browser);
+  const sent = async act => {
+    const before = (await lines(page)).length;
+    await act();
+    await page.waitForTimeout(400);
+    return (await lines(page)).slice(before);
+  };
+  await page.fill("#rpm", "8000");
+  assert.deepEqual(await sent(() => page.click("#spindle-start")), ["M3 S8000"]);
+  assert.deepEqual(await sent(() => page.click('[data-coolant="M8"]')), ["M8"]);
+  await page.evaluate(() => (fake.fields = "|FS:0,8000|Ov:100,100,100|A:SF"));
+  await page.waitForFunction(() => document.querySelector('[data-coolant="M8"]').getAttribute("aria-pressed") === "true");
+  assert(await page.locator("#outline").isDisabled(), "the spindle turns");
+  assert.deepEqual(await sent(() => page.click("#spindle-stop")), ["M5"]);
+  await page.evaluate(() => (fake.fields = "|FS:0,0|Ov:100,100,100|A:"));
+  await openJob(page, "square.nc", "G21 G90 F600\nG0 Z8\nG0 X10 Y5\nG1 Z-1\nG1 X30\nG1 Y25\nG0 Z8\n");
+  await page.waitForFunction(() => !document.getElementById("outline").disabled);
+  const round = await sent(() => page.click("#outline"));
+  assert.equal(round.length, 6);
+  assert(Number(/^\$J=G90 G21 Z([\d.]+) F/.exec(round[0])[1]) >= 8, round[0]);
+  assert.deepEqual(round.slice(1).map(line => /X(\S+) Y(\S+)/.exec(line).slice(1).map(Number)), [[0, 0], [30, 0], [30, 25], [0, 25], [0, 0]]);
+  // Macros: none is there, one that the firmware refuses is not kept, one that it accepts is.
+  assert.equal(await page.locator("#macros button").count(), 0);
+  await page.click("#edit-macros");
+  await page.fill("#macro-name", "Away");
+  await page.fill("#macro-lines", "G53 G0 Z-2\nG999");
+  await page.click("#macro-dialog button:has-text('Keep')");
+  await page.waitForFunction(() => /^Not kept\. Line 2: /.test(document.getElementById("macro-note").textContent));
+  await page.fill("#macro-lines", "G53 G0 Z-2\nM5");
+  await page.click("#macro-dialog button:has-text('Keep')");
+  await page.waitForFunction(() => document.querySelectorAll("#macros button").length === 1);
+  assert.deepEqual(await sent(() => page.click("#macros button")), ["G53 G0 Z-2", "M5"]);
+  await page.click("#open-tools");
+  await page.fill("#tool-number", "5");
+  await page.fill("#tool-length", "12.5");
+  assert.deepEqual(await sent(() => page.click("#tool-dialog button:has-text('Put in')")), ["G10 L1 P5 Z12.5"]);
+  await page.click("#tool-dialog button:has-text('Close')");
+  assert.deepEqual(faults, []);
+}
