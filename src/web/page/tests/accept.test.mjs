@@ -778,3 +778,48 @@ export async function macros_tools_spindle_and_outline_send_their_lines(browser)
   await page.click("#tool-dialog button:has-text('Close')");
   assert.deepEqual(faults, []);
 }
+
+/** By keys alone: what moves or zeroes asks, and nothing does so in a field. */
+export async function keys_drive_the_machine(browser) {
+  const { page, faults } = await withMachine(browser);
+  await openJob(page, "pocket_mm.nc", example("pocket_mm.nc"));
+  await page.evaluate(() => document.activeElement.blur());
+  const yes = async () => {
+    await page.waitForFunction(() => !document.getElementById("ask").hidden);
+    for (let i = 0; i < 5 && (await page.evaluate(() => document.activeElement.textContent)) !== "Yes"; i++) await page.keyboard.press("Tab");
+    await page.keyboard.press("Enter");
+    await page.waitForFunction(() => document.getElementById("ask").hidden);
+  };
+  await page.keyboard.press("z");
+  assert.deepEqual(await lines(page), [], "asks first");
+  await yes();
+  await page.keyboard.press("h");
+  await yes();
+  await page.waitForFunction(() => fake.lines.includes("$H"));
+  assert.deepEqual(await lines(page), ["G10 L20 P1 X0 Y0", "$H"]);
+  // In a field they are letters; a dialog that is open takes none for the machine.
+  await page.keyboard.press("/");
+  for (const key of ["z", "h", "[", " "]) await page.keyboard.press(key);
+  assert.equal(await page.inputValue("#command"), "zh[ ");
+  assert(await page.locator("#ask").isHidden());
+  await page.evaluate(() => document.activeElement.blur());
+  assert.deepEqual(await commands(page), []);
+  // Start by its button; hold and resume from wherever the focus is; Esc stops.
+  await page.waitForFunction(() => !document.getElementById("start").disabled, null, { timeout: PATIENCE });
+  await page.focus("#start");
+  await page.evaluate(() => (fake.state = "Run"));
+  await page.keyboard.press("Enter");
+  await page.waitForFunction(() => oxmill.app.machine.phase === "run" && oxmill.app.machine.running);
+  await page.keyboard.press(" ");
+  await page.evaluate(() => (fake.state = "Hold:0"));
+  await page.waitForFunction(() => oxmill.app.machine.phase === "hold");
+  await page.keyboard.press(" ");
+  await page.keyboard.press("[");
+  await page.keyboard.press("]");
+  assert.deepEqual(await commands(page), [0x21, 0x7e, 0x92, 0x91]);
+  await page.evaluate(() => (fake.oncommand = byte => byte === 0x18 && (fake.state = "Idle", fake.say("Grbl 1.1h ['$' for help]"))));
+  await page.keyboard.press("Escape");
+  await page.waitForFunction(() => oxmill.app.machine.phase === "idle" && oxmill.app.machine.stopped);
+  assert.deepEqual((await commands(page)).slice(4), [0x21, 0x18]);
+  assert.deepEqual(faults, []);
+}

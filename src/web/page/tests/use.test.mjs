@@ -454,3 +454,24 @@ export async function settings_of_a_machine_are_pasted(browser) {
   }
   assert.deepEqual(faults, []);
 }
+
+/** What a browser holds for the page once it has swept, bytes: objects of its script, and of the module. */
+const memory = async (page, devtools) => {
+  await devtools.send("HeapProfiler.collectGarbage");
+  const { metrics } = await devtools.send("Performance.getMetrics");
+  return metrics.find(({ name }) => name === "JSHeapUsedSize").value + await page.evaluate(() => oxmill.app.checked.memory);
+};
+
+export async function ten_jobs_take_no_more_memory_than_two(browser) {
+  const { page, faults } = await open(browser, file);
+  const devtools = await page.context().newCDPSession(page);
+  await devtools.send("Performance.enable");
+  const text = example("relief.nc");
+  const held = [];
+  for (let job = 0; job < 10; job++) {
+    await openJob(page, `job-${job}.nc`, text);
+    held.push(await memory(page, devtools));
+  }
+  assert(held[9] < 1.05 * held[1] && held[9] > 1e6, `${held}`);
+  assert.deepEqual(faults, []);
+}
