@@ -179,7 +179,7 @@ export class Picture {
     const low = this.low.map((value, axis) => Math.min(value, ...boxes.map(box => box.low[axis]))) as Vector;
     const high = this.high.map((value, axis) => Math.max(value, ...boxes.map(box => box.high[axis]))) as Vector;
     const { clientWidth, clientHeight } = this.canvas;
-    this.camera.fit(low, high, clientWidth / Math.max(1, clientHeight));
+    this.camera.fit(low, high, clientWidth, clientHeight);
     this.draw();
   }
 

@@ -41,7 +41,7 @@ export function showVerdict(summary: Summary, path: Path, context: Context): voi
         ...(travel ? [] : [" Travel is not checked: no work zero is given. ", button("Give one", context.giveZero, "link")])));
   } else {
     const { text, line } = hindered;
-    parts.push(el("span", { className: "say" }, icon("cross"), "Do not run yet"), el("span", { className: "head", textContent: text.charAt(0).toUpperCase() + text.slice(1) }),
+    parts.push(el("span", { className: "say" }, icon("cross"), "Do not run yet"), el("span", { className: "head", textContent: capital(text) }),
       el("p", { textContent: [line ? `The machine would stop at line ${line.toLocaleString("en")}.` : "", summary.forecast_s > 0 ? `${clock(summary.forecast_s)} without the refused lines.` : ""].filter(Boolean).join(" ") }));
   }
   $("verdict-card").className = `verdict ${tone}`;
@@ -148,6 +148,8 @@ function marked(source: string, error?: LineError): HTMLElement {
   return code;
 }
 
+const capital = (text: string): string => text.charAt(0).toUpperCase() + text.slice(1);
+
 function problems(summary: Summary, { lines, goTo }: Context): void {
   const items: HTMLElement[] = [];
   const entry = (line: number | null, head: string, code: HTMLElement | undefined, more: string) => {
@@ -160,7 +162,7 @@ function problems(summary: Summary, { lines, goTo }: Context): void {
     items.push(entry(error.line, "This does not look like G-code", marked(error.source, error), `More than half of the lines are refused. The first: ${error.text} (error:${error.code}).`));
   }
   const all = [
-    ...summary.errors.map(error => () => entry(error.line, `${error.text} (error:${error.code})`, marked(error.source, error), error.advice)),
+    ...summary.errors.map(error => () => entry(error.line, `${capital(error.text)} (error:${error.code})`, marked(error.source, error), error.advice)),
     ...(summary.alarm ? [() => entry(summary.alarm?.line ?? null, `Alarm ${summary.alarm?.code}: ${summary.alarm?.text}`,
       summary.alarm?.line ? marked(lines[summary.alarm.line - 1] ?? "") : undefined, summary.alarm?.advice ?? "")] : []),
   ];
