@@ -342,7 +342,7 @@ mod tests {
             while !check.advance(1000) {}
             Ok::<_, String>(check.summary("", 0.0).errors.len())
         };
-        assert_eq!(errors(""), Ok(1));
+        assert_eq!(errors("\"G10 L1 P4 Z12.5\""), Ok(1));
         assert_eq!(errors("\"G10 L1 P5 Z12.5\""), Ok(0));
         assert_eq!(errors("\"G999\""), Err("G999: error:20".into()));
     }

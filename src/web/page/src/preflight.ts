@@ -98,13 +98,15 @@ export class Preflight {
     if (Object.keys(this.machine.settings).length === 0) return [{ grade: "look", text: "The machine does not tell its settings", more: "The job was checked with those of the forecast only." }];
     if (!trial || trial.key !== wanted) return [{ grade: "wait", text: "The job is being tried with the settings of this machine" }];
     if (trial.why) return [{ grade: "look", text: "The job cannot be tried with the settings of this machine", more: trial.why }];
-    const { errors, alarm, complete } = trial.summary as Summary;
+    const { errors, alarm, complete, messages } = trial.summary as Summary;
     if (alarm) return [{ grade: "no", text: alarm.code === 2 ? "The job leaves the travel of this machine" : `On this machine the job ends in alarm ${alarm.code}`, more: `${alarm.line ? `Line ${alarm.line}: ` : ""}${alarm.text}. ${alarm.advice}`, line: alarm.line ?? undefined }];
     const [error] = errors;
     if (error && !own?.errors.length) return [{ grade: "no", text: "This machine would refuse a line", more: `Line ${error.line}: ${error.text}. ${error.advice}`, line: error.line }];
     if (!complete) return own?.complete ? [{ grade: "no", text: "On this machine the job does not come to its end" }] : [];
+    const empty = messages.some(message => message.startsWith("[MSG:No tool is in the table"));
+    const tools: Finding[] = empty ? [{ grade: "look", text: "The tool table is empty", more: "The job takes lengths of tools from it (G43): all of them are 0." }] : [];
     const watched = this.machine.settings[20] === 1 && this.machine.homed === true;
-    return [{ grade: watched ? "yes" : "look", text: watched ? "The job fits the travel from here" : "The travel is not watched", more: watched ? undefined : "Soft limits ($20) act on a homed machine only." }];
+    return [{ grade: watched ? "yes" : "look", text: watched ? "The job fits the travel from here" : "The travel is not watched", more: watched ? undefined : "Soft limits ($20) act on a homed machine only." }, ...tools];
   }
 }
 

@@ -201,13 +201,9 @@ export async function clock_picture_chart_and_lines_follow_the_machine(browser) 
     const { path, summary } = oxmill.app.checked;
     return { end: summary.forecast_s, zero: summary.position_mm.map((at, axis) => at - summary.work_position_mm[axis]), at: [0.03, 0.05, 0.08].map(part => ({ seconds: part * summary.forecast_s, place: oxmill.placeAt(path, part * summary.forecast_s) })) };
   });
-  await page.evaluate(() => {
-    fake.holdsAnswers = false;
-    fake.offset = [0, 0, 0];
-  });
   for (const { seconds, place } of job.at) {
-    // The reports lead the page from where it is to there.
-    await page.evaluate(([place, zero]) => (fake.at = place.map((v, axis) => v - zero[axis])), [place, job.zero]);
+    // The reports lead the page from where it is to there. A report between the two would tell of a place somewhere else on the path.
+    await page.evaluate(([place, zero]) => ([fake.at, fake.offset] = [place.map((v, axis) => v - zero[axis]), [0, 0, 0]]), [place, job.zero]);
     await page.waitForFunction(place => {
       const at = oxmill.placeAt(oxmill.app.checked.path, oxmill.app.player.time);
       return Math.hypot(...at.map((v, axis) => v - place[axis])) < 0.5;
@@ -588,6 +584,15 @@ export async function nothing_starts_that_would_fail(browser) {
   await page.evaluate(() => (fake.offset = [-100, -50, -20]));
   await page.waitForFunction(() => !document.getElementById("start").disabled, null, { timeout: PATIENCE });
   assert((await checks()).some(([grade, text]) => grade === "yes" && text === "The job fits the travel from here"), JSON.stringify(await checks()));
+  assert(!(await checks()).some(([, text]) => text === "The tool table is empty"));
+  // A job that needs tools, on a machine that has none: it is said, and with other tools refused.
+  await openJob(page, "needs.nc", "G21 G90\nG43 H5\nG0 X1\n");
+  await page.waitForFunction(() => [...document.querySelectorAll(".checks li.look")].some(item => item.textContent.startsWith("The tool table is empty")) && !document.getElementById("start").disabled, null, { timeout: PATIENCE });
+  await page.evaluate(() => {
+    fake.online = line => (line === "$#" ? (fake.say("[T:4|0,0,1.5]"), "ok") : "ok");
+    void oxmill.app.machine.line("G4 P0");
+  });
+  await page.waitForFunction(() => document.getElementById("start-why").textContent === "Off: this machine would refuse a line.", null, { timeout: PATIENCE });
   assert.deepEqual(faults, []);
 }
 
