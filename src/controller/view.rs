@@ -151,7 +151,7 @@ impl<const N: usize> Controller<N> {
 
     /// S of the line that is carried out, without overrides; 0 while the spindle is off or no line is carried out.
     pub fn speed_in_work(&self) -> f32 {
-        if matches!(self.task, Task::Job(_)) { self.line.checked.turning_speed() } else { 0.0 }
+        if matches!(self.task, Task::Job(_)) { self.line.action.turning_speed() } else { 0.0 }
     }
 
     /// Whether the line that is carried out is an arc or a spline.

@@ -154,8 +154,8 @@ def sampled(bench):
         board.begins[SYSTICK].clear()
         after = len(host.text)
         begin = board.now
-        # Longer than the step task has segments for.
-        host.send(text * (6000 // len(text)))
+        # For 60 ms: longer than the step task has segments for.
+        host.send(text * round(0.006 * host.baud / len(text)))
         board.run(seconds=0.06)
         samples = [begin, *board.begins[SYSTICK], board.now]
         gap = max(later - before for before, later in pairwise(samples)) / hz
