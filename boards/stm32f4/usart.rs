@@ -40,24 +40,38 @@ pub(super) fn set_baud(usart: usize, clock: u32, baud: u32) {
 pub struct UartInput<S, const N: usize> {
     pub(super) receiver: UartReceiver<S>,
     messages: Sender<'static, ReceivedBytes, N>,
-    hurry: SignalWriter<'static, ()>,
+    /// How many messages have been sent (wrapping).
+    sent: u32,
+    hurry: SignalWriter<'static, u32>,
 }
 
 impl<S: ByteSource, const N: usize> UartInput<S, N> {
     /// Looks at what has come.
     #[inline(always)]
     pub fn look(&mut self) -> Look {
-        let messages = &mut self.messages;
-        self.receiver.look(|message| messages.try_send(message).is_ok())
+        let (messages, sent) = (&mut self.messages, &mut self.sent);
+        self.receiver.look(|message| send(messages, sent, message))
     }
 
     /// Sends what has come to the serial task. `calls`: the caller calls it.
     pub fn pass_on(&mut self, calls: bool) {
         if calls && self.receiver.has_stop() {
-            self.hurry.write(());
+            // It is in the message that is being filled, or in one before it.
+            self.hurry.write(self.sent.wrapping_add(1));
         }
-        self.receiver.pass_on(calls, |message| self.messages.try_send(message).is_ok());
+        let (messages, sent) = (&mut self.messages, &mut self.sent);
+        self.receiver.pass_on(calls, |message| send(messages, sent, message));
     }
+}
+
+fn send<const N: usize>(
+    messages: &mut Sender<'static, ReceivedBytes, N>,
+    sent: &mut u32,
+    message: ReceivedBytes,
+) -> bool {
+    let is_sent = messages.try_send(message).is_ok();
+    *sent = sent.wrapping_add(is_sent.into());
+    is_sent
 }
 
 /// How a UART sends.
@@ -71,9 +85,11 @@ pub trait UartOutput {
 /// What the serial task has of a UART.
 pub struct Usart<T, const N: usize> {
     messages: Receiver<'static, ReceivedBytes, N>,
-    /// A command that stops the machine is among them.
-    hurry: SignalReader<'static, ()>,
-    is_hurried: bool,
+    /// How many have been taken (wrapping).
+    taken: u32,
+    /// Up to which one a command that stops the machine may be among them.
+    hurry: SignalReader<'static, u32>,
+    hurries_to: u32,
     /// The message that is being read, and how far.
     message: ReceivedBytes,
     next: usize,
@@ -85,12 +101,13 @@ pub(super) fn join<S: ByteSource, T, const N: usize>(
     receiver: UartReceiver<S>,
     output: T,
     messages: &'static mut Channel<ReceivedBytes, N>,
-    hurry: &'static Signal<()>,
+    hurry: &'static Signal<u32>,
 ) -> (UartInput<S, N>, Usart<T, N>) {
     let (sender, messages) = messages.split();
     let (writer, hurry) = hurry.split();
-    let input = UartInput { receiver, messages: sender, hurry: writer };
-    (input, Usart { messages, hurry, is_hurried: false, message: ReceivedBytes::EMPTY, next: 0, output })
+    let input = UartInput { receiver, messages: sender, sent: 0, hurry: writer };
+    let message = ReceivedBytes::EMPTY;
+    (input, Usart { messages, taken: 0, hurry, hurries_to: 0, message, next: 0, output })
 }
 
 impl<T, const N: usize> Usart<T, N> {
@@ -99,6 +116,7 @@ impl<T, const N: usize> Usart<T, N> {
     fn fetch(&mut self) {
         if self.message.from(self.next).is_empty() && !self.messages.is_empty() {
             self.message = self.messages.try_recv().unwrap_or(ReceivedBytes::EMPTY);
+            self.taken = self.taken.wrapping_add(1);
             self.next = 0;
         }
     }
@@ -113,10 +131,7 @@ impl<T: UartOutput, const N: usize> Port for Usart<T, N> {
         if core::mem::take(&mut self.message.is_behind_loss) {
             return Incoming::Lost;
         }
-        let Some(byte) = self.message.from(self.next).first().copied() else {
-            self.is_hurried = false;
-            return Incoming::Nothing;
-        };
+        let Some(byte) = self.message.from(self.next).first().copied() else { return Incoming::Nothing };
         self.next += 1;
         Incoming::Byte(byte)
     }
@@ -134,8 +149,11 @@ impl<T: UartOutput, const N: usize> Port for Usart<T, N> {
 
     #[inline]
     fn is_urgent(&mut self) -> bool {
-        self.is_hurried |= self.hurry.try_read().is_some();
-        self.is_hurried
+        self.hurries_to = self.hurry.try_read().unwrap_or(self.hurries_to);
+        match self.hurries_to.wrapping_sub(self.taken) as i32 {
+            0 => !self.message.from(self.next).is_empty(),
+            left => left > 0,
+        }
     }
 
     /// Every byte is fetched at once.

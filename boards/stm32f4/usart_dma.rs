@@ -63,7 +63,7 @@ pub fn by_dma((tx, rx): (Tx<pac::USART2>, Rx<pac::USART2>), rcc: &mut Rcc) -> (I
         singleton!(: Buffer = [const { AtomicU16::new(0) }; SLOTS]),
         singleton!(: [[u8; HALF]; 2] = [[0; HALF]; 2]),
         singleton!(: Channel<ReceivedBytes, MESSAGES> = Channel::new()),
-        singleton!(: Signal<()> = Signal::new()),
+        singleton!(: Signal<u32> = Signal::new()),
     ) else {
         unreachable!("set up twice")
     };

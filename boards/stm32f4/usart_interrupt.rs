@@ -76,7 +76,7 @@ pub fn by_interrupt((tx, rx): (Tx<pac::USART1>, Rx<pac::USART1>), rcc: &mut Rcc)
         singleton!(: Buffer = [const { AtomicU16::new(0) }; SLOTS]),
         singleton!(: Channel<u8, SENT> = Channel::new()),
         singleton!(: Channel<ReceivedBytes, MESSAGES> = Channel::new()),
-        singleton!(: Signal<()> = Signal::new()),
+        singleton!(: Signal<u32> = Signal::new()),
     ) else {
         unreachable!("set up twice")
     };
