@@ -176,7 +176,7 @@ impl<S: ByteSource> UartReceiver<S> {
     }
 
     /// Reads what has come since the look before, and sends what fills a message.
-    #[inline(always)]
+    #[inline]
     pub fn look(&mut self, send: impl FnMut(ReceivedBytes) -> bool) -> Look {
         let place = self.source.place();
         // In this order: a damaged byte is told of before it is counted, so none is among those before the place if nothing is told.
