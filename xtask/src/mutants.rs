@@ -259,8 +259,8 @@ const OUTSIDE: &[Mutant] = &[
         name: "bytes-of-a-gone-host",
         edits: &[Edit {
             file: LINK,
-            find: "*self = Self { stuck: self.stuck, ..Self::new(self.number) };",
-            replace: "self.refusing_line = false;",
+            find: "*self = Self { stuck, ..Self::new(self.number, self.may_hold) };",
+            replace: "(self.stuck, self.refusing_line) = (stuck, false);",
         }],
     },
     Mutant {
