@@ -50,8 +50,8 @@ const EDGE_COUNT: u32 = 1;
 const LISTENS_TICKS: u32 = 48;
 /// More ticks than it takes to begin once more, with all moments of the ring put off.
 const AGAIN_TICKS: u32 = 2_200;
-/// Ticks from a moment within which its request may be under way.
-const NEAR_TICKS: u32 = SERVED_CYCLES;
+/// Ticks from a moment within which its request may be under way. At the greatest rate moments are some 90 apart.
+const NEAR_TICKS: u32 = 48;
 /// Ticks after which an event that is not out never will be.
 const STANDS_TICKS: i32 = 500;
 /// Looks at the counts that must all differ, besides the first.
