@@ -26,7 +26,9 @@ NOT_MODELLED = (
     ("DMA2 reads memory through its peripheral port and writes BSRR through the other, within so many cycles", "no arbitration, no bus"),
     ("TIM1 counts while the processor sleeps (RCC_APB2LPENR)", "the register keeps nothing; sleep stops no clock"),
     ("the core at its rate from this crystal", "registers of RCC are kept, and no frequency follows; the rate is computed here"),
-    ("the interrupt of a received byte (RXNEIE), errors and overrun of the UART", "bytes only; this program pends the interrupt"),
+    ("without DMA: the interrupt of a received byte (RXNEIE), what DMA2 receives while flash is written", "this program pends the interrupt; no time passes there"),
+    ("with DMA: what the UART asks DMA1 for", "this program moves bytes and counts them; flag and interrupt of the end are labwired's"),
+    ("errors and overrun of the UART (EIE)", "bytes only"),
     ("the time of a byte, of a flash operation, of a start of the oscillator", "all at once"),
     ("erratum 2.2.11 (GPIO behind DMA2's peripheral port), caches, wait states", "no model"),
     ("the watchdog of clock, supply and program (CSS, PVD, IWDG) acts", "registers only"),
@@ -107,14 +109,32 @@ def gates(machine, _):
     return "all that are used are on"
 
 
-@belief("the UART sends: its pins' alternate function, its transmit interrupt and its place in the vectors", ACTS, "RM0383 19.6, 10.2; data sheet, alternate functions")
+@belief("the UART sends: its pin's alternate function, the interrupt that it sends by and its place in the vectors", ACTS, "RM0383 19.6, 10.2; data sheet, alternate functions")
 def sends(machine, board):
     tx = {"usart1": ("A9", "AFRH", "AFRH9"), "usart2": ("A2", "AFRL", "AFRL2")}[machine.uart]
     if _mode(machine, tx[0]) != 2:
         raise Broken(f"{tx[0]} is not in its alternate function")
     machine.expect("gpioa", tx[1], **{tx[2]: 7})
-    machine.expect(machine.uart, "CR1", UE=1, TE=1, RE=1, RXNEIE=1, M=0, PCE=0)
-    return f"P{tx[0]} by AF7, interrupt {machine.interrupt}"
+    machine.expect(machine.uart, "CR1", UE=1, TE=1, RE=1, M=0, PCE=0)
+    return f"P{tx[0]} by AF7, interrupt of {f'stream {machine.sender}' if machine.dma else machine.uart.upper()}"
+
+
+@belief("what serves the UART: DMA in both directions, or its interrupt and DMA while flash is written; channel 4 is the UART's", FIELDS, "RM0383 19.6, DMA1 and DMA2 request mapping, DMA_SxCR")
+def served(machine, _):
+    def stream(dma, number, **wanted):
+        control = machine.expect(dma, f"S{number}CR", CHSEL=4, MINC=1, PINC=0, **wanted)
+        if (at := machine.value(dma, f"S{number}PAR")) != machine.address(machine.uart, "DR"):
+            raise Broken(f"the peripheral of stream {number} is at {at:#x}")
+        return control
+
+    if not machine.dma:
+        told = [machine.expect(machine.uart, "CR1", RXNEIE=1), machine.expect(machine.uart, "CR3", DMAR=0, DMAT=0)]
+        told.append(stream("dma2", 2, DIR=0, PSIZE=1, MSIZE=1, CIRC=0))
+    else:
+        told = [machine.expect(machine.uart, "CR1", RXNEIE=0, TXEIE=0), machine.expect(machine.uart, "CR3", EIE=1, DMAR=1, DMAT=1)]
+        told.append(stream(machine.dma, machine.receiver, DIR=0, PSIZE=1, MSIZE=1, CIRC=1))
+        told.append(stream(machine.dma, machine.sender, DIR=1, PSIZE=0, MSIZE=0, CIRC=0, TCIE=1))
+    return ", ".join(told)
 
 
 @belief("its rate is 115200 baud within 0.5 %", FIELDS, "RM0383 USART_BRR")
