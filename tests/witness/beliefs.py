@@ -34,6 +34,7 @@ NOT_MODELLED = (
     ("the watchdog of clock, supply and program (CSS, PVD, IWDG) acts", "registers only"),
     ("USB beyond the registers of its core", "no bus, no FIFO"),
     ("what a debugger freezes", "no model"),
+    ("a reset of the peripherals", "it resets the processor alone; this program switches SysTick and interrupts off"),
     ("LDREXH and STREXH", "not in labwired's processor; replaced in the image"),
     ("DSP and floating-point instructions", "not in the target of this image"),
     ("STM32F446: over-drive, two ports at 180 MHz; STM32F401", "no F446 in the package; its F401 is not tried here"),
@@ -185,7 +186,7 @@ def watches(machine, _):
     return f"{supply}, {line}, {seconds:.2f} s"
 
 
-@belief("`?`, `$I` and `$$` are answered", ACTS, "docs/senders.md")
+@belief("`?`, `$I`, `$$` and more lines than the UART's buffer holds are answered", ACTS, "docs/senders.md")
 def answers(machine, _):
     if not machine.status().startswith("<Idle|MPos:0.000,0.000,0.000|"):
         raise Broken("`?` is not answered by an idle machine at 0")
@@ -197,6 +198,9 @@ def answers(machine, _):
         raise Broken(f"`$$` has other lines than settings, or lacks some: {lines}")
     if any(f"{name}={value}" in lines for name, value in DRAWN.items()):
         raise Broken("a setting that is to be stored has that value already")
+    # 320 slots.
+    for _ in range(5):
+        machine.ask(f"({'-' * 64})")
     return f"{len(lines)} settings"
 
 
@@ -320,6 +324,9 @@ def keeps(machine, _):
     for name, value in DRAWN.items():
         if f"{name}={value}" not in lines:
             raise Broken(f"{name} is {[line for line in lines if line.startswith(name + '=')]} and not {value}")
+    # A failure on the way would be an alarm.
+    if not (status := machine.status()).startswith("<Idle|"):
+        raise Broken(f"the state is {status!r}")
     return ", ".join(f"{name}={value}" for name, value in DRAWN.items())
 
 

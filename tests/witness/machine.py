@@ -17,7 +17,8 @@ from . import chip as chips
 
 BYTE_S = 0.000_087
 """Of 115200 baud."""
-ISPR, AIRCR, RESET = 0xE000_E200, 0xE000_ED0C, 0x05FA_0004
+SYST_CSR, ICER, ISPR, ICPR = 0xE000_E010, 0xE000_E180, 0xE000_E200, 0xE000_E280
+AIRCR, RESET = 0xE000_ED0C, 0x05FA_0004
 STEP_S = 0.0002
 """How often the answers are looked at."""
 STREAMS = {"usart2": ("dma1", 5, 6)}
@@ -165,7 +166,16 @@ class Machine:
         return self.until(b">\r\n", 0.01)
 
     def reset(self):
-        """The reset that software may ask for (AIRCR, SYSRESETREQ). Flash and what is outside of the chip stay."""
-        self.sim.write_u32(AIRCR, RESET)
-        self.run(0.000_001)
+        """The reset that software may ask for (AIRCR, SYSRESETREQ). Flash and what is outside of the chip stay.
+
+        labwired resets the processor alone. So this ends what would act before the firmware sets it up again, SysTick and interrupts. And it resets
+        twice: after a reset at some moments labwired skips the loop that clears memory, in the middle of an IT block as it seems.
+        """
+        for _ in range(2):
+            self.sim.write_u32(AIRCR, RESET)
+            self.sim.write_u32(SYST_CSR, 0)
+            for word in range(3):
+                self.sim.write_u32(ICER + 4 * word, 0xFFFF_FFFF)
+                self.sim.write_u32(ICPR + 4 * word, 0xFFFF_FFFF)
+            self.run(0.000_001)
         self.forget()
