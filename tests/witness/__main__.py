@@ -1,6 +1,6 @@
 """Runs the firmware in labwired and prints what came of each belief: `python -m witness BOARD ELF FOLDER`, as `cargo xtask witness` does.
 
-With `--faults` behind it: the image with a wrong clock, a wrong flash key and a wrong channel of DMA, each of which has to be seen.
+With `--faults` behind it: the image with a wrong clock, a wrong flash key and wrong channels of DMA, for steps and for the UART, each of which has to be seen.
 """
 
 import sys
@@ -10,19 +10,23 @@ from pathlib import Path
 from virtual_board.parts import BOARDS
 
 from . import chip, image
-from .beliefs import ACTS, BELIEFS, NOT_MODELLED, clock, greets, keys, moments
+from .beliefs import ACTS, BELIEFS, NOT_MODELLED, clock, greets, keys, moments, served
 from .machine import Broken, Machine
 
 UARTS = {"nucleo_f411re": "usart2", "blackpill_f411": "usart1"}
 KEY, CHANNEL_6, CHANNEL_5 = 0x4567_0123, 0x0C03_5100, 0x0A03_5100
+STREAMS = {"usart2": 0x0800_0450, "usart1": 0x0800_2C00}
+"""CR of the stream that sends by DMA, or receives while flash is written: channel 4."""
 CRYSTALS = {8_000_000: 25_000_000, 25_000_000: 8_000_000}
 
 
-def faults(board):
+def faults(place):
     """(name, constant of the image, what it becomes, the belief that must not hold, what is tried up to there)."""
-    yield "a crystal of another board", board.hse_hz, CRYSTALS[board.hse_hz], clock, (greets, clock)
+    crystal, stream = place.board.hse_hz, STREAMS[place.uart]
+    yield "a crystal of another board", crystal, CRYSTALS[crystal], clock, (greets, clock)
     yield "a wrong flash key", KEY, KEY ^ 1, keys, (keys,)
     yield "steps by the requests of channel 5", CHANNEL_6, CHANNEL_5, moments, (greets, moments)
+    yield "the UART by the requests of channel 5", stream, stream ^ 1 << 25, served, (greets, served)
 
 
 class Place:
@@ -33,9 +37,10 @@ class Place:
         folder.mkdir(parents=True, exist_ok=True)
         buttons = {"probe": self.board.probe, "limit_x": self.board.limits[0]}
         self.chip = chip.derived(self.board.core_hz)
+        whole = chip.with_plain_registers(self.chip, "dma2") if self.uart == "usart1" else self.chip
         self.systems = {
-            "whole": chip.write(folder, "whole", self.chip, buttons),
-            "keys": chip.write(folder, "keys", chip.without_flash_interface(self.chip), buttons),
+            "whole": chip.write(folder, "whole", whole, buttons),
+            "keys": chip.write(folder, "keys", chip.with_plain_registers(whole, "flash_ctrl"), buttons),
         }
 
     def fit(self, fault=None):
@@ -74,7 +79,7 @@ def try_faults(place):
     """Tries each fault. Returns how many are not seen."""
     titles = {check: title for title, _, _, check in BELIEFS}
     missed = 0
-    for name, old, new, wanted, checks in faults(place.board):
+    for name, old, new, wanted, checks in faults(place):
         _, sites = place.fit((old, new))
         seen = None
         with place.machine(checks[0]) as machine:

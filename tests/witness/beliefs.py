@@ -26,12 +26,15 @@ NOT_MODELLED = (
     ("DMA2 reads memory through its peripheral port and writes BSRR through the other, within so many cycles", "no arbitration, no bus"),
     ("TIM1 counts while the processor sleeps (RCC_APB2LPENR)", "the register keeps nothing; sleep stops no clock"),
     ("the core at its rate from this crystal", "registers of RCC are kept, and no frequency follows; the rate is computed here"),
-    ("the interrupt of a received byte (RXNEIE), errors and overrun of the UART", "bytes only; this program pends the interrupt"),
+    ("without DMA: the interrupt of a received byte (RXNEIE), what DMA2 receives while flash is written", "this program pends the interrupt; no time passes there"),
+    ("with DMA: what the UART asks DMA1 for", "this program moves bytes and counts them; flag and interrupt of the end are labwired's"),
+    ("errors and overrun of the UART (EIE)", "bytes only"),
     ("the time of a byte, of a flash operation, of a start of the oscillator", "all at once"),
     ("erratum 2.2.11 (GPIO behind DMA2's peripheral port), caches, wait states", "no model"),
     ("the watchdog of clock, supply and program (CSS, PVD, IWDG) acts", "registers only"),
     ("USB beyond the registers of its core", "no bus, no FIFO"),
     ("what a debugger freezes", "no model"),
+    ("a reset of the peripherals", "it resets the processor alone; this program switches SysTick and interrupts off"),
     ("LDREXH and STREXH", "not in labwired's processor; replaced in the image"),
     ("DSP and floating-point instructions", "not in the target of this image"),
     ("STM32F446: over-drive, two ports at 180 MHz; STM32F401", "no F446 in the package; its F401 is not tried here"),
@@ -107,14 +110,32 @@ def gates(machine, _):
     return "all that are used are on"
 
 
-@belief("the UART sends: its pins' alternate function, its transmit interrupt and its place in the vectors", ACTS, "RM0383 19.6, 10.2; data sheet, alternate functions")
+@belief("the UART sends: its pin's alternate function, the interrupt that it sends by and its place in the vectors", ACTS, "RM0383 19.6, 10.2; data sheet, alternate functions")
 def sends(machine, board):
     tx = {"usart1": ("A9", "AFRH", "AFRH9"), "usart2": ("A2", "AFRL", "AFRL2")}[machine.uart]
     if _mode(machine, tx[0]) != 2:
         raise Broken(f"{tx[0]} is not in its alternate function")
     machine.expect("gpioa", tx[1], **{tx[2]: 7})
-    machine.expect(machine.uart, "CR1", UE=1, TE=1, RE=1, RXNEIE=1, M=0, PCE=0)
-    return f"P{tx[0]} by AF7, interrupt {machine.interrupt}"
+    machine.expect(machine.uart, "CR1", UE=1, TE=1, RE=1, M=0, PCE=0)
+    return f"P{tx[0]} by AF7, interrupt of {f'stream {machine.sender}' if machine.dma else machine.uart.upper()}"
+
+
+@belief("what serves the UART: DMA in both directions, or its interrupt and DMA while flash is written; channel 4 is the UART's", FIELDS, "RM0383 19.6, DMA1 and DMA2 request mapping, DMA_SxCR")
+def served(machine, _):
+    def stream(dma, number, **wanted):
+        control = machine.expect(dma, f"S{number}CR", CHSEL=4, MINC=1, PINC=0, **wanted)
+        if (at := machine.value(dma, f"S{number}PAR")) != machine.address(machine.uart, "DR"):
+            raise Broken(f"the peripheral of stream {number} is at {at:#x}")
+        return control
+
+    if not machine.dma:
+        told = [machine.expect(machine.uart, "CR1", RXNEIE=1), machine.expect(machine.uart, "CR3", DMAR=0, DMAT=0)]
+        told.append(stream("dma2", 2, DIR=0, PSIZE=1, MSIZE=1, CIRC=0))
+    else:
+        told = [machine.expect(machine.uart, "CR1", RXNEIE=0, TXEIE=0), machine.expect(machine.uart, "CR3", EIE=1, DMAR=1, DMAT=1)]
+        told.append(stream(machine.dma, machine.receiver, DIR=0, PSIZE=1, MSIZE=1, CIRC=1))
+        told.append(stream(machine.dma, machine.sender, DIR=1, PSIZE=0, MSIZE=0, CIRC=0, TCIE=1))
+    return ", ".join(told)
 
 
 @belief("its rate is 115200 baud within 0.5 %", FIELDS, "RM0383 USART_BRR")
@@ -165,7 +186,7 @@ def watches(machine, _):
     return f"{supply}, {line}, {seconds:.2f} s"
 
 
-@belief("`?`, `$I` and `$$` are answered", ACTS, "docs/senders.md")
+@belief("`?`, `$I`, `$$` and more lines than the UART's buffer holds are answered", ACTS, "docs/senders.md")
 def answers(machine, _):
     if not machine.status().startswith("<Idle|MPos:0.000,0.000,0.000|"):
         raise Broken("`?` is not answered by an idle machine at 0")
@@ -177,6 +198,9 @@ def answers(machine, _):
         raise Broken(f"`$$` has other lines than settings, or lacks some: {lines}")
     if any(f"{name}={value}" in lines for name, value in DRAWN.items()):
         raise Broken("a setting that is to be stored has that value already")
+    # 320 slots.
+    for _ in range(5):
+        machine.ask(f"({'-' * 64})")
     return f"{len(lines)} settings"
 
 
@@ -300,6 +324,9 @@ def keeps(machine, _):
     for name, value in DRAWN.items():
         if f"{name}={value}" not in lines:
             raise Broken(f"{name} is {[line for line in lines if line.startswith(name + '=')]} and not {value}")
+    # A failure on the way would be an alarm.
+    if not (status := machine.status()).startswith("<Idle|"):
+        raise Broken(f"the state is {status!r}")
     return ", ".join(f"{name}={value}" for name, value in DRAWN.items())
 
 

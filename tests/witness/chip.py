@@ -6,6 +6,8 @@
 * In labwired only an "advanced" timer has the bits CC1G to CC4G of EGR. By RM0383 TIM2 to TIM5 have them (TIMx_EGR), so TIM5 is called advanced, and
   TIM1, which is one, too.
 * OTG_FS is a stub there. The package's STM32L476 has a model of the registers of the same core, at the same address and with the same interrupt.
+* A stream of that model counts an item when it is switched on, though nothing has asked for one. While flash is written, the UART without DMA takes
+  the count of its stream for bytes that have come; so where DMA2 serves it, DMA2 is plain memory: registers that keep what is written.
 * System memory at 0x1FFF7000, in which the part's number lies, is plain memory.
 """
 
@@ -64,11 +66,11 @@ def derived(core_hz):
     return chip
 
 
-def without_flash_interface(chip):
-    """The same chip with plain memory for the registers of its flash interface."""
-    interface = next(p for p in chip["peripherals"] if p["id"] == "flash_ctrl")
-    memory = {"name": interface["id"], "base": interface["base_address"], "size": interface["size"]}
-    others = [p for p in chip["peripherals"] if p is not interface]
+def with_plain_registers(chip, name):
+    """The same chip with plain memory for the registers of a peripheral."""
+    peripheral = next(p for p in chip["peripherals"] if p["id"] == name)
+    memory = {"name": name, "base": peripheral["base_address"], "size": peripheral["size"]}
+    others = [p for p in chip["peripherals"] if p is not peripheral]
     return chip | {"peripherals": others, "memory_regions": [*chip["memory_regions"], memory]}
 
 

@@ -56,7 +56,7 @@ usage:
   cargo xtask virtual [BOARD [CASE..]]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3);
                              `--profile` behind a case: where its cycles went; `--reading NAME`: with the second reading of a fact that the
                              manuals leave open
-  cargo xtask witness [--faults]  the firmware on an emulator by other hands, belief by belief; with `--faults` three wrong ones, which have to be
+  cargo xtask witness [--faults]  the firmware on an emulator by other hands, belief by belief; with `--faults` wrong ones, which have to be
                              seen (needs Python 3)
   cargo xtask soak qemu|BOARD [--minutes N|--seconds N] [--wall N] [--seed N]  a job with holds, overrides, resets and hosts that come and go, so
                              long in machine time, in QEMU or on a virtual board: every step accounted for, and the deepest stack
