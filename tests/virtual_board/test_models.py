@@ -812,8 +812,7 @@ class ChainTraces(unittest.TestCase):
         self.bench.puts_out_steps = lambda: True
         self.stream(self.dma1, 5, 0x4000_4404, 0x2000_0400, 4, 4 << 25 | 1 << 10)
         self.until(999)
-        serve = lambda _, at: 0x41
-        self.assertTrue(self.dma1.ask_for_usart("USART2", 0x4000_4404, "pclk1", 999, serve))
+        self.assertTrue(self.dma1.ask_for_usart("USART2", 0x4000_4404, "pclk1", 999, lambda _, at: 0x41))
         self.until(5000)
         # The first moment would be fetched 16 cycles behind the match: the byte has the controller up to 15 of them, and 8 more pass.
         self.assertEqual(stores[:2], [(1023, 1200), (1216, 1500)])

@@ -292,7 +292,7 @@ class Dma(Peripheral):
             self.taken[stream] += 1
             done = max(at, self.busy_until) + self.usart_hold(bus)
             self.busy_until = done
-            self._later(done, lambda at: self._transfer_of_usart(stream, base, serve, at))
+            self._later(done, functools.partial(self._transfer_of_usart, stream, base, serve))
             return True
         return False
 
