@@ -1,4 +1,4 @@
-//! The host's end of the link. Bytes wait in the host's port, the boards' own [`Link`](oxmill_controller::Link) fetches
+//! The host's end of the link. Bytes wait in the host's port, the boards' own [`Link`] fetches
 //! them, and the controller takes them from the queues. A host can connect, disconnect, lose bytes and stay silent.
 //!
 //! ```text
