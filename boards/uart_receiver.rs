@@ -25,7 +25,7 @@ const FOR_STOPS: usize = 16;
 /// Bytes that wait in a circular buffer while the messages have no room, at most. Beyond them the oldest are lost, a few with each look:
 /// so DMA does not come round while somebody looks, and no look has to empty the whole buffer.
 pub const MOST_WAITING: usize = SLOTS - 64;
-/// What the UART puts its bytes into: nine bits of its data register, or [`EMPTY`], and marks. Atomic, as DMA writes it.
+/// What the UART puts its bytes into: nine bits of its data register, or `EMPTY`, and the mark of a loss. Atomic, as DMA writes it.
 pub type Buffer = [AtomicU16; SLOTS];
 
 /// No byte has come, or it has been read.
