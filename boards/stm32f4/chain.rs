@@ -404,7 +404,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
             cortex_m::asm::delay(SERVED_CYCLES);
             // Before the first moment comes, or this is done once more.
             let counted = self.moments_counted();
-            self.first_moments = if counted == 2 { 2 } else { 1 };
+            let is_fetched_ahead = counted == 2 && read(M::TIM5 + CCR1) == self.moment_at(0);
+            self.first_moments = if is_fetched_ahead { 2 } else { 1 };
             write(M::TIM1 + DIER, requests);
             let left = self.moment_at(0).wrapping_sub(read(M::TIM5 + CNT));
             if left as i32 > LISTENS_TICKS as i32 {

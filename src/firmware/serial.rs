@@ -33,6 +33,8 @@ const OTHER_US: u32 = 200;
 /// more under way than there is room for.
 const MOST_SINGLY: usize = 24;
 const SINGLY_US: u32 = 800;
+/// Runs in which nothing comes behind a `!` that may be text, before it is a command: some 800 us apart.
+const QUIET_RUNS: u8 = 16;
 
 /// Number of the USART among the links, and of USB.
 const UART: usize = 0;
@@ -133,13 +135,22 @@ struct Ported<P> {
     /// Bytes taken one by one, and since when they are counted.
     singly: usize,
     singly_since: u32,
-    /// Since when nothing has come behind a `!` or `~` that may be text.
-    quiet_since: Option<u32>,
+    /// Since when, and in how many runs, nothing has come behind a `!` that may be text.
+    quiet_since: u32,
+    quiet_runs: u8,
 }
 
 impl<P: Port> Ported<P> {
     const fn new(number: usize, port: P, may_hold: usize) -> Self {
-        Ported { port, link: Link::new(number, may_hold), open: false, singly: 0, singly_since: 0, quiet_since: None }
+        Ported {
+            port,
+            link: Link::new(number, may_hold),
+            open: false,
+            singly: 0,
+            singly_since: 0,
+            quiet_since: 0,
+            quiet_runs: 0,
+        }
     }
 
     /// Looks whether a host has come or gone. Whether there is news for `control`.
@@ -178,12 +189,16 @@ impl<P: Port> Ported<P> {
             let queued = queues.bytes_queued;
             match self.port.receive() {
                 Incoming::Nothing => break,
-                Incoming::Lost => self.link.lose(),
+                Incoming::Lost => {
+                    self.link.lose();
+                    news |= self.link.pass_on(arbiter, queues);
+                }
                 Incoming::Byte(byte) => news |= self.link.take(byte, arbiter, other, queues),
             }
             // Of lines no more is queued than there is room for, however they end.
             queues.others = queues.others.saturating_sub(u32::from(queues.bytes_queued == queued));
             self.singly += 1;
+            self.quiet_runs = 0;
             let is_long = !P::WAITS && self.singly >= MOST_SINGLY;
             limited = (is_long || queues.others == 0 && queues.bytes_queued == queued) && !self.port.is_urgent();
             if limited {
@@ -194,20 +209,23 @@ impl<P: Port> Ported<P> {
         }
         // Until the rest has been taken there is no room for more.
         self.port.allow(if limited { 0 } else { self.link.room() });
-        if !self.link.is_ambiguous() {
-            self.quiet_since = None;
-        } else if !limited && (!P::WAITS || self.link.room() >= PACKET) {
+        if self.link.is_ambiguous() && !limited && (!P::WAITS || self.link.room() >= PACKET) {
             news |= self.await_rest(arbiter, queues);
         }
         news
     }
 
-    /// The last byte is a `!` or `~` that may be text, and the host could send more. Whether it is a command by now.
+    /// The last byte is a `!` that may be text, and the host could send more. Whether it is a command by now: where the processor has
+    /// stood, the rest may have come and not been looked at, so time alone does not tell.
     #[cold]
     fn await_rest(&mut self, arbiter: &mut HostArbiter, queues: &mut ToControl) -> bool {
         let now = boards::clock_ticks();
-        let since = *self.quiet_since.get_or_insert(now);
-        if now.wrapping_sub(since) < AMBIGUOUS_US * boards::CLOCK_TICKS_PER_US {
+        if self.quiet_runs == 0 {
+            self.quiet_since = now;
+        }
+        self.quiet_runs = self.quiet_runs.saturating_add(1);
+        let has_waited = now.wrapping_sub(self.quiet_since) >= AMBIGUOUS_US * boards::CLOCK_TICKS_PER_US;
+        if !has_waited || self.quiet_runs < QUIET_RUNS {
             // To be called again, though nothing comes.
             queues.left_unread.write(());
             return false;

@@ -78,7 +78,7 @@ pub struct HostLink {
     heard: u16,
     connected: bool,
     disconnected: bool,
-    /// When a `!` or `~` that may be text is a command, if nothing comes until then.
+    /// When a `!` that may be text is a command, if nothing comes until then.
     command_at: Option<Instant>,
     /// More bytes wait behind those that were sent, in a replay.
     more: bool,
@@ -159,7 +159,7 @@ impl HostLink {
         Some(self.link.take(byte, &mut self.arbiter, &mut self.unused_link, &mut self.queues))
     }
 
-    /// All that could be fetched has been: if the last byte is a `!` or `~` that may be text, the rest of its line is waited for.
+    /// All that could be fetched has been: if the last byte is a `!` that may be text, the rest of its line is waited for.
     /// Whether it has been waited for long enough, and a command was queued.
     pub fn await_rest(&mut self, now: Instant) -> bool {
         if !self.link.is_ambiguous() {
@@ -176,7 +176,7 @@ impl HostLink {
         self.pass_on()
     }
 
-    /// When to look again at a `!` or `~` that may be text, if the host could send the rest of its line.
+    /// When to look again at a `!` that may be text, if the host could send the rest of its line.
     pub fn rest_due(&self) -> Option<Instant> {
         self.command_at.filter(|_| self.port.is_empty())
     }

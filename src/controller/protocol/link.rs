@@ -19,15 +19,16 @@
 //! Characters of a remark are text, though a byte of them may look like a command: see [`remark`](super::remark). Whether
 //! they are is known with their last byte, so the bytes before wait here; if it is no character, they are commands after all.
 //!
-//! A `!` or `~` in a remark may be text, as in `(slow!)`, or an operator's. It is text if the line goes on behind it, and a
-//! command if nothing comes for [`AMBIGUOUS_US`]: see [`Link::take_as_command`]. In dialect `grbl` it always is a command.
+//! A `!` in a remark may be text, as in `(slow!)`, or an operator's. It is text if the line goes on behind it, and a command if
+//! nothing comes for [`AMBIGUOUS_US`]: see [`Link::take_as_command`]. A `~` in a remark is text: a pause of the host must not start
+//! a machine that is held. In dialect `grbl` both always are commands.
 
 use crate::messages::{HOST_CHANGED, LineByte, Realtime};
 use crate::protocol::floor::Floor;
 use crate::protocol::realtime::{Received, is_plain};
 use crate::protocol::remark::Remark;
 
-/// How long a `!` or `~` in a remark waits for the rest of its line, in µs: 230 bytes at 115,200 baud.
+/// How long a `!` in a remark waits for the rest of its line, in µs: 230 bytes at 115,200 baud.
 pub const AMBIGUOUS_US: u32 = 20_000;
 
 /// Bytes of lines that a link can hold: two packets of USB more than the one that must always fit.
@@ -153,8 +154,8 @@ pub struct Link {
     after_cr: bool,
     /// The remark that the line is in, and the bytes of its next character.
     remark: Remark,
-    /// A hold or a start that came in a remark, and behind which nothing has come yet.
-    ambiguous: Option<Realtime>,
+    /// A hold came in a remark, and nothing behind it yet.
+    is_ambiguous: bool,
     /// What is left of the refusals to be sent: so many, less so many bytes of the first.
     refusals: u16,
     refused_bytes: usize,
@@ -174,7 +175,7 @@ impl Link {
             refusing_line: false,
             after_cr: false,
             remark: Remark::NONE,
-            ambiguous: None,
+            is_ambiguous: false,
             refusals: 0,
             refused_bytes: 0,
         }
@@ -210,7 +211,7 @@ impl Link {
             }
         }
         if self.remark.takes(byte, || queues.reads_characters()) {
-            self.ambiguous = None;
+            self.is_ambiguous = false;
             queues.ignored();
             return any;
         }
@@ -224,11 +225,10 @@ impl Link {
                 queues.ignored();
                 false
             }
-            Received::Realtime(command)
-                if is_ambiguous(byte) && self.remark.is_inside() && queues.reads_characters() =>
+            Received::Realtime(command @ (Realtime::FeedHold | Realtime::CycleStart))
+                if self.remark.is_inside() && queues.reads_characters() =>
             {
-                // Of both the hold counts.
-                self.ambiguous = self.ambiguous.filter(|before| *before == Realtime::FeedHold).or(Some(command));
+                self.is_ambiguous |= command == Realtime::FeedHold;
                 queues.ignored();
                 false
             }
@@ -243,7 +243,7 @@ impl Link {
                 }
                 if matches!(command, Realtime::Reset | Realtime::Stop) {
                     self.remark.leave();
-                    self.ambiguous = None;
+                    self.is_ambiguous = false;
                     other.void_line(arbiter);
                 }
                 // A realtime command cuts no line: the answer to a `?` goes to the host that is within a line.
@@ -254,7 +254,7 @@ impl Link {
                 self.command(command, arbiter, queues)
             }
             Received::Line(byte) => {
-                self.ambiguous = None;
+                self.is_ambiguous = false;
                 self.remark.follow(byte);
                 let second_of_crlf = byte == b'\n' && self.after_cr;
                 self.after_cr = byte == b'\r';
@@ -304,7 +304,7 @@ impl Link {
         let taken = if text.is_empty() { 0 } else { queues.text(arbiter.epoch, text) };
         if let Some(last) = taken.checked_sub(1).and_then(|last| bytes.get(last)) {
             self.mid_line = *last != b'\n';
-            self.ambiguous = None;
+            self.is_ambiguous = false;
         }
         if self.remark.is_inside() && text.iter().take(taken).any(|byte| *byte == b'\n') {
             self.remark.leave();
@@ -317,31 +317,25 @@ impl Link {
         let dropped = bytes.iter().take_while(|byte| is_plain(**byte)).count();
         if dropped > 0 {
             self.after_cr = false;
-            self.ambiguous = None;
+            self.is_ambiguous = false;
             self.lost |= !self.refusing_line;
         }
         dropped
     }
 
-    /// Whether the last byte is a `!` or `~` that may be text.
+    /// Whether the last byte is a `!` that may be text.
     #[inline]
     pub fn is_ambiguous(&self) -> bool {
-        self.ambiguous.is_some()
+        self.is_ambiguous
     }
 
-    /// Nothing has come behind a `!` or `~` in a remark for [`AMBIGUOUS_US`], though the link could have taken it: it is a command,
-    /// which [`Link::pass_on`] queues.
+    /// Nothing has come behind a `!` in a remark for [`AMBIGUOUS_US`], though the link could have taken it, or what comes next may
+    /// belong to another line: it is a hold, which [`Link::pass_on`] queues.
     pub fn take_as_command(&mut self) {
-        if let Some(command) = self.ambiguous.take() {
+        if core::mem::take(&mut self.is_ambiguous) {
             // There is room: it holds what stuck behind this one, and that was no more than a command.
-            let _ = self.stuck.push_back(command);
+            let _ = self.stuck.push_back(Realtime::FeedHold);
         }
-    }
-
-    /// What comes next may belong to another line: a hold that may be text is one, and a start is none.
-    fn hold_if_ambiguous(&mut self) {
-        self.ambiguous = self.ambiguous.filter(|command| *command == Realtime::FeedHold);
-        self.take_as_command();
     }
 
     fn command(&mut self, command: Realtime, arbiter: &mut HostArbiter, queues: &mut impl Queues) -> bool {
@@ -373,7 +367,7 @@ impl Link {
 
     /// The other host has reset the machine: of the line that has begun here nothing may be read.
     fn void_line(&mut self, arbiter: &mut HostArbiter) {
-        self.ambiguous = None;
+        self.is_ambiguous = false;
         if !self.mid_line || self.refusing_line {
             return;
         }
@@ -387,7 +381,7 @@ impl Link {
     /// Bytes were lost on the way here: the line that they belong to will be refused.
     pub fn lose(&mut self) {
         self.lost = true;
-        self.hold_if_ambiguous();
+        self.take_as_command();
         self.remark.leave();
     }
 
@@ -415,7 +409,7 @@ impl Link {
     }
 
     fn forget(&mut self) {
-        self.hold_if_ambiguous();
+        self.take_as_command();
         let stuck = core::mem::take(&mut self.stuck);
         *self = Self { stuck, ..Self::new(self.number, self.may_hold) };
     }
@@ -435,11 +429,6 @@ impl Link {
         }
         true
     }
-}
-
-/// Whether a byte of a remark may be text or a command. The other commands have bytes that nobody writes.
-fn is_ambiguous(byte: u8) -> bool {
-    matches!(byte, b'!' | b'~')
 }
 
 fn is_end(byte: u8) -> bool {
@@ -893,7 +882,7 @@ mod tests {
             (b"; slow!\n", "; slow\n", &[], &[]),
             (b"; slow!\r\n", "; slow\r\n", &[], &[]),
             (b"(5~10 mm, wow!!", "(510 mm, wow", &[], &[FeedHold]),
-            (b"(a~", "(a", &[], &[CycleStart]),
+            (b"(a~", "(a", &[], &[]),
             (b"(a~!", "(a", &[], &[FeedHold]),
             (b"(a!~", "(a", &[], &[FeedHold]),
             (b"(a!?)", "(a)", &[Status], &[]),

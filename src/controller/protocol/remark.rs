@@ -9,7 +9,7 @@
 //!  C3 84 outside    a command: only a remark holds text
 //! ```
 //! Bytes below 0x80 belong to no such character: 0x18 and 0x19 act wherever they come, and of a `!` or `~` in a remark the
-//! [`Link`](super::link::Link) decides (`AMBIGUOUS_US`). Where the parser of lines reads
+//! [`Link`](super::link::Link) decides. Where the parser of lines reads
 //! a remark and this one does not, behind a nested `)` for instance, bytes are the commands that they always were.
 
 use heapless::Vec;
