@@ -561,8 +561,8 @@ fn what_is_to_be_called_for() {
         (b"01234567890123456789012345678901", Look { news: true, ..Look::default() }),
         (b"!", Look { news: true, stop: true, ..Look::default() }),
         (b"\x18", Look { news: true, stop: true, ..Look::default() }),
-        // The same again says nothing new.
-        (b"\x18", Look { news: true, ..Look::default() }),
+        // Without a pause the same again says nothing new.
+        (b"\x18\x18\x18", Look { news: true, stop: true, ..Look::default() }),
     ] {
         wire.come_all(bytes);
         assert_eq!(out.look(&mut receiver), look, "{bytes:?}");
