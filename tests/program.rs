@@ -404,7 +404,7 @@ fn lines_are_named_that_do_what_may_not_be_meant() {
                     2,
                     "sent as it is, byte 0x9C of `Ü` raises the spindle by 1 %, byte 0xA0 of `à` switches flood coolant on or off in dialect grbl"
                 ),
-                (4, "sent as it is, `!` holds the machine, `~` goes on where the machine is held in every dialect"),
+                (4, "sent as it is, `!` holds the machine, `~` goes on where the machine is held in dialect grbl"),
             ]
         );
         // 0.05 mm/min is 1 mm/min in Grbl's dialect.
