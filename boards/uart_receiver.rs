@@ -180,7 +180,7 @@ impl<S: ByteSource> UartReceiver<S> {
     }
 
     /// Reads what has come since the look before, and sends what fills a message.
-    #[inline]
+    #[inline(always)]
     pub fn look(&mut self, send: impl FnMut(ReceivedBytes) -> bool) -> Look {
         let place = self.source.place();
         // In this order: a damaged byte is told of before it is counted, so none is among those before the place if nothing is told.
@@ -222,6 +222,7 @@ impl<S: ByteSource> UartReceiver<S> {
             // A byte may have been counted and not be written yet.
             let is_read = word != EMPTY && left > 0 && self.append(word, is_bad, &mut send);
             if !is_read {
+                self.scanned = self.scanned.saturating_sub((AT_A_TIME - left).into());
                 self.is_stuck = word != EMPTY;
                 self.is_doubtful |= is_bad;
                 if self.is_stuck {
@@ -234,8 +235,9 @@ impl<S: ByteSource> UartReceiver<S> {
             }
             slot.store(EMPTY, Relaxed);
             left -= 1;
-            self.step(word as u8);
+            self.read = Self::after(self.read);
         }
+        self.scanned = 0;
         if !S::IS_CIRCULAR && self.read == self.source.place() && self.source.begin_anew() {
             self.read = 0;
         }
@@ -276,7 +278,11 @@ impl<S: ByteSource> UartReceiver<S> {
             self.message.push(byte);
         }
         self.text = GATHERED;
-        self.has_stop |= is_stop(byte) && byte != self.before;
+        if is_stop(byte) {
+            // The first of those that were seen ahead.
+            self.stops_ahead = self.stops_ahead.saturating_sub(1);
+            self.has_stop |= byte != self.before;
+        }
     }
 
     fn send_message(&mut self, send: &mut impl FnMut(ReceivedBytes) -> bool) -> bool {
@@ -303,19 +309,10 @@ impl<S: ByteSource> UartReceiver<S> {
                 return;
             }
             slot.store(EMPTY, Relaxed);
-            self.step(byte);
+            self.read = Self::after(self.read);
+            self.scanned = self.scanned.saturating_sub(1);
             self.is_missing = true;
             self.before = byte;
-        }
-    }
-
-    /// A byte has been read.
-    #[inline(always)]
-    fn step(&mut self, byte: u8) {
-        self.read = Self::after(self.read);
-        if self.scanned > 0 {
-            self.scanned -= 1;
-            self.stops_ahead = self.stops_ahead.saturating_sub(is_stop(byte).into());
         }
     }
 

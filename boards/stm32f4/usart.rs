@@ -47,7 +47,7 @@ pub struct UartInput<S, const N: usize> {
 
 impl<S: ByteSource, const N: usize> UartInput<S, N> {
     /// Looks at what has come.
-    #[inline]
+    #[inline(always)]
     pub fn look(&mut self) -> Look {
         let (messages, sent) = (&mut self.messages, &mut self.sent);
         self.receiver.look(|message| send(messages, sent, message))
