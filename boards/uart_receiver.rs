@@ -14,7 +14,7 @@
 //!
 //! No registers: a [`ByteSource`] has those of the chip, so that all of this runs on a desk as well.
 
-use crate::calls::{RESET, is_stop};
+use crate::calls::is_stop;
 use core::sync::atomic::{AtomicU16, Ordering, Ordering::Relaxed, fence};
 
 /// Slots of the buffer: the 255 bytes that a sender with flow control has under way, 64 realtime commands beside them, and the one that
@@ -132,10 +132,8 @@ pub struct UartReceiver<S> {
     is_doubtful: bool,
     /// A command that stops the machine has been read and not been passed on with a call.
     has_stop: bool,
-    /// More is in the buffer than could be read; so many of its bytes have been looked at, and so many of them stop the machine.
+    /// More is in the buffer than could be read.
     is_stuck: bool,
-    scanned: usize,
-    stops_ahead: usize,
 }
 
 impl<S: ByteSource> UartReceiver<S> {
@@ -158,8 +156,6 @@ impl<S: ByteSource> UartReceiver<S> {
             is_doubtful: false,
             has_stop: false,
             is_stuck: false,
-            scanned: 0,
-            stops_ahead: 0,
         }
     }
 
@@ -169,10 +165,10 @@ impl<S: ByteSource> UartReceiver<S> {
         &mut self.source
     }
 
-    /// Whether a command that stops the machine has come and not been passed on with a call.
+    /// Whether a command that stops the machine has been read and not been passed on with a call.
     #[inline(always)]
     pub fn has_stop(&self) -> bool {
-        self.has_stop || self.stops_ahead > 0
+        self.has_stop
     }
 
     const fn after(at: usize) -> usize {
@@ -180,7 +176,7 @@ impl<S: ByteSource> UartReceiver<S> {
     }
 
     /// Reads what has come since the look before, and sends what fills a message.
-    #[inline(always)]
+    #[inline]
     pub fn look(&mut self, send: impl FnMut(ReceivedBytes) -> bool) -> Look {
         let place = self.source.place();
         // In this order: a damaged byte is told of before it is counted, so none is among those before the place if nothing is told.
@@ -188,12 +184,9 @@ impl<S: ByteSource> UartReceiver<S> {
         let is_damaged = self.source.is_damaged();
         if self.read != place || is_damaged || self.is_doubtful || self.is_at_end(place) {
             self.read_up_to(place, is_damaged, send);
-        } else {
-            // The same command again, after a pause, is a new one.
-            self.before = 0;
         }
         self.looks = if self.message.len == 0 { 0 } else { self.looks.saturating_add(1) };
-        Look { stop: self.has_stop(), news: self.is_stuck || self.text >= GATHERED, waits: self.looks >= WAITED }
+        Look { stop: self.has_stop, news: self.is_stuck || self.text >= GATHERED, waits: self.looks >= WAITED }
     }
 
     /// The slot of the next byte has not been read.
@@ -222,14 +215,10 @@ impl<S: ByteSource> UartReceiver<S> {
             // A byte may have been counted and not be written yet.
             let is_read = word != EMPTY && left > 0 && self.append(word, is_bad, &mut send);
             if !is_read {
-                self.scanned = self.scanned.saturating_sub((AT_A_TIME - left).into());
                 self.is_stuck = word != EMPTY;
                 self.is_doubtful |= is_bad;
-                if self.is_stuck {
-                    if left > 0 {
-                        self.lose_oldest(place);
-                    }
-                    self.scan(place);
+                if self.is_stuck && left > 0 {
+                    self.lose_oldest(place);
                 }
                 return;
             }
@@ -237,7 +226,6 @@ impl<S: ByteSource> UartReceiver<S> {
             left -= 1;
             self.read = Self::after(self.read);
         }
-        self.scanned = 0;
         if !S::IS_CIRCULAR && self.read == self.source.place() && self.source.begin_anew() {
             self.read = 0;
         }
@@ -278,11 +266,7 @@ impl<S: ByteSource> UartReceiver<S> {
             self.message.push(byte);
         }
         self.text = GATHERED;
-        if is_stop(byte) {
-            // The first of those that were seen ahead.
-            self.stops_ahead = self.stops_ahead.saturating_sub(1);
-            self.has_stop |= byte != self.before;
-        }
+        self.has_stop |= is_stop(byte) && byte != self.before;
     }
 
     fn send_message(&mut self, send: &mut impl FnMut(ReceivedBytes) -> bool) -> bool {
@@ -310,28 +294,8 @@ impl<S: ByteSource> UartReceiver<S> {
             }
             slot.store(EMPTY, Relaxed);
             self.read = Self::after(self.read);
-            self.scanned = self.scanned.saturating_sub(1);
             self.is_missing = true;
             self.before = byte;
-        }
-    }
-
-    /// Looks for commands that stop the machine among the bytes that could not be read, a few at a time: the serial task makes room for
-    /// them.
-    #[cold]
-    #[inline(never)]
-    fn scan(&mut self, place: usize) {
-        let waiting = if self.read <= place { place - self.read } else { place + SLOTS - self.read };
-        for _ in 0..waiting.saturating_sub(self.scanned).min(AT_A_TIME.into()) {
-            let at = self.read + self.scanned;
-            let Some(slot) = self.buffer.get(if at >= SLOTS { at - SLOTS } else { at }) else { return };
-            let word = slot.load(Relaxed);
-            if word == EMPTY {
-                // Counted, and not written yet.
-                return;
-            }
-            self.scanned += 1;
-            self.stops_ahead += usize::from(is_stop(word as u8));
         }
     }
 
@@ -344,17 +308,16 @@ impl<S: ByteSource> UartReceiver<S> {
         now == place || self.is_at_end(now)
     }
 
-    /// Bytes have been overwritten, it is not known which: all are lost but what stops the machine most.
+    /// Bytes have been overwritten, it is not known which: all are lost but what stops the machine last.
     #[cold]
     #[inline(never)]
     fn lose_all(&mut self) {
-        let mut stop =
-            self.message.from(0).iter().copied().max_by_key(|byte| weight(*byte)).filter(|byte| is_stop(*byte));
+        let mut stop = self.message.from(0).iter().copied().rfind(|byte| is_stop(*byte));
         let (mut at, mut emptied) = (self.source.place(), 0);
         // Once round, the oldest first, and then what came meanwhile: no slot that has been written is left behind.
         while let Some(slot) = self.buffer.get(at).filter(|_| emptied < SLOTS || at != self.source.place()) {
             let word = slot.load(Relaxed);
-            if word != EMPTY && weight(word as u8) > stop.map_or(0, weight) {
+            if word != EMPTY && is_stop(word as u8) {
                 stop = Some(word as u8);
             }
             slot.store(EMPTY, Relaxed);
@@ -362,7 +325,6 @@ impl<S: ByteSource> UartReceiver<S> {
             at = Self::after(at);
         }
         self.read = at;
-        (self.scanned, self.stops_ahead) = (0, 0);
         self.message.clear();
         if let Some(stop) = stop {
             self.message.is_behind_loss = true;
@@ -397,18 +359,6 @@ impl<S: ByteSource> UartReceiver<S> {
             slot.store(u16::from(byte) | if is_behind_loss { MISSING } else { 0 }, Relaxed);
         }
         slot.is_some()
-    }
-}
-
-/// Which of several commands that stop the machine is kept where only one can be: reset, stop, door, hold, end of a jog. 0: none of them.
-fn weight(byte: u8) -> u8 {
-    match byte {
-        RESET => 5,
-        0x19 => 4,
-        0x84 => 3,
-        b'!' => 2,
-        0x85 => 1,
-        _ => 0,
     }
 }
 

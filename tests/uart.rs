@@ -420,31 +420,6 @@ fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
     assert!(last.ends_with(&behind) && behind[0] == b'!' && behind.len() == 301, "{} behind the loss", behind.len());
 }
 
-/// A stop is seen behind more text than there is room for, at once or within a few looks, and is called for until it is passed on.
-#[test]
-fn a_stop_is_seen_behind_text_that_has_no_room() {
-    for stop in [b'!', 0x18, 0x19, 0x84, 0x85] {
-        for text in [1, 13, 14, 15, 100, 250] {
-            let (wire, mut receiver) = by_dma();
-            let mut out = Out::default();
-            wire.come_all(&vec![b'x'; text]);
-            let see = |out: &mut Out, receiver: &mut UartReceiver<Dma>| {
-                let look = out.glance(receiver, &mut 0);
-                out.pass_on(receiver, &mut 0, look.stop);
-                look.stop
-            };
-            assert!((0..20).all(|_| !see(&mut out, &mut receiver)), "{text}: no stop has come");
-            wire.come(stop);
-            let looks = (0..20).position(|_| see(&mut out, &mut receiver));
-            assert!(looks.is_some_and(|looks| looks <= 10), "{text} bytes in front of {stop:#x}: {looks:?}");
-            assert!((0..20).all(|_| see(&mut out, &mut receiver)), "{text}: it waits still");
-            assert!(out.look(&mut receiver).stop);
-            assert_eq!(out.0.last(), Some(&Some(stop)));
-            assert!(!see(&mut out, &mut receiver), "{text}: it is passed on");
-        }
-    }
-}
-
 /// A byte that comes while a look waits for the last one to be counted hides no overrun.
 #[test]
 fn a_lap_is_seen_when_another_byte_comes_meanwhile() {
@@ -456,31 +431,6 @@ fn a_lap_is_seen_when_another_byte_comes_meanwhile() {
     wire.come_all(b"end\n");
     out.look(&mut receiver);
     assert_eq!(out.text(), "#end\n");
-}
-
-/// Of several stops that are overwritten, the one that does most is kept.
-#[test]
-fn the_heaviest_stop_is_kept_behind_a_lap() {
-    for (stops, kept) in [(&b"!\x85"[..], b'!'), (b"\x18!", 0x18), (b"!\x19\x84", 0x19), (b"\x85\x84!", 0x84)] {
-        let (wire, mut receiver) = by_dma();
-        let mut out = Out::default();
-        wire.come_all(&vec![b'x'; SLOTS + 5]);
-        wire.come_all(stops);
-        assert!(out.look(&mut receiver).stop);
-        assert_eq!(out.0, [None, Some(kept)], "{}", stops.escape_ascii());
-    }
-}
-
-/// The same stop after a pause is a new one: another host may have started the machine meanwhile.
-#[test]
-fn the_same_stop_after_a_pause_is_called_for_at_once() {
-    let (wire, mut receiver) = by_dma();
-    let mut out = Out::default();
-    for _ in 0..3 {
-        wire.come(b'!');
-        assert!(out.look(&mut receiver).stop);
-        assert!(!out.look(&mut receiver).stop);
-    }
 }
 
 /// Bytes come while the slots are emptied: they are lost as well, but for a stop; those that come when the last slot has been emptied
@@ -561,8 +511,8 @@ fn what_is_to_be_called_for() {
         (b"01234567890123456789012345678901", Look { news: true, ..Look::default() }),
         (b"!", Look { news: true, stop: true, ..Look::default() }),
         (b"\x18", Look { news: true, stop: true, ..Look::default() }),
-        // Without a pause the same again says nothing new.
-        (b"\x18\x18\x18", Look { news: true, stop: true, ..Look::default() }),
+        // The same again says nothing new.
+        (b"\x18", Look { news: true, ..Look::default() }),
     ] {
         wire.come_all(bytes);
         assert_eq!(out.look(&mut receiver), look, "{bytes:?}");

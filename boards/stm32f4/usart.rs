@@ -150,12 +150,10 @@ impl<T: UartOutput, const N: usize> Port for Usart<T, N> {
     #[inline]
     fn is_urgent(&mut self) -> bool {
         self.hurries_to = self.hurry.try_read().unwrap_or(self.hurries_to);
-        let left = self.hurries_to.wrapping_sub(self.taken) as i32;
-        if left < 0 {
-            self.hurries_to = self.taken;
-            return false;
+        match self.hurries_to.wrapping_sub(self.taken) as i32 {
+            0 => !self.message.from(self.next).is_empty(),
+            left => left > 0,
         }
-        left > 0 || !self.message.from(self.next).is_empty()
     }
 
     /// Every byte is fetched at once.
