@@ -154,6 +154,7 @@ impl HostLink {
     pub fn fetch(&mut self, is_free: bool, reads_characters: bool) -> Option<bool> {
         let byte = if self.link.room() > 0 { self.port.pop_front()? } else { return None };
         self.heard = self.heard.wrapping_add(1);
+        self.command_at = None;
         self.queues.free = self.queues.lines.is_empty() && is_free;
         self.queues.reads_characters = reads_characters;
         Some(self.link.take(byte, &mut self.arbiter, &mut self.unused_link, &mut self.queues))
@@ -163,7 +164,6 @@ impl HostLink {
     /// Whether it has been waited for long enough, and a command was queued.
     pub fn await_rest(&mut self, now: Instant) -> bool {
         if !self.link.is_ambiguous() {
-            self.command_at = None;
             return false;
         }
         // What has no room yet may be the rest.

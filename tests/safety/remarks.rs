@@ -12,7 +12,7 @@ const TEXT: [&str; 22] = [
     "Ä", "Ö", "Ü", "ä", "ö", "ß", "à", "á", "é", "ñ", "Å", "Ł", "Ж", "切", "削", "原", "点", "、", "😀", "𐀄", "e", " ",
 ];
 const WORDS: [&str; 8] = ["G1 X0.5", "G0 Y1", "G21", "", "G90", "N20 G1 Z-0.1", "F600", "S100"];
-/// Bytes that act wherever they come, but for `!` and `~` in a remark: these do if nothing comes behind them for 20 ms.
+/// Bytes that act wherever they come, but in a remark: there a `~` is text, and a `!` if something comes behind it within 20 ms.
 const STOPS: [u8; 5] = [0x84, b'!', 0x18, 0x19, b'~'];
 
 /// The bytes of a conversation, how many lines they are, and the stop byte among them.
@@ -134,4 +134,25 @@ fn characters_of_remarks_are_no_commands_and_no_stop_is_lost() {
         }
     }
     println!("{conversations} conversations");
+}
+
+/// The 20 ms begin anew with each byte, and no pause starts a machine that is held.
+#[test]
+fn a_pause_is_counted_from_the_last_byte() {
+    let mut bench = Bench::new("", "$110=3000 $120=500");
+    bench.send("G91 G1 X100 F600\n");
+    bench.wait(0.1);
+    bench.send("(a!");
+    bench.wait(0.019);
+    bench.send(")\n(b!");
+    bench.wait(0.019);
+    assert!(bench.status().starts_with("<Run"));
+    bench.wait(0.3);
+    assert!(bench.status().starts_with("<Hold:0"));
+    bench.send("~) (c~");
+    bench.wait(0.3);
+    assert!(bench.status().starts_with("<Hold:0"), "a `~` in a remark is text");
+    bench.send(")~\n");
+    bench.wait(0.1);
+    assert!(bench.status().starts_with("<Run"));
 }

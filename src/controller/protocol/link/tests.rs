@@ -1,0 +1,668 @@
+//! Two links and their arbiter, on queues of a given depth.
+
+use super::*;
+use proptest::prelude::*;
+
+/// Queues of a given depth.
+#[derive(Default)]
+struct Depths {
+    commands: Vec<Realtime>,
+    lines: Vec<LineByte>,
+    most_commands: usize,
+    most_lines: usize,
+    /// The link that is read cannot wait, and resets are owed.
+    owes_resets: bool,
+    free: bool,
+    stops: usize,
+    is_grbl: bool,
+}
+
+impl Queues for Depths {
+    fn realtime(&mut self, command: Realtime) -> bool {
+        let room = self.commands.len() < self.most_commands || self.owes_resets && command == Realtime::Reset;
+        if room {
+            self.commands.push(command);
+        }
+        room
+    }
+
+    fn line(&mut self, byte: LineByte) -> bool {
+        let room = self.lines.len() < self.most_lines;
+        if room {
+            self.lines.push(byte);
+        }
+        room
+    }
+
+    fn waits(&self) -> bool {
+        !self.owes_resets
+    }
+
+    fn is_free(&self) -> bool {
+        self.free
+    }
+
+    fn stop(&mut self) {
+        self.stops += 1;
+    }
+
+    fn reads_characters(&self) -> bool {
+        !self.is_grbl
+    }
+}
+
+/// Two links: one that holds little, as a UART, and one that holds `HELD`.
+struct Both<const HELD: usize> {
+    queues: Depths,
+    arbiter: HostArbiter,
+    uart: Link,
+    usb: Link,
+}
+
+impl<const HELD: usize> Both<HELD> {
+    fn new(most_commands: usize, most_lines: usize) -> Self {
+        Both {
+            queues: Depths { most_commands, most_lines, ..Depths::default() },
+            arbiter: HostArbiter::new(),
+            uart: Link::new(0, 1),
+            usb: Link::new(1, HELD),
+        }
+    }
+
+    fn usb(&mut self, text: &[u8]) {
+        for byte in text {
+            self.usb.take(*byte, &mut self.arbiter, &mut self.uart, &mut self.queues);
+        }
+    }
+
+    fn uart(&mut self, text: &[u8]) {
+        self.queues.owes_resets = true;
+        for byte in text {
+            self.uart.take(*byte, &mut self.arbiter, &mut self.usb, &mut self.queues);
+        }
+        self.queues.owes_resets = false;
+    }
+
+    fn pass_on(&mut self) -> bool {
+        let uart = self.uart.pass_on(&mut self.arbiter, &mut self.queues);
+        self.usb.pass_on(&mut self.arbiter, &mut self.queues) || uart
+    }
+
+    /// What is in the queue, with `|` for a cut; the cut before the first byte is of nothing and not shown.
+    fn text(&self) -> String {
+        let shown = |byte: &LineByte| if byte.byte == HOST_CHANGED { '|' } else { char::from(byte.byte) };
+        self.queues.lines.iter().map(shown).collect::<String>().trim_start_matches('|').into()
+    }
+
+    /// The controller's view: which bytes are of which epoch, and what has it read once all commands have come.
+    fn epochs(&self) -> Vec<u16> {
+        self.queues.lines.iter().filter(|byte| byte.byte != HOST_CHANGED).map(|byte| byte.epoch).collect()
+    }
+
+    /// How often each has been refused a line.
+    fn refusals(&self) -> (u16, u16) {
+        (self.uart.refusals, self.usb.refusals)
+    }
+}
+
+const PACKET: usize = 64;
+const HELD: usize = 192;
+
+#[test]
+fn a_link_that_cannot_wait_has_each_command_tried() {
+    let mut both = Both::<16>::new(0, 8);
+    both.uart(b"?\x18?");
+    assert_eq!(both.queues.commands, [Realtime::Reset]);
+    both.uart(b"G");
+    assert!(both.queues.lines[0].damaged && !both.uart.is_waiting(), "the others are lost, and that is said");
+}
+
+/// What was lost belonged to lines that the reset makes void.
+#[test]
+fn bytes_lost_before_a_reset_refuse_no_line_behind_it() {
+    for is_lost_behind in [false, true] {
+        let mut both = Both::<16>::new(8, 4);
+        both.uart(b"G1X10Y10\nG1X");
+        both.queues.lines.clear();
+        both.pass_on();
+        both.uart(b"\x18");
+        if is_lost_behind {
+            both.uart.lose();
+        }
+        both.uart(b"$X\n");
+        assert_eq!(both.queues.lines.iter().any(|byte| byte.damaged && byte.epoch > 0), is_lost_behind);
+    }
+}
+
+#[test]
+fn realtime_bytes_pass_lines_that_wait() {
+    let mut both = Both::<16>::new(8, 5);
+    both.usb(b"G1X10\n?Y2!\x18");
+    assert_eq!(both.queues.commands, [Realtime::Status, Realtime::FeedHold, Realtime::Reset]);
+    assert_eq!((both.text().as_str(), both.queues.stops), ("G1X1", 1));
+    assert!(both.usb.is_waiting() && !both.usb.mid_line);
+    both.queues.most_lines = 100;
+    assert!(both.pass_on());
+    assert_eq!(both.text(), "G1X10\nY2");
+    assert!(!both.usb.is_waiting());
+    assert!(both.queues.lines.iter().all(|byte| !byte.damaged));
+}
+
+/// A sender that does not count: as the port does it, a packet is fetched only while a whole one fits.
+#[test]
+fn a_flood_is_told_to_wait_and_nothing_is_lost() {
+    let mut both = Both::<HELD>::new(64, 255);
+    let flood: Vec<u8> = (0..5000_u32).map(|n| if n % 7 == 6 { b'\n' } else { b'A' + (n % 26) as u8 }).collect();
+    let mut packets = flood.chunks(PACKET);
+    let (mut taken, mut most_held, mut waits) = (String::new(), 0, 0);
+    loop {
+        if both.usb.room() >= PACKET {
+            let Some(packet) = packets.next() else { break };
+            both.usb(packet);
+        } else {
+            waits += 1;
+            // The controller reads a line or so.
+            taken.extend(both.queues.lines.drain(..9).map(|byte| {
+                assert!(!byte.damaged);
+                char::from(byte.byte)
+            }));
+            both.pass_on();
+        }
+        most_held = most_held.max(both.usb.held());
+    }
+    taken.push_str(&both.text());
+    both.queues.lines.clear();
+    both.pass_on();
+    taken.push_str(&both.text());
+    assert_eq!(taken.trim_start_matches(char::from(HOST_CHANGED)).as_bytes(), flood);
+    assert!(waits > 100 && most_held > HELD - PACKET, "{waits} {most_held}");
+}
+
+/// Character counting keeps at most 255 line bytes under way: with the queue full of them any number of commands
+/// still passes, and there is always room for a packet.
+#[test]
+fn a_counting_sender_never_waits() {
+    let mut both = Both::<HELD>::new(1000, 256);
+    for n in 0..255 {
+        both.usb(if n % 20 == 19 { b"\n?" } else { b"X?" });
+        assert_eq!(both.usb.room(), HELD);
+    }
+    assert_eq!(both.queues.commands.len(), 255);
+}
+
+#[test]
+fn a_full_queue_of_commands_stops_the_link_without_a_loss() {
+    let mut both = Both::<16>::new(2, 100);
+    let mut bytes = b"??!~G".iter();
+    while both.usb.room() > 0 {
+        both.usb(&[*bytes.next().unwrap()]);
+    }
+    assert_eq!(bytes.as_slice(), b"~G");
+    assert!(both.usb.is_waiting());
+    both.queues.commands.clear();
+    assert!(both.pass_on());
+    assert_eq!(both.queues.commands, [Realtime::FeedHold]);
+    assert_eq!(both.usb.room(), 16);
+}
+
+#[test]
+fn a_link_that_cannot_wait_says_what_it_lost() {
+    let mut both = Both::<16>::new(2, 3);
+    both.uart(b"ABCDEFG");
+    both.queues.most_lines = 100;
+    both.pass_on();
+    both.uart(b"H\n");
+    assert_eq!(both.text(), "ABCDH\n");
+    let damaged: Vec<bool> = both.queues.lines.iter().map(|byte| byte.damaged).collect();
+    assert_eq!(damaged, [false, false, false, false, true, false]);
+}
+
+#[test]
+fn a_host_that_leaves_in_mid_line_leaves_no_half_line() {
+    let mut both = Both::<16>::new(8, 100);
+    both.usb(b"G0X1\nG1 X");
+    assert!(!both.arbiter.owes_cut());
+    assert!(both.usb.went(&mut both.arbiter));
+    assert!(both.arbiter.owes_cut());
+    both.usb(b"G4P0\n");
+    assert!(!both.arbiter.owes_cut());
+    assert_eq!((both.text().as_str(), both.refusals()), ("G0X1\nG1 X|G4P0\n", (0, 0)));
+    // The cut says how many hosts have gone, so that it is known whose lines are in front of it.
+    let cuts = |both: &Both<16>| {
+        both.queues.lines.iter().filter(|b| b.byte == HOST_CHANGED).map(|b| b.epoch).collect::<Vec<_>>()
+    };
+    assert_eq!((cuts(&both), both.arbiter.gone()), (vec![0, 1], 1));
+    // The other one may be the next.
+    both.usb(b"G1 Y");
+    both.usb.went(&mut both.arbiter);
+    both.uart(b"G4\n");
+    assert_eq!(both.text(), "G0X1\nG1 X|G4P0\nG1 Y|G4\n");
+}
+
+#[test]
+fn a_cut_goes_before_the_first_line_of_each_host_that_comes() {
+    let mut both = Both::<16>::new(8, 100);
+    both.usb(b"G4P0\n");
+    both.queues.free = true;
+    for _ in 0..2 {
+        assert!(both.usb.came(&mut both.arbiter, &mut both.uart, &both.queues));
+        both.usb(b"?G0\n");
+    }
+    assert_eq!(both.text(), "G4P0\n|G0\n|G0\n");
+}
+
+/// The start of the line is in the queue, its end waits: behind the cut it would be a line of its own.
+#[test]
+fn of_a_line_sent_before_the_port_is_opened_nothing_is_read() {
+    let mut both = Both::<16>::new(8, 4);
+    both.queues.free = true;
+    both.usb(b"G53G0X1\n");
+    assert_eq!(both.usb.held(), 5);
+    assert!(both.usb.came(&mut both.arbiter, &mut both.uart, &both.queues));
+    both.queues.most_lines = 100;
+    both.usb(b"G4P0\n");
+    assert_eq!(both.text(), "G53|G4P0\n");
+}
+
+#[test]
+fn a_host_that_leaves_with_a_full_queue_makes_room_for_the_next() {
+    let mut both = Both::<16>::new(8, 3);
+    both.usb(b"G0\nG0\nG0\n!");
+    assert_eq!(both.usb.held(), 7);
+    both.usb.went(&mut both.arbiter);
+    assert_eq!(both.usb.room(), 16);
+    // The cut comes before the first byte of the next host, whichever that is, and that byte waits with it.
+    both.uart(b"$");
+    both.queues.most_lines = 100;
+    both.pass_on();
+    both.uart(b"I\n");
+    assert_eq!(both.text(), "G0|$I\n");
+    assert!(both.queues.lines.iter().all(|byte| !byte.damaged));
+}
+
+/// The rest of a line is refused with it, whoever has the floor when it comes.
+#[test]
+fn the_rest_of_a_refused_line_is_no_line() {
+    let mut both = Both::<16>::new(8, 100);
+    both.usb(b"G0X1");
+    both.uart(b"G1 Y5");
+    both.usb(b"0\n");
+    // The machine has done it, and the floor is there for the asking.
+    both.queues.free = true;
+    both.uart(b"0 Z-9\r\n");
+    assert_eq!((both.text().as_str(), both.refusals()), ("G0X10\n", (1, 0)));
+    both.uart(b"$I\r\n");
+    assert_eq!((both.text().as_str(), both.refusals()), ("G0X10\n|$I\r\n", (1, 0)));
+}
+
+#[test]
+fn a_line_that_another_host_has_cut_is_refused_to_its_end() {
+    let mut both = Both::<16>::new(8, 100);
+    both.queues.free = true;
+    both.uart(b"G1 X1");
+    both.usb(b"G0 Y1\n");
+    both.uart(b"0 Z-9\n");
+    both.uart(b"G4\n");
+    assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G0 Y1\n|G4\n", (1, 0)));
+    // A question takes the floor of an idle machine as well, but cuts no line.
+    both.uart(b"G1 X1");
+    both.usb(b"?");
+    both.uart(b"0\nG5\n");
+    assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G0 Y1\n|G4\nG1 X10\nG5\n", (1, 0)));
+    assert_eq!(both.arbiter.holder(), 0);
+    both.usb(b"?");
+    assert_eq!(both.arbiter.holder(), 1);
+}
+
+#[test]
+fn a_line_in_which_another_host_resets_is_refused_to_its_end() {
+    for command in [0x18, 0x19] {
+        let mut both = Both::<16>::new(8, 100);
+        both.uart(b"G1 X1");
+        both.usb(&[command]);
+        both.usb.went(&mut both.arbiter);
+        both.uart(b"0 Z-9\nG4\n");
+        assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G4\n", (1, 0)), "{command:#x}");
+        // One's own reset begins another line.
+        both.uart(b"G1 X1\x180\n");
+        assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G4\nG1 X10\n", (1, 0)));
+        assert_eq!(both.epochs().last(), Some(&2));
+    }
+}
+
+/// 0x19 means nothing in Grbl's dialect: whole lines stay, also those that wait.
+#[test]
+fn a_stop_by_another_host_keeps_whole_lines() {
+    let mut both = Both::<16>::new(8, 4);
+    both.usb(b"G0X1\nG4\nG1 Y");
+    both.uart(b"\x19");
+    both.queues.most_lines = 100;
+    both.pass_on();
+    both.usb(b"5\nG4\n");
+    assert_eq!((both.text().as_str(), both.refusals()), ("G0X1\nG4\nG4\n", (0, 1)));
+}
+
+#[test]
+fn bytes_lost_before_another_host_speaks_refuse_their_own_line_only() {
+    let mut both = Both::<16>::new(8, 100);
+    both.queues.free = true;
+    both.uart(b"G1 X1");
+    both.uart.lose();
+    both.usb(b"G0 Y1\n");
+    both.uart(b"0 Z-9\nG4\n");
+    assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G0 Y1\n|G4\n", (1, 0)));
+    assert!(both.queues.lines.iter().all(|byte| !byte.damaged));
+    // The beginning of a line was lost.
+    both.uart.lose();
+    both.usb(b"$I\n");
+    both.uart(b"X5\n");
+    assert!(both.queues.lines.iter().any(|byte| byte.damaged && byte.byte == b'X'));
+}
+
+#[test]
+fn cr_lf_is_refused_once() {
+    let mut both = Both::<16>::new(8, 100);
+    both.usb(b"G0\n");
+    both.uart(b"G1\r\n\r\nG2\n\nG3\r");
+    assert_eq!(both.refusals(), (6 - 1, 0), "two empty lines among them");
+    // The LF of a line that was refused, or read, is no line of its own when the floor has changed.
+    both.queues.free = true;
+    both.uart(b"\nG5\r");
+    assert_eq!(both.text(), "G0\n|G5\r");
+    both.usb(b"G6");
+    both.uart(b"\n");
+    assert_eq!((both.text().as_str(), both.refusals()), ("G0\n|G5\r|G6", (5, 0)));
+}
+
+/// A command that opens an epoch and waits for room has not opened it yet: one of the other host may go before it.
+#[test]
+fn epochs_are_counted_in_the_order_of_the_queue() {
+    let mut both = Both::<16>::new(1, 100);
+    both.usb(b"A?\x85");
+    assert_eq!(both.usb.room(), 0);
+    both.uart(b"\x18B");
+    assert_eq!(both.queues.commands, [Realtime::Status, Realtime::Reset]);
+    both.queues.most_commands = 100;
+    both.pass_on();
+    both.uart(b"C");
+    assert_eq!(both.queues.commands, [Realtime::Status, Realtime::Reset, Realtime::JogCancel]);
+    assert_eq!((both.text().as_str(), both.epochs()), ("A|BC", vec![0, 1, 2]));
+}
+
+#[test]
+fn a_refusal_is_sent_as_there_is_room() {
+    let mut both = Both::<16>::new(8, 100);
+    both.usb(b"G0\n");
+    both.uart(b"G1\nG2\n");
+    let mut sent = Vec::new();
+    let mut rounds = 1;
+    while !both.uart.refuse(|byte| {
+        let room = sent.len() < rounds * 10;
+        if room {
+            sent.push(byte);
+        }
+        room
+    }) {
+        rounds += 1;
+    }
+    assert_eq!(sent, REFUSAL.repeat(2));
+}
+
+/// The bytes of `Ä` and `à` among them would open the door and start the coolant.
+#[test]
+fn characters_of_a_remark_are_no_commands() {
+    let mut both = Both::<16>::new(8, 100);
+    both.usb("(Äußere Kontur à)\nG1 ; Ä\n".as_bytes());
+    assert_eq!((both.text().as_str(), both.queues.commands.len()), ("(uere Kontur )\nG1 ; \n", 0));
+    both.usb("Ä(Ä\nÄ\n(\x18Ä(\x19Ä".as_bytes());
+    use Realtime::{Reset, SafetyDoor, Stop};
+    assert_eq!(both.queues.commands, [SafetyDoor, SafetyDoor, Reset, SafetyDoor, Stop, SafetyDoor]);
+    let mut both = Both::<16>::new(8, 100);
+    both.queues.is_grbl = true;
+    both.usb("(Äußere Kontur)\n".as_bytes());
+    assert_eq!((both.text().as_str(), &both.queues.commands[..]), ("(uere Kontur)\n", &[SafetyDoor][..]));
+}
+
+/// What becomes of bytes behind which nothing comes for long.
+fn heard(bytes: &[u8], is_grbl: bool) -> (String, Vec<Realtime>, Vec<Realtime>) {
+    let mut both = Both::<16>::new(8, 100);
+    both.queues.is_grbl = is_grbl;
+    both.usb(bytes);
+    let at_once = core::mem::take(&mut both.queues.commands);
+    both.usb.take_as_command();
+    both.pass_on();
+    (both.text(), at_once, both.queues.commands)
+}
+
+#[test]
+fn a_hold_in_a_remark_is_text_if_the_line_goes_on() {
+    use Realtime::{CycleStart, FeedHold, Reset, Status};
+    for (bytes, text, at_once, later) in [
+        (&b"(slow!)G1\n"[..], "(slow)G1\n", &[][..], &[][..]),
+        (b"; slow!\n", "; slow\n", &[], &[]),
+        (b"; slow!\r\n", "; slow\r\n", &[], &[]),
+        (b"(5~10 mm, wow!!", "(510 mm, wow", &[], &[FeedHold]),
+        (b"(a~", "(a", &[], &[]),
+        (b"(a~!", "(a", &[], &[FeedHold]),
+        (b"(a!~", "(a", &[], &[FeedHold]),
+        (b"(a!?)", "(a)", &[Status], &[]),
+        (b"(a!?", "(a", &[Status], &[FeedHold]),
+        (b"(a!\xC3\x84", "(a", &[], &[]),
+        (b"(a!\x18", "(a", &[Reset], &[]),
+        (b"(a)!", "(a)", &[FeedHold], &[]),
+        (b"G1!X~1\n", "G1X1\n", &[FeedHold, CycleStart], &[]),
+    ] {
+        let expected = (text.to_owned(), at_once.to_vec(), later.to_vec());
+        assert_eq!(heard(bytes, false), expected, "{}", bytes.escape_ascii());
+    }
+    assert_eq!(heard(b"(slow!)~", true), ("(slow)".into(), vec![FeedHold, CycleStart], vec![]));
+}
+
+#[test]
+fn a_hold_in_a_remark_is_a_hold_where_bytes_are_lost_or_the_host_goes() {
+    for (byte, expected) in [(b'!', &[Realtime::FeedHold][..]), (b'~', &[])] {
+        let mut both = Both::<16>::new(8, 100);
+        both.uart(&[b'(', byte]);
+        both.uart.lose();
+        both.uart(b"a)\n");
+        both.pass_on();
+        assert_eq!(both.queues.commands, expected);
+        let mut both = Both::<16>::new(8, 100);
+        both.uart(&[b'(', byte]);
+        both.uart.went(&mut both.arbiter);
+        both.pass_on();
+        assert_eq!(both.queues.commands, expected);
+    }
+}
+
+/// What waits for the rest of a character that does not come is not lost with it, and finds room in its order.
+#[test]
+fn a_character_that_is_broken_off_is_commands() {
+    use Realtime::{FeedReset, JogCancel, SafetyDoor, Status};
+    let mut both = Both::<16>::new(0, 100);
+    both.usb(b"(\xF0\x90\x85?");
+    assert_eq!((both.usb.room(), both.queues.commands.len()), (0, 0));
+    both.queues.most_commands = 2;
+    both.pass_on();
+    assert_eq!(both.usb.room(), 0);
+    both.queues.most_commands = 3;
+    both.pass_on();
+    assert_eq!(both.queues.commands, [FeedReset, JogCancel, Status]);
+    assert_eq!(both.usb.room(), 16);
+    // Bytes were lost: what follows may be of another character, or of no remark.
+    let mut both = Both::<16>::new(8, 100);
+    both.uart(b"(\xE3\x84");
+    both.uart.lose();
+    both.uart(b"\x84\xC3\x84");
+    assert_eq!(both.queues.commands, [SafetyDoor; 3]);
+}
+
+/// A host may pour its lines in and read later.
+#[test]
+fn each_refused_line_is_answered_however_late_the_host_reads() {
+    let mut both = Both::<16>::new(8, 100);
+    both.usb(b"G0\n");
+    both.uart(&b"G1\n".repeat(1000));
+    let mut sent = Vec::new();
+    assert!(both.uart.refuse(|byte| {
+        sent.push(byte);
+        true
+    }));
+    assert_eq!(sent.len(), 1000 * REFUSAL.len());
+}
+
+/// What may happen to two links.
+#[derive(Clone, Debug)]
+enum Event {
+    /// Bytes of one of them: text, commands, any ends.
+    Bytes {
+        usb: bool,
+        bytes: Vec<u8>,
+    },
+    /// The host of the second one comes or goes, or bytes of it are lost.
+    Came,
+    Went,
+    Lost,
+    /// So much room has come about; the machine is free or not.
+    Room {
+        lines: usize,
+        commands: usize,
+        free: bool,
+    },
+}
+
+fn event() -> impl Strategy<Value = Event> {
+    let byte = prop_oneof![
+        8 => Just(b'X'), 3 => Just(b'\n'), 2 => Just(b'\r'), 1 => Just(b'?'), 1 => Just(0x18), 1 => Just(0x85), 1 => Just(9),
+        4 => remark_byte()
+    ];
+    prop_oneof![
+        12 => (any::<bool>(), proptest::collection::vec(byte, 1..20)).prop_map(|(usb, bytes)| Event::Bytes { usb, bytes }),
+        1 => Just(Event::Came),
+        1 => Just(Event::Went),
+        1 => Just(Event::Lost),
+        4 => (0_usize..30, 0_usize..4, any::<bool>())
+            .prop_map(|(lines, commands, free)| Event::Room { lines, commands, free }),
+    ]
+}
+
+/// Of remarks, and of the characters in them.
+fn remark_byte() -> impl Strategy<Value = u8> {
+    prop_oneof![
+        4 => Just(b'('), 1 => Just(b')'), 1 => Just(b';'), 3 => Just(0xC3), 3 => Just(0xE3), 1 => Just(0xF0), 1 => Just(0xC2),
+        8 => 0x80_u8..0xC0
+    ]
+}
+
+/// What a Grbl makes of all bytes but the text of remarks, whose characters the standard library finds.
+fn commands_of(bytes: &[u8]) -> Vec<Realtime> {
+    let mut commands = Vec::new();
+    let mut give = |bytes: &[u8]| {
+        let all = bytes.iter().map(|byte| Received::of(*byte));
+        commands
+            .extend(all.filter_map(|byte| if let Received::Realtime(command) = byte { Some(command) } else { None }));
+    };
+    let mut left = bytes;
+    while let Some(begin) = left.iter().position(|byte| matches!(byte, b'(' | b';')) {
+        let (before, remark) = left.split_at(begin);
+        give(before);
+        let ends = |byte: &u8| matches!(byte, b'\n' | b'\r' | 0x18 | 0x19) || *byte == b')' && remark[0] == b'(';
+        let end = remark.iter().position(ends).unwrap_or(remark.len());
+        for chunk in remark[..end].utf8_chunks() {
+            let acts = |character: &char| *character < '\u{C0}' && !matches!(*character, '!' | '~');
+            let kept: String = chunk.valid().chars().filter(acts).collect();
+            give(kept.as_bytes());
+            give(chunk.invalid());
+        }
+        left = &remark[end..];
+    }
+    give(left);
+    commands
+}
+
+impl Both<40> {
+    /// As the serial task reads: runs of text where there are any, or each byte by itself.
+    fn play(&mut self, event: &Event, by_run: bool) {
+        let Both { queues, arbiter, uart, usb } = self;
+        match event {
+            Event::Bytes { usb: is_usb, bytes } => {
+                queues.owes_resets = !is_usb;
+                let mut left = bytes.as_slice();
+                while let Some((first, behind)) = left.split_first() {
+                    let run = match (by_run, is_usb) {
+                        (false, _) => 0,
+                        (_, true) => usb.take_text(left, arbiter, queues),
+                        (_, false) => uart.take_text(left, arbiter, queues),
+                    };
+                    left = if run > 0 { left.split_at(run).1 } else { behind };
+                    match is_usb {
+                        _ if run > 0 => {}
+                        true => _ = usb.take_any(*first, arbiter, uart, queues),
+                        false => _ = uart.take_any(*first, arbiter, usb, queues),
+                    }
+                }
+            }
+            Event::Came => _ = usb.came(arbiter, uart, queues),
+            Event::Went => _ = usb.went(arbiter),
+            Event::Lost => usb.lose(),
+            Event::Room { lines, commands, free } => {
+                queues.most_lines = queues.lines.len() + lines;
+                queues.most_commands = queues.commands.len() + commands;
+                queues.free = *free;
+                self.pass_on();
+            }
+        }
+    }
+}
+
+proptest! {
+    /// A command is never lost or made up, but for the text of remarks: whatever comes, in whatever pieces,
+    /// and however little room there is.
+    #[test]
+    fn a_stop_byte_is_never_lost(
+        mut bytes in proptest::collection::vec(
+            prop_oneof![8 => remark_byte(), 3 => Just(b'X'), 1 => Just(b'\n'), 1 => Just(b'!'), 1 => Just(0x18), 1 => Just(0x19),
+                1 => Just(0x84), 1 => any::<u8>()],
+            0..200),
+        mut pieces in proptest::collection::vec((1_usize..9, 0_usize..3), 1..40),
+    ) {
+        // A character that has begun is at its end then.
+        bytes.push(b'\n');
+        pieces.push((1, 1));
+        let (mut both, mut left, mut commands) = (Both::<40>::new(0, 1000), bytes.as_slice(), Vec::new());
+        for (length, room) in pieces.iter().cycle() {
+            both.queues.most_commands = *room;
+            both.pass_on();
+            for _ in 0..*length {
+                let Some((byte, behind)) = left.split_first().filter(|_| both.usb.room() > 0) else { break };
+                both.usb(&[*byte]);
+                left = behind;
+            }
+            commands.append(&mut both.queues.commands);
+            both.queues.lines.clear();
+            if left.is_empty() && !both.usb.is_waiting() {
+                break;
+            }
+        }
+        prop_assert_eq!(commands, commands_of(&bytes));
+    }
+
+    /// Runs of text and line ends become what the bytes become one by one.
+    #[test]
+    fn a_run_is_taken_as_its_bytes(events in proptest::collection::vec(event(), 1..80)) {
+        let [mut by_run, mut by_byte] = [0; 2].map(|_| Both::<40>::new(8, 100));
+        for event in &events {
+            by_run.play(event, true);
+            by_byte.play(event, false);
+            prop_assert_eq!(&by_run.queues.lines, &by_byte.queues.lines);
+            prop_assert_eq!(&by_run.queues.commands, &by_byte.queues.commands);
+            for (run, byte) in [
+                (format!("{:?}", by_run.usb), format!("{:?}", by_byte.usb)),
+                (format!("{:?}", by_run.uart), format!("{:?}", by_byte.uart)),
+                (format!("{:?}", by_run.arbiter), format!("{:?}", by_byte.arbiter)),
+            ] {
+                prop_assert_eq!(run, byte);
+            }
+        }
+    }
+}
