@@ -54,7 +54,7 @@ use stm32f4xx_hal::{
 };
 
 use crate::input_bits;
-use crate::stm32f4::{self, each, step::Rings};
+use crate::stm32f4::{self, each, step::Rings, usart_interrupt};
 pub use crate::stm32f4::{
     CLOCK_TICKS_PER_US, InputPins, SAMPLE_HZ, SettingsFlash, SlowPins, USUAL_BAUD, WATCHES_CLOCK, Watchdog, call_step,
     clock_ticks, idle, job_done, preloaded_job, reset_cause, restart, safe_state,
@@ -65,7 +65,7 @@ pub use stm32f4xx_hal::pac;
 #[macro_export]
 macro_rules! vectors {
     ($app:ident) => {
-        $app!(serial: SPI2, receive: USART1, usb: OTG_FS, step: TIM5, dispatcher: SPI1);
+        $app!(serial: SPI2, uart: USART1, usb: OTG_FS, step: TIM5, dispatcher: SPI1);
     };
 }
 
@@ -74,26 +74,16 @@ pub fn call_serial() {
     pac::NVIC::pend(pac::Interrupt::SPI2);
 }
 
-/// Calls the task that receives: there is one.
-pub fn call_receive() -> bool {
-    pac::NVIC::pend(pac::Interrupt::USART1);
-    true
-}
-
-/// The interrupt of the UART.
-#[inline(always)]
-pub fn on_receive() {
-    stm32f4::on_interrupt::<pac::USART1>();
-}
-
+/// What the tasks at the priority of the inputs have of the UART.
+pub type UartInput = usart_interrupt::Input;
 /// The second way to the host.
-pub type SerialPort = stm32f4::Usart<pac::USART1>;
+pub type SerialPort = usart_interrupt::InterruptPort;
 /// The first way to the host.
 pub type UsbPort = stm32f4::usb::UsbPort;
 /// Step and direction pins on one port.
 pub type StepPins = stm32f4::StepPins<1>;
 /// What `setup` deals out.
-pub type Parts = stm32f4::Parts<pac::USART1, UsbPort, 1>;
+pub type Parts = stm32f4::Parts<UartInput, SerialPort, UsbPort, 1>;
 
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> Parts {
@@ -134,9 +124,11 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
         unreachable!()
     };
     stm32f4::start_clock(device.TIM2, &mut rcc);
+    let (uart_input, serial) = usart_interrupt::by_interrupt(usart.split(), &mut rcc);
     Parts {
         step_pins,
-        serial: SerialPort::new(usart.split(), &rcc),
+        uart_input,
+        serial,
         usb: UsbPort::new(
             (device.OTG_FS_GLOBAL, device.OTG_FS_DEVICE, device.OTG_FS_PWRCLK),
             (a.pa11, a.pa12),
@@ -144,7 +136,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
         ),
         inputs,
         slow_pins,
-        settings_flash: stm32f4::settings_flash::<pac::USART1>(device.FLASH, &mut rcc),
+        settings_flash: SettingsFlash::new(device.FLASH, usart_interrupt::receive_by_dma),
         watchdog: stm32f4::Watchdog::new(device.IWDG, &device.DBGMCU),
     }
 }

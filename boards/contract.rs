@@ -20,8 +20,7 @@
 //! | `WATCHES_CLOCK` | whether the non-maskable interrupt tells that the clock of the processor has failed, and nothing else |
 //! | `setup(device, low_voltage) -> Parts` | everything below, set up once; outputs are off |
 //! | `USUAL_BAUD` | the rate of the UART if no setting says another |
-//! | `on_receive()` | what the interrupt `receive` of `vectors!` does, on a board that has one: it keeps a byte, and calls the serial task |
-//! | `call_receive()` | makes that interrupt pending; false if there is none |
+//! | `UartInput` | what the UART receives, up to the messages to the serial task; `on_interrupt` too, on a board with a vector `uart` |
 //! | `call_step()` | makes the interrupt of the step task pending, from any task |
 //! | `call_serial()` | makes the interrupt of the serial task pending |
 //! | `StepPins` | step and direction outputs, which put out events at their moments, and the spindle's PWM: a [`StepOutput`] |
@@ -178,8 +177,6 @@ pub trait Port {
     /// Whether a byte that is not fetched waits (true) or is overwritten by the next (false).
     const WAITS: bool;
 
-    /// At the start: the baud rate, for a link that has one.
-    fn set_baud(&mut self, _baud: u32) {}
     /// Does what the link itself needs, and tells whether a host is there: a UART cannot know, and always says so.
     fn poll(&mut self) -> bool {
         true
@@ -188,7 +185,7 @@ pub trait Port {
     fn receive(&mut self) -> Incoming;
     /// The bytes that [`Port::receive`] would give next, as far as they have been fetched together.
     #[inline]
-    fn fetched(&self) -> &[u8] {
+    fn fetched(&mut self) -> &[u8] {
         &[]
     }
     /// So many of these have been taken.
@@ -196,7 +193,7 @@ pub trait Port {
     fn pass(&mut self, _count: usize) {}
     /// Whether a command that stops the machine is among what has come.
     #[inline]
-    fn is_urgent(&self) -> bool {
+    fn is_urgent(&mut self) -> bool {
         false
     }
     /// For so many bytes there is room; with too little the sender is to wait, if it can. Called after each round of
@@ -293,6 +290,7 @@ pub struct SecondMotor {
 mod held {
     use super::{Port, SlowLevels, StepOutput};
     use crate as board;
+    use crate::uart_receiver::Look;
     use core::fmt::Arguments;
     use oxmill_controller::{Profile, ResetCause};
     use oxmill_store::Flash;
@@ -305,7 +303,9 @@ mod held {
     const _: fn() -> u32 = board::clock_ticks;
     const _: [fn(); 5] = [board::call_step, board::call_serial, board::safe_state, board::job_done, board::idle];
     const _: u32 = board::USUAL_BAUD;
-    const _: (fn(), fn() -> bool) = (board::on_receive, board::call_receive);
+    const _: fn(&mut board::UartInput, u32) = board::UartInput::start;
+    const _: fn(&mut board::UartInput) -> Look = board::UartInput::look;
+    const _: fn(&mut board::UartInput, bool) = board::UartInput::pass_on;
     const _: fn() -> Option<&'static [u8]> = board::preloaded_job;
     const _: fn() -> ResetCause = board::reset_cause;
     const _: fn(Arguments<'_>) -> ! = board::restart;
@@ -318,7 +318,8 @@ mod held {
 
     const _: fn(&board::Parts) = |parts| {
         let _: &board::StepPins = &parts.step_pins;
-        let _: (&board::SerialPort, &board::UsbPort) = (&parts.serial, &parts.usb);
+        let _: (&board::UartInput, &board::SerialPort, &board::UsbPort) =
+            (&parts.uart_input, &parts.serial, &parts.usb);
         let _: (&board::InputPins, &board::SlowPins) = (&parts.inputs, &parts.slow_pins);
         let _: (&board::SettingsFlash, &board::Watchdog) = (&parts.settings_flash, &parts.watchdog);
     };

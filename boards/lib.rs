@@ -7,10 +7,7 @@
 pub mod calls;
 pub mod profiles;
 // On a host for its tests.
-#[cfg(any(not(feature = "board"), feature = "stm32f4"))]
-pub mod received;
-#[cfg(any(not(feature = "board"), feature = "stm32f4"))]
-pub mod sent;
+pub mod uart_receiver;
 #[cfg(any(not(feature = "board"), feature = "usb"))]
 pub mod usb_host;
 
@@ -74,6 +71,7 @@ const fn profile(board: &profiles::Board, has_second_motor: bool) -> oxmill_cont
         has_second_motor,
         has_at_speed: board.has_at_speed,
         program_pins: board.program_pins,
+        most_baud: board.most_baud,
         has_store: true,
     }
 }

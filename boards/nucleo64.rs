@@ -15,7 +15,7 @@ pub use crate::stm32f4::{
     CLOCK_TICKS_PER_US, InputPins, SAMPLE_HZ, SettingsFlash, SlowPins, USUAL_BAUD, WATCHES_CLOCK, Watchdog, call_step,
     clock_ticks, idle, job_done, preloaded_job, reset_cause, restart, safe_state,
 };
-use crate::stm32f4::{each, step::Rings};
+use crate::stm32f4::{each, step::Rings, usart_dma};
 use crate::{AXES, NoPort, input_bits, stm32f4};
 pub use stm32f4xx_hal::pac;
 
@@ -23,35 +23,25 @@ pub use stm32f4xx_hal::pac;
 #[macro_export]
 macro_rules! vectors {
     ($app:ident) => {
-        $app!(serial: SPI2, receive: USART2, step: TIM5, dispatcher: SPI1);
+        $app!(serial: DMA1_STREAM6, step: TIM5, dispatcher: SPI1);
     };
 }
 
-/// Calls the serial task, whose vector is that of a peripheral that is not used.
+/// Calls the serial task, whose vector is that of the stream which sends.
 pub fn call_serial() {
-    pac::NVIC::pend(pac::Interrupt::SPI2);
+    pac::NVIC::pend(pac::Interrupt::DMA1_STREAM6);
 }
 
-/// Calls the task that receives: there is one.
-pub fn call_receive() -> bool {
-    pac::NVIC::pend(pac::Interrupt::USART2);
-    true
-}
-
-/// The interrupt of the UART.
-#[inline(always)]
-pub fn on_receive() {
-    stm32f4::on_interrupt::<pac::USART2>();
-}
-
+/// What the task of the inputs has of the UART.
+pub type UartInput = usart_dma::Input;
 /// The link to the host.
-pub type SerialPort = stm32f4::Usart<pac::USART2>;
+pub type SerialPort = usart_dma::DmaPort;
 /// USB is the ST-LINK's.
 pub type UsbPort = NoPort;
 /// Step and direction pins on two ports.
 pub type StepPins = stm32f4::StepPins<2>;
 /// What `setup` deals out.
-pub type Parts = stm32f4::Parts<pac::USART2, NoPort, 2>;
+pub type Parts = stm32f4::Parts<UartInput, SerialPort, NoPort, 2>;
 
 /// Clocks, pins and timers; outputs are off.
 pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> Parts {
@@ -96,13 +86,16 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
         unreachable!()
     };
     stm32f4::start_clock(device.TIM2, &mut rcc);
+    let (uart_input, serial) = usart_dma::by_dma(usart.split(), &mut rcc);
     Parts {
         step_pins,
-        serial: SerialPort::new(usart.split(), &rcc),
+        uart_input,
+        serial,
         usb: NoPort,
         inputs,
         slow_pins,
-        settings_flash: stm32f4::settings_flash::<pac::USART2>(device.FLASH, &mut rcc),
+        // DMA receives on while the processor stands.
+        settings_flash: SettingsFlash::new(device.FLASH, || {}),
         watchdog: stm32f4::Watchdog::new(device.IWDG, &device.DBGMCU),
     }
 }

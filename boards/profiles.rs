@@ -22,7 +22,7 @@ pub struct Board {
     /// Clock of the processor.
     pub core_hz: u32,
     /// More cycles than the longest run of the step task takes that makes events (a stop takes longer): what `cargo xtask count`
-    /// says, times 1.1 for the flash. Bytes of a fast UART come on top (docs/cost.md).
+    /// says, times 1.1 for the flash.
     pub run_cycles: u32,
     /// Axes.
     pub axes: usize,
@@ -34,6 +34,8 @@ pub struct Board {
     pub least_pulse_tenths: u16,
     /// Bytes of lines that are received ahead of the controller.
     pub received_bytes: usize,
+    /// Greatest rate of the UART (`$931`), baud.
+    pub most_baud: u32,
     /// Outputs and inputs for programs (M62 to M66).
     pub program_pins: [u8; 2],
     /// A pin on which a spindle tells that it is up to speed (`$915`).
@@ -55,6 +57,7 @@ pub const DESK: Board = Board {
     safe_step_hz: 1_000_000,
     least_pulse_tenths: 5,
     received_bytes: 255,
+    most_baud: 1_000_000,
     program_pins: [4, 2],
     has_at_speed: true,
     recording_pages: 64,
@@ -69,12 +72,21 @@ const HARDWARE: Board =
 /// The Nucleos have more pins: those of programs are in a corner of the outer connectors that no shield covers.
 const NUCLEO: Board = Board { program_pins: [2, 2], has_at_speed: true, ..HARDWARE };
 
+/// The Black Pills have USB. The interrupt of their UART is below the step task: a byte must take longer to come than the longest
+/// run of that task.
+const BLACKPILL: Board = Board { most_baud: 115_200, ..HARDWARE };
+
 /// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL (RM0383, 6.3.2: PLLQ divides the same
 /// oscillator as PLLP). The step rate, emulated,
 /// is that of the shortest pulse of 1 us and as long a pause: the events that are ahead and the processor would allow more
 /// (docs/cost.md, "Step rates").
-pub const BLACKPILL_F411: Board =
-    Board { name: "blackpill_f411", step_clock_hz: 96_000_000, core_hz: 96_000_000, safe_step_hz: 490_000, ..HARDWARE };
+pub const BLACKPILL_F411: Board = Board {
+    name: "blackpill_f411",
+    step_clock_hz: 96_000_000,
+    core_hz: 96_000_000,
+    safe_step_hz: 490_000,
+    ..BLACKPILL
+};
 
 /// WeAct Black Pill, STM32F401CC: 84 MHz, and half the look-ahead, for 64 KiB of RAM. Built for size, but for the step task.
 pub const BLACKPILL_F401: Board = Board {
@@ -85,7 +97,7 @@ pub const BLACKPILL_F401: Board = Board {
     blocks: 256,
     recording_pages: 0,
     has_all_words: false,
-    ..HARDWARE
+    ..BLACKPILL
 };
 
 /// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. Fast enough for a fourth axis, with which a run

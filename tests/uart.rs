@@ -1,344 +1,613 @@
-//! The UART of a board without its registers: out of the ring between its interrupt and the task that reads it nothing comes
-//! out of order, and no byte is missing without a word at its place; and what is sent leaves the other ring as it was put in.
+//! The reader of what a UART receives, on memory: nothing comes out in another order, no byte is missing without a word at its
+//! place, and no line with a damaged byte is carried out, whatever comes in between any two accesses.
 
-use oxmill_boards::calls::is_stop;
-use oxmill_boards::received::{Call, FOR_STOPS, Next, ROOM, Received};
-use oxmill_boards::sent::{self, Sent};
+use oxmill_boards::calls::{Calls, REST, is_stop};
+use oxmill_boards::uart_receiver::{Buffer, ByteSource, Look, MOST_WAITING, ReceivedBytes, SLOTS, UartReceiver};
 use proptest::prelude::*;
-use std::collections::VecDeque;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread;
+use std::cell::{Cell, RefCell};
+use std::rc::Rc;
+use std::sync::atomic::{AtomicU16, Ordering};
 
-/// What happens to a ring.
+/// What DMA and the UART do, or the interrupt of one without DMA.
+struct Wire {
+    buffer: &'static Buffer,
+    place: Cell<usize>,
+    damaged: Cell<bool>,
+    /// Bytes that come when somebody next asks for the place, forgets the damage, or waits for a byte to settle.
+    at_place: RefCell<Vec<u8>>,
+    at_clear: RefCell<Vec<u8>>,
+    at_settle: RefCell<Vec<u8>>,
+    /// A byte that has been counted and not been written: its slot.
+    unwritten: Cell<Option<(usize, u8)>>,
+}
+
+impl Wire {
+    fn come(&self, byte: u8) {
+        self.write();
+        self.buffer[self.place.get()].store(byte.into(), Ordering::Relaxed);
+        self.place.set((self.place.get() + 1) % SLOTS);
+    }
+
+    fn come_all(&self, bytes: &[u8]) {
+        bytes.iter().for_each(|byte| self.come(*byte));
+    }
+
+    fn count(&self, byte: u8) {
+        self.write();
+        self.unwritten.set(Some((self.place.get(), byte)));
+        self.place.set((self.place.get() + 1) % SLOTS);
+    }
+
+    fn write(&self) {
+        if let Some((slot, byte)) = self.unwritten.take() {
+            self.buffer[slot].store(byte.into(), Ordering::Relaxed);
+        }
+    }
+}
+
+#[derive(Clone)]
+struct Dma(Rc<Wire>);
+
+impl ByteSource for Dma {
+    const IS_CIRCULAR: bool = true;
+
+    fn place(&self) -> usize {
+        let place = self.0.place.get();
+        let bytes = self.0.at_place.take();
+        self.0.come_all(&bytes);
+        place
+    }
+
+    fn is_damaged(&self) -> bool {
+        self.0.damaged.get()
+    }
+
+    fn clear_damage(&mut self) {
+        self.0.damaged.set(false);
+        let bytes = self.0.at_clear.take();
+        self.0.come_all(&bytes);
+    }
+
+    fn settle(&self) {
+        let bytes = self.0.at_settle.take();
+        self.0.come_all(&bytes);
+    }
+}
+
+fn buffer() -> &'static Buffer {
+    Box::leak(Box::new([const { AtomicU16::new(0) }; SLOTS]))
+}
+
+fn by_dma() -> (Rc<Wire>, UartReceiver<Dma>) {
+    let wire = Rc::new(Wire {
+        buffer: buffer(),
+        place: Cell::new(0),
+        damaged: Cell::new(false),
+        at_place: RefCell::default(),
+        at_clear: RefCell::default(),
+        at_settle: RefCell::default(),
+        unwritten: Cell::new(None),
+    });
+    (wire.clone(), UartReceiver::new(Dma(wire.clone()), wire.buffer))
+}
+
+/// What has come out: bytes, and `None` where some are missing.
+#[derive(Default)]
+struct Out(Vec<Option<u8>>);
+
+impl Out {
+    fn send(&mut self, room: &mut usize, message: ReceivedBytes) -> bool {
+        if *room == 0 {
+            return false;
+        }
+        *room -= 1;
+        self.0.extend(message.is_behind_loss.then_some(None));
+        assert!(!message.from(0).is_empty() && message.from(0).len() <= ReceivedBytes::MOST);
+        self.0.extend(message.from(0).iter().copied().map(Some));
+        true
+    }
+
+    /// A look with room for some messages.
+    fn glance<S: ByteSource>(&mut self, receiver: &mut UartReceiver<S>, room: &mut usize) -> Look {
+        receiver.look(|message| self.send(room, message))
+    }
+
+    fn pass_on<S: ByteSource>(&mut self, receiver: &mut UartReceiver<S>, room: &mut usize, calls: bool) {
+        receiver.pass_on(calls, |message| self.send(room, message));
+    }
+
+    /// Looks until all has come out: a look reads few bytes.
+    fn look<S: ByteSource>(&mut self, receiver: &mut UartReceiver<S>) -> Look {
+        let (mut room, mut found) = (usize::MAX, Look::default());
+        loop {
+            let before = self.0.len();
+            let look = self.glance(receiver, &mut room);
+            self.pass_on(receiver, &mut room, true);
+            found =
+                Look { stop: found.stop | look.stop, news: found.news | look.news, waits: found.waits | look.waits };
+            if self.0.len() - before < AT_A_TIME {
+                return found;
+            }
+        }
+    }
+
+    fn text(&self) -> String {
+        self.0.iter().map(|byte| byte.map_or('#', char::from)).collect()
+    }
+
+    /// The lines that would be carried out: nothing is missing in them, and none has what stands for a damaged byte.
+    fn lines(&self) -> Vec<String> {
+        let (mut lines, mut line, mut is_whole) = (Vec::new(), String::new(), true);
+        for byte in &self.0 {
+            match byte {
+                None => is_whole = false,
+                Some(b'\n') => {
+                    if is_whole && !line.is_empty() && !line.contains('@') {
+                        lines.push(line.clone());
+                    }
+                    (line, is_whole) = (String::new(), true);
+                }
+                Some(byte) if is_stop(*byte) || *byte == b'?' => {}
+                Some(byte) => line.push(char::from(*byte)),
+            }
+        }
+        lines
+    }
+}
+
+/// Bytes that a look reads at most.
+const AT_A_TIME: usize = 28;
+
 #[derive(Clone, Debug)]
 enum Step {
     /// So many bytes come.
     Come(usize),
-    /// One is missing.
-    Miss,
-    /// The task takes so many, one by one.
-    Take(usize),
-    /// The task takes so many of those that are ready in a row.
-    Pass(usize),
-    /// The processor stands while so many come by DMA.
-    Stand(u32),
+    /// One is counted, and written a little later.
+    Count,
+    /// A look, and as many messages as there is room for.
+    Look(usize),
 }
 
 fn step() -> impl Strategy<Value = Step> {
     prop_oneof![
         4 => (1_usize..40).prop_map(Step::Come),
-        1 => (1_usize..600).prop_map(Step::Come),
-        1 => Just(Step::Miss),
-        4 => (1_usize..40).prop_map(Step::Take),
-        2 => (1_usize..600).prop_map(Step::Pass),
-        1 => (0_u32..600).prop_map(Step::Stand),
+        1 => Just(Step::Count),
+        3 => (0_usize..6).prop_map(Step::Look),
+        1 => Just(Step::Look(usize::MAX)),
     ]
 }
 
-/// Bytes that count up, and how they come out.
-struct Stream {
-    ring: Received,
-    sent: usize,
-    /// What must come out: numbers of bytes, and `None` where some are missing.
-    expected: VecDeque<Option<u8>>,
-    /// All that comes is dropped until the ring is empty.
-    drops: bool,
-}
-
-impl Stream {
-    fn is_missing_something(&self) -> bool {
-        self.expected.iter().any(Option::is_none)
-    }
-
-    fn miss(&mut self) {
-        if self.is_missing_something() || self.drops {
-            self.drops = true;
-        } else {
-            self.expected.push_back(None);
-        }
-    }
-
-    fn come(&mut self, count: usize) {
-        for _ in 0..count {
-            let byte = self.sent as u8;
-            self.sent += 1;
-            let waiting = self.expected.iter().flatten().count();
-            let kept = self.ring.keep(byte, false);
-            assert_eq!(kept, (waiting < (ROOM - FOR_STOPS) as usize && !self.drops).then_some(waiting as u32));
-            if kept.is_some() { self.expected.push_back(Some(byte)) } else { self.miss() }
-        }
-    }
-
-    /// What is next, by the rules.
-    fn next(&mut self) -> Option<Option<u8>> {
-        let next = self.expected.pop_front();
-        if next.is_none() && std::mem::take(&mut self.drops) { Some(None) } else { next }
-    }
-
-    fn take(&mut self) {
-        let told = match self.ring.next() {
-            Next::Byte(byte) => Some(Some(byte)),
-            Next::Missing => Some(None),
-            Next::Nothing => None,
-        };
-        assert_eq!(told, self.next());
-    }
-
-    fn pass(&mut self, most: usize) {
-        let ready = self.ring.ready();
-        let ready = ready[..most.min(ready.len())].to_vec();
-        for byte in &ready {
-            assert_eq!(self.next(), Some(Some(*byte)));
-        }
-        self.ring.pass(ready.len());
-    }
-
-    /// As `shelter` does: the bytes go where the ring says, without an interrupt.
-    fn stand(&mut self, count: u32) {
-        let waiting = self.expected.iter().flatten().count() as u32;
-        let (address, room) = self.ring.place();
-        assert!(room <= ROOM - waiting && (waiting > 64 || room == ROOM - waiting));
-        let count = count.min(room);
-        for k in 0..count as usize {
-            // SAFETY: unsafe because of a raw address; safe because it is that of an atomic of the ring, which lies within
-            // the room, and no reference to plain bytes of it is alive.
-            unsafe { ((address + k) as *mut u8).write(self.sent as u8) };
-            // What has been dropped so far has its place in front of them only if the ring was empty; else it is told late.
-            self.expected.push_back(Some(self.sent as u8));
-            self.sent += 1;
-        }
-        self.ring.placed(count);
-    }
-}
-
 proptest! {
+    /// As long as there is room, all bytes come out in their order, however the looks fall.
     #[test]
-    fn bytes_come_out_as_they_went_in(steps in prop::collection::vec(step(), 1..60)) {
-        let mut stream = Stream { ring: Received::new(), sent: 0, expected: VecDeque::new(), drops: false };
+    fn bytes_come_out_as_they_came(steps in prop::collection::vec(step(), 1..60)) {
+        let (wire, mut receiver) = by_dma();
+        let (mut out, mut sent) = (Out::default(), Vec::new());
         for step in steps {
-            match step {
-                Step::Come(count) => stream.come(count),
-                Step::Miss => {
-                    stream.ring.miss();
-                    stream.miss();
-                }
-                Step::Take(count) => (0..count).for_each(|_| stream.take()),
-                Step::Pass(count) => stream.pass(count),
-                Step::Stand(count) => stream.stand(count),
-            }
-        }
-        // All of it, and the end.
-        for _ in 0..ROOM + 3 {
-            stream.take();
-        }
-        prop_assert_eq!(stream.ring.next(), Next::Nothing);
-    }
-}
-
-/// A command that stops the machine is kept where all else is dropped.
-#[test]
-fn a_stop_is_not_dropped() {
-    let ring = Received::new();
-    ring.miss();
-    ring.miss();
-    assert_eq!((ring.keep(b'X', false), ring.keep(b'!', true), ring.keep(b'X', false)), (None, Some(0), None));
-    assert_eq!([0; 4].map(|_| ring.next()), [Next::Missing, Next::Byte(b'!'), Next::Missing, Next::Nothing]);
-}
-
-/// What was lost before a reset is void with all else.
-#[test]
-fn losses_before_a_reset_are_told_in_front_of_it() {
-    let ring = Received::new();
-    ring.miss();
-    ring.miss();
-    ring.forget_losses();
-    assert_eq!((ring.keep(0x18, true), ring.keep(b'$', false)), (Some(0), Some(1)));
-    let told = [Next::Missing, Next::Byte(0x18), Next::Byte(b'$'), Next::Nothing];
-    assert_eq!([0; 4].map(|_| ring.next()), told);
-}
-
-/// A `?` or a stop that repeats the byte before is dropped as long as that waits. What has been lost waits for nobody: the same
-/// again is kept.
-#[test]
-fn a_repetition_of_what_was_lost_is_kept() {
-    for byte in [b'?', b'!', 0x18, 0x19, 0x84, 0x85] {
-        let ring = Received::new();
-        let room = if is_stop(byte) { ROOM } else { ROOM - FOR_STOPS };
-        for _ in 0..room {
-            // Each of them is kept, and none of them repeats one.
-            assert!(ring.keep(b'~', true).is_some());
-        }
-        ring.hear(byte);
-        ring.pass(1);
-        assert_eq!(ring.hear(byte), if is_stop(byte) { Call::AtOnce } else { Call::Soon }, "{byte:#x} was lost");
-        assert_eq!(ring.hear(byte), Call::NotYet, "{byte:#x} waits");
-        let told: Vec<Next> = std::iter::repeat_with(|| ring.next()).take(ROOM as usize + 3).collect();
-        let heard = told.iter().filter(|next| **next == Next::Byte(byte)).count();
-        assert_eq!((heard, told.contains(&Next::Missing), told.last()), (1, true, Some(&Next::Nothing)), "{byte:#x}");
-        // Nobody waits for it any more.
-        assert_eq!(ring.hear(byte), Call::Soon, "{byte:#x} again");
-        assert_eq!((ring.next(), ring.next()), (Next::Byte(byte), Next::Nothing), "{byte:#x} again");
-    }
-}
-
-/// Behind a byte that is disturbed, or those that have come by DMA, nothing repeats what was before.
-#[test]
-fn what_is_missing_ends_a_row_of_repetitions() {
-    let ring = Received::new();
-    assert_eq!([0x18, 0x18].map(|byte| ring.hear(byte)), [Call::AtOnce, Call::NotYet]);
-    ring.miss();
-    ring.miss();
-    // What was lost is void with this one, and the line behind it is whole.
-    assert_eq!([0x18, b'$', b'\n'].map(|byte| ring.hear(byte)), [Call::AtOnce, Call::NotYet, Call::Soon]);
-    let told = [Next::Byte(0x18), Next::Missing, Next::Byte(0x18), Next::Byte(b'$'), Next::Byte(b'\n'), Next::Nothing];
-    assert_eq!([0; 6].map(|_| ring.next()), told);
-    assert_eq!(ring.hear(b'!'), Call::AtOnce);
-    let (address, _) = ring.place();
-    // SAFETY: as in `Stream::stand`.
-    unsafe { (address as *mut u8).write(b'~') };
-    ring.placed(1);
-    assert_eq!(ring.hear(b'!'), Call::AtOnce);
-    assert_eq!([0; 3].map(|_| ring.next()), [b'!', b'~', b'!'].map(Next::Byte));
-}
-
-/// Nor is it by a flood that has filled the ring.
-#[test]
-fn a_stop_has_a_place_in_a_ring_that_is_full() {
-    let ring = Received::new();
-    let kept = (0..ROOM).take_while(|_| ring.keep(b'x', false).is_some()).count();
-    assert!(!ring.has_stop());
-    assert_eq!(ring.keep(0x18, true), Some(kept as u32));
-    for _ in 0..kept {
-        assert!(ring.has_stop());
-        assert_eq!(ring.next(), Next::Byte(b'x'));
-    }
-    assert!(ring.has_stop());
-    assert_eq!([0; 4].map(|_| ring.next()), [Next::Missing, Next::Byte(0x18), Next::Nothing, Next::Nothing]);
-    assert!(!ring.has_stop());
-}
-
-/// Nobody has looked at the bytes that came by DMA; and before they come all is taken.
-#[test]
-fn what_may_be_a_stop_is_read_like_one() {
-    let ring = Received::new();
-    assert_eq!([b'~', b'~'].map(|byte| ring.hear(byte)), [Call::Soon; 2]);
-    assert!(!ring.has_stop());
-    // Also what comes while the task reads what was there.
-    ring.hurry();
-    assert_eq!(ring.hear(b'~'), Call::Soon);
-    for _ in 0..3 {
-        assert!(ring.has_stop());
-        assert_eq!(ring.next(), Next::Byte(b'~'));
-    }
-    ring.hurry();
-    // A stop among them does not end the hurry.
-    assert_eq!([b'!', b'~'].map(|byte| ring.hear(byte)), [Call::AtOnce, Call::Soon]);
-    assert_eq!((ring.next(), ring.has_stop()), (Next::Byte(b'!'), true));
-    assert_eq!(ring.next(), Next::Byte(b'~'));
-    let (address, _) = ring.place();
-    // SAFETY: as in `Stream::stand`.
-    unsafe { (address as *mut u8).write(0x18) };
-    ring.placed(1);
-    assert!(ring.has_stop());
-    assert_eq!((ring.next(), ring.has_stop()), (Next::Byte(0x18), false));
-}
-
-/// Which of the bytes that came by DMA was disturbed is not known.
-#[test]
-fn of_disturbed_bytes_each_becomes_one_that_is_refused() {
-    let ring = Received::new();
-    assert_eq!(ring.keep(b'a', false), Some(0));
-    let (address, room) = ring.place();
-    assert_eq!(room, ROOM - 1);
-    for (k, byte) in b"b\nc!".iter().enumerate() {
-        // SAFETY: as in `Stream::stand`.
-        unsafe { ((address + k) as *mut u8).write(*byte) };
-    }
-    ring.placed_disturbed(4, |byte| if byte.is_ascii_alphabetic() { b'@' } else { byte });
-    let bytes = [b'@', b'\n', b'@', b'!'].map(Next::Byte);
-    assert_eq!([0; 2].map(|_| ring.next()), [Next::Byte(b'a'), Next::Missing]);
-    assert_eq!([0; 4].map(|_| ring.next()), bytes);
-    assert_eq!(ring.next(), Next::Nothing);
-}
-
-/// The interrupt comes between any two accesses of the task: here it is another thread.
-#[test]
-fn nothing_is_missing_without_a_word_whenever_it_comes() {
-    const SENT: usize = 400_000;
-    let ring = Received::new();
-    let ended = AtomicBool::new(false);
-    let (taken, gaps) = thread::scope(|scope| {
-        scope.spawn(|| {
-            for k in 0..SENT {
-                if k % 97 == 50 {
-                    ring.miss()
-                } else {
-                    let _ = ring.keep((k % 251) as u8, false);
-                }
-                if k % 64 == 0 {
-                    thread::yield_now();
-                }
-                // The other thread has its share, however busy the machine is.
-                while k % 2000 == 0 && ring.is_waiting() {
-                    thread::yield_now();
-                }
-            }
-            ended.store(true, Ordering::SeqCst);
-        });
-        let (mut last, mut taken, mut gaps, mut missing) = (None, 0_usize, 0_usize, false);
-        let mut hear = |byte: u8, missing: &mut bool| {
-            let follows = last.is_none_or(|last: u8| (last + 1) % 251 == byte);
-            assert!(follows || *missing, "{byte} after {last:?}, and nothing was said");
-            (last, *missing) = (Some(byte), false);
-        };
-        loop {
-            let was_last = ended.load(Ordering::SeqCst);
-            let ready = ring.ready();
-            ready.iter().for_each(|byte| hear(*byte, &mut missing));
-            taken += ready.len();
-            ring.pass(ready.len());
-            match ring.next() {
-                Next::Byte(byte) => {
-                    hear(byte, &mut missing);
-                    taken += 1;
-                }
-                Next::Missing => (missing, gaps) = (true, gaps + 1),
-                Next::Nothing if was_last => break (taken, gaps),
-                Next::Nothing => thread::yield_now(),
-            }
-        }
-    });
-    assert!(taken > SENT / 10 && gaps > 10 && taken + gaps <= SENT, "{taken} bytes and {gaps} gaps");
-}
-
-/// The interrupt takes answers out between any two accesses of the task that puts them in: each byte once, in order.
-#[test]
-fn answers_go_out_as_they_were_put() {
-    let ring = Sent::new();
-    assert_eq!(ring.take(), None);
-    let put = (0..=255).take_while(|byte| ring.put(*byte)).count();
-    assert_eq!((put, ring.waiting()), (sent::ROOM as usize, sent::ROOM));
-    for byte in 0..put as u8 {
-        assert_eq!(ring.take(), Some(byte));
-    }
-    assert_eq!((ring.take(), ring.waiting()), (None, 0));
-    const SENT: usize = 100_000;
-    thread::scope(|scope| {
-        scope.spawn(|| {
-            for k in 0..SENT {
-                while !ring.put((k % 251) as u8) {
-                    thread::yield_now();
-                }
-            }
-        });
-        for k in 0..SENT {
-            let byte = loop {
-                match ring.take() {
-                    Some(byte) => break byte,
-                    None => thread::yield_now(),
-                }
+            let room = MOST_WAITING - (sent.len() - out.0.len()).min(MOST_WAITING);
+            let next = |sent: &mut Vec<u8>| {
+                // Text that counts up.
+                let byte = b'A' + (sent.len() % 50) as u8;
+                sent.push(byte);
+                byte
             };
-            assert_eq!(byte, (k % 251) as u8);
+            match step {
+                Step::Come(count) => (0..count.min(room)).for_each(|_| wire.come(next(&mut sent))),
+                Step::Count if room > 0 => wire.count(next(&mut sent)),
+                Step::Count => {}
+                Step::Look(mut room) => {
+                    out.glance(&mut receiver, &mut room);
+                    out.pass_on(&mut receiver, &mut room, true);
+                    wire.write();
+                }
+            }
         }
-    });
+        wire.write();
+        out.look(&mut receiver);
+        prop_assert_eq!(out.0, sent.into_iter().map(Some).collect::<Vec<_>>());
+    }
+
+    /// Some bytes are damaged, and become any others, ends of lines among them; looks fall anywhere, also between the rise of the line
+    /// that tells of it and the byte; bytes come while the damage is forgotten. No line is carried out that was not sent, none twice, and
+    /// none that had a damaged byte.
+    #[test]
+    fn no_damaged_line_is_carried_out(
+        damaged in prop::collection::btree_map(
+            0_usize..280,
+            (prop_oneof![Just(b'\n'), Just(b'7'), Just(0xFF_u8)], any::<bool>()),
+            1..5,
+        ),
+        looks in prop::collection::vec((1_usize..14, 1_usize..4), 20..60),
+        during in prop::collection::vec(0_usize..3, 10),
+    ) {
+        let lines: Vec<String> = (0..40).map(|line| format!("X{:05}", 10_000 + line)).collect();
+        let sent: Vec<u8> = lines.iter().flat_map(|line| format!("{line}\n").into_bytes()).collect();
+        let (wire, mut receiver) = by_dma();
+        let (mut out, mut at, mut during) = (Out::default(), 0, during.into_iter().cycle());
+        for (count, times) in looks.into_iter().cycle() {
+            let end = (at + count).min(sent.len());
+            while at < end {
+                if let Some((byte, is_looked_at)) = damaged.get(&at) {
+                    wire.damaged.set(true);
+                    if *is_looked_at {
+                        out.look(&mut receiver);
+                    }
+                    wire.come(*byte);
+                } else {
+                    wire.come(sent[at]);
+                }
+                at += 1;
+            }
+            for _ in 0..times {
+                // Undamaged ones only: these would pend anew.
+                let more = during.next().unwrap().min(sent.len() - at);
+                let more = (0..more).take_while(|k| !damaged.contains_key(&(at + k))).count();
+                wire.at_clear.replace(sent[at..at + more].to_vec());
+                out.look(&mut receiver);
+                at += more - wire.at_clear.take().len();
+            }
+            if at == sent.len() {
+                break;
+            }
+        }
+        // Two lines that are good, behind all doubt.
+        out.look(&mut receiver);
+        wire.come_all(b"\nEND1\nEND2\n");
+        out.look(&mut receiver);
+        let carried_out = out.lines();
+        let mut left = lines.iter().enumerate();
+        for line in &carried_out[..carried_out.len() - 1] {
+            if line == "END1" {
+                continue;
+            }
+            let found = left.find(|(_, sent)| *sent == line);
+            prop_assert!(found.is_some(), "{line} was not sent, or not in this order: {}", out.text());
+            let (number, _) = found.unwrap();
+            prop_assert!((number * 7..number * 7 + 7).all(|byte| !damaged.contains_key(&byte)), "{line} was damaged");
+        }
+        prop_assert_eq!(carried_out.last().map(String::as_str), Some("END2"));
+    }
+}
+
+/// A byte is damaged at each place of three lines, and becomes a digit or the end of a line; looks come more often than bytes, and less
+/// often; the line that tells of it rises before the byte or with it. Its line is not carried out, nor a part of one.
+#[test]
+fn a_damaged_byte_at_each_place() {
+    let sent = b"G1X11\nG1X12\nG1X13\n";
+    let places = || (0..sent.len()).flat_map(|place| [b'7', b'\n'].map(|byte| (place, byte)));
+    for (place, becomes) in places() {
+        for (every, times, is_looked_at) in (1..7).flat_map(|every| {
+            (1..4).flat_map(move |times| [false, true].map(|is_looked_at| (every, times, is_looked_at)))
+        }) {
+            let (wire, mut receiver) = by_dma();
+            let mut out = Out::default();
+            for (at, byte) in sent.iter().enumerate() {
+                if at == place {
+                    wire.damaged.set(true);
+                    if is_looked_at {
+                        out.look(&mut receiver);
+                    }
+                }
+                wire.come(if at == place { becomes } else { *byte });
+                if at % every == 0 {
+                    (0..times).for_each(|_| _ = out.look(&mut receiver));
+                }
+            }
+            (0..3).for_each(|_| _ = out.look(&mut receiver));
+            wire.come_all(b"\nG1X14\n");
+            out.look(&mut receiver);
+            let (lines, text) = (out.lines(), out.text());
+            let bad = format!("G1X1{}", place / 6 + 1);
+            assert!(!lines.contains(&bad), "place {place}, every {every}, {times} times: {text:?}");
+            let is_sent = |line: &String| line.len() == 5 && line.starts_with("G1X1");
+            assert!(lines.iter().all(is_sent), "place {place}, every {every}, {times} times: {text:?}");
+            assert_eq!(lines.last().map(String::as_str), Some("G1X14"));
+            assert!(out.0.contains(&None), "a loss is told");
+        }
+    }
+}
+
+/// Whatever the message is filled with when it comes to the first byte that is good again: none of those that came goes.
+#[test]
+fn nothing_is_dropped_behind_damaged_bytes() {
+    for count in 1..3 * ReceivedBytes::MOST {
+        let (wire, mut receiver) = by_dma();
+        let mut out = Out::default();
+        wire.damaged.set(true);
+        wire.come_all(&vec![b'x'; count]);
+        (0..3).for_each(|_| _ = out.glance(&mut receiver, &mut usize::MAX.clone()));
+        wire.come_all(b"abc");
+        out.look(&mut receiver);
+        assert_eq!(out.text(), format!("#{}abc", "@".repeat(count + 1)));
+    }
+}
+
+/// A byte that is counted and not yet written is not there yet; the look after it has it, and what is doubted of it stays so.
+#[test]
+fn a_byte_that_is_counted_and_not_written() {
+    let (wire, mut receiver) = by_dma();
+    let mut out = Out::default();
+    wire.come_all(b"ab");
+    wire.count(b'c');
+    out.look(&mut receiver);
+    assert_eq!(out.text(), "ab");
+    wire.write();
+    out.look(&mut receiver);
+    assert_eq!(out.text(), "abc");
+    // Damaged, and not written at the look that sees the damage, nor at the next.
+    wire.damaged.set(true);
+    wire.count(b'1');
+    out.look(&mut receiver);
+    out.look(&mut receiver);
+    wire.write();
+    wire.come(b'2');
+    out.look(&mut receiver);
+    wire.come(b'\n');
+    out.look(&mut receiver);
+    assert_eq!(out.text(), "abc#@@@\n");
+}
+
+/// One byte less than there are slots may wait, for however long; one more, and all are lost but the last stop, once told.
+#[test]
+fn a_full_buffer_and_a_lap() {
+    for more in [0, 1, 2, SLOTS - 1, SLOTS, SLOTS + 1, 3 * SLOTS + 7] {
+        for stop in [None, Some(0), Some(SLOTS / 2), Some(SLOTS - 3)] {
+            for before in [0, 1, 100, SLOTS - 1] {
+                let (wire, mut receiver) = by_dma();
+                let mut out = Out::default();
+                wire.come_all(&vec![b'a'; before]);
+                out.look(&mut receiver);
+                out.0.clear();
+                let count = SLOTS - 1 + more;
+                let mut bytes = vec![b'x'; count];
+                // Counted from the newest: what has been overwritten is gone.
+                if let Some(stop) = stop {
+                    bytes[count - 1 - stop] = b'!';
+                }
+                wire.come_all(&bytes);
+                let look = out.look(&mut receiver);
+                assert_eq!(look.stop, stop.is_some(), "{more} {stop:?} {before}");
+                if more == 0 {
+                    assert_eq!(out.0, bytes.iter().copied().map(Some).collect::<Vec<_>>());
+                } else {
+                    assert_eq!(out.text(), if stop.is_some() { "#!" } else { "" });
+                }
+                out.0.clear();
+                wire.come_all(b"y\nz\n");
+                out.look(&mut receiver);
+                assert_eq!(out.text(), if more == 0 { "y\nz\n" } else { "#y\nz\n" });
+                // As good as new.
+                out.0.clear();
+                wire.come_all(&vec![b'v'; SLOTS - 1]);
+                out.look(&mut receiver);
+                assert_eq!(out.text(), "v".repeat(SLOTS - 1));
+            }
+        }
+    }
+}
+
+/// Nobody takes the messages while bytes come without end: the oldest are lost, once told, but for what stops the machine; DMA never comes
+/// round, so no look has to empty all slots.
+#[test]
+fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
+    let (wire, mut receiver) = by_dma();
+    let (mut out, mut sent) = (Out::default(), 0);
+    let mut come = |count: usize| {
+        let text: Vec<u8> = (sent..sent + count).map(|number| b'A' + (number % 50) as u8).collect();
+        sent += count;
+        wire.come_all(&text);
+        text
+    };
+    let mut last = Vec::new();
+    for _ in 0..300 {
+        last.extend(come(5));
+        out.glance(&mut receiver, &mut 0);
+        out.pass_on(&mut receiver, &mut 0, true);
+    }
+    wire.come(b'!');
+    last.extend(b"!");
+    for _ in 0..300 {
+        last.extend(come(1));
+        assert!(out.glance(&mut receiver, &mut 0).news);
+    }
+    let look = out.look(&mut receiver);
+    assert!(look.stop, "the stop has waited for room");
+    // What has come first is in the message that could not be sent; what is behind the loss is all that came last.
+    let (first, behind) = out.0.split_at(ReceivedBytes::MOST);
+    assert_eq!(first, last[..ReceivedBytes::MOST].iter().copied().map(Some).collect::<Vec<_>>());
+    assert_eq!(behind[0], None, "the loss is told");
+    let behind: Vec<u8> = behind[1..].iter().map(|byte| byte.expect("it is told once")).collect();
+    assert!(last.ends_with(&behind) && behind[0] == b'!' && behind.len() == 301, "{} behind the loss", behind.len());
+}
+
+/// A byte that comes while a look waits for the last one to be counted hides no overrun.
+#[test]
+fn a_lap_is_seen_when_another_byte_comes_meanwhile() {
+    let (wire, mut receiver) = by_dma();
+    let mut out = Out::default();
+    wire.come_all(&vec![b'x'; SLOTS + 5]);
+    wire.at_settle.replace(b"5\n".to_vec());
+    out.look(&mut receiver);
+    wire.come_all(b"end\n");
+    out.look(&mut receiver);
+    assert_eq!(out.text(), "#end\n");
+}
+
+/// Bytes come while the slots are emptied: they are lost as well, but for a stop; those that come when the last slot has been emptied
+/// are the first behind the loss.
+#[test]
+fn bytes_that_come_while_the_slots_are_emptied() {
+    /// The place is asked for by the look, once the last byte has settled, and then when the first slot is emptied and when the last is.
+    struct Late(Rc<Wire>, Cell<usize>, [&'static [u8]; 2]);
+
+    impl ByteSource for Late {
+        const IS_CIRCULAR: bool = true;
+
+        fn place(&self) -> usize {
+            let asked = self.1.replace(self.1.get() + 1);
+            let place = self.0.place.get();
+            if let Some(bytes) = asked.checked_sub(2).and_then(|at| self.2.get(at)) {
+                self.0.come_all(bytes);
+            }
+            place
+        }
+
+        fn is_damaged(&self) -> bool {
+            false
+        }
+
+        fn clear_damage(&mut self) {}
+    }
+
+    for (first, last, expected) in [
+        (b"12345".as_slice(), b"".as_slice(), "#end\n"),
+        (b"12!45", b"", "#!#end\n"),
+        (b"12345", b"678", "#end\n"),
+        (b"", b"6!8", "#6!8end\n"),
+        (b"", b"!", "#!end\n"),
+        (b"1", b"!", "#!#end\n"),
+    ] {
+        let (wire, _) = by_dma();
+        let mut receiver = UartReceiver::new(Late(wire.clone(), Cell::new(0), [first, last]), wire.buffer);
+        let mut out = Out::default();
+        wire.come_all(&vec![b'x'; SLOTS + 5]);
+        out.look(&mut receiver);
+        wire.come_all(b"end\n");
+        out.look(&mut receiver);
+        assert_eq!(out.text(), expected);
+    }
+}
+
+/// The last byte is written and about to be counted: no slot is free at that moment, and nothing is lost.
+#[test]
+fn a_byte_that_is_about_to_be_counted() {
+    let (wire, mut receiver) = by_dma();
+    let mut out = Out::default();
+    let place = wire.place.get();
+    wire.buffer[place].store(u16::from(b'a'), Ordering::Relaxed);
+    // It is counted while the look waits for it.
+    wire.at_settle.replace(b"a".to_vec());
+    out.glance(&mut receiver, &mut 0);
+    out.look(&mut receiver);
+    assert_eq!(out.text(), "a");
+}
+
+#[test]
+fn what_is_to_be_called_for() {
+    let (wire, mut receiver) = by_dma();
+    let (mut out, mut room) = (Out::default(), usize::MAX);
+    assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
+    // Text alone waits for the end of its line, but is passed on soon.
+    wire.come_all(b"G1X1");
+    for _ in 1..4 {
+        assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
+    }
+    assert_eq!(out.glance(&mut receiver, &mut room), Look { waits: true, ..Look::default() });
+    out.pass_on(&mut receiver, &mut room, true);
+    assert_eq!((out.glance(&mut receiver, &mut room), out.text().as_str()), (Look::default(), "G1X1"));
+    for (bytes, look) in [
+        (b"\n".as_slice(), Look { news: true, ..Look::default() }),
+        (b"?", Look { news: true, ..Look::default() }),
+        (b"01234567890123456789012345678901", Look { news: true, ..Look::default() }),
+        (b"!", Look { news: true, stop: true, ..Look::default() }),
+        (b"\x18", Look { news: true, stop: true, ..Look::default() }),
+        // The same again says nothing new.
+        (b"\x18", Look { news: true, ..Look::default() }),
+    ] {
+        wire.come_all(bytes);
+        assert_eq!(out.look(&mut receiver), look, "{bytes:?}");
+        assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
+    }
+    // What has no room stays, and is called for again: a stop at once.
+    out.0.clear();
+    wire.come_all(b"?G1X1\n!\n");
+    out.glance(&mut receiver, &mut 0);
+    out.pass_on(&mut receiver, &mut 0, true);
+    assert_eq!(out.glance(&mut receiver, &mut 0), Look { news: true, stop: true, waits: true });
+    out.pass_on(&mut receiver, &mut room, true);
+    assert_eq!((out.glance(&mut receiver, &mut room), out.text().as_str()), (Look::default(), "?G1X1\n!\n"));
+    // A flood of the same: once for each call, however often it is passed on.
+    out.0.clear();
+    for calls in [false, false, true, false, true] {
+        wire.come_all(&[b'?'; AT_A_TIME]);
+        out.glance(&mut receiver, &mut room);
+        out.pass_on(&mut receiver, &mut room, calls);
+    }
+    assert_eq!(out.text(), "??");
+    // A look reads few bytes, and the rest is called for.
+    out.0.clear();
+    wire.come_all(&[b'x'; 100]);
+    out.glance(&mut receiver, &mut room);
+    out.pass_on(&mut receiver, &mut room, true);
+    assert_eq!(out.0.len(), AT_A_TIME);
+    assert!(out.glance(&mut receiver, &mut room).news);
+}
+
+/// A UART without DMA: its interrupt puts bytes into the slots, as long as there are any.
+struct Interrupt(Cell<usize>);
+
+impl ByteSource for Interrupt {
+    const IS_CIRCULAR: bool = false;
+
+    fn place(&self) -> usize {
+        self.0.get()
+    }
+
+    fn is_damaged(&self) -> bool {
+        false
+    }
+
+    fn clear_damage(&mut self) {}
+
+    fn begin_anew(&mut self) -> bool {
+        self.0.set(0);
+        true
+    }
+}
+
+#[test]
+fn an_interrupt_fills_the_slots() {
+    let mut receiver = UartReceiver::new(Interrupt(Cell::new(0)), buffer());
+    let (mut out, mut is_missing) = (Out::default(), false);
+    let mut put = |receiver: &mut UartReceiver<Interrupt>, byte: u8| {
+        let place = receiver.source().0.get();
+        is_missing = !receiver.put(byte, place, is_missing);
+        receiver.source().0.set(place + usize::from(!is_missing));
+        !is_missing
+    };
+    for round in 0..3 {
+        for byte in b"G1X1\n" {
+            assert!(put(&mut receiver, *byte));
+        }
+        assert!(out.look(&mut receiver).news, "{round}");
+        assert_eq!((out.text().as_str(), receiver.source().0.get()), ("G1X1\n", 0), "it begins anew");
+        out.0.clear();
+    }
+    // Nobody reads for long: text finds no room, what stops the machine does, and what comes behind says that something is missing.
+    let kept = (0..2 * SLOTS).filter(|_| put(&mut receiver, b'x')).count();
+    assert!(put(&mut receiver, b'!'));
+    assert!(!put(&mut receiver, b'y') && kept < SLOTS);
+    assert!(out.look(&mut receiver).stop);
+    assert_eq!(out.text(), format!("{}#!", "x".repeat(kept)));
+    out.0.clear();
+    assert!(put(&mut receiver, b'z'));
+    out.look(&mut receiver);
+    assert_eq!(out.text(), "#z");
+}
+
+/// At once, and then not again for as many samples as there are in 800 us.
+#[test]
+fn the_serial_task_is_called_in_time_and_not_too_often() {
+    let mut calls = Calls::new();
+    assert!(!calls.sample(|| false));
+    assert!(calls.sample(|| true));
+    for _ in 1..REST {
+        assert!(!calls.sample(|| true));
+    }
+    assert!(calls.sample(|| true));
+    for _ in 1..REST {
+        assert!(!calls.sample(|| unreachable!("it is not time")));
+    }
+    assert!(!calls.sample(|| false));
+    assert!(calls.sample(|| true));
 }

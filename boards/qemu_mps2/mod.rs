@@ -36,6 +36,7 @@ use oxmill_controller::{Profile, ResetCause, digest::Digest};
 
 pub use mps2_pac as pac;
 
+use crate::uart_receiver::Look;
 use crate::{Due, Free, Incoming, NoPort, Port, SecondMotor, SlowLevels, StepOutput, Undone, profiles, stack};
 
 /// There is none.
@@ -68,6 +69,8 @@ pub const WATCHES_CLOCK: bool = false;
 pub struct Parts {
     /// For `step`.
     pub step_pins: StepPins,
+    /// For `inputs`.
+    pub uart_input: UartInput,
     /// For `serial`.
     pub serial: SerialPort,
     /// For `serial`.
@@ -95,14 +98,21 @@ pub fn call_serial() {
     NVIC::pend(Interrupt::UART0_RX);
 }
 
-/// The serial task receives by itself.
-pub fn call_receive() -> bool {
-    false
-}
+/// What the task of the inputs has of the UART: nothing, as the serial task receives by itself.
+pub struct UartInput;
 
-/// The serial task receives by itself.
-#[inline(always)]
-pub fn on_receive() {}
+impl UartInput {
+    /// QEMU offers bytes at any rate.
+    pub fn start(&mut self, _baud: u32) {}
+
+    /// Nothing waits here.
+    pub fn look(&mut self) -> Look {
+        Look::default()
+    }
+
+    /// Nothing waits here.
+    pub fn pass_on(&mut self, _calls: bool) {}
+}
 
 /// No rate is set.
 pub const USUAL_BAUD: u32 = 115_200;
@@ -127,6 +137,7 @@ pub fn setup(mut device: pac::Peripherals, _low_voltage: fn() -> !) -> Parts {
     unsafe { NVIC::unmask(Interrupt::UART0_TX) };
     Parts {
         step_pins: StepPins::new(device.TIMER0),
+        uart_input: UartInput,
         serial: SerialPort(device.UART0),
         usb: NoPort,
         inputs: InputPins,
@@ -155,12 +166,8 @@ pub fn clock_ticks() -> u32 {
     u32::MAX - unsafe { pac::Peripherals::steal() }.TIMER1.value()
 }
 
-/// A call of the step task that waits.
-static CALLED: AtomicBool = AtomicBool::new(false);
-
 /// Calls the step task, from any task.
 pub fn call_step() {
-    CALLED.store(true, Ordering::Relaxed);
     NVIC::pend(Interrupt::TIMER0);
 }
 
@@ -259,7 +266,7 @@ impl StepOutput<AXES> for StepPins {
 
     fn take(&mut self) -> Due {
         let now = self.now();
-        let mut due = if CALLED.swap(false, Ordering::Relaxed) { Due::CALLED.0 } else { 0 };
+        let mut due = 0;
         for (moment, flag) in self.moments.iter_mut().zip([Due::OUT, Due::MORE, Due::MARK]) {
             if moment.is_some_and(|when| now.wrapping_sub(when) as i32 >= 0) {
                 *moment = None;

@@ -18,8 +18,7 @@
 //! At its end the report of the test stand follows, and QEMU ends.
 
 use super::clock_ticks;
-use core::cell::RefCell;
-use core::sync::atomic::{AtomicUsize, Ordering};
+use core::cell::{Cell, RefCell};
 use cortex_m::peripheral::NVIC;
 use critical_section::Mutex;
 use mps2_pac::Interrupt;
@@ -33,26 +32,21 @@ const MOST_QUESTIONS: u32 = 4_000;
 /// Bytes of a line's beginning that tell what it is.
 const HEAD: usize = 6;
 
-/// Bytes that wait to be received: addresses, equal if there are none.
-static NEXT: AtomicUsize = AtomicUsize::new(0);
-static END: AtomicUsize = AtomicUsize::new(0);
+/// Bytes that wait to be received.
+static WAITING: Mutex<Cell<&'static [u8]>> = Mutex::new(Cell::new(&[]));
 
 /// The next byte that the script sends.
 pub fn receive() -> Option<u8> {
-    let next = NEXT.load(Ordering::Relaxed);
-    if next == END.load(Ordering::Relaxed) {
-        return None;
-    }
-    NEXT.store(next + 1, Ordering::Relaxed);
-    // SAFETY: unsafe because raw memory is read; safe because `send` has set both ends to those of a slice of PSRAM that
-    // lives for ever, and only this function moves the first one.
-    Some(unsafe { (next as *const u8).read() })
+    critical_section::with(|cs| {
+        let waiting = WAITING.borrow(cs);
+        let (byte, rest) = waiting.get().split_first()?;
+        waiting.set(rest);
+        Some(*byte)
+    })
 }
 
 fn send(bytes: &'static [u8]) {
-    let range = bytes.as_ptr_range();
-    NEXT.store(range.start as usize, Ordering::Relaxed);
-    END.store(range.end as usize, Ordering::Relaxed);
+    critical_section::with(|cs| WAITING.borrow(cs).set(bytes));
     NVIC::pend(Interrupt::UART0_RX);
 }
 

@@ -25,12 +25,15 @@
 //! * TIM1 must be clocked while the processor sleeps (`step_pins` sees to it), or it ignores its trigger.
 //! * TIM1 ignores a trigger while it counts. Its counter would then be one event behind TIM5: the streams' counts differ.
 //! * A request from before would be served at once: TIM1 is reset before each begin.
-//! * CR of a stream is not read right after EN was set, and streams are not switched on back to back.
 //! * A stream to a peripheral holds the next word from the moment it is on: that of the beam is switched on once more for each power, and one
 //!   power is armed at a time. What is written to TIM3 at its moment acts at once.
 //!
 //! Emulated; no bench has confirmed it yet.
 
+use super::dma::{
+    self, CIRCULAR, CR, HISR, LISR, MEMORY_COUNTS, NDTR, PERIPHERAL_COUNTS, SERVED_CYCLES, TO_PERIPHERAL, VERY_HIGH,
+    WORDS, stream, switch_on,
+};
 use super::registers::{Map, bsrr_of, read, timer::*, write};
 use crate::contract::{COMBINATIONS, Due, Free};
 use core::marker::PhantomData;
@@ -43,48 +46,20 @@ const RING: usize = 128;
 pub(super) const DEPTH: usize = 96;
 /// Ticks of TIM1 from its start to the edge; the pulse ends so many later.
 const EDGE_COUNT: u32 = 1;
-/// More cycles than it takes from a match of TIM5 to the last word that comes of it, but for the end of the pulse.
-const SERVED_CYCLES: u32 = 48;
 /// Ticks between the last look at the time and the first moment, at least: TIM1 listens before it comes.
 const LISTENS_TICKS: u32 = 48;
 /// More ticks than it takes to begin once more, with all moments of the ring put off.
 const AGAIN_TICKS: u32 = 2_200;
-/// Ticks from a moment within which its request may be under way.
+/// Ticks from a moment within which its request may be under way. At the greatest rate moments are some 90 apart.
 const NEAR_TICKS: u32 = 48;
 /// Ticks after which an event that is not out never will be.
 const STANDS_TICKS: i32 = 500;
 /// Looks at the counts that must all differ, besides the first.
 const MORE_LOOKS: u32 = 8;
-/// Between two streams that are switched on.
-const APART_CYCLES: u32 = 12;
 
-/// Registers of a DMA controller: the flags of streams 0 to 3 and 4 to 7, and where these are cleared; the first stream.
-const LISR: usize = 0x00;
-const HISR: usize = 0x04;
-const LIFCR: usize = 0x08;
-const HIFCR: usize = 0x0C;
-const STREAMS: usize = 0x10;
-const STREAM_SIZE: usize = 0x18;
-/// Registers of a stream.
-const CR: usize = 0x00;
-const NDTR: usize = 0x04;
-const PAR: usize = 0x08;
-const M0AR: usize = 0x0C;
-/// CR of a stream: on; memory is read; circular; either address counts up; words on both sides; very high priority.
-const EN: u32 = 1;
-const TO_PERIPHERAL: u32 = 1 << 6;
-const CIRCULAR: u32 = 1 << 8;
-const PERIPHERAL_COUNTS: u32 = 1 << 9;
-const MEMORY_COUNTS: u32 = 1 << 10;
-const WORDS: u32 = 2 << 11 | 2 << 13;
-const VERY_HIGH: u32 = 3 << 16;
-/// Flags of a stream, six bits at these places; transfer error and direct mode error among them, of four streams.
-const FLAGS: u32 = 0x3D;
-const ERRORS: u32 = 0b1100 | 0b1100 << 6 | 0b1100 << 16 | 0b1100 << 22;
-const MOMENT_ERRORS: u32 = 0b1100 << flags_at(MOMENTS);
-const fn flags_at(stream: usize) -> u32 {
-    [0, 6, 16, 22][stream % 4]
-}
+/// Error flags of four streams, and of that of the moments.
+const ERRORS: u32 = dma::errors(&[0, 1, 2, 3]);
+const MOMENT_ERRORS: u32 = dma::errors(&[MOMENTS]);
 
 /// The stream of the moments, and its channel.
 const MOMENTS: usize = 2;
@@ -163,12 +138,10 @@ pub(super) struct Chain<M, const P: usize> {
     one_by_one: bool,
     /// One by one: an event has been committed and is not out.
     pending: bool,
+    /// Moments that DMA1 has counted when the first is written: 1, or 2 if it counts a word when it fetches it. Of that the manual
+    /// leaves a doubt (DMA_SxNDTR), so the part is asked at each begin.
+    first_moments: usize,
     map: PhantomData<M>,
-}
-
-#[inline(always)]
-const fn stream(dma: usize, number: usize) -> usize {
-    dma + STREAMS + STREAM_SIZE * number
 }
 
 /// No pulse begins after this, and DMA writes no edge and no power. For a program that ends: nothing is counted any more.
@@ -182,17 +155,7 @@ pub(super) fn cut<M: Map>() {
         write(stream(dma, number) + CR, 0);
     }
     for (dma, number) in streams {
-        await_off(stream(dma, number));
-    }
-}
-
-/// A transfer under way ends before a stream is off, which EN tells (reference manual, "Stream configuration procedure"). One that
-/// never ends would be the last thing to wait for.
-#[inline(always)]
-fn await_off(stream: usize) {
-    let mut looks = SERVED_CYCLES;
-    while read(stream + CR) & EN != 0 && looks > 0 {
-        looks -= 1;
+        dma::await_off(stream(dma, number));
     }
 }
 
@@ -201,7 +164,17 @@ impl<M: Map, const P: usize> Chain<M, P> {
     const SPARE: usize = if P > 1 { 2 } else { 1 };
 
     pub(super) const fn new(ports: [usize; P], rings: &'static mut Rings<P>) -> Self {
-        Chain { rings, ports, head: 0, pulse: 1, begun: false, one_by_one: false, pending: false, map: PhantomData }
+        Chain {
+            rings,
+            ports,
+            head: 0,
+            pulse: 1,
+            begun: false,
+            one_by_one: false,
+            pending: false,
+            first_moments: 1,
+            map: PhantomData,
+        }
     }
 
     /// At rest: the word of each port that ends all pulses, and their length.
@@ -256,7 +229,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
             // DMA reads what has been written: the word is fetched as the stream is switched on.
             compiler_fence(Ordering::SeqCst);
             let how = CIRCULAR | WORDS | BEAM_CHANNEL | TO_PERIPHERAL;
-            switch_on(M::DMA1, BEAM, M::TIM3 + CCR2, &raw const self.rings.power as usize, how);
+            switch_on(M::DMA1, BEAM, M::TIM3 + CCR2, &raw const self.rings.power as usize, RING, how);
             write(M::TIM5 + DIER, read(M::TIM5 + DIER) | ASKS_FOR_POWER);
         }
         write(M::TIM5 + CCR3, moment);
@@ -410,8 +383,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
             let (Some(words), Some(low)) = (self.rings.words.get(port), self.rings.off.get(port)) else { return 0 };
             let pins = self.ports.get(port).copied().map_or(0, bsrr_of::<M>);
             let common = CIRCULAR | WORDS | VERY_HIGH | EDGES_CHANNEL;
-            switch_on(M::DMA2, on, words.as_ptr() as usize, pins, common | PERIPHERAL_COUNTS);
-            switch_on(M::DMA2, off, core::ptr::from_ref(low) as usize, pins, common);
+            switch_on(M::DMA2, on, words.as_ptr() as usize, pins, RING, common | PERIPHERAL_COUNTS);
+            switch_on(M::DMA2, off, core::ptr::from_ref(low) as usize, pins, RING, common);
             requests |= own;
         }
         if one_by_one {
@@ -423,12 +396,16 @@ impl<M: Map, const P: usize> Chain<M, P> {
         let how = CIRCULAR | WORDS | VERY_HIGH | MOMENTS_CHANNEL | TO_PERIPHERAL | MEMORY_COUNTS;
         let (mut put_off, mut again) = (0_u32, AGAIN_TICKS);
         loop {
-            switch_on(M::DMA1, MOMENTS, M::TIM5 + CCR1, self.rings.moments.as_ptr() as usize, how);
+            switch_on(M::DMA1, MOMENTS, M::TIM5 + CCR1, self.rings.moments.as_ptr() as usize, RING, how);
             cortex_m::asm::delay(SERVED_CYCLES);
             // The first moment comes by DMA as all others do, asked for by hand; TIM1 does not listen yet.
             write(M::TIM5 + DIER, CALLS | ASKS_FOR_MOMENT);
             write(M::TIM5 + EGR, Due::OUT.0);
             cortex_m::asm::delay(SERVED_CYCLES);
+            // Before the first moment comes, or this is done once more.
+            let counted = self.moments_counted();
+            let is_fetched_ahead = counted == 2 && read(M::TIM5 + CCR1) == self.moment_at(0);
+            self.first_moments = if is_fetched_ahead { 2 } else { 1 };
             write(M::TIM1 + DIER, requests);
             let left = self.moment_at(0).wrapping_sub(read(M::TIM5 + CNT));
             if left as i32 > LISTENS_TICKS as i32 {
@@ -488,12 +465,19 @@ impl<M: Map, const P: usize> Chain<M, P> {
         (0..MORE_LOOKS).all(|_| !self.counts_agree())
     }
 
-    /// Between two events: one moment more than edges, as many edges on all ports, and one end of a pulse less at most.
+    /// Moments that DMA1 has counted, modulo the ring.
+    #[inline(always)]
+    fn moments_counted(&self) -> usize {
+        RING.wrapping_sub(read(stream(M::DMA1, MOMENTS) + NDTR) as usize) % RING
+    }
+
+    /// Between two events: as many moments more than edges as at the begin, as many edges on all ports, and one end of a pulse less at
+    /// most.
     #[inline(always)]
     fn counts_agree(&self) -> bool {
         let left = |number| read(stream(M::DMA2, number) + NDTR) as usize;
         let edges = left(streams(0, P).on);
-        let mut agree = edges.wrapping_sub(read(stream(M::DMA1, MOMENTS) + NDTR) as usize) % RING == 1;
+        let mut agree = (self.moments_counted() + edges) % RING == self.first_moments;
         for port in 0..P {
             let Streams { on, off, .. } = streams(port, P);
             agree &= port == 0 || left(on) == edges;
@@ -544,27 +528,11 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
         fault |= (read(M::DMA2 + LISR) | read(M::DMA2 + HISR)) & ERRORS != 0;
         if !self.one_by_one {
-            // One more than events; two, if the next match came after TIM1 had ceased to listen.
-            let moments = RING.wrapping_sub(read(stream(M::DMA1, MOMENTS) + NDTR) as usize).wrapping_sub(tail) % RING;
-            fault |= moments != 1 && moments != 2 || read(M::DMA1 + LISR) & MOMENT_ERRORS != 0;
+            // As many more than events as at the begin; one more, if the next match came after TIM1 had ceased to listen.
+            let more = self.moments_counted().wrapping_sub(tail).wrapping_sub(self.first_moments) % RING;
+            fault |= more > 1 || read(M::DMA1 + LISR) & MOMENT_ERRORS != 0;
         }
         write(stream(M::DMA1, MOMENTS) + CR, 0);
         (tail, fault)
     }
-}
-
-/// Programs a stream and switches it on, in direct mode as after a reset; `peripheral` and `memory` as the manual names the ports.
-#[inline(never)]
-fn switch_on(dma: usize, number: usize, peripheral: usize, memory: usize, how: u32) {
-    let at = stream(dma, number);
-    write(at + CR, 0);
-    let clear = if number < 4 { LIFCR } else { HIFCR };
-    await_off(at);
-    write(dma + clear, FLAGS << flags_at(number));
-    write(at + PAR, peripheral as u32);
-    write(at + M0AR, memory as u32);
-    write(at + NDTR, RING as u32);
-    write(at + CR, how);
-    write(at + CR, how | EN);
-    cortex_m::asm::delay(APART_CYCLES);
 }

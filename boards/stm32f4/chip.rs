@@ -8,19 +8,18 @@
 use core::sync::atomic::Ordering;
 use oxmill_controller::ResetCause;
 use stm32f4xx_hal::{
-    gpio::{ErasedPin, Input, Output, PinExt},
+    gpio::{ErasedPin, Input, Output, PinExt, PinState},
     pac,
     prelude::*,
     rcc::{BusTimerClock, Enable, LPEnable, Rcc, Reset},
-    serial::Instance,
+    timer::FTimerUs,
     watchdog::IndependentWatchdog,
 };
 
 use super::SettingsFlash;
 use super::chain::{self, COMPARE_PULSE};
 use super::registers::{Chip, Map, read_idr, timer, write, write_bsrr};
-use super::step::{self, Clocks, Place, SAFE, bsrr, note_safe_level};
-use super::usart::{Sheltered, Usart, shelter};
+use super::step::{self, Clocks, Place, SAFE, note_safe_level};
 use crate::{Due, Port, SlowLevels};
 
 /// A whole register as a number.
@@ -56,8 +55,7 @@ impl<MODE> From<&ErasedPin<MODE>> for Place {
     }
 }
 
-/// Step and direction outputs on `P` ports; the timers and DMA controllers that they need, but for what a shelter uses at
-/// rest.
+/// Step and direction outputs on `P` ports, with the timers that they need.
 pub type StepPins<const P: usize> = step::StepPins<Chip, P, (pac::TIM1, pac::TIM5, pac::TIM3, [ErasedPin<Output>; 8])>;
 
 /// Calls the step task, from any task: the call waits as a flag of its timer until it is taken.
@@ -132,11 +130,8 @@ pub const WATCHES_CLOCK: bool = true;
 
 /// Starts TIM2 as the clock: 1 MHz, free-running.
 pub fn start_clock(timer: pac::TIM2, rcc: &mut Rcc) {
-    pac::TIM2::enable(rcc);
-    pac::TIM2::reset(rcc);
-    let prescaler = pac::TIM2::timer_clock(&rcc.clocks).raw() / (CLOCK_TICKS_PER_US * 1_000_000) - 1;
-    timer.psc().write(|w| w.psc().set(prescaler as u16));
-    timer.arr().write(|w| raw!(w, u32::MAX));
+    // The HAL's counters have an end, and this one has none: all 32 bits, as after a reset.
+    let timer = FTimerUs::new(timer, rcc).release();
     // The prescaler is taken over by an update.
     timer.egr().write(|w| w.ug().set_bit());
     timer.cr1().write(|w| w.cen().set_bit());
@@ -281,7 +276,7 @@ impl InputPins {
     }
 }
 
-/// Chooses the pull resistor of an input (PUPDR).
+/// Chooses the pull resistor of an input (PUPDR). The HAL does so for pins whose number is part of their type only.
 fn set_pull(place: Place, pull: u32) {
     const PORT_SIZE: usize = 0x400;
     const PUPDR: usize = 0x0C;
@@ -298,37 +293,35 @@ fn set_pull(place: Place, pull: u32) {
 const SLOW_OUTPUTS: usize = 5 + crate::PROFILE.program_pins[0] as usize;
 
 /// Outputs that change slowly.
-pub struct SlowPins {
-    places: [Place; SLOW_OUTPUTS],
-    _pins: [ErasedPin<Output>; SLOW_OUTPUTS],
-}
+pub struct SlowPins([ErasedPin<Output>; SLOW_OUTPUTS]);
 
 impl SlowPins {
     /// The pins in this order: driver enable, spindle on, spindle reversed, flood, mist, and those of programs.
     pub fn new(pins: [ErasedPin<Output>; SLOW_OUTPUTS]) -> Self {
-        let places = pins.each_ref().map(Place::from);
-        for place in places.iter().skip(1) {
-            note_safe_level(*place, false);
+        for pin in pins.iter().skip(1) {
+            note_safe_level(Place::from(pin), false);
         }
-        SlowPins { places, _pins: pins }
+        SlowPins(pins)
     }
 
     /// Writes all levels.
     pub fn write(&mut self, levels: SlowLevels) {
         let program = (0..u8::BITS).map(|bit| levels.program >> bit & 1 != 0);
         let levels = [levels.drivers, levels.spindle, levels.spindle_reversed, levels.flood, levels.mist];
-        for (place, high) in self.places.iter().zip(levels.into_iter().chain(program)) {
-            write_bsrr::<Chip>(place.port, bsrr(place.pin, high));
+        for (pin, high) in self.0.iter_mut().zip(levels.into_iter().chain(program)) {
+            pin.set_state(PinState::from(high));
         }
     }
 }
 
 /// What `setup` deals out.
-pub struct Parts<U: Instance, L: Port, const P: usize> {
+pub struct Parts<I, S: Port, L: Port, const P: usize> {
     /// For `step`.
     pub step_pins: StepPins<P>,
+    /// For `inputs`, and for the interrupt of the UART on a board that has one.
+    pub uart_input: I,
     /// For `serial`.
-    pub serial: Usart<U>,
+    pub serial: S,
     /// For `serial`.
     pub usb: L,
     /// For `inputs`.
@@ -339,12 +332,6 @@ pub struct Parts<U: Instance, L: Port, const P: usize> {
     pub settings_flash: SettingsFlash,
     /// For `inputs`.
     pub watchdog: Watchdog,
-}
-
-/// The settings sectors, with a shelter for what the USART receives meanwhile.
-pub fn settings_flash<U: Sheltered>(flash: pac::FLASH, rcc: &mut Rcc) -> SettingsFlash {
-    U::switch_on(rcc);
-    SettingsFlash::new(flash, shelter::<U>)
 }
 
 /// No debugger puts a job into the RAM of a board.

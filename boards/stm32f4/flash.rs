@@ -2,8 +2,7 @@
 //!
 //! Promises that only these two sectors are ever touched. While the memory works, every fetch from flash stalls, so the
 //! whole program is stalled: 16 us for a word (100 at most), 250 ms for an erase (500 at most; data sheet of the STM32F411,
-//! table "Flash memory programming"). Each operation therefore runs in the hands of a guard that the board gives, which
-//! sees to what must not stand still; when to begin one is left to the caller.
+//! table "Flash memory programming"). When to begin an operation is left to the caller.
 
 use oxmill_store::{Flash, Sector};
 use stm32f4xx_hal::pac;
@@ -39,9 +38,6 @@ macro_rules! raw {
     }};
 }
 
-/// Runs an operation of the memory while it sees to what cannot wait for the processor.
-pub type Guard = fn(&mut dyn FnMut());
-
 /// Why the memory did not take something.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FlashError {
@@ -54,7 +50,7 @@ pub enum FlashError {
 /// The two sectors.
 pub struct SettingsFlash {
     flash: pac::FLASH,
-    guard: Guard,
+    before_stall: fn(),
 }
 
 unsafe extern "C" {
@@ -63,9 +59,9 @@ unsafe extern "C" {
 }
 
 impl SettingsFlash {
-    /// The sectors that the linker script keeps free.
-    pub fn new(flash: pac::FLASH, guard: Guard) -> SettingsFlash {
-        SettingsFlash { flash, guard }
+    /// The sectors that the linker script keeps free. `before_stall` sees to what cannot wait for the processor; interrupts are off.
+    pub fn new(flash: pac::FLASH, before_stall: fn()) -> SettingsFlash {
+        SettingsFlash { flash, before_stall }
     }
 
     fn address(sector: Sector) -> u32 {
@@ -76,11 +72,11 @@ impl SettingsFlash {
         }
     }
 
-    /// Unlocks, lets `operation` begin, waits for its end under guard, and locks again.
-    fn operate(&mut self, control: u32, mut operation: impl FnMut(&pac::FLASH)) -> Result<(), FlashError> {
+    /// Unlocks, lets `operation` begin, waits for its end, and locks again.
+    fn operate(&mut self, control: u32, operation: impl FnOnce(&pac::FLASH)) -> Result<(), FlashError> {
         let flash = &self.flash;
-        let mut errors = 0;
-        (self.guard)(&mut || {
+        let errors = critical_section::with(|_| {
+            (self.before_stall)();
             while flash.sr().read().bits() & BUSY != 0 {}
             flash.sr().write(|w| raw!(w, ERRORS));
             for key in KEYS {
@@ -89,8 +85,9 @@ impl SettingsFlash {
             flash.cr().write(|w| raw!(w, control | PARALLELISM_32));
             operation(flash);
             while flash.sr().read().bits() & BUSY != 0 {}
-            errors = flash.sr().read().bits() & ERRORS;
+            let errors = flash.sr().read().bits() & ERRORS;
             flash.cr().write(|w| raw!(w, LOCK));
+            errors
         });
         if errors == 0 { Ok(()) } else { Err(FlashError::Refused(errors)) }
     }

@@ -1,7 +1,8 @@
-//! The modules that the STM32F4 boards share: what the step interrupt touches ([`step`], `chain`, `registers`), and the
+//! The modules that the STM32F4 boards share: what the step interrupt touches ([`step`], `chain`, `dma`, `registers`), and the
 //! rest of the chip (`chip`, `flash`, `supply`, `usart`, `usb`).
 
 mod chain;
+mod dma;
 pub mod registers;
 pub mod step;
 
@@ -12,7 +13,11 @@ mod flash;
 #[cfg(feature = "stm32f4")]
 mod supply;
 #[cfg(feature = "stm32f4")]
-mod usart;
+pub mod usart;
+#[cfg(all(feature = "stm32f4", not(feature = "usb")))]
+pub mod usart_dma;
+#[cfg(feature = "usb")]
+pub mod usart_interrupt;
 #[cfg(feature = "usb")]
 pub mod usb;
 
@@ -22,5 +27,3 @@ pub use chip::*;
 pub use flash::SettingsFlash;
 #[cfg(feature = "stm32f4")]
 pub use supply::*;
-#[cfg(feature = "stm32f4")]
-pub use usart::{Usart, on_interrupt};

@@ -183,6 +183,13 @@ struct Received {
     may_wait: bool,
 }
 
+impl Received {
+    /// What has not been taken yet.
+    fn left(&self) -> &[u8] {
+        self.packet.get(self.next..self.length).unwrap_or_default()
+    }
+}
+
 /// The port.
 pub struct UsbPort {
     device: UsbDevice<'static, UsbBusType>,
@@ -388,22 +395,21 @@ impl Port for UsbPort {
                 }
             }
         }
-        let Some(byte) = self.fetched().first().copied() else { return Incoming::Nothing };
+        let Some(byte) = self.received.left().first().copied() else { return Incoming::Nothing };
         self.received.next += 1;
         Incoming::Byte(byte)
     }
 
-    fn fetched(&self) -> &[u8] {
-        let Received { packet, next, length, .. } = &self.received;
-        packet.get(*next..*length).unwrap_or_default()
+    fn fetched(&mut self) -> &[u8] {
+        self.received.left()
     }
 
     fn pass(&mut self, count: usize) {
         self.received.next += count;
     }
 
-    fn is_urgent(&self) -> bool {
-        self.fetched().iter().any(|byte| is_stop(*byte))
+    fn is_urgent(&mut self) -> bool {
+        self.received.left().iter().any(|byte| is_stop(*byte))
     }
 
     fn allow(&mut self, room: usize) {

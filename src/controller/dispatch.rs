@@ -46,6 +46,8 @@ pub struct Profile {
     pub has_second_motor: bool,
     /// Whether there is a pin on which a spindle tells that it is up to speed.
     pub has_at_speed: bool,
+    /// Greatest rate of the UART (`$931`), baud.
+    pub most_baud: u32,
     /// Whether settings outlive the power: if not, nothing is handed to a store.
     pub has_store: bool,
 }

@@ -149,6 +149,11 @@ impl<const N: usize> Controller<N> {
         }
     }
 
+    /// S of the line that is carried out, without overrides; 0 while the spindle is off or no line is carried out.
+    pub fn speed_in_work(&self) -> f32 {
+        if matches!(self.task, Task::Job(_)) { self.line.action.turning_speed() } else { 0.0 }
+    }
+
     /// Whether the line that is carried out is an arc or a spline.
     pub fn is_arc_in_work(&self) -> bool {
         matches!(self.task, Task::Job(_))

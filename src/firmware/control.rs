@@ -5,6 +5,7 @@ use crate::boards::{self, AXES};
 use crate::clock::Clock;
 use crate::flash::Settings;
 use crate::outputs::Outputs;
+use crate::record::{self, Whereabouts};
 use crate::shared::{self, ASKED, CONTROL, INPUTS, Power, SERIAL, STEP};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::{
@@ -17,6 +18,7 @@ use oxmill_controller::recorder::{Page, Recorder};
 use oxmill_controller::units::{Duration, Instant};
 use oxmill_controller::{Coalescing, Controller, LineReader, Owed};
 use rtic_sync::channel::{Receiver, Sender};
+use rtic_sync::signal::SignalWriter;
 
 /// While the queue to the step task is full, how soon to look again: short segments leave it faster than the controller's
 /// own wake-up expects.
@@ -72,7 +74,8 @@ pub struct Control {
     coalescing: Coalescing,
     /// Whether the last record was stored, still to be told.
     stored: Option<bool>,
-    /// The controller has asked to see the inputs.
+    /// Inputs that the board has; the controller has asked to see them.
+    fitted: u32,
     pins_asked: bool,
     /// There will soon be no room for settings without an erase. Changes between rounds only.
     wants_erase_soon: bool,
@@ -92,6 +95,8 @@ impl Control {
         outputs: Outputs,
         settings: Settings,
         recorder: Recorder<&'static mut [Page]>,
+        alarm: SignalWriter<'static, u32>,
+        fitted: u32,
     ) -> Control {
         let job = boards::preloaded_job().map(|text| Job { text, next: 0 });
         Control {
@@ -100,7 +105,7 @@ impl Control {
             outputs,
             settings,
             recorder,
-            clock: Clock::new(),
+            clock: Clock::new(alarm),
             round_began: Instant::from_ticks(0),
             line_reader: LineReader::default(),
             line_bytes_out: 0,
@@ -113,6 +118,7 @@ impl Control {
             owed: Owed::default(),
             coalescing: Coalescing::default(),
             stored: None,
+            fitted,
             pins_asked: false,
             wants_erase_soon: false,
         }
@@ -177,11 +183,12 @@ impl Control {
 
     /// Leaves place and line where a handler that ends the program finds them.
     fn note_place(&mut self) {
-        for (slot, place) in CONTROL.position.iter().zip(self.controller.machine_position().iter()) {
-            slot.store(place.micrometres(), Ordering::Relaxed);
+        let mut place = [0; 3];
+        for (slot, at) in place.iter_mut().zip(self.controller.machine_position().iter()) {
+            *slot = at.micrometres();
         }
-        CONTROL.line.store(self.controller.line_number(), Ordering::Relaxed);
-        CONTROL.moment.store(self.round_began.ticks() as u32, Ordering::Relaxed);
+        let (line, moment) = (self.controller.line_number(), self.round_began.ticks() as u32);
+        record::note(Whereabouts { place, line, moment });
     }
 
     /// Erases flash when nothing moves, turns or waits: the processor is stalled for a quarter of a second. What the host
@@ -193,7 +200,6 @@ impl Control {
         let erases = self.settings.wants_erase() && observed.step_idle && nothing_waits && self.controller.is_quiet();
         if erases {
             self.settings.erase();
-            boards::call_serial();
         }
         erases
     }
@@ -223,8 +229,7 @@ impl Control {
         let has_job = self.job.as_ref().is_some_and(|job| job.next < job.text.len());
         let (used, received) = if has_job { (LINES_DEPTH, LINES_DEPTH) } else { (used, received) };
         // What has found no room waits in front of a queue that is full, of whatever messages.
-        let is_full = SERIAL.holds_byte.load(Ordering::Relaxed);
-        let rx_free = if is_full { 0 } else { LINES_DEPTH.saturating_sub(used) as u16 };
+        let rx_free = if self.has_no_room() { 0 } else { LINES_DEPTH.saturating_sub(used) as u16 };
         Observed {
             segments_begun: STEP.segments_begun.load(Ordering::Relaxed),
             step_idle,
@@ -232,6 +237,18 @@ impl Control {
             received: received as u16,
             heard: heard as u16,
         }
+    }
+
+    /// Something that was received waits for room in a queue.
+    fn has_no_room(&self) -> bool {
+        SERIAL.bytes_received.load(Ordering::Relaxed) != SERIAL.bytes_queued.load(Ordering::Relaxed)
+    }
+
+    /// Bytes of lines are with the serial task, which gathers them for a message until the queue is empty, and it is.
+    fn are_gathered(&self) -> bool {
+        SERIAL.bytes_queued.load(Ordering::Relaxed) != self.line_bytes_out
+            && self.line_reader.ahead().1.is_empty()
+            && self.ends.lines.is_empty()
     }
 
     /// A host that has gone or come since the last call.
@@ -278,7 +295,7 @@ impl Control {
 
     fn view_of_pins(&self) -> PinView {
         PinView {
-            fitted: INPUTS.fitted.load(Ordering::Relaxed),
+            fitted: self.fitted,
             low: INPUTS.low.load(Ordering::Relaxed),
             noise: core::array::from_fn::<_, { input::COUNT }, _>(|bit| {
                 INPUTS.noise.get(bit).map_or(0, |count| count.load(Ordering::Relaxed))
@@ -389,9 +406,7 @@ impl Pump<AXES> for Control {
     #[inline(always)]
     fn make_room(&mut self, took: bool) -> bool {
         // Behind all that this round has taken: the serial task may have found the last message still on its way.
-        let is_awaited = SERIAL.holds_byte.load(Ordering::Relaxed)
-            || SERIAL.gathers.load(Ordering::Relaxed) && self.ends.lines.is_empty();
-        if took && is_awaited {
+        if took && (self.has_no_room() || self.are_gathered()) {
             boards::call_serial();
         }
         self.send_wiring();
@@ -447,8 +462,6 @@ impl Pump<AXES> for Control {
             Output::ReadRecording { first } => self.read_recording(first),
             Output::Store => {
                 self.stored = self.controller.next_store().map(|change| self.settings.store(&change));
-                // Bytes may have come while the processor stood.
-                boards::call_serial();
             }
             Output::Worked => {}
         }

@@ -1,19 +1,21 @@
 //! `Inputs` has the input pins sampled and filtered, and tells `control` what has been `Sensed`; an armed input asks
 //! the step task for a stop from here. It gives pins their pull-ups (`set_pulls`), counts noise, asserts that
-//! `input_bits` of the board are in the controller's order, and each sample also looks at the alarm clock of `control`
-//! and at the `Supervisor`.
+//! `input_bits` of the board are in the controller's order, and each sample also looks at the alarm clock of `control`,
+//! at the `Supervisor`, and at what the UART has received: it calls the serial task for it.
 //!
 //! Sampling instead of edge interrupts: no pins clash on an interrupt line, and a bouncing switch cannot flood the CPU.
 //! A change passes after eight equal samples, 0.4 ms.
 
-use crate::boards::{self, InputPins, input_bits};
-use crate::clock;
+use crate::boards::calls::Calls;
+use crate::boards::{self, InputPins, UartInput, input_bits};
+use crate::clock::Alarm;
 use crate::shared::{self, INPUTS, Wake};
 use crate::watchdog::Supervisor;
 use core::sync::atomic::Ordering;
 use oxmill_controller::machine::signals;
 use oxmill_controller::messages::{SECOND_SWITCH, SIGNALS_DEPTH, Sensed, Wiring, input};
 use rtic_sync::channel::{Receiver, Sender};
+use rtic_sync::signal::SignalReader;
 
 // A board's word of inputs is the controller's.
 const _: () = assert!(
@@ -38,6 +40,10 @@ pub struct Inputs {
     signals: Sender<'static, Sensed, SIGNALS_DEPTH>,
     sent: Option<Sensed>,
     wake: Wake,
+    alarm: Alarm,
+    /// When the serial task may be called for what can wait, and whether it has left some of that unread.
+    calls: Calls,
+    left_unread: SignalReader<'static, ()>,
     supervisor: Supervisor,
 }
 
@@ -48,16 +54,18 @@ impl Inputs {
         wiring: Receiver<'static, Wiring, 2>,
         signals: Sender<'static, Sensed, SIGNALS_DEPTH>,
         wake: Wake,
+        alarm: Alarm,
+        left_unread: SignalReader<'static, ()>,
         supervisor: Supervisor,
     ) -> Inputs {
-        INPUTS.fitted.store(pins.fitted(), Ordering::Relaxed);
-        Inputs { pins, inputs: signals::Inputs::new(), wiring, signals, sent: None, wake, supervisor }
+        let (inputs, calls) = (signals::Inputs::new(), Calls::new());
+        Inputs { pins, inputs, wiring, signals, sent: None, wake, alarm, calls, left_unread, supervisor }
     }
 
     /// One sample.
-    pub fn sample(&mut self) {
+    pub fn sample(&mut self, uart: &mut UartInput) {
         self.supervisor.sample(&mut self.wake);
-        if clock::alarm() {
+        if self.alarm.goes_off() {
             self.wake.write(());
         }
         let low = self.pins.read();
@@ -67,10 +75,19 @@ impl Inputs {
         }
         INPUTS.low.store(low, Ordering::Relaxed);
         self.count_noise();
-        if self.inputs.is_untold() {
-            self.tell();
+        let received = uart.look();
+        let Inputs { calls, left_unread, .. } = self;
+        let is_due = calls.sample(|| received.news || left_unread.try_read().is_some());
+        let calls = is_due || received.stop;
+        if calls || received.waits {
+            uart.pass_on(calls);
         }
-        boards::calls::call_if_due();
+        if calls {
+            boards::call_serial();
+        }
+        if self.inputs.is_untold() {
+            self.tell(uart);
+        }
         if !self.wiring.is_empty()
             && let Ok(wiring) = self.wiring.try_recv()
         {
@@ -81,9 +98,10 @@ impl Inputs {
 
     /// Levels and not edges cross: if the queue is full, the newest state is sent at a later sample.
     #[inline(never)]
-    fn tell(&mut self) {
+    fn tell(&mut self, uart: &mut UartInput) {
         let Some(sensed) = self.inputs.sensed() else { return };
         // What has been received by now belongs before it: the serial task passes it on before `control` hears of this.
+        uart.pass_on(true);
         boards::call_serial();
         let is_known = self.sent == Some(sensed);
         if is_known || self.signals.try_send(sensed).is_ok() {

@@ -1,15 +1,15 @@
 //! The firmware's modules: the controller of `oxmill-controller`, pumped by tasks of RTIC.
 //!
 //! ```text
-//!  priority 5  receive  UART                                       bytes in and out, by two rings
 //!  priority 4  step     step timer     ◀─segments─┬─▶ events       pulses, directions, beam
-//!  priority 3  inputs   SysTick        ─signals─▶                  switches and their stops, alarm clock of `control`
-//!  priority 2  serial   none, USB      ─realtime, lines─▶ ◀─replies─  links to the hosts
+//!  priority 3  inputs   SysTick        ─signals─▶                  switches and their stops, alarm clock of `control`, bytes of the UART
+//!  priority 3  uart     UART           ─bytes─▶ ◀─bytes─           on a board whose UART has no DMA
+//!  priority 2  serial   DMA, USB       ─realtime, lines─▶ ◀─replies─  links to the hosts
 //!  priority 1  control  software task  everything is decided here, by the controller
 //!  priority 0  idle                    sleeps
 //! ```
-//! The tasks are bound to their vectors in `main.rs`; what they do is here. Nothing shares the priority of `step`, and only `receive`, some 200 cycles for a byte, is above it. Each channel has one sender
-//! and one receiver; what happens when one is full is written at its depth in `oxmill_controller::messages`. A channel
+//! The tasks are bound to their vectors in `main.rs`; what they do is here. Nothing shares the priority of `step`, and nothing is above it but
+//! the handlers that end the program. Each channel has one sender and one receiver; what happens when one is full is written at its depth in `oxmill_controller::messages`. A channel
 //! call takes 50 to 130 instructions and masks interrupts for 25 cycles of them at most (`cargo xtask count`).
 #![no_std]
 

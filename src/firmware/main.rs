@@ -1,5 +1,5 @@
-//! The program: an RTIC `app` that binds the tasks of `oxmill_firmware` to interrupt vectors (`receive`, `step`,
-//! `serial`, `usb`, `inputs`, `control`) and gives each, as `Local` or `Shared`, its ends of the channels. `init` paints the stack and
+//! The program: an RTIC `app` that binds the tasks of `oxmill_firmware` to interrupt vectors (`step`, `inputs`,
+//! `uart`, `serial`, `usb`, `control`) and gives each, as `Local` or `Shared`, its ends of the channels. `init` paints the stack and
 //! calls `startup`, `control` waits to be `woken`, `idle` watches the stack. This file is the wiring diagram and
 //! nothing else. Each task takes its context `cx`.
 #![no_std]
@@ -14,7 +14,7 @@ use defmt_rtt as _;
 // Without `skip` rustfmt indents the list of channels further at each run.
 #[rustfmt::skip]
 macro_rules! firmware {
-    (serial: $serial:ident $(, receive: $receive:ident)? $(, usb: $usb:ident)?, step: $step:ident, dispatcher: $dispatcher:ident) => {
+    (serial: $serial:ident $(, uart: $uart:ident)? $(, usb: $usb:ident)?, step: $step:ident, dispatcher: $dispatcher:ident) => {
         #[rtic::app(device = oxmill_boards::pac, peripherals = true, dispatchers = [$dispatcher])]
         mod app {
             use oxmill_boards::{self as boards, AXES, BLOCKS};
@@ -30,9 +30,11 @@ macro_rules! firmware {
             use rtic_sync::channel::Channel;
             use rtic_sync::signal::{Signal, SignalReader};
 
+            /// Each only of tasks of one priority.
             #[shared]
             struct Shared {
-                /// Only of tasks of one priority.
+                #[lock_free]
+                uart: boards::UartInput,
                 #[lock_free]
                 serial: Serial,
             }
@@ -56,6 +58,10 @@ macro_rules! firmware {
                 step_wiring: Channel<Wiring, 2> = Channel::new(),
                 input_wiring: Channel<Wiring, 2> = Channel::new(),
                 wake: Signal<()> = Signal::new(),
+                // The serial task has left something unread, and is to be called again.
+                left_unread: Signal<()> = Signal::new(),
+                // When the control task is to be woken.
+                alarm: Signal<u32> = Signal::new(),
                 controller: MaybeUninit<BoardController> = MaybeUninit::uninit(),
                 // What it works in: look-ahead, held subroutines, tools.
                 storage: Storage<AXES, BLOCKS> = Storage::EMPTY,
@@ -73,28 +79,35 @@ macro_rules! firmware {
                     step_wiring: local.step_wiring,
                     input_wiring: local.input_wiring,
                     wake: local.wake,
+                    left_unread: local.left_unread,
+                    alarm: local.alarm,
                 };
                 let tasks = startup::start(cx.device, cx.core.SYST, channels, local.controller, local.storage.lend(&boards::PROFILE));
                 let woken = local.wake.take_reader();
                 defmt::info!("{} is up", boards::PROFILE.name);
                 // Cannot fail: it has not been spawned before.
                 let _ = control::spawn();
-                let startup::Tasks { step, serial, inputs, control } = tasks;
-                (Shared { serial }, Local { step, inputs, control, woken })
+                let startup::Tasks { step, uart, serial, inputs, control } = tasks;
+                (Shared { uart, serial }, Local { step, inputs, control, woken })
             }
-
-            // Above the step task: a USART holds a byte for as long as the next one takes to come.
-            $(
-                #[task(binds = $receive, priority = 5)]
-                fn receive(_: receive::Context) {
-                    oxmill_firmware::serial::receive();
-                }
-            )?
 
             #[task(binds = $step, priority = 4, local = [step])]
             fn step(cx: step::Context) {
                 cx.local.step.run();
             }
+
+            #[task(binds = SysTick, priority = 3, local = [inputs], shared = [uart])]
+            fn inputs(cx: inputs::Context) {
+                cx.local.inputs.sample(cx.shared.uart);
+            }
+
+            // A UART that DMA does not serve.
+            $(
+                #[task(binds = $uart, priority = 3, shared = [uart])]
+                fn uart(cx: uart::Context) {
+                    cx.shared.uart.on_interrupt();
+                }
+            )?
 
             #[task(binds = $serial, priority = 2, shared = [serial])]
             fn serial(cx: serial::Context) {
@@ -108,11 +121,6 @@ macro_rules! firmware {
                     cx.shared.serial.run();
                 }
             )?
-
-            #[task(binds = SysTick, priority = 3, local = [inputs])]
-            fn inputs(cx: inputs::Context) {
-                cx.local.inputs.sample();
-            }
 
             #[task(priority = 1, local = [control, woken])]
             async fn control(cx: control::Context) {

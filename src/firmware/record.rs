@@ -12,16 +12,36 @@
 //! Place and line are those of the last turn of the control task, 2 ms ago at most while something moves.
 
 use crate::boards;
-use crate::shared::CONTROL;
+use core::cell::Cell;
 use core::fmt::Write;
 use core::mem::MaybeUninit;
 use core::ptr::{addr_of, addr_of_mut};
 use core::sync::atomic::{AtomicBool, Ordering};
+use critical_section::Mutex;
 use oxmill_controller::messages::{Crash, CrashKind};
 use oxmill_controller::recorder::Page;
 
 const MARK: u32 = u32::from_le_bytes(*b"last");
 const TEXT: usize = 120;
+
+/// Where the machine was when the control task last looked.
+#[derive(Clone, Copy)]
+pub struct Whereabouts {
+    /// Machine position, micrometres.
+    pub place: [i32; 3],
+    /// N word of what was running.
+    pub line: u32,
+    /// When that was: microseconds (wrapping).
+    pub moment: u32,
+}
+
+/// Kept here and not with a task, because a failure may come in any of them.
+static LAST: Mutex<Cell<Whereabouts>> = Mutex::new(Cell::new(Whereabouts { place: [0; 3], line: 0, moment: 0 }));
+
+/// For the control task, after each of its rounds.
+pub fn note(last: Whereabouts) {
+    critical_section::with(|cs| LAST.borrow(cs).set(last));
+}
 
 #[repr(C)]
 #[derive(Clone, Copy)]
@@ -89,13 +109,8 @@ pub fn keep(kind: CrashKind, why: core::fmt::Arguments<'_>) {
     // What does not fit is cut off.
     let _ = line.write_fmt(why);
     let kind = CrashKind::ALL.iter().position(|k| *k == kind).unwrap_or(0) as u32;
-    let mut place = [0; 3];
-    for (slot, last) in place.iter_mut().zip(&CONTROL.position) {
-        *slot = last.load(Ordering::Relaxed);
-    }
     let (length, text) = (line.length as u32, line.text);
-    let line = CONTROL.line.load(Ordering::Relaxed);
-    let moment = CONTROL.moment.load(Ordering::Relaxed);
+    let Whereabouts { place, line, moment } = critical_section::with(|cs| LAST.borrow(cs).get());
     let mut kept = Kept { mark: MARK, kind, length, text, place, line, moment, sum: 0 };
     kept.sum = kept.sum();
     // SAFETY: unsafe because a static is written; safe because interrupts are off and nothing comes after.

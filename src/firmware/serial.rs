@@ -17,6 +17,7 @@ use oxmill_controller::messages::{Chunk, LINE_MESSAGES, LineByte, LineBytes, REA
 use oxmill_controller::protocol::link::{AMBIGUOUS_US, MOST_HELD};
 use oxmill_controller::{HostArbiter, LineSender, Link, Queues};
 use rtic_sync::channel::{Receiver, Sender};
+use rtic_sync::signal::SignalWriter;
 
 /// Bytes of a USB packet.
 const PACKET: usize = 64;
@@ -27,10 +28,11 @@ const UART_HELD: usize = 1;
 /// noise on a wire, that sends them without end is not to take all of the processor.
 const MOST_OTHERS: u32 = 128;
 const OTHER_US: u32 = 200;
-/// Bytes of a link that cannot wait which a run takes one by one, as they are no plain text: twice as many as short lines that end by
-/// CR LF have between two calls (`boards::calls::REST`) at 1 Mbaud, and so few that `control` has its turn before the next call. A host
-/// that counts what it sends has no more under way than there is room for.
+/// Bytes of a link that cannot wait which are taken one by one in so many µs, as they are no plain text: twice as many as short lines
+/// that end by CR LF have in that time at 1 Mbaud, and so few that `control` gets on with its work. A host that counts what it sends has no
+/// more under way than there is room for.
 const MOST_SINGLY: usize = 24;
+const SINGLY_US: u32 = 800;
 /// Runs in which nothing comes behind a `!` that may be text, before it is a command: some 800 us apart.
 const QUIET_RUNS: u8 = 16;
 
@@ -52,8 +54,9 @@ struct ToControl {
     /// Bytes that are no parts of lines that may still be taken, and since when one has been made up for.
     others: u32,
     others_since: u32,
-    /// Others have come that may not be taken yet.
-    left_unread: bool,
+    /// Others have come that may not be taken yet, and the task is to be called again.
+    leaves_unread: bool,
+    left_unread: SignalWriter<'static, ()>,
 }
 
 impl ToControl {
@@ -124,19 +127,14 @@ impl Queues for ToControl {
     }
 }
 
-/// The interrupt of the UART, above the step task: it keeps a byte that has come, and calls [`Serial::run`] where that has
-/// something to do.
-#[inline(always)]
-pub fn receive() {
-    ASKED.receive.store(false, Ordering::Relaxed);
-    boards::on_receive();
-}
-
 /// A link and its port.
 struct Ported<P> {
     port: P,
     link: Link,
     open: bool,
+    /// Bytes taken one by one, and since when they are counted.
+    singly: usize,
+    singly_since: u32,
     /// Since when, and in how many runs, nothing has come behind a `!` that may be text.
     quiet_since: u32,
     quiet_runs: u8,
@@ -144,7 +142,15 @@ struct Ported<P> {
 
 impl<P: Port> Ported<P> {
     const fn new(number: usize, port: P, may_hold: usize) -> Self {
-        Ported { port, link: Link::new(number, may_hold), open: false, quiet_since: 0, quiet_runs: 0 }
+        Ported {
+            port,
+            link: Link::new(number, may_hold),
+            open: false,
+            singly: 0,
+            singly_since: 0,
+            quiet_since: 0,
+            quiet_runs: 0,
+        }
     }
 
     /// Looks whether a host has come or gone. Whether there is news for `control`.
@@ -172,7 +178,10 @@ impl<P: Port> Ported<P> {
     fn receive(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut ToControl) -> bool {
         queues.may_owe = !P::WAITS;
         let mut news = self.link.pass_on(arbiter, queues);
-        let (mut limited, mut singly) = (false, 0);
+        if boards::clock_ticks().wrapping_sub(self.singly_since) >= SINGLY_US * boards::CLOCK_TICKS_PER_US {
+            (self.singly, self.singly_since) = (0, boards::clock_ticks());
+        }
+        let mut limited = false;
         while self.link.room() > 0 || !P::WAITS {
             let text = self.link.take_text(self.port.fetched(), arbiter, queues);
             self.port.pass(text);
@@ -188,13 +197,13 @@ impl<P: Port> Ported<P> {
             }
             // Of lines no more is queued than there is room for, however they end.
             queues.others = queues.others.saturating_sub(u32::from(queues.bytes_queued == queued));
-            singly += 1;
+            self.singly += 1;
             self.quiet_runs = 0;
-            let is_long = !P::WAITS && singly >= MOST_SINGLY;
+            let is_long = !P::WAITS && self.singly >= MOST_SINGLY;
             limited = (is_long || queues.others == 0 && queues.bytes_queued == queued) && !self.port.is_urgent();
             if limited {
-                queues.left_unread = true;
-                boards::calls::call_soon();
+                queues.leaves_unread = true;
+                queues.left_unread.write(());
                 break;
             }
         }
@@ -218,7 +227,7 @@ impl<P: Port> Ported<P> {
         let has_waited = now.wrapping_sub(self.quiet_since) >= AMBIGUOUS_US * boards::CLOCK_TICKS_PER_US;
         if !has_waited || self.quiet_runs < QUIET_RUNS {
             // To be called again, though nothing comes.
-            boards::calls::call_soon();
+            queues.left_unread.write(());
             return false;
         }
         self.link.take_as_command();
@@ -254,7 +263,7 @@ impl Serial {
         realtime: Sender<'static, Realtime, REALTIME_DEPTH>,
         lines: Sender<'static, LineBytes, LINE_MESSAGES>,
         replies: Receiver<'static, Chunk, REPLIES_DEPTH>,
-        wake: Wake,
+        (wake, left_unread): (Wake, SignalWriter<'static, ()>),
     ) -> Serial {
         Serial {
             arbiter: HostArbiter::new(),
@@ -269,7 +278,8 @@ impl Serial {
                 bytes_queued: 0,
                 others: MOST_OTHERS,
                 others_since: 0,
-                left_unread: false,
+                leaves_unread: false,
+                left_unread,
             },
             replies,
             sending: Chunk { len: 0, bytes: [0; 15] },
@@ -279,7 +289,7 @@ impl Serial {
         }
     }
 
-    /// Called for a received byte or packet, for room to send, and by `control` (an answer to send; room
+    /// Called for received bytes or a packet, for room to send, and by `control` (an answer to send; room
     /// in the queues). Once in the image, and not in each of two vectors.
     #[inline(never)]
     pub fn run(&mut self) {
@@ -287,7 +297,7 @@ impl Serial {
         let Serial { arbiter, uart, usb, queues, .. } = self;
         queues.flushed = self.sent >= self.sending.as_bytes().len()
             && self.replies.is_empty()
-            && !core::mem::take(&mut queues.left_unread);
+            && !core::mem::take(&mut queues.leaves_unread);
         queues.allow_others();
         let mut news = uart.receive(arbiter, &mut usb.link, queues);
         news |= usb.look(arbiter, &mut uart.link, queues);
@@ -297,10 +307,9 @@ impl Serial {
         count(&SERIAL.heard, queued);
         count(&SERIAL.bytes_queued, queued);
         news |= queues.flush();
-        SERIAL.gathers.store(queues.line_sender.is_waiting(), Ordering::Relaxed);
-        SERIAL.holds_byte.store(uart.link.is_waiting() || usb.link.is_waiting(), Ordering::Relaxed);
         let held = uart.link.held() + usb.link.held();
-        let held = (held + usize::from(held > 0 && arbiter.owes_cut())) as u32;
+        let is_stuck = held == 0 && (uart.link.is_waiting() || usb.link.is_waiting());
+        let held = (held + usize::from(held > 0 && arbiter.owes_cut() || is_stuck)) as u32;
         SERIAL.bytes_received.store(SERIAL.bytes_queued.load(Ordering::Relaxed).wrapping_add(held), Ordering::Relaxed);
         news |= self.send();
         if news {

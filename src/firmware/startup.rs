@@ -1,7 +1,8 @@
 //! From reset to running tasks: `start` sets the board up, splits the channels, builds the controller in its place in
 //! RAM, restores the settings, starts the sampling of inputs, and puts together what each task owns.
 
-use crate::boards::{self, AXES, Port};
+use crate::boards::{self, AXES};
+use crate::clock::Alarm;
 use crate::control::{BoardController, Control, Ends};
 use crate::failure;
 use crate::flash::Settings;
@@ -37,12 +38,15 @@ pub struct Channels {
     pub step_wiring: &'static mut Channel<Wiring, 2>,
     pub input_wiring: &'static mut Channel<Wiring, 2>,
     pub wake: &'static Signal<()>,
+    pub left_unread: &'static Signal<()>,
+    pub alarm: &'static Signal<u32>,
 }
 
 /// What the tasks own.
 #[allow(missing_docs, reason = "one for each task")]
 pub struct Tasks {
     pub step: Step,
+    pub uart: boards::UartInput,
     pub serial: Serial,
     pub inputs: Inputs,
     pub control: Control,
@@ -55,7 +59,8 @@ fn baud(controller: &BoardController, low: u32) -> u32 {
     if is_active(boards::input_bits::HOLD, 1) && is_active(boards::input_bits::START, 2) {
         boards::USUAL_BAUD
     } else {
-        controller.settings().whole(Key::Baud)
+        // A greater one may have been stored before the board was told of its bound.
+        controller.settings().whole(Key::Baud).min(boards::PROFILE.most_baud)
     }
 }
 
@@ -79,6 +84,8 @@ pub fn start(
     let (step_wiring, step_wiring_out) = channels.step_wiring.split();
     let (input_wiring, input_wiring_out) = channels.input_wiring.split();
     let wake: Wake = channels.wake.writer();
+    let (leaves_unread, left_unread) = channels.left_unread.split();
+    let (alarm_in, alarm) = channels.alarm.split();
 
     let ends = Ends { realtime, lines, events, signals, segments, replies, step_wiring, input_wiring };
     let mut restart = Restart { cause: boards::reset_cause(), crash: record::take(), is_recorded: false };
@@ -86,12 +93,22 @@ pub fn start(
     restart.is_recorded = recorder.is_kept();
     controller.restarted(restart);
     let settings = Settings::open(parts.settings_flash, controller);
-    parts.serial.set_baud(baud(controller, parts.inputs.read()));
+    parts.uart_input.start(baud(controller, parts.inputs.read()));
+    let fitted = parts.inputs.fitted();
     let tasks = Tasks {
         step: Step::new(parts.step_pins, segments_out, step_wiring_out, events_in, wake.clone()),
-        serial: Serial::new(parts.serial, parts.usb, realtime_in, lines_in, replies_out, wake.clone()),
-        inputs: Inputs::new(parts.inputs, input_wiring_out, signals_in, wake, Supervisor::new(parts.watchdog)),
-        control: Control::new(controller, ends, Outputs::new(parts.slow_pins), settings, recorder),
+        uart: parts.uart_input,
+        serial: Serial::new(parts.serial, parts.usb, realtime_in, lines_in, replies_out, (wake.clone(), leaves_unread)),
+        inputs: Inputs::new(
+            parts.inputs,
+            input_wiring_out,
+            signals_in,
+            wake,
+            Alarm::new(alarm),
+            left_unread,
+            Supervisor::new(parts.watchdog),
+        ),
+        control: Control::new(controller, ends, Outputs::new(parts.slow_pins), settings, recorder, alarm_in, fitted),
     };
     sampling.set_clock_source(SystClkSource::Core);
     sampling.set_reload(boards::CORE_HZ / boards::SAMPLE_HZ - 1);

@@ -1,9 +1,9 @@
-//! `Supervisor` sees to it that every task still does its work: it asks receive, step, serial and control ten times a second
+//! `Supervisor` sees to it that every task still does its work: it asks step, serial and control ten times a second
 //! (`PERIOD`), and feeds the hardware `Watchdog` only when all have answered. A task `unanswered` for longer than
 //! `PATIENCE` is `stuck`, which is a failure. `ASKED`, `STEP_ASKED` and `wants` are loaded and stored `Relaxed`.
 //!
 //! ```text
-//!  receive, step, serial, control ──each run wipes its mark out──┐
+//!  step, serial, control ──each run wipes its mark out──┐
 //!  inputs, every 100 ms: all wiped? feed; mark again and call them
 //!  half a second without `control`: outputs safe, record, reset       one of the others, or `inputs` itself: the hardware
 //! ```
@@ -49,8 +49,6 @@ impl Supervisor {
     fn ask(&mut self, wake: &mut Wake) {
         let stuck = if STEP.wants.load(Ordering::Relaxed) == STEP_ASKED {
             Some("step")
-        } else if ASKED.receive.load(Ordering::Relaxed) {
-            Some("receive")
         } else if ASKED.serial.load(Ordering::Relaxed) {
             Some("serial")
         } else if ASKED.control.load(Ordering::Relaxed) {
@@ -73,10 +71,6 @@ impl Supervisor {
         STEP.wants.store(STEP_ASKED, Ordering::Relaxed);
         boards::call_step();
         // The other order would mark one that has answered already.
-        ASKED.receive.store(true, Ordering::Relaxed);
-        if !boards::call_receive() {
-            ASKED.receive.store(false, Ordering::Relaxed);
-        }
         ASKED.serial.store(true, Ordering::Relaxed);
         boards::call_serial();
         ASKED.control.store(true, Ordering::Relaxed);

@@ -16,6 +16,8 @@ pub struct Mark {
     pub tool: u32,
     /// Whether the line is an arc.
     pub arc: bool,
+    /// S of the line, rounded; 0 while the spindle is off.
+    pub speed: u32,
 }
 
 /// The marks of the lines that are on their way.
@@ -56,7 +58,7 @@ mod tests {
     #[test]
     fn a_number_means_its_line_until_a_later_one_comes() {
         let mut marks = Marks::default();
-        let mark = |line| Mark { line, tool: 3, arc: false };
+        let mark = |line| Mark { line, tool: 3, arc: false, speed: 0 };
         let begin = |marks: &mut Marks, line| marks.begin(mark(line), || vec![2, 3]);
         let numbers = [5, 5, 6, 7].map(|line| begin(&mut marks, line));
         assert_eq!(numbers, [Some(1), None, Some(2), Some(3)]);

@@ -58,8 +58,8 @@ pub struct Point {
 
 impl Point {
     /// What may not be mixed when points are left out.
-    fn kind(&self) -> (bool, bool, u32) {
-        (self.rapid, self.mark.arc, self.mark.tool)
+    fn kind(&self) -> (bool, bool, u32, u32) {
+        (self.rapid, self.mark.arc, self.mark.tool, self.mark.speed)
     }
 }
 

@@ -93,6 +93,7 @@ impl Simulator {
             has_second_motor: true,
             has_at_speed: board.has_at_speed,
             program_pins: board.program_pins,
+            most_baud: board.most_baud,
             has_store: true,
         };
         let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, BLOCKS)));
@@ -593,7 +594,10 @@ impl Simulator {
         if let Some(marks) = &mut self.marks {
             let controller = &mut self.controller;
             let (line, tool, arc) = (controller.lines_read(), controller.tool_in_work(), controller.is_arc_in_work());
-            if let Some(number) = marks.begin(Mark { line, tool, arc }, || controller.queued_line_numbers().collect()) {
+            let speed = controller.speed_in_work().round() as u32;
+            if let Some(number) =
+                marks.begin(Mark { line, tool, arc, speed }, || controller.queued_line_numbers().collect())
+            {
                 controller.number_moves(number);
             }
         }

@@ -1,8 +1,7 @@
-//! What tasks share without a queue, because a message would be out of date or cost too much: atomics, grouped by the
-//! task that writes them.
+//! What tasks share without a channel or signal, because a message would be out of date when it is read: atomics, grouped by the
+//! task that writes them. The table in docs/how-it-works.md has the reason of each.
 
-use crate::boards::AXES;
-use core::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU16, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU16, AtomicU32, Ordering};
 use oxmill_controller::Owed;
 use oxmill_controller::messages::{Realtime, input};
 
@@ -30,7 +29,7 @@ pub const STEP_ASKED: u8 = 2;
 pub struct SerialStatus {
     /// Line bytes put into the queue, or gathered for a message to it, since power-up (wrapping).
     pub bytes_queued: AtomicU32,
-    /// Line bytes received since power-up (wrapping): those queued or gathered, and those that wait for room.
+    /// Line bytes received since power-up (wrapping): those queued or gathered, and those that wait for room, as a command that does.
     pub bytes_received: AtomicU32,
     /// Bytes received that are neither of lines nor commands, since power-up (wrapping).
     pub bytes_ignored: AtomicU32,
@@ -40,10 +39,6 @@ pub struct SerialStatus {
     pub hosts_came: AtomicU8,
     /// How often the host with the floor has gone since power-up (wrapping).
     pub hosts_went: AtomicU16,
-    /// It gathers bytes for another message, and wants to be called when the line queue is empty.
-    pub gathers: AtomicBool,
-    /// It holds a byte for which there was no room, and wants to be called when there is.
-    pub holds_byte: AtomicBool,
     /// Commands for which there was no room, and which must not be lost; `control` takes them.
     owed: AtomicU32,
 }
@@ -56,8 +51,6 @@ pub static SERIAL: SerialStatus = SerialStatus {
     heard: AtomicU32::new(0),
     hosts_came: AtomicU8::new(0),
     hosts_went: AtomicU16::new(0),
-    gathers: AtomicBool::new(false),
-    holds_byte: AtomicBool::new(false),
     owed: AtomicU32::new(0),
 };
 
@@ -65,27 +58,16 @@ pub static SERIAL: SerialStatus = SerialStatus {
 pub struct InputStatus {
     /// Pins that are low.
     pub low: AtomicU32,
-    /// Pins that the board has.
-    pub fitted: AtomicU32,
     /// Changes of each input that the filter has rejected; `control`, which `inputs` preempts, sets them to 0.
     pub noise: [AtomicU16; input::COUNT],
 }
 
 /// See [`InputStatus`].
-pub static INPUTS: InputStatus = InputStatus {
-    low: AtomicU32::new(0),
-    fitted: AtomicU32::new(0),
-    noise: [const { AtomicU16::new(0) }; input::COUNT],
-};
+pub static INPUTS: InputStatus =
+    InputStatus { low: AtomicU32::new(0), noise: [const { AtomicU16::new(0) }; input::COUNT] };
 
 /// Written by `control`.
 pub struct ControlStatus {
-    /// Machine position in micrometres after its last round, for the record of a failure.
-    pub position: [AtomicI32; AXES],
-    /// N word of what was running then.
-    pub line: AtomicU32,
-    /// When that was: microseconds (wrapping).
-    pub moment: AtomicU32,
     /// The value of [`SerialStatus::heard`] up to which everything has been done and answered.
     free_at: AtomicU32,
     /// Whether characters of remarks are text. Not before its first turn: until then each byte is a command, as in Grbl.
@@ -96,9 +78,6 @@ pub struct ControlStatus {
 
 /// See [`ControlStatus`].
 pub static CONTROL: ControlStatus = ControlStatus {
-    position: [const { AtomicI32::new(0) }; AXES],
-    line: AtomicU32::new(0),
-    moment: AtomicU32::new(0),
     free_at: AtomicU32::new(u32::MAX),
     reads_characters: AtomicBool::new(false),
     power: AtomicU32::new(0),
@@ -106,8 +85,6 @@ pub static CONTROL: ControlStatus = ControlStatus {
 
 /// Marks of the watchdog: `inputs` sets them, each run of the task that is asked clears its own.
 pub struct Asked {
-    /// Cleared by each run of `receive`; only on a board that has one.
-    pub receive: AtomicBool,
     /// Cleared by each run of `serial`.
     pub serial: AtomicBool,
     /// Cleared by each round of `control`.
@@ -115,8 +92,7 @@ pub struct Asked {
 }
 
 /// See [`Asked`].
-pub static ASKED: Asked =
-    Asked { receive: AtomicBool::new(false), serial: AtomicBool::new(false), control: AtomicBool::new(false) };
+pub static ASKED: Asked = Asked { serial: AtomicBool::new(false), control: AtomicBool::new(false) };
 
 /// Stops asked for since power-up (wrapping), by any task. A count and not a flag, so that each is answered.
 static STOPS_ASKED: AtomicU16 = AtomicU16::new(0);

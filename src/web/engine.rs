@@ -44,6 +44,9 @@ pub struct Order {
     /// Work zero of G54 in mm of machine coordinates, for a machine that is homed before its job; without it, it is not homed.
     /// For [`check`] and [`stream`] only.
     pub work_zero: Option<[f64; LINEAR]>,
+    /// Lines that the machine carries out before its job, such as `G10 L1 P1 Z12.5`: its offsets and tools. For [`check`] and
+    /// [`stream`] only.
+    pub stored: Vec<String>,
     /// Where the rest of a job that was broken off begins. For [`resume()`] only.
     pub resume: Option<Resume>,
     /// Bits per second of the link that a job is sent over; 0 for one without limit. For [`stream`] only.
@@ -101,11 +104,20 @@ pub fn power_up(order: &Order) -> Result<Simulator, String> {
     Ok(simulator)
 }
 
-/// A simulator as ordered, homed if a work zero is.
+/// A simulator as ordered, homed if a work zero is, with its offsets and tools.
 fn power_up_for_job(order: &Order) -> Result<Simulator, String> {
     let mut simulator = power_up(order)?;
     if let Some(place) = order.work_zero {
         home(&mut simulator, place).map_err(|why| format!("the work zero: {why}"))?;
+    }
+    simulator.take_output();
+    for line in &order.stored {
+        simulator.send(format!("{line}\n"));
+        simulator.run_until_idle();
+        let output = simulator.take_output();
+        if let Some(error) = output.lines().find(|answer| answer.starts_with("error:")) {
+            return Err(format!("{line}: {error}"));
+        }
     }
     Ok(simulator)
 }
@@ -182,8 +194,8 @@ pub const RAPID: u32 = 1 << 31;
 pub const ARC: u32 = 1 << 30;
 
 /// The path of a job as rows of [`ROW`] numbers, and for each row the line of the file that it belongs to, with [`RAPID`]
-/// and [`ARC`], and its tool. The first row is the start.
-pub fn rows(check: &Check) -> (Vec<f32>, Vec<u32>, Vec<u32>) {
+/// and [`ARC`], its tool, and its S (0 while the spindle is off). The first row is the start.
+pub fn rows(check: &Check) -> (Vec<f32>, Vec<u32>, Vec<u32>, Vec<u32>) {
     let simulator = check.simulator();
     let points = simulator.meter().drawing().map_or(&[][..], Drawing::points);
     // The step counter began at 0 at power-up; the machine's own name of the place may be another.
@@ -205,7 +217,8 @@ pub fn rows(check: &Check) -> (Vec<f32>, Vec<u32>, Vec<u32>) {
         u32::try_from(line).unwrap_or(0) & (ARC - 1) | kind
     };
     let tools = points.iter().map(|point| point.mark.tool).collect();
-    (points.iter().flat_map(row).collect(), points.iter().map(line).collect(), tools)
+    let speeds = points.iter().map(|point| point.mark.speed).collect();
+    (points.iter().flat_map(row).collect(), points.iter().map(line).collect(), tools, speeds)
 }
 
 /// All that a user interface needs to know of the firmware: boards, settings, errors and alarms.
@@ -223,9 +236,8 @@ pub fn describe() -> Value {
         .map(|a| json!({ "code": a.code(), "text": a.text(), "advice": advice::for_alarm(*a) }))
         .collect();
     let settings = Settings::<AXES>::default();
-    // The page shows the axes that a new machine has.
-    let rows: Vec<Value> = (0..lines(LINEAR))
-        .filter_map(|line| Settings::<AXES>::described(line, LINEAR))
+    let rows: Vec<Value> = (0..lines(AXES))
+        .filter_map(|line| Settings::<AXES>::described(line, AXES))
         .map(|row| setting(&row, &settings))
         .collect();
     json!({ "version": env!("CARGO_PKG_VERSION"), "boards": boards::ALL.iter().map(board).collect::<Vec<_>>(),
@@ -239,7 +251,7 @@ fn setting(row: &Row, settings: &Settings<AXES>) -> Value {
         Kind::Tenths(min, max) => ("tenths", Some(json!(f64::from(min) / 10.0)), Some(json!(f64::from(max) / 10.0))),
         Kind::Mask(bits) => ("mask", Some(json!(0)), Some(json!(bits))),
         Kind::Switch => ("switch", Some(json!(0)), Some(json!(1))),
-        Kind::Axes => ("axes", Some(json!(0)), Some(json!((1 << LINEAR) - 1))),
+        Kind::Axes => ("axes", Some(json!(0)), Some(json!((1 << AXES) - 1))),
         Kind::Real | Kind::Speed => ("real", Some(json!(0)), None),
         Kind::Place => ("place", None, None),
     };
@@ -251,7 +263,8 @@ fn setting(row: &Row, settings: &Settings<AXES>) -> Value {
         "min": min, "max": max, "values": String::from_utf8_lossy(&values),
         // As people write it: an f32 has some nine digits, and a table seven.
         "default": default.to_string().parse::<f64>().unwrap_or_default(), "grbl": row.entry.grbl,
-        "explanation": explain::setting(row.number),
+        "explanation": explain::setting(row.number), "title": row.description.name, "group": row.description.group.text(),
+        "labels": row.description.labels.split(',').filter(|label| !label.is_empty()).collect::<Vec<_>>(),
         "axis": row.axis.map(|axis| format!("{axis:?}")) })
 }
 
@@ -292,10 +305,11 @@ mod tests {
         let (order, job) = parse(b"{\"path\":true}\0%\nG21 G91 F600\n\nG0 X1\nG4 P1\nG2 X2 I1\n").unwrap();
         let mut check = check(&order, job).unwrap();
         while !check.advance(1000) {}
-        let (rows, lines, tools) = rows(&check);
+        let (rows, lines, tools, speeds) = rows(&check);
         let rows = rows.as_chunks::<ROW>().0;
         assert_eq!(rows.len(), lines.len());
         assert_eq!(rows[0][..3], [0.0; 3]);
+        assert!(speeds.iter().all(|speed| *speed == 0));
         assert!(lines[1..].iter().all(|line| [4 | RAPID, 6 | ARC].contains(line)), "{lines:?}");
         assert!(lines.contains(&(4 | RAPID)) && lines.contains(&(6 | ARC)) && tools.iter().all(|tool| *tool == 0));
         assert!(rows.windows(2).all(|pair| pair[1][4] >= pair[0][5] - 1e-5 && pair[1][5] > pair[1][4]));
@@ -305,6 +319,32 @@ mod tests {
         assert!((last[0] - 3.0).abs() < 1e-3 && last[1].abs() < 1e-3, "{last:?}");
         let seconds = check.summary("", 0.0).forecast_s;
         assert!((f64::from(last[5]) - seconds).abs() < 0.01, "{last:?} {seconds}");
+    }
+
+    #[test]
+    fn rows_have_the_speed_of_the_spindle() {
+        let (order, job) =
+            parse(b"{\"path\":true}\0G21 G91 F600\nG1 X1\nM3 S500\nG1 X1\nS250\nG1 X1\nM5\nG1 X1\n").unwrap();
+        let mut check = check(&order, job).unwrap();
+        while !check.advance(1000) {}
+        let (_, lines, _, speeds) = rows(&check);
+        for (line, speed) in lines.iter().zip(&speeds).skip(1) {
+            assert_eq!(*speed, [0, 500, 250, 0][(*line as usize - 2) / 2], "line {line}");
+        }
+    }
+
+    #[test]
+    fn a_job_finds_the_tools_of_the_machine() {
+        let errors = |stored: &str| {
+            let input = format!("{{\"stored\":[{stored}]}}\0G21 G90\nG43 H5\nG0 Z1\n");
+            let (order, job) = parse(input.as_bytes()).unwrap();
+            let mut check = check(&order, job)?;
+            while !check.advance(1000) {}
+            Ok::<_, String>(check.summary("", 0.0).errors.len())
+        };
+        assert_eq!(errors("\"G10 L1 P4 Z12.5\""), Ok(1));
+        assert_eq!(errors("\"G10 L1 P5 Z12.5\""), Ok(0));
+        assert_eq!(errors("\"G999\""), Err("G999: error:20".into()));
     }
 
     /// Short moves of several lines become one, N words keep them apart, and neither changes when moves are numbered by lines.
@@ -332,7 +372,12 @@ mod tests {
         assert_eq!(row(121)["axis"], "Y");
         assert_eq!((&row(11)["unit"], &row(11)["default"]), (&json!("mm"), &json!(0.01)));
         assert!(row(11)["axis"].is_null());
-        assert_eq!(settings.len(), lines(LINEAR));
+        assert_eq!(
+            (&row(120)["title"], &row(121)["title"], &row(121)["group"]),
+            (&json!("Acceleration"), &json!("Acceleration"), &json!("Axes"))
+        );
+        assert_eq!(row(900)["labels"][1], "Oxmill");
+        assert_eq!(settings.len(), lines(AXES));
         assert!(description["errors"].as_array().unwrap().len() > 50);
     }
 }

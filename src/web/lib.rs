@@ -24,6 +24,7 @@
 //! | `oxmill_path_rows()` | | address of 6 `f32` for each row: x, y, z in mm of machine coordinates, speed in mm/s, begin and end in s | |
 //! | `oxmill_path_lines()` | | address of a `u32` for each row: line of the file, bit 31 for a rapid, bit 30 for an arc |
 //! | `oxmill_path_tools()` | | address of a `u32` for each row: tool, 0 for none that M6 named | |
+//! | `oxmill_path_speeds()` | | address of a `u32` for each row: S, 0 while the spindle is off | |
 //! | `oxmill_stream_begin()` | order with `baud`, 0, job | status | |
 //! | `oxmill_stream_advance(ms)` | | as `oxmill_check_advance` | |
 //! | `oxmill_stream_summary()` | | status | JSON: `baud`, `forecast_s`, `complete`, `errors`, `lost: [{line, seconds}]` |
@@ -35,13 +36,15 @@
 //! | `oxmill_fail()` | | does not return: a panic, to try how it is shown | |
 //!
 //! Each of the `settings` has `number`, `name`, `unit`, `kind`, `min`, `max`, `values` (its range or choices as text),
-//! `default`, `grbl` (whether Grbl has it), `axis`, and `explanation`: what it does and when one changes it.
+//! `default`, `grbl` (whether Grbl has it), `axis`, `title` (the name that all axes share), `group`, `labels` (names of
+//! choices or bits, from 0 on), and `explanation`: what it does and when one changes it.
 //!
 //! An order is JSON, all parts of which may be left out: `{"name": "a.nc", "board": "blackpill_f411", "dialect": "oxmill",
 //! "settings": {"110": 5000}, "path": true, "machine": {"steps_per_mm": [250, 250, 250]}, "work_zero": [-150, -100, -30],
 //! "baud": 115200}`. `machine` has the names of the file that `--machine` reads. With `work_zero`, in mm of machine
 //! coordinates, the machine of a check or a stream is homed before the job and G54 is put there, as with `--work-zero`.
 //! `"resume": {"line": 1200, "clearance": 20, "plunge": 100, "spin_up": 5}` says where the rest of a job begins; all but `line` may be left out.
+//! `"stored": ["G10 L1 P1 Z12.5"]` are lines that the machine of a check or a stream carries out before the job: its offsets and tools.
 //! Settings are applied in the order of their numbers, the dialect last.
 //!
 //! A panic ends the instance with a trap; its text can still be fetched.
@@ -72,6 +75,7 @@ struct Instance {
     rows: Vec<f32>,
     lines: Vec<u32>,
     tools: Vec<u32>,
+    speeds: Vec<u32>,
     streams: Option<[Streaming; 2]>,
     machine: Option<Simulator>,
 }
@@ -192,7 +196,8 @@ pub extern "C" fn oxmill_check_summary() -> u32 {
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_path() -> usize {
     with(|instance| {
-        (instance.rows, instance.lines, instance.tools) = instance.check.as_ref().map(engine::rows).unwrap_or_default();
+        (instance.rows, instance.lines, instance.tools, instance.speeds) =
+            instance.check.as_ref().map(engine::rows).unwrap_or_default();
         instance.lines.len()
     })
 }
@@ -213,6 +218,12 @@ pub extern "C" fn oxmill_path_lines() -> *const u32 {
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_path_tools() -> *const u32 {
     with(|instance| instance.tools.as_ptr())
+}
+
+/// Address of the S of the rows.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_path_speeds() -> *const u32 {
+    with(|instance| instance.speeds.as_ptr())
 }
 
 /// Begins to send a job over a link.

@@ -43,6 +43,7 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
         has_second_motor: false,
         has_at_speed: true,
         program_pins: [0; 2],
+        most_baud: 1_000_000,
     };
     let mut controller =
         Box::new(Controller::<AXES>::new(profile, oxmill_controller::memory::Memory::on_heap(&profile, BLOCKS)));

@@ -171,6 +171,7 @@ impl Board {
             has_second_motor: false,
             has_at_speed: true,
             program_pins: [0; 2],
+            most_baud: 1_000_000,
             has_store: true,
         };
         let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, BLOCKS)));

@@ -1,6 +1,7 @@
 """Runs the cases on one board: `python -m virtual_board BOARD ELF OXMILL [CASE ...]`, as `cargo xtask virtual` does.
 
-All of them if none is named; without those that are named behind a `-`. `--profile` behind the names: where their cycles went.
+All of them if none is named; without those that are named behind a `-`. `--profile` among the names: where their cycles went;
+`--reading NAME`: with the second reading of a fact that the manuals leave open (models/readings.py).
 """
 
 import sys
@@ -11,6 +12,7 @@ from . import profile
 from .board import Failure, Image
 from .cases import KNOWN, all_cases
 from .cases.bench import STACK_LEFT, Bench, LeftOut
+from .models import readings
 from .parts import BOARDS
 
 
@@ -30,7 +32,12 @@ def main(board, elf, oxmill, *names):
     if is_profiled := "--profile" in names:
         profile.begin()
         names = [name for name in names if name != "--profile"]
-    print(f"\nvirtual board {board} ({bench.wiring.part.name})", flush=True)
+    reading = ""
+    if "--reading" in names:
+        at = names.index("--reading")
+        readings.choose(name := names[at + 1])
+        names, reading = [*names[:at], *names[at + 2 :]], f", reading {name}"
+    print(f"\nvirtual board {board} ({bench.wiring.part.name}{reading})", flush=True)
     for name, case in chosen(all_cases(root), names):
         begin, lines, outcome = time.monotonic(), [], "ok"
         bench.origin, bench.case = 0, name
@@ -59,7 +66,7 @@ def main(board, elf, oxmill, *names):
     if size - used < STACK_LEFT:
         print(f"FAILED: less than {STACK_LEFT} bytes of the stack are left")
         failed += 1
-    print(f"virtual board {board}: {passed} passed, {failed} failed, {known} known faults, {missing} left out", flush=True)
+    print(f"virtual board {board}{reading}: {passed} passed, {failed} failed, {known} known faults, {missing} left out", flush=True)
     return 1 if failed or not passed else 0
 
 

@@ -30,15 +30,13 @@ from .models.pulse import PulseTimer
 from .models.pwr import Pwr
 from .models.rcc import HSI_HZ, Rcc
 from .models.syscfg import SYSTEM_MEMORY, Syscfg
-from .models.timer import FUNCTION, INPUTS, Timer
+from .models.timer import FUNCTION, INPUTS, SMCR, Timer
 from .models.usart import Usart
 
 ENTRY_CYCLES, RETURN_CYCLES, CHAIN_CYCLES = 12, 12, 6
 WAIT_STATES_FROM_V = 2.7
 """The limits of `parts.py` for wait states hold from this supply on."""
 HOT, COLD = round(1.1 * 256), round(1.3 * 256)
-SERIAL = 16 + 36
-"""The serial task: the vector of SPI2."""
 FILL = b"\xa5"
 """What RAM holds at power-up."""
 PAINTS = (4 * FILL, (0xA5C3_5A3C).to_bytes(4, "little"))
@@ -92,6 +90,8 @@ class Image:
         return None
 
 
+# Of this file: base addresses by RM0383 and RM0390, "Memory map", register boundary addresses; numbers of interrupts by their vector tables; bits
+# of the enable registers by RCC_AHB1ENR, RCC_APB1ENR and RCC_APB2ENR.
 UNIQUE_ID = bytes.fromhex("3300210007504b4b38373320")
 """A part's number, as one of them had it."""
 
@@ -127,8 +127,10 @@ class Board:
         self.ended = None
         """The status that it has ended with."""
         self.step_runs = []
-        """(cycle of entry, cycle after the return) of each run of the step interrupt, with what the UART's has taken of it."""
-        self.begins = {SYSTICK: [], SERIAL: []}
+        """(cycle of entry, cycle after the return) of each run of the step interrupt."""
+        self.serial = 16 + wiring.serial_irq
+        """The exception that the serial task is bound to."""
+        self.begins = {SYSTICK: [], self.serial: []}
         """Cycles of entry: of the samples of the inputs, and of the runs of the serial task."""
         self.held = False
         """No interrupt is taken, as if some code masked them; the program's own masks come and go beneath."""
@@ -396,6 +398,10 @@ class Board:
         if address & 3 or size == 1:
             raise Unmodelled(f"store of {size} bytes to {address:#010x}")
         self._at(address).write(address & 0x3FC, value)
+
+    def puts_out_steps(self):
+        """TIM1 listens to its trigger: DMA2 may write to a port at any moment."""
+        return bool(self.peripherals["TIM1"].values[SMCR] & 7)
 
     def store_by_dma(self, address, value, at):
         """A DMA stream writes a word, at a cycle that may be an instruction ago."""

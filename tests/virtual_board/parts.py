@@ -18,18 +18,20 @@ class Part:
     apb1_hz: int
     apb2_hz: int
     wait_states: tuple
-    """Greatest core clock for 0, 1, 2, ... wait states at 2.7 to 3.6 V."""
+    """Greatest core clock for 0, 1, 2, ... wait states at 2.7 to 3.6 V (RM0383, RM0390, RM0368, "Number of wait states according to CPU clock")."""
     scale_hz: dict
-    """Greatest core clock by VOS."""
+    """Greatest core clock by VOS (PWR_CR; data sheet, general operating conditions)."""
     over_drive_hz: int
-    """Greatest core clock with over-drive; 0 where there is none."""
+    """Greatest core clock with over-drive; 0 where there is none (RM0390, "Voltage regulator")."""
     pwr_cr_reset: int
+    """PWR_CR."""
     interrupts: int
+    """Rows of the vector table."""
     asleep: tuple
     """RCC_AHB1LPENR, AHB2LPENR, APB1LPENR and APB2LPENR after a reset, as the manuals have them: whose clocks go on while the processor sleeps.
     On the F401 and F411 that of TIM1 does not, nor those of GPIOE and GPIOH."""
     vco_hz: int = 100 * MHZ
-    """Least frequency of the PLL's oscillator."""
+    """Least frequency of the PLL's oscillator (RCC_PLLCFGR; 192 MHz in RM0368)."""
     flash_kib: int = 512
     ram_kib: int = 128
     flash_start: int = 0x0800_0000
@@ -94,6 +96,10 @@ class Wiring:
     program_outputs: tuple = ()
     program_inputs: tuple = ()
     step_irq: int = 50
+    serial_irq: int = 17
+    """The vector of the stream that sends; on a Black Pill that of SPI2."""
+    uart_irq: int | None = None
+    """The UART's own, where DMA does not serve it."""
     usb: bool = False
     """OTG_FS is the first link to the host."""
     left_out: tuple = ()
@@ -120,6 +126,10 @@ class Wiring:
         return 4 if "axes: AXES," in row else 3
 
     @property
+    def most_baud(self):
+        return self.promised("most_baud")
+
+    @property
     def least_pulse_us(self):
         return self.promised("least_pulse_tenths") / 10
 
@@ -135,7 +145,7 @@ BLACKPILL_F411 = Wiring(
     step=("A1", "A2", "A3"), direction=("A4", "A5", "A6"), limits=("B12", "B13", "B14"),
     enable="B0", spindle="B1", spindle_direction="B10", flood="B8", mist="B9", pwm="A7",
     probe="B15", door="B7", hold="B5", start="B6", reset="B4", driver_fault="B3", second_step="A8", second_direction="A15",
-    second_limit="A0", at_speed=None, usart="USART1", usb=True,
+    second_limit="A0", at_speed=None, usart="USART1", serial_irq=36, uart_irq=37, usb=True,
 )  # fmt: skip
 BLACKPILL_F401 = replace(BLACKPILL_F411, name="blackpill_f401", part=STM32F401, core_hz=84 * MHZ, left_out=("splines", "recording"))
 NUCLEO_F446RE = Wiring(

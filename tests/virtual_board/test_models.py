@@ -7,7 +7,7 @@ import unittest
 from types import SimpleNamespace
 
 from .host import Host
-from .models import dma, exti, flash, gpio, iwdg, nvic, otg, pulse, pwr, rcc, timer, usart
+from .models import dma, exti, flash, gpio, iwdg, nvic, otg, pulse, pwr, rcc, readings, timer, usart
 from .models.peripheral import NEVER, Misuse, Unmodelled
 from .parts import BLACKPILL_F411, NUCLEO_F446RE
 from .profile import readable
@@ -551,42 +551,139 @@ class UsartTraces(unittest.TestCase):
 
 
 class DmaTraces(unittest.TestCase):
-    def receiving(self, count):
-        bench = Bench()
-        model = dma.Dma("DMA2", bench, 22)
-        bench.dma = [model]
-        base = 0x10 + 0x18 * 2
-        model.write(base + dma.PAR, 0x4001_1004)
-        model.write(base + dma.M0AR, 0x2000_0100)
-        model.write(base + dma.NDTR, count)
-        model.write(base + dma.CR, 4 << 25 | 1 << 10 | 1)
-        port = usart.Usart("USART1", bench, 0x4001_1000, (0x44, 4), 37, "pclk2")
-        port.wire = Wire([(9000 + 8330 * k, 0x30 + k) for k in range(3)])
-        port.write(usart.BRR, 833)
-        port.write(usart.CR3, usart.DMAR)
-        port.write(usart.CR1, UsartTraces.ON)
-        bench.until(port, 38_000)
-        return bench, model, base, port
+    """A USART by DMA: USART1 on an APB as fast as the core, USART2 on one of half its clock."""
+
+    BYTES, HALF_WORDS, ROUND, SEND = 4 << 25 | 1 << 10, 4 << 25 | 1 << 10 | 1 << 11 | 1 << 13, 1 << 8, 4 << 25 | 1 << 10 | 1 << 6 | 1 << 4
+
+    def fresh(self, number=1):
+        bench = self.bench = Bench()
+        self.model = dma.Dma(f"DMA{3 - number}", bench, 23 - number)
+        bench.dma = [self.model]
+        bench.puts_out_steps = lambda: False
+        base, bus, clock = (0x4001_1000, "pclk2", (0x44, 4)) if number == 1 else (0x4000_4400, "pclk1", (0x40, 17))
+        self.port = bench.peripherals[f"USART{number}"] = usart.Usart(f"USART{number}", bench, base, clock, 36 + number, bus)
+        self.port.wire = Wire()
+        # 115246 baud: 833 cycles a bit, on the slower bus 834.
+        self.port.write(usart.BRR, 833 if number == 1 else 417)
+
+    def stream(self, number, count, how, data):
+        base = 0x10 + 0x18 * number
+        for offset, value in ((dma.PAR, data), (dma.M0AR, 0x2000_0100), (dma.NDTR, count), (dma.CR, how | 1)):
+            self.model.write(base + offset, value)
+        return base
+
+    def until(self, cycle):
+        models = (self.port, self.model)
+        while (due := min(model.due for model in models)) <= cycle:
+            self.bench.now = max(self.bench.now, due)
+            next(model for model in models if model.due == due).advance(self.bench.now)
+        self.bench.now = cycle
+
+    def receiving(self, count, how=BYTES, bytes_sent=3, error=0):
+        self.fresh()
+        self.port.wire.arriving = [(9000 + 8330 * k, 0x30 + k) for k in range(bytes_sent)]
+        base = self.stream(2, count, how, 0x4001_1004)
+        self.port.write(usart.CR3, usart.DMAR | usart.EIE)
+        self.port.write(usart.CR1, UsartTraces.ON)
+        if error:
+            receive = self.port._receive
+            self.port._receive = lambda byte, flags, at: receive(byte, error if byte == 0x31 else flags, at)
+        return base
 
     def test_bytes_go_to_memory(self):
-        bench, model, base, port = self.receiving(8)
-        self.assertEqual(bench.read_memory(0x2000_0100, 4), b"012\xff")
-        self.assertEqual((model.read(base + dma.NDTR), model.read(base + dma.CR) & 1), (5, 1))
-        self.assertEqual(port.overruns, 0)
+        base = self.receiving(8)
+        self.until(9011)
+        self.assertEqual((self.bench.read_memory(0x2000_0100, 1), self.model.read(base + dma.NDTR)), (b"\xff", 8))
+        # Twelve cycles behind the request: eight, and four of a bus that is as fast.
+        self.until(9012)
+        self.assertEqual((self.bench.read_memory(0x2000_0100, 1), self.model.read(base + dma.NDTR)), (b"0", 7))
+        self.until(38_000)
+        self.assertEqual(self.bench.read_memory(0x2000_0100, 4), b"012\xff")
+        self.assertEqual((self.model.read(base + dma.NDTR), self.model.read(base + dma.CR) & 1), (5, 1))
+        self.assertEqual(self.port.overruns, 0)
         with self.assertRaises(Misuse):
-            model.write(base + dma.NDTR, 1)
+            self.model.write(base + dma.NDTR, 1)
 
     def test_the_end_of_a_transfer(self):
-        bench, model, base, port = self.receiving(2)
+        base, model = self.receiving(2), self.model
+        self.until(38_000)
         # Stream 2: its flags stand at bit 16, TCIF is the sixth. The third byte stays in the USART.
         self.assertEqual((model.read(dma.LISR), model.read(base + dma.CR) & 1), (1 << 21, 0))
-        self.assertEqual((bench.read_memory(0x2000_0100, 3), port.read(usart.DR)), (b"01\xff", 0x32))
+        self.assertEqual((self.bench.read_memory(0x2000_0100, 3), self.port.read(usart.DR)), (b"01\xff", 0x32))
         with self.assertRaises(Misuse):
-            model.write(base + dma.CR, 4 << 25 | 1 << 10 | 1)
+            model.write(base + dma.CR, self.BYTES | 1)
         self.assertEqual([model._shift(stream) for stream in range(8)], [0, 6, 16, 22] * 2)
         model.write(dma.LIFCR, 0x3D << 16)
         model.write(base + dma.NDTR, 1)
-        model.write(base + dma.CR, 4 << 25 | 1 << 10 | 1)
+        model.write(base + dma.CR, self.BYTES | 1)
+
+    def test_round_and_round(self):
+        base = self.receiving(4, self.HALF_WORDS | self.ROUND, 6)
+        self.until(60_000)
+        self.assertEqual(self.bench.read_memory(0x2000_0100, 10), b"4\x005\x002\x003\x00\xff\xff")
+        self.assertEqual((self.model.read(base + dma.NDTR), self.model.read(base + dma.CR) & 1, self.model.read(dma.LISR)), (2, 1, 1 << 21))
+
+    def test_errors_call_although_dma_reads(self):
+        self.addCleanup(readings.forget)
+        for clears_all in False, True:
+            self.receiving(8, error=usart.FE)
+            if clears_all:
+                readings.choose("flags-by-dma")
+            self.until(17_300)
+            self.assertFalse(self.bench.lines[37])
+            # The line rises with the byte, before DMA fetches it.
+            self.until(17_335)
+            self.assertTrue(self.bench.lines[37])
+            self.until(20_000)
+            self.assertEqual((self.bench.read_memory(0x2000_0100, 2), self.bench.lines[37]), (b"01", not clears_all))
+            self.port.read(usart.SR), self.port.read(usart.DR)
+            self.assertFalse(self.bench.lines[37])
+
+    def test_a_processor_that_stands_loses_no_byte(self):
+        self.receiving(8)
+        # All of it is seen afterwards, and in its order: each byte has been fetched before the next one came.
+        self.bench.now = 60_000
+        while min(model.due for model in (self.port, self.model)) <= self.bench.now:
+            min((self.port, self.model), key=lambda model: model.due).advance(self.bench.now)
+        self.assertEqual((self.bench.read_memory(0x2000_0100, 4), self.port.overruns), (b"012\xff", 0))
+
+    def test_sending(self):
+        self.fresh(2)
+        port, model = self.port, self.model
+        self.bench.write_memory(0x2000_0100, b"abc")
+        port.write(usart.CR1, UsartTraces.ON)
+        port.write(usart.CR3, usart.DMAT)
+        base = self.stream(6, 3, self.SEND, 0x4000_4404)
+        self.until(100)
+        # Sixteen cycles each, on a bus of half the clock: the first goes on into the shift register, the second waits behind it.
+        self.assertEqual((model.read(base + dma.NDTR), port.shift_ends, port.read(usart.SR)), (1, 16 + 8340, 0))
+        self.assertFalse(self.bench.lines.get(17))
+        self.until(8400)
+        self.assertEqual((model.read(base + dma.NDTR), model.read(base + dma.CR) & 1, model.read(dma.HISR), self.bench.lines[17]), (0, 0, 1 << 21, True))
+        model.write(dma.HIFCR, 0x3D << 16)
+        self.assertFalse(self.bench.lines[17])
+        self.until(30_000)
+        self.assertEqual([byte for _, byte in port.wire.heard], list(b"abc"))
+
+    def test_one_byte_for_a_transmitter_at_rest(self):
+        self.fresh(2)
+        self.bench.write_memory(0x2000_0100, b"a!")
+        self.port.write(usart.CR1, UsartTraces.ON)
+        self.port.write(usart.CR3, usart.DMAT)
+        base = self.stream(6, 1, self.SEND, 0x4000_4404)
+        self.until(30_000)
+        # It is free again at once, but the stream is at its end.
+        self.assertEqual((self.model.read(base + dma.NDTR), [byte for _, byte in self.port.wire.heard]), (0, list(b"a")))
+
+    def test_what_parts_punish(self):
+        self.receiving(8)
+        self.bench.puts_out_steps = lambda: True
+        with self.assertRaises(Misuse):
+            # DMA2 serves a USART of APB2 while it may write to a port.
+            self.until(9000)
+        self.fresh(2)
+        with self.assertRaises(Misuse):
+            self.stream(6, 0, self.SEND, 0x4000_4404)
 
 
 class ChainTraces(unittest.TestCase):
@@ -613,6 +710,9 @@ class ChainTraces(unittest.TestCase):
         )
         self.tim5.write(timer.CR2, 3 << 4)
         self.tim5.write(timer.CR1, 1)
+
+    def tearDown(self):
+        readings.forget()
 
     def words(self, address, values):
         for k, value in enumerate(values):
@@ -704,6 +804,21 @@ class ChainTraces(unittest.TestCase):
         self.until(1250)
         self.tim5.write(timer.DIER, 0)
 
+    def test_a_transfer_waits_for_that_of_a_usart(self):
+        self.begin([1000, 1200, 1500, 999, 0, 0], [2, 0, 2, 2, 2, 2])
+        stores, store = [], self.tim5.store_by_dma
+        self.tim5.store_by_dma = lambda offset, value, at: (stores.append((at, value)), store(offset, value, at))
+        self.bench.peripherals["USART2"] = SimpleNamespace(ask_dma=lambda: None)
+        self.bench.puts_out_steps = lambda: True
+        self.stream(self.dma1, 5, 0x4000_4404, 0x2000_0400, 4, 4 << 25 | 1 << 10)
+        self.until(999)
+        self.assertTrue(self.dma1.ask_for_usart("USART2", 0x4000_4404, "pclk1", 999, lambda _, at: 0x41))
+        self.until(5000)
+        # The first moment would be fetched 16 cycles behind the match: the byte has the controller up to 15 of them, and 8 more pass.
+        self.assertEqual(stores[:2], [(1023, 1200), (1216, 1500)])
+        # The edges are DMA2's, and wait for nothing.
+        self.assertEqual([at for at, _, _, level in self.bench.edges if level], [1017, 1517])
+
     def test_a_stream_that_is_switched_off_ends_its_transfer(self):
         self.begin([1000, 1200, 1400, 1600], [2, 2, 2, 2])
         self.until(1208)
@@ -757,6 +872,39 @@ class ChainTraces(unittest.TestCase):
             self.stream(self.dma2, 4, self.OFF, self.BSRR, 2, self.LOW)
         self.tim1.reset()
         self.stream(self.dma2, 4, self.OFF, self.BSRR, 2, self.LOW)
+
+    def test_a_compare_value_written_onto_the_count(self):
+        for name, flag in ((None, 0), ("compare-on-count", 2)):
+            if name:
+                readings.choose(name)
+            self.until(self.bench.now + 100)
+            self.tim5.write(timer.SR, 0)
+            self.tim5.write(timer.CCR1, self.tim5.read(timer.CNT))
+            self.until(self.bench.now)
+            self.assertEqual(self.tim5.read(timer.SR) & 2, flag)
+            self.tim5.write(timer.CCR1, self.tim5.read(timer.CNT) - 1)
+            self.tim5.write(timer.SR, 0)
+            self.until(self.bench.now + 50)
+            self.assertEqual(self.tim5.read(timer.SR) & 2, 0, "what is past matches by neither")
+
+    def test_a_word_that_is_counted_when_it_is_fetched(self):
+        readings.choose("counted-at-fetch")
+        base = 0x10 + 0x18 * 2
+        self.begin([1000, 1200, 1500, 1499], [2, 2, 2, 2])
+        # One is written, the next is fetched.
+        self.assertEqual(self.dma1.read(base + dma.NDTR), 2)
+        self.until(1300)
+        # The fourth is fetched, with which the ring begins again.
+        self.assertEqual((self.dma1.read(base + dma.NDTR), self.dma2.read(0x10 + 0x18 + dma.NDTR)), (4, 3 - 1))
+
+    def test_a_trigger_sooner_and_later(self):
+        for name, edges in (("quick-trigger", (1014, 1110)), ("slow-trigger", (1021, 1117))):
+            self.setUp()
+            readings.forget()
+            readings.choose(name)
+            self.begin([1000, 2000, 1999], [2, 2, 2])
+            self.until(1500)
+            self.assertEqual(tuple(at for at, _, _, _ in self.bench.edges), edges)
 
 
 class BeamTraces(unittest.TestCase):

@@ -15,6 +15,7 @@ mod mutants;
 mod package;
 mod paths;
 mod programs;
+mod python;
 mod qemu;
 mod reach;
 mod recordings;
@@ -27,6 +28,7 @@ mod thumb;
 mod tree;
 mod virtual_board;
 mod web;
+mod witness;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -52,7 +54,10 @@ usage:
   cargo xtask job NAME       writes a program of examples/ or a job of the benchmark to standard output
   cargo xtask bench [FILE..] job times, also of your own files: the table of docs/motion.md
   cargo xtask virtual [BOARD [CASE..]]  the unmodified STM32 images on an emulated STM32F4, every edge time-stamped (needs Python 3);
-                             `--profile` behind a case: where its cycles went
+                             `--profile` behind a case: where its cycles went; `--reading NAME`: with the second reading of a fact that the
+                             manuals leave open
+  cargo xtask witness [--faults]  the firmware on an emulator by other hands, belief by belief; with `--faults` wrong ones, which have to be
+                             seen (needs Python 3)
   cargo xtask soak qemu|BOARD [--minutes N|--seconds N] [--wall N] [--seed N]  a job with holds, overrides, resets and hosts that come and go, so
                              long in machine time, in QEMU or on a virtual board: every step accounted for, and the deepest stack
   cargo xtask web            the page, target/web/oxmill.html (needs Node.js and the target wasm32-unknown-unknown);
@@ -95,6 +100,8 @@ fn main() -> ExitCode {
         ["job", name] => generate(name),
         ["virtual"] => virtual_board::check(None, &[]),
         ["virtual", board, ref cases @ ..] => virtual_board::check(Some(board), cases),
+        ["witness"] => witness::witness(&[]),
+        ["witness", "--faults"] => witness::witness(&["--faults"]),
         ["soak", ref arguments @ ..] => soak::run(arguments),
         ["web"] => web::build(),
         ["web", "--test", ref names @ ..] => web::test(names),

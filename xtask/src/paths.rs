@@ -24,9 +24,16 @@ pub fn cargo_without_paths() -> Result<Command, Failure> {
 
 /// A command of cargo on what runs on boards, with a profile of theirs.
 pub fn cargo_for_boards(command: &str, profile: &str) -> Result<Command, Failure> {
+    cargo_for(command, profile, TARGET)
+}
+
+/// The same for another target, whose processor is its own.
+pub fn cargo_for(command: &str, profile: &str, target: &str) -> Result<Command, Failure> {
     let flags: &[&str] = if profile == boards::FAST { &FOR_SPEED } else { &FOR_SIZE };
-    let mut cargo = cargo_with(flags)?;
-    cargo.args([command, "--profile", profile, "--target", TARGET]);
+    let flags: Vec<&str> =
+        flags.iter().filter(|flag| target == TARGET || !flag.starts_with("-Ctarget-cpu")).copied().collect();
+    let mut cargo = cargo_with(&flags)?;
+    cargo.args([command, "--profile", profile, "--target", target]);
     Ok(cargo)
 }
 

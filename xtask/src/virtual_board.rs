@@ -1,9 +1,10 @@
 //! Runs the unmodified STM32 images on the virtual board of `tests/virtual_board`, a Python program in an environment of its
 //! own under `target/tools`.
 
+use crate::python::{environment, module};
 use crate::{Failure, cargo, image, root, run, suites};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::Mutex;
 use std::thread;
@@ -24,6 +25,7 @@ const LONGEST: &[&str] = &["-bursts of overrides", "-late starts", "-lines at st
 /// named has all cases.
 const SIBLING: &[&str] = &[
     "boot",
+    "tasks",
     "stream axes.nc",
     "pulses",
     "safe rate",
@@ -41,7 +43,17 @@ const SIBLING: &[&str] = &[
 /// Boards of these that are tried with the wires of the loop-back suite: one of each part.
 const LOOPBACK: [&str; 3] = ["blackpill_f411", "nucleo_f446re", "blackpill_f401"];
 
-/// The cases of one board, or of all of them, two at a time, and the loop-back suite; or the cases named.
+/// Second readings of facts that the manuals leave open (`tests/virtual_board/models/readings.py`), each with a board and cases that depend on the
+/// fact. `.ci/nightly` has all cases of two boards under each.
+const READINGS: [(&str, &str, &[&str]); 5] = [
+    ("counted-at-fetch", "blackpill_f411", &["hold", "turns"]),
+    ("compare-on-count", "nucleo_f446re", &["probe"]),
+    ("quick-trigger", "blackpill_f411", &["pulses"]),
+    ("slow-trigger", "nucleo_f446re", &["turns"]),
+    ("flags-by-dma", "nucleo_f446re", &["disturbed line"]),
+];
+
+/// The cases of one board, or of all of them, two at a time, some under second readings, and the loop-back suite; or the cases named.
 pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
     let boards: Vec<(&str, &[&str])> =
         BOARDS.into_iter().filter(|(name, _)| board.is_none_or(|board| board == *name)).collect();
@@ -49,7 +61,7 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
         let all: Vec<&str> = BOARDS.iter().map(|(name, _)| *name).collect();
         return Err(format!("there is no such virtual board; there are {}", all.join(", ")));
     }
-    let python = environment()?;
+    let python = environment("virtual-board", "virtual_board")?;
     suites::require_defmt_print()?;
     run(cargo().args(["build", "--quiet", "--locked", "--bin", "oxmill"]))?;
     run(module(&python, "unittest").arg("virtual_board.test_models"))?;
@@ -59,6 +71,12 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
         let mut command = module(&python, "virtual_board");
         command.arg(board).arg(image::build(board)?.path).arg(root().join("target/debug/oxmill"));
         command.args(if cases.is_empty() && !is_named { own } else { cases });
+        runs.push((*board, command));
+    }
+    for (reading, board, own) in READINGS.iter().filter(|_| cases.is_empty() && !is_named) {
+        let mut command = module(&python, "virtual_board");
+        command.arg(board).arg(root().join("target/boards").join(format!("{board}.elf")));
+        command.arg(root().join("target/debug/oxmill")).args(*own).args(["--reading", reading]);
         runs.push((*board, command));
     }
     let has_loopback = |board: &&str| cases.is_empty() && boards.iter().any(|(name, _)| name == board);
@@ -77,7 +95,7 @@ pub fn soak(board: &str, elf: &Path, script: &Path, wall: Option<u64>) -> Result
     if !BOARDS.iter().any(|(name, _)| *name == board) {
         return Err(format!("there is no such virtual board: {board}"));
     }
-    let python = environment()?;
+    let python = environment("virtual-board", "virtual_board")?;
     let (answers, report) = (script.with_extension("answers"), script.with_extension("report"));
     run(module(&python, "virtual_board.soak")
         .arg(board)
@@ -132,30 +150,6 @@ fn failures(report: &str, errors: &str) -> String {
     }
     found.extend(errors.lines().last().map(str::to_string));
     found.join("; ")
-}
-
-fn module(python: &Path, name: &str) -> Command {
-    let mut command = Command::new(python);
-    command.current_dir(root().join("tests")).env("PYTHONDONTWRITEBYTECODE", "1").args(["-m", name]);
-    command
-}
-
-/// Python with the packages of `requirements.txt`; made anew when that file has changed.
-fn environment() -> Result<PathBuf, Failure> {
-    let folder = root().join("target/tools/virtual-board");
-    let python = folder.join("bin/python");
-    let wanted = root().join("tests/virtual_board/requirements.txt");
-    let installed = folder.join("requirements.txt");
-    let read = |path: &Path| fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()));
-    let text = read(&wanted)?;
-    if read(&installed).is_ok_and(|installed| installed == text) {
-        return Ok(python);
-    }
-    run(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&folder))
-        .map_err(|why| format!("{why}: install Python 3 with venv (Debian: `apt-get install python3-venv`)"))?;
-    run(Command::new(&python).args(["-m", "pip", "install", "--quiet", "--requirement"]).arg(&wanted))?;
-    fs::write(&installed, text).map_err(|error| format!("{}: {error}", installed.display()))?;
-    Ok(python)
 }
 
 #[cfg(test)]

@@ -184,6 +184,11 @@ impl<const N: usize> Action<N> {
         self.after.spindle_tool
     }
 
+    /// S of the motion, in revolutions per minute; 0 while the spindle is off.
+    pub fn turning_speed(&self) -> f32 {
+        if self.modal.spindle == SpindleDirection::Off { 0.0 } else { self.speed }
+    }
+
     /// The machine position afterwards.
     pub fn position(&self) -> &PerAxis<Coordinate, N> {
         &self.position

@@ -18,6 +18,7 @@ use crate::work::task::{Answer, Ask, Caller, Listing, Task};
 const DIRECTION_INVERT: u16 = Key::DirectionInvert.number();
 const DOOR_FITTED: u16 = Key::DoorFitted.number();
 const AXES: u16 = Key::Axes.number();
+const BAUD: u16 = Key::Baud.number();
 const HOMING: u16 = Key::Homing.number();
 const HOMING_DIRECTION: u16 = Key::HomingDirection.number();
 const HOMING_PULL_OFF: u16 = Key::HomingPullOff.number();
@@ -165,12 +166,16 @@ impl<const N: usize> Controller<N> {
     }
 
     fn set_setting(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
-        // What the table of settings has is the least of all boards.
+        // What the table of settings has is the least of all boards, and the most.
         let least_pulse = i64::from(self.m.settings_lock.least_pulse_tenths()) * (DECIMAL_ONE / 10);
         if number == STEP_PULSE && (0..least_pulse).contains(&value.0) {
             return Err(Error::StepPulseTooShort);
         }
-        let accepted = self.m.settings.accepted(number, value);
+        let accepted = if number == BAUD && i64::from(value.truncate()) > i64::from(self.m.settings_lock.most_baud()) {
+            Err(Error::SettingOutOfRange)
+        } else {
+            self.m.settings.accepted(number, value)
+        };
         if DESCRIPTIONS && accepted == Err(Error::SettingOutOfRange) {
             self.tell_values(number);
         }

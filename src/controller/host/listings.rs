@@ -125,8 +125,9 @@ impl<const N: usize> Controller<N> {
         let axes = self.m.settings.axes_in_use();
         let is_there = line < descriptions::lines(what, axes);
         if is_there {
-            let least_pulse = self.m.settings_lock.least_pulse_tenths();
-            self.say(|out| descriptions::line::<N>(out, what, line, axes, least_pulse));
+            let (least_pulse, most_baud) =
+                (self.m.settings_lock.least_pulse_tenths(), self.m.settings_lock.most_baud());
+            self.say(|out| descriptions::line::<N>(out, what, line, axes, (least_pulse, most_baud)));
         }
         is_there
     }
@@ -137,8 +138,8 @@ impl<const N: usize> Controller<N> {
         let axes = self.m.settings.axes_in_use();
         let mut rows = (0..settings::lines(axes)).filter_map(|line| Settings::<N>::described(line, axes));
         if let Some(row) = rows.find(|row| row.number == number) {
-            let least_pulse = self.m.settings_lock.least_pulse_tenths();
-            self.say(|out| descriptions::values_of(out, row, least_pulse));
+            let board = (self.m.settings_lock.least_pulse_tenths(), self.m.settings_lock.most_baud());
+            self.say(|out| descriptions::values_of(out, row, board));
         }
     }
 

@@ -18,6 +18,7 @@ pub(crate) struct SettingsLock {
     has_second_motor: bool,
     has_at_speed: bool,
     program_pins: [u8; 2],
+    most_baud: u32,
     /// Revision of the settings that were looked at last.
     revision: Option<u32>,
     /// The setting that locks them.
@@ -31,14 +32,19 @@ pub(crate) struct SettingsLock {
 impl SettingsLock {
     /// For a board. Nothing has been looked at.
     pub(crate) const fn new(profile: &Profile) -> Self {
-        let Profile { rates, has_second_motor, has_at_speed, program_pins, .. } = *profile;
+        let Profile { rates, has_second_motor, has_at_speed, program_pins, most_baud, .. } = *profile;
         let (revision, setting, named, refused) = (None, None, None, false);
-        Self { rates, has_second_motor, has_at_speed, program_pins, revision, setting, named, refused }
+        Self { rates, has_second_motor, has_at_speed, program_pins, most_baud, revision, setting, named, refused }
     }
 
     /// How many outputs and inputs the board has for programs.
     pub(crate) fn program_pins(&self) -> [u8; 2] {
         self.program_pins
+    }
+
+    /// The greatest rate of the UART (`$931`), baud.
+    pub(crate) fn most_baud(&self) -> u32 {
+        self.most_baud
     }
 
     /// The shortest step pulse (`$0`) that the board makes, tenths of a microsecond.
@@ -104,6 +110,7 @@ mod tests {
             has_second_motor,
             has_at_speed,
             program_pins,
+            most_baud: 0,
             has_store,
         });
         for (revision, setting) in settings.iter().enumerate() {

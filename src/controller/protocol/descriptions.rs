@@ -203,8 +203,8 @@ pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
 }
 
 /// `[MSG:Values of $32: 0 or 1; ...]`, with what there is here of the values that grblHAL has besides.
-pub fn values_of(out: &mut Text, mut row: Row, least_pulse_tenths: u16) {
-    on_board(&mut row, least_pulse_tenths);
+pub fn values_of(out: &mut Text, mut row: Row, board: (u16, u32)) {
+    on_board(&mut row, board);
     put(out, b"[MSG:Values of $");
     whole(out, row.number.into());
     put(out, b": ");
@@ -258,16 +258,18 @@ pub const fn lines(what: Described, axes: usize) -> usize {
     }
 }
 
-/// Narrows a setting to what a board can have: tenths of a microsecond of its shortest step pulse. The table has the least of all
-/// boards.
-fn on_board(row: &mut Row, least_pulse_tenths: u16) {
-    if let Kind::Tenths(least, _) = &mut row.entry.kind {
-        *least = u32::from(least_pulse_tenths);
+/// Narrows a setting to what a board can have: tenths of a microsecond of its shortest step pulse, and the baud that its UART has
+/// at most. The table has the least and the most of all boards.
+fn on_board(row: &mut Row, (least_pulse_tenths, most_baud): (u16, u32)) {
+    match &mut row.entry.kind {
+        Kind::Tenths(least, _) => *least = u32::from(least_pulse_tenths),
+        Kind::Whole(_, most) if row.number == Key::Baud.number() => *most = most_baud,
+        _ => {}
     }
 }
 
-/// One of them, on a board whose shortest step pulse has so many tenths of a microsecond.
-pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: usize, least_pulse_tenths: u16) {
+/// One of them, on a board whose shortest step pulse has so many tenths of a microsecond, and whose UART so many baud at most.
+pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: usize, board: (u16, u32)) {
     match what {
         Described::Settings(format) => match (header(format), line) {
             (Some(header), 0) => {
@@ -276,7 +278,7 @@ pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: 
             }
             (header, line) => {
                 if let Some(mut row) = Settings::<N>::described(line - usize::from(header.is_some()), axes) {
-                    on_board(&mut row, least_pulse_tenths);
+                    on_board(&mut row, board);
                     setting(out, &row, format);
                 }
             }
@@ -328,7 +330,7 @@ mod tests {
 
     fn text(what: Described, wanted: usize) -> String {
         let mut out = Text::new();
-        line::<3>(&mut out, what, wanted, 3, 10);
+        line::<3>(&mut out, what, wanted, 3, (10, 1_000_000));
         String::from_utf8(out.to_vec()).expect("text")
     }
 
@@ -365,7 +367,7 @@ mod tests {
         );
         // What a board of another least pulse says.
         let mut out = Text::new();
-        line::<3>(&mut out, Described::Settings(Format::Tabs), 1, 3, 5);
+        line::<3>(&mut out, Described::Settings(Format::Tabs), 1, 3, (5, 1_000_000));
         assert_eq!(out, b"0\tStep pulse\tus\tfloat\t##0.0\t0.5 to 255 in tenths\t0.5\t255\r\n");
         assert_eq!(of(29, Format::Tabs), "29\tDirection set-up\tus\tinteger\t#####0\t0 to 255\t0\t255\r\n");
     }

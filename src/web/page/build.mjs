@@ -9,7 +9,7 @@ const here = dirname(fileURLToPath(import.meta.url));
 const root = join(here, "../../..");
 const target = join(root, "target/web");
 /** Examples that are part of the page. The others can be dropped on it. */
-const EXAMPLES = ["five_circles.nc", "house.nc", "pocket_mm.nc", "drilling.nc", "pcb_isolation.nc"];
+const EXAMPLES = ["five_circles.nc", "house.nc", "pocket_mm.nc", "pocket_inch.nc", "pcb_isolation.nc"];
 
 const bundle = async entry => {
   const options = { entryPoints: [join(here, "src", entry)], bundle: true, minify: true, write: false, format: "iife", target: "es2022" };

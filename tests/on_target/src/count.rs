@@ -54,6 +54,7 @@ mod boards {
         has_second_motor: false,
         has_at_speed: true,
         program_pins: [0; 2],
+        most_baud: 1_000_000,
         has_store: false,
     };
     pub const FAR_PLANNER: usize = 0x2120_0000;

@@ -30,7 +30,7 @@ pub fn settings_flash() -> SettingsFlash {
         // SAFETY: unsafe because the peripherals are taken without asking for their owner; safe because no test uses the
         // flash interface but through what this gives it, one after the other.
         let device = unsafe { oxmill_boards::pac::Peripherals::steal() };
-        SettingsFlash::new(device.FLASH, |work| work())
+        SettingsFlash::new(device.FLASH, || {})
     }
 }
 

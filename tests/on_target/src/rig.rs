@@ -55,6 +55,7 @@ impl Rig {
             has_second_motor: false,
             has_at_speed: true,
             program_pins: [0; 2],
+            most_baud: 115_200,
             has_store: false,
         };
         static mut STORAGE: Storage<AXES, BLOCKS> = Storage::EMPTY;

@@ -21,8 +21,12 @@ SAMPLE_S, FILTER_SAMPLES = 50 * US, 8
 STOP_S = 20 * US
 """From the moment a stop is known to the last rising edge."""
 
+BYTE_STOP_S = 75 * US
+"""From the last bit of a byte that stops the machine to the last rising edge: up to a sample of the inputs, which looks at what has
+come, and a run of the step task."""
+
 RUN_CYCLES = 4450
-"""How long a byte may wait for a run of the step task, besides (`run_cycles` in profiles.rs)."""
+"""The longest run of the step task (`run_cycles` in profiles.rs)."""
 
 HOLD_S = 25e-3
 """From `!` to the beginning of the ramp."""
@@ -54,6 +58,12 @@ class Bench:
         self.host = Host(self.board)
         return self.board
 
+    def sample_at(self, cycle):
+        """Has the inputs sampled at a cycle, and in their period before and behind it."""
+        nvic, period = self.board.nvic, self.board.nvic.reload + 1
+        nvic.zero_at = cycle - (cycle - nvic.zero_at) // period * period
+        nvic.plan(nvic.zero_at)
+
     def note_stack(self):
         """Keeps the deepest stack; a board that was made to fail says nothing of it."""
         if self.board is not None and not self.board.faults_expected:
@@ -62,8 +72,8 @@ class Bench:
 
     def boot(self):
         self.fresh()
-        self.wait_text("Grbl 1.1h", 1.0)
-        self.wait_text("\r\n", 0.1, after=len(self.host.text))
+        # With DMA it goes out while flash is erased, with an interrupt behind that.
+        self.wait_text("Grbl 1.1h ['$' for help]\r\n", 1.1)
         self.forget_masks()
 
     def boot_with_usb(self):

@@ -129,7 +129,7 @@ def hung(bench):
 
 def unserved(bench):
     """The interrupts of a task are off, as by a disturbed interrupt controller: the others see that it does not answer."""
-    for task, interrupts in (("serial", (36, 67)), ("receive", (37, 38)), ("step", (50,))):
+    for task, interrupts in (("serial", (bench.wiring.serial_irq, 67)), ("step", (bench.wiring.step_irq,))):
         yield f"{task} task: {without_interrupts(bench, interrupts)}"
 
 

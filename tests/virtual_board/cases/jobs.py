@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from ..board import Failure
+from ..models.nvic import HARD_FAULT, NMI
 from ..scope import Scope
 from .bench import JOB_SETTINGS, LeftOut, duty, simulated, us
 
@@ -32,6 +33,21 @@ def boot(bench):
     yield f"stack at the start: {used} of {size} bytes"
     if used > size - 1024:
         raise Failure("less than 1 KiB of the stack is left")
+
+
+def tasks(bench):
+    """The exceptions that the firmware has enabled, with their priorities, the highest first: of its tasks the step task is above all others."""
+    bench.boot()
+    nvic, image, step = bench.board.nvic, bench.image, 16 + bench.wiring.step_irq
+    flash = next(data for at, data in image.segments if at == bench.board.part.flash_start)
+    enabled = sorted((nvic.priority(number), number) for number in nvic.enabled if number not in (NMI, HARD_FAULT))
+    names = {number: image.function(int.from_bytes(flash[4 * number :][:4], "little") & ~1) for _, number in enabled}
+    served = [(priority, number) for priority, number in enabled if names[number] != "DefaultHandler_"]
+    for priority, number in served:
+        yield f"priority {15 - (priority >> 4):2}: {names[number]}{' (the step task)' if number == step else ''}"
+    above = [names[number] for priority, number in served if priority <= nvic.priority(step) and number != step]
+    if any(not name.endswith("PVD") for name in above):
+        raise Failure(f"{above} may come before the step task")
 
 
 def streamed(bench, job):

@@ -64,9 +64,8 @@ def disturbed(bench):
     yield f"masked {masks} times for 20 us, {lines} lines meanwhile{' over USB' if bench.wiring.usb else ''}"
 
 
-def flooded_at_safe_rate(bench, meanwhile, longest=None):
-    """The safe rate under a flood of lines and status requests; how many lines there were. `longest`: what a run of the step task
-    may take, if not what it takes by itself."""
+def flooded_at_safe_rate(bench, meanwhile):
+    """The safe rate under a flood of lines and status requests; how many lines there were."""
     safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
     acceleration = hard(bench, 6_000)
     asked = len(bench.host.answers)
@@ -79,7 +78,7 @@ def flooded_at_safe_rate(bench, meanwhile, longest=None):
             bench.host.send("(a)\n" * 20 + "?" * 5)
 
     steps = round((1.1 * safe**2 / acceleration / 1000 + 9000 * safe / 490_000) / 9) * 9
-    yield from at_rates(bench, (safe, steps, pulse_us), acceleration=acceleration, ways=(9, 7, 5), meanwhile=flood, boots=False, longest=longest)
+    yield from at_rates(bench, (safe, steps, pulse_us), acceleration=acceleration, ways=(9, 7, 5), meanwhile=flood, boots=False)
     return asked
 
 
@@ -93,7 +92,7 @@ def tight(bench):
         yield from at_rates(bench, (rate, round(1.1 * rate**2 / acceleration / 1000) + 1000, pulse_us), acceleration=acceleration)
 
 
-def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, boots=True, longest=None):
+def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, boots=True):
     """Back and forth at each (steps/s, steps one way, $0), the axes with these shares of the first one's steps."""
     if boots:
         bench.boot()
@@ -139,7 +138,7 @@ def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, 
             raise Failure(f"direction set-up {us(min(setups))} with $29=10")
         if min(holds) < pulse_us * US:
             raise Failure(f"a direction changes {us(min(holds))} after the edge of a step, within its pulse")
-        if run > (longest or LONGEST_RUN[bench.wiring.core_hz > 100 * MHZ]):
+        if run > LONGEST_RUN[bench.wiring.core_hz > 100 * MHZ]:
             raise Failure(f"a run of the step task of {run} cycles")
         if found["drift"] > 2 * US:
             raise Failure(f"the period drifts by {us(found['drift'])} over {found['steps']} steps")

@@ -4,12 +4,12 @@ import os
 from itertools import pairwise
 from random import Random
 
-from ..board import SERIAL, Failure
+from ..board import Failure
 from ..models import timer
 from ..models.dma import NDTR
 from ..models.timer import EGR, SMCR
 from ..scope import Scope
-from .bench import HOLD_S, RUN_CYCLES, STOP_S, TRIP_S, US, fast, moving, us
+from .bench import BYTE_STOP_S, HOLD_S, TRIP_S, US, fast, moving, us
 from .stepping import at_full_rate
 
 CALL_CYCLES = 140
@@ -27,11 +27,11 @@ def hold(bench):
     scope = Scope(board)
     moving(bench, way=20)
     speed, acceleration = 50_000, 1_000_000
-    board.begins[SERIAL].clear()
+    board.begins[board.serial].clear()
     heard = bench.host.send(b"!")
     board.run(until=lambda: board.now > heard, limit=0.001)
     board.run(seconds=0.001)
-    called = next((at - heard for at in board.begins[SERIAL] if at >= heard), hz) / hz
+    called = next((at - heard for at in board.begins[board.serial] if at >= heard), hz) / hz
     if called > SERIAL_S:
         raise Failure(f"the serial task is called {us(called)} after `!`")
     bench.wait_state("Hold:0", 2)
@@ -65,7 +65,7 @@ def stops(bench):
     bench.settings(s21=1)
     board, hz = bench.board, bench.wiring.core_hz
     worst = {"0x18": 0.0, "limit": 0.0}
-    allowed = {"0x18": STOP_S, "limit": TRIP_S}
+    allowed = {"0x18": BYTE_STOP_S, "limit": TRIP_S}
     for feed, phase in ((3000, 0.0), (3000, 7.3e-6), (3000, 31e-6), (60, 123.4e-6), (6000, 49.9e-6)):
         for what in ("0x18", "limit"):
             bench.ask("$X")
@@ -174,7 +174,7 @@ def ring_stops(bench):
         raise Failure("too few places: this proves little")
     if cycles > CALL_CYCLES:
         raise Failure(f"a stop takes {cycles} cycles from the call")
-    if worst > STOP_S + RUN_CYCLES / hz:
+    if worst > BYTE_STOP_S:
         raise Failure("pulses after the stop")
     yield from stops_with_backlash(bench, random, rate, most // 2)
 

@@ -1,16 +1,18 @@
-"""DMA controllers (RM0390 chapter 9, RM0383 chapter 9), as far as a USART receives, a timer captures and steps are put out
-through them.
+"""DMA controllers (RM0390 chapter 9, RM0383 chapter 9), as far as a USART receives and sends, a timer captures and steps are put
+out through them.
 
-Modelled: streams from a peripheral to memory, bytes or half-words on both sides, memory address counting up, once; number
-of data, end of a transfer with its flag, clearing of flags, switching off. Such a transfer is done at the moment of the
-request. For compare events of timers: words in direct mode, either direction, either address counting up, circular, one
-transfer after the other with a delay; a stream that is switched off ends the transfer that it is at, and EN tells until
-then; from memory to a peripheral the next word is fetched right after the one before, and the first at the enable. A
-request that no stream takes stays until its timer is reset.
-Not modelled: other sizes, double-buffer mode, FIFO, priorities of streams other than by their number, bus load, interrupts.
+Modelled: one transfer after the other with a delay, whoever asks for them; a stream that is switched off ends the transfer that it
+is at, and EN tells until then; number of data, end of a transfer with its flag and its interrupt, clearing of flags. For a
+USART: half-words or bytes on both sides from it, once or circular, bytes to it, once; a transfer holds the controller for as long as
+the slower bus takes (`usart_hold`). For compare events of timers: words in direct mode, either direction, either address counting up,
+circular; from memory to a peripheral the next word is fetched right after the one before, and the first at the enable. A
+request that no stream takes stays until its timer is reset. For captures of timers: half-words, once, done at the moment of the
+request.
+Not modelled: other sizes, double-buffer mode, FIFO, the word that a stream to a USART fetches ahead, priorities of streams other than
+by their number, other bus load.
 
-Misuse is what parts punish without a word: GPIO reached through DMA2's peripheral port (ES0287 2.2.11: data may be
-corrupted), a peripheral that DMA1 does not reach, CR read right after EN was set (the stream may hang), two streams
+Misuse is what parts punish without a word: GPIO reached through DMA2's peripheral port, or written by DMA2 while it may serve a
+USART, which is on APB2 (ES0287 2.2.11: data may be corrupted), a peripheral that DMA1 does not reach, CR read right after EN was set (the stream may hang), two streams
 switched on back to back or for one request, a word of memory changed after it was fetched, a request from before that a
 stream would serve at once when it is switched on.
 """
@@ -19,25 +21,32 @@ import functools
 import heapq
 
 from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
+from .readings import is_chosen
 
 LISR, HISR, LIFCR, HIFCR = 0x00, 0x04, 0x08, 0x0C
 CR, NDTR, PAR, M0AR, M1AR, FCR = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14
-EN, MINC, PSIZE, MSIZE, CHANNEL = 1 << 0, 1 << 10, 1 << 11, 1 << 13, 7 << 25
+EN, TCIE, MINC, PSIZE, MSIZE, CHANNEL = 1 << 0, 1 << 4, 1 << 10, 1 << 11, 1 << 13, 7 << 25
 TO_PERIPHERAL, CIRC, PINC, WORDS, PRIORITY = 1 << 6, 1 << 8, 1 << 9, 2 << 11 | 2 << 13, 3 << 16
 TCIF = 1 << 5
+VECTORS = {("DMA1", 6): 17}
+"""Interrupts of the streams that may call at their end."""
 REQUESTS = {
-    ("DMA2", 2, 4): "USART1", ("DMA2", 5, 4): "USART1", ("DMA1", 5, 4): "USART2",
+    ("DMA2", 2, 4): "USART1", ("DMA2", 5, 4): "USART1", ("DMA1", 5, 4): "USART2", ("DMA1", 6, 4): "USART2_TX",
     ("DMA1", 0, 2): "TIM4_CH1", ("DMA1", 3, 2): "TIM4_CH2", ("DMA1", 7, 2): "TIM4_CH3", ("DMA1", 2, 6): "TIM5_CH1",
     ("DMA1", 0, 6): "TIM5_CH3", ("DMA2", 4, 6): "TIM1_CH4",
     ("DMA2", 1, 6): "TIM1_CH1", ("DMA2", 3, 6): "TIM1_CH1", ("DMA2", 2, 6): "TIM1_CH2", ("DMA2", 6, 6): "TIM1_CH3",
 }  # fmt: skip
-"""Who asks, by (controller, stream, channel)."""
+"""Who asks, by (controller, stream, channel): RM0383 and RM0390, tables "DMA1 request mapping" and "DMA2 request mapping"; the same in RM0368 (F401)."""
 TO_AHB, TO_APB, FETCH, BUSY = 12, 16, 10, 8
 """Cycles from a request to the store on the AHB or an APB, from there to the next word fetched, and from one store to the
 next (AN4031, tables 4 and 5)."""
+USART_HOLD = 8
+"""Cycles for which a transfer of a USART holds the controller, and four clocks of its bus."""
 SETTLE = 8
-"""Cycles between two stores that switch streams on, and after one before CR may be read."""
+"""Cycles between two stores that switch streams on, and after one before CR may be read. In no manual: measured on STM32F4 by the project brio, which
+saw streams hang."""
 GPIO = range(0x4002_0000, 0x4002_2000)
+"""Ports A to H: RM0383, RM0390, "Memory map", register boundary addresses."""
 
 
 class Dma(Peripheral):
@@ -45,7 +54,7 @@ class Dma(Peripheral):
         0x10 + 0x18 * stream + offset: (f"S{stream}{name}", 0, bits)
         for stream in range(8)
         for offset, name, bits in (
-            (CR, "CR", EN | TO_PERIPHERAL | CIRC | PINC | MINC | 3 << 11 | 3 << 13 | PRIORITY | CHANNEL),
+            (CR, "CR", EN | TCIE | TO_PERIPHERAL | CIRC | PINC | MINC | 3 << 11 | 3 << 13 | PRIORITY | CHANNEL),
             (NDTR, "NDTR", 0xFFFF),
             (PAR, "PAR", 0xFFFF_FFFF),
             (M0AR, "M0AR", 0xFFFF_FFFF),
@@ -90,6 +99,9 @@ class Dma(Peripheral):
                 raise Misuse(f"{self.name}: CR of stream {stream} is read right after it was switched on")
             if register == CR and self.ending[stream]:
                 return super().read(offset) | EN
+            if register == NDTR and is_chosen("counted-at-fetch") and self.fetched[stream] is not None:
+                # The word that has been fetched is counted, up to the end of the ring.
+                return super().read(offset) - 1 or self.whole[stream]
         return super().read(offset)
 
     @staticmethod
@@ -99,6 +111,7 @@ class Dma(Peripheral):
     def write(self, offset, value):
         if offset in (LIFCR, HIFCR):
             self.values[offset - 8] &= ~value
+            self._call()
             return
         if offset in (LISR, HISR):
             raise Misuse(f"{self.name}: status registers are read-only")
@@ -122,14 +135,37 @@ class Dma(Peripheral):
                 else:
                     self.fetched[stream] = None
         super().write(offset, value)
+        if offset >= 0x10 and register == CR and value & EN and not on:
+            self._call()
+            who = self.who(stream, value)
+            if who.startswith("USART"):
+                self.board.peripherals[who.removesuffix("_TX")].ask_dma()
+
+    def who(self, stream, cr):
+        """Whose requests a stream serves."""
+        return REQUESTS.get((self.name, stream, (cr & CHANNEL) >> 25), "")
+
+    def _call(self):
+        """The lines of the streams that call at their end."""
+        for (name, stream), irq in VECTORS.items():
+            if name == self.name:
+                flags = self.values[LISR if stream < 4 else HISR] >> self._shift(stream)
+                self.board.nvic.level(irq, bool(flags & TCIF and self.values[0x10 + 0x18 * stream + CR] & TCIE))
 
     def _begin(self, stream, base, cr):
         """A stream is switched on."""
-        who = REQUESTS.get((self.name, stream, (cr & CHANNEL) >> 25), "")
+        who = self.who(stream, cr)
         par = self.values[base + PAR]
         if "_CH" not in who or not cr & CIRC:
-            if cr & (TO_PERIPHERAL | CIRC | PINC | 2 << 11 | 2 << 13):
+            if cr & (PINC | 2 << 11 | 2 << 13) or bool(cr & TO_PERIPHERAL) != who.endswith("_TX") or cr & TO_PERIPHERAL and cr & (CIRC | PSIZE):
                 raise Unmodelled(f"{self.name}: stream {stream} with CR {cr:#x}")
+            if who.startswith("USART"):
+                if self.board.now - max(self.switched_on) < SETTLE:
+                    raise Misuse(f"{self.name}: stream {stream} is switched on right after another")
+                self.switched_on[stream] = self.board.now
+            if not self.values[base + NDTR]:
+                raise Misuse(f"{self.name}: stream {stream} is switched on with nothing to do")
+            self.whole[stream] = self.values[base + NDTR]
             if not cr & MINC:
                 raise Unmodelled(f"{self.name}: stream {stream} without MINC")
             if bool(cr & PSIZE) != bool(cr & MSIZE):
@@ -140,11 +176,12 @@ class Dma(Peripheral):
             raise Unmodelled(f"{self.name}: stream {stream} with CR {cr:#x}")
         if self.name == "DMA2" and par in GPIO:
             raise Misuse(f"{self.name}: stream {stream} reaches GPIO through the peripheral port")
+        # RM0383 and RM0390, figure of the bus matrix: the peripheral port of DMA1 leads to APB1 alone.
         if self.name == "DMA1" and not 0x4000_0000 <= par < 0x4001_0000:
             raise Misuse(f"{self.name}: the peripheral port does not reach {par:#x}")
         for other in range(8):
             there = self.values[0x10 + 0x18 * other + CR]
-            if there & EN and REQUESTS.get((self.name, other, (there & CHANNEL) >> 25)) == who:
+            if there & EN and self.who(other, there) == who:
                 raise Misuse(f"{self.name}: streams {other} and {stream} are both on for {who}")
         if self.board.now - max(self.switched_on) < SETTLE:
             raise Misuse(f"{self.name}: stream {stream} is switched on right after another")
@@ -200,7 +237,7 @@ class Dma(Peripheral):
         for stream in streams:
             base = 0x10 + 0x18 * stream
             cr = self.values[base + CR]
-            if cr & EN and REQUESTS.get((self.name, stream, (cr & CHANNEL) >> 25)) == who:
+            if cr & EN and self.who(stream, cr) == who:
                 self.taken[stream] += 1
                 done = max(at + (TO_APB if cr & TO_PERIPHERAL else TO_AHB), self.busy_until + BUSY)
                 self.busy_until = done
@@ -235,8 +272,54 @@ class Dma(Peripheral):
             self.values[LISR if stream < 4 else HISR] |= TCIF << self._shift(stream)
         self.values[base + NDTR] = left or whole
 
+    def usart_hold(self, bus):
+        """Cycles for which a transfer of a USART on this bus holds the controller."""
+        rcc = self.board.rcc
+        return USART_HOLD + 4 * (rcc.hclk // getattr(rcc, bus))
+
+    def ask_for_usart(self, who, data_address, bus, at, serve):
+        """A USART has a byte, or is free for one, since a cycle that may be a while ago. Whether some stream takes the request:
+        `serve(byte, at)` then gives what was received, or takes what is to be sent."""
+        for stream in self.streams.get(who, ()):
+            base = 0x10 + 0x18 * stream
+            cr = self.values[base + CR]
+            if not cr & EN or self.who(stream, cr) != who:
+                continue
+            if self.values[base + PAR] != data_address:
+                raise Misuse(f"{self.name}: stream {stream} serves {self.values[base + PAR]:#x} and not {who}")
+            if self.name == "DMA2" and self.board.puts_out_steps():
+                raise Misuse(f"{self.name}: stream {stream} serves APB2 while others put out steps")
+            self.taken[stream] += 1
+            done = max(at, self.busy_until) + self.usart_hold(bus)
+            self.busy_until = done
+            self._later(done, functools.partial(self._transfer_of_usart, stream, base, serve))
+            return True
+        return False
+
+    def _transfer_of_usart(self, stream, base, serve, at):
+        self.taken[stream] -= 1
+        ending, self.ending[stream] = self.ending[stream], 0
+        cr = self.values[base + CR] | ending
+        size, memory = 2 if cr & PSIZE else 1, self.next[stream]
+        self.next[stream] += size
+        left = self.values[base + NDTR] - 1
+        self.values[base + NDTR] = left
+        if left == 0 and cr & CIRC:
+            self.values[base + NDTR], self.next[stream] = self.whole[stream], self.values[base + M0AR]
+        elif left == 0:
+            # Before the USART asks for the next byte.
+            self.values[base + CR] &= ~EN
+        if cr & TO_PERIPHERAL:
+            byte, = self.board.read_memory(memory, 1)
+            serve(byte, at)
+        else:
+            self.board.write_memory(memory, serve(None, at).to_bytes(size, "little"))
+        if left == 0:
+            self.values[LISR if stream < 4 else HISR] |= TCIF << self._shift(stream)
+            self._call()
+
     def request(self, asks, data_address, datum):
-        """A peripheral has a datum. Whether some stream has taken it."""
+        """A timer has captured. Whether some stream has taken it."""
         for (name, stream, channel), who in REQUESTS.items():
             base = 0x10 + 0x18 * stream
             cr = self.values[base + CR]

@@ -8,6 +8,7 @@ from .peripheral import Peripheral
 
 IMR, EMR, RTSR, FTSR, SWIER, PR = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14
 PVD_LINE, PVD_IRQ = 1 << 16, 1
+"""RM0383 and RM0390, "External interrupt/event line mapping" and the vector table."""
 
 
 class Exti(Peripheral):

@@ -14,9 +14,11 @@ ACR, KEYR, SR, CR = 0x00, 0x04, 0x0C, 0x10
 PG, SER, MER, STRT, LOCK = 1 << 0, 1 << 1, 1 << 2, 1 << 16, 1 << 31
 EOP, PGAERR, PGPERR, PGSERR, BSY = 1 << 0, 1 << 5, 1 << 6, 1 << 7, 1 << 16
 KEYS = (0x4567_0123, 0xCDEF_89AB)
+"""RM0383 and RM0390, "Unlocking the Flash control register"."""
 BASE = 0x0800_0000
 PROGRAM_S = 16e-6
 ERASE_S = {16: 0.25, 64: 0.55, 128: 1.0}
+"""By size in KiB. Data sheet of the STM32F411, "Flash memory programming", typical."""
 SLOWER = {0: 1.6, 1: 1.2, 2: 1.0}
 """Erasing by PSIZE: at x8 400 ms and at x16 300 ms instead of 250 ms for 16 KiB."""
 

@@ -10,6 +10,7 @@ deep sleep, MPU, ITM, the reference clock of SysTick, FPU access before it is en
 from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
 
 PRIORITY_BITS = 0xF0
+"""Of eight bits an STM32F4 has the upper four: PM0214, "Interrupt priority registers"."""
 NMI, HARD_FAULT, SVCALL, PENDSV, SYSTICK = 2, 3, 11, 14, 15
 THREAD = 256
 """Priority of a processor that runs no exception."""

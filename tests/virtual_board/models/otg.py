@@ -22,6 +22,7 @@ EPDISD, INEPNE = 1 << 1, 1 << 6
 SD0PID, SD1PID = 1 << 28, 1 << 29
 OUT_DATA, OUT_DONE, SETUP_DONE, SETUP_DATA = 2, 3, 4, 6
 ENDPOINTS, FIFO_WORDS = 4, 320
+"""RM0383, "OTG_FS main features": endpoint 0 and three more, 1.25 Kbytes of FIFO."""
 END_S = 0.5e-6
 """From a packet to the entry that says that it has ended."""
 

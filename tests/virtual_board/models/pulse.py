@@ -9,13 +9,20 @@ A trigger that comes while the counter runs is ignored by the part: a step would
 """
 
 from .peripheral import Misuse, Peripheral, Unmodelled
+from .readings import is_chosen
 
 CR1, CR2, SMCR, DIER, EGR, CNT, ARR = 0x00, 0x04, 0x08, 0x0C, 0x14, 0x24, 0x2C
 COMPARE = (0x34, 0x38, 0x3C, 0x40)
 CEN, OPM = 1 << 0, 1 << 3
 TRIGGERED_BY_TIM5 = 0b110 | 0b000 << 4
-SYNCHRONIZE = 4
-"""Clocks from the trigger's event to the first count."""
+"""SMS and TS of TIM1_SMCR; its table "TIMx internal trigger connection" has TIM5 as ITR0 of TIM1."""
+SYNCHRONIZE, QUICKER, SLOWER = 4, 1, 8
+"""Clocks from the trigger's event to the first count, and by the other readings."""
+
+
+def synchronize():
+    """The clocks that count."""
+    return QUICKER if is_chosen("quick-trigger") else SLOWER if is_chosen("slow-trigger") else SYNCHRONIZE
 
 
 class Pulse:
@@ -87,7 +94,7 @@ class PulseTimer(Peripheral):
             raise Unmodelled(f"{self.name} is triggered in the middle of its count")
         rcc = self.board.rcc
         clock = rcc.hclk // rcc.timer_clock(rcc.pclk2)
-        start = at + SYNCHRONIZE * clock
+        start = at + synchronize() * clock
         if self.pulse is not None and start < self.pulse.ends:
             raise Misuse(f"{self.name} is triggered while a pulse is out: a step is lost")
         self.pulse = Pulse(start + (self.values[ARR] + 1) * clock)

@@ -12,6 +12,7 @@ CR, CSR = 0x00, 0x04
 VOS, ODEN, ODSWEN = 3 << 14, 1 << 16, 1 << 17
 PVDE, PLS, PVDO = 1 << 4, 7 << 5, 1 << 2
 THRESHOLDS_V = (2.0, 2.1, 2.3, 2.5, 2.6, 2.7, 2.8, 2.9)
+"""By PLS of PWR_CR."""
 
 
 class Pwr(Peripheral):

@@ -18,9 +18,11 @@ CSR, DCKCFGR = 0x74, 0x8C
 
 HSI_HZ = 16_000_000
 LSI_HZ = 32_000
+"""RM0383 and RM0390, "HSI clock" and "LSI clock"; typical."""
 
 HSE_ON, CLOCK_SECURITY, PLL_ON = 1 << 16, 1 << 19, 1 << 24
 SOFTWARE_RESET, WATCHDOG_RESET, POWER_ON_RESET = 1 << 28 | 1 << 26, 1 << 29 | 1 << 26, 1 << 27 | 1 << 26 | 1 << 25
+"""RCC_CSR: the cause, and the reset pin, which every reset pulls; BORRSTF at power-up."""
 
 
 class Rcc(Peripheral):

@@ -7,6 +7,7 @@ from .peripheral import Peripheral
 
 MEMRMP = 0x00
 SYSTEM_MEMORY = 1
+"""MEM_MODE of SYSCFG_MEMRMP."""
 
 
 class Syscfg(Peripheral):

@@ -11,19 +11,20 @@ triggers, DMA of other channels' compare events and of updates, counting down, e
 """
 
 from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
+from .readings import is_chosen
 
 FORCED_LOW = 4
-"""OCxM: the output is inactive, whatever is compared."""
+"""OC1M of TIMx_CCMR1: the output is inactive, whatever is compared."""
 CR1, CR2, SMCR, DIER, SR, EGR, CCMR1, CCMR2, CCER = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14, 0x18, 0x1C, 0x20
 CNT, PSC, ARR, CCR1, CCR2, CCR3, CCR4 = 0x24, 0x28, 0x2C, 0x34, 0x38, 0x3C, 0x40
 COMPARE = (CCR1, CCR2, CCR3, CCR4)
 OWN_PIN, FILTERS, BOTH_EDGES = 1, (0, 2), 0b1011
-"""CCxS, the values of ICxF that are taken for nothing, and CCxNP, CCxP and CCxE."""
+"""CCxS and the values of ICxF that are taken for nothing (TIMx_CCMR1), and CCxNP, CCxP and CCxE (TIMx_CCER)."""
 INPUTS = {("B", 6): ("TIM4", 1), ("B", 7): ("TIM4", 2), ("B", 8): ("TIM4", 3)}
 """Timer and channel by pin, as alternate function 2 (data sheets, table of alternate functions)."""
 FUNCTION = 2
 COMPARE_PULSE = 0b011 << 4
-"""CR2: the event of channel 1 is the trigger output."""
+"""MMS of TIMx_CR2: the event of channel 1 is the trigger output, also where its flag is set already."""
 
 
 class Timer(Peripheral):
@@ -177,15 +178,19 @@ class Timer(Peripheral):
         if offset in (CR1, CNT, ARR, CCMR1, CCMR2):
             self._schedule()
         elif offset in COMPARE:
-            self._schedule_flag(COMPARE.index(offset) + 1, self.board.now)
-            self._plan()
+            self._compare_written(COMPARE.index(offset) + 1, self.board.now)
 
     def store_by_dma(self, offset, value, at):
         """A DMA stream writes a compare register, at a cycle that may be an instruction ago."""
         if offset not in COMPARE:
             raise Unmodelled(f"{self.name}: DMA to the register at {offset:#x}")
         self.values[offset] = value
-        self._schedule_flag(COMPARE.index(offset) + 1, at)
+        self._compare_written(COMPARE.index(offset) + 1, at)
+
+    def _compare_written(self, channel, at):
+        self._schedule_flag(channel, at)
+        if is_chosen("compare-on-count") and self.running and self.count(at) == self.values[COMPARE[channel - 1]]:
+            self.matched[channel] = at
         self._plan()
 
     def _check_requests(self, off, on):

@@ -3,16 +3,19 @@
 Modelled: baud rate from BRR; bytes of a sender whose rate is more than 2.5 % apart, and those that had begun when the receiver was
 switched on, are sampled bit by bit from the levels of the line, which gives other bytes and framing errors; a byte becomes readable in the middle of its stop
 bit, overrun when the one before has not been read (the new byte is lost, ORE stays until SR and DR are read), TXE, TC, IDLE, transmit data register
-and shift register with the time of each frame, interrupt enables, DMA requests of the receiver.
-Not modelled: DMA of the transmitter, parity, hardware flow control, synchronous and LIN modes, noise, IDLE as an interrupt.
+and shift register with the time of each frame, interrupt enables, that of errors while DMA receives among them, DMA requests of both
+halves. A DMA stream that reads DR reads no SR: what it clears of flags that nobody has seen, the manuals do not say (`readings`).
+Not modelled: parity, hardware flow control, synchronous and LIN modes, noise, IDLE as an interrupt.
 """
 
 from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
+from .readings import is_chosen
 
 SR, DR, BRR, CR1, CR2, CR3, GTPR = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14, 0x18
 FE, ORE, IDLE, RXNE, TC, TXE = 1 << 1, 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7
 RE, TE, IDLEIE, RXNEIE, TCIE, TXEIE, UE = 1 << 2, 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7, 1 << 13
-DMAR = 1 << 6
+EIE, DMAR, DMAT = 1 << 0, 1 << 6, 1 << 7
+"""USART_SR, USART_CR1, USART_CR3."""
 
 
 class Usart(Peripheral):
@@ -22,7 +25,7 @@ class Usart(Peripheral):
         BRR: ("BRR", 0, 0xFFFF),
         CR1: ("CR1", 0, RE | TE | RXNEIE | TCIE | TXEIE | UE),
         CR2: ("CR2", 0, 0),
-        CR3: ("CR3", 0, DMAR),
+        CR3: ("CR3", 0, EIE | DMAR | DMAT),
     }
 
     def __init__(self, name, board, base, clock, irq, bus):
@@ -41,6 +44,8 @@ class Usart(Peripheral):
         self.seen = 0
         """Flags that the last read of SR saw: a read of DR clears those."""
         self.waiting = None
+        self.asked_to_read = self.asked_to_write = False
+        """A request of DMA is under way."""
         self.shifting = None
         self.shift_ends = NEVER
         self.overruns = 0
@@ -85,11 +90,7 @@ class Usart(Peripheral):
                 raise Misuse(f"{self.name}_DR is written while the transmitter is off")
             if not self.values[SR] & TXE:
                 raise Misuse(f"{self.name}_DR is written while it is full: a byte is lost")
-            self.values[SR] &= ~(TXE | TC)
-            self.waiting = value & 0xFF
-            if self.shifting is None:
-                self._shift(self.board.now)
-            self._call()
+            self._fill(value, self.board.now)
             return
         before = self.hears
         if offset == BRR and before:
@@ -99,16 +100,25 @@ class Usart(Peripheral):
         super().write(offset, value)
         if self.hears and not before:
             self.listens_from = self.searches_from = self.board.now
-        if offset == CR3:
-            self._ask_dma()
+        if offset in (CR1, CR3):
+            self.ask_dma()
         if offset in (CR1, BRR, CR3):
             self._call()
             self.listen()
+
+    def _fill(self, value, at):
+        """The data register gets a byte to be sent."""
+        self.values[SR] &= ~(TXE | TC)
+        self.waiting = value & 0xFF
+        if self.shifting is None:
+            self._shift(at)
+        self._call()
 
     def _shift(self, now):
         self.shifting, self.waiting = self.waiting, None
         self.shift_ends = now + 10 * self.bit_cycles()
         self.values[SR] |= TXE
+        self.ask_dma(now)
         self._plan()
 
     def listen(self):
@@ -162,12 +172,13 @@ class Usart(Peripheral):
                 self.wire.sent(byte, ended)
         if self.wire:
             self._sample(now)
-        while self.wire and (arriving := self.wire.next_byte()) and arriving[0] <= now:
+        # One at a time: where the processor has stood, DMA fetches it before the next one comes.
+        if self.wire and (arriving := self.wire.next_byte()) and arriving[0] <= now:
             sampled = self.samples
             self.wire.taken()
             if self.hears and not sampled:
                 self.searches_from = arriving[0]
-                self._receive(arriving[1], 0)
+                self._receive(arriving[1], 0, arriving[0])
         self._call()
         self._plan()
 
@@ -177,9 +188,9 @@ class Usart(Peripheral):
         while self.samples and (start := self._start()) is not None and start + 9.6 * bit <= now + 1:
             levels = [self.wire.level(start + (k + 9 / 16) * bit) for k in range(10)]
             self.searches_from = start + (9 + 9 / 16) * bit
-            self._receive(sum(level << k for k, level in enumerate(levels[1:9])), 0 if levels[9] else FE)
+            self._receive(sum(level << k for k, level in enumerate(levels[1:9])), 0 if levels[9] else FE, now)
 
-    def _receive(self, byte, error):
+    def _receive(self, byte, error, at):
         if self.values[SR] & RXNE:
             self.values[SR] |= ORE
             self.overruns += 1
@@ -188,14 +199,32 @@ class Usart(Peripheral):
             self.values[SR] |= RXNE | error
             # The interrupt sees RXNE even if a DMA stream fetches the byte a moment later.
             self._call()
-            self._ask_dma()
+            self.ask_dma(at)
 
-    def _ask_dma(self):
-        if self.values[CR3] & DMAR and self.values[SR] & RXNE:
-            if any(dma.request(self.name, self.base + DR, self.received) for dma in self.board.dma):
-                self.values[SR] &= ~RXNE
+    def ask_dma(self, at=None):
+        """Asks for a transfer where one is due and none is under way."""
+        at = self.board.now if at is None else at
+        sr, cr, cr3 = self.values[SR], self.values[CR1], self.values[CR3]
+        if cr3 & DMAR and sr & RXNE and not self.asked_to_read:
+            ask = (self.name, self.base + DR, self.bus, at, self._read_by_dma)
+            self.asked_to_read = any(dma.ask_for_usart(*ask) for dma in self.board.dma)
+        if cr3 & DMAT and sr & TXE and cr & (UE | TE) == UE | TE and not self.asked_to_write:
+            ask = (f"{self.name}_TX", self.base + DR, self.bus, at, self._written_by_dma)
+            self.asked_to_write = any(dma.ask_for_usart(*ask) for dma in self.board.dma)
+
+    def _read_by_dma(self, _, at):
+        self.asked_to_read = False
+        self.values[SR] &= ~(RXNE | FE | ORE | IDLE if is_chosen("flags-by-dma") else RXNE | self.seen & (FE | ORE | IDLE))
+        self.seen = 0
+        self._call()
+        return self.received
+
+    def _written_by_dma(self, byte, at):
+        self.asked_to_write = False
+        self._fill(byte, at)
 
     def _call(self):
-        sr, cr = self.values[SR], self.values[CR1]
+        sr, cr, cr3 = self.values[SR], self.values[CR1], self.values[CR3]
         wants = sr & (RXNE | ORE) and cr & RXNEIE or sr & TXE and cr & TXEIE or sr & TC and cr & TCIE
+        wants = wants or cr3 & EIE and cr3 & DMAR and sr & (FE | ORE)
         self.board.nvic.level(self.irq, bool(wants))

@@ -15,6 +15,7 @@ pub const PROFILE: Profile = Profile {
     has_second_motor: false,
     has_at_speed: true,
     program_pins: [0; 2],
+    most_baud: 1_000_000,
     has_store: false,
 };
 

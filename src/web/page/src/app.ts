@@ -1,94 +1,180 @@
 // The page: a job, the settings that it is checked with, and the panels that show what the firmware makes of it.
-import { $, el } from "./dom";
-import type { Description, Order, Path, Summary } from "./engine";
+import { Cable } from "./cable";
+import { listenToConnections } from "./connect";
+import { listenToConsole } from "./console";
+import { ContinuePanel } from "./continue";
+import { closeDialogs, listenToDialogs } from "./dialogs";
+import { $, allow, count, onclick } from "./dom";
+import { type Description, hindrance, type Order, type Path, type Summary } from "./engine";
 import * as firmware from "./firmware";
-import { MachinePanel } from "./machine";
-import { MaterialPanel } from "./stock";
-import { ResumePanel } from "./resume";
+import { FirstVisit } from "./first";
+import { JogPanel } from "./jog";
+import { linesOf, read, type Refusal, tooLarge } from "./jobfile";
+import { listenToKeys } from "./keys";
+import { Machine } from "./machine";
+import { Macros } from "./macros";
+import { OverridesPanel } from "./overrides";
+import { type JobPanel, NO_JOB, type Page, type Workspace } from "./page";
 import { Player } from "./player";
+import { PositionPanel } from "./position";
+import { ProbePanel } from "./probe";
+import { RunCard } from "./runcard";
+import { Settings } from "./settings";
+import { SettingsPanel } from "./settingspanel";
+import { SetupPanel } from "./setup";
+import { SpindlePanel } from "./spindle";
+import { StatusBar } from "./statusbar";
+import { MaterialPanel } from "./stock";
+import { ToolTable } from "./tooltable";
 import { placeAt } from "./track";
-import { SettingsPanel } from "./settings";
-import { clearReport, showReport } from "./report";
-import { ForecastPanels } from "./forecast";
-import { tabs } from "./tabs";
+import { units } from "./units";
+import { clearVerdict, showPlain, showVerdict } from "./verdict";
+import { WhatIf } from "./whatif";
+import { Workspaces } from "./workspaces";
 
 /** How long nothing may change before a job is checked with new settings, ms. */
 const QUIET = 150;
 
-export interface Job { name: string; bytes: Uint8Array; text: string; lines: string[] }
-const NO_JOB: Job = { name: "", bytes: new Uint8Array(0), text: "", lines: [] };
-
-export class App {
+export class App implements Page {
   job = NO_JOB;
   checked?: firmware.Checked;
-  readonly settings: SettingsPanel;
+  readonly settings: Settings;
+  readonly machine: Machine;
   readonly player: Player;
-  readonly forecasts: ForecastPanels;
-  readonly machine: MachinePanel;
   readonly material: MaterialPanel;
-  readonly rest: ResumePanel;
+  readonly continue: ContinuePanel;
+  private readonly workspaces: Workspaces;
+  private readonly panels: JobPanel[];
+  private readonly runCard: RunCard;
+  private readonly first: FirstVisit;
   private running?: AbortController;
   private timer?: ReturnType<typeof setTimeout>;
+  /** A line of the job was edited, and its time is kept. */
+  private keptLine = 0;
 
   constructor(readonly description: Description) {
     $("version").textContent = `Oxmill ${description.version}`;
-    for (const board of description.boards) $("board").append(el("option", { textContent: board.name }));
-    for (const name of Object.keys(firmware.examples)) $("example").append(el("option", { textContent: name }));
-    this.settings = new SettingsPanel(description, () => this.soon());
-    this.player = new Player(this);
-    this.forecasts = new ForecastPanels(this);
-    this.machine = new MachinePanel(this);
+    $("loading").hidden = true;
+    listenToDialogs();
+    this.settings = new Settings(description);
+    this.machine = new Machine(description.alarms);
+    this.machine.meanings = answer => {
+      const found = description.errors.find(({ code }) => answer === `error:${code}`);
+      return found && `${found.text}. ${found.advice}`;
+    };
+    this.workspaces = new Workspaces(() => {
+      closeDialogs();
+      if (this.workspaces?.now === "first") this.first?.show();
+      else this.first?.hide();
+    });
+    listenToConsole(this.machine);
+    const settingsPanel = new SettingsPanel(description, this.settings, this.machine, this);
+    this.player = new Player(this, this.machine);
     this.material = new MaterialPanel(this);
-    this.rest = new ResumePanel(this);
-    tabs();
-    theme();
+    this.continue = new ContinuePanel(this);
+    this.player.ontime = seconds => this.material.at(seconds);
+    this.panels = [new WhatIf(this), new Cable(this), this.material, this.continue];
+    listenToConnections(this.machine, this);
+    new StatusBar(this.machine, this);
+    const setup = new SetupPanel(this.machine, this);
+    const position = new PositionPanel(this.machine, () => setup.safeHeight());
+    const jog = new JogPanel(this.machine);
+    new OverridesPanel(this.machine);
+    new SpindlePanel(this.machine);
+    new ProbePanel(this.machine);
+    new Macros(this.machine, this);
+    new ToolTable(this.machine);
+    this.runCard = new RunCard(this.machine, this, { from: line => this.continue.from(this.machine.stopped?.job ?? this.job, line) });
+    this.first = new FirstVisit(this, this.settings, () => $("open-import").click());
+    this.settings.onchange(() => this.soon());
+    listenToKeys({ machine: this.machine, page: this, player: this.player, jog, position, setup, workspace: () => this.workspaces.now });
+    void settingsPanel;
+    this.theme();
     this.listen();
+    this.clearJob();
+    // Who has chosen a machine here before goes on with it.
+    if (this.settings.isKept) this.go("check");
+    else this.first.show();
   }
 
-  /** What a check is made with. */
+  go(workspace: Workspace): void {
+    this.workspaces.go(workspace);
+  }
+
   order(more: Order = {}): Order {
     const board = $<HTMLSelectElement>("board").value;
     return { name: this.job.name, board, work_zero: this.settings.workZero(), ...more, settings: { ...this.settings.values(), ...more.settings } };
   }
 
   open(name: string, bytes: Uint8Array): void {
-    const text = new TextDecoder().decode(bytes);
-    this.job = { name, bytes, text, lines: text.split(/\r\n|\r|\n/) };
-    if (this.job.lines.at(-1) === "") this.job.lines.pop();
-    $("name").textContent = name;
-    this.clear("Checking");
+    const found = read(name, bytes);
+    if ("head" in found) return this.refuse(name, found);
+    this.job = { name, bytes: found.bytes, text: found.text, lines: linesOf(found.text) };
+    this.keptLine = 0;
+    this.showName(count(this.job.lines.length, "line"));
+    $("save-job").hidden = true;
+    if (this.workspaces.now === "first" || this.workspaces.now === "settings") this.go("check");
+    this.clear();
+    showPlain("Checking");
     void this.check();
   }
 
   /** A file that cannot be read is no job, and leaves none of before. */
-  private unread(name: string, why: string): void {
+  private refuse(name: string, { head, text }: Refusal): void {
     this.running?.abort(new Error("another file was chosen"));
     clearTimeout(this.timer);
     this.job = { ...NO_JOB, name };
     this.checked = undefined;
-    $("name").textContent = name;
+    this.showName("not a job");
     $<HTMLProgressElement>("progress").hidden = true;
-    this.forecasts.clear();
-    this.material.clear();
-    this.rest.clear();
-    this.clear(el("span", { className: "bad", textContent: `Not read: ${why}` }));
+    if (this.workspaces.now === "first" || this.workspaces.now === "settings") this.go("check");
+    this.clear();
+    showPlain(head, text, "bad");
+    $("nothing").hidden = false;
+    this.allowRun();
+  }
+
+  private showName(size: string): void {
+    $("name").textContent = this.job.name;
+    $("job-size").textContent = `${size} · open another`;
+    $("jobchip").hidden = false;
+  }
+
+  private clearJob(): void {
+    this.clear();
+    $("nothing").hidden = false;
+    showPlain("No job is open", "Drop a G-code file anywhere on this page, or try a sample.");
+    this.allowRun();
+  }
+
+  /** Another line of the job. */
+  private edit(line: number, text: string): void {
+    const lines = [...this.job.lines];
+    lines[line - 1] = text;
+    const whole = `${lines.join("\n")}\n`;
+    this.job = { name: this.job.name, bytes: new TextEncoder().encode(whole), text: whole, lines };
+    this.keptLine = line;
+    $("job-size").textContent = `${count(lines.length, "line")} · edited`;
+    $("save-job").hidden = false;
+    void this.check();
   }
 
   /** Checks the job, once nothing has changed for a while. */
   soon(): void {
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => void this.check(), QUIET);
+    if (this.job.lines.length) this.timer = setTimeout(() => void this.check(), QUIET);
   }
 
   async check(): Promise<void> {
+    if (this.job.lines.length === 0 && this.job.bytes.length === 0) return;
     this.running?.abort(new Error("a newer check has begun"));
     const running = (this.running = new AbortController());
     this.checked = undefined;
-    this.forecasts.clear();
-    this.material.clear();
-    this.rest.clear();
+    for (const panel of this.panels) panel.clear();
+    this.allowRun();
     const progress = $<HTMLProgressElement>("progress");
-    progress.hidden = false;
+    // A small job needs none.
+    const slow = setTimeout(() => (progress.hidden = running.signal.aborted), 200);
     progress.value = 0;
     try {
       const checked = await firmware.check(this.order({ path: true }), this.job.bytes, running.signal, part => (progress.value = part));
@@ -96,71 +182,104 @@ export class App {
       this.show(checked.summary, checked.path as Path);
       this.checked = checked;
     } catch (error) {
-      if (running.signal.aborted) return;
+      if (running.signal.aborted) return clearTimeout(slow);
       const why = (error as Error).message;
       if (why.startsWith("$")) $("refused").textContent = why;
-      this.clear(el("span", { className: "bad", textContent: `Not checked: ${why}` }));
+      this.clear();
+      showPlain("Not checked", why, "bad");
     }
+    clearTimeout(slow);
     progress.hidden = true;
+    this.runCard.jobChanged();
+    this.allowRun();
   }
 
   /** Shows nothing of another job, or of other settings. */
-  private clear(verdict: string | HTMLElement): void {
-    $("verdict").replaceChildren(verdict);
-    clearReport();
+  private clear(): void {
+    clearVerdict();
+    for (const panel of this.panels) panel.clear();
     this.player.clear();
+    $("nothing").hidden = true;
+    this.runCard?.jobChanged();
   }
 
   private show(summary: Summary, path: Path): void {
-    showReport(summary, this.job.lines, line => this.player.goToLine(line));
+    this.showFigures(summary, path);
+    $("nothing").hidden = true;
     this.player.show(path, summary);
-    this.material.show(path, summary);
+    for (const panel of this.panels) panel.show?.(path, summary);
+    if (this.keptLine) this.player.goToLine(this.keptLine);
+  }
+
+  private showFigures(summary: Summary, path: Path): void {
+    showVerdict(summary, path, {
+      lines: this.job.lines,
+      travelIsChecked: this.settings.workZero() !== undefined && this.settings.value(20) === 1,
+      goTo: line => this.player.goToLine(line),
+      giveZero: () => {
+        this.go("settings");
+        $("work-zero").querySelector("input")?.focus();
+      },
+    });
+  }
+
+  /** Whether there is a job that may go to the machine. */
+  private allowRun(): void {
+    const { summary } = this.checked ?? {};
+    const hindered = summary && hindrance(summary);
+    const why = !summary ? this.job.lines.length ? "Off until the job is checked." : "Open a job first." : hindered && `Off: ${hindered.text}.`;
+    allow($("to-run"), why);
+    $("to-run-why").textContent = why ?? "";
   }
 
   private listen(): void {
-    const example = $<HTMLSelectElement>("example");
+    this.player.program.onedit = (line, text) => this.edit(line, text);
     const file = $<HTMLInputElement>("file");
     const openFile = async (chosen?: File) => {
       if (!chosen) return;
-      example.selectedIndex = -1;
+      const large = tooLarge(chosen.name, chosen.size);
+      if (large) return this.refuse(chosen.name, large);
       try {
         this.open(chosen.name, new Uint8Array(await chosen.arrayBuffer()));
       } catch (error) {
-        this.unread(chosen.name, (error as Error).message);
+        this.refuse(chosen.name, { head: "This file cannot be read.", text: (error as Error).message });
       }
     };
-    const openExample = () => this.open(example.value, new TextEncoder().encode(firmware.examples[example.value]));
-    example.addEventListener("change", openExample);
+    onclick("brand", () => this.go("first"));
+    onclick("jobchip", () => file.click());
+    onclick("nothing-file", () => file.click());
+    onclick("to-run", () => this.go("run"));
     $("board").addEventListener("change", () => void this.check());
+    units.onchange(() => this.checked?.path && this.showFigures(this.checked.summary, this.checked.path));
     file.addEventListener("change", async () => {
       await openFile(file.files?.[0]);
       // The same file again, edited, is a change, too.
       file.value = "";
     });
+    const over = (shown: boolean) => document.body.classList.toggle("over-drop", shown);
     addEventListener("dragover", event => {
       event.preventDefault();
-      $("drop").classList.add("over");
+      over(true);
     });
-    addEventListener("dragleave", () => $("drop").classList.remove("over"));
+    addEventListener("dragleave", event => event.relatedTarget === null && over(false));
     addEventListener("drop", event => {
       event.preventDefault();
-      $("drop").classList.remove("over");
+      over(false);
       void openFile(event.dataTransfer?.files[0]);
     });
-    openExample();
   }
-}
 
-/** Light or dark: as the system has it, until a person chooses. */
-function theme(): void {
-  const dark = matchMedia("(prefers-color-scheme: dark)");
-  const set = (to: boolean) => {
-    document.documentElement.dataset.theme = to ? "dark" : "light";
-    dispatchEvent(new Event("resize"));
-  };
-  set(dark.matches);
-  dark.addEventListener("change", () => set(dark.matches));
-  $("theme").addEventListener("click", () => set(document.documentElement.dataset.theme !== "dark"));
+  /** Light or dark: as the system has it, until a person chooses. */
+  private theme(): void {
+    const dark = matchMedia("(prefers-color-scheme: dark)");
+    const set = (to: boolean) => {
+      document.documentElement.dataset.theme = to ? "dark" : "light";
+      this.player.recolor();
+    };
+    set(dark.matches);
+    dark.addEventListener("change", () => set(dark.matches));
+    onclick("theme", () => set(document.documentElement.dataset.theme !== "dark"));
+  }
 }
 
 /** For programs: the object that `oxmill run --json` prints. */
@@ -172,9 +291,10 @@ async function main(): Promise<void> {
   try {
     await firmware.load();
     const app = new App(await firmware.describe());
-    Object.assign(globalThis, { oxmill: { check, app, placeAt } });
+    Object.assign(globalThis, { oxmill: { check, app, placeAt, examples: firmware.examples } });
   } catch (error) {
-    $("verdict").textContent = `The firmware could not be loaded: ${(error as Error).message}`;
+    $("loading").hidden = false;
+    $("loading").textContent = `The firmware could not be loaded: ${(error as Error).message}`;
   }
 }
 void main();

@@ -3,6 +3,9 @@
 export type Vector = [number, number, number];
 const HALF_ANGLE = 0.35;
 const STEEPEST = 1.5707;
+/** How far above the middle of the view the target is, as a part of half its height: the legend is below. In a low view that takes a larger part of it. */
+const LIFT = 0.12;
+const LOW = { height: 420, lift: 0.3, farther: 1.2 };
 
 export class Camera {
   /** Turn around Z from the front, and height above the table, radians. */
@@ -10,6 +13,7 @@ export class Camera {
   height = 0.7;
   distance = 100;
   target: Vector = [0, 0, 0];
+  private lift = LIFT;
   private right: Vector = [1, 0, 0];
   private up: Vector = [0, 0, 1];
   private matrix = new Float32Array(16);
@@ -19,11 +23,15 @@ export class Camera {
     this.height = Math.max(-STEEPEST, Math.min(STEEPEST, height));
   }
 
-  /** Sees a box whole. */
-  fit(low: Vector, high: Vector, aspect: number): void {
+  /** Sees a box whole, in a view of so many pixels. */
+  fit(low: Vector, high: Vector, width: number, height: number): void {
+    const aspect = width / Math.max(1, height);
+    const isLow = height > 0 && height < LOW.height;
+    this.lift = isLow ? LOW.lift : LIFT;
     this.target = low.map((l, i) => (l + high[i]) / 2) as Vector;
     const size = Math.hypot(...high.map((h, i) => h - low[i])) || 10;
-    this.distance = (size * 0.55) / Math.tan(HALF_ANGLE) / Math.min(1, aspect * 0.85);
+    // With room for the legend and the numbers along the grid.
+    this.distance = (size * 0.58) / Math.tan(HALF_ANGLE) / Math.min(1, aspect * 0.85) * (isLow ? LOW.farther : 1);
   }
 
   /** Moves the target by so many pixels of a view of this height. */
@@ -63,6 +71,7 @@ export class Camera {
     m[13] = dot(rows[1]);
     m[14] = (z * (far + near)) / (near - far) + (2 * far * near) / (near - far);
     m[15] = -z;
+    for (let column = 0; column < 4; column++) m[column * 4 + 1] += this.lift * m[column * 4 + 3];
     return m;
   }
 

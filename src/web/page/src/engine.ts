@@ -9,6 +9,8 @@ export interface Order {
   machine?: object;
   /** Of G54 in mm of machine coordinates, for a machine that is homed before its job. */
   work_zero?: number[];
+  /** Lines that the machine carries out before its job: its offsets and tools. */
+  stored?: string[];
   baud?: number;
   resume?: Resume;
 }
@@ -35,6 +37,16 @@ export interface Summary {
   peak_speed_mm_s: number; peak_acceleration_mm_s2: number; trace_hash: string; order_hash: string; host_s: number;
 }
 
+/** What keeps a job from running, if something does: what it is, its line, and what the firmware says of it. */
+export function hindrance({ errors, more_errors, alarm, complete }: Summary): { text: string; line?: number; more?: string } | undefined {
+  const refused = errors.length + more_errors;
+  const [first] = errors;
+  // Behind an alarm lines are refused because of it.
+  if (alarm && !(first && first.line < (alarm.line ?? 0))) return { text: `the job ends in alarm ${alarm.code}`, line: alarm.line ?? undefined, more: alarm.text };
+  if (refused) return { text: `${refused.toLocaleString("en")} line${refused === 1 ? "" : "s"} would be refused`, line: first.line, more: `Line ${first.line}: ${first.text}` };
+  return complete ? undefined : { text: "the job does not come to its end" };
+}
+
 /** Where work zero is at the end of a job, mm of machine coordinates. */
 export const workZero = (summary: Summary): [number, number, number] =>
   summary.position_mm.map((at, axis) => at - summary.work_position_mm[axis]) as [number, number, number];
@@ -43,8 +55,8 @@ export const workZero = (summary: Summary): [number, number, number] =>
 export const ROW = 6;
 export const RAPID = 0x80000000;
 export const ARC = 0x40000000;
-/** For each row also its line, with RAPID or ARC, and its tool. */
-export interface Path { rows: Float32Array; lines: Uint32Array; tools: Uint32Array }
+/** For each row also its line, with RAPID or ARC, its tool, and S while the spindle is on. */
+export interface Path { rows: Float32Array; lines: Uint32Array; tools: Uint32Array; speeds: Uint32Array }
 
 export interface Streamed { baud: number; forecast_s: number; complete: boolean; errors: number; lost: { line: number; seconds: number }[] }
 
@@ -53,6 +65,8 @@ export interface Setting {
   values: string; default: number; grbl: boolean; axis: string | null;
   /** What it does, and when one changes it. */
   explanation: string;
+  /** The name that all axes share, the group, and the names of its choices or bits, from 0 on. */
+  title: string; group: string; labels: string[];
 }
 export interface Meaning { code: number; text: string; advice: string }
 export interface Description {
@@ -74,6 +88,7 @@ interface Exports {
   oxmill_path_rows(): number;
   oxmill_path_lines(): number;
   oxmill_path_tools(): number;
+  oxmill_path_speeds(): number;
   oxmill_stream_begin(): number;
   oxmill_stream_advance(ms: number): number;
   oxmill_stream_summary(): number;
@@ -115,12 +130,13 @@ export class Engine {
   path(): Path {
     const count = this.guard(() => this.wasm.oxmill_path());
     // An address is told as a signed number.
-    const [rows, lines, tools] = [this.wasm.oxmill_path_rows(), this.wasm.oxmill_path_lines(), this.wasm.oxmill_path_tools()].map(at => at >>> 0);
+    const [rows, lines, tools, speeds] = [this.wasm.oxmill_path_rows(), this.wasm.oxmill_path_lines(), this.wasm.oxmill_path_tools(), this.wasm.oxmill_path_speeds()].map(at => at >>> 0);
     const { buffer } = this.wasm.memory;
     return {
       rows: new Float32Array(buffer, rows, count * ROW).slice(),
       lines: new Uint32Array(buffer, lines, count).slice(),
       tools: new Uint32Array(buffer, tools, count).slice(),
+      speeds: new Uint32Array(buffer, speeds, count).slice(),
     };
   }
 

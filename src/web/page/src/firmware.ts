@@ -68,9 +68,9 @@ export async function resume(order: Order, job: Uint8Array, signal?: AbortSignal
   return (await run<Answer & { rest: Rest }>({ task: "resume", order, job }, "resumed", signal)).rest;
 }
 
-/** What the cutters leave of a block. No firmware in it, but a worker all the same: it takes seconds. */
-export async function cutBlock(path: Path, cutters: Record<number, Cutter>, block: Block, signal: AbortSignal, progress: (part: number) => void): Promise<Material> {
-  return (await run<Answer & { material: Material }>({ task: "material", path, cutters, block }, "material", signal, progress)).material;
+/** What the cutters leave of a block up to a time. No firmware in it, but a worker all the same: it takes seconds. */
+export async function cutBlock(path: Path, cutters: Record<number, Cutter>, block: Block, until: number, signal: AbortSignal, progress: (part: number) => void): Promise<Material> {
+  return (await run<Answer & { material: Material }>({ task: "material", path, cutters, block, until }, "material", signal, progress)).material;
 }
 
 /** Does tasks with as many workers at a time as there are cores, but not more than four. */

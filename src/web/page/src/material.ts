@@ -72,17 +72,17 @@ export function blockOf(path: Path, cutters: Record<number, Cutter>, zero: numbe
 }
 
 /**
- * Cuts a block. Over a cell, a move leaves the lowest height that the cutter had there: the cutter's profile above its tip is
+ * Cuts a block, up to a time of the job. Over a cell, a move leaves the lowest height that the cutter had there: the cutter's profile above its tip is
  * convex, so the place of the move where this is, follows from the slope in closed form.
  */
-export function cut(path: Path, cutters: Record<number, Cutter>, block: Block, cell: number, progress: (part: number) => void = () => {}): Material {
+export function cut(path: Path, cutters: Record<number, Cutter>, block: Block, cell: number, progress: (part: number) => void = () => {}, until = Infinity): Material {
   const nx = Math.max(1, Math.round((block.high[0] - block.low[0]) / cell));
   const ny = Math.max(1, Math.round((block.high[1] - block.low[1]) / cell));
   const [dx, dy] = [(block.high[0] - block.low[0]) / nx, (block.high[1] - block.low[1]) / ny];
   const heights = new Float32Array(nx * ny).fill(block.high[2]);
   const crashes: Crash[] = [];
   const { rows } = path;
-  for (let row = 1; row < path.lines.length; row++) {
+  for (let row = 1; row < path.lines.length && path.rows[row * ROW + 4] < until; row++) {
     if (row % ROWS_AT_A_TIME === 0) progress(row / path.lines.length);
     const [from, to] = [(row - 1) * ROW, row * ROW];
     const rapid = path.lines[row] >= RAPID;

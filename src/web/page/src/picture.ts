@@ -9,6 +9,8 @@ import { BLOCK_FRAGMENT, BLOCK_VERTEX, FRAGMENT, VERTEX } from "./shaders";
 const STRIDE = 6;
 /** Rows up to which thick lines are drawn at once. Beyond, a strip of thin ones until the view has come to rest. */
 const QUICK = 20_000;
+/** Rows that are drawn while the view moves, at most. */
+const MOVING = 60_000;
 /** A picture with thick lines that took longer than this is not asked for again, ms. */
 const SLOW = 250;
 const REST = 200;
@@ -21,6 +23,8 @@ const QUADS = 250_000;
 const QUADS_MOVING = 40_000;
 
 interface Lines { thick: WebGLVertexArrayObject; thin: WebGLVertexArrayObject; buffer: WebGLBuffer; count: number }
+/** The path with fewer rows, for a view that moves. */
+interface Thinned { array: WebGLVertexArrayObject; indices: WebGLBuffer; count: number }
 
 interface Box { low: Vector; high: Vector }
 
@@ -32,6 +36,12 @@ export class Picture {
   onpaint = () => {};
   /** Called when somebody points at a row. */
   onpick: (row: number) => void = () => {};
+  /** Whether rapids are drawn. */
+  rapids = true;
+  /** Millimetres of the unit in which the grid counts. */
+  unit = 1;
+  /** The grid in work coordinates, mm: where it begins and ends along X and Y, and its step. */
+  lattice = { from: [0, 0], to: [0, 0], step: 10 };
   /** With a block: whether the whole path is drawn, or rapids through material alone. */
   withPath = false;
   private readonly gl: WebGL2RenderingContext;
@@ -42,6 +52,7 @@ export class Picture {
   private material?: Material;
   private readonly uniforms: Record<string, WebGLUniformLocation | null> = {};
   private readonly path: Lines;
+  private readonly thinned: Thinned;
   private readonly grid: Lines;
   private readonly box: Lines;
   private rows: Float32Array = new Float32Array(0);
@@ -61,12 +72,13 @@ export class Picture {
     this.gl = gl;
     this.lineProgram = this.program(VERTEX, FRAGMENT);
     this.blockProgram = this.program(BLOCK_VERTEX, BLOCK_FRAGMENT);
-    for (const name of ["view", "pixel", "width", "strip", "now", "plain", "ink", "rapid", "plunge", "crash", "future", "only", "scale"]) {
+    for (const name of ["view", "pixel", "width", "strip", "now", "plain", "ink", "rapid", "plunge", "crash", "future", "only", "rapids", "scale"]) {
       this.uniforms[name] = gl.getUniformLocation(this.lineProgram, name);
     }
     this.heights = gl.createTexture();
     this.nothing = gl.createVertexArray();
     this.path = this.lines(1);
+    this.thinned = { array: this.path.thin, indices: gl.createBuffer(), count: 0 };
     this.grid = this.lines(2);
     this.box = this.lines(2);
     gl.enable(gl.BLEND);
@@ -108,7 +120,26 @@ export class Picture {
       data[i * STRIDE + 5] = shades[i];
     }
     this.load(this.path, data);
+    this.thin();
     this.draw();
+  }
+
+  /** Leaves rows out that a view in motion does not miss: of a run of one shade of rapid or feed, all but every so many. */
+  private thin(): void {
+    const { gl, shades, thinned } = this;
+    const stride = Math.ceil(shades.length / MOVING);
+    thinned.count = 0;
+    if (stride < 2) return;
+    const kept: number[] = [];
+    for (let row = 0; row < shades.length; row++) {
+      const turns = row + 1 === shades.length || (shades[row] < 0) !== (shades[row + 1] < 0);
+      if (row % stride === 0 || turns) kept.push(row);
+    }
+    gl.bindVertexArray(thinned.array);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, thinned.indices);
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array(kept), gl.STATIC_DRAW);
+    gl.bindVertexArray(null);
+    thinned.count = kept.length;
   }
 
   /** Shows what is left of a block, or takes it away. */
@@ -147,8 +178,21 @@ export class Picture {
     const boxes = [this.material?.block, this.travel].filter(box => box !== undefined);
     const low = this.low.map((value, axis) => Math.min(value, ...boxes.map(box => box.low[axis]))) as Vector;
     const high = this.high.map((value, axis) => Math.max(value, ...boxes.map(box => box.high[axis]))) as Vector;
-    this.camera.fit(low, high, this.canvas.clientWidth / Math.max(1, this.canvas.clientHeight));
+    const { clientWidth, clientHeight } = this.canvas;
+    this.camera.fit(low, high, clientWidth, clientHeight);
     this.draw();
+  }
+
+  /** Counts the grid in another unit. */
+  measureIn(unit: number): void {
+    this.unit = unit;
+    this.load(this.grid, this.gridLines());
+    this.draw();
+  }
+
+  /** Where work zero is, mm of machine coordinates. */
+  get workZero(): Vector {
+    return this.zero;
   }
 
   look(turn: number, height: number): void {
@@ -220,9 +264,10 @@ export class Picture {
   /** A grid on the plane of work zero under the path, and the axes at work zero. */
   private gridLines(): Float32Array {
     const { low, high, zero } = this;
-    const step = 10 ** Math.floor(Math.log10((Math.hypot(high[0] - low[0], high[1] - low[1]) || 10) / 3));
+    const step = this.unit * 10 ** Math.floor(Math.log10((Math.hypot(high[0] - low[0], high[1] - low[1]) || 10) / this.unit / 3));
     const from = [0, 1].map(axis => Math.floor((low[axis] - zero[axis]) / step - 1) * step);
     const to = [0, 1].map(axis => Math.ceil((high[axis] - zero[axis]) / step + 1) * step);
+    this.lattice = { from, to, step };
     const all: number[] = [];
     const line = (...ends: [Vector, Vector]) => all.push(...segment(...(ends.map(end => end.map((v, axis) => v + zero[axis])) as [Vector, Vector])));
     for (let x = from[0]; x <= to[0] + step / 2; x += step) line([x, from[1], 0], [x, to[1], 0]);
@@ -249,6 +294,7 @@ export class Picture {
     gl.useProgram(this.lineProgram);
     gl.uniformMatrix4fv(uniforms.view, false, view);
     gl.uniform1i(uniforms.only, this.material && !this.withPath ? 1 : 0);
+    gl.uniform1i(uniforms.rapids, this.rapids ? 1 : 0);
     gl.uniform2f(uniforms.pixel, 2 / width, 2 / height);
     gl.uniform1i(uniforms.plain, 1);
     gl.uniform1i(uniforms.strip, 0);
@@ -305,7 +351,8 @@ export class Picture {
     if (path.count > QUICK && (moving || this.thickIsSlow)) {
       gl.uniform1i(uniforms.strip, 1);
       gl.bindVertexArray(path.thin);
-      gl.drawArrays(gl.LINE_STRIP, 0, path.count);
+      if (moving && this.thinned.count) gl.drawElements(gl.LINE_STRIP, this.thinned.count, gl.UNSIGNED_INT, 0);
+      else gl.drawArrays(gl.LINE_STRIP, 0, path.count);
       if (!this.thickIsSlow) setTimeout(() => this.draw(), REST);
       return;
     }

@@ -1,123 +1,225 @@
-// The picture with its time: scrubber, play, speed chart and the lines of the job.
-import type { App } from "./app";
-import { $, clock, css, el } from "./dom";
+// One clock for the picture, the chart and the lines: that of the machine while it works, else that of the scrubber.
+import { Chart } from "./chart";
+import { $, icon, minutes, say } from "./dom";
 import { type Path, ROW, type Summary, workZero } from "./engine";
+import { type Key, showLegend } from "./legend";
+import type { Machine } from "./machine";
 import type { Material } from "./material";
+import { Overlay } from "./overlay";
+import type { Page, Timeline } from "./page";
 import { Picture } from "./picture";
+import { Program } from "./program";
 import { SHADE } from "./shaders";
-import { beginOfLine, type Coloring, endOf, isRapid, lineOf, placeAt, rowAt, shades } from "./track";
+import { beginOfLine, type Coloring, endOf, isArc, isPlunge, isRapid, type Legend, lineOf, placeAt, rowAt, shades } from "./track";
+import { units } from "./units";
 
-/** Height of a line in the list, px, and the greatest height that browsers draw. */
-const LINE = 18;
-const TALLEST = 15_000_000;
+const NO_PATH: Path = { rows: new Float32Array(0), lines: new Uint32Array(0), tools: new Uint32Array(0), speeds: new Uint32Array(0) };
+/** Refused lines that are marked in the picture. */
+const MARKED = 50;
 
-const NO_PATH: Path = { rows: new Float32Array(0), lines: new Uint32Array(0), tools: new Uint32Array(0) };
-
-export class Player {
+export class Player implements Timeline {
   readonly picture?: Picture;
-  /** The time that is shown, s, and the line that the tool is at. */
+  readonly program: Program;
   time = 0;
   line = 0;
+  /** Called when the block has to be as it is at another time. */
+  ontime: (seconds: number) => void = () => {};
   /** The same path from above, once it was asked for. */
   private second?: Picture;
-  private machine?: number[];
+  private machinePlace?: number[];
+  /** Where the machine was marked. */
+  private seen = "";
+  /** What of the list was marked for it. */
+  private marked = "";
+  private live = false;
   private material?: Material;
   private path?: Path;
   private summary?: Summary;
+  private legend: Legend = { caption: "", ticks: [] };
+  private refused: number[][] = [];
+  /** Kinds of moves that the path has. */
+  private has = { rapid: false, arc: false, plunge: false, line: false };
   private playing = false;
-  private readonly scrub = $<HTMLInputElement>("scrub");
-  private readonly list = $("lines");
-  private readonly chart = $<HTMLCanvasElement>("chart");
+  private readonly chart = new Chart();
+  private readonly overlay = new Overlay($<HTMLCanvasElement>("marks"));
 
-  constructor(private readonly app: App) {
+  constructor(private readonly page: Page, private readonly machine: Machine) {
+    this.program = new Program(page);
+    this.program.onpick = line => this.goToLine(line);
+    this.chart.onseek = seconds => this.seek(seconds);
     try {
       this.picture = new Picture($<HTMLCanvasElement>("view"));
       this.picture.onpaint = () => this.mark();
       this.picture.onpick = row => this.seek(this.path ? this.path.rows[row * ROW + 5] : 0);
     } catch (error) {
       $("nopicture").hidden = false;
-      $("nopicture").textContent = `No picture: ${(error as Error).message}. Check and forecast work without it.`;
-      $("tools").hidden = true;
-      $("legend").hidden = true;
+      say("nopicture", `No picture: ${(error as Error).message}. Check and forecast work without it.`);
+      $("tools").hidden = $("legend").hidden = $("marks").hidden = true;
     }
     this.listen();
+    machine.onchange(() => this.followMachine());
   }
 
   show(path: Path, summary: Summary): void {
     this.path = path;
     this.summary = summary;
-    this.picture?.show(path, this.color(), workZero(summary));
+    const kinds = { rapid: false, arc: false, plunge: false, line: false };
+    for (let row = 1; row < path.lines.length; row++) kinds[isRapid(path, row) ? "rapid" : isPlunge(path, row) ? "plunge" : isArc(path, row) ? "arc" : "line"] = true;
+    this.has = kinds;
+    const times = summary.errors.slice(0, MARKED).map(({ line }) => beginOfLine(path, line));
+    this.refused = path.lines.length > 1 ? times.map(time => placeAt(path, time)) : [];
+    this.chart.refused = times;
+    this.program.refused = new Set(summary.errors.map(error => error.line));
+    this.program.warned = new Set(summary.warnings.map(warning => warning.line));
+    if (this.picture) {
+      this.picture.unit = units.size;
+      this.picture.show(path, this.color(), workZero(summary));
+    }
     this.showSecond();
     this.limits();
-    this.scrub.max = String(endOf(path));
-    ($("lines-all") as HTMLElement).style.height = `${Math.min(TALLEST, this.app.job.lines.length * LINE)}px`;
+    this.program.show();
+    this.chart.show(path);
     this.seek(endOf(path));
-    this.drawChart();
   }
 
   /** No path: its job was not checked. */
   clear(): void {
     if (this.playing) this.play();
     this.summary = this.path = undefined;
-    [this.time, this.line] = [0, 0];
-    this.scrub.max = "0";
-    $("clock").textContent = "";
+    [this.time, this.line, this.refused] = [0, 0, []];
+    this.chart.refused = [];
+    [this.program.refused, this.program.warned] = [new Set(), new Set()];
+    say("clock", $("clock-end").textContent = "");
     for (const picture of [this.picture, this.second]) picture?.show(NO_PATH, new Float32Array(0));
-    this.list.scrollTop = 0;
+    this.program.top();
+    this.program.show();
+    this.program.mark(0);
     this.mark();
-    this.drawLines();
-    this.drawChart();
-    this.drawCursor();
+    this.chart.show();
+    this.chart.at(0, false);
   }
 
-  /** Shows a time of the job. */
   seek(seconds: number): void {
+    if (!this.path || this.live) return;
+    this.showTime(seconds);
+    this.program.mark(this.line);
+  }
+
+  goToLine(line: number): void {
+    if (!this.path || this.live) return this.program.mark(line);
+    this.seek(beginOfLine(this.path, line));
+    this.line = line;
+    this.program.mark(line);
+  }
+
+  /** Picture, chart and clock at a time of the job. */
+  private showTime(seconds: number): void {
     if (!this.path) return;
     const end = endOf(this.path);
     this.time = Math.max(0, Math.min(end, seconds));
-    this.scrub.value = String(this.time);
     this.line = this.path.lines.length ? lineOf(this.path, rowAt(this.path, this.time)) : 0;
-    $("clock").textContent = `${clock(this.time)} of ${clock(end)}`;
+    say("clock", minutes(this.time));
+    say("clock-end", `of ${minutes(end)}`);
+    this.chart.at(this.time, this.live);
+    this.ontime(this.time);
     for (const picture of [this.picture, this.second]) {
       if (!picture) continue;
       picture.now = this.time >= end ? Infinity : this.time;
       picture.draw();
     }
-    this.scrollTo(this.line || 1);
-    this.drawLines();
-    this.drawCursor();
   }
 
-  /** Shows the time at which a line begins. */
-  goToLine(line: number): void {
-    if (!this.path) return;
-    this.seek(beginOfLine(this.path, line));
-    this.line = line;
-    this.scrollTo(line);
-    this.drawLines();
+  /** While a job runs, the machine has the clock. */
+  private followMachine(): void {
+    const { machine, path } = this;
+    const { running, status, sender } = machine;
+    const place = status?.machine;
+    const own = this.summary ? workZero(this.summary) : [0, 0, 0];
+    // The picture has the job's work zero; the machine is where it is as seen from its own.
+    this.machinePlace = place && status ? [0, 1, 2].map(axis => status.work[axis] + own[axis]) : undefined;
+    const live = running !== undefined && path !== undefined && running.job === this.page.job;
+    if (live !== this.live) {
+      this.live = live;
+      if (live && this.playing) this.play();
+      $("follow-label").hidden = !live;
+      ($("play") as HTMLButtonElement).disabled = live;
+      $("play").title = live ? "Off: the time follows the machine." : "Play (P)";
+      $("rate").hidden = live;
+      this.marked = "";
+      if (live) this.showTime(running?.follower.time ?? 0);
+      if (!live) {
+        this.chart.at(this.time, false);
+        this.program.mark(this.line);
+      }
+      this.program.locked = live ? "Off while the job runs." : undefined;
+      this.program.draw();
+    }
+    if (live && running) {
+      if (running.follower.time !== this.time) this.showTime(running.follower.time);
+      const marked = `${this.line} ${sender?.sent} ${this.followsMachine}`;
+      if (marked !== this.marked) this.program.mark(this.line, sender?.sent ?? 0, this.followsMachine);
+      this.marked = marked;
+    }
+    say("dock-note", live ? "Follows the machine." : "Click a line to see its place.");
+    // A picture that is drawn anew marks it, too.
+    const seen = `${this.machinePlace} ${machine.phase} ${machine.isUnsure}`;
+    if (seen !== this.seen) this.mark();
+    this.seen = seen;
   }
 
-  /** Colours of the rows, and the legend for them. */
+  private get followsMachine(): boolean {
+    return $<HTMLInputElement>("follow").checked;
+  }
+
   private color(): Float32Array {
     const coloring = $<HTMLSelectElement>("coloring").value as Coloring;
-    const made = shades(this.path as Path, coloring);
-    $("scale-low").textContent = made.legend.low;
-    $("scale-high").textContent = made.legend.high;
-    $("plunges").hidden = coloring !== "kind";
-    $("scale").classList.toggle("kinds", coloring === "kind");
+    const zero = this.summary ? workZero(this.summary)[2] : 0;
+    const made = shades(this.path as Path, coloring, zero, units.name === "inch");
+    this.legend = made.legend;
     for (const crash of this.material?.crashes ?? []) for (const row of crash.rows) made.shades[row] = SHADE.crash;
     return made.shades;
+  }
+
+  /** What is drawn, in words. */
+  private keys(): Key[] {
+    const { picture, material, has } = this;
+    if (!picture || !this.path) return [];
+    const keys: Key[] = [];
+    const path = !material || picture.withPath;
+    if ($<HTMLSelectElement>("coloring").value === "kind" && path) {
+      if (has.line) keys.push({ text: "line", kind: "", color: "--scale-1" });
+      if (has.arc) keys.push({ text: "arc", kind: "", color: "--scale-4" });
+      if (has.plunge) keys.push({ text: "plunge", kind: "", color: "--plunge" });
+    }
+    if (has.rapid && picture.rapids && path) keys.push({ text: "rapid", kind: "dashed", color: "--rapid" });
+    if (material?.crashes.length) keys.push({ text: "rapid through material", kind: "", color: "--bad" });
+    if (this.toolIsShown) keys.push({ text: "time", kind: "dot", color: "--ink" });
+    if (this.machinePlace) keys.push({ text: this.live ? "machine now" : "machine", kind: "cutter", color: this.machineIsFine ? "--good" : "--warn" });
+    keys.push({ text: "work zero", kind: "zero", color: "--ink" });
+    if (this.refused.length) keys.push({ text: "refused line", kind: "cross", color: "--bad" });
+    if ($<HTMLInputElement>("limits").checked) keys.push({ text: "travel", kind: "", color: "--accent" });
+    if (material) keys.push({ text: "block", kind: "solid", color: "--block" }, { text: "cut", kind: "solid", color: "--block-cut" });
+    return keys;
+  }
+
+  /** At the end of the job the whole path is seen: a mark says no more. */
+  private get toolIsShown(): boolean {
+    return this.path !== undefined && !this.live && this.path.lines.length > 1 && this.time < endOf(this.path);
+  }
+
+  private get machineIsFine(): boolean {
+    return ["idle", "run", "jog", "home"].includes(this.machine.phase) && !this.machine.isUnsure;
   }
 
   /** Shows what is left of a block, with rapids through it in red; or the path alone again. */
   showBlock(material?: Material, withPath = false): void {
     if (!material && !this.material) return;
+    const sameJob = material && this.material && material.crashes === this.material.crashes;
     this.material = material;
-    $("crash-key").hidden = !material?.crashes.length;
     for (const picture of [this.picture, this.second]) {
       if (!picture || !this.path) continue;
       picture.withPath = withPath;
-      picture.shade(this.color());
+      if (!sameJob) picture.shade(this.color());
       picture.block(material);
     }
   }
@@ -132,42 +234,36 @@ export class Player {
       this.second = new Picture($<HTMLCanvasElement>("second"));
       this.second.onpick = row => this.seek(this.path ? this.path.rows[row * ROW + 5] : 0);
     }
+    this.second.unit = units.size;
     this.second.show(this.path, this.color(), workZero(this.summary));
     this.second.withPath = this.picture?.withPath ?? false;
+    this.second.rapids = this.picture?.rapids ?? true;
     this.second.block(this.material);
     this.second.look(0, Math.PI / 2);
   }
 
   private limits(): void {
     if (!this.path) return;
-    const travel = [130, 131, 132].map(number => this.app.settings.value(number));
+    const travel = [130, 131, 132].map(number => this.page.settings.value(number));
     const shown = $<HTMLInputElement>("limits").checked;
     // Homing names the travel so, whichever ends have the switches.
     const box = shown ? { low: travel.map(v => -v) as [number, number, number], high: [0, 0, 0] as [number, number, number] } : undefined;
     for (const picture of [this.picture, this.second]) picture?.limits(box);
   }
 
-  /** Shows where the machine is that is driven, mm; without a place there is none. */
-  showMachine(place?: number[]): void {
-    this.machine = place;
-    this.mark();
-  }
-
-  /** Puts the marks where the tool of the job and the machine are. */
   private mark(): void {
-    const tool = this.path?.lines.length ? this.picture?.place(placeAt(this.path, this.time)) : undefined;
-    const machine = this.machine && this.picture?.place(this.machine);
-    for (const [id, at] of [["tool", tool], ["machine-at", machine]] as const) {
-      $(id).hidden = !at;
-      if (at) [$(id).style.left, $(id).style.top] = [`${at[0]}px`, `${at[1]}px`];
-    }
+    if (!this.picture) return;
+    const tool = this.toolIsShown && this.path ? placeAt(this.path, this.time) : undefined;
+    this.overlay.draw(this.picture, { tool, machine: this.machinePlace, machineIsFine: this.machineIsFine, refused: this.refused }, !this.material);
+    showLegend(this.legend, this.keys());
+    $("legend").hidden = this.path === undefined;
   }
 
   private play(): void {
-    if (!this.path) return;
+    if (!this.path || (this.live && !this.playing)) return;
     this.playing = !this.playing;
     const button = $("play");
-    button.innerHTML = this.playing ? "&#9208;" : "&#9654;";
+    button.replaceChildren(icon(this.playing ? "hold" : "play"));
     button.setAttribute("aria-label", this.playing ? "Pause" : "Play");
     if (this.playing && this.time >= endOf(this.path)) this.seek(0);
     let last: number | undefined;
@@ -182,91 +278,36 @@ export class Player {
     if (this.playing) requestAnimationFrame(step);
   }
 
-  private scrollTo(line: number): void {
-    const scale = this.scale();
-    const at = (line - 1) * LINE * scale;
-    const { scrollTop, clientHeight } = this.list;
-    if (at < scrollTop || at + LINE > scrollTop + clientHeight) this.list.scrollTop = at - clientHeight / 2 + LINE / 2;
+  /** Colours have changed. */
+  recolor(): void {
+    this.chart.redraw();
+    if (!this.path) return this.picture?.draw();
+    const made = this.color();
+    for (const picture of [this.picture, this.second]) picture?.shade(made);
+    this.mark();
   }
 
-  /** What a pixel of a line is in the list, where all lines would be taller than a browser draws. */
-  private scale(): number {
-    return Math.min(1, TALLEST / Math.max(1, this.app.job.lines.length * LINE));
+  /** For keys. */
+  togglePlay(): void {
+    if (!this.live) this.play();
   }
 
-  /** The lines that are in sight. */
-  private drawLines(): void {
-    const { lines } = this.app.job;
-    const first = Math.max(0, Math.floor(this.list.scrollTop / LINE / this.scale()) - 1);
-    const digits = String(lines.length).length;
-    const refused = new Set(this.summary?.errors.map(error => error.line));
-    const all = $("lines-all");
-    const drawn = new Map([...all.children].map(line => [line.id, line as HTMLElement]));
-    const shown = lines.slice(first, first + Math.ceil(this.list.clientHeight / LINE) + 3).map((text, index) => {
-      const number = first + index + 1;
-      const id = `line-${number}`;
-      const line = drawn.get(id) ?? el("div", { role: "option", id });
-      line.className = refused.has(number) ? "line refused" : "line";
-      line.setAttribute("aria-selected", String(number === this.line));
-      line.textContent = `${String(number).padStart(digits)}  ${text}`;
-      line.style.top = `${first * LINE * this.scale() + index * LINE}px`;
-      line.dataset.line = String(number);
-      return line;
-    });
-    // What stays in sight stays in the document: an element that is taken out of it between press and release is not clicked.
-    for (const line of drawn.values()) if (!shown.includes(line)) line.remove();
-    for (const [index, line] of shown.entries()) if (all.children[index] !== line) all.insertBefore(line, all.children[index] ?? null);
-    if (shown.some(line => line.id === `line-${this.line}`)) this.list.setAttribute("aria-activedescendant", `line-${this.line}`);
-    else this.list.removeAttribute("aria-activedescendant");
+  step(lines: number): void {
+    if (this.path) this.goToLine(Math.max(1, Math.min(this.page.job.lines.length, this.line + lines)));
   }
 
-  private drawChart(): void {
-    const { chart, path } = this;
-    const ratio = devicePixelRatio || 1;
-    [chart.width, chart.height] = [Math.max(1, chart.clientWidth * ratio), Math.max(1, chart.clientHeight * ratio)];
-    const pen = chart.getContext("2d");
-    if (!pen || !path) return;
-    const end = endOf(path) || 1;
-    const feeds = new Float32Array(chart.width);
-    const rapids = new Float32Array(chart.width);
-    let most = 0;
-    for (let row = 1; row < path.lines.length; row++) {
-      const [speed, began, ended] = [3, 4, 5].map(part => path.rows[row * ROW + part]);
-      const rapid = isRapid(path, row);
-      if (!rapid) most = Math.max(most, speed);
-      const into = rapid ? rapids : feeds;
-      const last = Math.min(chart.width - 1, Math.floor((ended / end) * chart.width));
-      for (let x = Math.max(0, Math.floor((began / end) * chart.width)); x <= last; x++) into[x] = Math.max(into[x], speed);
-    }
-    most = most || Math.max(...rapids) || 1;
-    const height = chart.height - 14 * ratio;
-    for (const [values, color] of [[rapids, "--rapid"], [feeds, "--scale-1"]] as const) {
-      pen.fillStyle = css(color);
-      for (let x = 0; x < chart.width; x++) {
-        const tall = Math.min(1, values[x] / most) * height;
-        if (tall > 0) pen.fillRect(x, chart.height - tall, 1, tall);
-      }
-    }
-    pen.fillStyle = css("--soft");
-    pen.font = `${11 * ratio}px system-ui, sans-serif`;
-    pen.fillText(`path speed, up to ${(most * 60).toFixed(0)} mm/min at feed; rapids in grey`, 2 * ratio, 10 * ratio);
+  look(view: number): void {
+    document.querySelectorAll<HTMLElement>("[data-look]")[view]?.click();
   }
 
-  /** The time on the chart: its background, so that the curve need not be drawn again. */
-  private drawCursor(): void {
-    const part = this.path ? (this.time / (endOf(this.path) || 1)) * 100 : 0;
-    this.chart.style.background = `linear-gradient(90deg, transparent calc(${part}% - 1px), var(--bad) calc(${part}% - 1px) calc(${part}% + 1px), transparent calc(${part}% + 1px))`;
+  fit(): void {
+    this.picture?.fit();
   }
 
   private listen(): void {
     const { picture } = this;
-    this.scrub.addEventListener("input", () => this.seek(Number(this.scrub.value)));
     $("play").addEventListener("click", () => this.play());
-    $("coloring").addEventListener("change", () => {
-      if (!this.path) return;
-      picture?.shade(this.color());
-      this.second?.shade(this.color());
-    });
+    $("coloring").addEventListener("change", () => this.recolor());
     $("two").addEventListener("change", () => {
       this.showSecond();
       this.limits();
@@ -274,29 +315,51 @@ export class Player {
       // The first view has another width from now on.
       picture?.fit();
     });
+    $("show-rapids").addEventListener("change", () => {
+      for (const one of [picture, this.second]) {
+        if (!one) continue;
+        one.rapids = $<HTMLInputElement>("show-rapids").checked;
+        one.draw();
+      }
+    });
     $("limits").addEventListener("change", () => this.limits());
     $("fit").addEventListener("click", () => picture?.fit());
+    units.onchange(() => {
+      for (const one of [picture, this.second]) one?.measureIn(units.size);
+      if (this.path) this.recolor();
+    });
     for (const button of document.querySelectorAll<HTMLElement>("[data-look]")) {
       const [turn, height] = (button.dataset.look ?? "").split(",").map(Number);
-      button.addEventListener("click", () => picture?.look(turn, height));
+      button.addEventListener("click", () => {
+        picture?.look(turn, height);
+        picture?.fit();
+      });
     }
-    this.list.addEventListener("scroll", () => this.drawLines());
-    this.list.addEventListener("click", event => {
-      const line = (event.target as HTMLElement).dataset.line;
-      if (line) this.goToLine(Number(line));
-    });
-    this.list.addEventListener("keydown", event => {
-      const step = { ArrowDown: 1, ArrowUp: -1, PageDown: 5, PageUp: -5, Home: -Infinity, End: Infinity }[event.key];
-      if (!step) return;
-      event.preventDefault();
-      this.goToLine(Math.max(1, Math.min(this.app.job.lines.length, this.line + step)));
-    });
-    this.chart.addEventListener("click", event => {
-      if (this.path) this.seek((event.offsetX / this.chart.clientWidth) * endOf(this.path));
-    });
-    addEventListener("resize", () => {
-      this.drawChart();
-      picture?.draw();
-    });
   }
 }
+
+/** An outline of a path from above, as it fits a small picture. */
+export function outline(path: Path, width: number, height: number): SVGSVGElement {
+  const points: [number, number][] = [];
+  const [low, high] = [[Infinity, Infinity], [-Infinity, -Infinity]];
+  for (let row = 0; row < path.lines.length; row++) {
+    const at: [number, number] = [path.rows[row * ROW], path.rows[row * ROW + 1]];
+    points.push(at);
+    for (const axis of [0, 1]) [low[axis], high[axis]] = [Math.min(low[axis], at[axis]), Math.max(high[axis], at[axis])];
+  }
+  const scale = Math.min((width - 4) / (high[0] - low[0] || 1), (height - 4) / (high[1] - low[1] || 1));
+  const offset = [0, 1].map(axis => ([width, height][axis] - (high[axis] - low[axis]) * scale) / 2);
+  let d = "";
+  for (let row = 1; row < points.length; row++) {
+    const [x, y] = [offset[0] + (points[row][0] - low[0]) * scale, height - offset[1] - (points[row][1] - low[1]) * scale];
+    d += `${isRapid(path, row) || d === "" ? "M" : "L"}${x.toFixed(1)} ${y.toFixed(1)}`;
+  }
+  const made = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  made.setAttribute("viewBox", `0 0 ${width} ${height}`);
+  made.setAttribute("aria-hidden", "true");
+  const line = document.createElementNS("http://www.w3.org/2000/svg", "path");
+  line.setAttribute("d", d || "M0 0");
+  made.append(line);
+  return made;
+}
+

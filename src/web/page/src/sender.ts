@@ -25,6 +25,7 @@ export const REALTIME = {
   status: 0x3f, hold: 0x21, resume: 0x7e, reset: 0x18, door: 0x84, jogCancel: 0x85,
   feed100: 0x90, feedPlus: 0x91, feedMinus: 0x92, rapid100: 0x95, rapid50: 0x96, rapid25: 0x97,
   spindle100: 0x99, spindlePlus: 0x9a, spindleMinus: 0x9b, spindleStop: 0x9e,
+  feedPlus1: 0x93, feedMinus1: 0x94, spindlePlus1: 0x9c, spindleMinus1: 0x9d,
 } as const;
 
 /** Longest time until a controller greets, ms: after a reset, and after power-up. */
@@ -32,6 +33,8 @@ const LONGEST_RESET = 2000;
 const LONGEST_START = 60_000;
 /** No line is written for so long after a greeting that nothing here has ordered, ms. */
 const SETTLING = 300;
+/** Axes that have lengths: X, Y and Z. */
+const LINEAR = 3;
 /** Receive buffer of a controller that has not told its own. */
 const SMALLEST_BUFFER = 128;
 
@@ -65,7 +68,7 @@ export class Sender {
   private readonly commands: Command[] = [];
   private flight: Sent[] = [];
   private heard = "";
-  private offset = [0, 0, 0];
+  private offset: number[] = [];
 
   constructor(private readonly link: Link) {
     link.onsaid = text => this.hear(text);
@@ -81,7 +84,12 @@ export class Sender {
     this.link.write(new Uint8Array([command]));
   }
 
-  /** Sends a line between those of the job, and gives its answer with what was said before it. Of a quiet one, settings are not told as messages. */
+  /** Lines of the job that have been sent. */
+  get sent(): number {
+    return this.next;
+  }
+
+  /** Sends a line between those of the job, and gives its answer with what was said before it. Of a quiet one, no message is told but `[MSG:`. */
   ask(text: string, quiet = false): Promise<Answer> {
     const why = unsendable(text);
     if (why) return Promise.resolve({ answer: `not sent: ${why}`, said: [] });
@@ -226,7 +234,7 @@ export class Sender {
       if (line.startsWith("Grbl ")) this.greeted();
       const [asked] = this.flight;
       if (asked?.command) asked.said.push(line);
-      if (!(asked?.command?.quiet && /^\$\d+=/.test(line))) this.onmessage(line);
+      if (!asked?.command?.quiet || /^(\[MSG:|ALARM:|Grbl )/.test(line)) this.onmessage(line);
     }
   }
 
@@ -243,9 +251,11 @@ export class Sender {
     const fields = Object.fromEntries(parts.map(part => part.split(":", 2) as [string, string]));
     const numbers = (text?: string) => text?.split(",").map(Number);
     this.offset = numbers(fields.WCO) ?? this.offset;
-    const machine = numbers(fields.MPos) ?? numbers(fields.WPos)?.map((v, i) => v + this.offset[i]) ?? [0, 0, 0];
-    const work = machine.map((v, i) => v - this.offset[i]);
-    return { state, machine: machine.map(v => v * this.unit), work: work.map(v => v * this.unit), fields };
+    const machine = numbers(fields.MPos) ?? numbers(fields.WPos)?.map((v, i) => v + (this.offset[i] ?? 0)) ?? [0, 0, 0];
+    const work = machine.map((v, i) => v - (this.offset[i] ?? 0));
+    // An axis that turns is told in degrees, whatever the unit.
+    const mm = (v: number, axis: number) => (axis < LINEAR ? v * this.unit : v);
+    return { state, machine: machine.map(mm), work: work.map(mm), fields };
   }
 }
 

@@ -29,13 +29,14 @@ void main() {
 export const FRAGMENT = `#version 300 es
 precision highp float; precision highp int;
 in float time; in float along; flat in float kind;
-uniform float now; uniform int plain; uniform vec4 ink; uniform vec3 rapid; uniform vec3 plunge; uniform vec3 crash; uniform vec3 future; uniform int only;
+uniform float now; uniform int plain; uniform vec4 ink; uniform vec3 rapid; uniform vec3 plunge; uniform vec3 crash; uniform vec3 future; uniform int only; uniform int rapids;
 uniform vec3 scale[6];
 out vec4 color;
 void main() {
   if (plain == 1) { color = vec4(ink.rgb * ink.a, ink.a); return; }
   vec3 c; float alpha = 1.0;
   if (only == 1 && kind != -3.0) discard;
+  if (rapids == 0 && kind == -1.0) discard;
   if (kind == -1.0) { if (mod(along, 9.0) > 5.0) discard; c = rapid; alpha = 0.8; }
   else if (kind == -2.0) c = plunge;
   else if (kind == -3.0) c = crash;

@@ -1,21 +1,32 @@
 // Tabs as the accessibility guidelines describe them: arrow keys move, one panel is shown.
+import { $ } from "./dom";
 
-export function tabs(): void {
-  const all = [...document.querySelectorAll<HTMLElement>("[role=tab]")];
-  const choose = (tab: HTMLElement) => {
-    for (const one of all) {
-      const chosen = one === tab;
-      one.setAttribute("aria-selected", String(chosen));
-      one.tabIndex = chosen ? 0 : -1;
-      (document.getElementById(one.getAttribute("aria-controls") ?? "") as HTMLElement).hidden = !chosen;
-    }
-    tab.focus();
-  };
-  for (const [index, tab] of all.entries()) {
-    tab.addEventListener("click", () => choose(tab));
+const all = (list: HTMLElement): HTMLElement[] => [...list.querySelectorAll<HTMLElement>("[role=tab]")];
+
+/** Shows the panel of a tab. */
+export function choose(id: string): void {
+  for (const one of all($(id).closest("[role=tablist]") as HTMLElement)) {
+    const chosen = one.id === id;
+    one.setAttribute("aria-selected", String(chosen));
+    one.tabIndex = chosen ? 0 : -1;
+    $(one.getAttribute("aria-controls") ?? "").hidden = !chosen;
+    if (chosen) one.dispatchEvent(new CustomEvent("chosen", { bubbles: true, detail: id }));
+  }
+}
+
+export function tabs(id: string): void {
+  const list = $(id);
+  for (const tab of all(list)) {
+    tab.tabIndex = tab.getAttribute("aria-selected") === "true" ? 0 : -1;
+    tab.addEventListener("click", () => choose(tab.id));
     tab.addEventListener("keydown", event => {
       const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
-      if (step) choose(all[(index + step + all.length) % all.length]);
+      if (!step) return;
+      event.preventDefault();
+      const seen = all(list).filter(one => one.offsetParent !== null);
+      const next = seen[(seen.indexOf(tab) + step + seen.length) % seen.length];
+      choose(next.id);
+      next.focus();
     });
   }
 }

@@ -3,8 +3,11 @@
 import { ARC, type Path, RAPID, ROW } from "./engine";
 import { SHADE } from "./shaders";
 
-export type Coloring = "speed" | "acceleration" | "kind" | "tool" | "line";
-export interface Legend { low: string; high: string }
+export type Coloring = "speed" | "acceleration" | "power" | "kind" | "depth" | "tool" | "line";
+/** What the scale means, and what stands at its marks from left to right; without marks there is no scale. */
+export interface Legend { caption: string; ticks: string[] }
+/** Marks of a scale. */
+const TICKS = 5;
 
 export const isRapid = (path: Path, row: number): boolean => path.lines[row] >= RAPID;
 export const lineOf = (path: Path, row: number): number => path.lines[row] % ARC;
@@ -77,8 +80,8 @@ function top(values: number[], part = 0.995): number {
   return sorted[Math.min(sorted.length - 1, Math.floor(sorted.length * part))] || 1;
 }
 
-/** The colour of each row, and what the ends of the scale mean. */
-export function shades(path: Path, coloring: Coloring): { shades: Float32Array; legend: Legend } {
+/** The colour of each row, and what the scale means. `zero` is the height of work zero, and `inch` shows inches. */
+export function shades(path: Path, coloring: Coloring, zero = 0, inch = false): { shades: Float32Array; legend: Legend } {
   const count = path.lines.length;
   const made = new Float32Array(count);
   const feeds = Array.from({ length: count }, (_, row) => row).filter(row => row > 0 && !isRapid(path, row));
@@ -87,24 +90,31 @@ export function shades(path: Path, coloring: Coloring): { shades: Float32Array; 
   const value = {
     speed: (row: number) => path.rows[row * ROW + 3],
     acceleration: (row: number) => acceleration(path, row),
+    power: (row: number) => path.speeds[row],
+    depth: (row: number) => Math.max(0, zero - path.rows[row * ROW + 2]),
     line: (row: number) => lineOf(path, row),
     tool: (row: number) => tools.indexOf(path.tools[row]),
     kind: () => 0,
   }[coloring];
-  const most = coloring === "speed" ? feeds.reduce((most, row) => Math.max(most, value(row)), 0) || 1 : coloring === "kind" ? 1
-    : coloring === "tool" ? Math.max(1, tools.length - 1) : top(feeds.map(value));
+  const greatest = () => feeds.reduce((most, row) => Math.max(most, value(row)), 0) || 1;
+  const most = coloring === "kind" ? 1 : coloring === "tool" ? Math.max(1, tools.length - 1) : coloring === "acceleration" || coloring === "line" ? top(feeds.map(value)) : greatest();
   for (let row = 0; row < count; row++) {
     if (isRapid(path, row)) made[row] = SHADE.rapid;
     else if (coloring === "kind" && isPlunge(path, row)) made[row] = SHADE.plunge;
     else if (coloring === "kind" && isArc(path, row)) made[row] = SHADE.arc;
     else made[row] = coloring === "kind" ? SHADE.line : Math.min(1, value(row) / most);
   }
-  const legend = {
-    speed: { low: "0", high: `${(most * 60).toFixed(0)} mm/min` },
-    acceleration: { low: "0", high: `${most.toFixed(0)} mm/s²` },
-    line: { low: "line 1", high: `line ${most}` },
-    tool: { low: tools.length ? `T${tools[0]}` : "", high: tools.length > 1 ? `T${tools.at(-1)}` : "" },
-    kind: { low: "line", high: "arc" },
+  const size = inch ? 25.4 : 1;
+  const unit = inch ? "in" : "mm";
+  const scale = (all: number) => Array.from({ length: TICKS }, (_, tick) => Number(((all * tick) / (TICKS - 1)).toPrecision(3)).toLocaleString("en"));
+  const legend: Legend = {
+    speed: { caption: `Speed of the cutter, ${unit}/min`, ticks: scale((most * 60) / size) },
+    acceleration: { caption: `Change of speed, ${unit}/s²`, ticks: scale(most / size) },
+    power: { caption: "Spindle or laser power, S", ticks: scale(most) },
+    depth: { caption: `Depth below work zero, ${unit}`, ticks: scale(most / size) },
+    line: { caption: "Order in the job", ticks: ["line 1", `line ${most}`] },
+    tool: { caption: "Tool", ticks: tools.length > 1 ? [`T${tools[0]}`, `T${tools.at(-1)}`] : tools.map(tool => `T${tool}`) },
+    kind: { caption: "Kind of move", ticks: [] },
   }[coloring];
   return { shades: made, legend };
 }

@@ -1,37 +1,15 @@
 // Settings of the machine that is driven, and those of the forecast: which of them differ, and how they go to the machine.
-import { $, el } from "./dom";
 import type { Setting } from "./engine";
 
 /** What a machine tells of a value has this many decimals at least: a smaller difference cannot be seen. */
 const DECIMALS = 3;
 
-interface Difference { setting: Setting; there: number; here: number }
-
-/** Whether a machine tells no setting but Grbl's: it is one, or has been told to be as one. */
-export function tellsGrblsOnly(table: Setting[], there: Record<string, number>): boolean {
-  return table.some(({ grbl, number }) => grbl && number in there) && !table.some(({ grbl, number }) => !grbl && number in there);
-}
+export interface Difference { setting: Setting; there: number; here: number }
 
 /** Settings that both have, with other values. */
-function differences(table: Setting[], there: Record<string, number>, here: (number: number) => number): Difference[] {
+export function differences(table: Setting[], there: Record<string, number>, here: (number: number) => number): Difference[] {
   const all = table.filter(({ number }) => number in there).map(setting => ({ setting, there: there[setting.number], here: here(setting.number) }));
   return all.filter(one => Math.abs(one.there - one.here) > 0.5 * 10 ** -DECIMALS + 1e-9);
-}
-
-/** Shows what differs, and calls with the lines for the machine if a person wants them to be written. Gives how many differ. */
-export function offer(table: Setting[], there: Record<string, number>, here: (number: number) => number, write: (lines: string[]) => void): number {
-  const found = differences(table, there, here);
-  const with_unit = (value: number, { unit }: Setting) => `${value}${unit && unit !== "mask" ? ` ${unit}` : ""}`;
-  ($("differences").querySelector("tbody") as HTMLElement).replaceChildren(...found.map(({ setting, there, here }) =>
-    el("tr", {}, el("th", { scope: "row", textContent: `$${setting.number}` }), el("td", { textContent: setting.name }),
-      el("td", { textContent: with_unit(there, setting) }), el("td", { textContent: with_unit(here, setting) }))));
-  $("differences").hidden = found.length === 0;
-  $("write").textContent = `Write ${found.length} to the machine`;
-  $("write").onclick = () => {
-    $("differences").hidden = true;
-    write(found.map(({ setting, here }) => `$${setting.number}=${here}`));
-  };
-  return found.length;
 }
 
 /** Writes settings, and says what became of them. One may have to wait for another, as soft limits for homing: what is refused is tried once more behind the rest. */

@@ -8,7 +8,7 @@ export type Task =
   | { task: "check"; order: Order; job: Uint8Array }
   | { task: "stream"; order: Order; job: Uint8Array }
   | { task: "resume"; order: Order; job: Uint8Array }
-  | { task: "material"; path: Path; cutters: Record<number, Cutter>; block: Block }
+  | { task: "material"; path: Path; cutters: Record<number, Cutter>; block: Block; until: number }
   | { task: "power"; order: Order }
   | { task: "send"; bytes: Uint8Array }
   | { task: "pin"; line: string }
@@ -56,7 +56,7 @@ async function carryOut(task: Task): Promise<void> {
       const summary = engine.check(task.order, task.job, part => worker.postMessage({ is: "progress", part }));
       const path = task.order.path ? engine.path() : undefined;
       summary.host_s = (performance.now() - began) / 1000;
-      worker.postMessage({ is: "checked", summary, path, memory: engine.memory() }, path ? [path.rows.buffer, path.lines.buffer, path.tools.buffer] : []);
+      worker.postMessage({ is: "checked", summary, path, memory: engine.memory() }, path ? [path.rows.buffer, path.lines.buffer, path.tools.buffer, path.speeds.buffer] : []);
       return;
     }
     case "stream":
@@ -66,9 +66,9 @@ async function carryOut(task: Task): Promise<void> {
       worker.postMessage({ is: "resumed", rest: (await Engine.start(module)).resume(task.order, task.job) });
       return;
     case "material": {
-      const { path, cutters, block } = task;
+      const { path, cutters, block, until } = task;
       const progress = (part: number) => worker.postMessage({ is: "progress", part });
-      const material = cut(path, cutters, block, cellFor(path, cutters, block), progress);
+      const material = cut(path, cutters, block, cellFor(path, cutters, block), progress, until);
       worker.postMessage({ is: "material", material }, [material.heights.buffer]);
       return;
     }

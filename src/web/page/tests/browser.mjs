@@ -13,11 +13,11 @@ export async function launch(more = []) {
 }
 
 /** How long a check may take on a machine that is busy with other things, ms: no test measures time. */
-export const PATIENCE = 600_000;
+export const PATIENCE = Number(process.env.OXMILL_PATIENCE ?? 600_000);
 
 /** Opens the page; `faults` collects what must not happen. */
-export async function open(browser, file, { viewport = { width: 1440, height: 900 }, colorScheme = "light", prepare } = {}) {
-  const context = await browser.newContext({ viewport, colorScheme });
+export async function open(browser, file, { viewport = { width: 1440, height: 900 }, colorScheme = "light", reducedMotion = "no-preference", prepare, first = false } = {}) {
+  const context = await browser.newContext({ viewport, colorScheme, reducedMotion });
   context.setDefaultTimeout(PATIENCE);
   const page = await context.newPage();
   const faults = [];
@@ -27,8 +27,27 @@ export async function open(browser, file, { viewport = { width: 1440, height: 90
   page.on("request", request => /^(blob|data):/.test(request.url()) || request.url().startsWith(own) || faults.push(`request: ${request.url()}`));
   await prepare?.(page);
   await page.goto(file.startsWith("http") ? file : pathToFileURL(file).href);
-  await checked(page);
+  await ready(page, first);
   return { page, faults, context };
+}
+
+/** Waits for the page. But for a first visit, the machine is a new board, and a job is open. */
+export async function ready(page, first = false) {
+  await page.waitForFunction(() => globalThis.oxmill?.app, null, { timeout: PATIENCE });
+  if (first) return;
+  await page.evaluate(() => {
+    oxmill.app.go("check");
+    oxmill.app.settings.choose("new");
+    oxmill.app.open("five_circles.nc", new TextEncoder().encode(oxmill.examples["five_circles.nc"]));
+  });
+  await checked(page);
+}
+
+/** Opens a tab of Check, or the workspace Run or Settings. */
+export async function tab(page, name) {
+  if (["run", "settings"].includes(name)) return page.evaluate(name => oxmill.app.go(name), name);
+  await page.evaluate(() => oxmill.app.go("check"));
+  await page.click(`#tab-${name}`);
 }
 
 /** Waits until the job that is shown has been checked; gives its summary. */
@@ -50,7 +69,7 @@ export async function openJob(page, name, text) {
 export const timeOf = (page, line) => page.evaluate(line => {
   const { lines, rows } = oxmill.app.checked.path;
   const row = lines.findIndex((of, row) => row > 0 && of % 2 ** 30 === line);
-  return { shown: Number(document.getElementById("scrub").value), begins: rows[row * 6 + 4] };
+  return { shown: oxmill.app.player.time, begins: rows[row * 6 + 4] };
 }, line);
 
 /** Tells that the page is at the begin of a line, which is not that of the job: by its scrubber and its list, in which another line may be chosen. */

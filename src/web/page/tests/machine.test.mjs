@@ -1,20 +1,39 @@
 // The machine: in the page, and behind a serial port, where the firmware of this host answers.
 import assert from "node:assert/strict";
 import net from "node:net";
-import { open, openJob, PATIENCE } from "./browser.mjs";
+import { open, openJob, PATIENCE, tab } from "./browser.mjs";
 import { example, MILL, page as file, run, serve } from "./program.mjs";
 
 const state = (page, wanted) => page.waitForFunction(wanted => new RegExp(wanted).test(oxmill.app.machine.status?.state ?? ""), wanted, { timeout: PATIENCE });
 const place = page => page.evaluate(() => oxmill.app.machine.status.machine);
 const near = (a, b) => assert(a.every((v, i) => Math.abs(v - b[i]) < 0.011), `${a} and ${b}`);
 /** Waits until the job has been answered and the machine has reported behind that that it is idle: another job may begin. */
-const jobDone = page => page.waitForFunction(() => oxmill.app.machine.sender.lines.length > 0 && !document.getElementById("start").disabled, null, { timeout: PATIENCE });
+const jobDone = page => page.waitForFunction(() => oxmill.app.machine.finished && oxmill.app.machine.isAtRest, null, { timeout: PATIENCE });
+/** Starts the job that is open, whatever is asked before: a machine that is not homed may run one. */
+const start = async page => {
+  await allowed(page);
+  await page.click("#start");
+};
+const times = async (page, value) => {
+  await page.click("#pill");
+  await page.selectOption("#times", value);
+  await page.click("#pill");
+};
+const probe = async page => {
+  await page.click("#open-probe");
+  await page.click("#probe");
+};
+const allowed = async page => {
+  await page.waitForFunction(() => oxmill.app.machine.isAtRest && (!document.getElementById("start").disabled || document.querySelector("#start-why button")), null, { timeout: PATIENCE });
+  const agree = page.locator("#start-why button");
+  if (await agree.count()) await agree.click();
+};
 
 async function powered(browser) {
   const opened = await open(browser, file);
   const { page } = opened;
   await page.evaluate(values => oxmill.app.settings.replace(values), MILL);
-  await page.click("#tab-machine");
+  await tab(page, "run");
   await page.click("#power");
   await state(page, "^Idle");
   return opened;
@@ -25,8 +44,8 @@ export async function a_machine_in_the_page_does_the_job(browser) {
   const text = example("house.nc");
   const found = await openJob(page, "house.nc", text);
   assert(await page.evaluate(() => oxmill.app.machine.sender.room) >= 255, "the buffer is told by $I");
-  await page.selectOption("#times", "100");
-  await page.click("#start");
+  await times(page, "100");
+  await start(page);
   await state(page, "^Run");
   await jobDone(page);
   near(await place(page), found.position_mm);
@@ -37,7 +56,7 @@ export async function a_machine_in_the_page_does_the_job(browser) {
 export async function a_job_that_is_started_twice_runs_once(browser) {
   const { page, faults } = await powered(browser);
   await openJob(page, "short.nc", "G21 G91\nG1 X3 F300\n");
-  await page.waitForFunction(() => !document.getElementById("start").disabled);
+  await allowed(page);
   const press = () => page.evaluate(() => {
     const start = document.getElementById("start");
     start.click();
@@ -57,7 +76,7 @@ export async function a_job_that_is_started_twice_runs_once(browser) {
 export async function hold_resume_overrides_and_reset_act(browser) {
   const { page, faults } = await powered(browser);
   await openJob(page, "long.nc", "G21 G91\nG1 X200 F300\nG1 X-200\n");
-  await page.click("#start");
+  await start(page);
   await state(page, "^Run");
   for (const [index, name, percent] of [[0, "feedMinus", 90], [1, "rapid25", 25], [2, "spindlePlus", 110], [2, "spindle100", 100], [0, "feed100", 100]]) {
     await page.click(`[data-realtime=${name}]`);
@@ -70,11 +89,10 @@ export async function hold_resume_overrides_and_reset_act(browser) {
   near(await place(page), held);
   await page.click("[data-realtime=resume]");
   await state(page, "^Run");
-  await page.click("#reset");
-  await state(page, "^Alarm");
-  assert.equal(await page.evaluate(() => oxmill.app.machine.sender.lines.length), 0);
-  await page.click("[data-line='$X']");
+  // It brakes before the reset: the position stays true, and nothing has to be unlocked.
+  await page.click("#stop");
   await state(page, "^Idle");
+  assert.equal(await page.evaluate(() => oxmill.app.machine.sender.lines.length), 0);
   assert.deepEqual(faults, []);
 }
 
@@ -82,6 +100,7 @@ export async function hold_resume_overrides_and_reset_act(browser) {
 export async function lines_that_the_page_cannot_send_are_refused_before_the_job(browser) {
   const { page, faults } = await powered(browser);
   const wrong = () => page.locator("#console .wrong").allInnerTexts();
+  await page.click("#tab-log");
   for (const typed of ["$LC=ON", "$LC=ONQKNP", " $lc = on ; as the other sender does"]) {
     await page.fill("#command", typed);
     await page.press("#command", "Enter");
@@ -90,13 +109,18 @@ export async function lines_that_the_page_cannot_send_are_refused_before_the_job
   for (const answer of await wrong()) assert.match(answer, /^not sent: with checked lines each line has a number/);
   for (const [line, why] of [["$LC=ON", /with checked lines each line has a number/], ["G1 X\u22122 F600", /"\u2212" \(U\+2212\) has no place/]]) {
     await openJob(page, "refused.nc", `G21 G91\n${line}\nG1 X2 F600\n`);
-    await page.click("#start");
-    const note = await page.locator("#machine-note").innerText();
-    assert.match(note, /^Nothing of the job is sent: line 2: /);
-    assert.match(note, why);
+    // What the firmware refuses cannot be started at all; and no other way sends it either.
+    const start = () => page.evaluate(() => {
+      try {
+        oxmill.app.machine.start(oxmill.app.job, oxmill.app.checked);
+      } catch (error) {
+        return error.message;
+      }
+    });
+    await page.waitForFunction(() => oxmill.app.machine.isAtRest && oxmill.app.machine.sender.free);
+    assert.match(await start(), why);
+    assert.match(await start(), /^line 2: /, "for the same again");
     assert.equal(await page.evaluate(() => oxmill.app.machine.sender.lines.length), 0);
-    // It may be started again at once, and is refused for the same.
-    assert.equal(await page.evaluate(() => (document.getElementById("start").click(), document.getElementById("machine-note").textContent)), note);
   }
   assert.equal(await page.evaluate(() => oxmill.app.machine.line("$LC=OFF")), "ok");
   assert.deepEqual(faults, []);
@@ -105,7 +129,8 @@ export async function lines_that_the_page_cannot_send_are_refused_before_the_job
 export async function jogs_last_as_long_as_the_button_is_held(browser) {
   const { page, faults } = await powered(browser);
   const from = await place(page);
-  const button = await page.getByRole("button", { name: /jog X to plus/ }).boundingBox();
+  await page.click("#steps .hold-step");
+  const button = await page.getByRole("button", { name: "jog X to plus", exact: true }).boundingBox();
   await page.mouse.move(button.x + 10, button.y + 10);
   await page.mouse.down();
   await state(page, "^Jog");
@@ -121,7 +146,9 @@ export async function jogs_last_as_long_as_the_button_is_held(browser) {
 
 export async function a_jog_ends_however_the_button_is_left(browser) {
   const { page, faults } = await powered(browser);
-  const button = page.getByRole("button", { name: /jog Y to minus/ });
+  await page.click("#tab-log");
+  await page.click("#steps .hold-step");
+  const button = page.getByRole("button", { name: "jog Y to minus", exact: true });
   // A typed feed that the axis cannot reach: moves are made for what it can, and no more of them are ahead.
   await page.evaluate(() => oxmill.app.machine.line("$111=600"));
   await page.fill("#jog-feed", "60000");
@@ -160,12 +187,12 @@ export async function a_jog_ends_however_the_button_is_left(browser) {
 
 export async function positions_are_in_millimetres_whatever_the_machine_reports_in(browser) {
   const { page, faults } = await powered(browser);
-  await page.selectOption("#times", "10");
+  await times(page, "10");
   const line = text => page.evaluate(text => oxmill.app.machine.line(text), text);
   await line("G21 G91 G0 X-5 Y3");
-  await page.waitForFunction(() => document.getElementById("at-0").textContent === "-5.000");
+  await page.waitForFunction(() => document.getElementById("at-0").textContent === "\u22125.000");
   await page.click("#dro [aria-label*='work zero of Y']");
-  await page.waitForFunction(() => document.getElementById("work-1").textContent === "0.000");
+  await page.waitForFunction(() => document.getElementById("work-1").value === "0.000");
   await line("$13=1");
   await line("G4 P0.5");
   // Inches are told with four decimals: 0.0001 inch is 0.0025 mm.
@@ -176,12 +203,12 @@ export async function positions_are_in_millimetres_whatever_the_machine_reports_
 
 export async function a_probe_that_finds_nothing_changes_no_zero_and_no_mode(browser) {
   const { page, faults } = await powered(browser);
-  await page.selectOption("#times", "10");
+  await times(page, "10");
   const line = text => page.evaluate(text => oxmill.app.machine.line(text), text);
   await line("G21 G90 G0 Z15");
   await line("G20");
   const note = wanted => page.waitForFunction(wanted => new RegExp(wanted).test(document.getElementById("machine-note").textContent), wanted, { timeout: PATIENCE });
-  await page.click("#probe");
+  await probe(page);
   await note("No contact within 25 mm");
   await state(page, "^Idle");
   const modes = (await page.evaluate(() => oxmill.app.machine.sender.ask("$G"))).said.join();
@@ -191,30 +218,36 @@ export async function a_probe_that_finds_nothing_changes_no_zero_and_no_mode(bro
   await line("G21 G38.2 Z-20 F300");
   await state(page, "^Idle");
   await page.waitForFunction(() => oxmill.app.machine.status.fields.Pn?.includes("P"));
-  await page.click("#probe");
-  await note("in contact already");
+  await page.click("#open-probe");
+  await page.waitForFunction(() => document.getElementById("probe").disabled);
+  assert.equal(await page.getAttribute("#probe", "title"), "The probe is in contact already.");
   assert.equal(await page.locator("#console .wrong").count(), 0);
   assert.deepEqual(faults, []);
 }
 
 export async function the_console_takes_realtime_commands(browser) {
   const { page, faults } = await powered(browser);
+  await page.click("#tab-log");
   const type = async text => {
     await page.fill("#command", text);
     await page.press("#command", "Enter");
   };
   await page.evaluate(() => oxmill.app.settings.replace({ ...oxmill.app.settings.values(), 120: 321 }));
-  await type("G91 G1 X20 F300");
+  await type("G91 G1 X19 F100");
   await state(page, "^Run");
   // In motion a machine does not tell its settings: those of the forecast stay.
+  await tab(page, "settings");
   await page.click("#read");
-  await page.waitForFunction(() => /does not tell its settings/.test(document.getElementById("machine-note").textContent));
+  await page.waitForFunction(() => /does not tell its settings/.test(document.getElementById("settings-note").textContent));
+  await tab(page, "run");
   assert.equal(await page.evaluate(() => oxmill.app.settings.value(120)), 321);
   await type("!");
   await state(page, "^Hold");
   await type("~");
   await state(page, "^Run");
+  await times(page, "10");
   await state(page, "^Idle");
+  await tab(page, "settings");
   await page.click("#read");
   await page.waitForFunction(() => oxmill.app.settings.value(120) !== 321);
   assert.equal(await page.locator("#console .wrong").count(), 0);
@@ -223,17 +256,18 @@ export async function the_console_takes_realtime_commands(browser) {
 
 export async function homing_and_probing_find_switch_and_plate(browser) {
   const { page, faults } = await powered(browser);
-  await page.selectOption("#times", "10");
-  await page.click("#probe");
-  await page.waitForFunction(() => [...document.querySelectorAll("#console div")].some(line => line.textContent === "G10 L20 P0 Z10"), null, { timeout: PATIENCE });
+  await times(page, "10");
+  await probe(page);
+  await page.waitForFunction(() => [...document.querySelectorAll("#console div")].some(line => /^G10 L20 P0 Z1[12]/.test(line.textContent)), null, { timeout: PATIENCE });
   await state(page, "^Idle");
   await page.waitForFunction(() => Math.abs(oxmill.app.machine.status.work[2] - 12) < 0.01, null, { timeout: PATIENCE });
-  await page.click("[data-line='$H']");
+  await page.click("#home");
   await state(page, "^Home");
   await state(page, "^Idle");
   near(await place(page), [-1, -1, -1]);
   // What the machine says of its settings, the forecast takes over.
   await page.evaluate(() => oxmill.app.machine.line("$120=777"));
+  await tab(page, "settings");
   await page.click("#read");
   await page.waitForFunction(() => oxmill.app.settings.value(120) === 777);
   assert.deepEqual(faults, []);
@@ -288,7 +322,7 @@ async function connected(browser, speed, test) {
   let socket;
   const { page, faults } = await open(browser, file, { prepare: async page => (socket = await fakeSerial(page, device.port)) });
   try {
-    await page.click("#tab-machine");
+    await tab(page, "run");
     await page.click("#connect");
     await state(page, "^Idle");
     await test(page, order, socket.wire, socket);
@@ -304,20 +338,21 @@ export async function a_board_at_a_serial_port_does_the_job(browser) {
     assert.equal(await page.evaluate(() => __port.opened.baudRate), 115200);
     const text = example("pocket_mm.nc");
     await openJob(page, "pocket_mm.nc", text);
-    await page.click("#start");
+    await start(page);
     await jobDone(page);
     near(await place(page), run("pocket_mm.nc", text, order).position_mm);
     assert(wire.most <= 255, `${wire.most} bytes were under way`);
     // A refused line in mid-job is named, and ends the job in a hold.
-    await openJob(page, "bad.nc", `G21 G91\nG1 X2 F600\nG999\n${"G1 X2\n".repeat(200)}`);
-    await page.click("#start");
-    await page.waitForFunction(() => [...document.querySelectorAll("#console .wrong")].some(line => line.textContent === "line 3: error:20"));
+    // The board of the forecast has the outputs of M62; this one has none.
+    await openJob(page, "bad.nc", `G21 G91\nG1 X2 F600\nM62 P0\n${"G1 X2\n".repeat(200)}`);
+    await start(page);
+    await page.waitForFunction(() => [...document.querySelectorAll("#console .wrong")].some(line => line.textContent === "line 3: error:133"));
     await state(page, "^Hold");
-    assert.match(await page.locator("#machine-note").innerText(), /The job has ended: line 3 was refused .*Reset drops what it has received/);
+    assert.match(await page.locator("#machine-note").innerText(), /The job has ended: line 3 was refused .*Stop drops what it has received/);
     const sent = await page.evaluate(() => oxmill.app.machine.sender.lines.length);
     assert(sent < 203, `${sent} lines were sent`);
     assert(await page.locator("#start").isDisabled());
-    await page.click("#reset");
+    await page.click("#stop");
     await page.waitForFunction(() => /^(Idle|Alarm)/.test(oxmill.app.machine.status.state));
   });
 }
@@ -328,7 +363,7 @@ export async function a_board_is_reached_at_its_own_baud_rate(browser) {
   let socket;
   const { page, faults } = await open(browser, file, { prepare: async page => (socket = await fakeSerial(page, device.port)) });
   try {
-    await page.click("#tab-machine");
+    await tab(page, "run");
     await page.selectOption("#baud", "1000000");
     await page.click("#connect");
     await state(page, "^Idle");
@@ -344,7 +379,7 @@ export async function a_board_is_reached_at_its_own_baud_rate(browser) {
 export async function a_board_obeys_with_full_buffers_and_may_be_unplugged(browser) {
   await connected(browser, "1", async (page, order, wire) => {
     await openJob(page, "long.nc", `G21 G91\n${"G1 X0.5 F60\nG1 X-0.5\n".repeat(400)}`);
-    await page.click("#start");
+    await start(page);
     await state(page, "^Run");
     // The queue of blocks is full long before the job ends, and then the line buffer fills: no more than it holds is under way.
     for (let waited = 0; wire.most <= 200 && waited < PATIENCE; waited += 10) await page.waitForTimeout(10);
@@ -352,19 +387,17 @@ export async function a_board_obeys_with_full_buffers_and_may_be_unplugged(brows
     await page.click("[data-realtime=hold]");
     await state(page, "^Hold");
     assert(await page.evaluate(() => oxmill.app.machine.sender.busy), "the job is not done");
-    await page.click("#reset");
-    await state(page, "^(Idle|Alarm)");
+    await page.click("#stop");
+    await state(page, "^Idle");
     assert.equal(await page.evaluate(() => oxmill.app.machine.sender.busy), false);
     // Unplugged in mid-job: the page says so, closes the port, and a board may be connected again.
-    await page.click("[data-line='$X']");
-    await page.waitForFunction(() => !document.getElementById("start").disabled);
-    await page.click("#start");
+    await start(page);
     await state(page, "^Run");
     await page.evaluate(() => __unplug());
     await page.waitForFunction(() => /gone/.test(document.getElementById("machine-note").textContent) && __port.closed);
     await page.click("#connect");
     await state(page, "^(Run|Hold)");
-    await page.click("#reset");
+    await page.click("#stop");
     await state(page, "^(Idle|Alarm)");
     assert.equal(await page.evaluate(() => oxmill.app.machine.sender.busy), false);
   });
@@ -372,18 +405,29 @@ export async function a_board_obeys_with_full_buffers_and_may_be_unplugged(brows
 
 export async function buttons_send_their_realtime_commands(browser) {
   await connected(browser, "1", async (page, order, wire) => {
-    const bytes = { feedMinus: 0x92, feed100: 0x90, feedPlus: 0x91, rapid25: 0x97, rapid50: 0x96, rapid100: 0x95,
-      spindleMinus: 0x9b, spindle100: 0x99, spindlePlus: 0x9a, hold: 0x21, resume: 0x7e };
+    const bytes = { feedMinus: 0x92, feedMinus1: 0x94, feed100: 0x90, feedPlus1: 0x93, feedPlus: 0x91, rapid25: 0x97, rapid50: 0x96, rapid100: 0x95,
+      spindleMinus: 0x9b, spindleMinus1: 0x9d, spindle100: 0x99, spindlePlus1: 0x9c, spindlePlus: 0x9a, hold: 0x21, resume: 0x7e };
     const names = await page.locator("[data-realtime]").evaluateAll(buttons => buttons.map(button => button.dataset.realtime));
     assert.deepEqual(names.toSorted(), Object.keys(bytes).toSorted());
     const commands = () => wire.realtime.filter(byte => byte !== 0x3f);
-    for (const name of names) {
+    const sends = async name => {
       const before = commands().length;
       await page.click(`[data-realtime=${name}]`);
       while (commands().length === before) await page.waitForTimeout(5);
       assert.deepEqual(commands().slice(before), [bytes[name]], name);
-    }
-    const button = await page.getByRole("button", { name: /jog X to plus/ }).boundingBox();
+    };
+    for (const name of names.filter(name => !["hold", "resume"].includes(name))) await sends(name);
+    await openJob(page, "long.nc", "G21 G91\nG1 X50 F60\n");
+    await start(page);
+    await state(page, "^Run");
+    await sends("hold");
+    await state(page, "^Hold:0");
+    await sends("resume");
+    await state(page, "^Run");
+    await page.click("#stop");
+    await state(page, "^Idle");
+    await page.click("#steps .hold-step");
+    const button = await page.getByRole("button", { name: "jog X to plus", exact: true }).boundingBox();
     await page.mouse.move(button.x + 5, button.y + 5);
     await page.mouse.down();
     await state(page, "^Jog");
@@ -402,9 +446,9 @@ export async function a_board_that_is_left_in_motion_is_held(browser) {
     assert.match(settings, /^\$922=2(\.0*)?$/m);
     assert.match(settings, /^\$923=0\.50*$/m);
     await openJob(page, "long.nc", "G21 G91\nG1 X50 F60\n");
-    await page.waitForFunction(() => !document.getElementById("start").disabled);
-    await page.click("#start");
+    await start(page);
     await state(page, "^Run");
+    await page.click("#pill");
     await page.click("#leave");
     await page.waitForFunction(() => __port.closed);
     assert.equal(wire.realtime.at(-1), 0x21);
@@ -419,8 +463,7 @@ export async function a_board_that_is_left_in_motion_is_held(browser) {
 export async function a_board_that_cannot_be_heard_any_more_is_held(browser) {
   await connected(browser, "1", async (page, order, wire) => {
     await openJob(page, "long.nc", "G21 G91\nG1 X50 F60\n");
-    await page.waitForFunction(() => !document.getElementById("start").disabled);
-    await page.click("#start");
+    await start(page);
     await state(page, "^Run");
     await page.evaluate(() => __unplug("FramingError"));
     await page.waitForFunction(() => __port.closed);
@@ -433,9 +476,10 @@ export async function a_board_that_cannot_be_heard_any_more_is_held(browser) {
 
 export async function a_machine_that_is_left_while_it_homes_is_not_said_to_be_held(browser) {
   const { page, faults } = await powered(browser);
-  await page.click("[data-line='$H']");
+  await page.click("#home");
   await state(page, "^Home");
-  await page.click("#leave");
+  await page.click("#pill");
+    await page.click("#leave");
   assert.equal(await page.locator("#machine-note").innerText(), "Disconnected. The machine is homing, and goes on with it.");
   assert.deepEqual(faults, []);
 }
@@ -443,7 +487,7 @@ export async function a_machine_that_is_left_while_it_homes_is_not_said_to_be_he
 export async function a_page_that_goes_leaves_the_machine_in_a_hold(browser) {
   await connected(browser, "1", async (page, order, wire) => {
     await openJob(page, "long.nc", "G21 G91\nG1 X50 F60\n");
-    await page.click("#start");
+    await start(page);
     await state(page, "^Run");
     // What the browser tells a page that it leaves; whether the last byte gets out is the browser's affair.
     assert(await page.evaluate(() => !dispatchEvent(new Event("beforeunload", { cancelable: true }))), "the user is asked");
@@ -467,8 +511,7 @@ export async function a_tab_that_crashes_leaves_a_board_that_watches_in_a_hold(b
     await page.click("#watch");
     await page.waitForFunction(() => document.getElementById("silent").hidden);
     await openJob(page, "long.nc", "G21 G91\nG1 X100 F60\n");
-    await page.waitForFunction(() => !document.getElementById("start").disabled);
-    await page.click("#start");
+    await start(page);
     await state(page, "^Run");
     const commands = wire.realtime.length;
     await crash(page);
@@ -488,7 +531,8 @@ export async function a_tab_that_crashes_leaves_a_board_that_watches_in_a_hold(b
 
 export async function settings_go_to_the_machine_when_they_have_been_looked_at(browser) {
   await connected(browser, "max", async (page, order) => {
-    const note = wanted => page.waitForFunction(wanted => new RegExp(wanted).test(document.getElementById("machine-note").textContent), wanted, { timeout: PATIENCE });
+    await tab(page, "settings");
+    const note = wanted => page.waitForFunction(wanted => new RegExp(wanted).test(document.getElementById("settings-note").textContent), wanted, { timeout: PATIENCE });
     const there = async () => (await page.evaluate(() => oxmill.app.machine.sender.ask("$$"))).said.join("\n");
     await page.click("#read");
     await page.waitForFunction(() => oxmill.app.settings.value(110) === 5000);
@@ -500,9 +544,9 @@ export async function settings_go_to_the_machine_when_they_have_been_looked_at(b
     const rows = page.locator("#differences tbody tr");
     await rows.first().waitFor();
     const shown = await rows.evaluateAll(all => all.map(row => [...row.cells].map(cell => cell.textContent)));
-    assert.deepEqual(shown.map(([number, , machine, forecast]) => [number, machine, forecast]),
-      [["$120", "300 mm/s2", "321.5 mm/s2"], ["$11", "0.01 mm", "0.0125 mm"], ["$20", "0", "1"], ["$22", "0", "1"]].toSorted((a, b) => a[0].slice(1) - b[0].slice(1)));
-    for (const [, name] of shown) assert.match(name, /^[A-Z][a-z-]/);
+    assert.deepEqual(shown.map(([name, machine, forecast]) => [name.split(" ").at(-1), machine, forecast]),
+      [["$11", "0.01 mm", "0.0125 mm"], ["$20", "0", "1"], ["$22", "0", "1"], ["$120", "300 mm/s2", "321.5 mm/s2"]]);
+    for (const [name] of shown) assert.match(name, /^[A-Z][a-z-]/);
     assert.match(await there(), /^\$120=300\.000$/m, "nothing is written before");
     await page.click("#write");
     await note("^4 of 4 settings are written");
@@ -555,19 +599,20 @@ export async function a_served_page_drives_the_machine_and_no_other_does(browser
   const url = `http://127.0.0.1:${device.port}/`;
   try {
     const { page, faults } = await open(browser, url);
-    await page.click("#tab-machine");
+    await tab(page, "run");
     await page.click("#served");
     await state(page, "^Idle");
     const text = example("pocket_mm.nc");
     await openJob(page, "pocket_mm.nc", text);
-    await page.click("#start");
+    await start(page);
     await jobDone(page);
     near(await place(page), run("pocket_mm.nc", text, order).position_mm);
     // A second page is told.
     const second = await open(browser, url);
-    await second.page.click("#tab-machine");
+    await tab(second.page, "run");
     await second.page.click("#served");
     await second.page.waitForFunction(() => document.getElementById("console").textContent.includes("Another host has the machine"));
+    await page.click("#pill");
     await page.click("#leave");
     assert(await page.locator("#served").isVisible());
     assert.deepEqual([...faults, ...second.faults], []);
@@ -590,16 +635,15 @@ export async function a_tab_that_crashes_leaves_the_machine_in_a_hold(browser) {
   const url = `http://127.0.0.1:${device.port}/`;
   try {
     const first = await open(browser, url);
-    await first.page.click("#tab-machine");
+    await tab(first.page, "run");
     await first.page.click("#served");
     await state(first.page, "^Idle");
     await openJob(first.page, "long.nc", "G21 G91\nG1 X100 F60\n");
-    await first.page.waitForFunction(() => !document.getElementById("start").disabled);
-    await first.page.click("#start");
+    await start(first.page);
     await state(first.page, "^Run");
     await crash(first.page);
     const { page, faults } = await open(browser, url);
-    await page.click("#tab-machine");
+    await tab(page, "run");
     await page.click("#served");
     await state(page, "^Hold:0");
     const held = await place(page);

@@ -71,7 +71,7 @@ export async function each_setting_is_described() {
   const { settings } = JSON.parse(output());
   assert(settings.length > 80, `${settings.length}`);
   for (const setting of settings) {
-    assert.deepEqual(Object.keys(setting).sort(), ["axis", "default", "explanation", "grbl", "kind", "max", "min", "name", "number", "unit", "values"]);
+    assert.deepEqual(Object.keys(setting).sort(), ["axis", "default", "explanation", "grbl", "group", "kind", "labels", "max", "min", "name", "number", "title", "unit", "values"]);
     assert.match(setting.explanation, /^[A-Z].{20,}\.$/, `$${setting.number}`);
   }
 }

@@ -1,39 +1,39 @@
 // The rest of a job that was broken off, against the program of this host.
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
-import { open, openJob } from "./browser.mjs";
+import { open, openJob, tab } from "./browser.mjs";
 import { example, page as file, resumed } from "./program.mjs";
 
 export async function the_rest_of_a_job_is_that_of_the_program(browser) {
   const { page, faults } = await open(browser, file);
   await openJob(page, "pocket_mm.nc", example("pocket_mm.nc"));
-  await page.click("#tab-rest");
+  await tab(page, "continue");
   const written = async more => {
     for (const [id, value] of Object.entries(more)) await page.fill(`#${id}`, value);
     const [download] = await Promise.all([page.waitForEvent("download"), page.click("#write-rest")]);
     return [download.suggestedFilename(), readFileSync(await download.path(), "utf8")];
   };
-  const [name, text] = await written({ "rest-line": "200" });
+  const [name, text] = await written({ "from-line": "200" });
   assert.equal(name, "pocket_mm-from-200.nc");
   assert.equal(text, resumed("pocket_mm.nc", example("pocket_mm.nc"), ["--line", "200"]));
-  assert.match(await page.textContent("#rest-note"), /^Line 200 of 465 /);
+  assert.match(await page.textContent("#continue-note"), /^Line 200 of 465 /);
   assert.match(await page.textContent("#prologue"), /^G21 G90 G94 G17 G54\nM5 M9\n/);
-  const [, other] = await written({ "rest-line": "300", clearance: "12.5", plunge: "60", "spin-up": "2" });
+  const [, other] = await written({ "from-line": "300", clearance: "12.5", plunge: "60", "spin-up": "2" });
   assert.equal(other, resumed("pocket_mm.nc", example("pocket_mm.nc"), ["--line", "300", "--clearance", "12.5", "--plunge", "60", "--spin-up", "2"]));
   // The line of the picture.
   await page.evaluate(() => oxmill.app.player.goToLine(150));
   await page.click("#this-line");
-  assert.equal(await page.inputValue("#rest-line"), "150");
+  assert.equal(await page.inputValue("#from-line"), "150");
   // What hinders it is told.
-  await page.fill("#rest-line", "466");
+  await page.fill("#from-line", "466");
   await page.click("#write-rest");
-  await page.waitForFunction(() => document.getElementById("rest-note").textContent.includes("there is no line 466"));
+  await page.waitForFunction(() => document.getElementById("continue-note").textContent.includes("there is no line 466"));
   assert(await page.locator("#prologue").isHidden());
   // Another job: nothing of the one before stays.
   await openJob(page, "other.nc", "G21 G91\nX1\nX2\n");
-  assert.equal(await page.textContent("#rest-note"), "");
-  await page.fill("#rest-line", "3");
+  assert.equal(await page.textContent("#continue-note"), "");
+  await page.fill("#from-line", "3");
   await page.click("#write-rest");
-  await page.waitForFunction(() => document.getElementById("rest-note").textContent.includes("where X is"));
+  await page.waitForFunction(() => document.getElementById("continue-note").textContent.includes("where X is"));
   assert.deepEqual(faults, []);
 }

@@ -1,6 +1,7 @@
 // The tests of the page, in headless Chromium, from the disk. Names of tests as arguments; without any, all.
 import assert from "node:assert/strict";
 import { launch } from "./browser.mjs";
+import * as accept from "./accept.test.mjs";
 import * as check from "./check.test.mjs";
 import * as machine from "./machine.test.mjs";
 import * as material from "./material.test.mjs";
@@ -12,7 +13,7 @@ import * as site from "./site.test.mjs";
 import * as use from "./use.test.mjs";
 
 const wanted = process.argv.slice(2);
-const all = { ...module, ...check, ...machine, ...material, ...pictures, ...resume, ...sender, ...site, ...use };
+const all = { ...accept, ...module, ...check, ...machine, ...material, ...pictures, ...resume, ...sender, ...site, ...use };
 for (const name of wanted) assert(name in all, `there is no test ${name}`);
 const tests = Object.entries(all).filter(([name]) => wanted.length === 0 || wanted.includes(name));
 const browser = await launch();

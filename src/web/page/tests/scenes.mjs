@@ -2,43 +2,41 @@
 import { createHash } from "node:crypto";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
-import { open, openJob } from "./browser.mjs";
+import { open, openJob, tab } from "./browser.mjs";
 import { example, MILL, page as file, root } from "./program.mjs";
 
 export const FOLDER = join(root, "docs/pictures");
 /** What each picture was taken of. */
 export const TAKEN = join(FOLDER, "taken.json");
 /** Sources that make the look. What they say is told apart. */
-const LOOK = ["index.html", "style.css", "camera.ts", "picture.ts", "shaders.ts"];
+const LOOK = ["index.html", "style.css", "camera.ts", "chart.ts", "overlay.ts", "picture.ts", "shaders.ts"];
 /** What differs from run to run. */
-const RESTLESS = ".dro, #console, #state, #sent { visibility: hidden }";
+const RESTLESS = ".dro, #console, #pill { visibility: hidden }";
 
 /** Each with the page ready (`set`), and what happens until the picture (`go`). */
 export const SCENES = {
   "page.png": {
-    options: { viewport: { width: 1440, height: 810 } },
+    options: { viewport: { width: 1440, height: 900 } },
     async set(page) {
       await page.evaluate(values => oxmill.app.settings.replace(values), MILL);
       await openJob(page, "relief.nc", example("relief.nc"));
-      await page.click("#tab-whatif");
+      await tab(page, "whatif");
       await page.click("#vary");
       await page.waitForFunction(() => document.getElementById("whatif-note").textContent.includes("whole jobs"));
-      await page.evaluate(() => {
-        const scrub = document.getElementById("scrub");
-        scrub.value = Number(scrub.max) * 0.62;
-        scrub.dispatchEvent(new Event("input", { bubbles: true }));
-      });
+      await page.evaluate(() => oxmill.app.player.seek(oxmill.app.player.time * 0.62));
     },
     async go() {},
   },
   "machine.png": {
-    options: { viewport: { width: 1366, height: 768 }, colorScheme: "dark" },
+    options: { viewport: { width: 1440, height: 900 }, colorScheme: "dark" },
     async set(page) {
       await page.evaluate(values => oxmill.app.settings.replace(values), MILL);
       await openJob(page, "pocket_mm.nc", example("pocket_mm.nc"));
-      await page.click("#tab-machine");
+      await tab(page, "run");
       await page.click("#power");
-      await page.waitForFunction(() => oxmill.app.machine.status?.state === "Idle" && !document.getElementById("start").disabled);
+      await page.waitForFunction(() => document.querySelector("#start-why button"));
+      await page.click("#start-why button");
+      await page.waitForFunction(() => document.querySelector(".checks")?.textContent.includes("travel is not watched") && !document.getElementById("start").disabled);
     },
     async go(page) {
       await page.click("#start");
@@ -61,7 +59,7 @@ export async function ready(browser, { options, set }) {
     return text;
   }, RESTLESS);
   // How long it took is this machine's affair.
-  const lines = says.replace(/(checked in\s+|whole jobs in )[\d.]+ s/g, "$1").split("\n").map(line => line.trim());
+  const lines = says.replace(/(Checked in\s+)[\d.]+ s/g, "$1").split("\n").map(line => line.trim());
   return { page, says: lines.filter(Boolean) };
 }
 

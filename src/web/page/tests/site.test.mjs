@@ -4,7 +4,8 @@ import { existsSync, readFileSync } from "node:fs";
 import { createServer } from "node:http";
 import { pathToFileURL } from "node:url";
 import puppeteer from "puppeteer-core";
-import { open, openJob, PATIENCE } from "./browser.mjs";
+import { open, openJob, PATIENCE, tab } from "./browser.mjs";
+import { until, walk } from "./walk.mjs";
 import { BOARDS, example, examples, MILL, page as file, run, same } from "./program.mjs";
 
 const FIREFOX = [process.env.OXMILL_FIREFOX, "/usr/bin/firefox-esr", "/usr/bin/firefox"].find(path => path && existsSync(path));
@@ -30,7 +31,7 @@ export async function the_page_is_the_same_as_a_site(browser) {
     stop();
     const text = example("pocket_mm.nc");
     same(await openJob(page, "pocket_mm.nc", text), run("pocket_mm.nc", text), "from a web server");
-    await page.click("#tab-machine");
+    await tab(page, "run");
     assert(await page.locator("#served").isHidden(), "no machine is behind this server");
     await page.click("#power");
     await page.waitForFunction(() => /^Idle/.test(oxmill.app.machine.status?.state ?? ""), null, { timeout: PATIENCE });
@@ -43,31 +44,30 @@ export async function the_page_is_the_same_as_a_site(browser) {
   }
 }
 
-/** Waits until something is so. Asked again and again: what Firefox waits with needs `eval`, which the page's policy forbids. */
-async function until(page, condition) {
-  const end = Date.now() + PATIENCE;
-  while (!await page.evaluate(condition)) {
-    assert(Date.now() < end, `never: ${condition}`);
-    await new Promise(resolve => setTimeout(resolve, 100));
-  }
+/** Firefox by WebDriver BiDi, as Debian and Mozilla build it. Without it there is nothing to test, and the run says so. */
+async function firefox() {
+  if (FIREFOX) return puppeteer.launch({ browser: "firefox", executablePath: FIREFOX, protocolTimeout: PATIENCE, defaultViewport: null, args: ["--width=1440", "--height=1000"] });
+  console.log("skipped: no Firefox is installed (Debian: firefox-esr)");
 }
 
-/** Firefox by WebDriver BiDi, as Debian and Mozilla build it. Without it there is nothing to test, and the run says so. */
+/** A page in it, and what goes wrong there. */
+async function opened(browser, place) {
+  const page = await browser.newPage();
+  const faults = [];
+  page.on("pageerror", error => faults.push(`error: ${error.message}`));
+  page.on("console", message => ["error", "warn"].includes(message.type()) && faults.push(`console: ${message.text()}`));
+  await page.goto(place);
+  await until(page, () => Boolean(globalThis.oxmill?.app));
+  return { page, faults };
+}
+
 export async function firefox_says_the_same() {
-  if (!FIREFOX) {
-    console.log("skipped: no Firefox is installed (Debian: firefox-esr)");
-    return;
-  }
+  const browser = await firefox();
+  if (!browser) return;
   const { url, others, stop } = await site();
-  const browser = await puppeteer.launch({ browser: "firefox", executablePath: FIREFOX, protocolTimeout: PATIENCE });
   try {
     for (const place of [pathToFileURL(file).href, url]) {
-      const page = await browser.newPage();
-      const faults = [];
-      page.on("pageerror", error => faults.push(`error: ${error.message}`));
-      page.on("console", message => ["error", "warn"].includes(message.type()) && faults.push(`console: ${message.text()}`));
-      await page.goto(place);
-      await until(page, () => Boolean(globalThis.oxmill?.app.checked));
+      const { page, faults } = await opened(browser, place);
       for (const name of place === url ? ["pocket_mm.nc"] : examples()) {
         for (const board of BOARDS) {
           const order = { board, settings: MILL };
@@ -75,7 +75,7 @@ export async function firefox_says_the_same() {
           same(found, run(name, example(name), order), `${name} on ${board}`);
         }
       }
-      await page.click("#tab-machine");
+      await tab(page, "run");
       await page.click("#power");
       await until(page, () => /^Idle/.test(oxmill.app.machine.status?.state ?? ""));
       assert.deepEqual(faults, []);
@@ -85,5 +85,18 @@ export async function firefox_says_the_same() {
   } finally {
     await browser.close();
     stop();
+  }
+}
+
+/** The way of a newcomer in Chromium, in Firefox. */
+export async function firefox_goes_from_a_job_to_its_end() {
+  const browser = await firefox();
+  if (!browser) return;
+  try {
+    const { page, faults } = await opened(browser, pathToFileURL(file).href);
+    await walk(page);
+    assert.deepEqual(faults, []);
+  } finally {
+    await browser.close();
   }
 }

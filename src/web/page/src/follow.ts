@@ -1,0 +1,102 @@
+// Where in its job a machine is. Reports tell a place; the path tells at which times the job is there.
+import { type Path, ROW } from "./engine";
+import { endOf, isRapid, lineOf, placeAt, rowAt } from "./track";
+
+/** How much farther than expected the job may have come between two reports: overrides double a speed at most. */
+const FASTEST = 2.2;
+/** Seconds around the expected time that are searched in any case. */
+const SLACK = 1;
+/** A machine that is nearer to the path than this is on it; one that is farther than the other is not, mm. */
+const NEAR = 0.3;
+const ASTRAY = 1;
+/** What a second off the expected time counts, mm: it decides where the path comes to a place twice, or stands still. */
+const SECOND = 0.02;
+
+export interface Overrides { feed: number; rapid: number }
+
+export class Follower {
+  /** Time of the job, s. */
+  time = 0;
+  /** Seconds of feed, of rapids and of the whole up to the end of each row. */
+  private readonly feed: Float32Array;
+  private readonly rapid: Float32Array;
+
+  /** `zero` is the place of work zero on the path, mm. */
+  constructor(readonly path: Path, private readonly zero: number[]) {
+    const count = path.lines.length;
+    [this.feed, this.rapid] = [new Float32Array(count), new Float32Array(count)];
+    for (let row = 1; row < count; row++) {
+      const took = path.rows[row * ROW + 5] - path.rows[row * ROW + 4];
+      const rapid = isRapid(path, row);
+      this.feed[row] = this.feed[row - 1] + (rapid ? 0 : took);
+      this.rapid[row] = this.rapid[row - 1] + (rapid ? took : 0);
+    }
+  }
+
+  get end(): number {
+    return endOf(this.path);
+  }
+
+  /** The line that the machine carries out. */
+  get line(): number {
+    return Math.max(1, this.path.lines.length ? lineOf(this.path, rowAt(this.path, this.time)) : 0);
+  }
+
+  /** Takes a report over: the place in work coordinates, mm, the seconds since the one before, and the last line that was sent. */
+  report(work: number[], passed: number, sent: number): void {
+    const { path, zero } = this;
+    if (path.lines.length < 2) return;
+    const at = [0, 1, 2].map(axis => work[axis] + zero[axis]);
+    const expected = Math.min(this.end, this.time + passed);
+    // A machine that is not found near its time may have been lost sight of: it is looked for on all that was sent.
+    if (!this.look(at, expected, Math.min(this.end, this.time + passed * FASTEST + SLACK), sent, SECOND, NEAR)) this.look(at, expected, this.end, sent, 0, ASTRAY);
+  }
+
+  /** Looks for a place from the time on that is known until another one. Gives whether it is there. */
+  private look(at: number[], expected: number, until: number, sent: number, second: number, within: number): boolean {
+    const { path } = this;
+    let [best, found, off]: [number, number, number] = [Infinity, this.time, Infinity];
+    const look = (seconds: number) => {
+      const place = placeAt(path, seconds);
+      const apart = Math.hypot(...place.map((v, axis) => v - at[axis]));
+      const cost = apart + Math.abs(seconds - expected) * second;
+      if (cost < best) [best, found, off] = [cost, seconds, apart];
+    };
+    look(this.time);
+    look(expected);
+    for (let row = rowAt(path, this.time); row < path.lines.length && path.rows[row * ROW + 4] <= until; row++) {
+      if (lineOf(path, row) > sent) break;
+      const [began, ended] = [path.rows[row * ROW + 4], path.rows[row * ROW + 5]];
+      const [from, to] = [Math.max(began, this.time), Math.min(ended, until)];
+      look(Math.min(until, Math.max(this.time, began)));
+      if (to <= from) continue;
+      // The nearest place on a straight row, as a part of its time.
+      const a = [0, 1, 2].map(axis => path.rows[(row - 1) * ROW + axis]);
+      const way = [0, 1, 2].map(axis => path.rows[row * ROW + axis] - a[axis]);
+      const length2 = way.reduce((sum, v) => sum + v * v, 0);
+      const part = length2 > 0 ? way.reduce((sum, v, axis) => sum + v * (at[axis] - a[axis]), 0) / length2 : 1;
+      look(Math.min(to, Math.max(from, began + Math.max(0, Math.min(1, part)) * (ended - began))));
+      look(to);
+    }
+    if (off < within) this.time = found;
+    return off < within;
+  }
+
+  finish(): void {
+    this.time = this.end;
+  }
+
+  /** Seconds that are left with these overrides, as parts of 1. */
+  left({ feed, rapid }: Overrides): number {
+    const { path, time } = this;
+    const count = path.lines.length;
+    if (count < 2) return 0;
+    const row = rowAt(path, time);
+    const begun = Math.max(0, Math.min(time, path.rows[row * ROW + 5]) - path.rows[row * ROW + 4]);
+    const [feedDone, rapidDone] = [this.feed, this.rapid].map((sums, kind) =>
+      (row > 0 ? sums[row - 1] : 0) + (isRapid(path, row) === (kind === 1) ? begun : 0));
+    const [feedLeft, rapidLeft] = [this.feed[count - 1] - feedDone, this.rapid[count - 1] - rapidDone];
+    const standing = Math.max(0, this.end - time - feedLeft - rapidLeft);
+    return feedLeft / feed + rapidLeft / rapid + standing;
+  }
+}

@@ -1,0 +1,98 @@
+// Macros: lines with a name. The firmware checks them before they are kept.
+import { $, allow, button, el, onclick } from "./dom";
+import { Dialog } from "./dialogs";
+import * as firmware from "./firmware";
+import type { Machine } from "./machine";
+import type { Page } from "./page";
+
+export interface Macro { name: string; lines: string }
+const STORED = "oxmill macros";
+
+export class Macros {
+  private all = stored();
+  private readonly dialog: Dialog;
+  private readonly list = el("div", { className: "grid3" });
+  private readonly name = el("input", { type: "text", id: "macro-name" });
+  private readonly text = el("textarea", { id: "macro-lines", rows: 6, spellcheck: false });
+  private readonly note = el("p", { className: "note", id: "macro-note", role: "status" });
+  /** The one that is edited; -1 for a new one. */
+  private at = -1;
+
+  constructor(private readonly machine: Machine, private readonly page: Page) {
+    this.dialog = new Dialog("macro-dialog", "Macros", [this.list, el("label", { className: "field" }, "Name", this.name), el("label", { className: "field" }, "Lines", this.text), this.note]);
+    this.dialog.actions(button("Remove", () => this.remove()), button("Keep", () => void this.keep(), "btn go"));
+    onclick("edit-macros", () => {
+      this.edit(0);
+      this.dialog.open();
+    });
+    machine.onchange(() => this.update());
+    this.show();
+  }
+
+  private edit(at: number): void {
+    this.at = at < this.all.length ? at : -1;
+    const macro = this.all[this.at] ?? { name: "", lines: "" };
+    [this.name.value, this.text.value, this.note.textContent] = [macro.name, macro.lines, ""];
+    this.list.replaceChildren(...this.all.map(({ name }, index) => button(name, () => this.edit(index))), button("New", () => this.edit(this.all.length)));
+  }
+
+  private remove(): void {
+    if (this.at >= 0) this.all.splice(this.at, 1);
+    this.store();
+    this.edit(0);
+  }
+
+  /** Keeps what is typed if the firmware accepts each line. */
+  private async keep(): Promise<void> {
+    const macro = { name: this.name.value.trim(), lines: this.text.value.trim() };
+    if (!macro.name || !macro.lines) return void (this.note.textContent = "A macro needs a name and lines.");
+    this.note.textContent = "Checking";
+    // Lines with $ are for the machine alone.
+    const program = macro.lines.split("\n").map(line => (line.trim().startsWith("$") ? "" : line)).join("\n");
+    const { summary } = await firmware.check({ ...this.page.order(), name: macro.name }, new TextEncoder().encode(program));
+    const [error] = summary.errors;
+    if (error) return void (this.note.textContent = `Not kept. Line ${error.line}: ${error.text}. ${error.advice}`);
+    if (this.at < 0) this.all.push(macro);
+    else this.all[this.at] = macro;
+    this.store();
+    this.dialog.close();
+  }
+
+  private store(): void {
+    try {
+      localStorage.setItem(STORED, JSON.stringify(this.all));
+    } catch {
+      // A page without storage forgets.
+    }
+    this.show();
+  }
+
+  private show(): void {
+    $("macros").replaceChildren(...this.all.map(({ name, lines }) => {
+      const made = button(name, () => void this.run(lines), "btn mc");
+      made.dataset.lines = lines;
+      return made;
+    }), ...(this.all.length ? [] : [el("p", { className: "why", textContent: "No macro yet: lines of your own, sent at a press." })]));
+    this.update();
+  }
+
+  private async run(lines: string): Promise<void> {
+    const why = await this.machine.sequence(lines.split("\n").map(line => line.trim()).filter(Boolean));
+    if (why && why !== "stopped") this.machine.onnote(`The macro has ended: ${why}`);
+  }
+
+  private update(): void {
+    for (const made of $("macros").querySelectorAll("button")) allow(made, this.machine.whyNotAtRest, made.dataset.lines);
+  }
+}
+
+function stored(): Macro[] {
+  try {
+    const kept: unknown = JSON.parse(localStorage.getItem(STORED) ?? "null");
+    if (Array.isArray(kept)) return kept.filter(one => typeof one?.name === "string" && typeof one?.lines === "string");
+  } catch {
+    // What another page may have kept is not taken.
+  }
+  // None is there from the start: what is safe depends on the machine.
+  return [];
+}

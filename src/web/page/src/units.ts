@@ -1,0 +1,46 @@
+// Millimetres or inches: what a person reads and types. Everything else is in millimetres.
+export type Unit = "mm" | "inch";
+
+const STORED = "oxmill unit";
+const listeners: (() => void)[] = [];
+let unit: Unit = stored();
+
+function stored(): Unit {
+  try {
+    return localStorage.getItem(STORED) === "inch" ? "inch" : "mm";
+  } catch {
+    return "mm";
+  }
+}
+
+export const units = {
+  get name(): Unit {
+    return unit;
+  },
+  /** Millimetres of the unit. */
+  get size(): number {
+    return unit === "mm" ? 1 : 25.4;
+  },
+  choose(to: Unit): void {
+    unit = to;
+    try {
+      localStorage.setItem(STORED, to);
+    } catch {
+      // A page without storage forgets.
+    }
+    for (const call of listeners) call();
+  },
+  onchange(call: () => void): void {
+    listeners.push(call);
+  },
+  /** A length as it is shown. */
+  length(mm: number, decimals = unit === "mm" ? 3 : 4): string {
+    const text = (mm / this.size).toFixed(decimals);
+    return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "\u2212");
+  },
+  /** Millimetres of a length that was typed, if it is a number. */
+  parse(text: string): number | undefined {
+    const value = Number(text.trim().replace(",", ".").replace("\u2212", "-"));
+    return text.trim() !== "" && Number.isFinite(value) ? value * this.size : undefined;
+  },
+};

@@ -1,0 +1,71 @@
+// Which of Check, Run and Settings is shown, and what a narrow screen does with their cards.
+import { $ } from "./dom";
+import type { Workspace } from "./page";
+import { choose, tabs } from "./tabs";
+
+type Part = "control" | "job" | "picture" | "more";
+/** Cards that a screen of medium width has below the picture. */
+const CARDS = [["card-over", "run-left", "pane-over"], ["card-spindle", "run-left", "pane-spindle"], ["card-setup", "run-right", "pane-setup"]] as const;
+const BELOW = ["tab-over", "tab-spindle", "tab-setup"];
+
+export class Workspaces {
+  private readonly narrow = matchMedia("(max-width: 699px)");
+  private readonly medium = matchMedia("(min-width: 700px) and (max-width: 1199px)");
+
+  constructor(private readonly onchange: () => void) {
+    for (const button of document.querySelectorAll<HTMLElement>("[data-go]")) {
+      button.addEventListener("click", () => this.go(button.dataset.go as Workspace));
+    }
+    for (const button of document.querySelectorAll<HTMLElement>(".parts button")) {
+      button.addEventListener("click", () => this.part(button.dataset.part as Part));
+    }
+    tabs("dock-tabs");
+    tabs("analysis-tabs");
+    this.medium.addEventListener("change", () => this.place());
+    this.narrow.addEventListener("change", () => this.landmarks());
+    this.place();
+    this.part("control");
+    this.go("first");
+  }
+
+  get now(): Workspace {
+    return $("app").dataset.workspace as Workspace;
+  }
+
+  go(workspace: Workspace): void {
+    $("app").dataset.workspace = workspace;
+    for (const button of document.querySelectorAll<HTMLElement>(".nav [data-go], .bottom [data-go]")) {
+      if (button.dataset.go === workspace) button.setAttribute("aria-current", "page");
+      else button.removeAttribute("aria-current");
+    }
+    if (workspace !== "run" && BELOW.some(id => $(id).getAttribute("aria-selected") === "true")) choose("tab-program");
+    this.landmarks();
+    this.onchange();
+  }
+
+  /** What of Run a telephone shows. */
+  part(part: Part): void {
+    $("app").dataset.part = part;
+    for (const button of document.querySelectorAll<HTMLElement>(".parts button")) {
+      if (button.dataset.part === part) button.setAttribute("aria-current", "true");
+      else button.removeAttribute("aria-current");
+    }
+    if (part === "more") choose("tab-log");
+    this.landmarks();
+    this.onchange();
+  }
+
+  /** The part of Run that a telephone shows is its main one. */
+  private landmarks(): void {
+    const { part } = $("app").dataset;
+    for (const [id, shows] of [["run-left", "job"], ["run-right", "control"]]) {
+      $(id).setAttribute("role", this.narrow.matches && this.now === "run" && part === shows ? "main" : "complementary");
+    }
+  }
+
+  private place(): void {
+    for (const [card, column, pane] of CARDS) $(this.medium.matches ? pane : column).append($(card));
+    $("run-left").append($("card-modes"));
+    if (!this.medium.matches && BELOW.some(id => $(id).getAttribute("aria-selected") === "true")) choose("tab-program");
+  }
+}

@@ -1,0 +1,91 @@
+"""The chip that labwired is given: the package's own STM32F411, with what the package knows of it and does not use.
+
+* RCC gates: the package's STM32F411 is clocked whatever RCC says, but for four peripherals. Each peripheral gets the enable bit that the SVD of ST
+  names after it (`GPIOAEN`, `TIM5EN`): one that the firmware does not switch on takes no write.
+* DMA1 and DMA2 are stubs there. The package's STM32F401 has its model of a stream controller in their place, and so has this one.
+* In labwired only an "advanced" timer has the bits CC1G to CC4G of EGR. By RM0383 TIM2 to TIM5 have them (TIMx_EGR), so TIM5 is called advanced, and
+  TIM1, which is one, too.
+* OTG_FS is a stub there. The package's STM32L476 has a model of the registers of the same core, at the same address and with the same interrupt.
+* A stream of that model counts an item when it is switched on, though nothing has asked for one. While flash is written, the UART without DMA takes
+  the count of its stream for bytes that have come; so where DMA2 serves it, DMA2 is plain memory: registers that keep what is written.
+* System memory at 0x1FFF7000, in which the part's number lies, is plain memory.
+"""
+
+from pathlib import Path
+
+import labwired
+import yaml
+
+CONFIGS = Path(labwired.__file__).parent / "configs"
+CHIPS = CONFIGS / "chips"
+SCHEMAS = CONFIGS / "peripherals" / "stm32f411"
+GATES = ("AHB1ENR", "APB1ENR", "APB2ENR")
+
+
+def _load(path):
+    return yaml.safe_load(path.read_text())
+
+
+def fields(peripheral):
+    """Offset and fields (name: (lowest bit, mask)) of each register, by ST's names."""
+    registers = {}
+    for register in _load(SCHEMAS / f"{peripheral}.yaml")["registers"]:
+        bits = {f["name"]: (f["bit_range"][1], (2 << f["bit_range"][0] - f["bit_range"][1]) - 1) for f in register["fields"]}
+        registers[register["id"]] = (register["address_offset"], bits)
+    return registers
+
+
+def bases(chip):
+    """Address of each peripheral."""
+    return {peripheral["id"]: peripheral["base_address"] for peripheral in chip["peripherals"]}
+
+
+def derived(core_hz):
+    """The chip's description."""
+    chip = _load(CHIPS / "stm32f411ceu6.yaml")
+    streams = {p["id"]: p for p in _load(CHIPS / "stm32f401.yaml")["peripherals"] if p["id"].startswith("dma")}
+    rcc = fields("rcc")
+    chip["cpu_hz"] = core_hz
+    for peripheral in chip["peripherals"]:
+        name = peripheral["id"]
+        config = peripheral.setdefault("config", {})
+        if name.startswith("dma"):
+            peripheral["type"] = streams[name]["type"]
+            config.update({key: value for key, value in streams[name]["config"].items() if key != "debug_schema"})
+        if name in ("tim1", "tim5"):
+            config["advanced"] = True
+        if "debug_schema" in config:
+            config["debug_schema"] = str((CHIPS / config["debug_schema"]).resolve())
+        for register in GATES:
+            if bit := rcc[register][1].get(f"{name.upper()}EN"):
+                peripheral["clock"] = {"reg": register.lower(), "bit": bit[0]}
+    usb = next(p for p in _load(CHIPS / "stm32l476.yaml")["peripherals"] if p["type"] == "usb_otg")
+    del usb["config"]
+    chip["peripherals"] = [p for p in chip["peripherals"] if not p["id"].startswith("otg")] + [usb]
+    chip["memory_regions"] = [{"name": "system", "base": 0x1FFF_7000, "size": "4KB"}]
+    return chip
+
+
+def with_plain_registers(chip, name):
+    """The same chip with plain memory for the registers of a peripheral."""
+    peripheral = next(p for p in chip["peripherals"] if p["id"] == name)
+    memory = {"name": name, "base": peripheral["base_address"], "size": peripheral["size"]}
+    others = [p for p in chip["peripherals"] if p is not peripheral]
+    return chip | {"peripherals": others, "memory_regions": [*chip["memory_regions"], memory]}
+
+
+def write(folder, name, chip, buttons):
+    """Writes chip and system; `buttons` are inputs (name, pin such as "C7") that a test presses. Returns the path of the system."""
+    (folder / f"{name}-chip.yaml").write_text(yaml.safe_dump(chip, sort_keys=False))
+    system = {
+        "name": "witness",
+        "chip": f"{name}-chip.yaml",
+        "external_devices": [],
+        "board_io": [
+            {"id": name, "kind": "button", "peripheral": f"gpio{pin[0].lower()}", "pin": int(pin[1:]), "signal": "input", "active_high": False}
+            for name, pin in buttons.items()
+        ],
+    }
+    path = folder / f"{name}.yaml"
+    path.write_text(yaml.safe_dump(system, sort_keys=False))
+    return path
