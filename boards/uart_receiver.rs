@@ -14,7 +14,7 @@
 //!
 //! No registers: a [`ByteSource`] has those of the chip, so that all of this runs on a desk as well.
 
-use crate::calls::is_stop;
+use crate::calls::{RESET, is_stop};
 use core::sync::atomic::{AtomicU16, Ordering, Ordering::Relaxed, fence};
 
 /// Slots of the buffer: the 255 bytes that a sender with flow control has under way, 64 realtime commands beside them, and the one that
@@ -132,8 +132,10 @@ pub struct UartReceiver<S> {
     is_doubtful: bool,
     /// A command that stops the machine has been read and not been passed on with a call.
     has_stop: bool,
-    /// More is in the buffer than could be read.
+    /// More is in the buffer than could be read. None of the first `scanned` bytes of it stops the machine; whether the next one does.
     is_stuck: bool,
+    scanned: usize,
+    has_stop_ahead: bool,
 }
 
 impl<S: ByteSource> UartReceiver<S> {
@@ -156,6 +158,8 @@ impl<S: ByteSource> UartReceiver<S> {
             is_doubtful: false,
             has_stop: false,
             is_stuck: false,
+            scanned: 0,
+            has_stop_ahead: false,
         }
     }
 
@@ -165,10 +169,10 @@ impl<S: ByteSource> UartReceiver<S> {
         &mut self.source
     }
 
-    /// Whether a command that stops the machine has been read and not been passed on with a call.
+    /// Whether a command that stops the machine has come and not been passed on with a call.
     #[inline(always)]
     pub fn has_stop(&self) -> bool {
-        self.has_stop
+        self.has_stop || self.has_stop_ahead
     }
 
     const fn after(at: usize) -> usize {
@@ -176,7 +180,7 @@ impl<S: ByteSource> UartReceiver<S> {
     }
 
     /// Reads what has come since the look before, and sends what fills a message.
-    #[inline]
+    #[inline(always)]
     pub fn look(&mut self, send: impl FnMut(ReceivedBytes) -> bool) -> Look {
         let place = self.source.place();
         // In this order: a damaged byte is told of before it is counted, so none is among those before the place if nothing is told.
@@ -184,9 +188,12 @@ impl<S: ByteSource> UartReceiver<S> {
         let is_damaged = self.source.is_damaged();
         if self.read != place || is_damaged || self.is_doubtful || self.is_at_end(place) {
             self.read_up_to(place, is_damaged, send);
+        } else {
+            // The same command again, after a pause, is a new one.
+            self.before = 0;
         }
         self.looks = if self.message.len == 0 { 0 } else { self.looks.saturating_add(1) };
-        Look { stop: self.has_stop, news: self.is_stuck || self.text >= GATHERED, waits: self.looks >= WAITED }
+        Look { stop: self.has_stop(), news: self.is_stuck || self.text >= GATHERED, waits: self.looks >= WAITED }
     }
 
     /// The slot of the next byte has not been read.
@@ -212,13 +219,24 @@ impl<S: ByteSource> UartReceiver<S> {
         while self.read != place {
             let Some(slot) = self.buffer.get(self.read) else { break };
             let word = slot.load(Relaxed);
+            if is_word_of_text(word) && !(is_bad || self.is_missing || self.is_torn) {
+                let count = self.read_text(place, left);
+                left -= count;
+                if count > 0 {
+                    continue;
+                }
+            }
             // A byte may have been counted and not be written yet.
             let is_read = word != EMPTY && left > 0 && self.append(word, is_bad, &mut send);
             if !is_read {
+                self.leave_behind((AT_A_TIME - left).into());
                 self.is_stuck = word != EMPTY;
                 self.is_doubtful |= is_bad;
-                if self.is_stuck && left > 0 {
-                    self.lose_oldest(place);
+                if self.is_stuck {
+                    self.scan(place);
+                    if left > 0 {
+                        self.lose_oldest(place);
+                    }
                 }
                 return;
             }
@@ -226,9 +244,35 @@ impl<S: ByteSource> UartReceiver<S> {
             left -= 1;
             self.read = Self::after(self.read);
         }
+        (self.scanned, self.has_stop_ahead) = (0, false);
         if !S::IS_CIRCULAR && self.read == self.source.place() && self.source.begin_anew() {
             self.read = 0;
         }
+    }
+
+    /// Reads text for which the message has room, up to the last slot. Gives how many bytes, at most `most`.
+    #[inline(always)]
+    fn read_text(&mut self, place: usize, most: u8) -> u8 {
+        let end = if self.read <= place { place } else { SLOTS };
+        let slots = self.buffer.get(self.read..end).unwrap_or_default();
+        let room = self.message.bytes.get_mut(self.message.len.into()..).unwrap_or_default();
+        let mut count = 0;
+        for (slot, byte) in slots.iter().zip(room).take(most.into()) {
+            let word = slot.load(Relaxed);
+            if !is_word_of_text(word) {
+                break;
+            }
+            slot.store(EMPTY, Relaxed);
+            *byte = word as u8;
+            count += 1;
+        }
+        if count > 0 {
+            self.message.len += count;
+            self.text = self.text.saturating_add(count);
+            self.before = 0;
+            self.read = Self::after(self.read + usize::from(count) - 1);
+        }
+        count
     }
 
     /// Puts a byte into the message, behind what tells that it is missing something or damaged. Whether there was room.
@@ -278,25 +322,56 @@ impl<S: ByteSource> UartReceiver<S> {
         is_sent
     }
 
-    /// There is no room for what comes next: if too much waits, the oldest bytes are lost, up to one that stops the machine.
+    /// Looks for the first command that stops the machine among the bytes that could not be read, a few with each look: the serial task
+    /// makes room for it.
+    #[cold]
+    #[inline(never)]
+    fn scan(&mut self, place: usize) {
+        let (mut at, mut left) = (self.read + self.scanned, AT_A_TIME);
+        if at >= SLOTS && S::IS_CIRCULAR {
+            at -= SLOTS;
+        }
+        while !self.has_stop_ahead && at != place && left > 0 {
+            let Some(slot) = self.buffer.get(at) else { return };
+            let word = slot.load(Relaxed);
+            if word == EMPTY {
+                // Counted, and not written yet.
+                return;
+            }
+            self.has_stop_ahead = is_stop(word as u8);
+            self.scanned += usize::from(!self.has_stop_ahead);
+            left -= 1;
+            at = Self::after(at);
+        }
+    }
+
+    /// There is no room for what comes next: if too much waits, the oldest bytes are lost, none of which stops the machine.
     #[cold]
     #[inline(never)]
     fn lose_oldest(&mut self, place: usize) {
         let waiting = if self.read <= place { place - self.read } else { place + SLOTS - self.read };
-        let lost = if S::IS_CIRCULAR { waiting.saturating_sub(MOST_WAITING).min(AT_A_TIME.into()) } else { 0 };
+        let lost = if S::IS_CIRCULAR {
+            waiting.saturating_sub(MOST_WAITING).min(AT_A_TIME.into()).min(self.scanned)
+        } else {
+            0
+        };
         for _ in 0..lost {
             let Some(slot) = self.buffer.get(self.read) else { return };
-            let byte = slot.load(Relaxed) as u8;
-            if is_stop(byte) {
-                // The serial task makes room for it.
-                self.has_stop = true;
-                return;
-            }
             slot.store(EMPTY, Relaxed);
             self.read = Self::after(self.read);
-            self.is_missing = true;
-            self.before = byte;
         }
+        if lost > 0 {
+            self.scanned -= lost;
+            self.is_missing = true;
+            self.before = 0;
+        }
+    }
+
+    /// Bytes have been read that may have been scanned before.
+    #[inline(always)]
+    fn leave_behind(&mut self, count: usize) {
+        self.has_stop_ahead &= count <= self.scanned;
+        self.scanned = self.scanned.saturating_sub(count);
     }
 
     /// No slot is free, and that is not because the last byte is about to be counted.
@@ -304,20 +379,27 @@ impl<S: ByteSource> UartReceiver<S> {
     #[inline(never)]
     fn is_full(&self, place: usize) -> bool {
         self.source.settle();
-        let now = self.source.place();
-        now == place || self.is_at_end(now)
+        loop {
+            let now = self.source.place();
+            let is_full = now == place || self.is_at_end(now);
+            // A byte that has just come is in that slot, too.
+            if self.source.place() == now {
+                return is_full;
+            }
+        }
     }
 
-    /// Bytes have been overwritten, it is not known which: all are lost but what stops the machine last.
+    /// Bytes have been overwritten, it is not known which: all are lost but what stops the machine most.
     #[cold]
     #[inline(never)]
     fn lose_all(&mut self) {
-        let mut stop = self.message.from(0).iter().copied().rfind(|byte| is_stop(*byte));
+        let mut stop =
+            self.message.from(0).iter().copied().max_by_key(|byte| weight(*byte)).filter(|byte| is_stop(*byte));
         let (mut at, mut emptied) = (self.source.place(), 0);
         // Once round, the oldest first, and then what came meanwhile: no slot that has been written is left behind.
         while let Some(slot) = self.buffer.get(at).filter(|_| emptied < SLOTS || at != self.source.place()) {
             let word = slot.load(Relaxed);
-            if word != EMPTY && is_stop(word as u8) {
+            if word != EMPTY && weight(word as u8) > stop.map_or(0, weight) {
                 stop = Some(word as u8);
             }
             slot.store(EMPTY, Relaxed);
@@ -325,6 +407,7 @@ impl<S: ByteSource> UartReceiver<S> {
             at = Self::after(at);
         }
         self.read = at;
+        (self.scanned, self.has_stop_ahead) = (0, false);
         self.message.clear();
         if let Some(stop) = stop {
             self.message.is_behind_loss = true;
@@ -362,10 +445,28 @@ impl<S: ByteSource> UartReceiver<S> {
     }
 }
 
+/// Which of several commands that stop the machine is kept where only one can be: reset, stop, door, hold, end of a jog. 0: none of them.
+fn weight(byte: u8) -> u8 {
+    match byte {
+        RESET => 5,
+        0x19 => 4,
+        0x84 => 3,
+        b'!' => 2,
+        0x85 => 1,
+        _ => 0,
+    }
+}
+
 /// What is left of a byte where one of several is damaged: what stops the machine does so, and no line but an empty one is carried out
 /// that has one of them.
 fn refused(byte: u8) -> u8 {
     if is_stop(byte) || matches!(byte, b'\n' | b'\r') { byte } else { REFUSED }
+}
+
+/// Whether a slot has text, and no mark.
+#[inline(always)]
+fn is_word_of_text(word: u16) -> bool {
+    word <= 0xFF && is_text(word as u8)
 }
 
 /// Whether a byte is text of a line, with which the serial task has nothing to do before the end of the line.

@@ -150,10 +150,13 @@ impl<T: UartOutput, const N: usize> Port for Usart<T, N> {
     #[inline]
     fn is_urgent(&mut self) -> bool {
         self.hurries_to = self.hurry.try_read().unwrap_or(self.hurries_to);
-        match self.hurries_to.wrapping_sub(self.taken) as i32 {
-            0 => !self.message.from(self.next).is_empty(),
-            left => left > 0,
+        let left = self.hurries_to.wrapping_sub(self.taken) as i32;
+        if left < 0 {
+            // One behind, so that the count of messages never comes round to it.
+            self.hurries_to = self.taken.wrapping_sub(1);
+            return false;
         }
+        left > 0 || !self.message.from(self.next).is_empty()
     }
 
     /// Every byte is fetched at once.

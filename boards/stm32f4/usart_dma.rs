@@ -9,7 +9,7 @@
 //! So what had come before the bit was found clear is good; else all that has come since the look before, and up to the next,
 //! is doubted (`uart_receiver`).
 
-use super::dma::{CIRCULAR, MEMORY_COUNTS, NDTR, SERVED_CYCLES, TO_PERIPHERAL, clear_flags, stream, switch_on};
+use super::dma::{CIRCULAR, HISR, MEMORY_COUNTS, NDTR, SERVED_CYCLES, TO_PERIPHERAL, clear_flags, stream, switch_on};
 use super::registers::{read, write};
 use super::usart::{CR_3, DATA, SR, UartInput, UartOutput, Usart, join, set_baud};
 use crate::uart_receiver::{Buffer, ByteSource, ReceivedBytes, SLOTS, UartReceiver};
@@ -39,6 +39,8 @@ const SENDS: u32 = CHANNEL | TO_PERIPHERAL | MEMORY_COUNTS | 1 << 4;
 const DMA: usize = 0x4002_6000;
 const RECEIVER: usize = 5;
 const SENDER: usize = 6;
+/// The end of what that stream sends (HISR, TCIF6).
+const SENT: u32 = 1 << 21;
 const USART: usize = 0x4000_4400;
 /// The vector that stays masked.
 const VECTOR: pac::Interrupt = pac::Interrupt::USART2;
@@ -135,7 +137,8 @@ impl UartOutput for Halves {
 
     /// Sends the half that is being filled, if the other one is out.
     fn begin(&mut self) {
-        if self.sends && read(stream(DMA, SENDER) + NDTR) == 0 {
+        // Not the count: it may come to its end before the last byte is out.
+        if read(DMA + HISR) & SENT != 0 {
             self.sends = false;
             clear_flags(DMA, SENDER);
         }
