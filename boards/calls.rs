@@ -1,8 +1,8 @@
-//! When the serial task is called for what can wait: at once, but then not again for 800 us. So a host, or noise on a wire, that
+//! When the serial task is called for what can wait: at once, but then not again for 500 us. So a host, or noise on a wire, that
 //! sends without end leaves time for the control task, which prepares what the step task puts out.
 
-/// Samples of the inputs between two calls: 800 us.
-pub const REST: u8 = 16;
+/// Samples of the inputs between two calls: 500 us.
+pub const REST: u8 = 10;
 
 /// When to call.
 #[derive(Debug, Default)]

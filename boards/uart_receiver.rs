@@ -1,6 +1,6 @@
 //! What a UART receives, on its way to the serial task. DMA or the interrupt of the UART puts bytes into a buffer. The task that samples
 //! the inputs reads them with each sample and sends them on in messages: a command which stops the machine within 50 us, all else
-//! within 200 us. The serial task is called for them once in 800 us (`calls`), and takes what has been sent whenever it runs. A look reads
+//! within 200 us. The serial task is called for them once in 500 us (`calls`), and takes what has been sent whenever it runs. A look reads
 //! few bytes, so that a sample is short whatever comes.
 //!
 //! ```text

@@ -639,7 +639,7 @@ fn an_interrupt_fills_the_slots() {
     assert_eq!(out.text(), "#z");
 }
 
-/// At once, and then not again for as many samples as there are in 800 us.
+/// At once, and then not again for as many samples as there are in 500 us.
 #[test]
 fn the_serial_task_is_called_in_time_and_not_too_often() {
     let mut calls = Calls::new();

@@ -33,7 +33,7 @@ const OTHER_US: u32 = 200;
 /// more under way than there is room for.
 const MOST_SINGLY: usize = 24;
 const SINGLY_US: u32 = 800;
-/// Runs in which nothing comes behind a `!` that may be text, before it is a command: some 800 us apart.
+/// Runs in which nothing comes behind a `!` that may be text, before it is a command: some 500 us apart.
 const QUIET_RUNS: u8 = 16;
 
 /// Number of the USART among the links, and of USB.
