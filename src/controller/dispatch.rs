@@ -6,6 +6,8 @@
 //! room in the look-ahead, the end of a motion, a dwell, a stored record) is kept as data and continued in a later call, so
 //! `?`, `!` and a reset are never late. Time is an argument.
 //!
+//! A stop acts before the controller hears of it: the step task (`src/step_task/step_timer`) stops the pulses, and reports where as an event.
+//!
 //! Calls between the rooms go one way:
 //!
 //! ```text

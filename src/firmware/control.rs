@@ -4,8 +4,8 @@
 use crate::boards::{self, AXES};
 use crate::clock::Clock;
 use crate::flash::Settings;
+use crate::last_words::{self, Whereabouts};
 use crate::outputs::Outputs;
-use crate::record::{self, Whereabouts};
 use crate::shared::{self, ASKED, CONTROL, INPUTS, Power, SERIAL, STEP};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::{
@@ -188,7 +188,7 @@ impl Control {
             *slot = at.micrometres();
         }
         let (line, moment) = (self.controller.line_number(), self.round_began.ticks() as u32);
-        record::note(Whereabouts { place, line, moment });
+        last_words::note(Whereabouts { place, line, moment });
     }
 
     /// Erases flash when nothing moves, turns or waits: the processor is stalled for a quarter of a second. What the host

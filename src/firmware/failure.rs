@@ -2,7 +2,7 @@
 //! reason in RAM that outlives the reset, logs it, then resets; `low_voltage` is one cause. `FAILING` prevents a second
 //! failure within the first. The host is told of it at the next welcome line, by a machine that is locked.
 
-use crate::{boards, record};
+use crate::{boards, last_words};
 use core::sync::atomic::{AtomicBool, Ordering};
 use oxmill_controller::messages::CrashKind;
 
@@ -17,7 +17,7 @@ pub fn fail(kind: CrashKind, why: core::fmt::Arguments<'_>) -> ! {
     if FAILING.swap(true, Ordering::Relaxed) {
         cortex_m::peripheral::SCB::sys_reset()
     }
-    record::keep(kind, why);
+    last_words::keep(kind, why);
     boards::restart(why)
 }
 

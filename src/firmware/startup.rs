@@ -7,8 +7,8 @@ use crate::control::{BoardController, Control, Ends};
 use crate::failure;
 use crate::flash::Settings;
 use crate::inputs::Inputs;
+use crate::last_words;
 use crate::outputs::Outputs;
-use crate::record;
 use crate::serial::Serial;
 use crate::shared::Wake;
 use crate::step_timer::Step;
@@ -88,8 +88,8 @@ pub fn start(
     let (alarm_in, alarm) = channels.alarm.split();
 
     let ends = Ends { realtime, lines, events, signals, segments, replies, step_wiring, input_wiring };
-    let mut restart = Restart { cause: boards::reset_cause(), crash: record::take(), is_recorded: false };
-    let recorder = Recorder::begin(record::pages(), &restart);
+    let mut restart = Restart { cause: boards::reset_cause(), crash: last_words::take(), is_recorded: false };
+    let recorder = Recorder::begin(last_words::pages(), &restart);
     restart.is_recorded = recorder.is_kept();
     controller.restarted(restart);
     let settings = Settings::open(parts.settings_flash, controller);

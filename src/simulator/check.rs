@@ -7,7 +7,7 @@ use crate::power_up::{Dialect, error_text};
 use crate::simulator::Simulator;
 use crate::summary::{AlarmReport, Extents, LineError, Summary, Warning, clock_time};
 use crate::text::{JobText, Said, without_header};
-use crate::times::ToolTime;
+use crate::tool_times::ToolTime;
 use oxmill_controller::error::{Alarm, Error};
 use oxmill_controller::messages::Realtime;
 

@@ -71,7 +71,7 @@ pub mod summary;
 #[cfg(feature = "program")]
 mod tcp_link;
 pub mod text;
-pub mod times;
+pub mod tool_times;
 pub mod trace;
 #[cfg(feature = "program")]
 mod web_link;

@@ -14,7 +14,7 @@ use crate::boards::AXES;
 use crate::machine::linear;
 use crate::marks::Mark;
 use crate::path::{Drawing, Sample};
-use crate::times::Times;
+use crate::tool_times::Times;
 use oxmill_controller::axes::Arrangement;
 use oxmill_controller::messages::{AxisSteps, INTERVAL_FRACTION_BITS, Segment, ToStep, UNITS_PER_STEP};
 use std::collections::VecDeque;

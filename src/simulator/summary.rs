@@ -1,7 +1,7 @@
 //! The result of a job: errors, alarm, messages, times, distances, extents, peaks and digests. Written as JSON, or as
 //! text for people.
 
-use crate::times::ToolTime;
+use crate::tool_times::ToolTime;
 use oxmill_controller::axes::Axis;
 use serde::Serialize;
 use std::fmt;

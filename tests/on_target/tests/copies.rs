@@ -40,8 +40,8 @@ mod suite {
     }
     #[test]
     fn the_pages_for_the_recording_are_lent_once() {
-        let first = oxmill_firmware::record::pages();
+        let first = oxmill_firmware::last_words::pages();
         defmt::assert!(first.len() == oxmill_boards::RECORDING_PAGES);
-        defmt::assert!(oxmill_firmware::record::pages().is_empty(), "the same memory twice");
+        defmt::assert!(oxmill_firmware::last_words::pages().is_empty(), "the same memory twice");
     }
 }

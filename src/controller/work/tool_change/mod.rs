@@ -1,5 +1,5 @@
-//! Carries out M6: the spindle stops, the host is asked for the tool, and the program waits for `~`. With `$918=2` the
-//! new tool is then measured at a tool setter, and its length offset is set.
+//! Carries out M6 as `$918` says. 0: only the number of the tool changes, and nothing stops. 1: the spindle stops, the host is asked for
+//! the tool, and the program waits for `~`. 2: the new tool is then measured at a tool setter, and its length offset is set.
 
 pub(crate) mod plan;
 

@@ -1,7 +1,6 @@
-//! The last words before a reset, in RAM that the start-up code leaves alone (`.uninit`): `keep` writes a `Kept` record
-//! with `mark`, `kind`, `text`, `place`, `line`, `moment` and a Fletcher `sum`, and `take` gives it back as a `Crash`.
-//! The `pages` of the recording of what came in are there as well. Numbers are put as bytes
-//! (`to_le_bytes`, `flat_map`), `fmt::Write` cuts a long text.
+//! What the program says before a failure resets the board, in RAM that the start-up code leaves alone (`.uninit`). `keep` writes what
+//! failed, where the machine was and in which line; `take` reads it after the reset, for the welcome line and `$RC`. The pages of the
+//! recording (`$REC`) are kept in the same way.
 //!
 //! ```text
 //!  failure ──keep──▶ .uninit ──reset──▶ take ──▶ controller ──▶ host
@@ -15,12 +14,15 @@ use crate::boards;
 use core::cell::Cell;
 use core::fmt::Write;
 use core::mem::MaybeUninit;
-use core::ptr::{addr_of, addr_of_mut};
+use core::ptr::addr_of_mut;
 use core::sync::atomic::{AtomicBool, Ordering};
+use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
 use critical_section::Mutex;
 use oxmill_controller::messages::{Crash, CrashKind};
 use oxmill_controller::recorder::Page;
 
+/// Bit by bit, without a table of 1 KiB.
+const CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
 const MARK: u32 = u32::from_le_bytes(*b"last");
 const TEXT: usize = 120;
 
@@ -58,27 +60,24 @@ struct Kept {
 
 #[unsafe(link_section = ".uninit.RECORD")]
 // unsafe because the linker takes the section on trust; safe because the name is the one of cortex-m-rt for RAM that is
-// not initialised, and every bit pattern is a `Kept`.
-static mut RECORD: MaybeUninit<Kept> = MaybeUninit::uninit();
+// not initialised, and every bit pattern is a record.
+static mut RECORD: MaybeUninit<Words> = MaybeUninit::uninit();
 
 #[unsafe(link_section = ".uninit.RECORDING")]
 // unsafe because the linker takes the section on trust; safe because the name is the one of cortex-m-rt for RAM that is
 // not initialised, and every bit pattern is a `Page`.
 static mut RECORDING: MaybeUninit<[Page; boards::RECORDING_PAGES]> = MaybeUninit::uninit();
 
-impl Kept {
-    /// Fletcher's sum over everything before it: RAM after power-up is not random enough to pass by accident.
-    fn sum(&self) -> u32 {
-        let head = [self.mark, self.kind, self.length];
-        let place = self.place.iter().flat_map(|place| place.to_le_bytes()).chain(self.line.to_le_bytes());
-        let place = place.chain(self.moment.to_le_bytes());
-        let bytes = head.iter().flat_map(|word| word.to_le_bytes()).chain(self.text).chain(place);
-        let (a, b) = bytes.fold((1_u32, 0_u32), |(a, b), byte| {
-            let a = (a + u32::from(byte)) % 65_535;
-            (a, (b + a) % 65_535)
-        });
-        b << 16 | a
+/// The record as words: a volatile access to the whole of it is one for each byte, which are 2 KB of code.
+type Words = [u32; size_of::<Kept>() / size_of::<u32>()];
+
+/// CRC-32 of all words but the last, which it is: RAM after power-up is not random enough to pass by accident.
+fn sum(words: &Words) -> u32 {
+    let mut digest = CRC.digest();
+    for word in words.iter().take(words.len() - 1) {
+        digest.update(&word.to_le_bytes());
     }
+    digest.finalize()
 }
 
 /// Text of a bounded length; what is no printable ASCII becomes a blank, and brackets round ones, for the host's sake.
@@ -103,7 +102,7 @@ impl Write for Line {
     }
 }
 
-/// Keeps a record over the reset. Interrupts are off.
+/// Keeps what failed over the reset. Interrupts are off.
 pub fn keep(kind: CrashKind, why: core::fmt::Arguments<'_>) {
     let mut line = Line { text: [0; TEXT], length: 0 };
     // What does not fit is cut off.
@@ -111,20 +110,31 @@ pub fn keep(kind: CrashKind, why: core::fmt::Arguments<'_>) {
     let kind = CrashKind::ALL.iter().position(|k| *k == kind).unwrap_or(0) as u32;
     let (length, text) = (line.length as u32, line.text);
     let Whereabouts { place, line, moment } = critical_section::with(|cs| LAST.borrow(cs).get());
-    let mut kept = Kept { mark: MARK, kind, length, text, place, line, moment, sum: 0 };
-    kept.sum = kept.sum();
-    // SAFETY: unsafe because a static is written; safe because interrupts are off and nothing comes after.
-    unsafe { addr_of_mut!(RECORD).cast::<Kept>().write_volatile(kept) }
+    let kept = Kept { mark: MARK, kind, length, text, place, line, moment, sum: 0 };
+    // SAFETY: unsafe because a type is reinterpreted; safe because both are plain words of the same length.
+    let mut words = unsafe { core::mem::transmute::<Kept, Words>(kept) };
+    let sum = sum(&words);
+    if let Some(last) = words.last_mut() {
+        *last = sum;
+    }
+    let record = addr_of_mut!(RECORD).cast::<u32>();
+    for (at, word) in words.iter().enumerate() {
+        // SAFETY: unsafe because a static is written; safe because interrupts are off and nothing comes after.
+        unsafe { record.add(at).write_volatile(*word) }
+    }
 }
 
 /// The record of the program before this one, once.
 pub fn take() -> Option<Crash> {
+    let record = addr_of_mut!(RECORD).cast::<u32>();
     // SAFETY: unsafe because memory is read that may never have been written; safe because it is read as plain numbers,
     // any of which is allowed, before the tasks run.
-    let kept = unsafe { addr_of!(RECORD).cast::<Kept>().read_volatile() };
+    let words: Words = core::array::from_fn(|at| unsafe { record.add(at).read_volatile() });
     // SAFETY: as in `keep`; no task runs yet.
-    unsafe { addr_of_mut!(RECORD).cast::<u32>().write_volatile(0) };
-    if kept.mark != MARK || kept.sum != kept.sum() {
+    unsafe { record.write_volatile(0) };
+    // SAFETY: as in `keep`.
+    let kept = unsafe { core::mem::transmute::<Words, Kept>(words) };
+    if kept.mark != MARK || kept.sum != sum(&words) {
         return None;
     }
     let text = kept.text.get(..kept.length as usize)?;
