@@ -58,7 +58,8 @@ pub type Input = UartInput<ByDma, MESSAGES>;
 /// What the serial task has of it.
 pub type DmaPort = Usart<Halves, MESSAGES>;
 
-/// Takes the USART over from the HAL. It listens after [`Input::start`].
+/// Takes the USART over from the HAL. It listens after [`Input::start`]. Not within the set-up, whose stack would have its buffers as well.
+#[inline(never)]
 pub fn by_dma((tx, rx): (Tx<pac::USART2>, Rx<pac::USART2>), rcc: &mut Rcc) -> (Input, DmaPort) {
     pac::DMA1::enable(rcc);
     let (Some(buffer), Some(halves), Some(messages), Some(hurry)) = (

@@ -69,7 +69,8 @@ pub type Input = UartInput<ByInterrupt, MESSAGES>;
 /// What the serial task has of it.
 pub type InterruptPort = Usart<Queue, MESSAGES>;
 
-/// Takes the USART over from the HAL. It listens after [`Input::start`].
+/// Takes the USART over from the HAL. It listens after [`Input::start`]. Not within the set-up, whose stack would have its buffers as well.
+#[inline(never)]
 pub fn by_interrupt((tx, rx): (Tx<pac::USART1>, Rx<pac::USART1>), rcc: &mut Rcc) -> (Input, InterruptPort) {
     pac::DMA2::enable(rcc);
     let (Some(buffer), Some(queue), Some(messages), Some(hurry)) = (

@@ -124,7 +124,8 @@ pub fn keep(kind: CrashKind, why: core::fmt::Arguments<'_>) {
     }
 }
 
-/// The record of the program before this one, once.
+/// The record of the program before this one, once. Not within the set-up, whose stack would have it as well.
+#[inline(never)]
 pub fn take() -> Option<Crash> {
     let record = addr_of_mut!(RECORD).cast::<u32>();
     // SAFETY: unsafe because memory is read that may never have been written; safe because it is read as plain numbers,

@@ -28,10 +28,10 @@ const UART_HELD: usize = 1;
 /// noise on a wire, that sends them without end is not to take all of the processor.
 const MOST_OTHERS: u32 = 128;
 const OTHER_US: u32 = 200;
-/// Bytes of a link that cannot wait which are taken one by one in so many µs, as they are no plain text: twice as many as short lines
+/// Bytes of a link that cannot wait which are taken one by one in so many µs, as they are no plain text: more than short lines
 /// that end by CR LF have in that time at 1 Mbaud, and so few that `control` gets on with its work. A host that counts what it sends has no
 /// more under way than there is room for.
-const MOST_SINGLY: usize = 24;
+const MOST_SINGLY: usize = 12;
 const SINGLY_US: u32 = 800;
 /// Runs in which nothing comes behind a `!` that may be text, before it is a command: some 500 us apart.
 const QUIET_RUNS: u8 = 16;
@@ -186,6 +186,9 @@ impl<P: Port> Ported<P> {
             let text = self.link.take_text(self.port.fetched(), arbiter, queues);
             self.port.pass(text);
             news |= text > 0;
+            if text > 0 {
+                continue;
+            }
             let queued = queues.bytes_queued;
             match self.port.receive() {
                 Incoming::Nothing => break,
