@@ -413,7 +413,7 @@ export async function buttons_send_their_realtime_commands(browser) {
     const sends = async name => {
       const before = commands().length;
       await page.click(`[data-realtime=${name}]`);
-      while (commands().length === before) await page.waitForTimeout(5);
+      for (let waited = 0; commands().length === before && waited < PATIENCE; waited += 5) await page.waitForTimeout(5);
       assert.deepEqual(commands().slice(before), [bytes[name]], name);
     };
     for (const name of names.filter(name => !["hold", "resume"].includes(name))) await sends(name);
@@ -432,8 +432,10 @@ export async function buttons_send_their_realtime_commands(browser) {
     await page.mouse.down();
     await state(page, "^Jog");
     await page.mouse.up();
-    await state(page, "^Idle");
+    // A jog has come to rest for a moment where its next move was late: its end is that of the button.
+    for (let waited = 0; !wire.realtime.includes(0x85) && waited < PATIENCE; waited += 5) await page.waitForTimeout(5);
     assert(wire.realtime.includes(0x85), "a jog cancel");
+    await state(page, "^Idle");
   });
 }
 
