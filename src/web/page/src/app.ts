@@ -177,7 +177,7 @@ export class App implements Page {
     const slow = setTimeout(() => (progress.hidden = running.signal.aborted), 200);
     progress.value = 0;
     try {
-      const checked = await firmware.check(this.order({ path: true }), this.job.bytes, running.signal, part => (progress.value = part));
+      const checked = await firmware.check(this.order({ path: true }), this.job.bytes, running.signal, part => (progress.value = part), path => this.sketch(path));
       $("refused").textContent = "";
       this.show(checked.summary, checked.path as Path);
       this.checked = checked;
@@ -192,6 +192,11 @@ export class App implements Page {
     progress.hidden = true;
     this.runCard.jobChanged();
     this.allowRun();
+  }
+
+  private sketch(path: Path): void {
+    $("nothing").hidden = true;
+    this.player.sketch(path);
   }
 
   /** Shows nothing of another job, or of other settings. */

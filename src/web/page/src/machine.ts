@@ -29,7 +29,7 @@ export interface Running {
 /** A job that has ended before its last line. */
 export interface Stopped { job: Job; line: number; seconds: number; why: string; at: number[]; lifted?: boolean }
 /** A job that has come to its end. */
-export interface Finished { name: string; took: number; forecast: number; holds: number }
+export interface Finished { name: string; took: number; forecast: number; holds: number; times: number }
 /** An alarm, from its report until the machine may work again. */
 export interface Trouble { code?: number; text: string; advice: string; at: number[]; line?: number; limits: string; unlocked: boolean; positionLost: boolean }
 
@@ -372,7 +372,7 @@ export class Machine {
     if (this.rests >= 2) {
       running.follower.finish();
       const took = (performance.now() - running.began) / 1000;
-      this.finished = { name: running.job.name, took, forecast: running.summary.forecast_s, holds: running.holds };
+      this.finished = { name: running.job.name, took, forecast: running.summary.forecast_s, holds: running.holds, times: speed };
       this.running = undefined;
       this.stale = true;
     }

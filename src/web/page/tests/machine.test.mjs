@@ -49,6 +49,9 @@ export async function a_machine_in_the_page_does_the_job(browser) {
   await state(page, "^Run");
   await jobDone(page);
   near(await place(page), found.position_mm);
+  // The clock is at the end of the job, which may be later than its last report in motion.
+  const clocks = await page.evaluate(() => ["clock", "clock-end"].map(id => document.getElementById(id).textContent));
+  assert.equal(`of ${clocks[0]}`, clocks[1]);
   assert.equal(await page.locator("#console .wrong").count(), 0);
   assert.deepEqual(faults, []);
 }
