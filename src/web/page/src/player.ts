@@ -86,6 +86,7 @@ export class Player implements Timeline {
   sketch(path: Path): void {
     if (this.path || !this.picture || path.lines.length < 2) return;
     this.picture.unit = units.size;
+    this.picture.now = Infinity;
     this.picture.show(path, shades(path, "speed").shades);
   }
 

@@ -784,6 +784,21 @@ export async function macros_tools_spindle_and_outline_send_their_lines(browser)
   assert.deepEqual(faults, []);
 }
 
+export async function on_a_telephone_a_job_that_starts_is_shown(browser) {
+  const { page, faults } = await withMachine(browser, { viewport: { width: 390, height: 844 } });
+  await openJob(page, "pocket_mm.nc", example("pocket_mm.nc"));
+  await page.click(".parts [data-part=control]");
+  await running(page);
+  assert(await page.locator("#run-left-time").isVisible());
+  // Whoever looks at another part then stays there.
+  await page.click(".parts [data-part=picture]");
+  await page.evaluate(() => oxmill.app.machine.report());
+  assert(await page.locator("#view").isVisible());
+  const [legend, follow] = await Promise.all(["#legend", "#follow-label"].map(part => page.locator(part).boundingBox()));
+  assert(follow.y + follow.height <= legend.y, "nothing lies over the legend");
+  assert.deepEqual(faults, []);
+}
+
 /** From the answer to a line until all that it has changed is known Start is off; then it stays on. */
 export async function start_waits_for_what_a_line_has_changed(browser) {
   const { page, faults } = await withMachine(browser);
