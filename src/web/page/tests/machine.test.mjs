@@ -9,6 +9,12 @@ const place = page => page.evaluate(() => oxmill.app.machine.status.machine);
 const near = (a, b) => assert(a.every((v, i) => Math.abs(v - b[i]) < 0.011), `${a} and ${b}`);
 /** Waits until the job has been answered and the machine has reported behind that that it is idle: another job may begin. */
 const jobDone = page => page.waitForFunction(() => oxmill.app.machine.finished && oxmill.app.machine.isAtRest, null, { timeout: PATIENCE });
+/** Has the machine watch its host. The button stands below what is found before a job: a press while that grows would miss it. */
+const watch = async page => {
+  await page.waitForFunction(() => oxmill.app.machine.isAtRest && !document.querySelector(".checks .wait"), null, { timeout: PATIENCE });
+  await page.click("#watch");
+  await page.waitForFunction(() => document.getElementById("silent").hidden);
+};
 /** Starts the job that is open, whatever is asked before: a machine that is not homed may run one. */
 const start = async page => {
   await allowed(page);
@@ -455,8 +461,7 @@ export async function buttons_send_their_realtime_commands(browser) {
 export async function a_board_that_is_left_in_motion_is_held(browser) {
   await connected(browser, "1", async (page, order, wire) => {
     // Who has a UART can have the machine watch its host.
-    await page.click("#watch");
-    await page.waitForFunction(() => document.getElementById("silent").hidden);
+    await watch(page);
     const settings = (await page.evaluate(() => oxmill.app.machine.sender.ask("$$"))).said.join("\n");
     assert.match(settings, /^\$922=2(\.0*)?$/m);
     assert.match(settings, /^\$923=0\.50*$/m);
@@ -523,8 +528,7 @@ async function crash(page) {
 /** On a UART nobody sees it, but for the machine's own watch. */
 export async function a_tab_that_crashes_leaves_a_board_that_watches_in_a_hold(browser) {
   await connected(browser, "1", async (page, order, wire, socket) => {
-    await page.click("#watch");
-    await page.waitForFunction(() => document.getElementById("silent").hidden);
+    await watch(page);
     await openJob(page, "long.nc", "G21 G91\nG1 X100 F60\n");
     await start(page);
     await state(page, "^Run");
