@@ -1,5 +1,6 @@
-// Makes the page: one HTML file that needs nothing else. Called by `cargo xtask web`, which has built the module.
+// Makes the page: one HTML file that needs nothing else; and the same page as a site that can be installed. Called by `cargo xtask web`, which has built the module.
 import { build } from "esbuild";
+import { createHash } from "node:crypto";
 import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
@@ -11,8 +12,8 @@ const target = join(root, "target/web");
 /** Examples that are part of the page. The others can be dropped on it. */
 const EXAMPLES = ["five_circles.nc", "house.nc", "pocket_mm.nc", "pocket_inch.nc", "pcb_isolation.nc"];
 
-const bundle = async entry => {
-  const options = { entryPoints: [join(here, "src", entry)], bundle: true, minify: true, write: false, format: "iife", target: "es2022" };
+const bundle = async (entry, define = {}) => {
+  const options = { define, entryPoints: [join(here, "src", entry)], bundle: true, minify: true, write: false, format: "iife", target: "es2022" };
   return (await build(options)).outputFiles[0].text;
 };
 // `</script` would end the element that a script is in.
@@ -29,7 +30,28 @@ const page = readFileSync(join(here, "src/index.html"), "utf8")
   .replace("<!--SCRIPT-->", () => script(`globalThis.OXMILL=${JSON.stringify(data)}`) + script(""));
 const app = await bundle("app.ts");
 mkdirSync(target, { recursive: true });
-writeFileSync(join(target, "oxmill.html"), page.replace("<script></script>", () => script(app)));
+const whole = page.replace("<script></script>", () => script(app));
+writeFileSync(join(target, "oxmill.html"), whole);
+
+// A site that a browser installs: a manifest and a service worker have to have addresses of their own.
+const icon = `<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 64 64"><rect width="64" height="64" fill="#12161c"/><circle cx="32" cy="32" r="14" fill="none" stroke="#58a2ff" stroke-width="9"/><path d="M32 13v12M32 39v12M13 32h12M39 32h12" stroke="#12161c" stroke-width="3"/></svg>\n`;
+const manifest = {
+  name: "Oxmill", short_name: "Oxmill", description: "Checks, forecasts and runs G-code", id: "./", start_url: "./", scope: "./", display: "standalone", background_color: "#f3f4f6", theme_color: "#12161c",
+  icons: [{ src: "icon.svg", type: "image/svg+xml", sizes: "any", purpose: "any" }, { src: "icon.svg", type: "image/svg+xml", sizes: "any", purpose: "maskable" }],
+  file_handlers: [{ action: "./", accept: { "text/x-gcode": [".nc", ".ngc", ".gcode", ".gc", ".tap", ".cnc"] } }], launch_handler: { client_mode: "focus-existing" },
+};
+const POLICY = [["worker-src blob:;", "worker-src blob: 'self'; manifest-src 'self';"], ["img-src data:;", "img-src data: 'self';"]];
+const ICON = '<link rel="icon"';
+if (![ICON, ...POLICY.map(([from]) => from)].every(part => whole.includes(part))) throw new Error("index.html has no place for the manifest");
+const files = {
+  "index.html": POLICY.reduce((text, [from, to]) => text.replace(from, to), whole).replace(ICON, `<link rel="manifest" href="oxmill.webmanifest">\n<meta name="oxmill-offline" content="offline.js">\n<meta name="theme-color" content="#12161c">\n${ICON}`),
+  "oxmill.webmanifest": `${JSON.stringify(manifest, undefined, 1)}\n`,
+  "icon.svg": icon,
+};
+const version = createHash("sha256").update(Object.values(files).join("\0")).digest("hex").slice(0, 16);
+files["offline.js"] = await bundle("offline.ts", { VERSION: JSON.stringify(version), FILES: JSON.stringify(["./", "oxmill.webmanifest", "icon.svg"]) });
+mkdirSync(join(target, "site"), { recursive: true });
+for (const [name, text] of Object.entries(files)) writeFileSync(join(target, "site", name), text);
 
 /** Sizes may grow by this part before somebody has to accept it. */
 const TOLERANCE = 1.02;

@@ -7,6 +7,7 @@ import { closeDialogs, listenToDialogs } from "./dialogs";
 import { $, allow, count, onclick } from "./dom";
 import { type Description, hindrance, type Order, type Path, type Summary } from "./engine";
 import * as firmware from "./firmware";
+import { keepOffline, onlaunch } from "./installed";
 import { FirstVisit } from "./first";
 import { JogPanel } from "./jog";
 import { linesOf, read, type Refusal, tooLarge } from "./jobfile";
@@ -87,6 +88,12 @@ export class App implements Page {
     this.runCard = new RunCard(this.machine, this, { from: line => this.continue.from(this.machine.stopped?.job ?? this.job, line) });
     this.first = new FirstVisit(this, this.settings, () => $("open-import").click());
     this.settings.onchange(() => this.soon());
+    let runs = false;
+    this.machine.onchange(() => {
+      // On a telephone, where the card of the job is not always in sight.
+      if (this.machine.running && !runs) this.workspaces.part("job");
+      runs = this.machine.running !== undefined;
+    });
     listenToKeys({ machine: this.machine, page: this, player: this.player, jog, position, setup, workspace: () => this.workspaces.now });
     void settingsPanel;
     this.theme();
@@ -177,7 +184,7 @@ export class App implements Page {
     const slow = setTimeout(() => (progress.hidden = running.signal.aborted), 200);
     progress.value = 0;
     try {
-      const checked = await firmware.check(this.order({ path: true }), this.job.bytes, running.signal, part => (progress.value = part));
+      const checked = await firmware.check(this.order({ path: true }), this.job.bytes, running.signal, part => (progress.value = part), path => running.signal.aborted || this.sketch(path));
       $("refused").textContent = "";
       this.show(checked.summary, checked.path as Path);
       this.checked = checked;
@@ -192,6 +199,11 @@ export class App implements Page {
     progress.hidden = true;
     this.runCard.jobChanged();
     this.allowRun();
+  }
+
+  private sketch(path: Path): void {
+    $("nothing").hidden = true;
+    this.player.sketch(path);
   }
 
   /** Shows nothing of another job, or of other settings. */
@@ -267,6 +279,7 @@ export class App implements Page {
       over(false);
       void openFile(event.dataTransfer?.files[0]);
     });
+    onlaunch(openFile);
   }
 
   /** Light or dark: as the system has it, until a person chooses. */
@@ -291,6 +304,7 @@ async function main(): Promise<void> {
   try {
     await firmware.load();
     const app = new App(await firmware.describe());
+    keepOffline();
     Object.assign(globalThis, { oxmill: { check, app, placeAt, examples: firmware.examples } });
   } catch (error) {
     $("loading").hidden = false;

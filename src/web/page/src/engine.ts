@@ -117,7 +117,7 @@ export class Engine {
     return JSON.parse(this.call(() => this.wasm.oxmill_describe()));
   }
 
-  /** Takes a job through the controller. `progress` gets the part of the file that was read, 0 to 1. */
+  /** Takes a job through the controller. `progress` gets the part of the file that was read, 0 to 1, from time to time. */
   check(order: Order, job: Uint8Array, progress: (part: number) => void = () => {}): Summary {
     this.put(encode(JSON.stringify(order)), new Uint8Array(1), job);
     this.call(() => this.wasm.oxmill_check_begin());

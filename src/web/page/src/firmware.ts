@@ -22,10 +22,10 @@ export function worker(): Worker {
   return made;
 }
 
-type Answer = { is: string; part: number; why: string };
+type Answer = { is: string; part: number; why: string; path?: Path };
 
 /** Has a task done in a worker of its own, which ends with it, or with the signal. */
-function run<T extends Answer>(task: Task, is: string, signal?: AbortSignal, progress?: (part: number) => void): Promise<T> {
+function run<T extends Answer>(task: Task, is: string, signal?: AbortSignal, progress?: (part: number) => void, sketch?: (path: Path) => void): Promise<T> {
   return new Promise((resolve, reject) => {
     const one = worker();
     const end = () => one.terminate();
@@ -35,6 +35,7 @@ function run<T extends Answer>(task: Task, is: string, signal?: AbortSignal, pro
     });
     one.onmessage = ({ data }: MessageEvent<T>) => {
       if (data.is === "progress") progress?.(data.part);
+      if (data.is === "sketch" && data.path) sketch?.(data.path);
       if (data.is === is) {
         end();
         resolve(data);
@@ -56,8 +57,9 @@ export async function describe(): Promise<Description> {
   return (await run<Answer & { description: Description }>({ task: "describe" }, "described")).description;
 }
 
-export function check(order: Order, job: Uint8Array, signal?: AbortSignal, progress?: (part: number) => void): Promise<Checked> {
-  return run<Answer & Checked>({ task: "check", order, job }, "checked", signal, progress);
+/** `sketch` gets the path so far of a job that takes long. */
+export function check(order: Order, job: Uint8Array, signal?: AbortSignal, progress?: (part: number) => void, sketch?: (path: Path) => void): Promise<Checked> {
+  return run<Answer & Checked>({ task: "check", order, job }, "checked", signal, progress, sketch);
 }
 
 export async function stream(order: Order, job: Uint8Array, signal?: AbortSignal): Promise<Streamed> {

@@ -227,6 +227,8 @@ export class JogPanel {
     if (machine.axes.join("") !== this.axes && machine.status) this.build(machine.axes);
     if (this.keys && performance.now() - this.used > FORGETFUL) this.switchKeysOff();
     const why = machine.whyNot;
+    // A button that is switched off does not tell of its release.
+    if (why) this.end();
     if (why && machine.phase !== "jog") this.switchKeysOff();
     $("jog-card").hidden = !machine.isConnected;
     for (const pad of this.pads) allow(pad, why);

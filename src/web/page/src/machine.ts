@@ -29,7 +29,7 @@ export interface Running {
 /** A job that has ended before its last line. */
 export interface Stopped { job: Job; line: number; seconds: number; why: string; at: number[]; lifted?: boolean }
 /** A job that has come to its end. */
-export interface Finished { name: string; took: number; forecast: number; holds: number }
+export interface Finished { name: string; took: number; forecast: number; holds: number; times: number }
 /** An alarm, from its report until the machine may work again. */
 export interface Trouble { code?: number; text: string; advice: string; at: number[]; line?: number; limits: string; unlocked: boolean; positionLost: boolean }
 
@@ -66,8 +66,9 @@ export class Machine {
   private lostWhy = "";
   /** Reports in a row that said that the machine does nothing, with no line under way. */
   private rests = 0;
-  /** Modes and offsets may have changed. */
+  /** Modes and offsets may have changed, and are being asked for. */
   private stale = true;
+  private asking = false;
   private limits = "";
   private readonly listeners: (() => void)[] = [];
   private waiting: ((status: Status) => void)[] = [];
@@ -161,9 +162,9 @@ export class Machine {
     return this.phase === "jog" ? "Off while the machine jogs." : this.whyNot;
   }
 
-  /** Whether a job may begin: a single report may be older than the last move. */
+  /** Whether a job may begin: a single report may be older than the last move, and what a line has changed is known. */
   get isAtRest(): boolean {
-    return this.rests >= 2;
+    return this.rests >= 2 && !this.stale && !this.asking;
   }
 
   /** Sends a line and shows it. */
@@ -250,10 +251,11 @@ export class Machine {
   private async refresh(): Promise<void> {
     const { sender } = this;
     if (!sender) return;
-    this.stale = false;
+    [this.stale, this.asking] = [false, true];
     const modes = await sender.ask("$G", true);
     const stored = await sender.ask("$#", true);
     if (this.sender !== sender) return;
+    this.asking = false;
     const words = /\[GC:([^\]]*)\]/.exec(modes.said.join(" "))?.[1];
     if (words) this.modes = words.split(" ");
     if (stored.answer === "ok") this.stored = stored.said;
@@ -266,7 +268,7 @@ export class Machine {
     [this.status, this.running, this.stopped, this.finished, this.trouble, this.homed] = [undefined, undefined, undefined, undefined, undefined, undefined];
     [this.lostWhy, this.pause, this.firmware, this.modes, this.stored, this.settings] = ["", "", "", [], [], {}];
     this.heard = performance.now();
-    this.stale = true;
+    [this.stale, this.asking] = [true, false];
     link.onlost = why => this.link === link && this.lost(why);
     sender.onstatus = status => this.heardStatus(status);
     sender.onmessage = text => this.message(text);
@@ -355,7 +357,7 @@ export class Machine {
     for (const call of this.waiting.splice(0)) call(status);
     this.stopping?.report(status);
     this.follow(name, passed);
-    if (this.rests >= 2 && this.stale) void this.refresh();
+    if (this.rests >= 2 && this.stale && !this.asking) void this.refresh();
     this.changed();
   }
 
@@ -370,7 +372,7 @@ export class Machine {
     if (this.rests >= 2) {
       running.follower.finish();
       const took = (performance.now() - running.began) / 1000;
-      this.finished = { name: running.job.name, took, forecast: running.summary.forecast_s, holds: running.holds };
+      this.finished = { name: running.job.name, took, forecast: running.summary.forecast_s, holds: running.holds, times: speed };
       this.running = undefined;
       this.stale = true;
     }
@@ -421,7 +423,7 @@ export class Machine {
   /** Starts a job that was checked. Throws, and sends nothing of it, if it cannot be sent as it is. */
   start(job: Job, { summary, path }: Checked): void {
     const { sender } = this;
-    if (!sender || this.rests < 2) throw new Error("the machine is not idle");
+    if (!sender || !this.isAtRest) throw new Error("the machine is not idle");
     sender.stream(job.text);
     this.rests = 0;
     [this.stopped, this.finished, this.trouble] = [undefined, undefined, undefined];

@@ -9,11 +9,15 @@ import { BLOCK_FRAGMENT, BLOCK_VERTEX, FRAGMENT, VERTEX } from "./shaders";
 const STRIDE = 6;
 /** Rows up to which thick lines are drawn at once. Beyond, a strip of thin ones until the view has come to rest. */
 const QUICK = 20_000;
-/** Rows that are drawn while the view moves, at most. */
+/** Rows that are drawn while the view moves, at most; and where thick lines are slow. */
 const MOVING = 60_000;
-/** A picture with thick lines that took longer than this is not asked for again, ms. */
+const MOVING_SLOWLY = 10_000;
+/** Thick lines that would take longer than this are not drawn, ms. So many rows are tried. */
 const SLOW = 250;
+const TRIED = 4_000;
+/** How long after its last move a view is at rest, ms; and where thick lines are slow. */
 const REST = 200;
+const REST_SLOWLY = 700;
 /** Where the arrow keys point, right and up. */
 const ARROWS: Record<string, readonly [number, number]> = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 /** How far an arrow key with Shift moves the picture, CSS pixels. */
@@ -63,8 +67,12 @@ export class Picture {
   /** The limits, while they are shown. */
   private travel?: Box;
   private asked = false;
-  private thickIsSlow = false;
+  /** What a row of thick lines takes, ms, once it was tried. */
+  private perRow?: number;
   private lastMove = -Infinity;
+  private later?: ReturnType<typeof setTimeout>;
+  /** Whether the view fits its canvas: one that is hidden has no size to fit. */
+  private fits = false;
 
   constructor(private readonly canvas: HTMLCanvasElement) {
     const gl = canvas.getContext("webgl2", { antialias: true, alpha: false, preserveDrawingBuffer: true });
@@ -84,7 +92,7 @@ export class Picture {
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     this.listen();
-    new ResizeObserver(() => this.draw()).observe(canvas);
+    new ResizeObserver(() => (this.fits ? this.draw() : this.fit())).observe(canvas);
   }
 
   /** Shows a path, with the axes at its work zero. */
@@ -103,7 +111,6 @@ export class Picture {
     // A block and limits were of the path before.
     this.material = this.travel = undefined;
     this.load(this.box, new Float32Array(0));
-    this.thickIsSlow = false;
     this.shade(shades);
     this.load(this.grid, this.gridLines());
     this.fit();
@@ -127,7 +134,7 @@ export class Picture {
   /** Leaves rows out that a view in motion does not miss: of a run of one shade of rapid or feed, all but every so many. */
   private thin(): void {
     const { gl, shades, thinned } = this;
-    const stride = Math.ceil(shades.length / MOVING);
+    const stride = Math.ceil(shades.length / (this.thickIsSlow ? MOVING_SLOWLY : MOVING));
     thinned.count = 0;
     if (stride < 2) return;
     const kept: number[] = [];
@@ -179,6 +186,8 @@ export class Picture {
     const low = this.low.map((value, axis) => Math.min(value, ...boxes.map(box => box.low[axis]))) as Vector;
     const high = this.high.map((value, axis) => Math.max(value, ...boxes.map(box => box.high[axis]))) as Vector;
     const { clientWidth, clientHeight } = this.canvas;
+    this.fits = clientWidth > 0;
+    if (!this.fits) return;
     this.camera.fit(low, high, clientWidth, clientHeight);
     this.draw();
   }
@@ -193,6 +202,23 @@ export class Picture {
   /** Where work zero is, mm of machine coordinates. */
   get workZero(): Vector {
     return this.zero;
+  }
+
+  /** Shows the path as it is done up to a time. */
+  showTime(now: number): void {
+    // Where drawing is slow, time passes as a view moves: with fewer rows.
+    if (now !== this.now && this.thickIsSlow) this.lastMove = performance.now();
+    this.now = now;
+    this.draw();
+  }
+
+  private get thickIsSlow(): boolean {
+    return (this.perRow ?? 0) * this.path.count > SLOW;
+  }
+
+  /** How long after its last move the view is at rest, ms. */
+  private get rest(): number {
+    return this.thickIsSlow ? REST_SLOWLY : REST;
   }
 
   look(turn: number, height: number): void {
@@ -347,23 +373,38 @@ export class Picture {
     gl.uniform1f(uniforms.now, Math.min(this.now, 3e38));
     gl.uniform1f(uniforms.width, 1.1 * ratio);
     if (path.count < 2) return;
-    const moving = performance.now() - this.lastMove < REST;
+    const moving = performance.now() - this.lastMove < this.rest;
+    if (path.count > QUICK && !moving && this.perRow === undefined) {
+      this.perRow = this.tryThick();
+      this.thin();
+      // What was tried is in the picture.
+      return this.draw();
+    }
     if (path.count > QUICK && (moving || this.thickIsSlow)) {
       gl.uniform1i(uniforms.strip, 1);
       gl.bindVertexArray(path.thin);
       if (moving && this.thinned.count) gl.drawElements(gl.LINE_STRIP, this.thinned.count, gl.UNSIGNED_INT, 0);
       else gl.drawArrays(gl.LINE_STRIP, 0, path.count);
-      if (!this.thickIsSlow) setTimeout(() => this.draw(), REST);
+      if (!moving) return;
+      clearTimeout(this.later);
+      this.later = setTimeout(() => this.draw(), this.rest);
       return;
     }
-    const began = performance.now();
     gl.bindVertexArray(path.thick);
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, path.count - 1);
-    if (path.count > QUICK) {
-      // Waits for the picture.
+  }
+
+  /** Draws some rows as thick lines. Gives what one takes, ms. */
+  private tryThick(): number {
+    const { gl, path } = this;
+    const wait = (): number => {
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
-      this.thickIsSlow = performance.now() - began > SLOW;
-    }
+      return performance.now();
+    };
+    const [begun, waited] = [wait(), wait()];
+    gl.bindVertexArray(path.thick);
+    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, TRIED);
+    return (wait() - waited - (waited - begun)) / TRIED;
   }
 
   /** Lines that are pairs of rows. */

@@ -82,6 +82,14 @@ export class Player implements Timeline {
     this.seek(endOf(path));
   }
 
+  /** Shows the path of a job as far as its check has come. */
+  sketch(path: Path): void {
+    if (this.path || !this.picture || path.lines.length < 2) return;
+    this.picture.unit = units.size;
+    this.picture.now = Infinity;
+    this.picture.show(path, shades(path, "speed").shades);
+  }
+
   /** No path: its job was not checked. */
   clear(): void {
     if (this.playing) this.play();
@@ -124,8 +132,7 @@ export class Player implements Timeline {
     this.ontime(this.time);
     for (const picture of [this.picture, this.second]) {
       if (!picture) continue;
-      picture.now = this.time >= end ? Infinity : this.time;
-      picture.draw();
+      picture.showTime(this.time >= end ? Infinity : this.time);
     }
   }
 
@@ -147,8 +154,9 @@ export class Player implements Timeline {
       $("rate").hidden = live;
       this.marked = "";
       if (live) this.showTime(running?.follower.time ?? 0);
-      if (!live) {
-        this.chart.at(this.time, false);
+      if (!live && path) {
+        // A job that is done is at its end, however long before that its last report came.
+        this.showTime(machine.finished ? endOf(path) : this.time);
         this.program.mark(this.line);
       }
       this.program.locked = live ? "Off while the job runs." : undefined;

@@ -171,7 +171,7 @@ export class RunCard {
       this.update();
     });
     return [el("p", { className: "title", textContent: `${done.name} is finished` }),
-      el("dl", {}, ...row("Took", clock(done.took)), ...row("Forecast", clock(done.forecast)), ...row("Holds", String(done.holds))), el("div", { className: "actions" }, close)];
+      el("dl", {}, ...row("Took", `${clock(done.took)}${done.times > 1 ? ` at ${done.times} ×` : ""}`), ...row("Forecast", clock(done.forecast)), ...row("Holds", String(done.holds))), el("div", { className: "actions" }, close)];
   }
 
   private stopped(): (Node | string)[] {

@@ -104,9 +104,9 @@ export class Sender {
     return (await this.ask(text)).answer;
   }
 
-  /** Whether nothing waits to be sent or answered. */
+  /** Whether nothing waits to be sent or answered but lines that only ask. */
   get free(): boolean {
-    return !this.busy && this.flight.length === 0 && this.commands.length === 0;
+    return !this.busy && this.flight.every(({ command }) => command?.quiet) && this.commands.every(({ quiet }) => quiet);
   }
 
   /** Begins a job. Throws, and sends nothing of it, if another is under way or a line cannot be sent as it is. */

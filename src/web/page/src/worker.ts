@@ -19,6 +19,8 @@ const worker = globalThis as unknown as { postMessage(message: unknown, transfer
 const PERIOD = 4;
 /** Machine time between two batches of bytes, ms. */
 const SLICE = 2;
+/** When the path so far is told of a check that lasts, ms: then, and each time it has lasted twice as long. */
+const SKETCH = 500;
 /** A worker that was asleep does not catch up more than this, ms. */
 const MOST = 100;
 
@@ -27,6 +29,8 @@ let machine: Engine | undefined;
 let speed = 1;
 let last = 0;
 const pending: Uint8Array[] = [];
+
+const buffers = ({ rows, lines, tools, speeds }: Path): Transferable[] => [rows.buffer, lines.buffer, tools.buffer, speeds.buffer];
 
 function tick(): void {
   const now = performance.now();
@@ -53,10 +57,17 @@ async function carryOut(task: Task): Promise<void> {
     case "check": {
       const began = performance.now();
       const engine = await Engine.start(module);
-      const summary = engine.check(task.order, task.job, part => worker.postMessage({ is: "progress", part }));
+      let sketch = SKETCH;
+      const summary = engine.check(task.order, task.job, part => {
+        worker.postMessage({ is: "progress", part });
+        if (!task.order.path || performance.now() - began < sketch) return;
+        const path = engine.path();
+        worker.postMessage({ is: "sketch", path }, buffers(path));
+        sketch = 2 * (performance.now() - began);
+      });
       const path = task.order.path ? engine.path() : undefined;
       summary.host_s = (performance.now() - began) / 1000;
-      worker.postMessage({ is: "checked", summary, path, memory: engine.memory() }, path ? [path.rows.buffer, path.lines.buffer, path.tools.buffer, path.speeds.buffer] : []);
+      worker.postMessage({ is: "checked", summary, path, memory: engine.memory() }, path ? buffers(path) : []);
       return;
     }
     case "stream":

@@ -784,6 +784,70 @@ export async function macros_tools_spindle_and_outline_send_their_lines(browser)
   assert.deepEqual(faults, []);
 }
 
+export async function on_a_telephone_a_job_that_starts_is_shown(browser) {
+  const { page, faults } = await withMachine(browser, { viewport: { width: 390, height: 844 } });
+  await openJob(page, "pocket_mm.nc", example("pocket_mm.nc"));
+  await page.click(".parts [data-part=control]");
+  await running(page);
+  assert(await page.locator("#run-left-time").isVisible());
+  // Whoever looks at another part then stays there.
+  await page.click(".parts [data-part=picture]");
+  await page.evaluate(() => oxmill.app.machine.report());
+  assert(await page.locator("#view").isVisible());
+  const [legend, follow] = await Promise.all(["#legend", "#follow-label"].map(part => page.locator(part).boundingBox()));
+  assert(follow.y + follow.height <= legend.y, "nothing lies over the legend");
+  assert.deepEqual(faults, []);
+}
+
+/** From the answer to a line until all that it has changed is known Start is off; then it stays on. */
+export async function start_waits_for_what_a_line_has_changed(browser) {
+  const { page, faults } = await withMachine(browser);
+  await openJob(page, "pocket_mm.nc", example("pocket_mm.nc"));
+  await page.waitForFunction(() => !document.getElementById("start").disabled, null, { timeout: PATIENCE });
+  const off = await page.evaluate(async () => {
+    // As over a cable: an answer takes its time.
+    const { say } = fake;
+    fake.say = text => (text.startsWith("<") ? say.call(fake, text) : setTimeout(() => say.call(fake, text), 30));
+    const start = document.getElementById("start");
+    globalThis.seen = [];
+    new MutationObserver(() => seen.at(-1) !== start.disabled && seen.push(start.disabled)).observe(start, { attributes: true, attributeFilter: ["disabled"] });
+    fake.online = line => (line.startsWith("G10") && (fake.offset = [-90, -40, -20]), "ok");
+    await oxmill.app.machine.line("G10 L20 P1 X10 Y10");
+    return start.disabled;
+  });
+  assert(off, "right behind the answer");
+  await page.waitForFunction(() => seen.at(-1) === false, null, { timeout: PATIENCE });
+  const reports = await page.evaluate(() => {
+    globalThis.reports = 0;
+    oxmill.app.machine.onchange(() => reports++);
+    return reports;
+  });
+  await page.waitForFunction(from => reports >= from + 8, reports, { timeout: PATIENCE });
+  assert.deepEqual(await page.evaluate(() => seen), [true, false]);
+  assert.deepEqual(faults, []);
+}
+
+/** A machine that falls silent switches the buttons off, and a button that is off does not tell of its release. */
+export async function a_held_jog_ends_when_its_button_is_switched_off(browser) {
+  const { page, faults } = await withMachine(browser);
+  const jogs = async () => (await lines(page)).filter(line => line.startsWith("$J")).length;
+  await page.click("#steps .hold-step");
+  await page.getByRole("button", { name: "jog X to plus", exact: true }).hover();
+  await page.mouse.down();
+  await page.waitForFunction(() => fake.lines.some(line => line.startsWith("$J")));
+  await page.evaluate(() => (fake.answers = false));
+  await page.waitForFunction(() => fake.commands.some(({ byte }) => byte === 0x85), null, { timeout: PATIENCE });
+  assert.match(await page.evaluate(() => oxmill.app.machine.phase), /silent|lost/);
+  // Nobody holds anything when it speaks again.
+  const before = await jogs();
+  await page.mouse.up();
+  await page.evaluate(() => ([fake.answers, fake.at] = [true, [0, -20, -5]]));
+  await idle(page);
+  await page.waitForFunction(() => !document.querySelector("#pads button").disabled);
+  assert.equal(await jogs(), before);
+  assert.deepEqual(faults, []);
+}
+
 /** By keys alone: what moves or zeroes asks, and nothing does so in a field. */
 export async function keys_drive_the_machine(browser) {
   const { page, faults } = await withMachine(browser);
@@ -812,7 +876,8 @@ export async function keys_drive_the_machine(browser) {
   // Start by its button; hold and resume from wherever the focus is; Esc stops.
   await page.waitForFunction(() => !document.getElementById("start").disabled, null, { timeout: PATIENCE });
   await page.focus("#start");
-  await page.evaluate(() => (fake.state = "Run"));
+  // The machine runs from the first line on, and not before: Start is off while it does.
+  await page.evaluate(() => (fake.online = line => (line.startsWith("$") || (fake.state = "Run"), "ok")));
   await page.keyboard.press("Enter");
   await page.waitForFunction(() => oxmill.app.machine.phase === "run" && oxmill.app.machine.running);
   await page.keyboard.press(" ");

@@ -156,7 +156,11 @@ export async function a_million_lines_are_checked_within_bounds(browser) {
   await settings(page, { ...MILL, 120: 1000, 121: 1000, 122: 1000 });
   const body = example("relief.nc").split("\n").filter(line => !/M30|M2|%/.test(line)).join("\n");
   const text = Array(17).fill(body).join("\n");
-  const found = await openJob(page, "million.nc", text);
+  const opened = openJob(page, "million.nc", text);
+  // The path so far is seen long before the verdict.
+  const early = await page.waitForFunction(() => oxmill.app.job.name === "million.nc" && (oxmill.app.checked ? "checked" : oxmill.app.player.picture.path.count > 1000 && "drawn"));
+  assert.equal(await early.jsonValue(), "drawn");
+  const found = await opened;
   assert(found.lines > 1_000_000 && found.complete && found.errors.length === 0, JSON.stringify(found).slice(0, 300));
   const { memory, rows } = await page.evaluate(() => ({ memory: oxmill.app.checked.memory, rows: oxmill.app.checked.path.lines.length }));
   assert(memory < 300 * 2 ** 20, `${memory} bytes`);
@@ -164,6 +168,24 @@ export async function a_million_lines_are_checked_within_bounds(browser) {
   // The list of lines is no longer than a browser draws, and still shows the last line.
   await page.evaluate(() => oxmill.app.player.goToLine(oxmill.app.job.lines.length));
   assert(await page.locator(`#line-${found.lines}`).isVisible());
+  assert.deepEqual(faults, []);
+}
+
+/** A job that is checked again while its picture is out of sight fits the picture when it is seen. */
+export async function the_picture_fits_when_it_comes_into_sight(browser) {
+  const { page, faults } = await open(browser, file);
+  await openJob(page, "square.nc", "G21 G91 F6000\nG1 X50\nG1 Y50\nG1 X-50\nG1 Y-50\n");
+  const middle = () => page.evaluate(() => {
+    const { clientWidth, clientHeight } = document.getElementById("view");
+    const [x, y] = oxmill.app.player.picture.place([25, 25, 0]);
+    return [x / clientWidth, y / clientHeight];
+  });
+  const before = await middle();
+  await tab(page, "settings");
+  await settings(page, { ...MILL, 121: 55 });
+  await tab(page, "run");
+  await page.waitForFunction(() => Number.isFinite(oxmill.app.player.picture.place([25, 25, 0])[0]));
+  for (const [axis, part] of (await middle()).entries()) assert(Math.abs(part - before[axis]) < 0.05, `${await middle()} and ${before}`);
   assert.deepEqual(faults, []);
 }
 

@@ -9,7 +9,8 @@ const pictures = {};
 for (const [name, scene] of Object.entries(SCENES)) {
   const { page, says } = await ready(browser, scene);
   await scene.go(page);
-  await page.waitForTimeout(500);
+  // A view comes to rest, and shows all of a long path.
+  await page.waitForTimeout(1500);
   const picture = await page.screenshot();
   writeFileSync(join(FOLDER, name), picture);
   pictures[name] = { sha256: sha256(picture), says };

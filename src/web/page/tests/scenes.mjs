@@ -40,8 +40,14 @@ export const SCENES = {
     },
     async go(page) {
       await page.click("#start");
-      await page.waitForFunction(() => (oxmill.app.machine.status?.machine[2] ?? 0) < -0.1, null, { timeout: 120_000 });
-      await page.waitForTimeout(4000);
+      const times = value => page.evaluate(value => {
+        const select = document.getElementById("times");
+        select.value = value;
+        select.dispatchEvent(new Event("change"));
+      }, value);
+      await times("20");
+      await page.waitForFunction(() => oxmill.app.machine.running.follower.time > 0.4 * oxmill.app.machine.running.follower.end, null, { timeout: 120_000 });
+      await times("1");
     },
   },
 };

@@ -1,12 +1,13 @@
 // The page from a web server, which is a site; and in Firefox, where it is installed.
 import assert from "node:assert/strict";
-import { existsSync, readFileSync } from "node:fs";
+import { existsSync, readdirSync, readFileSync } from "node:fs";
 import { createServer } from "node:http";
+import { join } from "node:path";
 import { pathToFileURL } from "node:url";
 import puppeteer from "puppeteer-core";
-import { open, openJob, PATIENCE, tab } from "./browser.mjs";
+import { checked, open, openJob, PATIENCE, ready, tab } from "./browser.mjs";
 import { until, walk } from "./walk.mjs";
-import { BOARDS, example, examples, MILL, page as file, run, same } from "./program.mjs";
+import { BOARDS, example, examples, MILL, page as file, root, run, same } from "./program.mjs";
 
 const FIREFOX = [process.env.OXMILL_FIREFOX, "/usr/bin/firefox-esr", "/usr/bin/firefox"].find(path => path && existsSync(path));
 
@@ -39,6 +40,74 @@ export async function the_page_is_the_same_as_a_site(browser) {
     assert.equal(connected, false, "the policy holds");
     assert.deepEqual(faults.filter(fault => !/Content Security Policy/.test(fault)), []);
     assert.deepEqual(others, []);
+  } finally {
+    stop();
+  }
+}
+
+/** The folder of the site on a web server; `change` makes another version of it. */
+async function folder() {
+  const at = join(root, "target/web/site");
+  const types = { html: "text/html; charset=utf-8", js: "text/javascript", svg: "image/svg+xml", webmanifest: "application/manifest+json" };
+  const files = Object.fromEntries(readdirSync(at).map(name => [`/${name}`, readFileSync(join(at, name), "utf8")]));
+  const server = createServer((request, response) => {
+    const name = request.url === "/" ? "/index.html" : request.url;
+    response.writeHead(name in files ? 200 : 404, { "content-type": types[name.split(".").pop()] ?? "text/plain" });
+    response.end(files[name] ?? "");
+  });
+  await new Promise(listening => server.listen(0, "127.0.0.1", listening));
+  const stop = () => {
+    server.close();
+    server.closeAllConnections();
+  };
+  const change = () => {
+    files["/index.html"] = files["/index.html"].replace("<title>", "<title>Another version of ");
+    files["/offline.js"] = files["/offline.js"].replace(/[0-9a-f]{16}/, "0123456789abcdef");
+  };
+  return { url: `http://127.0.0.1:${server.address().port}/`, stop, change };
+}
+
+/** As an app: it opens without a network, comes with its next version when there is one, and opens files of its kind. */
+export async function the_site_can_be_installed_and_opens_without_a_network(browser) {
+  const { url, stop, change } = await folder();
+  try {
+    const prepare = page => page.addInitScript(() => Object.defineProperty(globalThis, "launchQueue", { value: { setConsumer: call => (globalThis.launch = call) } }));
+    const { page, faults } = await open(browser, url, { prepare });
+    const devtools = await page.context().newCDPSession(page);
+    const { errors, data } = await devtools.send("Page.getAppManifest");
+    assert.deepEqual([errors, JSON.parse(data).name], [[], "Oxmill"]);
+    const { installabilityErrors } = await devtools.send("Page.getInstallabilityErrors");
+    // A context of the tests is one that keeps nothing.
+    assert.deepEqual(installabilityErrors.map(({ errorId }) => errorId).filter(id => id !== "in-incognito"), []);
+    const kept = () => page.evaluate(async () => [(await caches.keys()).length, Boolean(navigator.serviceWorker.controller)]);
+    await page.waitForFunction(() => navigator.serviceWorker.controller?.state === "activated", null, { timeout: PATIENCE });
+    assert.deepEqual(await kept(), [1, true]);
+    // Another version is there at a later visit.
+    change();
+    const first = await page.evaluate(() => caches.keys());
+    await page.evaluate(async () => (await navigator.serviceWorker.getRegistration()).update());
+    await page.waitForFunction(async first => {
+      const names = await caches.keys();
+      return names.length === 1 && names[0] !== first;
+    }, first[0], { timeout: PATIENCE });
+    await page.waitForFunction(() => navigator.serviceWorker.controller?.state === "activated", null, { timeout: PATIENCE });
+    const end = Date.now() + PATIENCE;
+    for (let title = ""; !title.startsWith("Another version"); title = await page.title()) {
+      assert(Date.now() < end, title);
+      await page.reload();
+      await ready(page, true);
+    }
+    stop();
+    await page.reload();
+    await ready(page);
+    assert.match(await page.title(), /^Another version/);
+    const text = example("pocket_mm.nc");
+    await page.evaluate(text => {
+      oxmill.app.checked = undefined;
+      launch({ files: [{ getFile: async () => new File([text], "launched.nc") }] });
+    }, text);
+    same(await checked(page, "launched.nc"), run("launched.nc", text), "without a network");
+    assert.deepEqual(faults, []);
   } finally {
     stop();
   }
