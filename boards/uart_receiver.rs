@@ -189,9 +189,6 @@ impl<S: ByteSource> UartReceiver<S> {
         let is_damaged = self.source.is_damaged();
         if self.read != place || is_damaged || self.is_doubtful || self.is_at_end(place) {
             self.read_up_to(place, is_damaged, send);
-        } else {
-            // The same command again, after a pause, is a new one.
-            self.before = 0;
         }
         self.looks = if self.message.len == 0 { 0 } else { self.looks.saturating_add(1) };
         Look { stop: self.has_stop(), news: self.is_stuck || self.text >= GATHERED, waits: self.looks >= WAITED }
@@ -231,6 +228,10 @@ impl<S: ByteSource> UartReceiver<S> {
             // A byte may have been counted and not be written yet.
             let is_read = word != EMPTY && left > 0 && self.append(word, is_bad, &mut send);
             if !is_read {
+                if word == EMPTY && self.is_overtaken(place) {
+                    self.lose_all();
+                    return;
+                }
                 self.leave_behind(read);
                 self.is_stuck = word != EMPTY;
                 self.is_doubtful |= is_bad;
@@ -306,11 +307,13 @@ impl<S: ByteSource> UartReceiver<S> {
         true
     }
 
-    /// A byte that is no text. Said twice before anybody has heard it, it says the same.
+    /// A byte that is no text. A report, a hold or a reset that is asked for twice before anybody has heard it says the same; other bytes
+    /// that come twice may be one character.
     #[inline(always)]
     fn append_command(&mut self, byte: u8) {
         let last = self.message.from(0).last().copied().or(self.unheard);
-        let repeats = (byte == b'?' || is_stop(byte)) && last == Some(byte) && !self.message.is_behind_loss;
+        let may_repeat = matches!(byte, b'?' | b'!' | RESET | 0x19);
+        let repeats = may_repeat && last == Some(byte) && !self.message.is_behind_loss;
         if !repeats {
             self.message.push(byte);
         }
@@ -377,6 +380,18 @@ impl<S: ByteSource> UartReceiver<S> {
     fn leave_behind(&mut self, count: usize) {
         self.has_stop_ahead &= count <= self.scanned;
         self.scanned = self.scanned.saturating_sub(count);
+    }
+
+    /// The next slot is empty, and it is not that of the last byte, which may be counted and not be written yet: DMA came round while a look
+    /// read, and what it wrote there was taken for the oldest byte.
+    #[cold]
+    #[inline(never)]
+    fn is_overtaken(&self, place: usize) -> bool {
+        if Self::after(self.read) == place {
+            return false;
+        }
+        self.source.settle();
+        self.buffer.get(self.read).is_some_and(|slot| slot.load(Relaxed) == EMPTY)
     }
 
     /// No slot is free, and that is not because the last byte is about to be counted.

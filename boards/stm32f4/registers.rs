@@ -68,14 +68,15 @@ pub(super) fn write(address: usize, value: u32) {
     // SAFETY: unsafe because a raw address is written; safe because only the files of this folder call it, with addresses of
     // registers of ports, timers, DMA controllers, RCC and the USART that have one owner each and whose clocks are on since `setup`
     // (BSRR changes the pins it names and no others, EGR is a request that whoever may make). Of these, only DMA streams
-    // reach memory: `chain` alone switches them on, to read its own rings and to write registers.
+    // reach memory: `chain` has them read its own rings and write registers, `usart_dma` read its own halves and write its own slots, and
+    // `usart_interrupt` write its own slots, which are atomic.
     unsafe { (address as *mut u32).write_volatile(value) }
 }
 
 #[inline(always)]
 pub(super) fn read(address: usize) -> u32 {
     // SAFETY: unsafe because a raw address is read; safe because only the files of this folder call it, with addresses of
-    // registers that may be read at any time without effect, or of the USART, by its interrupt or while no task runs.
+    // registers that may be read at any time without effect, or of the USART, by the tasks at the priority of the inputs.
     unsafe { (address as *const u32).read_volatile() }
 }
 

@@ -27,6 +27,8 @@ const MESSAGES: usize = 12;
 /// Bytes of a half.
 const HALF: usize = 64;
 
+/// SR: a byte is in the data register.
+const ARRIVED: u32 = 1 << 5;
 /// CR3: errors pend; DMA receives and sends.
 const BY_DMA: u32 = 1 | 1 << 6 | 1 << 7;
 /// CR of the streams: channel 4; half-words, circular, before what is sent; bytes, a call at the end.
@@ -102,7 +104,10 @@ impl ByteSource for ByDma {
     }
 
     fn clear_damage(&mut self) {
-        let _ = (read(USART + SR), read(USART + DATA));
+        // A byte that DMA has not fetched yet is left to it, and the flags to the next look.
+        if read(USART + SR) & ARRIVED == 0 {
+            let _ = read(USART + DATA);
+        }
         NVIC::unpend(VECTOR);
     }
 

@@ -160,7 +160,12 @@ impl ByInterrupt {
         write(at + CR, RECEIVES);
         // It ends the byte that it is at.
         await_off(at);
+        let before = self.place;
         self.place = SLOTS - (read(at + NDTR) as usize).min(SLOTS);
+        if self.place != before && core::mem::take(&mut self.is_behind_loss) {
+            // DMA marks no byte as behind a loss: those that it has fetched are refused.
+            self.is_damaged = true;
+        }
         clear_flags(DMA, STREAM);
         self.prepare();
     }

@@ -198,12 +198,14 @@ impl<P: Port> Ported<P> {
                 }
                 Incoming::Byte(byte) => news |= self.link.take(byte, arbiter, other, queues),
             }
-            // Of lines no more is queued than there is room for, however they end.
-            queues.others = queues.others.saturating_sub(u32::from(queues.bytes_queued == queued));
+            // Of lines no more is queued than there is room for, however they end. Where a link cannot wait, what is taken one by one is
+            // limited anyway, and the characters of remarks come from a host that counts them.
+            let is_other = queues.bytes_queued == queued && (P::WAITS || !self.link.is_in_remark());
+            queues.others = queues.others.saturating_sub(u32::from(is_other));
             self.singly += 1;
             self.quiet_runs = 0;
             let is_long = !P::WAITS && self.singly >= MOST_SINGLY;
-            limited = (is_long || queues.others == 0 && queues.bytes_queued == queued) && !self.port.is_urgent();
+            limited = (is_long || queues.others == 0 && is_other) && !self.port.is_urgent();
             if limited {
                 queues.leaves_unread = true;
                 queues.left_unread.write(());

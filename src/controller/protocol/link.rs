@@ -323,6 +323,12 @@ impl Link {
         dropped
     }
 
+    /// Whether the next byte belongs to a remark.
+    #[inline]
+    pub fn is_in_remark(&self) -> bool {
+        self.remark.is_inside()
+    }
+
     /// Whether the last byte is a `!` that may be text.
     #[inline]
     pub fn is_ambiguous(&self) -> bool {
