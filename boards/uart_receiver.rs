@@ -213,7 +213,8 @@ impl<S: ByteSource> UartReceiver<S> {
         let is_bad = is_damaged || self.is_doubtful;
         self.is_doubtful = is_damaged;
         self.is_stuck = false;
-        let (mut read, mut left) = (0, AT_A_TIME);
+        // Without DMA bytes come slowly, and a long look would keep the next one from being fetched.
+        let (mut read, mut left) = (0, if S::IS_CIRCULAR { AT_A_TIME } else { AT_A_TIME / 4 });
         while self.read != place {
             let Some(slot) = self.buffer.get(self.read) else { break };
             let word = slot.load(Relaxed);

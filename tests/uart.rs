@@ -649,7 +649,9 @@ fn an_interrupt_fills_the_slots() {
     let kept = (0..2 * SLOTS).filter(|_| put(&mut receiver, b'x')).count();
     assert!(put(&mut receiver, b'!'));
     assert!(!put(&mut receiver, b'y') && kept < SLOTS);
-    assert!(out.look(&mut receiver).stop);
+    // A look reads fewer than by DMA.
+    let looks = (0..SLOTS).filter(|_| out.look(&mut receiver).stop).count();
+    assert!(looks > 0);
     assert_eq!(out.text(), format!("{}#!", "x".repeat(kept)));
     out.0.clear();
     assert!(put(&mut receiver, b'z'));
