@@ -15,7 +15,7 @@ use crate::messages::SpindleDirection;
 use crate::units::Decimal;
 
 /// Greatest tool number in Grbl.
-const TOOL_MAX_OF_GRBL: i32 = 255;
+pub(super) const TOOL_MAX_OF_GRBL: i32 = 255;
 /// The same in the other dialects.
 pub(super) const TOOL_MAX: i32 = 99_999;
 /// Letters of values other than axes, as Grbl has them and as the other dialects do.

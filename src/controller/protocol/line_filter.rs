@@ -1,6 +1,8 @@
 //! Filters one line byte by byte as Grbl does: removes blanks and comments, makes letters capital, and ends it at CR or
 //! LF. Keeps the last `(MSG, ...)` of the line. A line that is too long is marked as such.
 
+use super::descriptions::DESCRIPTIONS;
+
 /// Longest line in Grbl's dialect, in bytes, without blanks and remarks.
 pub const GRBL_LENGTH: usize = 79;
 /// Longest line in Oxmill's dialects, in bytes, without blanks and remarks.
@@ -46,6 +48,8 @@ pub struct Line {
     /// The latest remark in parentheses, as far as there is room.
     remark: heapless::Vec<u8, MESSAGE_LENGTH>,
     overflow: bool,
+    /// How many bytes it has beyond those that fit; no memory where nothing is said of it.
+    excess: [u16; DESCRIPTIONS as usize],
     /// A remark of it had parentheses in it.
     nested: bool,
     /// Bytes of it were lost.
@@ -97,6 +101,7 @@ impl Line {
             comment: Comment::None,
             remark: heapless::Vec::new(),
             overflow: false,
+            excess: [0; DESCRIPTIONS as usize],
             nested: false,
             damaged: false,
             after_cr: false,
@@ -243,11 +248,23 @@ impl Line {
                         *place = byte.to_ascii_uppercase();
                         self.len += 1;
                     }
-                    _ => self.overflow = true,
+                    _ => self.overflows(),
                 }
             }
         }
         Pushed::More
+    }
+
+    #[cold]
+    fn overflows(&mut self) {
+        let before = if self.overflow { self.excess } else { [0; DESCRIPTIONS as usize] };
+        self.excess = before.map(|excess| excess.saturating_add(1));
+        self.overflow = true;
+    }
+
+    /// How many bytes a line has that is too long, without blanks and remarks, and how many of them fit.
+    pub fn lengths(&self) -> (usize, usize) {
+        (self.len + usize::from(self.excess.first().copied().unwrap_or(0)), self.len)
     }
 
     /// Whether a slash is no part of the text. Block delete skips its line; Grbl's drops the slash, and the rest of the line is
