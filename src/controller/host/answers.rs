@@ -94,13 +94,14 @@ impl<const N: usize> Controller<N> {
         self.say(|out| report::error(out, error.code()));
     }
 
-    /// What is wrong with the line, in front of its error; Grbl says nothing there, and a startup line has no room for it.
+    /// What is wrong with the line, in front of its error, for the host that gets that; Grbl says nothing there, and a startup line has no room for it.
     #[cold]
     #[inline(never)]
     fn tell_reason(&mut self, error: Error) {
         if let Some(reason) = self.line.refused(error)
             && self.dialect() != Dialect::Grbl
             && !self.m.replies.is_echoing()
+            && !self.m.replies.has_host_left(self.m.lines.hosts_cut())
         {
             self.say(|out| report::program_message(out, &reason));
         }

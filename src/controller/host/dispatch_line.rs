@@ -4,7 +4,7 @@
 
 use crate::dispatch::Controller;
 use crate::error::Error;
-use crate::gcode::{self, AS_WRITTEN, CAM_WORDS, Dialect, Direction, Notice, REASONS, WITH_VALUES};
+use crate::gcode::{self, AS_WRITTEN, CAM_WORDS, Dialect, Direction, Notice, WITH_VALUES};
 use crate::messages::{HOST_CHANGED, LineByte};
 use crate::protocol::intake::Taken;
 use crate::protocol::line_checksum::Verdict;
@@ -143,8 +143,8 @@ impl<const N: usize> Controller<N> {
             Pushed::More => {}
             _ if taken.verdict != Verdict::Valid => self.answer_invalid(taken.verdict),
             Pushed::TooLong => {
-                if REASONS && !taken.lost {
-                    self.line.explain_length(self.m.lines.lengths());
+                if let Some((length, fit)) = self.m.lines.lengths() {
+                    self.line.explain_length(length, fit);
                 }
                 self.m.lines.clear();
                 self.refuse_program_line(Error::LineTooLong, false);

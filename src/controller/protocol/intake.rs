@@ -262,8 +262,8 @@ impl LineIntake {
         self.line.text()
     }
 
-    /// How many bytes of text a line has that is too long, and how many of them fit.
-    pub fn lengths(&self) -> (usize, usize) {
+    /// How many bytes of text a line has that is too long, and how many of them fit; `None` if some were lost.
+    pub fn lengths(&self) -> Option<(usize, usize)> {
         self.line.lengths()
     }
 

@@ -262,9 +262,11 @@ impl Line {
         self.overflow = true;
     }
 
-    /// How many bytes a line has that is too long, without blanks and remarks, and how many of them fit.
-    pub fn lengths(&self) -> (usize, usize) {
-        (self.len + usize::from(self.excess.first().copied().unwrap_or(0)), self.len)
+    /// How many bytes a line has that is too long, without blanks and remarks, and how many of them fit; `None` if some were
+    /// lost.
+    pub fn lengths(&self) -> Option<(usize, usize)> {
+        let excess = self.excess.first().filter(|_| !self.damaged)?;
+        Some((self.len + usize::from(*excess), self.len))
     }
 
     /// Whether a slash is no part of the text. Block delete skips its line; Grbl's drops the slash, and the rest of the line is

@@ -92,7 +92,7 @@ impl<const N: usize> LineInWork<N> {
 
     /// The line is refused for its length.
     #[cold]
-    pub(crate) fn explain_length(&mut self, (length, fit): (usize, usize)) {
+    pub(crate) fn explain_length(&mut self, length: usize, fit: usize) {
         if let Some(refusal) = self.refusal.first_mut() {
             let mut text = Text::new();
             put(&mut text, b"the line has ");

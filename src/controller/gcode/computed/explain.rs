@@ -46,6 +46,9 @@ impl<const N: usize> Interpreter<N> {
             Error::InvalidArgument if self.unset_parameter(within).is_some() => {
                 say(out, "% is not set above this line", &[self.unset_parameter(within).unwrap_or_default()]);
             }
+            error if error.code() < Error::UnknownOperation.code() && error != Error::NotIdle => {
+                say(out, "% belongs to what is refused as a whole: correct its first refused line", &[name]);
+            }
             error => {
                 say(out, "%: ", &[name]);
                 let _ = out.extend_from_slice(error.text().as_bytes());
@@ -68,6 +71,9 @@ impl<const N: usize> Interpreter<N> {
                 return say(out, "no subroutine % above this line", &[label]);
             }
             Keyword::Call => return say(out, "% takes values in brackets, one behind the other", &[name]),
+            Keyword::EndSub if order.arguments == b"]" => {
+                return say(out, "O% SUB was refused where it is written: correct its first refused line", &[label]);
+            }
             _ if order.has_computed_label() => return say(out, "only a call may have a computed number", &[]),
             Keyword::If | Keyword::While | Keyword::ElseIf | Keyword::Repeat if !order.is_well_formed() => {
                 return say(out, "% lacks its value in brackets", &[name]);

@@ -96,7 +96,7 @@ impl<const N: usize> Interpreter<N> {
                 say(out, "% keeps one state too many: M72 or M71 comes before the next", &[keep]);
             }
             Error::SplineOutsideXy => {
-                let aside = line.axes().skip(2).next();
+                let aside = line.axes().find(|axis| axis.index() > 1);
                 match aside {
                     Some(axis) => say(
                         out,
@@ -479,6 +479,12 @@ impl<'a, const N: usize> Line<'a, N> {
             (Some(b'O'), None) => say(out, "% has to be alone in its line", &[word]),
             (Some(b'I' | b'J' | b'K'), _) if is_arc && self.parsed.values.has(b'R') => {
                 say(out, "% does not go with % in an arc: write one of them", &[word, self.word(b'R')]);
+            }
+            (Some(b'I' | b'J' | b'K'), _) if self.parsed.extended.scaling == Some(true) => {
+                say(out, "% does not go with % in G51: write one of them", &[word, self.word(b'P')]);
+            }
+            (Some(b'E' | b'Q'), _) if self.parsed.extended.pins.is_some() => {
+                say(out, "% is used by nothing in this line: take it out", &[word]);
             }
             (Some(b'I' | b'J' | b'K'), _) => {
                 say(out, "% belongs to an arc, and % is in force: write G2 or G3", &[word, motion]);

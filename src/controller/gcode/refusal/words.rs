@@ -184,6 +184,10 @@ impl<const N: usize> Interpreter<N> {
         let grbl = text.dialect == Dialect::Grbl;
         let count = |what: u8| word.iter().filter(|byte| **byte == what).count();
         match (*letter, rest) {
+            // What is left of a remark with parentheses in it.
+            (b')', []) if text.line.len() == 1 => {
+                say(out, "a remark is not closed: each parenthesis needs its other half", &[])
+            }
             _ if count(b')') > 0 => {
                 let first = if *letter == b')' { last_word(before) } else { up_to(word, b')') };
                 say(out, "a parenthesis is closed that was not opened, behind %", &[first]);
