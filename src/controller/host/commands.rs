@@ -58,9 +58,10 @@ impl<const N: usize> Controller<N> {
             System::ParserState => self.report_parser_state(),
             System::BuildInfo => self.report_build_info(false),
             System::MoreBuildInfo => self.report_build_info(true),
-            System::Describe(_) | System::Refusal if !DESCRIPTIONS => return Err(Error::DescriptionsLeftOut),
+            System::Describe(_) if !DESCRIPTIONS => return Err(Error::DescriptionsLeftOut),
             System::Describe(what) => self.task = Task::Listing(Listing::Descriptions(what), 0),
-            System::Refusal => self.tell_refusal(),
+            System::Refusal if DESCRIPTIONS => self.tell_refusal(),
+            System::Refusal => return Err(Error::DescriptionsLeftOut),
             System::SetBuildInfo(text) => {
                 let text = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
                 self.m.records.save_build_info(text);

@@ -4,7 +4,7 @@
 
 use crate::dispatch::Controller;
 use crate::error::Error;
-use crate::gcode::{self, AS_WRITTEN, CAM_WORDS, Dialect, Direction, Notice, WITH_VALUES};
+use crate::gcode::{self, AS_WRITTEN, CAM_WORDS, Dialect, Direction, Notice, REASONS, WITH_VALUES};
 use crate::messages::{HOST_CHANGED, LineByte};
 use crate::protocol::intake::Taken;
 use crate::protocol::line_checksum::Verdict;
@@ -91,18 +91,17 @@ impl<const N: usize> Controller<N> {
             }
             directed => directed,
         };
-        let asks_for_tool = match checked {
-            Ok(_) => false,
-            Err(error) => {
-                self.line.explain(&mut self.m.interpreter, text, dialect, error, false);
-                gcode::asks_for_tool(text)
-            }
-        };
+        if REASONS && let Err(error) = checked {
+            self.line.explain(&mut self.m.interpreter, text, dialect, error, false);
+        }
+        let asks_for_tool = checked.is_err() && gcode::asks_for_tool(text);
         self.m.lines.clear();
         match checked {
             Ok(Direction::Check) => {
                 if let Err(error) = self.begin_checked(Answer::Host) {
-                    self.explain(&[], error);
+                    if REASONS {
+                        self.explain(&[], error);
+                    }
                     self.refuse_program_line(error, self.line.action.tool_change);
                 }
             }
@@ -143,7 +142,7 @@ impl<const N: usize> Controller<N> {
             Pushed::More => {}
             _ if taken.verdict != Verdict::Valid => self.answer_invalid(taken.verdict),
             Pushed::TooLong => {
-                if let Some((length, fit)) = self.m.lines.lengths() {
+                if REASONS && let Some((length, fit)) = self.m.lines.lengths() {
                     self.line.explain_length(length, fit);
                 }
                 self.m.lines.clear();
@@ -234,16 +233,13 @@ impl<const N: usize> Controller<N> {
             Some(_) if self.state.is_alarm() || matches!(self.state, State::Jog { .. }) => Err(Error::Locked),
             _ => self.program_line(line, remark),
         };
+        if REASONS && let Err(error) = result {
+            self.explain(line, error);
+        }
         match result {
             Ok(()) => {}
-            Err(error) if line.first() == Some(&b'$') => {
-                self.explain(line, error);
-                self.refuse(error);
-            }
-            Err(error) => {
-                self.explain(line, error);
-                self.refuse_program_line(error, gcode::asks_for_tool(line));
-            }
+            Err(error) if line.first() == Some(&b'$') => self.refuse(error),
+            Err(error) => self.refuse_program_line(error, gcode::asks_for_tool(line)),
         }
     }
 

@@ -248,7 +248,8 @@ impl Line {
                         *place = byte.to_ascii_uppercase();
                         self.len += 1;
                     }
-                    _ => self.overflows(),
+                    _ if DESCRIPTIONS => self.overflows(),
+                    _ => self.overflow = true,
                 }
             }
         }
