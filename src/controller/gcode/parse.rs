@@ -171,6 +171,12 @@ impl<const N: usize> Parsed<N> {
         Ok(())
     }
 
+    /// The same where time does not matter: once in the image, and not in each of those that read a line.
+    #[inline(never)]
+    pub fn read_apart(&mut self, line: &[u8], dialect: Dialect, state: &mut Interpreter<N>) -> Result<(), Error> {
+        self.read(line, dialect, state)
+    }
+
     /// Whether it has no words but those that say where a line leads and how: the steps of the check that have nothing to look at
     /// then are left out, for nearly all lines of a program are like that.
     #[inline]

@@ -10,6 +10,7 @@ use crate::gcode::state::Interpreter;
 
 impl<const N: usize> Interpreter<N> {
     /// What is wrong with an O word, or with the block that a line belongs to. Whether it is that.
+    #[inline(never)]
     pub(in crate::gcode) fn explain_flow(&self, line: &[u8], error: Error, out: &mut Reason) -> bool {
         let order = OWord::of(line);
         let is_refused_block = matches!(self.computed.flow.state, FlowState::Recording(_, Some(of)) if of == error);
@@ -30,6 +31,7 @@ impl<const N: usize> Interpreter<N> {
         true
     }
 
+    #[inline(never)]
     fn explain_order(&self, line: &[u8], order: &OWord, error: Error, out: &mut Reason) {
         let mut name = heapless::Vec::<u8, 48>::new();
         let keyword = KEYWORDS.iter().find(|(_, keyword)| *keyword == order.keyword);
@@ -56,6 +58,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
+    #[inline(never)]
     fn explain_syntax(&self, name: &[u8], order: &OWord, out: &mut Reason) {
         let label = order.label;
         let opening: &[u8] = match order.keyword {
@@ -93,6 +96,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// The parameter of a text that has no value, or does not exist.
+    #[inline(never)]
     pub(in crate::gcode) fn unset_parameter<'t>(&self, text: &'t [u8]) -> Option<&'t [u8]> {
         (0..text.len()).find_map(|at| {
             let found = text.get(at..)?.strip_prefix(b"#")?;

@@ -33,6 +33,7 @@ struct Line<'a, const N: usize> {
 
 impl<const N: usize> Interpreter<N> {
     /// A line that means nothing in the state that is in force.
+    #[inline(never)]
     pub(super) fn explain_meaning(
         &self,
         text: &Text,
@@ -153,6 +154,7 @@ impl<const N: usize> Interpreter<N> {
 
 impl<'a, const N: usize> Line<'a, N> {
     /// A word as it is written, or its letter.
+    #[inline(never)]
     fn word(&self, letter: u8) -> &'a [u8] {
         const LETTERS: &[u8; 26] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZ";
         let at = usize::from(letter.wrapping_sub(b'A'));
@@ -160,6 +162,7 @@ impl<'a, const N: usize> Line<'a, N> {
     }
 
     /// The motion word in force.
+    #[inline(never)]
     fn motion(&self) -> &'static [u8] {
         if self.parsed.extended.ends_control_points {
             return b"G5.3";
@@ -168,6 +171,7 @@ impl<'a, const N: usize> Line<'a, N> {
     }
 
     /// The word that wants the axis words.
+    #[inline(never)]
     fn command(&self) -> &'a [u8] {
         let numbers = [40, 100, 280, 281, 300, 301, 510, 520, 530, 680, 920, 921, 922, 923];
         self.text.code(b'G', &numbers).unwrap_or(self.motion())
@@ -177,6 +181,7 @@ impl<'a, const N: usize> Line<'a, N> {
         Axis::of_machine::<N>().filter(|axis| self.parsed.axes.has(*axis))
     }
 
+    #[inline(never)]
     fn plane_letters(&self) -> [u8; 2] {
         let axes = self.modal.plane.axes();
         let mut letters = [axes.first.letter(), axes.second.letter()];
@@ -192,6 +197,7 @@ impl<'a, const N: usize> Line<'a, N> {
         self.parsed.value(letter)
     }
 
+    #[inline(never)]
     fn feed(&self, is_jog: bool, out: &mut Reason) {
         if self.parsed.values.has(b'F') && self.value(b'F') == Decimal::ZERO {
             say(out, "% is no feed: it must be above 0", &[self.word(b'F')]);
@@ -204,6 +210,7 @@ impl<'a, const N: usize> Line<'a, N> {
         }
     }
 
+    #[inline(never)]
     fn jog(&self, out: &mut Reason) {
         let is_strange = |word: &&[u8]| match word.first() {
             Some(b'G') => super::words::tenths_of(word).is_none_or(|number| !OF_JOGS.contains(&number)),
@@ -214,11 +221,13 @@ impl<'a, const N: usize> Line<'a, N> {
         say(out, "% is not for a jog: it takes axis words, F, G20, G21, G53, G90 and G91", &[word]);
     }
 
+    #[inline(never)]
     fn negative(&self, out: &mut Reason) {
         let letter = [b'P', b'Q', b'E'].into_iter().find(|letter| self.value(*letter) < Decimal::ZERO);
         say(out, "% must not be negative", &[self.word(letter.unwrap_or(b'P'))]);
     }
 
+    #[inline(never)]
     fn fraction(&self, out: &mut Reason) {
         let has_fraction = |letter: &u8| self.value(*letter).0 % DECIMAL_ONE != 0;
         let letter = [b'T', b'H', b'L', b'P', b'Q', b'E', b'D'].into_iter().find(has_fraction);
@@ -228,6 +237,7 @@ impl<'a, const N: usize> Line<'a, N> {
         }
     }
 
+    #[inline(never)]
     fn no_axis(&self, out: &mut Reason) {
         let command = self.command();
         match self.modal.motion {
@@ -239,6 +249,7 @@ impl<'a, const N: usize> Line<'a, N> {
         }
     }
 
+    #[inline(never)]
     fn missing(&self, out: &mut Reason) {
         let has = |letter: u8| self.parsed.values.has(letter);
         let mut lacks = |letter: &str, command: &[u8], what: &str| {
@@ -308,6 +319,7 @@ impl<'a, const N: usize> Line<'a, N> {
     }
 
     /// Whether it is a word of M62 to M68 that is missing.
+    #[inline(never)]
     fn missing_of_pin(&self, word: &[u8], lacks: &mut impl FnMut(&str, &[u8], &str)) -> bool {
         let has = |letter: u8| self.parsed.values.has(letter);
         match self.parsed.extended.pins {
@@ -321,6 +333,7 @@ impl<'a, const N: usize> Line<'a, N> {
         true
     }
 
+    #[inline(never)]
     fn system(&self, out: &mut Reason) {
         let (word, last) = match self.text.code(b'G', &[541, 1540]) {
             Some(word) => (word, CoordinateSystem::ALL.len() - CoordinateSystem::OF_GRBL),
@@ -332,6 +345,7 @@ impl<'a, const N: usize> Line<'a, N> {
     }
 
     /// G10 of a kind that there is not.
+    #[inline(never)]
     fn kind_of_offset(&self, out: &mut Reason) {
         let grbl = self.text.dialect == Dialect::Grbl;
         if !self.parsed.values.has(b'L') {
@@ -345,6 +359,7 @@ impl<'a, const N: usize> Line<'a, N> {
         }
     }
 
+    #[inline(never)]
     fn not_supported(&self, out: &mut Reason) {
         if let Some(word) = self.text.code(b'M', &[520, 530]) {
             say(out, "% is not supported with this P: nothing adapts the feed, and the hold always acts", &[word]);
@@ -353,6 +368,7 @@ impl<'a, const N: usize> Line<'a, N> {
         }
     }
 
+    #[inline(never)]
     fn axis_unused(&self, out: &mut Reason) {
         let axis = self.axes().next().map_or(b'X', Axis::letter);
         let (word, extended) = (self.word(axis), &self.parsed.extended);
@@ -371,6 +387,7 @@ impl<'a, const N: usize> Line<'a, N> {
         }
     }
 
+    #[inline(never)]
     fn no_centre(&self, out: &mut Reason) {
         let axes = self.modal.plane.axes();
         let mut letters = [axes.first, axes.second].map(centre_letter);
@@ -384,6 +401,7 @@ impl<'a, const N: usize> Line<'a, N> {
         }
     }
 
+    #[inline(never)]
     fn out_of_range(&self, out: &mut Reason) {
         let value = |letter: u8| self.parsed.values.has(letter).then(|| self.value(letter));
         let extended = &self.parsed.extended;
@@ -418,6 +436,7 @@ impl<'a, const N: usize> Line<'a, N> {
         }
     }
 
+    #[inline(never)]
     fn tool(&self, out: &mut Reason) {
         let of_table = self.parsed.non_modal == Some(NonModal::SetSystem);
         let letter = if of_table { b'P' } else { b'H' };
@@ -452,6 +471,7 @@ impl<'a, const N: usize> Line<'a, N> {
         self.state.tools.slot(entry_number(number, self.state.is_checking())).is_none()
     }
 
+    #[inline(never)]
     fn pin(&self, out: &mut Reason) {
         let (kind, number): (&[u8], u32) = match self.action.pins() {
             Some(ProgramPins::Digital { number, .. }) => (b"output", number),
@@ -466,6 +486,7 @@ impl<'a, const N: usize> Line<'a, N> {
     }
 
     /// Words that nothing in the line uses.
+    #[inline(never)]
     fn unused(&self, is_jog: bool, out: &mut Reason) {
         let unused = self.action.unused.first().copied().unwrap_or_default();
         let is_unused = |word: &&[u8]| word.first().is_some_and(|letter| unused.has(*letter));
@@ -504,6 +525,7 @@ impl<'a, const N: usize> Line<'a, N> {
         }
     }
 
+    #[inline(never)]
     fn length(&self, value: Decimal) -> Coordinate {
         match self.modal.units {
             Units::Mm => Coordinate::from_mm(value),
@@ -511,17 +533,20 @@ impl<'a, const N: usize> Line<'a, N> {
         }
     }
 
+    #[inline(never)]
     fn axis_length(&self, axis: Axis) -> Coordinate {
         let value = self.parsed.axis.get(axis).unwrap_or(Decimal::ZERO);
         if axis.index() < 3 { self.length(value) } else { Coordinate::from_mm(value) }
     }
 
+    #[inline(never)]
     fn offset(&self, axis: Axis) -> Coordinate {
         let system = self.state.offsets.system(self.modal.coordinate_system);
         along(&system, axis) + along(&self.action.g92, axis) + along(&self.action.tool_length, axis)
     }
 
     /// Whether program and machine have axes of other directions or sizes.
+    #[inline(never)]
     fn is_turned(&self) -> bool {
         self.state.rotation.is_some()
             || self.state.scaling.is_some()
@@ -529,6 +554,7 @@ impl<'a, const N: usize> Line<'a, N> {
     }
 
     /// Where an unrotated line leads to, in the machine.
+    #[inline(never)]
     fn end(&self) -> PerAxis<Coordinate, N> {
         let machine = self.parsed.non_modal == Some(NonModal::MachineCoordinates);
         PerAxis::from_axis(|axis| {
@@ -543,12 +569,14 @@ impl<'a, const N: usize> Line<'a, N> {
     }
 
     /// The axis word that leads too far.
+    #[inline(never)]
     fn too_far(&self) -> Option<Axis> {
         let end = self.end();
         let mut axes = self.axes();
         axes.find(|axis| !self.axis_length(*axis).in_range() || !along(&end, *axis).in_range())
     }
 
+    #[inline(never)]
     fn target(&self, out: &mut Reason) {
         let sets =
             matches!(self.parsed.non_modal, Some(NonModal::SetSystem | NonModal::SetOffset | NonModal::LocalOffset));
@@ -578,11 +606,13 @@ impl<'a, const N: usize> Line<'a, N> {
     }
 
     /// From the start of the arc to its end, along the axes of its plane.
+    #[inline(never)]
     fn chord(&self, axes: PlaneAxes) -> [i64; 2] {
         let end = self.end();
         [axes.first, axes.second].map(|axis| (along(&end, axis) - along(&self.state.position, axis)).0)
     }
 
+    #[inline(never)]
     fn arc(&self, out: &mut Reason) {
         let axes = self.modal.plane.axes();
         let motion = self.motion();
@@ -614,6 +644,7 @@ impl<'a, const N: usize> Line<'a, N> {
         say(out, " at its end", &[]);
     }
 
+    #[inline(never)]
     fn radius(&self, out: &mut Reason) {
         say(out, "% is too small for %: ", &[self.word(b'R'), self.motion()]);
         if self.is_turned() {

@@ -4,7 +4,7 @@
 //! Promises: accepted lines pay nothing for it; the sentence says what to change without a look into a document; it has
 //! no brackets, which would end a `[MSG:...]`. Words are named as they were received: in capitals, without blanks. The
 //! word that is wrong comes before the first colon, and what may help behind it. Leaves to others: the number of the
-//! error, which is that of the check. Boards without room for texts (feature `descriptions`) have none of it.
+//! error, which is that of the check. Nothing is inlined: flash is scarcer than the time of a refusal. Boards without room for texts (feature `descriptions`) have none of it.
 
 mod meaning;
 mod words;
@@ -48,6 +48,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// The first word that cannot be read or stand behind those before it.
+    #[inline(never)]
     fn refused_word(&mut self, line: &[u8], dialect: Dialect, parsed: &mut Parsed<N>) -> Option<Found> {
         let mut start = 0;
         while start < line.len() {
@@ -60,14 +61,16 @@ impl<const N: usize> Interpreter<N> {
         None
     }
 
+    #[inline(never)]
     fn read_again(&mut self, line: &[u8], dialect: Dialect, parsed: &mut Parsed<N>) -> Result<(), Error> {
         self.computed.begin();
         *parsed = Parsed::empty();
-        parsed.read(line, dialect, self)
+        parsed.read_apart(line, dialect, self)
     }
 }
 
 /// Appends a text in which each `%` stands for the next of some others.
+#[inline(never)]
 pub(in crate::gcode) fn say(out: &mut Reason, template: &str, others: &[&[u8]]) {
     let mut others = others.iter();
     for byte in template.bytes() {
@@ -80,6 +83,7 @@ pub(in crate::gcode) fn say(out: &mut Reason, template: &str, others: &[&[u8]]) 
 }
 
 /// A part of a line. It ends at a bracket, and has nothing in it that is no text.
+#[inline(never)]
 fn name(out: &mut Reason, text: &[u8]) {
     let end = text.iter().position(|byte| matches!(byte, b'[' | b']')).unwrap_or(text.len());
     for byte in text.iter().take(end.min(NAME)) {
@@ -88,6 +92,7 @@ fn name(out: &mut Reason, text: &[u8]) {
 }
 
 /// A length in mm with three decimals.
+#[inline(never)]
 fn millimetres(out: &mut Reason, units: i64) {
     let thousandths = (units.unsigned_abs() + DECIMAL_ONE as u64 / 2000) / (DECIMAL_ONE as u64 / 1000);
     if units < 0 {
@@ -99,6 +104,7 @@ fn millimetres(out: &mut Reason, units: i64) {
 }
 
 /// So many digits at least.
+#[inline(never)]
 fn digits(out: &mut Reason, value: u64, least: usize) {
     let mut text = [b'0'; 20];
     let (mut rest, mut used) = (value, 0);
@@ -114,6 +120,7 @@ fn digits(out: &mut Reason, value: u64, least: usize) {
 }
 
 /// The number of a word that is written plainly.
+#[inline(never)]
 fn plain_number(word: &[u8]) -> Option<Decimal> {
     let text = word.get(1..)?;
     number::read(text, Digits::Exact).filter(|number| number.used == text.len()).map(|number| number.value)

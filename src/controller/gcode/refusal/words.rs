@@ -6,7 +6,7 @@ use crate::error::Error;
 use crate::gcode::code::Code;
 use crate::gcode::parse::{Parsed, TOOL_MAX, TOOL_MAX_OF_GRBL};
 use crate::gcode::state::Interpreter;
-use crate::gcode::word::group_of;
+use crate::gcode::word::Groups;
 use crate::gcode::{Dialect, EXPRESSIONS, Reason};
 
 /// A refused line.
@@ -36,11 +36,13 @@ impl<'a> Text<'a> {
     }
 
     /// The first word with a letter.
+    #[inline(never)]
     pub fn word(self, letter: u8) -> Option<&'a [u8]> {
         self.words().find(|word| word.first() == Some(&letter))
     }
 
     /// The first word with a letter and one of some numbers, in tenths, as `G38.2` is 382.
+    #[inline(never)]
     pub fn code(self, letter: u8, tenths: &[i64]) -> Option<&'a [u8]> {
         self.words()
             .find(|word| word.first() == Some(&letter) && tenths_of(word).is_some_and(|is| tenths.contains(&is)))
@@ -48,6 +50,7 @@ impl<'a> Text<'a> {
 }
 
 /// The number of a word in tenths.
+#[inline(never)]
 pub(super) fn tenths_of(word: &[u8]) -> Option<i64> {
     plain_number(word).map(|number| number.0 / (crate::units::DECIMAL_ONE / 10))
 }
@@ -61,6 +64,7 @@ const FUNCTIONS: [&[u8]; 14] = [
 const OPERATORS: [&[u8]; 10] = [b"MOD", b"EQ", b"NE", b"GT", b"GE", b"LT", b"LE", b"AND", b"OR", b"XOR"];
 
 /// Where the word ends that begins at a place.
+#[inline(never)]
 pub(super) fn end_of(line: &[u8], start: usize) -> usize {
     let (mut at, mut depth) = (start + 1, 0_usize);
     let mut before = line.get(start).copied().unwrap_or_default();
@@ -124,6 +128,7 @@ const INSTEAD_OF_M: [(&[i64], &str); 3] = [
 
 impl<const N: usize> Interpreter<N> {
     /// A word that is refused for itself or for those before it.
+    #[inline(never)]
     pub(super) fn explain_word(&mut self, text: &Text, found: Found, told: Error, out: &mut Reason) {
         let line = text.line;
         let word = line.get(found.start..found.end).unwrap_or_default();
@@ -153,7 +158,13 @@ impl<const N: usize> Interpreter<N> {
             | Error::NotSupported
             | Error::CutterCompensation
             | Error::IntegerRequired
-            | Error::UnsupportedCoordinateSystem => explain_unknown::<N>(text, word, before, error, out),
+            | Error::UnsupportedCoordinateSystem => {
+                let grbl = text.dialect == Dialect::Grbl;
+                if grbl && self.read_again(word, Dialect::Oxmill, &mut Parsed::empty()).is_ok() {
+                    return say(out, "% is not in Grbl's dialect: $900=1 has it", &[word]);
+                }
+                explain_unknown::<N>(text, word, before, error, out);
+            }
             Error::NoParallelAxes => {
                 say(out, "% is no axis here: there are no U, V and W. Choose a post-processor for X, Y and Z", &[word]);
             }
@@ -177,6 +188,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Text that is no word, or has no number.
+    #[inline(never)]
     fn explain_text(&mut self, text: &Text, found: Found, word: &[u8], before: &[u8], out: &mut Reason) {
         let (letter, rest) = word.split_first().unwrap_or((&0, &[]));
         let behind = text.line.get(found.end..).unwrap_or_default();
@@ -268,6 +280,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Two words that exclude each other: the second one, and the one before it with which it does.
+    #[inline(never)]
     fn explain_pair(&mut self, text: &Text, found: Found, word: &[u8], error: Error, out: &mut Reason) {
         let mut start = 0;
         let mut parsed = Parsed::empty();
@@ -278,10 +291,12 @@ impl<const N: usize> Interpreter<N> {
             let fit = both.extend_from_slice(other).and_then(|()| both.extend_from_slice(word));
             if fit.is_ok() && self.read_again(&both, text.dialect, &mut parsed) == Err(error) {
                 let is_same = other == word;
-                let group = |word: &[u8]| {
-                    plain_number(word).and_then(|number| group_of(*word.first()?, number, text.dialect).ok())
-                };
-                let is_of_one_group = group(other).is_some() && group(other) == group(word);
+                let mut groups = [Groups::default(); 2];
+                for (word, groups) in [other, word].into_iter().zip(&mut groups) {
+                    let _ = self.read_again(word, text.dialect, &mut parsed);
+                    *groups = parsed.groups;
+                }
+                let is_of_one_group = groups[0] == groups[1];
                 if is_same {
                     say(out, "% is twice in the line: write it once, or two lines", &[word]);
                 } else if error == Error::ModalGroupViolation || is_of_one_group {
@@ -297,6 +312,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// A parameter that has not been set, or cannot be.
+    #[inline(never)]
     fn explain_parameter(&mut self, word: &[u8], out: &mut Reason) {
         let value = word.iter().position(|byte| *byte == b'=').and_then(|at| word.get(at..)).unwrap_or_default();
         match self.unset_parameter(value).or_else(|| self.unset_parameter(word)) {
@@ -310,6 +326,7 @@ impl<const N: usize> Interpreter<N> {
 }
 
 /// The word in front, or that there is none.
+#[inline(never)]
 fn last_word(before: &[u8]) -> &[u8] {
     let mut start = 0;
     while start < before.len() {
@@ -323,6 +340,7 @@ fn last_word(before: &[u8]) -> &[u8] {
 }
 
 /// A word without what is behind `=` or computed.
+#[inline(never)]
 pub(super) fn word_name(word: &[u8]) -> &[u8] {
     let end = word.iter().position(|byte| matches!(byte, b'=' | b'[')).unwrap_or(word.len());
     let name = word.get(..end).unwrap_or_default();
@@ -338,11 +356,13 @@ fn is_of_number(byte: u8) -> bool {
 }
 
 /// A text up to a byte.
+#[inline(never)]
 fn up_to(text: &[u8], end: u8) -> &[u8] {
     text.split(|byte| *byte == end).next().unwrap_or_default()
 }
 
 /// What is in brackets, as many of which are opened as closed.
+#[inline(never)]
 fn explain_brackets(word: &[u8], out: &mut Reason) {
     let name = word_name(word);
     let is_operator = |byte: &u8| matches!(byte, b'+' | b'-' | b'*' | b'/');
@@ -365,6 +385,7 @@ fn explain_brackets(word: &[u8], out: &mut Reason) {
 }
 
 /// Whether a comma stands between digits.
+#[inline(never)]
 fn is_comma(number: &[u8]) -> bool {
     number.windows(2).any(|pair| matches!(pair, [b',', b'0'..=b'9'])) && number.first() != Some(&b',')
         || matches!(number, [b',', b'0'..=b'9', ..])
@@ -372,12 +393,14 @@ fn is_comma(number: &[u8]) -> bool {
 }
 
 /// Whether a number has two points.
+#[inline(never)]
 fn points(number: &[u8]) -> bool {
     let plain = number.iter().take_while(|byte| is_of_number(**byte));
     plain.filter(|byte| **byte == b'.').count() > 1
 }
 
 /// Where an operator stands outside of brackets.
+#[inline(never)]
 fn operator_at(value: &[u8]) -> Option<usize> {
     let mut depth = 0_usize;
     value.iter().enumerate().position(|(at, byte)| {
@@ -391,6 +414,7 @@ fn operator_at(value: &[u8]) -> Option<usize> {
 }
 
 /// A letter or a G or M word that is not known, or not here.
+#[inline(never)]
 fn explain_unknown<const N: usize>(text: &Text, word: &[u8], before: &[u8], error: Error, out: &mut Reason) {
     let letter = word.first().copied().unwrap_or_default();
     let grbl = text.dialect == Dialect::Grbl;
@@ -414,10 +438,6 @@ fn explain_unknown<const N: usize>(text: &Text, word: &[u8], before: &[u8], erro
             };
         }
     };
-    let known = |dialect| number.is_some_and(|number| group_of(letter, number, dialect).is_ok());
-    if grbl && known(Dialect::Oxmill) {
-        return say(out, "% is not in Grbl's dialect: $900=1 has it", &[word]);
-    }
     let found = instead.iter().find(|(numbers, _)| tenths.is_some_and(|tenths| numbers.contains(&tenths)));
     if let Some((_, sentence)) = found {
         return say(out, sentence, &[word]);
@@ -441,6 +461,7 @@ fn explain_unknown<const N: usize>(text: &Text, word: &[u8], before: &[u8], erro
 }
 
 /// A name in an expression that is neither a function nor an operator.
+#[inline(never)]
 fn explain_operation(word: &[u8], out: &mut Reason) {
     let text = word.get(1..).unwrap_or_default();
     let mut at = 0;
@@ -466,6 +487,7 @@ fn explain_operation(word: &[u8], out: &mut Reason) {
 }
 
 /// Functions that do not take all values.
+#[inline(never)]
 fn explain_argument(word: &[u8], out: &mut Reason) {
     let has = |name: &[u8]| word.windows(name.len()).any(|part| part == name);
     let of = word_name(word);
@@ -482,6 +504,7 @@ fn explain_argument(word: &[u8], out: &mut Reason) {
 }
 
 /// A value of a word, and up to where values go.
+#[inline(never)]
 pub(super) fn say_limit(out: &mut Reason, limit: i64) {
     millimetres(out, limit);
     name(out, b"mm");
