@@ -32,9 +32,9 @@ mod modal;
 mod offsets;
 mod parse;
 mod program_end;
-#[cfg(feature = "descriptions")]
+#[cfg(feature = "reasons")]
 mod refusal;
-#[cfg(not(feature = "descriptions"))]
+#[cfg(not(feature = "reasons"))]
 #[path = "unexplained.rs"]
 mod refusal;
 mod remark;
@@ -69,7 +69,7 @@ pub use word::{Group, group_of};
 pub const EXPRESSIONS: bool = cfg!(feature = "expressions");
 
 /// Whether this build says what is wrong with a refused line.
-pub const REASONS: bool = cfg!(feature = "descriptions");
+pub const REASONS: bool = cfg!(feature = "reasons");
 
 /// What is wrong with a refused line; no memory where nothing is said.
 pub type Reason = heapless::Vec<u8, { if REASONS { 128 } else { 0 } }>;

@@ -1,8 +1,6 @@
 //! Filters one line byte by byte as Grbl does: removes blanks and comments, makes letters capital, and ends it at CR or
 //! LF. Keeps the last `(MSG, ...)` of the line. A line that is too long is marked as such.
 
-use super::descriptions::DESCRIPTIONS;
-
 /// Longest line in Grbl's dialect, in bytes, without blanks and remarks.
 pub const GRBL_LENGTH: usize = 79;
 /// Longest line in Oxmill's dialects, in bytes, without blanks and remarks.
@@ -10,6 +8,9 @@ pub const LENGTH: usize = 256;
 
 /// How many bytes of a remark in parentheses are kept, its keyword (`MSG,`) included; what is beyond is cut off.
 pub const MESSAGE_LENGTH: usize = 80;
+
+/// Whether it is told by how much a line is too long.
+const COUNTS_EXCESS: bool = cfg!(feature = "reasons");
 
 /// What a byte completed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,7 +50,7 @@ pub struct Line {
     remark: heapless::Vec<u8, MESSAGE_LENGTH>,
     overflow: bool,
     /// How many bytes it has beyond those that fit; no memory where nothing is said of it.
-    excess: [u16; DESCRIPTIONS as usize],
+    excess: [u16; COUNTS_EXCESS as usize],
     /// A remark of it had parentheses in it.
     nested: bool,
     /// Bytes of it were lost.
@@ -101,7 +102,7 @@ impl Line {
             comment: Comment::None,
             remark: heapless::Vec::new(),
             overflow: false,
-            excess: [0; DESCRIPTIONS as usize],
+            excess: [0; COUNTS_EXCESS as usize],
             nested: false,
             damaged: false,
             after_cr: false,
@@ -248,7 +249,7 @@ impl Line {
                         *place = byte.to_ascii_uppercase();
                         self.len += 1;
                     }
-                    _ if DESCRIPTIONS => self.overflows(),
+                    _ if COUNTS_EXCESS => self.overflows(),
                     _ => self.overflow = true,
                 }
             }
@@ -258,7 +259,7 @@ impl Line {
 
     #[cold]
     fn overflows(&mut self) {
-        let before = if self.overflow { self.excess } else { [0; DESCRIPTIONS as usize] };
+        let before = if self.overflow { self.excess } else { [0; COUNTS_EXCESS as usize] };
         self.excess = before.map(|excess| excess.saturating_add(1));
         self.overflow = true;
     }

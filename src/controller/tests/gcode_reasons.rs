@@ -9,7 +9,7 @@
     feature = "blending",
     feature = "cam-words",
     feature = "program-pins",
-    feature = "descriptions"
+    feature = "reasons"
 ))]
 
 use crate::program::Program;

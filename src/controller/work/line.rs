@@ -100,7 +100,9 @@ impl<const N: usize> LineInWork<N> {
             put(&mut text, b" characters without blanks and remarks: ");
             whole(&mut text, fit as u64);
             put(&mut text, b" fit");
-            *refusal = Refusal { reason: text.iter().copied().collect(), is_new: true };
+            refusal.reason.clear();
+            let _ = refusal.reason.extend_from_slice(&text);
+            refusal.is_new = true;
         }
     }
 
@@ -112,7 +114,9 @@ impl<const N: usize> LineInWork<N> {
         if core::mem::replace(&mut refusal.is_new, false) {
             return Some(refusal.reason.clone());
         }
-        refusal.reason = error.text().bytes().take(refusal.reason.capacity()).collect();
+        refusal.reason.clear();
+        let text = error.text().as_bytes();
+        let _ = refusal.reason.extend_from_slice(text.get(..refusal.reason.capacity()).unwrap_or(text));
         None
     }
 

@@ -7,6 +7,7 @@ use crate::error::Error;
 use crate::gcode::Reason;
 use crate::gcode::refusal::say;
 use crate::gcode::state::Interpreter;
+use crate::number::{Digits, read};
 
 impl<const N: usize> Interpreter<N> {
     /// What is wrong with an O word, or with the block that a line belongs to. Whether it is that.
@@ -107,8 +108,8 @@ impl<const N: usize> Interpreter<N> {
                 }
                 None => {
                     let length = digits(found);
-                    let number = core::str::from_utf8(found.get(..length)?).ok()?.parse().ok()?;
-                    (ParameterReference::Number(number), length + 1)
+                    let number = read(found, Digits::Exact).filter(|_| length > 0)?.value.truncate();
+                    (ParameterReference::Number(number.into()), length + 1)
                 }
             };
             let is_name = matches!(reference, ParameterReference::Name(_));

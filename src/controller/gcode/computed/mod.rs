@@ -2,7 +2,7 @@
 //! it with each line, commits it with the line, and resets it at the end of a program. A build without the feature
 //! `expressions` has `none.rs` instead.
 
-#[cfg(feature = "descriptions")]
+#[cfg(feature = "reasons")]
 mod explain;
 mod expression;
 mod flow;

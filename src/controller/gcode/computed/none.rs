@@ -157,7 +157,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    #[cfg(feature = "descriptions")]
+    #[cfg(feature = "reasons")]
     pub(super) fn explain_flow(&self, line: &[u8], error: Error, out: &mut super::Reason) -> bool {
         if is_o_word(line) {
             let _ = out.extend_from_slice(error.text().as_bytes());
@@ -165,7 +165,7 @@ impl<const N: usize> Interpreter<N> {
         is_o_word(line)
     }
 
-    #[cfg(feature = "descriptions")]
+    #[cfg(feature = "reasons")]
     pub(super) fn unset_parameter<'t>(&self, _: &'t [u8]) -> Option<&'t [u8]> {
         None
     }

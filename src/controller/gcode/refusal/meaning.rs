@@ -12,15 +12,15 @@ use crate::gcode::parse::{Parsed, TOOL_MAX};
 use crate::gcode::rotation::Angle;
 use crate::gcode::state::Interpreter;
 use crate::gcode::tools::entry_number;
-use crate::gcode::values::along;
+use crate::gcode::values::{along, whole};
 use crate::gcode::word::{Claim, NonModal, ToolLength};
 use crate::gcode::{Dialect, Reason};
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal, integer_root};
 
 /// M62 to M68, in tenths.
-const PINS: [i64; 7] = [620, 630, 640, 650, 660, 670, 680];
+const PINS: [u16; 7] = [620, 630, 640, 650, 660, 670, 680];
 /// G words that a jog may have, in tenths.
-const OF_JOGS: [i64; 5] = [200, 210, 530, 900, 910];
+const OF_JOGS: [u16; 5] = [200, 210, 530, 900, 910];
 
 /// A line whose words could be read.
 struct Line<'a, const N: usize> {
@@ -193,6 +193,7 @@ impl<'a, const N: usize> Line<'a, N> {
         self.parsed.extended.tool_number
     }
 
+    #[inline(never)]
     fn value(&self, letter: u8) -> Decimal {
         self.parsed.value(letter)
     }
@@ -213,7 +214,9 @@ impl<'a, const N: usize> Line<'a, N> {
     #[inline(never)]
     fn jog(&self, out: &mut Reason) {
         let is_strange = |word: &&[u8]| match word.first() {
-            Some(b'G') => super::words::tenths_of(word).is_none_or(|number| !OF_JOGS.contains(&number)),
+            Some(b'G') => {
+                super::words::tenths_of(word).is_none_or(|number| !OF_JOGS.iter().any(|of| i64::from(*of) == number))
+            }
             Some(letter) => matches!(letter, b'M' | b'#'),
             None => false,
         };
@@ -229,8 +232,8 @@ impl<'a, const N: usize> Line<'a, N> {
 
     #[inline(never)]
     fn fraction(&self, out: &mut Reason) {
-        let has_fraction = |letter: &u8| self.value(*letter).0 % DECIMAL_ONE != 0;
-        let letter = [b'T', b'H', b'L', b'P', b'Q', b'E', b'D'].into_iter().find(has_fraction);
+        let has_fraction = |letter: &u8| whole(self.value(*letter)).is_err();
+        let letter = b"THLPQED".iter().copied().find(has_fraction);
         match letter {
             Some(letter) => say(out, "% has to be a whole number", &[self.word(letter)]),
             None => say(out, "% in % is the number of turns: 1 to 1000000", &[self.word(b'P'), self.motion()]),
@@ -656,12 +659,14 @@ impl<'a, const N: usize> Line<'a, N> {
     }
 }
 
+#[inline(never)]
 fn length([x, y]: [i64; 2]) -> i64 {
     let square = |part: i64| u128::from(part.unsigned_abs()) * u128::from(part.unsigned_abs());
     i64::try_from(integer_root(square(x).saturating_add(square(y)))).unwrap_or(i64::MAX)
 }
 
 /// The letter of an arc's centre along an axis.
+#[inline(never)]
 fn centre_letter(axis: Axis) -> u8 {
     match axis {
         Axis::X => b'I',

@@ -4,7 +4,7 @@
 //! Promises: accepted lines pay nothing for it; the sentence says what to change without a look into a document; it has
 //! no brackets, which would end a `[MSG:...]`. Words are named as they were received: in capitals, without blanks. The
 //! word that is wrong comes before the first colon, and what may help behind it. Leaves to others: the number of the
-//! error, which is that of the check. Nothing is inlined: flash is scarcer than the time of a refusal. Boards without room for texts (feature `descriptions`) have none of it.
+//! error, which is that of the check. Nothing is inlined: flash is scarcer than the time of a refusal. Boards without room for texts (feature `reasons`) have none of it.
 
 mod meaning;
 mod words;
@@ -106,17 +106,32 @@ fn millimetres(out: &mut Reason, units: i64) {
 /// So many digits at least.
 #[inline(never)]
 fn digits(out: &mut Reason, value: u64, least: usize) {
-    let mut text = [b'0'; 20];
-    let (mut rest, mut used) = (value, 0);
-    for place in text.iter_mut().rev() {
-        if rest == 0 && used >= least {
-            break;
+    let mut rest = u32::try_from(value).unwrap_or(u32::MAX);
+    let (mut power, mut places) = (1_000_000_000_u32, 10_usize);
+    while power > 0 {
+        if rest >= power || places <= least || power == 1 {
+            let mut digit = b'0';
+            while rest >= power {
+                rest -= power;
+                digit += 1;
+            }
+            let _ = out.push(digit);
+            // The ones behind it are written, too.
+            power /= 10;
+            while power > 0 {
+                let mut digit = b'0';
+                while rest >= power {
+                    rest -= power;
+                    digit += 1;
+                }
+                let _ = out.push(digit);
+                power /= 10;
+            }
+            return;
         }
-        *place = b'0' + (rest % 10) as u8;
-        rest /= 10;
-        used += 1;
+        power /= 10;
+        places -= 1;
     }
-    let _ = out.extend_from_slice(text.get(text.len() - used..).unwrap_or_default());
 }
 
 /// The number of a word that is written plainly.

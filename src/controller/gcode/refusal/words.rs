@@ -43,9 +43,8 @@ impl<'a> Text<'a> {
 
     /// The first word with a letter and one of some numbers, in tenths, as `G38.2` is 382.
     #[inline(never)]
-    pub fn code(self, letter: u8, tenths: &[i64]) -> Option<&'a [u8]> {
-        self.words()
-            .find(|word| word.first() == Some(&letter) && tenths_of(word).is_some_and(|is| tenths.contains(&is)))
+    pub fn code(self, letter: u8, tenths: &[u16]) -> Option<&'a [u8]> {
+        self.words().find(|word| word.first() == Some(&letter) && tenths_of(word).is_some_and(|is| has(tenths, is)))
     }
 }
 
@@ -53,6 +52,17 @@ impl<'a> Text<'a> {
 #[inline(never)]
 pub(super) fn tenths_of(word: &[u8]) -> Option<i64> {
     plain_number(word).map(|number| number.0 / (crate::units::DECIMAL_ONE / 10))
+}
+
+#[inline(never)]
+fn has(numbers: &[u16], tenths: i64) -> bool {
+    numbers.iter().any(|number| i64::from(*number) == tenths)
+}
+
+/// Which of some names a text begins with.
+#[inline(never)]
+fn beginning(text: &[u8], names: &[&'static [u8]]) -> Option<&'static [u8]> {
+    names.iter().copied().find(|name| text.starts_with(name))
 }
 
 /// Names that may begin a value, which are no words of their own there.
@@ -81,7 +91,7 @@ pub(super) fn end_of(line: &[u8], start: usize) -> usize {
             b'#' if !is_operand => break,
             b'A'..=b'Z' => {
                 let rest = line.get(at..).unwrap_or_default();
-                match FUNCTIONS.iter().find(|function| is_operand && rest.starts_with(function)) {
+                match beginning(rest, &FUNCTIONS).filter(|_| is_operand) {
                     // Up to the bracket.
                     Some(function) => at += function.len() - 2,
                     None => break,
@@ -96,7 +106,7 @@ pub(super) fn end_of(line: &[u8], start: usize) -> usize {
 }
 
 /// Words that are refused, by their numbers in tenths, and what to write.
-const INSTEAD_OF_G: [(&[i64], &str); 12] = [
+const INSTEAD_OF_G: [(&[u16], &str); 12] = [
     (
         &[330, 331, 740, 760, 840],
         "% is not supported: nothing measures the spindle. Drill (G81), mill the thread (G3 with Z)",
@@ -113,7 +123,7 @@ const INSTEAD_OF_G: [(&[i64], &str); 12] = [
     (&[290], "% is a word of 3-D printers: choose a post-processor for Grbl"),
     (&[380], "% lacks its digit: G38.2 to G38.5 are probing moves"),
 ];
-const INSTEAD_OF_M: [(&[i64], &str); 3] = [
+const INSTEAD_OF_M: [(&[u16], &str); 3] = [
     (&[970, 980, 990], "% is not supported: write o100 sub .. o100 endsub, and call it with o100 call"),
     (&[190], "% is not supported: the spindle cannot be turned to an angle"),
     (
@@ -296,7 +306,8 @@ impl<const N: usize> Interpreter<N> {
                     let _ = self.read_again(word, text.dialect, &mut parsed);
                     *groups = parsed.groups;
                 }
-                let is_of_one_group = groups[0] == groups[1];
+                let [first, second] = groups;
+                let is_of_one_group = first == second;
                 if is_same {
                     say(out, "% is twice in the line: write it once, or two lines", &[word]);
                 } else if error == Error::ModalGroupViolation || is_of_one_group {
@@ -419,7 +430,7 @@ fn explain_unknown<const N: usize>(text: &Text, word: &[u8], before: &[u8], erro
     let letter = word.first().copied().unwrap_or_default();
     let grbl = text.dialect == Dialect::Grbl;
     let (tenths, number) = (tenths_of(word), plain_number(word));
-    let instead: &[(&[i64], &str)] = match letter {
+    let instead: &[(&[u16], &str)] = match letter {
         b'G' => &INSTEAD_OF_G,
         b'M' => &INSTEAD_OF_M,
         b'O' if !before.is_empty() => {
@@ -438,7 +449,7 @@ fn explain_unknown<const N: usize>(text: &Text, word: &[u8], before: &[u8], erro
             };
         }
     };
-    let found = instead.iter().find(|(numbers, _)| tenths.is_some_and(|tenths| numbers.contains(&tenths)));
+    let found = instead.iter().find(|(numbers, _)| tenths.is_some_and(|tenths| has(numbers, tenths)));
     if let Some((_, sentence)) = found {
         return say(out, sentence, &[word]);
     }
@@ -470,7 +481,7 @@ fn explain_operation(word: &[u8], out: &mut Reason) {
         if *byte == b'<' {
             at += rest.iter().position(|byte| *byte == b'>').unwrap_or(0) + 1;
         } else if byte.is_ascii_uppercase() {
-            let known = FUNCTIONS.iter().chain(&OPERATORS).find(|known| rest.starts_with(known));
+            let known = beginning(rest, &FUNCTIONS).or_else(|| beginning(rest, &OPERATORS));
             match known {
                 Some(known) => at += known.len(),
                 None => {
