@@ -170,7 +170,10 @@ impl<const N: usize> Interpreter<N> {
             | Error::IntegerRequired
             | Error::UnsupportedCoordinateSystem => {
                 let grbl = text.dialect == Dialect::Grbl;
-                if grbl && self.read_again(word, Dialect::Oxmill, &mut Parsed::empty()).is_ok() {
+                if grbl
+                    && matches!(letter, b'G' | b'M')
+                    && self.read_again(word, Dialect::Oxmill, &mut Parsed::empty()).is_ok()
+                {
                     return say(out, "% is not in Grbl's dialect: $900=1 has it", &[word]);
                 }
                 explain_unknown::<N>(text, word, before, error, out);
