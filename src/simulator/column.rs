@@ -71,7 +71,7 @@ mod tests {
             ("no number behind X", "X1 Y2 X", Some(7)),
             ("no letter in front of 10", "10 (ten)", Some(1)),
             ("write #101+2 in brackets behind X", "G1 X #101 + 2", Some(6)),
-            ("letter O in X1O5: write a zero", "G1 x1o5", Some(4)),
+            ("letter O in X1O5: write a zero", "G1 x1o5", Some(6)),
             ("F is missing: no feed has been set for G1", "X5 ; F", None),
             ("no subroutine 100 above this line", "o100 call", Some(2)),
         ] {
