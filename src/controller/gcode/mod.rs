@@ -35,7 +35,7 @@ mod program_end;
 #[cfg(feature = "reasons")]
 mod refusal;
 #[cfg(not(feature = "reasons"))]
-#[path = "unexplained.rs"]
+#[path = "refusal/none.rs"]
 mod refusal;
 mod remark;
 mod rotation;

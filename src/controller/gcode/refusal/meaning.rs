@@ -1,7 +1,7 @@
 //! The second half: words that can be read, and mean nothing together or in the state that the program has.
 
+use super::sentence::{digits, millimetres, name, say};
 use super::words::{Text, say_limit};
-use super::{digits, millimetres, name, say};
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::action::{Action, ProgramPins};
@@ -23,7 +23,7 @@ const PINS: [u16; 7] = [620, 630, 640, 650, 660, 670, 680];
 const OF_JOGS: [u16; 5] = [200, 210, 530, 900, 910];
 
 /// A line whose words could be read.
-struct Line<'a, const N: usize> {
+struct ReadableLine<'a, const N: usize> {
     text: &'a Text<'a>,
     parsed: &'a Parsed<N>,
     modal: &'a Modal,
@@ -43,7 +43,7 @@ impl<const N: usize> Interpreter<N> {
         action: &Action<N>,
         out: &mut Reason,
     ) {
-        let line = Line { text, parsed, modal: &action.modal, state: self, action };
+        let line = ReadableLine { text, parsed, modal: &action.modal, state: self, action };
         match error {
             Error::UndefinedFeed => line.feed(is_jog, out),
             Error::InvalidJog => line.jog(out),
@@ -152,7 +152,7 @@ impl<const N: usize> Interpreter<N> {
     }
 }
 
-impl<'a, const N: usize> Line<'a, N> {
+impl<'a, const N: usize> ReadableLine<'a, N> {
     /// A word as it is written, or its letter.
     #[inline(never)]
     fn word(&self, letter: u8) -> &'a [u8] {

@@ -1,6 +1,6 @@
 //! The first half: words that cannot be read, and words that cannot stand behind those before them.
 
-use super::{digits, millimetres, name, plain_number, say};
+use super::sentence::{digits, millimetres, name, plain_number, say};
 use crate::axes::Axis;
 use crate::error::Error;
 use crate::gcode::code::Code;
@@ -18,7 +18,7 @@ pub(super) struct Text<'a> {
 
 /// A word of it, and why it is refused.
 #[derive(Clone, Copy)]
-pub(super) struct Found {
+pub(super) struct RefusedWord {
     pub start: usize,
     pub end: usize,
     pub error: Error,
@@ -137,9 +137,35 @@ const INSTEAD_OF_M: [(&[u16], &str); 3] = [
 ];
 
 impl<const N: usize> Interpreter<N> {
+    /// The first word that cannot be read or stand behind those before it.
+    #[inline(never)]
+    pub(super) fn refused_word(
+        &mut self,
+        line: &[u8],
+        dialect: Dialect,
+        parsed: &mut Parsed<N>,
+    ) -> Option<RefusedWord> {
+        let mut start = 0;
+        while start < line.len() {
+            let end = end_of(line, start);
+            if let Err(error) = self.read_again(line.get(..end)?, dialect, parsed) {
+                return Some(RefusedWord { start, end, error });
+            }
+            start = end;
+        }
+        None
+    }
+
+    #[inline(never)]
+    fn read_again(&mut self, line: &[u8], dialect: Dialect, parsed: &mut Parsed<N>) -> Result<(), Error> {
+        self.computed.begin();
+        *parsed = Parsed::empty();
+        parsed.read_apart(line, dialect, self)
+    }
+
     /// A word that is refused for itself or for those before it.
     #[inline(never)]
-    pub(super) fn explain_word(&mut self, text: &Text, found: Found, told: Error, out: &mut Reason) {
+    pub(super) fn explain_word(&mut self, text: &Text, found: RefusedWord, told: Error, out: &mut Reason) {
         let line = text.line;
         let word = line.get(found.start..found.end).unwrap_or_default();
         let before = line.get(..found.start).unwrap_or_default();
@@ -202,7 +228,7 @@ impl<const N: usize> Interpreter<N> {
 
     /// Text that is no word, or has no number.
     #[inline(never)]
-    fn explain_text(&mut self, text: &Text, found: Found, word: &[u8], before: &[u8], out: &mut Reason) {
+    fn explain_text(&mut self, text: &Text, found: RefusedWord, word: &[u8], before: &[u8], out: &mut Reason) {
         let (letter, rest) = word.split_first().unwrap_or((&0, &[]));
         let behind = text.line.get(found.end..).unwrap_or_default();
         let next = behind.get(..end_of(behind, 0)).unwrap_or_default();
@@ -294,7 +320,7 @@ impl<const N: usize> Interpreter<N> {
 
     /// Two words that exclude each other: the second one, and the one before it with which it does.
     #[inline(never)]
-    fn explain_pair(&mut self, text: &Text, found: Found, word: &[u8], error: Error, out: &mut Reason) {
+    fn explain_pair(&mut self, text: &Text, found: RefusedWord, word: &[u8], error: Error, out: &mut Reason) {
         let mut start = 0;
         let mut parsed = Parsed::empty();
         while start < found.start {
