@@ -1,7 +1,9 @@
 //! When the serial task is called for what can wait: at once, but then not again for 500 us. So a host, or noise on a wire, that
-//! sends without end leaves time for the control task, which prepares what the step task puts out.
+//! sends without end leaves time for the control task, which prepares what the step task puts out. A command that stops the machine does
+//! not wait for this.
 
-/// Samples of the inputs between two calls: 500 us.
+/// Samples of the inputs between two calls: 500 us. At 1 Mbaud the 255 bytes that a host has under way take 2.5 ms, and in that time the
+/// first of them has to be called for, carried out and answered, or the line falls silent.
 pub const REST: u8 = 10;
 
 /// When to call.

@@ -1,7 +1,7 @@
 //! What a UART receives, on its way to the serial task. DMA or the interrupt of the UART puts bytes into a buffer. The task that samples
 //! the inputs reads them with each sample and sends them on in messages: a command which stops the machine within 50 us, all else
 //! within 200 us. The serial task is called for them once in 500 us (`calls`), and takes what has been sent whenever it runs. A look reads
-//! few bytes, so that a sample is short whatever comes.
+//! few bytes, so that a sample is short; only behind an overrun it empties the whole buffer.
 //!
 //! ```text
 //!  UART ──▶ DMA or interrupt ──▶ buffer ──look──▶ messages ──▶ serial task
@@ -23,7 +23,7 @@ pub const SLOTS: usize = 320;
 /// Slots that only a command which stops the machine may take, where the interrupt fills the buffer.
 const FOR_STOPS: usize = 16;
 /// Bytes that wait in a circular buffer while the messages have no room, at most. Beyond them the oldest are lost, a few with each look:
-/// so DMA does not come round while somebody looks, and no look has to empty the whole buffer.
+/// so DMA does not come round while somebody looks.
 pub const MOST_WAITING: usize = SLOTS - 64;
 /// What the UART puts its bytes into: nine bits of its data register, or `EMPTY`, and the mark of a loss. Atomic, as DMA writes it.
 pub type Buffer = [AtomicU16; SLOTS];
@@ -37,8 +37,7 @@ const MISSING: u16 = 0x4000;
 const GATHERED: u8 = 32;
 /// Looks after which what has come is passed on.
 const WAITED: u8 = 4;
-/// Bytes of text that a look reads at most, and half as many of others: of these, too, more than twice what comes between two samples at
-/// 1 Mbaud.
+/// Bytes of text that a look by DMA reads at most, and half as many of others. At 1 Mbaud five come between two samples.
 const AT_A_TIME: u8 = 28;
 /// In place of a damaged byte, and behind damaged ones, as the last of them may have become the end of a line: no line is carried out
 /// that has one.
@@ -388,7 +387,7 @@ impl<S: ByteSource> UartReceiver<S> {
     #[cold]
     #[inline(never)]
     fn is_overtaken(&self, place: usize) -> bool {
-        if Self::after(self.read) == place {
+        if !S::IS_CIRCULAR || Self::after(self.read) == place {
             return false;
         }
         self.source.settle();

@@ -22,7 +22,7 @@ use stm32f4xx_hal::{
     serial::{Rx, Tx},
 };
 
-/// Messages to the serial task: what comes between two calls at 1 Mbaud is passed on in eight.
+/// Messages to the serial task. Between two calls at 1 Mbaud four are filled; a line that comes slowly takes one for each 200 us.
 const MESSAGES: usize = 12;
 /// Bytes of a half.
 const HALF: usize = 64;

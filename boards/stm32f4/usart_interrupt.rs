@@ -24,7 +24,7 @@ use stm32f4xx_hal::{
     serial::{Rx, Tx},
 };
 
-/// Messages to the serial task: what comes between two calls is passed on in four.
+/// Messages to the serial task. A line that comes slowly takes one for each 200 us; what finds no room waits in the buffer.
 const MESSAGES: usize = 6;
 /// Bytes that wait to be sent.
 const SENT: usize = 16;

@@ -100,7 +100,8 @@ impl Inputs {
     #[inline(never)]
     fn tell(&mut self, uart: &mut UartInput) {
         let Some(sensed) = self.inputs.sensed() else { return };
-        // What has been received by now belongs before it: the serial task passes it on before `control` hears of this.
+        // What has been read of the UART by now belongs before it: the serial task passes it on before `control` hears of this. What still
+        // waits in the buffer, as it does behind a flood, comes after it.
         uart.pass_on(true);
         boards::call_serial();
         let is_known = self.sent == Some(sensed);

@@ -68,7 +68,7 @@ static mut RECORD: MaybeUninit<Words> = MaybeUninit::uninit();
 // not initialised, and every bit pattern is a `Page`.
 static mut RECORDING: MaybeUninit<[Page; boards::RECORDING_PAGES]> = MaybeUninit::uninit();
 
-/// The record as words: a volatile access to the whole of it is one for each byte, which are 2 KB of code.
+/// The record as words. A volatile access to the struct would be one for each byte of its text: 2 KB of code.
 type Words = [u32; size_of::<Kept>() / size_of::<u32>()];
 
 /// CRC-32 of all words but the last, which it is: RAM after power-up is not random enough to pass by accident.

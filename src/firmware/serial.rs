@@ -28,8 +28,8 @@ const UART_HELD: usize = 1;
 /// noise on a wire, that sends them without end is not to take all of the processor.
 const MOST_OTHERS: u32 = 128;
 const OTHER_US: u32 = 200;
-/// Bytes of a link that cannot wait which are taken one by one in so many µs, as they are no plain text: more than short lines
-/// that end by CR LF have in that time at 1 Mbaud, and so few that `control` gets on with its work. A host that counts what it sends has no
+/// Bytes of a link that cannot wait which are taken one by one in so many µs, as they are no plain text: more than lines of 15
+/// characters that end by CR LF have in that time at 1 Mbaud, and so few that `control` gets on with its work. A host that counts what it sends has no
 /// more under way than there is room for.
 const MOST_SINGLY: usize = 12;
 const SINGLY_US: u32 = 800;

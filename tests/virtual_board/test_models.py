@@ -82,6 +82,14 @@ class Bench:
         self.now = cycle
 
 
+def advance_until(bench, models, cycle):
+    """Advances models in the order of time."""
+    while (due := min(model.due for model in models)) <= cycle:
+        bench.now = max(bench.now, due)
+        next(model for model in models if model.due == due).advance(bench.now)
+    bench.now = cycle
+
+
 class GpioTraces(unittest.TestCase):
     def test_output_by_bsrr_and_odr(self):
         bench = Bench()
@@ -573,11 +581,7 @@ class DmaTraces(unittest.TestCase):
         return base
 
     def until(self, cycle):
-        models = (self.port, self.model)
-        while (due := min(model.due for model in models)) <= cycle:
-            self.bench.now = max(self.bench.now, due)
-            next(model for model in models if model.due == due).advance(self.bench.now)
-        self.bench.now = cycle
+        advance_until(self.bench, (self.port, self.model), cycle)
 
     def receiving(self, count, how=BYTES, bytes_sent=3, error=0):
         self.fresh()
@@ -929,12 +933,7 @@ class BeamTraces(unittest.TestCase):
         self.tim3.store_by_dma(address & 0x3FC, value, at)
 
     def until(self, cycle):
-        """Both models, in the order of time."""
-        models = (self.tim5, self.dma1)
-        while (due := min(model.due for model in models)) <= cycle:
-            self.bench.now = max(self.bench.now, due)
-            next(model for model in models if model.due == due).advance(self.bench.now)
-        self.bench.now = cycle
+        advance_until(self.bench, (self.tim5, self.dma1), cycle)
 
     def switch_on(self, power):
         self.bench.write_memory(self.POWER, power.to_bytes(4, "little"))

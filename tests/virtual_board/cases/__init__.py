@@ -40,7 +40,6 @@ from .usb import usb_answers, usb_flood, usb_lines, usb_port, usb_reset, usb_set
 
 KNOWN = {
     ("nucleo_f446re", "turns at full rate"): "at 1 MHz a ring lasts 96 us: behind a turn 38 us are left, and 51 are wanted",
-    ("blackpill_f401", "raster"): "built for size: a 0x18 over the UART may take 122 us until the beam is off, and 75 are wanted",
 }
 """Faults of the firmware that are known, by board and case: shown, and no failure."""
 

@@ -25,6 +25,9 @@ BYTE_STOP_S = 75 * US
 """From the last bit of a byte that stops the machine to the last rising edge: up to a sample of the inputs, which looks at what has
 come, and a run of the step task."""
 
+BEAM_STOP_S = {"blackpill_f401": 130 * US}
+"""The same to the end of a beam, on a board that takes longer, which docs/limits.md says: it is built for size."""
+
 RUN_CYCLES = 4450
 """The longest run of the step task (`run_cycles` in profiles.rs)."""
 
