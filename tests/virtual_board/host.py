@@ -16,6 +16,7 @@ class Host:
     def __init__(self, board, baud=115_200):
         self.board, self.baud = board, baud
         self.outgoing = deque()
+        self.window = WINDOW
         self.free_at = 0
         """Core cycle at which the line can take the next byte."""
         self.text = bytearray()
@@ -92,7 +93,7 @@ class Host:
         self._feed()
 
     def _feed(self):
-        while self._job and sum(self._pending) + len(self._job[0]) <= WINDOW:
+        while self._job and sum(self._pending) + len(self._job[0]) <= self.window:
             line = self._job.popleft()
             self._pending.append(len(line))
             self.send(line)

@@ -45,6 +45,8 @@ def baud_rates(bench):
     restart_at(bench, fast_baud)
     bench.ask("$I")
     yield f"after a start at {board.usart.baud():.0f} baud"
+    # As many bytes as the board says that it takes (`Bf:`).
+    host.window = 255
     # Remarks of any length, so that a store finds any number of bytes waiting: of text, and of bytes of which few are read at once.
     random, overruns = Random(931), board.usart.overruns
     for letter, count in ("a", 300), ("\u00e4", 200):
