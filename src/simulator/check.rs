@@ -3,6 +3,7 @@
 
 use crate::advice;
 use crate::boards::AXES;
+use crate::column;
 use crate::power_up::{Dialect, error_text};
 use crate::simulator::Simulator;
 use crate::summary::{AlarmReport, Extents, LineError, Summary, Warning, clock_time};
@@ -35,11 +36,25 @@ impl Outcome {
     fn hear(&mut self, job: &mut JobText) {
         for said in job.said() {
             match said {
-                Said::Error { line, code, text } => self.refused(line, code, error_text(code), text),
+                Said::Error { line, code, text, reason: Some(reason) } => {
+                    self.unsay(&reason);
+                    let reason = reason.trim_start_matches("[MSG:").trim_end_matches(']');
+                    self.refused(line, code, reason, text);
+                }
+                Said::Error { line, code, text, reason: None } => self.refused(line, code, error_text(code), text),
                 Said::Warning(warning) => self.warn(warning),
                 Said::Message(text) if self.messages.len() < KEPT_MESSAGES => self.messages.push(text),
                 Said::Message(_) => self.more_messages += 1,
             }
+        }
+    }
+
+    /// A message is told with the error that it explains.
+    fn unsay(&mut self, message: &str) {
+        if self.more_messages > 0 {
+            self.more_messages -= 1;
+        } else if self.messages.last().is_some_and(|last| last == message) {
+            self.messages.pop();
         }
     }
 
@@ -48,6 +63,7 @@ impl Outcome {
             self.errors.push(LineError {
                 line,
                 code,
+                column: column::of_word(text, &source),
                 text: text.into(),
                 advice: advice::for_line(code, &source).into(),
                 source,

@@ -23,6 +23,7 @@ pub mod check;
 #[cfg(feature = "program")]
 mod clients;
 pub mod clock;
+mod column;
 #[cfg(feature = "program")]
 pub mod command_line;
 pub mod explain;

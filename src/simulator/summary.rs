@@ -13,7 +13,9 @@ pub struct LineError {
     pub line: u64,
     /// The error's number.
     pub code: u8,
-    /// What the error means.
+    /// Where in the line the word is that the text names, in characters from 1, if it names one of the line.
+    pub column: Option<u64>,
+    /// What is wrong with the line.
     pub text: String,
     /// The line.
     pub source: String,
@@ -218,7 +220,8 @@ impl fmt::Display for Summary {
         }
         row(f, "errors", if self.errors.is_empty() { "none".into() } else { self.error_count().to_string() })?;
         for error in self.errors.iter().take(SHOWN_ERRORS) {
-            writeln!(f, "    line {}: error:{} ({}): {}", error.line, error.code, error.text, error.source)?;
+            let column = error.column.map_or(String::new(), |column| format!(", column {column}"));
+            writeln!(f, "    line {}{column}: error:{} ({}): {}", error.line, error.code, error.text, error.source)?;
         }
         if self.error_count() > SHOWN_ERRORS as u64 {
             writeln!(f, "    and {} more", self.error_count() - SHOWN_ERRORS as u64)?;
@@ -339,6 +342,7 @@ pub(crate) mod tests {
             errors: vec![LineError {
                 line: 2,
                 code: 20,
+                column: Some(4),
                 text: "unknown".into(),
                 source: "G1 Q1".into(),
                 advice: "".into(),
@@ -448,7 +452,7 @@ pub(crate) mod tests {
         assert_eq!(clock_time(599.98), "10 min 0.0 s");
         assert_eq!(clock_time(3599.97), "1 h 0 min 0 s");
         assert_eq!(clock_time(7199.6), "2 h 0 min 0 s");
-        assert!(example().to_string().contains("line 2: error:20 (unknown): G1 Q1"));
+        assert!(example().to_string().contains("line 2, column 4: error:20 (unknown): G1 Q1"));
         assert!(example().to_string().contains("26.500 s standing (20.000 s dwell, 6.500 s spindle)"));
     }
 

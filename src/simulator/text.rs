@@ -29,6 +29,8 @@ pub enum Said {
         code: u8,
         /// The line, without its end.
         text: String,
+        /// What is wrong with it, if that was said: the message in front of the error.
+        reason: Option<String>,
     },
     /// Anything else than an answer to a line.
     Message(String),
@@ -55,6 +57,8 @@ pub struct JobText {
     alarmed_at: Option<u64>,
     consumed: u64,
     reply: Vec<u8>,
+    /// The message that has just come, behind which there has been nothing else.
+    message: Option<String>,
     said: Vec<Said>,
     /// Lines that the controller had read before the first of these.
     lines_before: u32,
@@ -80,6 +84,16 @@ pub struct ProgramEnd {
 
 /// What the controller says at M2 and M30.
 const PROGRAM_END: &str = "[MSG:Pgm End]";
+
+/// Errors that say what the machine has against a line. A message in front of them is no word about the line.
+const OF_STATE: [u8; 6] = [
+    Error::StoreReadFailed.code(),
+    Error::NotIdle.code(),
+    Error::Locked.code(),
+    Error::SoftLimitNeedsHoming.code(),
+    Error::JogOutsideTravel.code(),
+    Error::DamagedLine.code(),
+];
 
 /// A line that may have begun a block.
 struct Opener {
@@ -107,6 +121,7 @@ impl JobText {
             alarmed_at: None,
             consumed: 0,
             reply: Vec::new(),
+            message: None,
             said: Vec::new(),
             lines_before: 0,
             marks: Vec::new(),
@@ -321,8 +336,9 @@ impl JobText {
             let (line, text, left_out) = self.unanswered.pop_front().unwrap_or_default();
             let is_carried_out = code.is_none() && !is_remark(&text);
             self.behind_end += u64::from(is_carried_out && self.ended_at.is_some_and(|end| line > end.line));
+            let reason = self.message.take().filter(|_| code.is_some_and(|code| !OF_STATE.contains(&code)));
             if let Some(code) = code.or(left_out.map(Error::code)) {
-                self.said.push(Said::Error { line, code, text: text.clone() });
+                self.said.push(Said::Error { line, code, text: text.clone(), reason });
             }
             if text.contains(['o', 'O']) {
                 self.openers.push(Opener { given: self.answers, number: line, text });
@@ -331,6 +347,7 @@ impl JobText {
             if reply.starts_with("ALARM:") && self.alarmed_at.is_none() {
                 self.alarmed_at = self.oldest_unanswered();
             }
+            self.message = Some(reply.to_owned()).filter(|text| text.starts_with("[MSG:"));
             self.said.push(Said::Message(reply.to_owned()));
         }
     }
@@ -432,7 +449,7 @@ mod tests {
         let mut job = JobText::new(&b"$LC=ON\nG0\n\n"[..]);
         drain(&mut job);
         job.answered(b":AAAABDHeBSSVBok\r\n:AAAASKKKKKKKKerror:129\r\n:AAAAPABDHABDHknown\r\n");
-        assert_eq!(job.said(), [Said::Error { line: 2, code: 129, text: "G0".into() }]);
+        assert_eq!(job.said(), [Said::Error { line: 2, code: 129, text: "G0".into(), reason: None }]);
         assert!(job.is_used_up());
     }
 
@@ -453,7 +470,10 @@ mod tests {
         job.answered(b"or:20\r\n[MSG:Pgm End]\r\n\r\nok\r\n");
         assert_eq!(
             job.said(),
-            [Said::Error { line: 3, code: 20, text: "bad".into() }, Said::Message("[MSG:Pgm End]".into())]
+            [
+                Said::Error { line: 3, code: 20, text: "bad".into(), reason: None },
+                Said::Message("[MSG:Pgm End]".into())
+            ]
         );
         assert!(job.is_used_up());
         assert_eq!(job.answers(), 3);
@@ -473,7 +493,21 @@ mod tests {
         let mut job = JobText::new(&b"G1\tX\x07\n"[..]);
         drain(&mut job);
         job.answered(b"error:2\r\n");
-        assert_eq!(job.said(), [Said::Error { line: 1, code: 2, text: "G1 X?".into() }]);
+        assert_eq!(job.said(), [Said::Error { line: 1, code: 2, text: "G1 X?".into(), reason: None }]);
+    }
+
+    /// But for those that say what the machine has against it: their message is one of the machine.
+    #[test]
+    fn the_message_in_front_of_an_error_says_what_is_wrong_with_its_line() {
+        let mut job = JobText::new(&b"G1 X\nG1\nG2\n"[..]);
+        drain(&mut job);
+        job.answered(b"[MSG:no number behind X]\r\nerror:2\r\n[MSG:x]\r\nerror:9\r\n[MSG:y]\r\n<Idle>\r\nerror:20\r\n");
+        let reasons = job.said().into_iter().filter_map(|said| match said {
+            Said::Error { code, reason, .. } => Some((code, reason)),
+            _ => None,
+        });
+        let expected = [(2, Some("[MSG:no number behind X]".to_owned())), (9, None), (20, None)];
+        assert_eq!(reasons.collect::<Vec<_>>(), expected);
     }
 
     #[test]

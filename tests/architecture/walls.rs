@@ -97,6 +97,7 @@ fn the_simulator_as_a_library_has_no_files_threads_or_clock() {
 /// Files that are compiled where they do not lie, and why.
 const INCLUDED: &[(&str, &str, &str)] = &[
     ("src/controller/gcode/mod.rs", "computed/none.rs", "stands in for its folder"),
+    ("src/controller/gcode/mod.rs", "refusal/none.rs", "stands in for its folder"),
     ("src/controller/lib.rs", "recorder/none.rs", "stands in for its folder"),
     ("src/store/tests.rs", "damage_tests.rs", "tests of one module in three files"),
     ("src/store/tests.rs", "failure_tests.rs", "tests of one module in three files"),

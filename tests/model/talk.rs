@@ -112,7 +112,7 @@ impl Seen {
 
     /// What of it is not as the model says.
     fn differs(&self, model: &Model) -> Option<String> {
-        if !is_said(&model.said, &self.said) {
+        if !is_said(&model.said, &self.said, !model.setup.grbl) {
             return Some(format!("the answers {:?}", model.said));
         }
         if self.state() != model.state() {
@@ -145,15 +145,18 @@ impl Seen {
 }
 
 /// Whether lines are those of a list of patterns in which `*` is any text, and [`MANY`] any lines that are no
-/// answer.
-fn is_said(patterns: &[String], lines: &[String]) -> bool {
+/// answer. `reasons`: an error may have a sentence in front of it, which says what is wrong; the reference does not know it.
+fn is_said(patterns: &[String], lines: &[String], reasons: bool) -> bool {
     let Some((pattern, rest)) = patterns.split_first() else { return lines.is_empty() };
     if pattern == MANY {
         let end = lines.iter().position(|line| line == "ok" || line.starts_with("error:")).unwrap_or(lines.len());
-        return is_said(rest, &lines[end..]);
+        return is_said(rest, &lines[end..], reasons);
     }
     let Some((line, others)) = lines.split_first() else { return false };
-    is_line(pattern, line) && is_said(rest, others)
+    if reasons && pattern.starts_with("error:") && line.starts_with("[MSG:") {
+        return others.first().is_some_and(|line| is_line(pattern, line)) && is_said(rest, &others[1..], reasons);
+    }
+    is_line(pattern, line) && is_said(rest, others, reasons)
 }
 
 fn is_line(pattern: &str, line: &str) -> bool {

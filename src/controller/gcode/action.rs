@@ -2,6 +2,7 @@
 //! coolant, tool, dwell, outputs, and the [`MotionCommand`] in machine coordinates), and the interpreter takes the new
 //! modal state over when the line is committed. Checking has no other effect.
 
+use super::REASONS;
 use super::control_points::Addition;
 use super::cycle::Cycle;
 use super::modal::{Modal, PROGRAM_PINS, PlaneAxes, SPLINES};
@@ -9,6 +10,7 @@ use super::offsets::StoredOffset;
 use super::rotation::RotationChange;
 use super::state::Interpreter;
 use super::values::along;
+use super::word::Letters;
 use crate::axes::{Axis, PerAxis};
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::{Coordinate, Decimal, Duration};
@@ -51,6 +53,8 @@ pub struct Action<const N: usize> {
     pub(super) stored: Option<PerAxis<Coordinate, N>>,
     pub(super) position: PerAxis<Coordinate, N>,
     pub(super) rotated: RotationChange,
+    /// Of a line that is refused for them: its words that nothing uses.
+    pub(super) unused: [Letters; REASONS as usize],
 }
 
 /// What a line leaves behind that Grbl does not know.
@@ -234,6 +238,7 @@ impl<const N: usize> Action<N> {
         stored: None,
         position: PerAxis::all(Coordinate::ZERO),
         rotated: RotationChange::NONE,
+        unused: [Letters::of(b""); REASONS as usize],
     };
 
     /// Becomes what leaves everything as it is. In its place: a new one would be copied there with room for an arc.

@@ -19,7 +19,7 @@ pub(super) fn check<const N: usize>(
 ) -> Result<(), Error> {
     let mut parsed = Parsed::empty();
     state.computed.begin();
-    parsed.read(line, dialect, state)?;
+    parsed.read_apart(line, dialect, state)?;
     check::check(state, &parsed, dialect, Purpose::Jog, action)?;
     if state.computed.assigns() || !parsed.groups.within(Groups::OF_JOGS) {
         return Err(Error::InvalidJog);

@@ -32,6 +32,11 @@ mod modal;
 mod offsets;
 mod parse;
 mod program_end;
+#[cfg(feature = "reasons")]
+mod refusal;
+#[cfg(not(feature = "reasons"))]
+#[path = "refusal/none.rs"]
+mod refusal;
 mod remark;
 mod rotation;
 mod saved;
@@ -62,6 +67,12 @@ pub use word::{Group, group_of};
 
 /// Whether this build has expressions, parameters and O words.
 pub const EXPRESSIONS: bool = cfg!(feature = "expressions");
+
+/// Whether this build says what is wrong with a refused line.
+pub const REASONS: bool = cfg!(feature = "reasons");
+
+/// What is wrong with a refused line; no memory where nothing is said.
+pub type Reason = heapless::Vec<u8, { if REASONS { 128 } else { 0 } }>;
 
 /// Whose meaning a program's words have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

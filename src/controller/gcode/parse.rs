@@ -15,7 +15,7 @@ use crate::messages::SpindleDirection;
 use crate::units::Decimal;
 
 /// Greatest tool number in Grbl.
-const TOOL_MAX_OF_GRBL: i32 = 255;
+pub(super) const TOOL_MAX_OF_GRBL: i32 = 255;
 /// The same in the other dialects.
 pub(super) const TOOL_MAX: i32 = 99_999;
 /// Letters of values other than axes, as Grbl has them and as the other dialects do.
@@ -169,6 +169,12 @@ impl<const N: usize> Parsed<N> {
             }
         }
         Ok(())
+    }
+
+    /// The same where time does not matter: once in the image, and not in each of those that read a line.
+    #[inline(never)]
+    pub fn read_apart(&mut self, line: &[u8], dialect: Dialect, state: &mut Interpreter<N>) -> Result<(), Error> {
+        self.read(line, dialect, state)
     }
 
     /// Whether it has no words but those that say where a line leads and how: the steps of the check that have nothing to look at

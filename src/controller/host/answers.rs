@@ -4,7 +4,7 @@
 
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};
-use crate::gcode::{Dialect, Notice, ProgramPins, WITH_VALUES};
+use crate::gcode::{Dialect, Notice, ProgramPins, REASONS, WITH_VALUES};
 use crate::inputs::levels;
 use crate::messages::Signals;
 use crate::protocol::descriptions::DESCRIPTIONS;
@@ -88,7 +88,34 @@ impl<const N: usize> Controller<N> {
         if !self.m.replies.is_echoing() {
             self.m.lines.fail(error);
         }
+        if REASONS {
+            self.tell_reason(error);
+        }
         self.say(|out| report::error(out, error.code()));
+    }
+
+    /// What is wrong with the line, in front of its error, for the host that gets that; Grbl says nothing there, and a startup line has no room for it.
+    #[cold]
+    #[inline(never)]
+    fn tell_reason(&mut self, error: Error) {
+        if let Some(reason) = self.line.refused(error)
+            && self.dialect() != Dialect::Grbl
+            && !self.m.replies.is_echoing()
+            && !self.m.replies.has_host_left(self.m.lines.hosts_cut())
+        {
+            self.say(|out| report::program_message(out, &reason));
+        }
+    }
+
+    /// `$E`
+    pub(crate) fn tell_refusal(&mut self) {
+        let mut text = Text::new();
+        match self.line.refusal() {
+            [] => report::message(&mut text, "No line was refused"),
+            reason => report::program_message(&mut text, reason),
+        }
+        self.say(|out| out.clone_from(&text));
+        self.say_ok();
     }
 
     pub(crate) fn tell_alarm(&mut self, alarm: Alarm) {

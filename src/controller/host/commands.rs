@@ -4,7 +4,7 @@
 use crate::axes::{Axis, AxisMask};
 use crate::dispatch::Controller;
 use crate::error::Error;
-use crate::gcode::Dialect;
+use crate::gcode::{Dialect, REASONS};
 use crate::protocol::descriptions::DESCRIPTIONS;
 use crate::protocol::recording::RECORDER;
 use crate::protocol::report;
@@ -60,6 +60,8 @@ impl<const N: usize> Controller<N> {
             System::MoreBuildInfo => self.report_build_info(true),
             System::Describe(_) if !DESCRIPTIONS => return Err(Error::DescriptionsLeftOut),
             System::Describe(what) => self.task = Task::Listing(Listing::Descriptions(what), 0),
+            System::Refusal if REASONS => self.tell_refusal(),
+            System::Refusal => return Err(Error::DescriptionsLeftOut),
             System::SetBuildInfo(text) => {
                 let text = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
                 self.m.records.save_build_info(text);

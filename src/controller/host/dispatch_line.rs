@@ -4,7 +4,7 @@
 
 use crate::dispatch::Controller;
 use crate::error::Error;
-use crate::gcode::{self, AS_WRITTEN, CAM_WORDS, Dialect, Direction, Notice, WITH_VALUES};
+use crate::gcode::{self, AS_WRITTEN, CAM_WORDS, Dialect, Direction, Notice, REASONS, WITH_VALUES};
 use crate::messages::{HOST_CHANGED, LineByte};
 use crate::protocol::intake::Taken;
 use crate::protocol::line_checksum::Verdict;
@@ -91,11 +91,17 @@ impl<const N: usize> Controller<N> {
             }
             directed => directed,
         };
+        if REASONS && let Err(error) = checked {
+            self.line.explain(&mut self.m.interpreter, text, dialect, error, false);
+        }
         let asks_for_tool = checked.is_err() && gcode::asks_for_tool(text);
         self.m.lines.clear();
         match checked {
             Ok(Direction::Check) => {
                 if let Err(error) = self.begin_checked(Answer::Host) {
+                    if REASONS {
+                        self.explain(&[], error);
+                    }
                     self.refuse_program_line(error, self.line.action.tool_change);
                 }
             }
@@ -136,6 +142,9 @@ impl<const N: usize> Controller<N> {
             Pushed::More => {}
             _ if taken.verdict != Verdict::Valid => self.answer_invalid(taken.verdict),
             Pushed::TooLong => {
+                if REASONS && let Some((length, fit)) = self.m.lines.lengths() {
+                    self.line.explain_length(length, fit);
+                }
                 self.m.lines.clear();
                 self.refuse_program_line(Error::LineTooLong, false);
             }
@@ -224,11 +233,27 @@ impl<const N: usize> Controller<N> {
             Some(_) if self.state.is_alarm() || matches!(self.state, State::Jog { .. }) => Err(Error::Locked),
             _ => self.program_line(line, remark),
         };
+        if REASONS && let Err(error) = result {
+            self.explain(line, error);
+        }
         match result {
             Ok(()) => {}
             Err(error) if line.first() == Some(&b'$') => self.refuse(error),
             Err(error) => self.refuse_program_line(error, gcode::asks_for_tool(line)),
         }
+    }
+
+    /// Finds out what is wrong with words in a line that is refused: those of a program, a jog or a startup line.
+    #[cold]
+    fn explain(&mut self, line: &[u8], error: Error) {
+        let (words, is_jog) = match line {
+            [b'$', b'J', b'=', words @ ..] => (words, true),
+            [b'$', b'N', b'0'..=b'9', b'=', words @ ..] => (words, false),
+            [b'$', ..] => return,
+            words => (words, false),
+        };
+        let dialect = self.dialect();
+        self.line.explain(&mut self.m.interpreter, words, dialect, error, is_jog);
     }
 
     /// What is kept of a subroutine or loop lacks the line, and what it would have set is not set.

@@ -262,6 +262,11 @@ impl LineIntake {
         self.line.text()
     }
 
+    /// How many bytes of text a line has that is too long, and how many of them fit; `None` if some were lost.
+    pub fn lengths(&self) -> Option<(usize, usize)> {
+        self.line.lengths()
+    }
+
     /// Whether a remark of the line had parentheses in it.
     pub fn has_nested_remark(&self) -> bool {
         self.line.has_nested_remark()

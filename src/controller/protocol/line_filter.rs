@@ -9,6 +9,9 @@ pub const LENGTH: usize = 256;
 /// How many bytes of a remark in parentheses are kept, its keyword (`MSG,`) included; what is beyond is cut off.
 pub const MESSAGE_LENGTH: usize = 80;
 
+/// Whether it is told by how much a line is too long.
+const COUNTS_EXCESS: bool = cfg!(feature = "reasons");
+
 /// What a byte completed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pushed {
@@ -46,6 +49,8 @@ pub struct Line {
     /// The latest remark in parentheses, as far as there is room.
     remark: heapless::Vec<u8, MESSAGE_LENGTH>,
     overflow: bool,
+    /// How many bytes it has beyond those that fit; no memory where nothing is said of it.
+    excess: [u16; COUNTS_EXCESS as usize],
     /// A remark of it had parentheses in it.
     nested: bool,
     /// Bytes of it were lost.
@@ -97,6 +102,7 @@ impl Line {
             comment: Comment::None,
             remark: heapless::Vec::new(),
             overflow: false,
+            excess: [0; COUNTS_EXCESS as usize],
             nested: false,
             damaged: false,
             after_cr: false,
@@ -243,11 +249,26 @@ impl Line {
                         *place = byte.to_ascii_uppercase();
                         self.len += 1;
                     }
+                    _ if COUNTS_EXCESS => self.overflows(),
                     _ => self.overflow = true,
                 }
             }
         }
         Pushed::More
+    }
+
+    #[cold]
+    fn overflows(&mut self) {
+        let before = if self.overflow { self.excess } else { [0; COUNTS_EXCESS as usize] };
+        self.excess = before.map(|excess| excess.saturating_add(1));
+        self.overflow = true;
+    }
+
+    /// How many bytes a line has that is too long, without blanks and remarks, and how many of them fit; `None` if some were
+    /// lost.
+    pub fn lengths(&self) -> Option<(usize, usize)> {
+        let excess = self.excess.first().filter(|_| !self.damaged)?;
+        Some((self.len + usize::from(*excess), self.len))
     }
 
     /// Whether a slash is no part of the text. Block delete skips its line; Grbl's drops the slash, and the rest of the line is

@@ -246,7 +246,7 @@ pub fn help(out: &mut Text, grbl: bool) {
         put(out, if RECORDER { b"$HX $Mx=line $RST= $RC $REC " } else { b"$HX $Mx=line $RST= $RC " });
         put(out, b"$PINS ");
         if DESCRIPTIONS {
-            put(out, b"$ES $ESG $ESH $EG $EE $EA ");
+            put(out, b"$E $ES $ESG $ESH $EG $EE $EA ");
         }
         put(out, b"$I+ ");
     }

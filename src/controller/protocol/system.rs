@@ -24,6 +24,8 @@ pub enum System<'a> {
     MoreBuildInfo,
     /// `$ES`, `$ESG`, `$ESH`, `$EG`, `$EE`, `$EA`
     Describe(Described),
+    /// `$E`
+    Refusal,
     /// `$I=text`
     SetBuildInfo(&'a [u8]),
     /// `$N`
@@ -81,6 +83,7 @@ impl System<'_> {
             System::Pins
             | System::ClearNoise
             | System::Describe(_)
+            | System::Refusal
             | System::CheckLines(_)
             | System::Macros
             | System::SetMacro(..) => Err(Error::BadNumber),
@@ -130,6 +133,7 @@ pub fn allowed(line: &[u8]) -> Allowed {
     match line.get(1) {
         None | Some(b'$' | b'G' | b'C' | b'X' | b'L') => Allowed::Always,
         Some(b'P') if line.starts_with(b"$PINS") => Allowed::Always,
+        Some(b'E') if line.len() == 2 => Allowed::Always,
         Some(b'J') => Allowed::ForJog,
         Some(_) => Allowed::AtRest,
     }
@@ -205,6 +209,7 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
 /// Reads what follows `$E`. An unknown rest is an unknown command, as all of them are to Grbl.
 fn describe(rest: &[u8]) -> Result<System<'_>, Error> {
     Ok(System::Describe(match rest {
+        b"" => return Ok(System::Refusal),
         b"S" => Described::Settings(Format::Fields),
         b"SG" => Described::Settings(Format::Commas),
         b"SH" => Described::Settings(Format::Tabs),
@@ -240,6 +245,7 @@ mod tests {
         assert_eq!(read(b"$RST=*"), Ok(System::Restore(Restore::All)));
         assert_eq!(read(b"$I+"), Ok(System::MoreBuildInfo));
         assert_eq!(read(b"$ESH"), Ok(System::Describe(Described::Settings(Format::Tabs))));
+        assert_eq!(read(b"$E"), Ok(System::Refusal));
         assert_eq!(read(b"$REC"), Ok(System::Recording));
         assert_eq!(read(b"$EA"), Ok(System::Describe(Described::Alarms)));
         assert_eq!(read(b"$I=ABC"), Ok(System::SetBuildInfo(b"ABC")));
@@ -256,7 +262,7 @@ mod tests {
         for line in ["$1", "$1=5X", "$1=25ABC", "$HQ"] {
             assert_eq!(read(line.as_bytes()), Err(Error::InvalidStatement), "{line}");
         }
-        for line in ["$Z", "$ABC", "$E", "$ESX", "$EGG", "$1=", "$=5", "$1=ABC", "$NX=G20", "$N=", "$M1", "$MX"] {
+        for line in ["$Z", "$ABC", "$ESX", "$EGG", "$1=", "$=5", "$1=ABC", "$NX=G20", "$N=", "$M1", "$MX"] {
             assert_eq!(read(line.as_bytes()), Err(Error::BadNumber), "{line}");
         }
     }

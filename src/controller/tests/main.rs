@@ -14,6 +14,7 @@ mod gcode_macros;
 mod gcode_parameters;
 mod gcode_pins;
 mod gcode_properties;
+mod gcode_reasons;
 mod gcode_recordings;
 mod gcode_rotary;
 mod gcode_rotation;

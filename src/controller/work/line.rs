@@ -2,10 +2,12 @@
 //! the last message of the program. There is one at a time, and its memory is reused.
 
 use crate::axes::{LINEAR, PerAxis};
-use crate::gcode::{Action, EXPRESSIONS, Notice};
+use crate::error::Error;
+use crate::gcode::{Action, Dialect, EXPRESSIONS, Interpreter, Notice, REASONS, Reason};
 use crate::motion::{Arc, ArcGeometry, Curvature, Curve, Nurbs, NurbsGeometry, Spline, SplineGeometry};
 use crate::protocol::descriptions::DESCRIPTIONS;
 use crate::protocol::line_filter::MESSAGE_LENGTH;
+use crate::protocol::text::{Text, put, whole};
 use crate::units::{Coordinate, WeightedPoint};
 use crate::work::tool_change::plan::ToolChange;
 
@@ -28,6 +30,20 @@ pub(crate) struct LineInWork<const N: usize> {
     change: ToolChange<N>,
     /// The last message of the program, for a host that takes over; no memory where that is told nothing.
     message: [Message; DESCRIPTIONS as usize],
+    /// Of the line that was refused last; no memory where nothing is said about it.
+    refusal: [Refusal; REASONS as usize],
+}
+
+/// Why a line was refused.
+#[derive(Clone, Debug)]
+struct Refusal {
+    reason: Reason,
+    /// It was found for the line that is being refused.
+    is_new: bool,
+}
+
+impl Refusal {
+    const NONE: Self = Self { reason: Reason::new(), is_new: false };
 }
 
 impl<const N: usize> LineInWork<N> {
@@ -39,7 +55,75 @@ impl<const N: usize> LineInWork<N> {
         told: 0,
         change: ToolChange::NONE,
         message: [const { Message::new() }; DESCRIPTIONS as usize],
+        refusal: [const { Refusal::NONE }; REASONS as usize],
     };
+
+    /// Finds out what is wrong with a line, or a held one, that the interpreter has refused.
+    #[cold]
+    pub(crate) fn explain(
+        &mut self,
+        interpreter: &mut Interpreter<N>,
+        text: &[u8],
+        dialect: Dialect,
+        error: Error,
+        is_jog: bool,
+    ) {
+        if let Some(refusal) = self.refusal.first_mut() {
+            interpreter.explain(text, dialect, error, is_jog, &self.action, &mut refusal.reason);
+            refusal.is_new = !refusal.reason.is_empty();
+        }
+    }
+
+    /// The line that is refused is another one, of which this was called.
+    #[cold]
+    pub(crate) fn explain_within(&mut self, held: &[u8]) {
+        /// Of the line that is held, which the host does not see.
+        const SHOWN: usize = 24;
+        for refusal in self.refusal.iter_mut().filter(|refusal| refusal.is_new) {
+            let found = core::mem::take(&mut refusal.reason);
+            let _ = refusal.reason.extend_from_slice(b"in ");
+            let _ = refusal.reason.extend_from_slice(held.get(..SHOWN).unwrap_or(held));
+            for part in [b": ".as_slice(), &found] {
+                let room = refusal.reason.capacity() - refusal.reason.len();
+                let _ = refusal.reason.extend_from_slice(part.get(..room).unwrap_or(part));
+            }
+        }
+    }
+
+    /// The line is refused for its length.
+    #[cold]
+    pub(crate) fn explain_length(&mut self, length: usize, fit: usize) {
+        if let Some(refusal) = self.refusal.first_mut() {
+            let mut text = Text::new();
+            put(&mut text, b"the line has ");
+            whole(&mut text, length as u64);
+            put(&mut text, b" characters without blanks and remarks: ");
+            whole(&mut text, fit as u64);
+            put(&mut text, b" fit");
+            refusal.reason.clear();
+            let _ = refusal.reason.extend_from_slice(&text);
+            refusal.is_new = true;
+        }
+    }
+
+    /// The line is refused with an error. What was found out about it, which is told; what is told of another one is the
+    /// meaning of its error.
+    #[cold]
+    pub(crate) fn refused(&mut self, error: Error) -> Option<Reason> {
+        let refusal = self.refusal.first_mut()?;
+        if core::mem::replace(&mut refusal.is_new, false) {
+            return Some(refusal.reason.clone());
+        }
+        refusal.reason.clear();
+        let text = error.text().as_bytes();
+        let _ = refusal.reason.extend_from_slice(text.get(..refusal.reason.capacity()).unwrap_or(text));
+        None
+    }
+
+    /// What was wrong with the line that was refused last.
+    pub(crate) fn refusal(&self) -> &[u8] {
+        self.refusal.first().map_or(&[], |refusal| &refusal.reason)
+    }
 
     /// Single block: whether the program pauses behind each line that moves, until the operator continues it.
     pub(crate) fn is_single_block(&self) -> bool {

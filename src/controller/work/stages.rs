@@ -545,6 +545,11 @@ impl<const N: usize> Controller<N> {
         match carried_out {
             Ok(()) => self.tell_remark(remark),
             Err(error) => {
+                if gcode::REASONS {
+                    let dialect = self.dialect();
+                    self.line.explain(&mut self.m.interpreter, words, dialect, error, false);
+                    self.line.explain_within(words);
+                }
                 self.m.interpreter.abandon_held();
                 if let Caller::Startup(index, _) = caller {
                     self.echo_startup_line(index);

@@ -115,7 +115,7 @@ enum Mode {
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
-    setup: Setup,
+    pub setup: Setup,
     now: Span,
     mode: Mode,
     motion: Option<Motion>,

@@ -217,7 +217,11 @@ impl<const N: usize> Draft<'_, N> {
         if self.claim != Claim::Nobody {
             self.unused.remove(Letters::of(b"XYZABC"));
         }
-        if self.unused.is_empty() || CAM_WORDS && self.is_radius_register()? { Ok(()) } else { Err(Error::UnusedWords) }
+        if self.unused.is_empty() || CAM_WORDS && self.is_radius_register()? {
+            return Ok(());
+        }
+        self.action.unused.fill(self.unused);
+        Err(Error::UnusedWords)
     }
 
     /// O and a number, which are alone in their line but for its own number.

@@ -58,7 +58,7 @@ pub(super) enum Keyword {
 }
 
 /// A text that begins another comes behind it.
-const KEYWORDS: [(&[u8], Keyword); 15] = [
+pub(super) const KEYWORDS: [(&[u8], Keyword); 15] = [
     (b"SUB", Keyword::Sub),
     (b"ENDSUB", Keyword::EndSub),
     (b"CALL", Keyword::Call),

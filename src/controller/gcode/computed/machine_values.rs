@@ -113,7 +113,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// A parameter; `None` if it has not been set.
-    fn parameter(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
+    pub(super) fn parameter(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
         match self.of_machine(reference)? {
             Some(value) => Ok(Some(value)),
             None => self.computed.parameters.get(reference),

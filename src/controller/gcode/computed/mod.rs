@@ -2,6 +2,8 @@
 //! it with each line, commits it with the line, and resets it at the end of a program. A build without the feature
 //! `expressions` has `none.rs` instead.
 
+#[cfg(feature = "reasons")]
+mod explain;
 mod expression;
 mod flow;
 mod machine_values;

@@ -157,6 +157,19 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
+    #[cfg(feature = "reasons")]
+    pub(super) fn explain_flow(&self, line: &[u8], error: Error, out: &mut super::Reason) -> bool {
+        if is_o_word(line) {
+            let _ = out.extend_from_slice(error.text().as_bytes());
+        }
+        is_o_word(line)
+    }
+
+    #[cfg(feature = "reasons")]
+    pub(super) fn unset_parameter<'t>(&self, _: &'t [u8]) -> Option<&'t [u8]> {
+        None
+    }
+
     pub(super) fn compute<'t>(&self, _: u8, text: &'t [u8]) -> Result<(Word, &'t [u8]), Error> {
         let signs = text.iter().take_while(|byte| matches!(byte, b'-' | b'+')).count();
         match text.get(signs) {
