@@ -214,9 +214,6 @@ fn boards_have_the_words_of_their_images() {
     for board in oxmill_boards::profiles::ALL.into_iter().filter(|board| board.name != "desk") {
         let features = manifest.lines().find(|line| line.starts_with(&format!("{} = [", board.name)));
         let features = features.unwrap_or_else(|| panic!("no features of {}", board.name));
-        for feature in ["expressions", "rotation", "splines", "blending"] {
-            let has = features.contains(&format!("\"oxmill-controller/{feature}\""));
-            assert_eq!(has, board.has_all_words, "{feature} of {}", board.name);
-        }
+        assert_eq!(features.contains("\"oxmill-controller/full\""), board.has_all_words, "{}", board.name);
     }
 }

@@ -15,10 +15,10 @@
 //! ```
 //! A test in `tests/architecture` checks that no two files call each other.
 
+use crate::image::FULL_IMAGE;
 use crate::memory::Memory;
 use crate::messages::{Event, LineByte, Observed, Output, Record, Restart, Room, Store, ToStep};
 use crate::parts::Machine;
-use crate::protocol::recording::RECORDER;
 use crate::protocol::report;
 use crate::settings::Key;
 use crate::states::State;
@@ -327,7 +327,7 @@ impl<const N: usize> Controller<N> {
         if let Some(clear_noise) = self.m.inputs.take_look() {
             return Some(Output::ReadPins { clear_noise });
         }
-        if RECORDER && let Some(first) = self.take_ask() {
+        if FULL_IMAGE && let Some(first) = self.take_ask() {
             return Some(Output::ReadRecording { first });
         }
         if self.only_moves() {

@@ -92,7 +92,6 @@ codes! {
     NotSupported = 121, "the word is known but not supported: docs/gcode.md lists which are";
     CutterCompensation = 122, "cutter compensation (G41, G42) is not supported: let the CAM program offset the path";
     NothingSaved = 123, "there is no state that M72 could restore: none was saved in this subroutine";
-    ExtendedLeftOut = 124, "this board has no room for canned cycles, the tool table and words of state";
     DescriptionsLeftOut = 125, "this board has no room for the texts of settings, errors and alarms";
     NotInRotatedPlane = 126, "arcs, cycles and a second rotation need the plane in which the coordinates are rotated";
     RotationActs = 127, "the coordinates that the line sets are rotated by G68";

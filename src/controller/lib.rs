@@ -30,6 +30,7 @@ extern crate alloc;
 pub mod axes;
 pub mod digest;
 pub mod error;
+mod image;
 pub mod lent;
 pub mod memory;
 pub mod messages;
@@ -49,9 +50,9 @@ mod inputs;
 mod outputs;
 mod parts;
 pub mod pump;
-#[cfg(feature = "recorder")]
+#[cfg(feature = "full")]
 pub mod recorder;
-#[cfg(not(feature = "recorder"))]
+#[cfg(not(feature = "full"))]
 #[path = "recorder/none.rs"]
 pub mod recorder;
 mod states;

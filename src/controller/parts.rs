@@ -3,7 +3,7 @@
 
 use crate::axes::AxisMask;
 use crate::dispatch::Profile;
-use crate::gcode::{EXTENDED, Interpreter};
+use crate::gcode::Interpreter;
 use crate::host::settings_lock::SettingsLock;
 use crate::host::stored::Records;
 use crate::inputs::levels::InputLevels;
@@ -95,7 +95,7 @@ impl<const N: usize> Machine<N> {
 
     /// Whether M6 stops (`$918`).
     pub(crate) fn prompts_for_tools(&self) -> bool {
-        EXTENDED && self.settings.is_on(Key::ToolChange)
+        self.settings.is_on(Key::ToolChange)
     }
 
     pub(crate) fn switches(&self) -> AxisMask {

@@ -210,11 +210,9 @@ pub fn for_error(error: Error) -> &'static str {
         Error::TooManyControlPoints => "Divide the curve into some of fewer control points.",
         Error::OneRotaryAxis => "Write the part with A, or have the post-processor turn it by hand between programs.",
         Error::SplineOutsideXy => "Select G17 before the spline, and move Z and other axes in a line of their own.",
-        Error::ExtendedLeftOut
-        | Error::ExpressionsLeftOut
-        | Error::RotationLeftOut
-        | Error::SplinesLeftOut
-        | Error::ScalingLeftOut => "Use a board with more flash, or a post-processor that writes plain moves.",
+        Error::ExpressionsLeftOut | Error::RotationLeftOut | Error::SplinesLeftOut | Error::ScalingLeftOut => {
+            "Use a board with more flash, or a post-processor that writes plain moves."
+        }
         Error::ToolChangeNeedsHoming => "Switch homing on ($22=1), home with $H, and send the line again.",
         Error::ToolSetterNotSetUp => {
             "Jog to the place for tool changes and send G30.1; store the place of the setter with G10 L20 P9 X0 Y0; look at $342 to $344."

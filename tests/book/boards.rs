@@ -9,18 +9,9 @@ use std::fmt::Write;
 
 /// Lengths of the step pulse (`$0`) whose greatest rates the table has, tenths of a microsecond.
 const PULSES: [u16; 7] = [5, 10, 20, 25, 30, 50, 100];
-/// What an image may lack, as the firmware calls it and as a reader does.
-const PARTS: [(&str, &str); 9] = [
-    ("expressions", "expressions, parameters, O words"),
-    ("extended-gcode", "cycles, tool table"),
-    ("rotation", "rotated and scaled coordinates"),
-    ("splines", "splines"),
-    ("blending", "rounded corners (`G64 P`)"),
-    ("cam-words", "habits of CAM programs (`G31`, `G70`, `G54.1`, D)"),
-    ("program-pins", "outputs and inputs of programs"),
-    ("descriptions", "texts of settings and errors (`$ES`)"),
-    ("recorder", "recording (`$REC`)"),
-];
+/// What the small image lacks (`FULL_IMAGE`).
+const LEFT_OUT: &str = "expressions, parameters, O words; rotated and scaled coordinates; splines; rounded corners (`G64 P`); habits of CAM \
+    programs (`G31`, `G70`, `G54.1`, D); outputs and inputs of programs; texts of settings and errors (`$ES`); recording (`$REC`)";
 
 fn file(name: &str) -> String {
     read(&root().join(name))
@@ -51,12 +42,10 @@ fn code(wiring: &str) -> String {
 }
 
 /// What the image of a board leaves out.
-fn left_out(board: &str) -> String {
+fn left_out(board: &str) -> &'static str {
     let manifest = file("src/firmware/Cargo.toml");
     let features = manifest.lines().find(|line| line.starts_with(&format!("{board} = "))).expect("a feature");
-    let lacking = PARTS.iter().filter(|(feature, _)| !features.contains(&format!("oxmill-controller/{feature}\"")));
-    let lacking: Vec<&str> = lacking.map(|(_, words)| *words).collect();
-    if lacking.is_empty() { "nothing".into() } else { lacking.join("; ") }
+    if features.contains("\"oxmill-controller/full\"") { "nothing" } else { LEFT_OUT }
 }
 
 fn host(board: &str) -> &'static str {

@@ -5,13 +5,14 @@
 use super::REASONS;
 use super::control_points::Addition;
 use super::cycle::Cycle;
-use super::modal::{Modal, PROGRAM_PINS, PlaneAxes, SPLINES};
+use super::modal::{Modal, PlaneAxes};
 use super::offsets::StoredOffset;
 use super::rotation::RotationChange;
 use super::state::Interpreter;
 use super::values::along;
 use super::word::Letters;
 use crate::axes::{Axis, PerAxis};
+use crate::image::FULL_IMAGE;
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::{Coordinate, Decimal, Duration};
 
@@ -169,7 +170,7 @@ impl<const N: usize> Action<N> {
     /// What it does with the outputs and inputs of programs (M62 to M68).
     #[inline]
     pub fn pins(&self) -> Option<ProgramPins> {
-        if PROGRAM_PINS { self.after.pins } else { None }
+        if FULL_IMAGE { self.after.pins } else { None }
     }
 
     /// What is to be told about the line.
@@ -496,5 +497,5 @@ pub(super) enum Keeping {
     /// M72.
     Restore,
     /// G5.2.
-    Add([Addition; SPLINES as usize]),
+    Add([Addition; FULL_IMAGE as usize]),
 }

@@ -1,11 +1,11 @@
 //! The control points of a G5.2 curve, each with its weight, until G5.3 runs the curve.
 
-use super::modal::SPLINES;
+use crate::image::FULL_IMAGE;
 use crate::lent::Lent;
 use crate::units::{Coordinate, WeightedPoint};
 
 /// So many control points may wait, the start among them: each takes 24 bytes.
-const MOST: usize = if SPLINES { 32 } else { 0 };
+const MOST: usize = if FULL_IMAGE { 32 } else { 0 };
 /// Orders that L may name; the degree is one less.
 pub(super) const ORDERS: core::ops::RangeInclusive<u32> = 3..=8;
 /// Without L.

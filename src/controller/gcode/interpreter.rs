@@ -3,15 +3,16 @@
 
 use super::action::{Action, Flow, Keeping, MotionCommand};
 use super::check::{self, Purpose};
-use super::modal::{Modal, MotionMode, SPLINES, SplineKind};
+use super::modal::{Modal, MotionMode, SplineKind};
 use super::offsets::{StoredOffset, TOOL_AXIS};
 use super::parse::Parsed;
 use super::saved::Saved;
 use super::scaling::NO_REST;
 use super::state::{BeforeCheck, Interpreter, NO_TANGENT, ProgramPlace, Tangent};
-use super::{Dialect, EXPRESSIONS, jog, tools};
+use super::{Dialect, jog, tools};
 use crate::axes::PerAxis;
 use crate::error::Error;
+use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
 impl<const N: usize> Interpreter<N> {
@@ -48,7 +49,7 @@ impl<const N: usize> Interpreter<N> {
         self.before_check = Some(BeforeCheck {
             spindle_tool: self.spindle_tool,
             modal: self.modal,
-            offsets: [(dialect != Dialect::Grbl).then_some(self.offsets); EXPRESSIONS as usize],
+            offsets: [(dialect != Dialect::Grbl).then_some(self.offsets); FULL_IMAGE as usize],
         });
     }
 
@@ -196,7 +197,7 @@ impl<const N: usize> Interpreter<N> {
     fn remember_motion(&mut self, action: &Action<N>) {
         match &action.motion {
             MotionCommand::Spline(spline)
-                if SPLINES && action.modal.motion == MotionMode::Spline(SplineKind::Cubic) =>
+                if FULL_IMAGE && action.modal.motion == MotionMode::Spline(SplineKind::Cubic) =>
             {
                 self.tangent.fill(Some(Tangent::behind(&spline.target, spline.arriving)));
             }

@@ -4,9 +4,9 @@ use super::computed::ComputedMemory;
 #[cfg(not(feature = "alloc"))]
 use super::computed::ComputedStorage;
 use super::control_points::PointList;
-use super::modal::SPLINES;
 use super::saved::SavedList;
 use super::tools::ToolTable;
+use crate::image::FULL_IMAGE;
 use crate::lent::Lent;
 
 /// What is lent to one interpreter.
@@ -15,7 +15,7 @@ pub struct ProgramMemory<const N: usize> {
     pub(super) computed: ComputedMemory,
     pub(super) tools: Lent<ToolTable<N>>,
     pub(super) saved: Lent<SavedList<N>>,
-    pub(super) control_points: [Lent<PointList>; SPLINES as usize],
+    pub(super) control_points: [Lent<PointList>; FULL_IMAGE as usize],
 }
 
 /// Owns that memory on a board.
@@ -25,7 +25,7 @@ pub struct ProgramStorage<const N: usize> {
     computed: ComputedStorage,
     tools: ToolTable<N>,
     saved: SavedList<N>,
-    control_points: [PointList; SPLINES as usize],
+    control_points: [PointList; FULL_IMAGE as usize],
 }
 
 #[cfg(not(feature = "alloc"))]
@@ -35,7 +35,7 @@ impl<const N: usize> ProgramStorage<N> {
         computed: ComputedStorage::EMPTY,
         tools: ToolTable::EMPTY,
         saved: SavedList::new(),
-        control_points: [const { PointList::new() }; SPLINES as usize],
+        control_points: [const { PointList::new() }; FULL_IMAGE as usize],
     };
 
     /// Lends it for good.

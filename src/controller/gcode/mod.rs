@@ -15,9 +15,9 @@ mod action;
 mod arc;
 mod check;
 mod code;
-#[cfg(feature = "expressions")]
+#[cfg(feature = "full")]
 mod computed;
-#[cfg(not(feature = "expressions"))]
+#[cfg(not(feature = "full"))]
 #[path = "computed/none.rs"]
 mod computed;
 mod continuation;
@@ -54,8 +54,8 @@ pub use memory::ProgramMemory;
 #[cfg(not(feature = "alloc"))]
 pub use memory::ProgramStorage;
 pub use modal::{
-    ArcDistance, BLENDING, CAM_WORDS, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, Modal, MotionMode,
-    OverridesHeld, PathControl, PathTolerance, Plane, PlaneAxes, ProbeMode, ROTATION, SPLINES, SplineKind, Units,
+    ArcDistance, CoordinateSystem, CycleKind, Distance, FeedMode, Modal, MotionMode, OverridesHeld, PathControl,
+    PathTolerance, Plane, PlaneAxes, ProbeMode, SplineKind, Units,
 };
 pub use offsets::{Offsets, StoredOffset};
 pub use remark::{AS_WRITTEN, WITH_VALUES, split_remark};
@@ -64,9 +64,6 @@ pub use scaling::Scaling;
 pub use state::Interpreter;
 pub use tools::{TOOLS, Tool, ToolTable, asks_for_tool};
 pub use word::{Group, group_of};
-
-/// Whether this build has expressions, parameters and O words.
-pub const EXPRESSIONS: bool = cfg!(feature = "expressions");
 
 /// Whether this build says what is wrong with a refused line.
 pub const REASONS: bool = cfg!(feature = "reasons");

@@ -5,22 +5,6 @@ use crate::axes::Axis;
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::Decimal;
 
-/// Whether there are canned cycles, the tool table and words of state: the code of what is left out is not in the image.
-pub const EXTENDED: bool = cfg!(feature = "extended-gcode");
-
-/// Whether coordinates can be rotated and scaled: a feature of its own.
-pub const ROTATION: bool = cfg!(feature = "rotation");
-
-/// Whether there are splines: a feature of its own.
-pub const SPLINES: bool = cfg!(feature = "splines");
-/// Whether programs have outputs and inputs (M62 to M68): a feature of its own.
-pub const PROGRAM_PINS: bool = cfg!(feature = "program-pins");
-/// Whether corners can be rounded (G64 P): a feature of its own.
-pub const BLENDING: bool = cfg!(feature = "blending");
-
-/// Whether words are known that CAM programs write out of habit (G31, G70, G54.1, D): a feature of its own.
-pub const CAM_WORDS: bool = cfg!(feature = "cam-words");
-
 /// Motion mode, modal group 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MotionMode {

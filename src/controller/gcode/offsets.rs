@@ -1,10 +1,11 @@
 //! All offsets of the interpreter. Machine position minus coordinate system, G92 and tool length gives the work
 //! position; a rotation acts in between (see `rotation`). Coordinate systems, G28 and G30 are stored, G92 is not.
 
-use super::modal::{CoordinateSystem, Plane, ROTATION};
+use super::modal::{CoordinateSystem, Plane};
 use super::rotation::{Angle, RotatedPlane, Rotation, difference, sum};
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
+use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
 /// The axis that the tool length offset acts along in Grbl.
@@ -142,7 +143,7 @@ impl<const N: usize> Offsets<N> {
         tool_length: &PerAxis<Coordinate, N>,
         rotation: Option<&Rotation>,
     ) -> Result<Option<RotatedPlane>, Error> {
-        if !ROTATION || rotation.is_none() && self.angle(system) == Angle::ZERO {
+        if !FULL_IMAGE || rotation.is_none() && self.angle(system) == Angle::ZERO {
             return Ok(None);
         }
         self.rotated(system, g92, tool_length, rotation).map(Some)

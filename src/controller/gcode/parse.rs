@@ -4,13 +4,13 @@
 use super::Dialect;
 use super::code::Code;
 use super::modal::{
-    ArcDistance, CAM_WORDS, CoordinateSystem, Distance, FeedMode, Modal, MotionMode, PathControl, Plane, ProbeMode,
-    SPLINES, Units,
+    ArcDistance, CoordinateSystem, Distance, FeedMode, Modal, MotionMode, PathControl, Plane, ProbeMode, Units,
 };
 use super::state::Interpreter;
 use super::word::{ASSIGNMENT, Claim, GWord, Groups, Letters, MWord, NonModal, ToolLength, Word, Words};
 use crate::axes::{Axis, AxisMask, LINEAR, PerAxis};
 use crate::error::Error;
+use crate::image::FULL_IMAGE;
 use crate::messages::SpindleDirection;
 use crate::units::Decimal;
 
@@ -20,9 +20,9 @@ pub(super) const TOOL_MAX_OF_GRBL: i32 = 255;
 pub(super) const TOOL_MAX: i32 = 99_999;
 /// Letters of values other than axes, as Grbl has them and as the other dialects do.
 const VALUES_OF_GRBL: Letters = Letters::of(b"FIJKLNPRST");
-const VALUES: Letters = Letters::of(if CAM_WORDS { b"DEFHIJKLNOPQRST".as_slice() } else { b"EFHIJKLNOPQRST" });
+const VALUES: Letters = Letters::of(if FULL_IMAGE { b"DEFHIJKLNOPQRST".as_slice() } else { b"EFHIJKLNOPQRST" });
 /// Letters of a rotation's centre, as Mach writes it.
-const CENTRE_OF_MACH: Letters = Letters::of(if CAM_WORDS { b"AB".as_slice() } else { b"" });
+const CENTRE_OF_MACH: Letters = Letters::of(if FULL_IMAGE { b"AB".as_slice() } else { b"" });
 /// Words whose value must not be negative.
 const NOT_NEGATIVE: Letters = Letters::of(b"DEFHNPTS");
 
@@ -299,7 +299,7 @@ impl<const N: usize> Parsed<N> {
             return match letter {
                 ASSIGNMENT => Ok(()),
                 // Grbl's dialect has no rotations.
-                b'A' | b'B' if CAM_WORDS && self.extended.rotation == Some(true) => {
+                b'A' | b'B' if FULL_IMAGE && self.extended.rotation == Some(true) => {
                     if self.values.has(letter) {
                         return Err(Error::WordRepeated);
                     }
@@ -308,7 +308,7 @@ impl<const N: usize> Parsed<N> {
                     Ok(())
                 }
                 b'U'..=b'W'
-                    if CAM_WORDS && dialect != Dialect::Grbl && matches!(self.non_modal, Some(NonModal::Go(_))) =>
+                    if FULL_IMAGE && dialect != Dialect::Grbl && matches!(self.non_modal, Some(NonModal::Go(_))) =>
                 {
                     let axis = [Axis::X, Axis::Y, Axis::Z].into_iter().zip(b'U'..).find(|(_, other)| *other == letter);
                     let Some((axis, _)) = axis else { return Err(Error::NoParallelAxes) };
@@ -327,7 +327,7 @@ impl<const N: usize> Parsed<N> {
             return Err(Error::WordRepeated);
         }
         if NOT_NEGATIVE.has(letter) && value < Decimal::ZERO {
-            if !SPLINES || letter != b'P' || dialect == Dialect::Grbl {
+            if !FULL_IMAGE || letter != b'P' || dialect == Dialect::Grbl {
                 return Err(Error::NegativeValue);
             }
             // The check looks whether it is that of G5.

@@ -1,14 +1,14 @@
 //! Modal states saved by M70 and M73, one for each level of subroutine calls. M72 restores the state, M71 forgets it,
 //! and a call that began with M73 restores it when it returns.
 
-use super::EXPRESSIONS;
 use super::modal::Modal;
 use crate::axes::PerAxis;
+use crate::image::FULL_IMAGE;
 use crate::lent::Lent;
 use crate::units::Coordinate;
 
 /// So many states are saved at once: without subroutines one.
-const MOST: usize = if EXPRESSIONS { 8 } else { 1 };
+const MOST: usize = if FULL_IMAGE { 8 } else { 1 };
 /// The call of a state that is to be restored has returned already.
 const RETURNED: u8 = u8::MAX;
 
@@ -83,7 +83,7 @@ impl<const N: usize> SavedStates<N> {
     }
 
     /// Calls have ended, back to this level. Whether M73 wants a state restored.
-    #[cfg_attr(not(feature = "expressions"), allow(dead_code, reason = "there are no calls"))]
+    #[cfg_attr(not(feature = "full"), allow(dead_code, reason = "there are no calls"))]
     pub fn leave(&mut self, level: u8) -> bool {
         let mut restores = false;
         self.0.retain_mut(|saved| {

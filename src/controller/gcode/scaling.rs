@@ -7,13 +7,13 @@
 //! Products of a coordinate and a factor are exact integers of 10^-7 units. Of the place that a program has reached what the
 //! rounding to 0.1 nm has left is kept, so roundings do not add up over a million increments.
 
-use super::modal::ROTATION;
 use super::values::nearest;
 use crate::axes::{Axis, PerAxis};
+use crate::image::FULL_IMAGE;
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 
 /// X, Y and Z. Where scaling is left out nothing of it takes any memory.
-const AXES: usize = if ROTATION { 3 } else { 0 };
+const AXES: usize = if FULL_IMAGE { 3 } else { 0 };
 
 /// G51.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -136,7 +136,7 @@ impl ScalingChange {
 }
 
 #[cfg(test)]
-#[cfg(feature = "rotation")]
+#[cfg(feature = "full")]
 mod tests {
     use super::*;
     use proptest::prelude::*;

@@ -7,7 +7,7 @@ use super::computed::Computed;
 use super::control_points::ControlPoints;
 use super::cycle::CycleWords;
 use super::memory::ProgramMemory;
-use super::modal::{CoordinateSystem, EXTENDED, Modal, MotionMode, ROTATION, SPLINES};
+use super::modal::{CoordinateSystem, Modal, MotionMode};
 use super::offsets::{Offsets, StoredOffset, TOOL_AXIS};
 use super::rotation::{Angle, Reached, RotatedPlane, Rotation};
 use super::saved::SavedStates;
@@ -15,6 +15,7 @@ use super::scaling::{NO_REST, Rest, Scaling};
 use super::tools::{self, Measured, Tool, ToolTable};
 use super::values::{along, in_xy};
 use crate::axes::{LINEAR, PerAxis};
+use crate::image::FULL_IMAGE;
 use crate::lent::Lent;
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::{Coordinate, WeightedPoint};
@@ -48,9 +49,9 @@ pub struct Interpreter<const N: usize> {
     /// What the roundings of scaled coordinates have left of the position.
     pub(super) rest: Rest,
     /// G5.2; no memory where there are no splines.
-    pub(super) control_points: [ControlPoints; SPLINES as usize],
+    pub(super) control_points: [ControlPoints; FULL_IMAGE as usize],
     /// Of the last G5; no memory where there are no splines.
-    pub(super) tangent: [Option<Tangent>; SPLINES as usize],
+    pub(super) tangent: [Option<Tangent>; FULL_IMAGE as usize],
     /// Whether lines are behind M2 or M30.
     pub(super) place: ProgramPlace,
 }
@@ -82,7 +83,7 @@ impl Tangent {
 }
 
 /// Before the first G5.
-pub(super) const NO_TANGENT: [Option<Tangent>; SPLINES as usize] = [None; SPLINES as usize];
+pub(super) const NO_TANGENT: [Option<Tangent>; FULL_IMAGE as usize] = [None; FULL_IMAGE as usize];
 
 /// What check mode leaves to the machine.
 #[derive(Clone, Debug, PartialEq)]
@@ -90,7 +91,7 @@ pub(super) struct BeforeCheck<const N: usize> {
     pub(super) spindle_tool: u32,
     pub(super) modal: Modal,
     /// In Grbl's dialect, and on a board without room for it, what is checked sets them.
-    pub(super) offsets: [Option<Offsets<N>>; super::EXPRESSIONS as usize],
+    pub(super) offsets: [Option<Offsets<N>>; FULL_IMAGE as usize],
 }
 
 impl<const N: usize> BeforeCheck<N> {
@@ -151,7 +152,7 @@ impl<const N: usize> Interpreter<N> {
     /// Ends a series of canned cycles as G80 does: the machine has another position for the same place, and the level that
     /// G98 leads back to would be a wrong one.
     pub fn end_cycles(&mut self) {
-        if EXTENDED && matches!(self.modal.motion, MotionMode::Cycle(_)) {
+        if matches!(self.modal.motion, MotionMode::Cycle(_)) {
             self.modal.motion = MotionMode::Cancelled;
         }
     }
@@ -324,7 +325,7 @@ impl<const N: usize> Interpreter<N> {
         if let Ok(Some(rotated)) = rotated {
             rotated.put(&mut program, self.in_program(rotated, rotated.part_of(place)));
         }
-        if ROTATION && let Some(scaling) = &self.scaling {
+        if FULL_IMAGE && let Some(scaling) = &self.scaling {
             scaling.written(&mut program, &self.rest);
         }
         program

@@ -2,13 +2,12 @@
 //! is the reference, and later ones get an offset against it.
 
 use super::code::Code;
-use super::modal::EXTENDED;
 use crate::axes::PerAxis;
 use crate::number::{self, Digits};
 use crate::units::Coordinate;
 
 /// How many tools the table holds.
-pub const TOOLS: usize = if EXTENDED { 32 } else { 0 };
+pub const TOOLS: usize = 32;
 
 /// Bit of the number of an entry that a program has set which is only checked. It hides the one without the bit.
 const CHECKED: u32 = 1 << 31;
@@ -133,11 +132,9 @@ impl Measured {
 /// Whether a line that has been refused asks for another tool (M6), as far as its words can be told.
 #[inline(never)]
 pub fn asks_for_tool(line: &[u8]) -> bool {
-    EXTENDED
-        && line.split(|byte| *byte == b'M').skip(1).any(|number| {
-            number::read(number, Digits::Exact)
-                .is_some_and(|read| Code::of(read.value) == Code { whole: 6, hundredths: 0 })
-        })
+    line.split(|byte| *byte == b'M').skip(1).any(|number| {
+        number::read(number, Digits::Exact).is_some_and(|read| Code::of(read.value) == Code { whole: 6, hundredths: 0 })
+    })
 }
 
 /// The number of the entry that a program sets for a tool, which may be only checked.

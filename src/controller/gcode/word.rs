@@ -1,15 +1,16 @@
 //! Words of a line: reads letter and number one by one, and translates G and M numbers into their meaning, by dialect
 //! and by the features of this build. Each word has a modal group.
 
+use super::Dialect;
 use super::code::Code;
 use super::modal::{
-    ArcDistance, CAM_WORDS, CoordinateSystem, CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PROGRAM_PINS,
-    PathControl, Plane, ProbeMode, ROTATION, SPLINES, SplineKind, Units,
+    ArcDistance, CoordinateSystem, CycleKind, Distance, FeedMode, MotionMode, PathControl, Plane, ProbeMode,
+    SplineKind, Units,
 };
 use super::offsets::StoredOffset;
 use super::state::Interpreter;
-use super::{Dialect, EXPRESSIONS};
 use crate::error::Error;
+use crate::image::FULL_IMAGE;
 use crate::messages::SpindleDirection;
 use crate::number::{self, Digits, Number};
 use crate::units::Decimal;
@@ -58,7 +59,7 @@ impl<'a, const N: usize> Words<'a, N> {
     fn assign(&mut self, letter: u8, text: &'a [u8]) -> Result<(Word, &'a [u8]), Error> {
         match &mut self.state {
             // ISO's letter of a program's number.
-            Some(_) if CAM_WORDS && letter == b':' && text.first().is_some_and(u8::is_ascii_digit) => {
+            Some(_) if FULL_IMAGE && letter == b':' && text.first().is_some_and(u8::is_ascii_digit) => {
                 self.read(b'O', text)
             }
             Some(state) if letter == ASSIGNMENT => {
@@ -340,7 +341,7 @@ impl GWord {
             // programs.
             (43, 0 | 20) | (49, _) if dialect != Dialect::Grbl => Claim::Nobody,
             (0 | 1 | 2 | 3 | 38, _) => Claim::Motion,
-            (31, 0) if CAM_WORDS && dialect != Dialect::Grbl => Claim::Motion,
+            (31, 0) if FULL_IMAGE && dialect != Dialect::Grbl => Claim::Motion,
             (5, 0 | 10 | 20) if dialect != Dialect::Grbl => Claim::Motion,
             (10 | 28 | 30 | 92, 0) => Claim::NonModal,
             (51 | 52 | 68, 0) if dialect != Dialect::Grbl => Claim::NonModal,
@@ -392,10 +393,10 @@ impl GWord {
             (41 | 42, 0 | 10) => return Some(Err(Error::CutterCompensation)),
             _ => {}
         }
-        if CAM_WORDS && let Some(word) = Self::of_cam(code) {
+        if FULL_IMAGE && let Some(word) = Self::of_cam(code) {
             return Some(Ok(word));
         }
-        Self::extended(code).map(|word| if EXTENDED { Ok(word) } else { Err(Error::ExtendedLeftOut) })
+        Self::extended(code).map(Ok)
     }
 
     /// The word of a code. A fraction that a command does not have is "not a whole number" where the command has none
@@ -466,13 +467,13 @@ impl GWord {
     /// so, without a scaling G50.
     fn by_feature(code: Code) -> Result<GWord, Error> {
         match (code.whole, code.hundredths) {
-            (5, _) if !SPLINES => Err(Error::SplinesLeftOut),
+            (5, _) if !FULL_IMAGE => Err(Error::SplinesLeftOut),
             (5, 0) => Ok(GWord::Motion(MotionMode::Spline(SplineKind::Cubic))),
             (5, 10) => Ok(GWord::Motion(MotionMode::Spline(SplineKind::Quadratic))),
             (5, 20) => Ok(GWord::Motion(MotionMode::Spline(SplineKind::Nurbs))),
             (5, _) => Ok(GWord::EndOfControlPoints),
-            (51, _) if !ROTATION => Err(Error::ScalingLeftOut),
-            (68, _) if !ROTATION => Err(Error::RotationLeftOut),
+            (51, _) if !FULL_IMAGE => Err(Error::ScalingLeftOut),
+            (68, _) if !FULL_IMAGE => Err(Error::RotationLeftOut),
             (50 | 51, _) => Ok(GWord::Scaling(code.whole == 51)),
             _ => Ok(GWord::Rotation(code.whole == 68)),
         }
@@ -545,9 +546,6 @@ impl MWord {
             Code::NO_CODE if more => return Err(Error::UnsupportedCommand),
             _ => return Err(Error::IntegerRequired),
         }
-        if more && !EXTENDED && matches!(code.whole, 6 | 48..=53 | 61..=68 | 70..=73) {
-            return Err(Error::ExtendedLeftOut);
-        }
         Ok(match code.whole {
             0 => MWord::Pause,
             1 => MWord::OptionalPause,
@@ -559,14 +557,14 @@ impl MWord {
             7 if more => MWord::Mist,
             8 => MWord::Flood,
             9 => MWord::NoCoolant,
-            29 if more && CAM_WORDS => MWord::RigidTapping,
+            29 if more && FULL_IMAGE => MWord::RigidTapping,
             48..=53 if more => MWord::Overrides(code.whole),
             56 if more => MWord::ParkingOverride,
             60 if more => MWord::Pause,
             61 if more => MWord::ToolNumber,
-            62..=68 if more && !PROGRAM_PINS => return Err(Error::NoSuchPin),
+            62..=68 if more && !FULL_IMAGE => return Err(Error::NoSuchPin),
             62..=68 if more => MWord::Pins(code.whole),
-            73 if more && !EXPRESSIONS => return Err(Error::ExpressionsLeftOut),
+            73 if more && !FULL_IMAGE => return Err(Error::ExpressionsLeftOut),
             70..=73 if more => MWord::Keep(code.whole),
             19 | 97..=99 if more => return Err(Error::NotSupported),
             _ => return Err(Error::UnsupportedCommand),

@@ -5,9 +5,9 @@
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};
 use crate::gcode::{Dialect, Notice, ProgramPins, REASONS, WITH_VALUES};
+use crate::image::FULL_IMAGE;
 use crate::inputs::levels;
 use crate::messages::Signals;
-use crate::protocol::descriptions::DESCRIPTIONS;
 use crate::protocol::report::{self, PlaceForm};
 use crate::protocol::text::Text;
 use crate::settings::Key;
@@ -189,7 +189,7 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     pub(crate) fn tell_inherited(&mut self) {
         // The texts are for boards that have room for them.
-        if !DESCRIPTIONS || self.dialect() == Dialect::Grbl {
+        if !FULL_IMAGE || self.dialect() == Dialect::Grbl {
             return;
         }
         if self.line.is_single_block() {

@@ -5,8 +5,7 @@ use crate::axes::{Axis, AxisMask};
 use crate::dispatch::Controller;
 use crate::error::Error;
 use crate::gcode::{Dialect, REASONS};
-use crate::protocol::descriptions::DESCRIPTIONS;
-use crate::protocol::recording::RECORDER;
+use crate::image::FULL_IMAGE;
 use crate::protocol::report;
 use crate::protocol::system::{self, Allowed, Restore, System};
 use crate::settings::{AxisKey, Key, Settings};
@@ -58,7 +57,7 @@ impl<const N: usize> Controller<N> {
             System::ParserState => self.report_parser_state(),
             System::BuildInfo => self.report_build_info(false),
             System::MoreBuildInfo => self.report_build_info(true),
-            System::Describe(_) if !DESCRIPTIONS => return Err(Error::DescriptionsLeftOut),
+            System::Describe(_) if !FULL_IMAGE => return Err(Error::DescriptionsLeftOut),
             System::Describe(what) => self.task = Task::Listing(Listing::Descriptions(what), 0),
             System::Refusal if REASONS => self.tell_refusal(),
             System::Refusal => return Err(Error::DescriptionsLeftOut),
@@ -107,7 +106,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn list_recording(&mut self) -> Result<(), Error> {
-        if !RECORDER {
+        if !FULL_IMAGE {
             return Err(Error::RecorderLeftOut);
         }
         self.task = Task::Listing(Listing::Recording(Ask::Wanted), 0);
@@ -178,7 +177,7 @@ impl<const N: usize> Controller<N> {
         } else {
             self.m.settings.accepted(number, value)
         };
-        if DESCRIPTIONS && accepted == Err(Error::SettingOutOfRange) {
+        if FULL_IMAGE && accepted == Err(Error::SettingOutOfRange) {
             self.tell_values(number);
         }
         if accepted? != 0.0 {

@@ -4,7 +4,8 @@
 
 use crate::dispatch::Controller;
 use crate::error::Error;
-use crate::gcode::{self, AS_WRITTEN, CAM_WORDS, Dialect, Direction, Notice, REASONS, WITH_VALUES};
+use crate::gcode::{self, AS_WRITTEN, Dialect, Direction, Notice, REASONS, WITH_VALUES};
+use crate::image::FULL_IMAGE;
 use crate::messages::{HOST_CHANGED, LineByte};
 use crate::protocol::intake::Taken;
 use crate::protocol::line_checksum::Verdict;
@@ -163,7 +164,7 @@ impl<const N: usize> Controller<N> {
         let (mut text, mut remark) = (heapless::Vec::<u8, { line_filter::LENGTH }>::new(), Remark::new());
         let _ = text.extend_from_slice(self.m.lines.text());
         self.read_remark(&mut remark);
-        if CAM_WORDS && self.m.lines.has_nested_remark() && self.dialect() == Dialect::Oxmill {
+        if FULL_IMAGE && self.m.lines.has_nested_remark() && self.dialect() == Dialect::Oxmill {
             self.tell_notice(Notice::NestedRemark);
         }
         if self.must_wait(&text) {
@@ -330,7 +331,7 @@ fn line_rules<const N: usize>(settings: &Settings<N>) -> line_filter::LineRules 
         dialect => line_filter::LineRules {
             length: line_filter::LENGTH,
             merge_crlf: true,
-            nested_remarks: dialect == Dialect::Seed || CAM_WORDS,
+            nested_remarks: dialect == Dialect::Seed || FULL_IMAGE,
             expressions: true,
             block_delete: settings.is_on(Key::BlockDelete),
         },

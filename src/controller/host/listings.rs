@@ -3,11 +3,11 @@
 
 use crate::axes::{Axis, LINEAR};
 use crate::dispatch::Controller;
-use crate::gcode::{Angle, CoordinateSystem, Dialect, EXPRESSIONS, ROTATION, StoredOffset, TOOLS};
+use crate::gcode::{Angle, CoordinateSystem, Dialect, StoredOffset, TOOLS};
 use crate::host::stored::STORED_TEXT;
+use crate::image::FULL_IMAGE;
 use crate::messages::{LINES_DEPTH, PinView, SECOND_SWITCH, input};
-use crate::protocol::descriptions::{self, DESCRIPTIONS};
-use crate::protocol::recording::RECORDER;
+use crate::protocol::descriptions::{self};
 use crate::protocol::report::{self, ParserState};
 use crate::protocol::system::Described;
 use crate::settings::{self, Key, Settings};
@@ -20,7 +20,7 @@ impl<const N: usize> Controller<N> {
             return false;
         }
         let more = match listing {
-            Listing::Recording(Ask::Wanted) if RECORDER => {
+            Listing::Recording(Ask::Wanted) if FULL_IMAGE => {
                 self.task = Task::Listing(Listing::Recording(Ask::Due), line);
                 return true;
             }
@@ -31,7 +31,7 @@ impl<const N: usize> Controller<N> {
                 Some(view) => self.list_pin(&view, line),
                 None => return false,
             },
-            Listing::Descriptions(what) => DESCRIPTIONS && self.describe(what, line),
+            Listing::Descriptions(what) => FULL_IMAGE && self.describe(what, line),
             Listing::Macros => {
                 match self.m.interpreter.macro_line(line).map(heapless::Vec::<u8, STORED_TEXT>::from_slice) {
                     Some(text) => {
@@ -97,7 +97,7 @@ impl<const N: usize> Controller<N> {
                     self.say(|out| report::tool(out, tool.number, &tool.offset, form));
                 }
             }
-            entry if self.dialect() != Dialect::Grbl && ROTATION => {
+            entry if self.dialect() != Dialect::Grbl && FULL_IMAGE => {
                 let Some(system) = CoordinateSystem::ALL.get(entry - TOOLS - 5) else { return false };
                 let angle = offsets.angle(*system);
                 if angle != Angle::ZERO {
@@ -145,12 +145,7 @@ impl<const N: usize> Controller<N> {
 
     /// `$I`, or `$I+` with what a sender may ask for.
     pub(crate) fn report_build_info(&mut self, with_options: bool) {
-        const OPTIONS: &[&str] = match (DESCRIPTIONS, EXPRESSIONS) {
-            (true, true) => &["ENUMS", "EXPR"],
-            (true, false) => &["ENUMS"],
-            (false, true) => &["EXPR"],
-            (false, false) => &[],
-        };
+        const OPTIONS: &[&str] = if FULL_IMAGE { &["ENUMS", "EXPR"] } else { &[] };
         let info = self.m.records.build_info().clone();
         let (letters, blocks) = (self.option_letters(), self.m.motion.blocks());
         self.say(|out| report::build_info(out, &info, &letters, blocks, LINES_DEPTH));

@@ -25,12 +25,11 @@ use super::junction::{TurnRule, certain, radius_of, turn2};
 use super::trapezoid::{greater, lesser, square_root};
 use super::{Move, Speed};
 use crate::axes::{LINEAR, PerAxis};
+use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
-/// Whether there is any of this: its state is not in the RAM of a board that leaves it out.
-pub(super) const BLENDING: bool = cfg!(feature = "blending");
 /// Moves that are held back: the one before a corner, and the one behind it, which may still grow.
-const HELD: usize = if BLENDING { 2 } else { 0 };
+const HELD: usize = if FULL_IMAGE { 2 } else { 0 };
 /// Longest merged move, mm: 512 of them are more than a machine needs to stop in, and what is held back has an end.
 const MOST_MERGED: f32 = 5.0;
 /// Share of a move that a corner takes: what lies between two corners is as long as the pieces that cut them off, so a
@@ -322,7 +321,7 @@ impl<const N: usize> Blend<N> {
 
     #[inline]
     pub(super) fn is_holding(&self) -> bool {
-        BLENDING && self.held.first().is_some_and(Option::is_some)
+        FULL_IMAGE && self.held.first().is_some_and(Option::is_some)
     }
 
     pub(super) fn forget(&mut self) {

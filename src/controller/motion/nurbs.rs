@@ -15,10 +15,9 @@
 use super::arc::{Curvature, LEAST_TOLERANCE, UNIT, scale};
 use super::trapezoid::square_root;
 use crate::axes::{Axis, PerAxis};
+use crate::image::FULL_IMAGE;
 use crate::units::{Coordinate, WeightedPoint};
 
-/// Whether there are splines: the code of what is left out is not in the image.
-const SPLINES: bool = cfg!(feature = "splines");
 /// The highest order.
 const ORDER_MAX: usize = 8;
 /// The longest pieces, as a share of a span: a tiny curve keeps its shape.
@@ -259,7 +258,7 @@ impl<const N: usize> Nurbs<N> {
     #[inline(never)]
     pub fn next_chord(&mut self, points: &[WeightedPoint]) -> Option<PerAxis<Coordinate, N>> {
         let curve = NurbsGeometry { start: self.start, points, order: self.order };
-        if !SPLINES || self.span >= curve.spans() {
+        if !FULL_IMAGE || self.span >= curve.spans() {
             return None;
         }
         let degree = usize::from(self.order).clamp(2, ORDER_MAX) - 1;
@@ -392,7 +391,7 @@ mod tests {
 
     /// A quarter of a circle is a curve of three points, with the root of 1/2 as the weight of its middle.
     #[test]
-    #[cfg_attr(not(feature = "splines"), ignore = "no curves are built")]
+    #[cfg_attr(not(feature = "full"), ignore = "no curves are built")]
     fn a_quarter_of_a_circle() {
         let quarter = points(&[(10.0, 0.0, 1.0), (10.0, 10.0, core::f32::consts::FRAC_1_SQRT_2), (0.0, 10.0, 1.0)]);
         let geometry = geometry(&quarter, 3);
@@ -411,7 +410,7 @@ mod tests {
     }
 
     #[test]
-    #[cfg_attr(not(feature = "splines"), ignore = "no curves are built")]
+    #[cfg_attr(not(feature = "full"), ignore = "no curves are built")]
     fn the_length_of_a_curve_that_turns_back() {
         for size in [1.0e-6, 1.0e-5, 1.0e-4, 1.0e-3, 1.0] {
             let there_and_back = points(&[(0.0, 0.0, 1.0), (size, 0.0, 20.0), (0.0, 0.0, 0.05), (0.0, size, 1.0)]);
@@ -423,7 +422,7 @@ mod tests {
     proptest! {
         /// Whatever the weights are: some thousand pieces would keep the control task for longer than the segment buffer lasts.
         #[test]
-        #[cfg_attr(not(feature = "splines"), ignore = "no curves are built")]
+        #[cfg_attr(not(feature = "full"), ignore = "no curves are built")]
         fn a_length_is_taken_of_a_bounded_number_of_pieces(
             of in prop::collection::vec((-1.0..1.0_f64, -1.0..1.0_f64, -7.0..7.0_f32), 8..14),
             order in 3..=8_u8,
@@ -442,7 +441,7 @@ mod tests {
         }
 
         #[test]
-        #[cfg_attr(not(feature = "splines"), ignore = "no curves are built")]
+        #[cfg_attr(not(feature = "full"), ignore = "no curves are built")]
         fn chords_stay_within_the_tolerance_and_limits_are_those_of_the_curve(
             of in prop::collection::vec((-50.0..50.0_f64, -50.0..50.0_f64, 0.05..20.0_f32), 8..14),
             order in 3..=8_u8,

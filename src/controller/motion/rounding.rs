@@ -9,13 +9,14 @@
 //! taken back, so nothing that the machine counts on changes.
 
 use super::arc::Curvature;
-use super::blend::{BLENDING, Blend, HeldMove};
+use super::blend::{Blend, HeldMove};
 use super::block::MAX_STEPS;
 use super::junction::UNLIMITED2;
 use super::queue::{MoveQueue, Numbering};
 use super::trapezoid::{greater, lesser};
 use super::{Move, Speed};
 use crate::axes::{LINEAR, PerAxis};
+use crate::image::FULL_IMAGE;
 
 /// A look-ahead shorter than this holds nothing back.
 const LEAST_BLOCKS: usize = 32;
@@ -28,7 +29,7 @@ impl<const N: usize> MoveQueue<N> {
     /// Queues a move, or holds it back. `false`: no room, nothing done.
     #[inline]
     pub(super) fn take(&mut self, m: &Move<N>) -> bool {
-        if BLENDING && (m.tolerance.path > 0.0 || self.blend.is_holding()) {
+        if FULL_IMAGE && (m.tolerance.path > 0.0 || self.blend.is_holding()) {
             return self.take_within(m);
         }
         self.line(m)

@@ -14,10 +14,9 @@
 use super::arc::{Curvature, LEAST_TOLERANCE, UNIT, UNIT_BITS, scale};
 use super::trapezoid::square_root;
 use crate::axes::{Axis, PerAxis};
+use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
-/// Whether there are splines: the code of what is left out is not in the image.
-const SPLINES: bool = cfg!(feature = "splines");
 /// Fewest chords of what is no straight line, whatever the tolerance allows: a tiny curve keeps its shape.
 const FEWEST: u32 = 4;
 /// Pieces in which the length is summed up, each by three points.
@@ -199,7 +198,7 @@ impl<const N: usize> Spline<N> {
     /// Where the next chord ends; `None` after the last.
     #[inline(never)]
     pub fn next_chord(&mut self) -> Option<PerAxis<Coordinate, N>> {
-        if !SPLINES || self.done >= self.chords {
+        if !FULL_IMAGE || self.done >= self.chords {
             return None;
         }
         self.done += 1;

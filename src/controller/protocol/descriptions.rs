@@ -7,9 +7,6 @@ use crate::axes::Axis;
 use crate::error::{Alarm, Error};
 use crate::settings::{self, Description, Entry, Key, Kind, Row, SettingGroup, Settings};
 
-/// Whether the texts are there; a board whose flash is too small leaves them out.
-pub const DESCRIPTIONS: bool = cfg!(feature = "descriptions");
-
 /// How a sender shows a value: the numbers of grblHAL.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum DataType {

@@ -4,9 +4,6 @@ use super::text::{END, Text, length, put, whole};
 use crate::messages::{CrashKind, Noted, Record, Recorded, Standing, Stopping};
 use crate::units::Coordinate;
 
-/// Whether there is a recorder: boards whose RAM is too small leave it out.
-pub const RECORDER: bool = cfg!(feature = "recorder");
-
 const MICROSECONDS: u64 = 1_000_000;
 
 /// What a line begins and ends with.

@@ -2,10 +2,9 @@
 //!
 //! Plain data in, text out. Each function makes one or more whole lines, ended by CR LF.
 
-use super::descriptions::DESCRIPTIONS;
-use super::recording::RECORDER;
 use super::text::{END, Text, length, put, real, whole};
 use crate::axes::{Axis, AxisMask, LINEAR, PerAxis};
+use crate::image::FULL_IMAGE;
 use crate::messages::{
     Coolant, CrashKind, InputWiring, PinView, ResetCause, Restart, Signals, SpindleDirection, input,
 };
@@ -243,9 +242,9 @@ pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &In
 pub fn help(out: &mut Text, grbl: bool) {
     put(out, b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ");
     if !grbl {
-        put(out, if RECORDER { b"$HX $Mx=line $RST= $RC $REC " } else { b"$HX $Mx=line $RST= $RC " });
+        put(out, if FULL_IMAGE { b"$HX $Mx=line $RST= $RC $REC " } else { b"$HX $Mx=line $RST= $RC " });
         put(out, b"$PINS ");
-        if DESCRIPTIONS {
+        if FULL_IMAGE {
             put(out, b"$E $ES $ESG $ESH $EG $EE $EA ");
         }
         put(out, b"$I+ ");

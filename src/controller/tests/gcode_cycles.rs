@@ -2,8 +2,6 @@
 //!
 //! `r` is a rapid and `f` a feed move to work coordinates in mm; moves of no length are left out.
 
-#![cfg(feature = "extended-gcode")]
-
 use crate::program::{Program, in_mm};
 use oxmill_controller::gcode::{Action, CycleStep, Dialect, MotionCommand};
 use oxmill_controller::units::Coordinate;

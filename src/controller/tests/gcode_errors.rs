@@ -74,13 +74,13 @@ fn every_error() {
             }
         }
         // Signs add up where values are computed.
-        let is_plain = dialect == Dialect::Grbl || cfg!(not(feature = "expressions"));
+        let is_plain = dialect == Dialect::Grbl || cfg!(not(feature = "full"));
         assert_eq!(program.error("G0 X--1") == 2, is_plain, "{dialect:?}");
         for (code, lines) in ERRORS_OF_GRBL {
             for line in lines.iter() {
                 let same = program.error(line) == *code;
                 // D is a habit of CAM programs, which a board may leave out.
-                let is_left_out = line.starts_with('D') && cfg!(not(feature = "cam-words"));
+                let is_left_out = line.starts_with('D') && cfg!(not(feature = "full"));
                 assert_eq!(same, dialect == Dialect::Grbl || is_left_out, "{line} in {dialect:?}");
             }
         }
@@ -156,7 +156,7 @@ fn arcs_of_rounded_words() {
     // The half circle has half of the way for its radius.
     let MotionCommand::Arc(arc) = ready(Dialect::Oxmill).run("G3 X4.9287 R2.4643").motion else { panic!() };
     assert_eq!((arc.i.0, arc.j.0), (24_643_500, 0));
-    #[cfg(feature = "rotation")]
+    #[cfg(feature = "full")]
     for factor in ["100", "0.01"] {
         let mut program = ready(Dialect::Oxmill);
         program.run(&format!("G51 X0 Y0 Z0 P{factor}"));

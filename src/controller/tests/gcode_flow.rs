@@ -1,6 +1,6 @@
 //! O words: which lines run, how often, and with which parameters. The expected lists were tried on LinuxCNC's interpreter
 //! where it takes the same text.
-#![cfg(feature = "expressions")]
+#![cfg(feature = "full")]
 
 use oxmill_controller::gcode::{Action, Dialect, Direction, Held, HeldLine, Interpreter, MotionCommand};
 use proptest::prelude::*;

@@ -1,5 +1,5 @@
 //! Words that CAM programs write out of habit, as other controls mean them.
-#![cfg(feature = "cam-words")]
+#![cfg(feature = "full")]
 
 use crate::program::{Program, in_mm, target, via};
 use oxmill_controller::gcode::{CoordinateSystem, Dialect, MotionCommand, MotionMode, Notice};
@@ -236,7 +236,7 @@ fn returns_by_distances() {
 }
 
 /// A and B for X and Y.
-#[cfg(feature = "rotation")]
+#[cfg(feature = "full")]
 #[test]
 fn rotations_of_mach() {
     each(&[("G68 A1 B2 R90", 20)], |program| {
@@ -263,7 +263,7 @@ fn rotations_of_mach() {
 }
 
 /// LinuxCNC's names, by which programs ask where they run.
-#[cfg(feature = "expressions")]
+#[cfg(feature = "full")]
 #[test]
 fn what_programs_ask() {
     for dialect in NEW {

@@ -1,5 +1,5 @@
 //! Macros: lines that outlive programs, kept in front of the held text of programs.
-#![cfg(feature = "expressions")]
+#![cfg(feature = "full")]
 
 use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{Direction, Interpreter};

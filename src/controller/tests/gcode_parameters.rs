@@ -1,6 +1,6 @@
 //! Expressions and parameters in lines of a program. What is expected was tried on LinuxCNC's interpreter where it has the
 //! same words.
-#![cfg(feature = "expressions")]
+#![cfg(feature = "full")]
 
 use crate::program::{Program, target};
 use oxmill_controller::axes::PerAxis;

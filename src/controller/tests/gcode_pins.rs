@@ -1,6 +1,6 @@
 //! Outputs and inputs of programs: M62 to M68.
 
-#![cfg(feature = "program-pins")]
+#![cfg(feature = "full")]
 
 use crate::program::{DIALECTS, Program};
 use oxmill_controller::gcode::{Dialect, InputWait, ProgramPins};

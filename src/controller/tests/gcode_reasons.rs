@@ -1,16 +1,7 @@
 //! What a refused line is told to be wrong with: the word, and what to write. Each row is a wrong line as a person or a
 //! CAM program writes it, with its error and the whole sentence.
 
-#![cfg(all(
-    feature = "expressions",
-    feature = "extended-gcode",
-    feature = "rotation",
-    feature = "splines",
-    feature = "blending",
-    feature = "cam-words",
-    feature = "program-pins",
-    feature = "reasons"
-))]
+#![cfg(all(feature = "full", feature = "reasons"))]
 
 use crate::program::Program;
 use oxmill_controller::error::Error;

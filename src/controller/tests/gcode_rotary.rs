@@ -120,7 +120,6 @@ fn an_arc_carries_it_along() {
     assert_eq!(program.check("G2 A90"), Err(Error::NoPlaneAxisForArc));
 }
 
-#[cfg(feature = "extended-gcode")]
 #[test]
 fn canned_cycles_and_rotations_leave_it_alone() {
     let mut program = Program::new("G21 G90 F600 G0 A30");
@@ -128,7 +127,7 @@ fn canned_cycles_and_rotations_leave_it_alone() {
     program.run("G81 X1 Z-1 R1");
     assert_eq!(program.machine()[3], 30.0);
     program.run("G80");
-    if cfg!(feature = "rotation") {
+    if cfg!(feature = "full") {
         assert_eq!(program.check("G68 X0 Y0 A1 R90"), Err(Error::AxisWordsUnused));
         program.run("G68 X0 Y0 R90");
         program.run("G0 X10 A40");

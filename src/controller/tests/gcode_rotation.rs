@@ -1,6 +1,6 @@
 //! G10 L2 R, G68 and G69: rotated coordinates.
 
-#![cfg(all(feature = "extended-gcode", feature = "rotation"))]
+#![cfg(feature = "full")]
 
 use crate::program::{Program, in_mm, play, ready};
 use oxmill_controller::gcode::{Angle, CoordinateSystem, Dialect, MotionCommand};
@@ -264,7 +264,7 @@ fn grbl_has_no_rotation() {
     assert_eq!(program.machine(), [8.0, 3.0, 0.0]);
 }
 
-#[cfg(feature = "expressions")]
+#[cfg(feature = "full")]
 #[test]
 fn parameters() {
     let program = play(

@@ -1,6 +1,6 @@
 //! G51 and G50: scaled coordinates.
 
-#![cfg(all(feature = "extended-gcode", feature = "rotation"))]
+#![cfg(feature = "full")]
 
 use crate::program::{Program, in_mm, play, ready, target, via};
 use oxmill_controller::gcode::{CycleStep, Dialect, Feed, MotionCommand};
@@ -85,7 +85,7 @@ fn arcs() {
     assert_eq!((way(arc.i), way(arc.j), in_mm(&arc.target)), (0.0, 1.0, [4.0, 6.0, 0.0]));
 }
 
-#[cfg(feature = "splines")]
+#[cfg(feature = "full")]
 #[test]
 fn splines() {
     let mut program = ready("G51 X0 Y0 I2 J-3\nG0 X1 Y1");

@@ -1,6 +1,6 @@
 //! G5 and G5.1: which curve a line asks for.
 
-#![cfg(all(feature = "extended-gcode", feature = "rotation", feature = "splines"))]
+#![cfg(feature = "full")]
 
 use crate::program::{Program, in_mm};
 use oxmill_controller::gcode::{Action, Dialect, Feed, MotionCommand};

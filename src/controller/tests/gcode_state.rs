@@ -1,8 +1,6 @@
 //! Coordinates and state beyond Grbl: G52, G92.2, G92.3, circles without axis words, M48 to M53, M70 to M72, path control,
 //! and the words that are refused by an error of their own.
 
-#![cfg(feature = "extended-gcode")]
-
 use crate::program::{Program, in_mm};
 use oxmill_controller::gcode::{CycleStep, Dialect, Flow, MotionCommand, PathControl};
 use oxmill_controller::messages::SpindleDirection;
@@ -239,7 +237,7 @@ fn words_that_say_what_is_so() {
             assert_eq!(program.error(line), 36, "{line}");
         }
         // Where parameters are left out, they have an error of their own.
-        let code = if cfg!(feature = "expressions") { 36 } else { 201 };
+        let code = if cfg!(feature = "full") { 36 } else { 201 };
         assert_eq!((program.error("O1000 #1=5"), program.error("N10 #1=5 O7")), (code, code));
     }
 }
@@ -258,7 +256,7 @@ fn errors_of_their_own() {
         // With P it is a switch of the look-ahead.
         assert_eq!(program.error("G8 X1 F100"), 121);
         // A probing move, which has no use for R.
-        let code = if cfg!(feature = "cam-words") { 36 } else { 121 };
+        let code = if cfg!(feature = "full") { 36 } else { 121 };
         assert_eq!(program.error("G31 X1 Z-1 R1 F100"), code);
         for word in ["G41", "G41.1", "G42", "G42.1"] {
             assert_eq!(program.error(&format!("{word} D1 X1")), 122, "{word}");
@@ -292,7 +290,7 @@ fn g92_and_m72() {
 }
 
 /// P and Q are in the unit of the line; LinuxCNC has the same numbers for them, and takes Q for P where it is not there.
-#[cfg(feature = "blending")]
+#[cfg(feature = "full")]
 #[test]
 fn path_tolerances() {
     let within = |path, merging| PathControl::Within(oxmill_controller::gcode::PathTolerance { path, merging });
@@ -359,11 +357,11 @@ fn a_state_is_plain_while_no_line_has_left_anything_behind() {
     let lines: &[(bool, &str, &str)] = &[
         (true, "G92 X1", "G92.1"),
         (true, "G43.1 Z2", "G49"),
-        (cfg!(feature = "extended-gcode"), "T3", "M6"),
-        (cfg!(feature = "extended-gcode"), "M70", ""),
-        (cfg!(feature = "rotation"), "G68 X0 Y0 R30", "G69"),
-        (cfg!(feature = "rotation"), "G51 X0 Y0 P2", "G50"),
-        (cfg!(feature = "expressions"), "#1=5", ""),
+        (true, "T3", "M6"),
+        (true, "M70", ""),
+        (cfg!(feature = "full"), "G68 X0 Y0 R30", "G69"),
+        (cfg!(feature = "full"), "G51 X0 Y0 P2", "G50"),
+        (cfg!(feature = "full"), "#1=5", ""),
     ];
     for (_, left, ended) in lines.iter().filter(|(known, ..)| *known) {
         let mut program = Program::new(Dialect::Oxmill);

@@ -1,7 +1,5 @@
 //! Tools: the table, the words that change it, and the offsets that act from it.
 
-#![cfg(feature = "extended-gcode")]
-
 use crate::program::{Program, in_mm};
 use oxmill_controller::gcode::{Dialect, MotionCommand, TOOLS, ToolTable};
 use oxmill_controller::units::Coordinate;

@@ -1,6 +1,6 @@
 //! The ring of what came in, as it is found after a reset: whole, gone round, cut short, or nothing but noise.
 
-#![cfg(feature = "recorder")]
+#![cfg(feature = "full")]
 
 use crate::board::{PROFILE, started};
 use oxmill_controller::Controller;

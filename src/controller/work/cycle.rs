@@ -2,7 +2,7 @@
 //! can come between any two steps. The steps come from `gcode::cycle`.
 
 use crate::dispatch::Controller;
-use crate::gcode::{CycleStep, EXTENDED, MotionCommand};
+use crate::gcode::{CycleStep, MotionCommand};
 use crate::messages::SpindleDirection;
 use crate::motion::Speed;
 use crate::protocol::report;
@@ -15,9 +15,6 @@ impl<const N: usize> Controller<N> {
     /// Does the next step of the line's cycle. What follows; `None` if something has to be waited for.
     #[inline(never)]
     pub(crate) fn go_on_cycle(&mut self, job: &mut Job) -> Option<Stage> {
-        if !EXTENDED {
-            return Some(Stage::Flow);
-        }
         let clearance = Coordinate::from_mm_f32(self.m.settings.value(Key::PeckClearance));
         let MotionCommand::Cycle(cycle) = &mut self.line.action.motion else { return Some(Stage::Flow) };
         let ready = if cycle.next_rests() { self.m.motion.is_idle() } else { self.m.motion.free_blocks() > 0 };

@@ -5,7 +5,8 @@
 use crate::axes::{Arrangement, Axis, PerAxis};
 use crate::dispatch::Controller;
 use crate::error::Error;
-use crate::gcode::{self, ArcMove, Dialect, NurbsMove, SPLINES, SplineMove};
+use crate::gcode::{self, ArcMove, Dialect, NurbsMove, SplineMove};
+use crate::image::FULL_IMAGE;
 use crate::motion::{ArcGeometry, NurbsGeometry, SplineGeometry, extent};
 use crate::protocol::report;
 use crate::settings::{AxisKey, Key};
@@ -66,8 +67,8 @@ impl<const N: usize> Controller<N> {
             }
             gcode::MotionCommand::Probe { target, .. } if belts => outside(target),
             // The curve lies within its polygon.
-            gcode::MotionCommand::Spline(spline) if SPLINES && belts => spline.corners().iter().any(outside),
-            gcode::MotionCommand::Nurbs(nurbs) if SPLINES && belts => self.nurbs_geometry(nurbs).leaves(outside),
+            gcode::MotionCommand::Spline(spline) if FULL_IMAGE && belts => spline.corners().iter().any(outside),
+            gcode::MotionCommand::Nurbs(nurbs) if FULL_IMAGE && belts => self.nurbs_geometry(nurbs).leaves(outside),
             gcode::MotionCommand::Cycle(cycle) if belts => cycle.corners().iter().any(outside),
             _ => false,
         }
@@ -111,11 +112,11 @@ impl<const N: usize> Controller<N> {
                 let (least, greatest) = extent(&geometry(arc));
                 outside(&least) || outside(&greatest)
             }
-            gcode::MotionCommand::Spline(spline) if SPLINES => {
+            gcode::MotionCommand::Spline(spline) if FULL_IMAGE => {
                 let (least, greatest) = spline_geometry(spline).extent();
                 outside(&least) || outside(&greatest)
             }
-            gcode::MotionCommand::Nurbs(nurbs) if SPLINES => self.nurbs_geometry(nurbs).leaves(outside),
+            gcode::MotionCommand::Nurbs(nurbs) if FULL_IMAGE => self.nurbs_geometry(nurbs).leaves(outside),
             gcode::MotionCommand::Spline(_) | gcode::MotionCommand::Nurbs(_) => false,
             gcode::MotionCommand::Probe { target, .. } => outside(target),
             gcode::MotionCommand::Cycle(cycle) => cycle.corners().iter().any(outside),

@@ -3,16 +3,16 @@
 
 use crate::axes::{LINEAR, PerAxis};
 use crate::error::Error;
-use crate::gcode::{Action, Dialect, EXPRESSIONS, Interpreter, Notice, REASONS, Reason};
+use crate::gcode::{Action, Dialect, Interpreter, Notice, REASONS, Reason};
+use crate::image::FULL_IMAGE;
 use crate::motion::{Arc, ArcGeometry, Curvature, Curve, Nurbs, NurbsGeometry, Spline, SplineGeometry};
-use crate::protocol::descriptions::DESCRIPTIONS;
 use crate::protocol::line_filter::MESSAGE_LENGTH;
 use crate::protocol::text::{Text, put, whole};
 use crate::units::{Coordinate, WeightedPoint};
 use crate::work::tool_change::plan::ToolChange;
 
 /// Longest message of a program, with the values of its parameters.
-const MESSAGE: usize = if EXPRESSIONS { 160 } else { MESSAGE_LENGTH };
+const MESSAGE: usize = if FULL_IMAGE { 160 } else { MESSAGE_LENGTH };
 
 /// A message of a program.
 pub(crate) type Message = heapless::Vec<u8, MESSAGE>;
@@ -29,7 +29,7 @@ pub(crate) struct LineInWork<const N: usize> {
     /// The tool change of the line, if its tool is measured.
     change: ToolChange<N>,
     /// The last message of the program, for a host that takes over; no memory where that is told nothing.
-    message: [Message; DESCRIPTIONS as usize],
+    message: [Message; FULL_IMAGE as usize],
     /// Of the line that was refused last; no memory where nothing is said about it.
     refusal: [Refusal; REASONS as usize],
 }
@@ -54,7 +54,7 @@ impl<const N: usize> LineInWork<N> {
         single_block: false,
         told: 0,
         change: ToolChange::NONE,
-        message: [const { Message::new() }; DESCRIPTIONS as usize],
+        message: [const { Message::new() }; FULL_IMAGE as usize],
         refusal: [const { Refusal::NONE }; REASONS as usize],
     };
 

@@ -4,7 +4,8 @@
 
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};
-use crate::gcode::{self, Flow, Held, HeldLine, PathControl, SPLINES};
+use crate::gcode::{self, Flow, Held, HeldLine, PathControl};
+use crate::image::FULL_IMAGE;
 use crate::machine::realtime_override::Overrides;
 use crate::motion::Speed;
 use crate::protocol::report;
@@ -323,11 +324,11 @@ impl<const N: usize> Controller<N> {
                 let (geometry, feed) = (geometry(arc), arc.feed);
                 Some(self.begin_arc(&geometry, feed, job))
             }
-            gcode::MotionCommand::Spline(ref spline) if SPLINES => {
+            gcode::MotionCommand::Spline(ref spline) if FULL_IMAGE => {
                 let (geometry, feed) = (spline_geometry(spline), spline.feed);
                 Some(self.begin_spline(&geometry, feed, job))
             }
-            gcode::MotionCommand::Nurbs(nurbs) if SPLINES => Some(self.begin_nurbs(&nurbs, job)),
+            gcode::MotionCommand::Nurbs(nurbs) if FULL_IMAGE => Some(self.begin_nurbs(&nurbs, job)),
             gcode::MotionCommand::Probe { target, feed, away, .. } => {
                 let begun = self.begin_probe(&target, speed(feed), away, self.line.action.line_number);
                 Some(if begun { Stage::Probing } else { Stage::Done })

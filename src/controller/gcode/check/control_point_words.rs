@@ -7,9 +7,10 @@ use crate::axes::{Axis, AxisMask};
 use crate::error::Error;
 use crate::gcode::action::{Keeping, MotionCommand, NurbsMove};
 use crate::gcode::control_points::{Addition, ControlPoints, ORDER, ORDERS};
-use crate::gcode::modal::{MotionMode, Plane, SPLINES, SplineKind};
+use crate::gcode::modal::{MotionMode, Plane, SplineKind};
 use crate::gcode::values::{in_xy, reachable, whole};
 use crate::gcode::word::Claim;
+use crate::image::FULL_IMAGE;
 use crate::units::{Decimal, WeightedPoint};
 
 /// What a line has while control points follow.
@@ -67,7 +68,7 @@ impl<const N: usize> Draft<'_, N> {
                 start: begins.then_some(WeightedPoint { place: start, weight: weight_of_start }),
                 point: has_point.then_some(WeightedPoint { place: in_xy(&target), weight }),
                 order,
-            }; SPLINES as usize],
+            }; FULL_IMAGE as usize],
         );
         Ok(())
     }

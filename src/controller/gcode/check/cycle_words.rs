@@ -7,7 +7,7 @@ use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::action::MotionCommand;
 use crate::gcode::cycle::{Cycle, CyclePhase, CycleWords};
-use crate::gcode::modal::{CycleKind, Distance, EXTENDED, FeedMode, MotionMode, PlaneAxes};
+use crate::gcode::modal::{CycleKind, Distance, FeedMode, MotionMode, PlaneAxes};
 use crate::gcode::values::{along, reachable, seconds};
 use crate::messages::SpindleDirection;
 use crate::units::{Coordinate, Decimal};
@@ -19,9 +19,6 @@ impl<const N: usize> Draft<'_, N> {
     /// G73 to G89. Words that are missing are those of the line before, as long as it had the same cycle word in the
     /// same plane.
     pub(super) fn cycle(&mut self, kind: CycleKind) -> Result<(), Error> {
-        if !EXTENDED {
-            return Err(Error::ExtendedLeftOut);
-        }
         let modal = self.action.modal;
         if modal.feed_mode == FeedMode::InverseTime {
             return Err(Error::CycleNeedsPerMinute);

@@ -6,13 +6,14 @@ use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::action::{Action, Feed};
-use crate::gcode::modal::{FeedMode, MotionMode, ROTATION, Units};
+use crate::gcode::modal::{FeedMode, MotionMode, Units};
 use crate::gcode::parse::Parsed;
 use crate::gcode::rotation::RotatedPlane;
 use crate::gcode::scaling::Scaling;
 use crate::gcode::state::Interpreter;
 use crate::gcode::values::{along, reachable};
 use crate::gcode::word::{Claim, Groups, Letters};
+use crate::image::FULL_IMAGE;
 use crate::units::{Coordinate, Decimal, per_second};
 use oxmill_sqrt::square_root;
 
@@ -152,7 +153,7 @@ impl<'a, const N: usize> Draft<'a, N> {
 
     /// Where the program is along an axis, in its own coordinates, which are scaled already.
     pub(super) fn program_coordinate(&self, axis: Axis) -> Coordinate {
-        if ROTATION && let Some(rotated) = self.rotated {
+        if FULL_IMAGE && let Some(rotated) = self.rotated {
             let [first, second] = self.state.in_program(rotated, rotated.part_of(&self.state.position));
             if axis == rotated.axes.first {
                 return first;

@@ -5,9 +5,10 @@ use super::draft::{CENTRE, Draft};
 use crate::axes::PerAxis;
 use crate::error::Error;
 use crate::gcode::action::Notice;
-use crate::gcode::modal::{CAM_WORDS, CoordinateSystem, Distance, MotionMode, SplineKind};
+use crate::gcode::modal::{CoordinateSystem, Distance, MotionMode, SplineKind};
 use crate::gcode::values::whole;
 use crate::gcode::word::{Group, Groups, Letters};
+use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
 /// How many systems of Grbl come before the first that G54.1 names.
@@ -17,7 +18,7 @@ impl<const N: usize> Draft<'_, N> {
     /// G54.1, G154, G8, G187, M29.
     pub(super) fn habits(&mut self) -> Result<(), Error> {
         let extended = &self.line.extended;
-        if !CAM_WORDS {
+        if !FULL_IMAGE {
             return Ok(());
         }
         if extended.system_by_number {
@@ -84,7 +85,7 @@ impl<const N: usize> Draft<'_, N> {
         };
         let mut others = Letters::of(b"PQ");
         others.remove(Letters::of(&[letter]));
-        CAM_WORDS
+        FULL_IMAGE
             && self.line.axes.is_empty()
             && self.unused.has(letter)
             && !self.unused.has_any(others)

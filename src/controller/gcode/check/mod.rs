@@ -17,13 +17,14 @@ mod tool_words;
 
 use super::Dialect;
 use super::action::{Action, Flow, Keeping, MotionCommand};
-use super::modal::{BLENDING, CAM_WORDS, FeedMode, MotionMode, PathControl, PathTolerance, ROTATION, Units};
+use super::modal::{FeedMode, MotionMode, PathControl, PathTolerance, Units};
 use super::offsets::StoredOffset;
 use super::parse::Parsed;
 use super::state::Interpreter;
 use super::values::seconds;
 use super::word::{Claim, Groups, Letters, MWord, NonModal};
 use crate::error::Error;
+use crate::image::FULL_IMAGE;
 use crate::messages::Coolant;
 use crate::units::{Decimal, per_second};
 use draft::Draft;
@@ -185,7 +186,7 @@ impl<const N: usize> Draft<'_, N> {
         let within = |value| u32::try_from(self.length(value).0).unwrap_or(u32::MAX);
         let path = if values.has(b'P') { within(path) } else { 0 };
         if path > 0 {
-            if !BLENDING {
+            if !FULL_IMAGE {
                 return Err(Error::BlendingLeftOut);
             }
             let merging = if values.has(b'Q') { within(merging) } else { path };
@@ -217,7 +218,7 @@ impl<const N: usize> Draft<'_, N> {
         if self.claim != Claim::Nobody {
             self.unused.remove(Letters::of(b"XYZABC"));
         }
-        if self.unused.is_empty() || CAM_WORDS && self.is_radius_register()? {
+        if self.unused.is_empty() || FULL_IMAGE && self.is_radius_register()? {
             return Ok(());
         }
         self.action.unused.fill(self.unused);
@@ -239,7 +240,7 @@ impl<const N: usize> Draft<'_, N> {
         let exact =
             matches!(action.motion, MotionCommand::Cycle(_) | MotionCommand::Spline(_) | MotionCommand::Nurbs(_));
         action.digit = if exact { 0.0 } else { last_digit(action.modal.units, self.line.places) };
-        if ROTATION && let Some(scaling) = self.scaled {
+        if FULL_IMAGE && let Some(scaling) = self.scaled {
             action.digit *= scaling.least();
         }
     }

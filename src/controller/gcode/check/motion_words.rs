@@ -7,11 +7,10 @@ use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::action::{ArcMove, Feed, MotionCommand};
 use crate::gcode::arc::{self, Vector};
-use crate::gcode::modal::{
-    ArcDistance, CAM_WORDS, MotionMode, PlaneAxes, ProbeMode, ROTATION, SPLINES, SplineKind, Units,
-};
+use crate::gcode::modal::{ArcDistance, MotionMode, PlaneAxes, ProbeMode, SplineKind, Units};
 use crate::gcode::values::{along, reachable, whole};
 use crate::gcode::word::{Claim, Letters};
+use crate::image::FULL_IMAGE;
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 
 /// Most turns that P may give an arc.
@@ -19,11 +18,11 @@ const TURNS_MAX: i32 = 1_000_000;
 
 impl<const N: usize> Draft<'_, N> {
     pub(super) fn motion(&mut self) -> Result<(), Error> {
-        if SPLINES && self.line.extended.ends_control_points {
+        if FULL_IMAGE && self.line.extended.ends_control_points {
             return self.nurbs();
         }
         let mode = self.action.modal.motion;
-        if SPLINES && self.line.modal.motion.is_some() {
+        if FULL_IMAGE && self.line.modal.motion.is_some() {
             self.leaves_control_points(mode)?;
         }
         if mode == MotionMode::Cancelled {
@@ -73,7 +72,7 @@ impl<const N: usize> Draft<'_, N> {
         reachable(&target)?;
         let feed = self.feed_to(&target);
         self.action.motion = MotionCommand::Probe { target, feed, away: mode.away, alarm: mode.alarm };
-        if CAM_WORDS && self.line.extended.probe_once {
+        if FULL_IMAGE && self.line.extended.probe_once {
             self.action.modal.motion = self.action.modal.straight;
         }
         self.action.position = target;
@@ -160,7 +159,7 @@ impl<const N: usize> Draft<'_, N> {
                 self.scaled_length(axis, value, true)
             }
         };
-        if ROTATION && let Some(rotated) = self.rotated {
+        if FULL_IMAGE && let Some(rotated) = self.rotated {
             let [first, second] = rotated.angle.turn([centre_along(axes.first), centre_along(axes.second)]);
             return Vector::new(first, second).checked();
         }

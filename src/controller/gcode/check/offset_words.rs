@@ -6,11 +6,12 @@ use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::action::{Feed, MotionCommand};
-use crate::gcode::modal::{CAM_WORDS, CoordinateSystem, MotionMode, ROTATION};
+use crate::gcode::modal::{CoordinateSystem, MotionMode};
 use crate::gcode::offsets::StoredOffset;
 use crate::gcode::rotation::Angle;
 use crate::gcode::values::{along, reachable, whole};
 use crate::gcode::word::{Letters, NonModal};
+use crate::image::FULL_IMAGE;
 use crate::units::{Coordinate, Decimal};
 
 impl<const N: usize> Draft<'_, N> {
@@ -83,7 +84,7 @@ impl<const N: usize> Draft<'_, N> {
                 return Err(Error::ValueWordMissing);
             }
             match whole(line.value(b'L'))? {
-                2 if rotates && !ROTATION => return Err(Error::RotationLeftOut),
+                2 if rotates && !FULL_IMAGE => return Err(Error::RotationLeftOut),
                 2 | 20 => {}
                 l @ (1 | 10 | 11) => return self.set_tool(l),
                 _ => return Err(Error::UnsupportedCommand),
@@ -145,7 +146,7 @@ impl<const N: usize> Draft<'_, N> {
         self.needs_no_rotation()?;
         self.needs_no_scaling()?;
         let origin = self.state.offsets.system(self.action.modal.coordinate_system);
-        let rotated = self.rotated.filter(|_| ROTATION);
+        let rotated = self.rotated.filter(|_| FULL_IMAGE);
         self.action.g92 = self.with_axis_words(self.state.offsets.g92, |axis, value| {
             if rotated.is_some() {
                 return self.program_coordinate(axis) + along(&self.state.offsets.g92, axis) - value;
@@ -169,7 +170,7 @@ impl<const N: usize> Draft<'_, N> {
             let axes = self.line.axes;
             let mut target =
                 PerAxis::from_axis(|axis| if axes.has(axis) { along(&stored, axis) } else { self.position(axis) });
-            let via = if CAM_WORDS { self.point_on_the_way()? } else { self.target() };
+            let via = if FULL_IMAGE { self.point_on_the_way()? } else { self.target() };
             self.go_in_rotated_plane(&stored, &via, &mut target);
             reachable(&via)?;
             (Some(via), target)

@@ -4,15 +4,15 @@
 use super::draft::Draft;
 use crate::error::Error;
 use crate::gcode::action::{InputWait, ProgramPins};
-use crate::gcode::modal::{EXTENDED, PROGRAM_PINS};
 use crate::gcode::values::{seconds, whole};
 use crate::gcode::word::Letters;
+use crate::image::FULL_IMAGE;
 use crate::units::{Decimal, Duration};
 
 impl<const N: usize> Draft<'_, N> {
     /// M62 to M68. P may also be that of a dwell or an arc on the line, as in LinuxCNC.
     pub(super) fn pins(&mut self) -> Result<(), Error> {
-        let Some(word) = self.line.extended.pins.filter(|_| EXTENDED && PROGRAM_PINS) else { return Ok(()) };
+        let Some(word) = self.line.extended.pins.filter(|_| FULL_IMAGE) else { return Ok(()) };
         let (has_p, has_e) = (self.line.values.has(b'P'), self.line.values.has(b'E'));
         self.action.after.pins = Some(match word {
             62..=65 => {

@@ -6,10 +6,11 @@ use super::draft::{Draft, Purpose};
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
-use crate::gcode::modal::{CAM_WORDS, CoordinateSystem, Distance, Plane, PlaneAxes, ROTATION};
+use crate::gcode::modal::{CoordinateSystem, Distance, Plane, PlaneAxes};
 use crate::gcode::rotation::{Angle, Reached, RotatedPlane, Rotation, difference};
 use crate::gcode::values::along;
 use crate::gcode::word::{Letters, NonModal};
+use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
 impl<const N: usize> Draft<'_, N> {
@@ -22,7 +23,7 @@ impl<const N: usize> Draft<'_, N> {
             && self.line.extended.rotation.is_none()
             && self.line.extended.scaling.is_none()
             && self.state.offsets.angle(system) == Angle::ZERO;
-        if !ROTATION || is_plain || self.dialect == Dialect::Grbl {
+        if !FULL_IMAGE || is_plain || self.dialect == Dialect::Grbl {
             return Ok(());
         }
         self.rotated_line()
@@ -71,7 +72,7 @@ impl<const N: usize> Draft<'_, N> {
         let centre = [(axes.first, b'A'), (axes.second, b'B')].map(|(axis, of_mach)| {
             if self.line.axes.has(axis) {
                 self.scaled_length(axis, self.axis_length(axis), false)
-            } else if CAM_WORDS && self.take(of_mach) {
+            } else if FULL_IMAGE && self.take(of_mach) {
                 self.scaled_length(axis, self.length(self.line.value(of_mach)), false)
             } else {
                 self.program_coordinate(axis)
@@ -86,7 +87,7 @@ impl<const N: usize> Draft<'_, N> {
     /// Where the line's axis words lead to, in machine coordinates.
     pub(super) fn target(&mut self) -> PerAxis<Coordinate, N> {
         let machine = self.line.non_modal == Some(NonModal::MachineCoordinates);
-        if ROTATION && (self.rotated.is_some() || self.scaled.is_some()) && !machine {
+        if FULL_IMAGE && (self.rotated.is_some() || self.scaled.is_some()) && !machine {
             return self.transformed_target();
         }
         let incremental = self.action.modal.distance == Distance::Incremental;
@@ -148,7 +149,7 @@ impl<const N: usize> Draft<'_, N> {
     /// Arcs and cycles lie in a plane of the machine's axes.
     pub(super) fn needs_plane(&self, axes: PlaneAxes) -> Result<(), Error> {
         match self.rotated {
-            Some(rotated) if ROTATION && rotated.axes != axes => Err(Error::NotInRotatedPlane),
+            Some(rotated) if FULL_IMAGE && rotated.axes != axes => Err(Error::NotInRotatedPlane),
             _ => Ok(()),
         }
     }
@@ -157,7 +158,7 @@ impl<const N: usize> Draft<'_, N> {
     pub(super) fn needs_no_rotation(&self) -> Result<(), Error> {
         let ends = self.line.extended.rotation == Some(false);
         match self.state.rotation {
-            Some(rotation) if ROTATION && self.rotated.is_some() && !ends => {
+            Some(rotation) if FULL_IMAGE && self.rotated.is_some() && !ends => {
                 let axes = rotation.plane.axes();
                 let named = self.line.axes.has(axes.first) || self.line.axes.has(axes.second);
                 if named { Err(Error::RotationActs) } else { Ok(()) }
@@ -195,7 +196,7 @@ impl<const N: usize> Draft<'_, N> {
 
     /// G10 L20 of a system that is rotated: both its axes move so that the tool is where the line says. Whether it was one.
     pub(super) fn moves_rotated_origin(&mut self, system: CoordinateSystem) -> Result<bool, Error> {
-        if !ROTATION || self.dialect == Dialect::Grbl {
+        if !FULL_IMAGE || self.dialect == Dialect::Grbl {
             return Ok(false);
         }
         self.needs_no_rotation()?;
@@ -249,7 +250,7 @@ impl<const N: usize> Draft<'_, N> {
         via: &PerAxis<Coordinate, N>,
         target: &mut PerAxis<Coordinate, N>,
     ) {
-        let Some(rotated) = self.rotated.filter(|_| ROTATION) else { return };
+        let Some(rotated) = self.rotated.filter(|_| FULL_IMAGE) else { return };
         let (has_first, has_second) = (self.line.axes.has(rotated.axes.first), self.line.axes.has(rotated.axes.second));
         if has_first == has_second {
             return;

@@ -5,8 +5,9 @@ use super::draft::{CENTRE, Draft, Purpose};
 use crate::axes::Axis;
 use crate::error::Error;
 use crate::gcode::arc::Vector;
-use crate::gcode::modal::{PlaneAxes, ROTATION};
+use crate::gcode::modal::PlaneAxes;
 use crate::gcode::scaling::{NO_REST, Rest, Scaling};
+use crate::image::FULL_IMAGE;
 use crate::units::{Coordinate, Decimal};
 
 /// Greatest factor of G51.
@@ -65,7 +66,7 @@ impl<const N: usize> Draft<'_, N> {
 
     /// Jogs by distances go along the machine, as the buttons show them.
     fn scaling_of(&self, incremental: bool) -> Option<&Scaling> {
-        self.scaled.filter(|_| ROTATION && !(incremental && self.purpose == Purpose::Jog))
+        self.scaled.filter(|_| FULL_IMAGE && !(incremental && self.purpose == Purpose::Jog))
     }
 
     fn rest(&self, axis: Axis) -> i32 {

@@ -5,10 +5,11 @@ use super::draft::Draft;
 use crate::axes::Axis;
 use crate::error::Error;
 use crate::gcode::action::{MotionCommand, SplineMove};
-use crate::gcode::modal::{MotionMode, Plane, ROTATION, SPLINES, SplineKind};
+use crate::gcode::modal::{MotionMode, Plane, SplineKind};
 use crate::gcode::rotation::difference;
 use crate::gcode::values::{in_xy, reachable};
 use crate::gcode::word::Claim;
+use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
 impl<const N: usize> Draft<'_, N> {
@@ -23,7 +24,7 @@ impl<const N: usize> Draft<'_, N> {
     /// comes from; of a curve of second degree I and J lead to the only one. Distances always, as in LinuxCNC.
     #[inline(never)]
     pub(super) fn spline(&mut self, kind: SplineKind) -> Result<(), Error> {
-        if !SPLINES {
+        if !FULL_IMAGE {
             return Err(Error::SplinesLeftOut);
         }
         if self.line.axes.is_empty() {
@@ -70,7 +71,7 @@ impl<const N: usize> Draft<'_, N> {
         }
         let way = self.scaled_vector([Axis::X, Axis::Y], letters.map(|letter| self.length(self.line.value(letter))));
         Ok(has_first.then(|| match self.rotated {
-            Some(rotated) if ROTATION => rotated.angle.turn(way),
+            Some(rotated) if FULL_IMAGE => rotated.angle.turn(way),
             _ => way,
         }))
     }

@@ -4,7 +4,7 @@
 use super::draft::Draft;
 use crate::error::Error;
 use crate::gcode::action::Keeping;
-use crate::gcode::modal::{EXTENDED, Modal, OverridesHeld};
+use crate::gcode::modal::{Modal, OverridesHeld};
 use crate::gcode::offsets::TOOL_AXIS;
 use crate::gcode::word::{Groups, Letters};
 use crate::units::Decimal;
@@ -12,7 +12,7 @@ use crate::units::Decimal;
 impl<const N: usize> Draft<'_, N> {
     /// M48 to M53. P1, or no P, lets the operator's override act; P0 holds it off.
     pub(super) fn overrides(&mut self) -> Result<(), Error> {
-        let Some(word) = self.line.extended.overrides.filter(|_| EXTENDED) else { return Ok(()) };
+        let Some(word) = self.line.extended.overrides else { return Ok(()) };
         let takes_p = matches!(word, 50..=53);
         let on = match takes_p && self.take(b'P') {
             false => word != 49,
@@ -34,7 +34,7 @@ impl<const N: usize> Draft<'_, N> {
 
     /// M70 to M73, which have a line of their own.
     pub(super) fn keep_state(&mut self) -> Result<(), Error> {
-        let Some(word) = self.line.extended.keep.filter(|_| EXTENDED) else { return Ok(()) };
+        let Some(word) = self.line.extended.keep else { return Ok(()) };
         let mut others = self.line.values;
         others.remove(Letters::of(b"N"));
         if !(others.is_empty() && self.line.groups.within(Groups::KEEP)) {

@@ -6,7 +6,7 @@ use crate::axes::{AxisMask, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
 use crate::gcode::action::Notice;
-use crate::gcode::modal::{CoordinateSystem, EXTENDED};
+use crate::gcode::modal::CoordinateSystem;
 use crate::gcode::offsets::{StoredOffset, TOOL_AXIS};
 use crate::gcode::parse::TOOL_MAX;
 use crate::gcode::tools::entry_number;
@@ -83,9 +83,6 @@ impl<const N: usize> Draft<'_, N> {
 
     /// The offset that H names; that of the tool in the spindle without H or with H0.
     fn tool_of_h(&mut self) -> Result<PerAxis<Coordinate, N>, Error> {
-        if !EXTENDED {
-            return Err(Error::ExtendedLeftOut);
-        }
         let number = if self.take(b'H') { whole(self.line.value(b'H'))?.unsigned_abs() } else { 0 };
         let number = if number == 0 { self.action.after.spindle_tool } else { number };
         let measured = self.state.measured_offset(number);
@@ -100,9 +97,6 @@ impl<const N: usize> Draft<'_, N> {
 
     /// G10 L1, L10, L11: the table's offsets of tool P. They act with the next G43. L1 without axes takes it out.
     pub(super) fn set_tool(&mut self, l: i32) -> Result<(), Error> {
-        if !EXTENDED {
-            return Err(Error::ExtendedLeftOut);
-        }
         let number = whole(self.line.value(b'P'))?.unsigned_abs();
         if !self.line.values.has(b'P') {
             return Err(Error::ValueWordMissing);

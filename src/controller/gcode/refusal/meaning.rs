@@ -143,7 +143,7 @@ impl<const N: usize> Interpreter<N> {
             Error::BlendingLeftOut => {
                 say(out, "% in G64 is left out on this board: write G64 alone", &[line.word(b'P')])
             }
-            Error::ExtendedLeftOut | Error::SplinesLeftOut => {
+            Error::SplinesLeftOut => {
                 say(out, "%: ", &[line.motion()]);
                 let _ = out.extend_from_slice(error.text().as_bytes());
             }

@@ -7,7 +7,8 @@ use crate::gcode::code::Code;
 use crate::gcode::parse::{Parsed, TOOL_MAX, TOOL_MAX_OF_GRBL};
 use crate::gcode::state::Interpreter;
 use crate::gcode::word::Groups;
-use crate::gcode::{Dialect, EXPRESSIONS, Reason};
+use crate::gcode::{Dialect, Reason};
+use crate::image::FULL_IMAGE;
 
 /// A refused line.
 #[derive(Clone, Copy)]
@@ -288,7 +289,7 @@ impl<const N: usize> Interpreter<N> {
                 let sum = operator_at(rest);
                 let target = word.iter().position(|byte| *byte == b'=').and_then(|at| word.get(at + 1..));
                 match (sum, target) {
-                    (Some(_), None) if grbl || !EXPRESSIONS => {
+                    (Some(_), None) if grbl || !FULL_IMAGE => {
                         say(out, "% is computed: write the result, such as %5", &[word, &[first]]);
                     }
                     (Some(_), value) => {

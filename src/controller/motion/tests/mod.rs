@@ -3,7 +3,7 @@
 #![allow(clippy::needless_range_loop, reason = "axis numbers index several arrays at once")]
 
 mod arcs;
-#[cfg(feature = "blending")]
+#[cfg(feature = "full")]
 mod blends;
 mod bounds;
 mod jobs;
@@ -12,7 +12,7 @@ mod put_off;
 mod ramps;
 mod rig;
 mod single_moves;
-#[cfg(feature = "splines")]
+#[cfg(feature = "full")]
 mod splines;
 mod steps;
 mod stops;

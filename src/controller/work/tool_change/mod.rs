@@ -6,7 +6,7 @@ pub(crate) mod plan;
 use crate::axes::Axis;
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};
-use crate::gcode::{CoordinateSystem, EXTENDED, Feed, MotionCommand, StoredOffset};
+use crate::gcode::{CoordinateSystem, Feed, MotionCommand, StoredOffset};
 use crate::messages::{Coolant, SpindleDirection};
 use crate::motion::Speed;
 use crate::settings::Key;
@@ -19,7 +19,7 @@ use crate::work::tool_change::plan::{ChangeOrder, ChangePlan, ToolChange};
 impl<const N: usize> Controller<N> {
     /// Whether a tool setter measures what M6 has put into the spindle (`$918=2`).
     pub(crate) fn measures_tools(&self) -> bool {
-        EXTENDED && self.m.settings.whole(Key::ToolChange) == 2
+        self.m.settings.whole(Key::ToolChange) == 2
     }
 
     /// At rest before the rest of the line: if it asks for another tool, the spindle stops and the program waits for `~`.
