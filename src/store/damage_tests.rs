@@ -304,7 +304,7 @@ proptest! {
         for (sector, sequence) in flash.sectors.iter_mut().zip([sequences.0, sequences.1]) {
             if let Some(sequence) = sequence {
                 sector[0] = sequence;
-                sector[1] = crc(ERASED, &[sequence]);
+                sector[1] = crc(&[sequence]);
             }
         }
         let mut log = Log::open(flash).unwrap();

@@ -34,6 +34,7 @@
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
+use crc::{CRC_32_JAMCRC, Crc, NoTable};
 use oxmill_controller::messages::{Record, STORE_DAMAGED, Store};
 
 /// A flash memory of two sectors. Addresses are bytes from the start of a sector, multiples of 4.
@@ -125,8 +126,8 @@ const GAPS: usize = 8;
 const KEYS: usize = 128;
 /// In place of the address of a record: none is in the header.
 const NOWHERE: u32 = 0;
-/// Of the crc, bits reflected.
-const POLYNOMIAL: u32 = 0xEDB8_8320;
+/// The polynomial of the CRC, its bits reflected.
+const POLYNOMIAL: u32 = CRC_32_JAMCRC.poly.reverse_bits();
 /// Kinds of record; both differ from erased and zeroed memory in several bits.
 const PUT: u8 = 0xA5;
 const REMOVE: u8 = 0x5A;
@@ -165,23 +166,21 @@ struct Gap {
     end: u32,
 }
 
-/// CRC-32 (IEEE 802.3, reflected, polynomial 0xEDB88320) over whole words, bit by bit: rare and small.
-fn crc(start: u32, words: &[u32]) -> u32 {
-    let mut crc = start;
-    for word in words {
-        crc ^= word;
-        for _ in 0..32 {
-            crc = if crc & 1 == 0 { crc >> 1 } else { (crc >> 1) ^ POLYNOMIAL };
-        }
-    }
-    crc
+/// CRC-32 of IEEE 802.3 without its last inversion, bit by bit: rare and small.
+const CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_JAMCRC);
+
+/// Returns the CRC of whole words.
+fn crc(words: &[u32]) -> u32 {
+    let mut digest = CRC.digest();
+    words.iter().for_each(|word| digest.update(&word.to_le_bytes()));
+    digest.finalize()
 }
 
 /// The word in which a single wrong byte explains why the last of these is not the crc of the others, and the bits that are
 /// wrong in it.
 fn wrong_byte(words: &[u32]) -> Option<(usize, u32)> {
     let (sum, covered) = words.split_last()?;
-    let mut difference = crc(ERASED, covered) ^ sum;
+    let mut difference = crc(covered) ^ sum;
     for index in (0..=covered.len()).rev() {
         if difference.to_le_bytes().iter().filter(|byte| **byte != 0).count() <= 1 {
             return Some((index, difference));
@@ -221,7 +220,7 @@ impl Entry {
             }
             let _ = words.push(u32::from_le_bytes(word));
         }
-        let sum = crc(ERASED, &words);
+        let sum = crc(&words);
         let _ = words.push(sum);
         words
     }
@@ -276,7 +275,7 @@ fn sequence_of<F: Flash>(flash: &mut F, sector: Sector) -> Result<Option<(u32, b
     let sequence = flash.read(sector, 0)?;
     let sum = flash.read(sector, 4)?;
     let mark = flash.read(sector, MARK_AT)?;
-    let whole = sum == crc(ERASED, &[sequence]);
+    let whole = sum == crc(&[sequence]);
     let found = match wrong_byte(&[sequence, sum]) {
         _ if whole => Some(sequence),
         Some((index, wrong)) if mark == MARK => Some(if index == 0 { sequence ^ wrong } else { sequence }),
@@ -403,7 +402,7 @@ impl<F: Flash> Log<F> {
             [first, .., last] => (*first, *last, words.get(..words.len() - 1).unwrap_or_default()),
         };
         let (outline, size) = (Outline::read(first), until - self.end);
-        let cut_short = size < outline.size() || size == outline.size() && crc(ERASED, covered) & !last == 0;
+        let cut_short = size < outline.size() || size == outline.size() && crc(covered) & !last == 0;
         // With the byte mended the record is as long as what is there: else its crc fits by chance.
         let one_byte = wrong_byte(&words).is_some_and(|(index, bits)| {
             let mended = if index == 0 { Outline::read(first ^ bits) } else { outline };
@@ -573,7 +572,7 @@ impl<F: Flash> Log<F> {
 
     fn write_header(&mut self, sector: Sector, sequence: u32) -> Result<(), F::Error> {
         self.flash.write(sector, 0, sequence)?;
-        self.flash.write(sector, 4, crc(ERASED, &[sequence]))
+        self.flash.write(sector, 4, crc(&[sequence]))
     }
 
     fn is_erased(&mut self, sector: Sector, from: u32) -> Result<bool, F::Error> {

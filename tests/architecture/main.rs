@@ -72,7 +72,7 @@ const ALL: &[&str] = &[
 ];
 
 /// Crates that the controller may build on.
-const CONTROLLER_CRATES: &[&str] = &["fugit", "heapless", "libm", "oxmill-sqrt"];
+const CONTROLLER_CRATES: &[&str] = &["crc", "fugit", "heapless", "libm", "oxmill-sqrt"];
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))

@@ -318,7 +318,10 @@ fn digits(out: &mut Text, value: u32, count: usize) {
     }
 }
 
-/// CRC-32 of IEEE 802.3: polynomial 0x04C11DB7, reflected, begun and ended with all ones.
+/// CRC-32 of IEEE 802.3, bit by bit. `JAMCRC` is the same without the last inversion, so its result can be continued.
+const JAMCRC: crc::Crc<u32, crc::NoTable> = crc::Crc::<u32, crc::NoTable>::new(&crc::CRC_32_JAMCRC);
+
+/// The CRC of the bytes so far, not yet inverted.
 #[derive(Clone, Copy, Debug)]
 struct Crc(u32);
 
@@ -327,10 +330,10 @@ impl Crc {
 
     #[inline]
     fn add(&mut self, byte: u8) {
-        self.0 ^= u32::from(byte);
-        for _ in 0..8 {
-            self.0 = if self.0 & 1 == 0 { self.0 >> 1 } else { (self.0 >> 1) ^ 0xEDB8_8320 };
-        }
+        // The crate takes an initial value with its bits in the order of the polynomial.
+        let mut digest = JAMCRC.digest_with_initial(self.0.reverse_bits());
+        digest.update(&[byte]);
+        self.0 = digest.finalize();
     }
 
     fn value(self) -> u32 {

@@ -323,14 +323,8 @@ fn chunk(file: &mut Vec<u8>, kind: &[u8; 4], data: &[u8]) {
     let named = [kind, data].concat();
     file.extend((data.len() as u32).to_be_bytes());
     file.extend(&named);
-    file.extend(crc(&named).to_be_bytes());
-}
-
-/// CRC-32 of ISO 3309, as PNG has it.
-fn crc(bytes: &[u8]) -> u32 {
-    !bytes.iter().fold(u32::MAX, |crc, byte| {
-        (0..8).fold(crc ^ u32::from(*byte), |crc, _| (crc >> 1) ^ if crc & 1 != 0 { 0xEDB8_8320 } else { 0 })
-    })
+    // CRC-32 of ISO 3309, as PNG has it.
+    file.extend(crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&named).to_be_bytes());
 }
 
 #[cfg(test)]
@@ -474,7 +468,7 @@ mod tests {
         while let Some((length, after)) = rest.split_first_chunk() {
             let (named, after) = after.split_at(u32::from_be_bytes(*length) as usize + 4);
             let (sum, after) = after.split_first_chunk().unwrap();
-            assert_eq!(crc(named), u32::from_be_bytes(*sum));
+            assert_eq!(crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(named), u32::from_be_bytes(*sum));
             chunks.push(named.split_at(4));
             rest = after;
         }
