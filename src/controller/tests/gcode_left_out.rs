@@ -1,4 +1,4 @@
-//! What a controller refuses that is built without the features that a small flash has no room for.
+//! Words that a controller refuses if it is built without the features for which a small flash has no room.
 
 use crate::program::Program;
 use oxmill_controller::error::Error;
@@ -8,7 +8,7 @@ use oxmill_controller::gcode::{Direction, Interpreter};
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 
-/// The error of each line, and that Grbl's own words are known.
+/// Checks the error of each line, and that Grbl's own words are accepted.
 fn refuses(lines: &[&str], error: Error) {
     for dialect in NEW {
         let mut program = Program::new(dialect);
@@ -70,7 +70,7 @@ fn expressions_and_parameters() {
     }
 }
 
-/// With all of them nothing is left out.
+/// With all features nothing is refused.
 #[cfg(all(feature = "extended-gcode", feature = "expressions"))]
 #[test]
 fn nothing() {
