@@ -1,6 +1,6 @@
-//! What the WeAct Black Pills V2/V3 share, with STM32F411CE or STM32F401CC: the pin table below, and `setup`, which
-//! takes the processor's devices, starts the clocks from the 25 MHz crystal, assigns the pins and puts the `Parts`
-//! together. Compare the drawing with the print on yours before you wire it.
+//! Common part of the WeAct Black Pill boards V2/V3 with STM32F411CE or STM32F401CC: the pin table, and `setup`, which
+//! starts the clocks from the 25 MHz crystal, assigns the pins and returns the `Parts`. Before wiring, compare the
+//! drawing with the print on your board.
 //!
 //! ```text
 //!                              ┌──[USB-C]──┐
@@ -29,7 +29,7 @@
 //!
 //! | function | pin | why there |
 //! |---|---|---|
-//! | step X Y Z | A1 A2 A3 | one port: all edges in one store |
+//! | step X Y Z | A1 A2 A3 | one port: one store writes all edges |
 //! | direction X Y Z | A4 A5 A6 | the same port; shared with the unpopulated SPI flash on the back |
 //! | spindle PWM / laser | A7 | TIM3 channel 2, the same timer as on the Nucleo |
 //! | driver enable | B0 | |
@@ -38,13 +38,13 @@
 //! | limits X Y Z, probe | B12 B13 B14, B15 | pull-ups; switches close to ground |
 //! | reset, hold, start, door | B4, B5, B6, B7 | pull-ups; B4 is NJTRST after reset, whose pull-up fits an input |
 //! | host, USB | A11 (D-), A12 (D+) | the only pins of OTG_FS, wired to the socket; a serial port (CDC-ACM) on the host |
-//! | host, UART | A9 (TX), A10 (RX) | USART1, 115200 8N1 (`$931`), listened to beside USB; the pins that the boot loader uses too. A9 would be VBUS sensing, which is off: a board with a supply of its own sees an unplugged host by the bus going idle |
+//! | host, UART | A9 (TX), A10 (RX) | USART1, 115200 8N1 (`$931`), in use beside USB; the boot loader uses the same pins. A9 is also the VBUS sense pin; sensing is off: a board with its own supply detects an unplugged host by the idle bus |
 //! | driver fault | B3 | pull-up; SWO after reset, which nothing here uses |
 //! | second motor of an axis: step, direction | A8, A15 | the same port; `$905` names the axis. A15 is NJTDI after reset and pulled up until set-up |
-//! | its limit switch | A0 | pull-up; the KEY of the board is a switch like it, and does nothing without `$907` |
-//! | left alone | A13 A14, B2, C13-C15 | SWD, BOOT1, LED and crystal: no pin is left for a spindle that tells its speed |
+//! | its limit switch | A0 | pull-up; the board's KEY is on the same pin and has no effect without `$907` |
+//! | left alone | A13 A14, B2, C13-C15 | SWD, BOOT1, LED and crystal: no pin is left for a spindle's at-speed signal |
 //!
-//! In reset all pins float: spindle, laser and coolant need pull-down resistors, driver enable a pull-up.
+//! All pins float during reset: spindle, laser and coolant need pull-down resistors, driver enable a pull-up.
 
 use stm32f4xx_hal::{
     gpio::{PinState, Pull, Speed},
@@ -61,7 +61,7 @@ pub use crate::stm32f4::{
 };
 pub use stm32f4xx_hal::pac;
 
-/// The vectors of the tasks, as literals: RTIC reads them before any constant or `cfg` is known.
+/// The vectors of the tasks, as literals: RTIC expands them before constants and `cfg` are evaluated.
 #[macro_export]
 macro_rules! vectors {
     ($app:ident) => {
@@ -69,23 +69,23 @@ macro_rules! vectors {
     };
 }
 
-/// Calls the serial task, whose vector is that of a peripheral that is not used.
+/// Calls the serial task, which uses the vector of an unused peripheral.
 pub fn call_serial() {
     pac::NVIC::pend(pac::Interrupt::SPI2);
 }
 
-/// What the tasks at the priority of the inputs have of the UART.
+/// The UART's receiver, for the tasks at the priority of the inputs.
 pub type UartInput = usart_interrupt::Input;
-/// The second way to the host.
+/// The second link to the host.
 pub type SerialPort = usart_interrupt::InterruptPort;
-/// The first way to the host.
+/// The first link to the host.
 pub type UsbPort = stm32f4::usb::UsbPort;
 /// Step and direction pins on one port.
 pub type StepPins = stm32f4::StepPins<1>;
-/// What `setup` deals out.
+/// What `setup` returns, one part for each task.
 pub type Parts = stm32f4::Parts<UartInput, SerialPort, UsbPort, 1>;
 
-/// Clocks, pins and timers; outputs are off.
+/// Sets up clocks, pins and timers; all outputs are off.
 pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> Parts {
     stm32f4::begin_with_reset(&device.RCC, &device.SYSCFG);
     stm32f4::await_voltage(&device.PWR);
@@ -96,7 +96,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     stm32f4::watch_voltage(&device.PWR, &device.EXTI, low_voltage);
     let a = device.GPIOA.split(&mut rcc);
     let b = device.GPIOB.split(&mut rcc);
-    // No pin of it is used, but inputs are read and the safe state is written on ports A to C alike.
+    // None of its pins is used, but code reads inputs and writes the safe state on ports A to C alike.
     let _c = device.GPIOC.split(&mut rcc);
 
     // The driver enable is active low: high is off.
@@ -105,7 +105,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
         each!([b.pb1, b.pb10, b.pb8, b.pb9].into_push_pull_output_in_state(PinState::Low));
     let slow_pins = SlowPins::new([enable, spindle, turn, flood, mist]);
     let inputs = each!([b.pb12, b.pb13, b.pb14, b.pb15, b.pb7, b.pb5, b.pb6, b.pb4].into_pull_up_input());
-    // Drivers' fault outputs are open drains and may be joined.
+    // The fault outputs of motor drivers are open-drain and may be wired together.
     let inputs = InputPins::new(inputs)
         .with(input_bits::DRIVER_FAULT, b.pb3.into_pull_up_input().erase())
         .with(input_bits::SECOND_LIMIT, a.pa0.into_pull_up_input().erase());
@@ -116,7 +116,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     let timers = (device.TIM1, device.TIM5, device.TIM3);
     let step_pins = stm32f4::step_pins(steps, directions, &inputs, timers, rings, &mut rcc);
     let link = serial::Config::default().baudrate(stm32f4::USUAL_BAUD.bps());
-    // With no host on the UART its input must idle high, or noise would be taken for commands.
+    // Without a host on the UART its input must idle high, or noise would be received as commands.
     let mut rx = a.pa10.into_alternate::<7>();
     rx.set_internal_resistor(Pull::Up);
     let Ok(usart) = serial::Serial::new(device.USART1, (a.pa9, rx), link, &mut rcc) else {

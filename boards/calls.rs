@@ -1,25 +1,27 @@
-//! When the serial task is called for what can wait: at once, but then not again for 500 us. So a host, or noise on a wire, that
-//! sends without end leaves time for the control task, which prepares what the step task puts out. A command that stops the machine does
-//! not wait for this.
+//! Limits how often the serial task is called for received bytes that are not urgent: immediately at first, then at
+//! most once per 500 us. A host, or noise on a wire, that sends without pause thus leaves CPU time to the control task,
+//! which prepares the motion for the step task. Commands that stop the machine bypass this limit.
 
-/// Samples of the inputs between two calls: 500 us. At 1 Mbaud the 255 bytes that a host has under way take 2.5 ms, and in that time the
-/// first of them has to be called for, carried out and answered, or the line falls silent.
+/// Minimum time between two calls, in samples of the inputs: 500 us. At 1 Mbaud, the 255 bytes that a host may have in
+/// flight last 2.5 ms. Within that time the first of them must be delivered, executed and answered, or the line falls
+/// silent.
 pub const REST: u8 = 10;
 
-/// When to call.
+/// Rate limiter for calls of the serial task.
 #[derive(Debug, Default)]
 pub struct Calls {
-    /// Samples until it may be called again.
+    /// Samples until the next call is allowed.
     rests: u8,
 }
 
 impl Calls {
-    /// The next call is made at once.
+    /// Creates a limiter that allows a call at once.
     pub const fn new() -> Self {
         Calls { rests: 0 }
     }
 
-    /// The inputs are sampled. Whether to call now: `has_news` is asked only if it is time.
+    /// Counts one sample of the inputs. Returns whether to call the serial task; evaluates `has_news` only if a call is
+    /// allowed.
     #[inline(always)]
     pub fn sample(&mut self, has_news: impl FnOnce() -> bool) -> bool {
         self.rests = self.rests.saturating_sub(1);
@@ -31,10 +33,10 @@ impl Calls {
     }
 }
 
-/// The byte that resets.
+/// The soft-reset byte (Ctrl-X).
 pub const RESET: u8 = 0x18;
 
-/// Whether a byte stops the machine: hold, reset, stop, door, the end of a jog.
+/// Returns whether a byte stops the machine: feed hold, reset, stop, door or jog cancel.
 #[inline(always)]
 pub fn is_stop(byte: u8) -> bool {
     matches!(byte, b'!' | RESET | 0x19 | 0x84 | 0x85)

@@ -1,51 +1,50 @@
-//! What a board and the program on it owe each other. A board provides step outputs (`StepOutput`), links to the host
-//! (`Port`), inputs, slow outputs, flash and a watchdog; it may call one function of the program. The compiler checks
-//! it in `held`.
+//! Interface between a board and the program on it. A board provides step outputs (`StepOutput`), links to the host
+//! (`Port`), inputs, slow outputs, flash and a watchdog. It may call back only as listed below. The module `held` makes
+//! the compiler check the chosen board.
 //!
-//! A board knows pins, clocks and registers. It knows nothing of motion, of tasks or of what a user types, and calls
-//! no program above it. What it offers is re-exported at the root of this crate; the compiler compares it with the
-//! signatures at the end of this file.
+//! A board consists of pins, clocks and registers. It contains nothing about motion, tasks or the protocol, and calls
+//! no code above it except those callbacks. The root of this crate re-exports the board's items.
 //!
 //! # What each board provides
 //!
 //! | name | is |
 //! |---|---|
 //! | `pac` | the device crate: registers and interrupt numbers, for RTIC |
-//! | `vectors!(app)` | calls the macro `app` with the names of the interrupt vectors of the tasks; `serial` is that of no peripheral if there is a `receive` |
-//! | `PROFILE`, `AXES`, `BLOCKS` | its row of [`profiles`](crate::profiles), and the two numbers of it that are types |
-//! | `RECORDING_PAGES` | pages of 256 bytes for the recording of what comes in; 0 = there is none |
-//! | `CLOCK_TICKS_PER_US`, `clock_ticks()` | a free-running counter of 32 bits from which the program tells the time |
-//! | `CORE_HZ`, `SAMPLE_HZ` | clock of SysTick, which samples the inputs, and how often it does |
-//! | `RUN_CYCLES` | more cycles than the longest run of the step task takes that makes events |
-//! | `WATCHES_CLOCK` | whether the non-maskable interrupt tells that the clock of the processor has failed, and nothing else |
-//! | `setup(device, low_voltage) -> Parts` | everything below, set up once; outputs are off |
-//! | `USUAL_BAUD` | the rate of the UART if no setting says another |
-//! | `UartInput` | what the UART receives, up to the messages to the serial task; `on_interrupt` too, on a board with a vector `uart` |
+//! | `vectors!(app)` | calls the macro `app` with the names of the interrupt vectors of the tasks; if there is a vector `uart`, `serial` is the vector of an unused peripheral |
+//! | `PROFILE`, `AXES`, `BLOCKS` | the board's entry of [`profiles`](crate::profiles), and its two numbers that are const generics |
+//! | `RECORDING_PAGES` | pages of 256 bytes for the recording of inputs and received bytes; 0 = no recording |
+//! | `CLOCK_TICKS_PER_US`, `clock_ticks()` | a free-running 32-bit counter, the program's clock |
+//! | `CORE_HZ`, `SAMPLE_HZ` | clock of SysTick, and the rate at which SysTick samples the inputs |
+//! | `RUN_CYCLES` | upper bound, in CPU cycles, of a run of the step task that generates events |
+//! | `WATCHES_CLOCK` | whether the non-maskable interrupt means that the processor's clock has failed, and nothing else |
+//! | `setup(device, low_voltage) -> Parts` | sets up everything below, once; outputs are off |
+//! | `USUAL_BAUD` | default baud rate of the UART |
+//! | `UartInput` | receives from the UART and sends messages to the serial task; on a board with a vector `uart` it also has `on_interrupt` |
 //! | `call_step()` | makes the interrupt of the step task pending, from any task |
 //! | `call_serial()` | makes the interrupt of the serial task pending |
-//! | `StepPins` | step and direction outputs, which put out events at their moments, and the spindle's PWM: a [`StepOutput`] |
+//! | `StepPins` | step and direction outputs, which output each event at its time, and the spindle's PWM: a [`StepOutput`] |
 //! | `SerialPort` | the UART to the host, a [`Port`] |
 //! | `UsbPort` | the USB link to the host, a [`Port`]; [`NoPort`] on a board without one |
-//! | `InputPins` | limit switches, probe, buttons, as they are now; which of them exist; their pull resistors |
-//! | `SlowPins` | driver enable, spindle, coolant, outputs of programs |
-//! | `SettingsFlash` | two sectors of flash for the settings; what the host sends while they are written is not lost |
-//! | `safe_state()` | at any moment, from any context: no pulses, no beam, spindle, coolant and outputs of programs off |
-//! | `preloaded_job()` | a job that was put into RAM before the reset; no board but QEMU has one |
+//! | `InputPins` | present levels of limit switches, probe and buttons; which of them exist; their pull resistors |
+//! | `SlowPins` | driver enable, spindle, coolant, outputs for programs |
+//! | `SettingsFlash` | two sectors of flash for the settings; bytes that the host sends while they are written are not lost |
+//! | `safe_state()` | callable at any time, from any context: ends pulses; switches laser, spindle, coolant and the outputs for programs off |
+//! | `preloaded_job()` | a job that was put into RAM before the reset; only the QEMU board has one |
 //! | `job_done()` | the end of a preloaded job |
 //! | `idle()` | sleeps until the next interrupt |
 //! | `Watchdog` | resets the processor if it has not been fed for some seconds |
-//! | `reset_cause()` | the cause of the last reset; to be asked once |
-//! | `restart(why)` | the end after a failure: logs it and resets the processor; outputs are already safe |
-//! | [`stack`](crate::stack) | size and greatest depth of the stack that the linker script lays out |
+//! | `reset_cause()` | returns and clears the cause of the last reset: call once |
+//! | `restart(why)` | last call after a failure: logs it and resets the processor; outputs are already safe |
+//! | [`stack`](crate::stack) | size and maximum depth of the stack that the linker script lays out |
 //!
-//! # What a board may ask of the program
+//! # What a board may call
 //!
 //! | when | call |
 //! |---|---|
-//! | the supply falls below the least that the drivers' inputs are sure of | `low_voltage`, the function given to `setup`: highest priority, does not return |
-//! | the clock of the processor fails, with `WATCHES_CLOCK` | `NonMaskableInt`, the exception by its name: the processor continues by a slower clock, and the handler does not return |
+//! | the supply falls below the level at which the motor drivers read their inputs reliably | `low_voltage`, the function given to `setup`: highest priority, does not return |
+//! | the clock of the processor fails, with `WATCHES_CLOCK` | the exception handler `NonMaskableInt`: the processor runs on a slower clock; the handler does not return |
 //! | a vector of `vectors!` fires | the task bound to it |
-//! | the processor stops while flash is written | nothing: see `SettingsFlash` |
+//! | flash is written and stalls the processor | nothing: see `SettingsFlash` |
 
 /// Levels of the slow outputs as they appear on the pins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -54,163 +53,167 @@ pub struct SlowLevels {
     pub drivers: bool,
     /// Spindle on.
     pub spindle: bool,
-    /// Spindle turns counter-clockwise.
+    /// Spindle direction is counter-clockwise.
     pub spindle_reversed: bool,
     /// Flood coolant.
     pub flood: bool,
     /// Mist coolant.
     pub mist: bool,
-    /// Outputs of programs (M62 to M65), bit 0 for P0.
+    /// Outputs for programs (M62 to M65), bit 0 for P0.
     pub program: u8,
 }
 
-/// What the step task has been called for. The bits are those of the compare channels of an STM32F4's timer.
+/// Reasons for a call of the step task. The bits are those of the compare channels of an STM32F4's timer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Due(pub u32);
 
 impl Due {
-    /// An event is out: only while events are put out one by one.
+    /// An event has been output; only while events are output one by one.
     pub const OUT: Due = Due(2);
-    /// The moment of [`StepOutput::call_at`].
+    /// The time set by [`StepOutput::call_at`] has come.
     pub const MORE: Due = Due(4);
-    /// The moment of [`StepOutput::mark_at`].
+    /// The time set by [`StepOutput::mark_at`] has come.
     pub const MARK: Due = Due(8);
-    /// Another task has called.
+    /// Another task has called the step task.
     pub const CALLED: Due = Due(16);
 
-    /// Whether `what` is among it.
+    /// Returns whether any reason of `what` is set.
     #[inline(always)]
     pub fn has(self, what: Due) -> bool {
         self.0 & what.0 != 0
     }
 }
 
-/// Combinations of steps of the axes of the board, bit 0 for X.
+/// Number of combinations of stepped axes; bit 0 of a combination is X.
 pub const COMBINATIONS: usize = 1 << crate::AXES;
 
-/// Free places for events, in a row: none when there is no room, one while events are put out one by one.
+/// Contiguous free slots for events: none if the queue is full, one while events are output one by one.
 pub struct Free<'a> {
-    /// The words of all combinations of steps, with the directions that hold.
+    /// The port word of each combination of steps, with the present directions.
     pub table: &'a [u32; COMBINATIONS],
-    /// For the word of each event.
+    /// Slots for the words of the events.
     pub words: &'a mut [u32],
-    /// For its moment.
+    /// Slots for the times of the events, in ticks of the step clock.
     pub moments: &'a mut [u32],
 }
 
-/// What did not come out when outputs were halted.
+/// Events that [`StepOutput::halt`] cancelled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Undone<const N: usize> {
-    /// Events.
+    /// Number of events.
     pub events: usize,
-    /// Net steps of them.
+    /// Net steps of these events.
     pub net: [i32; N],
-    /// The parts that count events disagree: no count of steps can be trusted any more.
+    /// The hardware's event counters disagree: no step count can be trusted.
     pub fault: bool,
 }
 
-/// Puts out events at their moments. An event is a pulse on some axes, or on none, and a moment of the step clock; it writes
-/// the directions, too. A pulse ends by itself.
+/// Outputs events at given times. An event is a pulse on some axes, or on none, at a time of the step clock; it also
+/// sets the directions. Each pulse ends by itself.
 ///
 /// ```text
 ///  task    commit commit commit              call_at ──▶ MORE: commit ...
 ///            │      │      │                    ▲
-///  ring    ──▼──────▼──────▼────────────────────┼──▶ an event at each moment, without the processor
+///  ring    ──▼──────▼──────▼────────────────────┼──▶ each event at its time, without the processor
 /// ```
-/// Events are begun with [`StepOutput::begin`] and follow each other by themselves as long as each is committed in time
-/// ([`StepOutput::joins_until`]). If one is not, they come to an end; [`StepOutput::halt`] and another begin are needed then.
+/// [`StepOutput::begin`] starts the output. Committed events then follow each other without the CPU, as long as each is
+/// committed in time ([`StepOutput::joins_until`]). If one is late, the output ends; [`StepOutput::halt`] and another
+/// `begin` are needed then.
 pub trait StepOutput<const N: usize> {
-    /// Events that can be ahead. 1: each is put out by a call of its own.
+    /// Maximum number of events ahead. 1: each is output by an interrupt of its own.
     const DEPTH: usize;
-    /// How far ahead of now, in ticks, the moment of an event must lie that is put out by a call of its own.
+    /// Minimum lead time, in ticks, of an event that is output by an interrupt of its own.
     const SOON: u32;
 
-    /// The step clock.
+    /// Returns the step clock's time.
     fn now(&self) -> u32;
-    /// What the task has been called for, once each.
+    /// Returns the reasons for the call and clears them.
     fn take(&mut self) -> Due;
-    /// Calls the task at a moment; at once if it has passed.
+    /// Calls the task at `moment`; at once if it has passed.
     fn call_at(&mut self, moment: u32);
-    /// The same for [`Due::MARK`]; if a power is given, it changes at that very moment, whatever the processor is doing, or at once if the
-    /// moment has passed. One such moment is kept, the last that was given. [`StepOutput::set_power`] and [`StepOutput::halt`] before it
-    /// take the change back, and not the call.
+    /// Calls the task with [`Due::MARK`] at `moment`. With `power`, hardware also changes the power at that time,
+    /// independently of the CPU. If `moment` has passed, both happen at once. Replaces a pending mark. A
+    /// [`StepOutput::set_power`] or [`StepOutput::halt`] before `moment` cancels the power change, but not the call.
     fn mark_at(&mut self, moment: u32, power: Option<u16>);
 
-    /// Directions of the events that are committed from here on; a set bit means negative.
+    /// Sets the directions of all events committed from now on; a set bit means negative.
     fn direct(&mut self, directions: u8);
-    /// Where the next events go.
+    /// Returns the free slots for the next events.
     fn free(&mut self) -> Free<'_>;
-    /// As many of the free places hold events now. Gives the ticks by which the event was put off that was too late while events are put
-    /// out one by one.
+    /// Queues the events that were written into the first `events` free slots. While events are output one by one,
+    /// returns the ticks by which a late event was delayed; otherwise 0.
     fn commit(&mut self, events: usize) -> u32;
-    /// Time passes for the stepper: from the event committed last to its next tick.
+    /// Reports the stepper's time from the last committed event to its next tick.
     fn pass(&mut self, ticks: u32);
-    /// Events that are committed and not out, never fewer than there are.
+    /// Returns how many committed events have not been output; the count may be too high, never too low.
     fn ahead(&self) -> usize;
-    /// The moment after which that many are left of those that are ahead; with too few ahead, one that has passed.
+    /// Returns the time after which only `left` events are ahead; a past time if there are not more than `left`.
     fn moment_before(&self, left: usize) -> u32;
-    /// Until when an event can be committed that is to follow on those before it by itself; `next` is its moment.
+    /// Returns the time until which an event due at `next` can be committed so that the hardware outputs it right after
+    /// those before it.
     fn joins_until(&self, next: u32) -> u32;
-    /// Events are begun; `one_by_one`: each is to be followed by a call, and the next committed only then.
-    /// Gives the ticks by which all that is committed was put off: 0, unless it was too late for the first event.
+    /// Starts the output. With `one_by_one`, a call follows each event, and the next event may be committed only then.
+    /// Returns the ticks by which all committed events were delayed: 0, unless it was too late for the first event.
     fn begin(&mut self, one_by_one: bool) -> u32;
-    /// Whether the parts that count events disagree, or have failed, while events are put out.
+    /// Returns whether the hardware's event counters disagree or have failed during output.
     fn fault(&self) -> bool;
-    /// No event begins after this, and no change of power comes; `dark`: power is 0 right after it, if events had begun. A pulse that is out gets
-    /// its full length. What the task has been called for need not have been taken before.
+    /// Ends the output: no event begins and no scheduled power change happens after this. With `dark`, sets the power
+    /// to 0 right after that, if output had started. A pulse that has begun gets its full length. Pending call reasons
+    /// need not be taken before.
     fn halt(&mut self, dark: bool) -> Undone<N>;
 
-    /// At rest: which outputs are inverted (bit set) and what the second motor does.
+    /// Sets the inverted outputs (bit set) and the role of the second motor. Call at rest.
     fn set_polarity(&mut self, step_invert: u8, direction_invert: u8, second: SecondMotor);
-    /// At rest: the length of a pulse, tenths of a microsecond. It is never shorter, and longer by less than a tick.
+    /// Sets the minimum pulse length in tenths of a microsecond; the actual length is less than a tick longer. Call at
+    /// rest.
     fn set_pulse(&mut self, tenths: u16);
-    /// The frequency of the spindle's PWM, and the power that stays in force.
+    /// Sets the frequency of the spindle's PWM; `power` stays in force.
     fn set_pwm(&mut self, hz: u32, power: u16);
-    /// The power of spindle or laser, 0 to 65535, from now on.
+    /// Sets the power of spindle or laser at once, 0 to 65535.
     fn set_power(&mut self, power: u16);
-    /// Whether the probe's pin is low, unfiltered.
+    /// Returns whether the probe's pin is low, unfiltered.
     fn probe_low(&self) -> bool;
 }
 
 /// A link to a host.
 pub trait Port {
-    /// Whether a byte that is not fetched waits (true) or is overwritten by the next (false).
+    /// Whether a received byte waits until it is fetched (true) or may be overwritten by the next (false).
     const WAITS: bool;
 
-    /// Does what the link itself needs, and tells whether a host is there: a UART cannot know, and always says so.
+    /// Services the link and returns whether a host is connected. A UART cannot detect a host and always returns true.
     fn poll(&mut self) -> bool {
         true
     }
-    /// The next byte, if one has come.
+    /// Fetches the next received byte, if any.
     fn receive(&mut self) -> Incoming;
-    /// The bytes that [`Port::receive`] would give next, as far as they have been fetched together.
+    /// Returns the bytes that [`Port::receive`] would return next, as far as they are in one contiguous buffer.
     #[inline]
     fn fetched(&mut self) -> &[u8] {
         &[]
     }
-    /// So many of these have been taken.
+    /// Consumes the first `count` bytes of [`Port::fetched`].
     #[inline]
     fn pass(&mut self, _count: usize) {}
-    /// Whether a command that stops the machine is among what has come.
+    /// Returns whether a command that stops the machine is among the received bytes.
     #[inline]
     fn is_urgent(&mut self) -> bool {
         false
     }
-    /// For so many bytes there is room; with too little the sender is to wait, if it can. Called after each round of
-    /// [`Port::receive`].
+    /// Tells the link that the program has space for `room` more bytes; with too little, the link holds the sender back
+    /// if it can. Called after each round of [`Port::receive`].
     fn allow(&mut self, room: usize);
-    /// Sends a byte, if there is room for it.
+    /// Queues a byte for sending. Returns false if the queue is full.
     fn send(&mut self, byte: u8) -> bool;
-    /// Sends the first of some bytes, as far as there is room. Gives how many.
+    /// Queues as many of the bytes as fit. Returns their number.
     #[inline]
     fn send_text(&mut self, bytes: &[u8]) -> usize {
         bytes.iter().take_while(|byte| self.send(**byte)).count()
     }
-    /// What was sent goes out; and whether to be called when there is room for more.
+    /// Starts sending the queued bytes. With `wanted`, the serial task is called when there is space for more.
     fn call_when_free(&mut self, wanted: bool);
 }
 
-/// A link that a board does not have: no byte ever comes.
+/// Placeholder for a link that a board does not have: it never receives a byte.
 pub struct NoPort;
 
 impl Port for NoPort {
@@ -233,26 +236,26 @@ impl Port for NoPort {
     fn call_when_free(&mut self, _wanted: bool) {}
 }
 
-/// What `Port::receive` found.
+/// Result of `Port::receive`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Incoming {
     /// A byte.
     Byte(u8),
-    /// One or more bytes came and are lost.
+    /// One or more received bytes were lost.
     Lost,
     /// Nothing new.
     Nothing,
 }
 
-/// Bits of the word that `InputPins::read` gives. A bit is set while its pin is low: the inputs have pull-ups, if no setting
-/// says otherwise, and their switches close to ground. No board has a pin for an emergency stop besides that of the reset
-/// button (`$912`).
+/// Bit numbers of the word that `InputPins::read` returns. A bit is set while its pin is low: by default the inputs
+/// have pull-ups, and their switches close to ground. No board has a pin for an emergency stop other than that of the
+/// reset button (`$912`).
 pub mod input_bits {
     /// Limit switch of X; Y and Z follow.
     pub const LIMITS: u32 = 0;
     /// Limit switch of the second motor of an axis.
     pub const SECOND_LIMIT: u32 = 6;
-    /// First input of programs (M66 P0).
+    /// First input for programs (M66 P0).
     pub const PROGRAM: u32 = 7;
     /// Touch probe.
     pub const PROBE: u32 = 8;
@@ -266,26 +269,26 @@ pub mod input_bits {
     pub const RESET: u32 = 12;
     /// Fault output of the motor drivers.
     pub const DRIVER_FAULT: u32 = 14;
-    /// Output of a spindle's drive: up to speed.
+    /// Output of a spindle drive: at speed.
     pub const AT_SPEED: u32 = 15;
-    /// Second input of programs (M66 P1).
+    /// Second input for programs (M66 P1).
     pub const SECOND_PROGRAM: u32 = 16;
 }
 
-/// How the pins of the fourth motor are driven: as the second motor of an axis, or not at all.
+/// Role of the pins of the fourth motor: second motor of an axis, or unused.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SecondMotor {
-    /// Its axis, bit 0 for X; 0 = there is none.
+    /// The axis of the second motor, bit 0 for X; 0 = no second motor.
     pub axis: u8,
-    /// It turns the other way.
+    /// The second motor's direction is inverted.
     pub inverted: bool,
-    /// It holds still while its axis moves.
+    /// The second motor stands still while its axis moves.
     pub stands: bool,
-    /// The axis' own motor holds still.
+    /// The axis' own motor stands still while its axis moves.
     pub first_stands: bool,
 }
 
-/// The compiler holds the chosen board to the tables above.
+/// Compile-time checks of the chosen board against the tables above.
 #[cfg(feature = "board")]
 mod held {
     use super::{Port, SlowLevels, StepOutput};

@@ -1,12 +1,13 @@
-//! The boards: pins, clocks and registers, behind one `contract`. An image is built for one of them, chosen by cargo
-//! feature (`choose`), and its names are exported from here.
+//! The boards: pins, clocks and registers behind one interface (`contract`). A cargo feature selects the board of an
+//! image; the items of that board are re-exported here.
 //!
-//! Without a feature, on a host, there are only the numbers of all boards ([`profiles`]), for the simulator.
+//! Without a board feature (on a host), the crate has only the numeric profiles of all boards ([`profiles`]), for the
+//! simulator, and the parts without registers.
 #![no_std]
 
 pub mod calls;
 pub mod profiles;
-// On a host for its tests.
+// Also without a board, so that host tests can use it.
 pub mod uart_receiver;
 #[cfg(any(not(feature = "board"), feature = "usb"))]
 pub mod usb_host;
@@ -57,7 +58,7 @@ pub use contract::{
 #[cfg(all(target_os = "none", not(feature = "board")))]
 compile_error!("choose a board: `cargo fw BOARD`, or one of the features of this package");
 
-/// What the controller must know of a board.
+/// The controller's profile of a board.
 #[cfg(feature = "board")]
 const fn profile(board: &profiles::Board, has_second_motor: bool) -> oxmill_controller::Profile {
     oxmill_controller::Profile {

@@ -1,7 +1,7 @@
-//! What the Nucleo-64 boards share, with an Arduino CNC shield v3: the pins, and `setup`, which takes the processor's
-//! devices, sets the clocks, assigns each pin of the header and of the Morpho connector, and puts the `Parts` together.
-//! Unlike on a Black Pill, the step pins are on two ports, the host is on `USART2` through the ST-LINK, and there are
-//! inputs for a spindle's speed and for programs.
+//! Common part of the Nucleo-64 boards with an Arduino CNC shield v3: the pins, and `setup`, which sets the clocks,
+//! assigns the pins of the header and of the Morpho connectors and returns the `Parts`. Unlike on a Black Pill, the
+//! step pins are on two ports, the host is on `USART2` through the ST-LINK, and there are inputs for a spindle's
+//! at-speed signal and for programs.
 #![doc = include_str!("nucleo64.md")]
 
 use stm32f4xx_hal::{
@@ -19,7 +19,7 @@ use crate::stm32f4::{each, step::Rings, usart_dma};
 use crate::{AXES, NoPort, input_bits, stm32f4};
 pub use stm32f4xx_hal::pac;
 
-/// The vectors of the tasks, as literals: RTIC reads them before any constant or `cfg` is known.
+/// The vectors of the tasks, as literals: RTIC expands them before constants and `cfg` are evaluated.
 #[macro_export]
 macro_rules! vectors {
     ($app:ident) => {
@@ -27,23 +27,23 @@ macro_rules! vectors {
     };
 }
 
-/// Calls the serial task, whose vector is that of the stream which sends.
+/// Calls the serial task, which uses the vector of the DMA stream that sends.
 pub fn call_serial() {
     pac::NVIC::pend(pac::Interrupt::DMA1_STREAM6);
 }
 
-/// What the task of the inputs has of the UART.
+/// The UART's receiver, for the task of the inputs.
 pub type UartInput = usart_dma::Input;
 /// The link to the host.
 pub type SerialPort = usart_dma::DmaPort;
-/// USB is the ST-LINK's.
+/// None: the board's USB socket belongs to the ST-LINK.
 pub type UsbPort = NoPort;
 /// Step and direction pins on two ports.
 pub type StepPins = stm32f4::StepPins<2>;
-/// What `setup` deals out.
+/// What `setup` returns, one part for each task.
 pub type Parts = stm32f4::Parts<UartInput, SerialPort, NoPort, 2>;
 
-/// Clocks, pins and timers; outputs are off.
+/// Sets up clocks, pins and timers; all outputs are off.
 pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> Parts {
     stm32f4::begin_with_reset(&device.RCC, &device.SYSCFG);
     stm32f4::await_voltage(&device.PWR);
@@ -63,7 +63,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     let [first, second] = each!([c.pc8, c.pc9].into_push_pull_output_in_state(PinState::Low));
     let slow_pins = SlowPins::new([enable, spindle, turn, flood, mist, first, second]);
     let inputs = each!([c.pc7, b.pb6, a.pa6, c.pc0, c.pc3, a.pa1, a.pa4, a.pa0].into_pull_up_input());
-    // Drivers' fault outputs are open drains and may be joined.
+    // The fault outputs of motor drivers are open-drain and may be wired together.
     let inputs = InputPins::new(inputs)
         .with(input_bits::DRIVER_FAULT, c.pc10.into_pull_up_input().erase())
         .with(input_bits::AT_SPEED, c.pc11.into_pull_up_input().erase())
@@ -78,11 +78,11 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     let timers = (device.TIM1, device.TIM5, device.TIM3);
     let step_pins = stm32f4::step_pins(steps, directions, &inputs, timers, rings, &mut rcc);
     let link = serial::Config::default().baudrate(stm32f4::USUAL_BAUD.bps());
-    // Where the ST-LINK does not drive its line (its bridges are open, or it has no power), the input must idle high.
+    // If the ST-LINK does not drive its line (its bridges are open, or it has no power), the input must idle high.
     let mut rx = a.pa3.into_alternate::<7>();
     rx.set_internal_resistor(Pull::Up);
     let Ok(usart) = serial::Serial::new(device.USART2, (a.pa2, rx), link, &mut rcc) else {
-        // 115200 divides the 42 to 50 MHz of the slower bus to within 0.2 %.
+        // The 42 to 50 MHz of the slower bus give 115200 baud to within 0.2 %.
         unreachable!()
     };
     stm32f4::start_clock(device.TIM2, &mut rcc);
@@ -94,7 +94,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
         usb: NoPort,
         inputs,
         slow_pins,
-        // DMA receives on while the processor stands.
+        // DMA keeps receiving while the processor is stalled.
         settings_flash: SettingsFlash::new(device.FLASH, || {}),
         watchdog: stm32f4::Watchdog::new(device.IWDG, &device.DBGMCU),
     }

@@ -1,13 +1,12 @@
-//! What the boards are to a program: numbers only, shared by the firmware and by the simulator of a board. Each `Board`
-//! (`DESK`, `BLACKPILL_F411`, `NUCLEO_F446RE`, `QEMU_MPS2` ...) is a table of `name`, `axes`, `blocks`, `core_hz`,
-//! `step_clock_hz`, `run_cycles`, `safe_step_hz`, `received_bytes`, `recording_pages`, `program_pins` and `has_at_speed`, over the
-//! defaults of `HARDWARE`.
+//! Numeric profiles of all boards, shared by the firmware and the simulator of a board. Each `Board` is a table of
+//! numbers; the boards with hardware start from the defaults of `HARDWARE`.
 //!
-//! Pins, clocks and memory belong to each board's own folder.
+//! Pins, clock set-up and memory layout are in each board's own folder.
 
-/// Most axes of a board: the simulator has room for so many.
+/// Maximum number of axes of a board; the simulator supports this many.
 pub const AXES: usize = 4;
-/// Axes of most boards with hardware: what a fourth one costs at each tick and in each block, a machine with three would pay, too.
+/// Axes of most boards with hardware. Each axis costs time at each tick and memory in each block, so a fourth one would
+/// burden machines with three.
 const AXES_OF_BOARDS: usize = 3;
 /// Moves that the look-ahead holds.
 pub const BLOCKS: usize = 512;
@@ -15,38 +14,39 @@ pub const BLOCKS: usize = 512;
 /// One board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Board {
-    /// Name on the command line and in `cargo fw`.
+    /// Board name on the command line and in `cargo fw`.
     pub name: &'static str,
     /// Ticks of the step timer in a second.
     pub step_clock_hz: u32,
     /// Clock of the processor.
     pub core_hz: u32,
-    /// More cycles than the longest run of the step task takes that makes events (a stop takes longer): what `cargo xtask count`
-    /// says, times 1.1 for the flash.
+    /// Upper bound, in cycles, of a run of the step task that generates events (a stop takes longer): the result of
+    /// `cargo xtask count` times 1.1, for the flash's wait states.
     pub run_cycles: u32,
     /// Axes.
     pub axes: usize,
     /// Moves that the look-ahead holds.
     pub blocks: usize,
-    /// Greatest step rate of one axis that the step task can follow, steps/s.
+    /// Maximum step rate of one axis that the step task can follow, steps/s.
     pub safe_step_hz: u32,
     /// Shortest step pulse (`$0`), tenths of a microsecond.
     pub least_pulse_tenths: u16,
-    /// Bytes of lines that are received ahead of the controller.
+    /// Capacity, in bytes, for received lines that the controller has not read yet.
     pub received_bytes: usize,
-    /// Greatest rate of the UART (`$931`), baud.
+    /// Maximum rate of the UART (`$931`), baud.
     pub most_baud: u32,
-    /// Outputs and inputs for programs (M62 to M66).
+    /// Number of outputs and of inputs for programs (M62 to M66).
     pub program_pins: [u8; 2],
-    /// A pin on which a spindle tells that it is up to speed (`$915`).
+    /// Whether there is an input for a spindle's at-speed signal (`$915`).
     pub has_at_speed: bool,
-    /// Pages of 256 bytes of RAM for the recording of what comes in; 0 = there is no room for it.
+    /// Pages of 256 bytes of RAM for the recording of inputs and received bytes; 0 = no recording.
     pub recording_pages: usize,
-    /// Expressions, parameters, O words, rotations, scaling, splines and rounded corners: a small flash has no room for them.
+    /// Whether the G-code dialect has expressions, parameters, O words, rotations, scaling, splines and rounded
+    /// corners, for which a small flash has no space.
     pub has_all_words: bool,
 }
 
-/// No hardware: the simulator's own board. Its step task costs nothing, so the rate is bounded by the step clock alone.
+/// No hardware: the simulator's own board. Its step task takes no time, so only the step clock bounds the rate.
 pub const DESK: Board = Board {
     name: "desk",
     step_clock_hz: 100_000_000,
@@ -64,22 +64,22 @@ pub const DESK: Board = Board {
     has_all_words: true,
 };
 
-/// What is so on most boards with hardware: three axes, no pulse below 1 us unless a board has been tried with it, and no pins left for
-/// programs or a spindle that tells its speed.
+/// Defaults of the boards with hardware: three axes, pulses of at least 1 us unless a board was tested with shorter
+/// ones, no pins for programs or for a spindle's at-speed signal.
 const HARDWARE: Board =
     Board { axes: AXES_OF_BOARDS, least_pulse_tenths: 10, program_pins: [0, 0], has_at_speed: false, ..DESK };
 
-/// The Nucleos have more pins: those of programs are in a corner of the outer connectors that no shield covers.
+/// The Nucleos have pins left for programs and the at-speed signal; the outputs for programs are in a corner of the
+/// outer connectors that no shield covers.
 const NUCLEO: Board = Board { program_pins: [2, 2], has_at_speed: true, ..HARDWARE };
 
-/// The Black Pills have USB. The interrupt of their UART is below the step task: a byte must take longer to come than the longest
-/// run of that task.
+/// The Black Pills have USB. Their UART interrupt has a lower priority than the step task, so one byte must take longer
+/// to arrive than the longest run of that task.
 const BLACKPILL: Board = Board { most_baud: 115_200, ..HARDWARE };
 
-/// WeAct Black Pill, STM32F411CE. 96 MHz and not 100, because USB needs 48 MHz from the same PLL (RM0383, 6.3.2: PLLQ divides the same
-/// oscillator as PLLP). The step rate, emulated,
-/// is that of the shortest pulse of 1 us and as long a pause: the events that are ahead and the processor would allow more
-/// (docs/cost.md, "Step rates").
+/// WeAct Black Pill, STM32F411CE. 96 MHz instead of 100, because USB needs 48 MHz from the same PLL (RM0383, 6.3.2:
+/// PLLQ divides the same oscillator as PLLP). The step rate, tested in emulation, is that of the shortest pulse of 1 us
+/// followed by a pause of 1 us; the queue of events and the processor would allow more (docs/cost.md, "Step rates").
 pub const BLACKPILL_F411: Board = Board {
     name: "blackpill_f411",
     step_clock_hz: 96_000_000,
@@ -88,7 +88,8 @@ pub const BLACKPILL_F411: Board = Board {
     ..BLACKPILL
 };
 
-/// WeAct Black Pill, STM32F401CC: 84 MHz, and half the look-ahead, for 64 KiB of RAM. Built for size, but for the step task.
+/// WeAct Black Pill, STM32F401CC: 84 MHz; half the look-ahead, for 64 KiB of RAM. The image is built for size, except
+/// the step task.
 pub const BLACKPILL_F401: Board = Board {
     name: "blackpill_f401",
     step_clock_hz: 84_000_000,
@@ -100,8 +101,9 @@ pub const BLACKPILL_F401: Board = Board {
     ..BLACKPILL
 };
 
-/// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. Fast enough for a fourth axis, with which a run
-/// that makes 32 events takes some 8 cycles more for each, and one that begins a block a message more.
+/// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. Fast enough for a fourth axis,
+/// which costs about 8 cycles per event in a run that generates 32 events, and one more message in a run that starts a
+/// block.
 pub const NUCLEO_F446RE: Board = Board {
     name: "nucleo_f446re",
     step_clock_hz: 90_000_000,

@@ -1,9 +1,10 @@
-//! How deep the stack has been: `paint` fills it with `PAINT` at the start, but for a `MARGIN` below the stack pointer,
-//! and what is not painted any more has been `used`, of a `size` from `_stack_end` to `_stack_start`.
+//! Measures the maximum depth of the stack. `paint` fills the free stack with `PAINT`, except for `MARGIN` bytes below
+//! the stack pointer. `used` returns the bytes from the deepest overwritten word up to the start of the stack; `size`
+//! is the whole stack (`_stack_end` to `_stack_start`).
 
-/// No address, no small number, no float of any sense.
+/// A word that no address, no small number and no plausible float equals.
 const PAINT: u32 = 0xA5C3_5A3C;
-/// Bytes below the stack pointer that are left alone: the frame of the painter itself.
+/// Bytes below the stack pointer that stay unpainted: the frame of `paint` itself.
 const MARGIN: usize = 256;
 
 unsafe extern "C" {
@@ -11,18 +12,18 @@ unsafe extern "C" {
     static _stack_start: u32;
 }
 
-/// Bytes of the whole stack.
+/// Returns the size of the stack in bytes.
 pub fn size() -> u32 {
     &raw const _stack_start as u32 - &raw const _stack_end as u32
 }
 
-/// Paints what is free of the stack. Before the tasks run.
+/// Fills the free part of the stack with `PAINT`. Call before the tasks run.
 pub fn paint() {
     let mut at = &raw mut _stack_end;
     let until = cortex_m::register::msp::read() as usize - MARGIN;
     while (at as usize) < until {
-        // SAFETY: unsafe because memory is written by its address; safe because it lies between the end of the stack and
-        // the frame of this function, where nothing is alive.
+        // SAFETY: unsafe because memory is written by its address; safe because it lies between the end of the stack
+        // and the frame of this function, where nothing is alive.
         unsafe {
             at.write_volatile(PAINT);
             at = at.add(1);
@@ -30,11 +31,12 @@ pub fn paint() {
     }
 }
 
-/// The most that has been used since then, in bytes.
+/// Returns the maximum stack use since [`paint`], in bytes.
 pub fn used() -> u32 {
     let mut at = &raw const _stack_end;
     let start = &raw const _stack_start;
-    // SAFETY: unsafe because memory is read by its address; safe because it lies within the stack, which is always there.
+    // SAFETY: unsafe because memory is read by its address; safe because it lies within the stack, which is always
+    // there.
     while at < start && unsafe { at.read_volatile() } == PAINT {
         at = at.wrapping_add(1);
     }

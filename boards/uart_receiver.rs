@@ -1,68 +1,73 @@
-//! What a UART receives, on its way to the serial task. DMA or the interrupt of the UART puts bytes into a buffer. The task that samples
-//! the inputs reads them with each sample and sends them on in messages: a command which stops the machine within 50 us, all else
-//! within 200 us. The serial task is called for them once in 500 us (`calls`), and takes what has been sent whenever it runs. A look reads
-//! few bytes, so that a sample is short; only behind an overrun it empties the whole buffer.
+//! Carries received UART bytes to the serial task. DMA or the UART's interrupt writes them into a buffer. The task that
+//! samples the inputs reads the buffer at each sample and forwards the bytes in messages: a command that stops the
+//! machine within 50 us, other bytes within 200 us. It calls the serial task for them at most once per 500 us
+//! (`calls`); whenever the serial task runs, it takes all messages sent so far. One look reads only a few bytes, to
+//! keep a sample short; after an overrun it empties the whole buffer.
 //!
 //! ```text
 //!  UART ──▶ DMA or interrupt ──▶ buffer ──look──▶ messages ──▶ serial task
 //! ```
-//! Bytes leave in the order in which they came. Where bytes are missing, the message behind them says so. Where some of several bytes
-//! are damaged and it is not known which, no line that has one of them is carried out.
+//! Bytes keep their order. Where bytes are missing, the next message says so. If some of several bytes are damaged and
+//! it is unknown which, no line that contains one of them is executed.
 //!
-//! The buffer has one reader. A slot that has been read is `EMPTY` again: so an overrun is seen however long nobody has looked,
-//! half a second of an erase of flash included.
+//! The buffer has one reader, which sets each slot to `EMPTY` after reading it. So an overrun is detected however long
+//! the buffer has not been read, even after the half second of a flash erase.
 //!
-//! No registers: a [`ByteSource`] has those of the chip, so that all of this runs on a desk as well.
+//! Has no registers: a [`ByteSource`] accesses those of the chip, so host tests can run this code.
 
 use crate::calls::{RESET, is_stop};
 use core::sync::atomic::{AtomicU16, Ordering, Ordering::Relaxed, fence};
 
-/// Slots of the buffer: the 255 bytes that a sender with flow control has under way, 64 realtime commands beside them, and the one that
-/// stays free.
+/// Slots of the buffer: for the 255 bytes that a sender with flow control has in flight, 64 realtime commands beside
+/// them, and one slot that stays free.
 pub const SLOTS: usize = 320;
-/// Slots that only a command which stops the machine may take, where the interrupt fills the buffer.
+/// Slots reserved for commands that stop the machine, where the interrupt fills the buffer.
 const FOR_STOPS: usize = 16;
-/// Bytes that wait in a circular buffer while the messages have no room, at most. Beyond them the oldest are lost, a few with each look:
-/// so DMA does not come round while somebody looks.
+/// Maximum number of bytes kept in a circular buffer while no message can be sent. Beyond it, each look drops a few of
+/// the oldest, so that DMA does not overtake the reader during a look.
 pub const MOST_WAITING: usize = SLOTS - 64;
-/// What the UART puts its bytes into: nine bits of its data register, or `EMPTY`, and the mark of a loss. Atomic, as DMA writes it.
+/// The buffer that the UART's bytes are written into. A slot holds nine bits of the data register and the mark of a
+/// loss, or `EMPTY`. Atomic, because DMA writes it.
 pub type Buffer = [AtomicU16; SLOTS];
 
-/// No byte has come, or it has been read.
+/// Slot value: no byte has arrived, or it has been read.
 const EMPTY: u16 = 0x8000;
-/// Bytes are missing before this one.
+/// Slot flag: bytes are missing before this one.
 const MISSING: u16 = 0x4000;
 
-/// Bytes of text that may wait for the end of their line without a call.
+/// Bytes of text that may wait for the end of their line before the serial task is called.
 const GATHERED: u8 = 32;
-/// Looks after which what has come is passed on.
+/// Looks after which a partly filled message is passed on.
 const WAITED: u8 = 4;
-/// Bytes of text that a look by DMA reads at most, and half as many of others. At 1 Mbaud five come between two samples.
+/// Maximum number of bytes of text that one look reads from DMA's buffer; other bytes count double. At 1 Mbaud five
+/// bytes arrive between two samples.
 const AT_A_TIME: u8 = 28;
-/// In place of a damaged byte, and behind damaged ones, as the last of them may have become the end of a line: no line is carried out
-/// that has one.
+/// Replaces damaged bytes; one more is inserted after them, as the last damaged byte may have been an end of line. A
+/// line that contains `REFUSED` is not executed.
 const REFUSED: u8 = b'@';
 
-/// What puts bytes into the buffer.
+/// The part of a UART that writes bytes into the buffer.
 pub trait ByteSource {
-    /// The buffer goes round; otherwise it is begun anew whenever it is empty ([`ByteSource::begin_anew`]).
+    /// Whether the buffer is circular; otherwise it restarts at its first slot whenever it is empty
+    /// ([`ByteSource::begin_anew`]).
     const IS_CIRCULAR: bool;
 
-    /// The slot of the next byte, [`SLOTS`] if there is none.
+    /// Returns the slot of the next byte, [`SLOTS`] if there is none.
     fn place(&self) -> usize;
-    /// Whether a byte has been damaged since [`ByteSource::clear_damage`].
+    /// Returns whether a byte has been damaged since [`ByteSource::clear_damage`].
     fn is_damaged(&self) -> bool;
-    /// Forgets it. A byte that comes at this moment may be lost.
+    /// Clears the report of [`ByteSource::is_damaged`]. A byte that arrives at this moment may be lost.
     fn clear_damage(&mut self);
-    /// Waits for as long as it takes to write a byte and to count it.
+    /// Waits for as long as the hardware takes to write a byte and count it.
     fn settle(&self) {}
-    /// All has been read of a buffer that does not go round: the next byte goes into the first slot. Whether it does.
+    /// Restarts a non-circular buffer that has been read completely: the next byte goes into the first slot. Returns
+    /// whether it does.
     fn begin_anew(&mut self) -> bool {
         false
     }
 }
 
-/// A message to the serial task: bytes that came one behind the other.
+/// A message to the serial task: consecutive received bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(align(4))]
 pub struct ReceivedBytes {
@@ -73,12 +78,12 @@ pub struct ReceivedBytes {
 }
 
 impl ReceivedBytes {
-    /// How many bytes fit.
+    /// Maximum number of bytes in a message.
     pub const MOST: usize = 14;
-    /// None.
+    /// An empty message.
     pub const EMPTY: Self = ReceivedBytes { is_behind_loss: false, len: 0, bytes: [0; Self::MOST] };
 
-    /// Those from a place on.
+    /// Returns the bytes from index `place` on.
     #[inline]
     pub fn from(&self, place: usize) -> &[u8] {
         self.bytes.get(place..usize::from(self.len)).unwrap_or_default()
@@ -98,48 +103,49 @@ impl ReceivedBytes {
     }
 }
 
-/// What a look has found.
+/// Result of [`UartReceiver::look`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Look {
-    /// There is a command that stops the machine: the serial task is to be called at once.
+    /// A command that stops the machine has arrived: call the serial task at once.
     pub stop: bool,
-    /// There is something for the serial task to do: it is to be called soon.
+    /// The serial task has work: call it soon.
     pub news: bool,
-    /// Something has waited long enough to be passed on, with or without a call.
+    /// The message has waited long enough: pass it on, with or without a call.
     pub waits: bool,
 }
 
-/// The reader of the buffer. Sends are made by the caller's `send`, which says whether there was room.
+/// The reader of the buffer. It sends messages through the caller's `send`, which returns whether there was space.
 pub struct UartReceiver<S> {
     source: S,
     buffer: &'static Buffer,
     /// The next slot to be read.
     read: usize,
-    /// The message that is being filled, and looks since its first byte.
+    /// The message being filled, and the looks since its first byte.
     message: ReceivedBytes,
     looks: u8,
-    /// The last byte that was read.
+    /// The last byte that was read; 0 after text read in one piece, or after a loss.
     before: u8,
-    /// Bytes of text since a call.
+    /// Bytes of text since the last call.
     text: u8,
-    /// The last byte that was passed on since a call.
+    /// The last byte that was passed on since the last call.
     unheard: Option<u8>,
     /// Bytes are missing before the next one.
     is_missing: bool,
     /// The bytes before the next one are damaged.
     is_torn: bool,
-    /// Those that come up to the next look may be damaged.
+    /// The bytes that arrive up to the next look may be damaged.
     is_doubtful: bool,
-    /// A command that stops the machine has been read and not been passed on with a call.
+    /// A command that stops the machine has been read, but not yet passed on with a call.
     has_stop: bool,
-    /// More is in the buffer than could be read. None of the first `scanned` bytes of it stops the machine; whether the next one does.
+    /// The last look could not read all bytes of the buffer. None of the first `scanned` remaining bytes stops the
+    /// machine; `has_stop_ahead` says whether the next one does.
     is_stuck: bool,
     scanned: usize,
     has_stop_ahead: bool,
 }
 
 impl<S: ByteSource> UartReceiver<S> {
-    /// Of a buffer that nobody else reads, and into which nothing is put yet.
+    /// Creates the reader of `buffer`, which must have no other reader and no writer yet.
     pub fn new(source: S, buffer: &'static Buffer) -> Self {
         for slot in buffer {
             slot.store(EMPTY, Relaxed);
@@ -163,13 +169,13 @@ impl<S: ByteSource> UartReceiver<S> {
         }
     }
 
-    /// What fills the buffer.
+    /// Returns the source that fills the buffer.
     #[inline(always)]
     pub fn source(&mut self) -> &mut S {
         &mut self.source
     }
 
-    /// Whether a command that stops the machine has come and not been passed on with a call.
+    /// Returns whether a command that stops the machine has arrived, but has not been passed on with a call.
     #[inline(always)]
     pub fn has_stop(&self) -> bool {
         self.has_stop || self.has_stop_ahead
@@ -179,11 +185,12 @@ impl<S: ByteSource> UartReceiver<S> {
         if S::IS_CIRCULAR && at + 1 == SLOTS { 0 } else { at + 1 }
     }
 
-    /// Reads what has come since the look before, and sends what fills a message.
+    /// Reads the bytes that have arrived since the last look, and sends each message that is full.
     #[inline(always)]
     pub fn look(&mut self, send: impl FnMut(ReceivedBytes) -> bool) -> Look {
         let place = self.source.place();
-        // In this order: a damaged byte is told of before it is counted, so none is among those before the place if nothing is told.
+        // Read the place before the damage flag: the hardware reports damage before it counts the byte. So if no damage
+        // is reported, no byte before `place` is damaged.
         fence(Ordering::SeqCst);
         let is_damaged = self.source.is_damaged();
         if self.read != place || is_damaged || self.is_doubtful || self.is_at_end(place) {
@@ -193,7 +200,7 @@ impl<S: ByteSource> UartReceiver<S> {
         Look { stop: self.has_stop(), news: self.is_stuck || self.text >= GATHERED, waits: self.looks >= WAITED }
     }
 
-    /// The slot of the next byte has not been read.
+    /// Returns whether the slot of the next byte is still unread, as in a full buffer.
     #[inline(always)]
     fn is_at_end(&self, place: usize) -> bool {
         S::IS_CIRCULAR && self.buffer.get(place).is_some_and(|slot| slot.load(Relaxed) != EMPTY)
@@ -212,7 +219,7 @@ impl<S: ByteSource> UartReceiver<S> {
         let is_bad = is_damaged || self.is_doubtful;
         self.is_doubtful = is_damaged;
         self.is_stuck = false;
-        // Without DMA bytes come slowly, and a long look would keep the next one from being fetched.
+        // Without DMA bytes arrive slowly, and a long look would delay the interrupt that fetches the next one.
         let (mut read, mut left) = (0, if S::IS_CIRCULAR { AT_A_TIME } else { AT_A_TIME / 4 });
         while self.read != place {
             let Some(slot) = self.buffer.get(self.read) else { break };
@@ -225,7 +232,7 @@ impl<S: ByteSource> UartReceiver<S> {
                     continue;
                 }
             }
-            // A byte may have been counted and not be written yet.
+            // A byte may be counted before it is written.
             let is_read = word != EMPTY && left > 0 && self.append(word, is_bad, &mut send);
             if !is_read {
                 if word == EMPTY && self.is_overtaken(place) {
@@ -245,7 +252,7 @@ impl<S: ByteSource> UartReceiver<S> {
             }
             slot.store(EMPTY, Relaxed);
             read += 1;
-            // What is no text takes longer.
+            // Other bytes than text take longer.
             left = left.saturating_sub(if is_line_byte(word) { 1 } else { 2 });
             self.read = Self::after(self.read);
         }
@@ -255,7 +262,8 @@ impl<S: ByteSource> UartReceiver<S> {
         }
     }
 
-    /// Reads text and ends of lines for which the message has room, up to the last slot. Gives how many bytes, at most `most`.
+    /// Reads up to `most` bytes of text and ends of lines into the space of the message, without wrapping at the last
+    /// slot. Returns their number.
     #[inline(always)]
     fn read_text(&mut self, place: usize, most: u8) -> u8 {
         let end = if self.read <= place { place } else { SLOTS };
@@ -281,7 +289,7 @@ impl<S: ByteSource> UartReceiver<S> {
         count
     }
 
-    /// Puts a byte into the message, behind what tells that it is missing something or damaged. Whether there was room.
+    /// Appends a byte to the message, after marking a loss or damage before it. Returns false if there was no space.
     #[inline(always)]
     fn append(&mut self, word: u16, is_bad: bool, send: &mut impl FnMut(ReceivedBytes) -> bool) -> bool {
         let byte = if is_bad { refused(word as u8) } else { word as u8 };
@@ -307,8 +315,8 @@ impl<S: ByteSource> UartReceiver<S> {
         true
     }
 
-    /// A byte that is no text. A report, a hold or a reset that is asked for twice before anybody has heard it says the same; other bytes
-    /// that come twice may be one character.
+    /// Appends a byte that is not text. A `?`, hold, reset or stop is dropped if it repeats the last byte, which the
+    /// serial task has not processed yet; other repeated bytes are kept, as they may belong to one character.
     #[inline(always)]
     fn append_command(&mut self, byte: u8) {
         let last = self.message.from(0).last().copied().or(self.unheard);
@@ -330,8 +338,8 @@ impl<S: ByteSource> UartReceiver<S> {
         is_sent
     }
 
-    /// Looks for the first command that stops the machine among the bytes that could not be read, a few with each look: the serial task
-    /// makes room for it.
+    /// Searches the bytes that could not be read for the first command that stops the machine, a few at each look. If
+    /// there is one, calling the serial task makes space for it.
     #[cold]
     #[inline(never)]
     fn scan(&mut self, place: usize) {
@@ -343,7 +351,7 @@ impl<S: ByteSource> UartReceiver<S> {
             let Some(slot) = self.buffer.get(at) else { return };
             let word = slot.load(Relaxed);
             if word == EMPTY {
-                // Counted, and not written yet.
+                // The byte is counted, but not written yet.
                 return;
             }
             self.has_stop_ahead = is_stop(word as u8);
@@ -353,7 +361,8 @@ impl<S: ByteSource> UartReceiver<S> {
         }
     }
 
-    /// There is no room for what comes next: if too much waits, the oldest bytes are lost, none of which stops the machine.
+    /// Called when no message can be sent. If too many bytes wait, drops some of the oldest, none of which stops the
+    /// machine.
     #[cold]
     #[inline(never)]
     fn lose_oldest(&mut self, place: usize) {
@@ -375,15 +384,16 @@ impl<S: ByteSource> UartReceiver<S> {
         }
     }
 
-    /// Bytes have been read that may have been scanned before.
+    /// Accounts for `count` bytes read, some of which may have been scanned before.
     #[inline(always)]
     fn leave_behind(&mut self, count: usize) {
         self.has_stop_ahead &= count <= self.scanned;
         self.scanned = self.scanned.saturating_sub(count);
     }
 
-    /// The next slot is empty, and it is not that of the last byte, which may be counted and not be written yet: DMA came round while a look
-    /// read, and what it wrote there was taken for the oldest byte.
+    /// Returns whether DMA has overtaken the reader: the next slot is empty although it is not that of the last byte,
+    /// which may be counted before it is written. DMA then wrapped around during a look, and its newest byte was read
+    /// as the oldest.
     #[cold]
     #[inline(never)]
     fn is_overtaken(&self, place: usize) -> bool {
@@ -394,7 +404,8 @@ impl<S: ByteSource> UartReceiver<S> {
         self.buffer.get(self.read).is_some_and(|slot| slot.load(Relaxed) == EMPTY)
     }
 
-    /// No slot is free, and that is not because the last byte is about to be counted.
+    /// Returns whether all slots are used. A last byte that is written, but not counted yet, does not make the buffer
+    /// full.
     #[cold]
     #[inline(never)]
     fn is_full(&self, place: usize) -> bool {
@@ -402,21 +413,23 @@ impl<S: ByteSource> UartReceiver<S> {
         loop {
             let now = self.source.place();
             let is_full = now == place || self.is_at_end(now);
-            // A byte that has just come is in that slot, too.
+            // If a byte arrived in between, it is in that slot: look again.
             if self.source.place() == now {
                 return is_full;
             }
         }
     }
 
-    /// Bytes have been overwritten, it is not known which: all are lost but what stops the machine most.
+    /// Handles an overrun: it is unknown which bytes were overwritten, so all are dropped except the stop command with
+    /// the highest `weight`.
     #[cold]
     #[inline(never)]
     fn lose_all(&mut self) {
         let mut stop =
             self.message.from(0).iter().copied().max_by_key(|byte| weight(*byte)).filter(|byte| is_stop(*byte));
         let (mut at, mut emptied) = (self.source.place(), 0);
-        // Once round, the oldest first, and then what came meanwhile: no slot that has been written is left behind.
+        // Goes once around, oldest first, then on to the bytes that arrived meanwhile, so that every written slot is
+        // emptied.
         while let Some(slot) = self.buffer.get(at).filter(|_| emptied < SLOTS || at != self.source.place()) {
             let word = slot.load(Relaxed);
             if word != EMPTY && weight(word as u8) > stop.map_or(0, weight) {
@@ -440,7 +453,7 @@ impl<S: ByteSource> UartReceiver<S> {
         self.before = 0;
     }
 
-    /// Sends what has been read. `calls`: the serial task is called right behind it.
+    /// Sends the message being filled. With `calls`, the caller calls the serial task right after it.
     #[inline(never)]
     pub fn pass_on(&mut self, calls: bool, mut send: impl FnMut(ReceivedBytes) -> bool) {
         if self.message.len > 0 && !self.send_message(&mut send) {
@@ -453,7 +466,8 @@ impl<S: ByteSource> UartReceiver<S> {
         }
     }
 
-    /// For an interrupt that fills the buffer: a byte goes into the slot at `place`, behind a loss or not. Whether there was room.
+    /// For an interrupt that fills the buffer: writes a byte into the slot at `place`. `is_behind_loss` marks that
+    /// bytes are missing before it. Returns false if there was no space.
     #[inline(always)]
     pub fn put(&mut self, byte: u8, place: usize, is_behind_loss: bool) -> bool {
         let room = if is_stop(byte) { SLOTS } else { SLOTS - FOR_STOPS };
@@ -465,7 +479,7 @@ impl<S: ByteSource> UartReceiver<S> {
     }
 }
 
-/// Which of several commands that stop the machine is kept where only one can be: reset, stop, door, hold, end of a jog. 0: none of them.
+/// Priority of a stop command where only one can be kept: reset, stop, door, hold, jog cancel. 0: not a stop command.
 fn weight(byte: u8) -> u8 {
     match byte {
         RESET => 5,
@@ -477,19 +491,19 @@ fn weight(byte: u8) -> u8 {
     }
 }
 
-/// What is left of a byte where one of several is damaged: what stops the machine does so, and no line but an empty one is carried out
-/// that has one of them.
+/// Replacement of a byte that may be damaged: commands that stop the machine and ends of lines stay, anything else
+/// becomes [`REFUSED`]. So only empty lines among such bytes are executed.
 fn refused(byte: u8) -> u8 {
     if is_stop(byte) || matches!(byte, b'\n' | b'\r') { byte } else { REFUSED }
 }
 
-/// Whether a slot has text or an end of a line, and no mark.
+/// Returns whether a slot holds text or an end of line, without flags.
 #[inline(always)]
 fn is_line_byte(word: u16) -> bool {
     word <= 0xFF && (is_text(word as u8) || word as u8 == b'\n')
 }
 
-/// Whether a byte is text of a line, with which the serial task has nothing to do before the end of the line.
+/// Returns whether a byte is text of a line, which the serial task need not process before the end of the line.
 #[inline(always)]
 fn is_text(byte: u8) -> bool {
     (b' '..=b'}').contains(&byte) && !matches!(byte, b'!' | b'?')

@@ -1,32 +1,32 @@
-//! Who is at the other end of a USB serial port. `UsbHost` looks at whether the device is `configured`, at `dtr` and at
-//! who has `spoken`, and a `Look` says whether there is a host, when one has gone (`unplugged`, `closed`, `closing`) or
-//! another has come (`opened`, `changes_hands`), and whether what is received `late` is still of one that has gone.
+//! Detects hosts at a USB serial port: whether one is connected, when it leaves, and when another one takes its place.
+//! The inputs are the DTR line, whether the device is configured, and received packets. Bytes of a departed host that
+//! arrive late are rejected.
 //!
-//! No registers: it is told what the driver sees, and runs on a desk as well.
+//! Has no registers: the caller passes the driver's state, so host tests can run this code.
 
-/// How long after its end a host's bytes may still come, in microseconds: much longer than an operating system takes to call
-/// them back.
+/// How long bytes of a departed host may still arrive, in microseconds: much longer than an operating system takes to
+/// cancel them.
 pub const LATE_BYTES_US: u32 = 200_000;
 
-/// The host, as far as the port can tell.
+/// State of the host, as far as the port can detect it.
 #[derive(Clone, Debug)]
 pub struct UsbHost {
-    /// The host has sent something since it set the device up or closed its port: some never raise DTR.
+    /// The host has sent something since it configured the device or closed its port. Some hosts never raise DTR.
     spoken: bool,
-    /// When DTR fell, while what comes may still be of the host that has gone: it closes its port first and calls back what
-    /// it was about to send afterwards.
+    /// Time at which DTR fell, while received bytes may still be those of the departed host: a host closes its port
+    /// first and cancels its unsent bytes afterwards.
     closing: Option<u32>,
-    /// As they were at the last look.
+    /// `dtr` and `configured` at the last [`UsbHost::look`].
     dtr: bool,
     configured: bool,
 }
 
-/// What a look has found.
+/// Result of [`UsbHost::look`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Look {
-    /// A host has gone: what it has sent goes with it, and what it was to be sent.
+    /// A host has left: discard the bytes received from it and the bytes queued for it.
     pub gone: bool,
-    /// A host is there.
+    /// A host is connected.
     pub there: bool,
 }
 
@@ -37,16 +37,16 @@ impl Default for UsbHost {
 }
 
 impl UsbHost {
-    /// No host.
+    /// Starts without a host.
     pub const fn new() -> Self {
         Self { spoken: false, closing: None, dtr: false, configured: false }
     }
 
-    /// The driver has been asked: its DTR, and whether the device is set up. `now` reads a free-running clock.
+    /// Updates the state from the driver's DTR and whether the device is configured. `now` reads a free-running clock.
     pub fn look(&mut self, dtr: bool, configured: bool, now: impl FnOnce() -> u32) -> Look {
-        // DTR falls when the port is closed, the bus goes idle when the cable is pulled.
+        // DTR falls when the host closes the port; the bus goes idle when the cable is pulled.
         let (closed, unplugged) = (self.dtr && !dtr, self.configured && !configured);
-        // Whoever opens the port is another host than one that has spoken without.
+        // A host that opens the port is not the one that has sent bytes without opening it.
         let opened = !self.dtr && dtr;
         let changes_hands = opened && self.spoken;
         let gone = closed || unplugged || changes_hands;
@@ -58,14 +58,14 @@ impl UsbHost {
         } else if opened || unplugged {
             self.closing = None;
         }
-        // One that has gone for a moment is seen to go: the next look finds the other.
+        // When hosts change, report one look without a host: the next look finds the new one.
         self.dtr = dtr && !changes_hands;
         self.configured = configured;
         Look { gone, there: configured && self.is_listening() }
     }
 
-    /// A packet has come, with something in it. Whether it counts: it is not of a host that has gone. `late` is
-    /// [`LATE_BYTES_US`] in ticks of the clock.
+    /// Call for each received packet that is not empty. Returns whether to accept it: false if it may come from a
+    /// departed host. `late` is [`LATE_BYTES_US`] in ticks of the clock.
     pub fn speaks(&mut self, late: u32, now: impl FnOnce() -> u32) -> bool {
         if let Some(since) = self.closing {
             if now().wrapping_sub(since) < late {
@@ -77,7 +77,7 @@ impl UsbHost {
         true
     }
 
-    /// Whether a host reads what is sent, as long as the device is set up.
+    /// Returns whether a host reads the bytes sent, provided that the device is configured.
     pub fn is_listening(&self) -> bool {
         self.dtr || self.spoken
     }

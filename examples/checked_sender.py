@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Streams a job in checked lines: over a link that damages, drops or doubles bytes it runs as it was written.
+"""Streams a job in checked lines: the job runs as written even if the link damages, drops or doubles bytes.
 
     python3 examples/checked_sender.py JOB.nc --tcp 127.0.0.1:2323
     python3 examples/checked_sender.py JOB.nc --serial /dev/ttyACM0 [--baud 115200]
 
-`docs/senders.md` describes the lines. While the machine holds (M0, M6, a feed hold), Enter resumes it; Ctrl-C holds it and ends.
-Ends with 0 when all lines have been taken, with 1 when the machine refuses one, locks itself or is reset. Needs Python 3.9 and
-nothing else; a serial port needs Linux or macOS.
+`docs/senders.md` describes the lines. While the machine holds (M0, M6, a feed hold), Enter resumes it. Ctrl-C holds the
+machine and ends the sender. Exit status: 0 if all lines have been taken; 1 if the machine refuses a line, locks itself
+or is reset. Needs only Python 3.9; a serial port needs Linux or macOS.
 """
 
 import argparse
@@ -24,18 +24,19 @@ import time
 DIGITS = "ABDGHKNPSUVZcefi"
 SUBSTITUTES = str.maketrans(" #%)189>XY", "shpdlbgtxy")
 NUMBERS = 4096
-# Letters of a session: capitals of which one damaged bit makes no realtime command.
+# Letters of a session: capitals that one damaged bit cannot turn into a realtime command.
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWZ"
-# So many answers in a row that are none of this session are another's.
+# More answers than this in a row that do not belong to this session belong to another sender.
 STRANGE = 32
-# Bytes of lines that may be under way; the machine has room for 255.
+# Maximum number of bytes of lines that have been sent and not answered; the machine has room for 255.
 WINDOW = 120
-# Seconds without an answer after which the machine is asked, and how many questions may be unanswered: each is one byte.
+# Seconds without an answer after which a question (an empty line, one byte) is sent.
 PATIENCE = 0.5
+# Maximum number of unanswered questions.
 QUESTIONS = 32
-# Seconds without a byte after which the link is taken for dead: a report is asked for all the while, and each state answers.
+# Seconds without a byte after which the link counts as dead: reports are requested meanwhile, and sent in every state.
 SILENCE = 20.0
-# Longest line, remarks among it: four times what the machine takes of a line without its remarks.
+# Maximum length of a line with its comments: four times what the machine accepts without comments.
 LONGEST = 1000
 
 
@@ -48,7 +49,7 @@ def digits(value, count):
 
 
 def value(letters):
-    """The number that letters stand for, or None."""
+    """Returns the number that letters stand for, or None."""
     number = 0
     for letter in letters:
         place = DIGITS.find(letter)
@@ -59,24 +60,24 @@ def value(letters):
 
 
 def new_session():
-    """Letters by chance: a line that was sent before is none of this session."""
+    """Returns random letters, so that lines sent earlier do not belong to this session."""
     return "".join(random.SystemRandom().choice(LETTERS) for _ in range(4))
 
 
 def checked(session, number, text):
-    """A text with its number, its length and the check of both, of the session and of the whole number."""
+    """Returns a text with its number modulo 4096, its length, and the CRC of session, whole number, length and text."""
     length = digits(len(text) % 256, 2)
     check = binascii.crc32((session + digits(number, 8) + length + text).encode("ascii", "replace"))
     return f":{digits(number % NUMBERS, 3)}{length}{digits(check, 8)}{text}"
 
 
 def line_of(session, number, text):
-    """A text as a checked line."""
+    """Returns a text as the bytes of a checked line."""
     return (checked(session, number, text.translate(SUBSTITUTES)) + "\n").encode("ascii")
 
 
 def answer_in(line, session, taken):
-    """Number and text of an answer, if the line is one and undamaged; so many lines at least have been taken."""
+    """Returns number and text of an answer, or None if damaged or no answer. `taken`: lines taken so far."""
     number, text = value(line[1:4]), line[14:]
     if number is None:
         return None
@@ -85,18 +86,18 @@ def answer_in(line, session, taken):
 
 
 def text_of(line):
-    """A line of a program as it is sent: in capitals, without what no line may have on its way."""
-    # The machine throws control characters away.
+    """Returns a line of a program as it is sent: in capitals, without characters that must not be sent in a line."""
+    # The machine drops control characters.
     line = re.sub("[\x00-\x1f\x7f]", "", re.sub(r"\s", " ", line)).strip()
     if "(" not in line:
         line = line.split(";")[0].replace(" ", "")
-    # Realtime commands and characters of other languages should stand in remarks only: of one is made what no line may have
-    # anywhere else. Another minus sign must not be lost.
+    # Realtime commands and non-ASCII characters are legitimate in comments only. Each becomes `@`, which is an error
+    # anywhere else: a typographic minus sign, for instance, must not be dropped.
     return "".join(c if c <= "_" and c not in "!?^" else "@" for c in line.upper())
 
 
 def program(path):
-    """The lines to send, each with its number in the file."""
+    """Returns the lines to send, each with its number in the file."""
     with open(path, encoding="utf-8-sig", errors="replace") as file:
         texts = [(number, text_of(line)) for number, line in enumerate(file, 1)]
     for number, text in texts:
@@ -116,7 +117,7 @@ class Tcp:
         self.socket.sendall(data)
 
     def receive(self, seconds):
-        """What has come, after that time at most."""
+        """Returns the bytes received, after at most `seconds`."""
         if not select.select([self.socket], [], [], seconds)[0]:
             return b""
         data = self.socket.recv(4096)
@@ -135,7 +136,7 @@ class Serial:
         speed = getattr(termios, f"B{baud}", None)
         if speed is None:
             raise Stopped(f"this machine knows no {baud} baud")
-        # Not to wait for a modem's carrier.
+        # Non-blocking, so that opening does not wait for a modem's carrier.
         self.file = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         os.set_blocking(self.file, True)
         if not os.isatty(self.file):
@@ -159,23 +160,24 @@ class Serial:
 
 
 class Sender:
-    """Lines under way are sent again from the first that the machine has not taken: it takes none out of its order."""
+    """Sends lines and repeats them from the first that the machine has not taken: it takes lines only in order."""
 
     def __init__(self, link, lines, tell=print, session=None):
         self.link, self.lines, self.tell = link, lines, tell
         self.session = session or new_session()
-        # Lines that the machine has taken, lines sent, and the most that ever were: of those some may still be under way.
+        # Counts: lines that the machine has taken, lines sent, and the maximum of `sent`: lines beyond `sent` may still
+        # arrive.
         self.taken = self.sent = self.furthest = 0
-        # Bytes of each line under way, the first in front.
+        # Bytes of each line that is sent and not answered, oldest first.
         self.sizes = []
-        # What is under way is awaited, then sent again as far as it is wanted.
+        # Waiting until all sent lines have arrived; those not taken are then sent again.
         self.is_draining = False
-        # Questions without an answer, lines that had been sent when the last was asked, and plain answers that came instead.
+        # Counts: unanswered questions, `sent` at the last question, and plain answers that came instead.
         self.questions = self.asked_at = self.plain = 0
-        # Damaged answers behind the last that was not.
+        # Damaged answers since the last undamaged one.
         self.strange = 0
         self.received = b""
-        # When an answer came last, when anything did, and when the machine was asked last.
+        # Times of the last byte received, the last answer, and the last question.
         self.last_heard = time.monotonic()
         self.last_answer = self.last_asked = 0.0
         self.state = ""
@@ -202,7 +204,7 @@ class Sender:
         return [line.decode("ascii", "replace").strip("\r") for line in lines]
 
     def rest(self):
-        """Waits for the end of the last move: to the machine a host that goes before that is a fault, and holds it ($914)."""
+        """Waits for the end of the last move: a host that disconnects earlier is a fault and holds the machine ($914)."""
         self.state = ""
         while self.state not in ("Idle", "Check", "Sleep"):
             if self.state == "Alarm":
@@ -210,14 +212,14 @@ class Sender:
             time.sleep(PATIENCE / 4)
             self.link.send(b"?")
             for line in self.receive():
-                # `$LC=OFF` may have been sent again.
+                # This `ok` may answer a repeated `$LC=OFF`.
                 if line != "ok":
                     self.read(line)
 
     def begin(self):
-        """Asks for checked lines until the machine wants the line 0. An empty line ends what may stand before it."""
+        """Requests checked lines until the machine expects line 0. An empty line ends any partial line before."""
         for _ in range(20):
-            # A machine that holds answers no line, but tells its state.
+            # A machine that holds does not answer lines, but reports its state.
             self.link.send(f"\n$LC=ON{self.session}\n?".encode("ascii"))
             until = time.monotonic() + 2 * PATIENCE
             while time.monotonic() < until:
@@ -239,7 +241,7 @@ class Sender:
         self.tell("the machine may still check lines: $LC=OFF ends that")
 
     def give_up(self):
-        """Nobody listens to the answers any more: another host should not have to check its lines."""
+        """Ends the checking of lines without waiting for the answer, so that another host can send plain lines."""
         with contextlib.suppress(Stopped, OSError):
             self.link.send(b"\n$LC=OFF\n")
 
@@ -266,11 +268,11 @@ class Sender:
         del self.sizes[:more]
         self.sent = max(self.sent, self.taken)
         if self.taken > self.asked_at:
-            # What came before a line that was sent later has been answered.
+            # The machine has taken a line sent after the last question, so all questions have been answered.
             self.questions = 0
         if text == "known":
             self.questions = max(0, self.questions - 1)
-            # What was under way at the question has arrived; at least some, if it was a line end that came twice.
+            # All lines sent before the question have arrived; if the link has doubled a line end, only some of them.
             if self.is_draining:
                 self.counts["lines sent again"] += self.sent - self.taken
                 self.is_draining, self.sent, self.sizes = False, self.taken, []
@@ -287,7 +289,7 @@ class Sender:
             self.question()
 
     def ask(self):
-        """No answer for a while: one has been lost, or the machine is busy."""
+        """Sends a question after a while without an answer: an answer has been lost, or the machine is busy."""
         self.last_answer = time.monotonic()
         self.is_draining = True
         self.question()
@@ -296,7 +298,7 @@ class Sender:
     def question(self):
         now = time.monotonic()
         if self.questions < QUESTIONS:
-            # One that goes into a dead link does not wait in the machine.
+            # A question into a dead link does not occupy room in the machine.
             self.questions += self.last_heard > self.last_asked
             self.last_asked, self.asked_at = now, self.sent
             self.counts["questions"] += 1
@@ -320,7 +322,7 @@ class Sender:
                 self.tell(f"the machine is in {state}" + (": Enter resumes" if state in ("Hold", "Door") else ""))
             self.state = state
         elif line == "ok" or line.startswith("error:"):
-            # One may be a checked answer that has lost its head.
+            # A single one may be a checked answer that has lost its beginning.
             self.plain += 1
             if self.plain > 8:
                 raise Stopped("the machine does not check lines any more")

@@ -1,5 +1,5 @@
-// Checks a job by the firmware, compiled to WebAssembly, from a program of one's own: oxmill.wasm has no imports, so Node.js
-// needs no package for it.
+// Checks a job with the firmware, compiled to WebAssembly, as a program of your own would: oxmill.wasm has no imports,
+// so Node.js needs no package for it.
 //
 //     node examples/module.mjs target/web/oxmill.wasm JOB.nc [110=5000 ...]
 //
@@ -18,7 +18,7 @@ const { exports } = await load().catch(error => {
   exit(2);
 });
 
-/** What the module has put ready. Addresses are told as signed numbers. */
+/** Returns a text that the module has prepared. The module returns addresses as signed numbers. */
 const text = what => {
   const [at, length] = [exports[`oxmill_${what}`](), exports[`oxmill_${what}_len`]()].map(value => value >>> 0);
   return new TextDecoder().decode(new Uint8Array(exports.memory.buffer, at, length));
@@ -44,7 +44,7 @@ try {
   console.log(JSON.stringify(summary, undefined, 2));
   exit(summary.errors.length || summary.alarm || !summary.complete ? 1 : 0);
 } catch (error) {
-  // A panic ends the instance, and has a text.
+  // A panic ends the instance and leaves a text.
   console.error(text("panic") || error.message);
   exit(2);
 }

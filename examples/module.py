@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Checks a job by the firmware, compiled to WebAssembly, from a program of one's own: oxmill.wasm has no imports.
+"""Checks a job with the firmware, compiled to WebAssembly, as a program of your own would: oxmill.wasm has no imports.
 
     pip install wasmtime
     python3 examples/module.py target/web/oxmill.wasm JOB.nc [110=5000 ...]
@@ -14,27 +14,27 @@ from wasmtime import Instance, Module, Store, Trap, WasmtimeError
 
 
 class Refused(Exception):
-    """Why a job was not begun, or how the module has ended."""
+    """Why the module refused a job, or why the module ended."""
 
 
 class Oxmill:
-    """An instance of the module; one for each job at a time."""
+    """An instance of the module. It checks one job at a time."""
 
     def __init__(self, path):
         self.store = Store()
         self.exports = Instance(self.store, Module.from_file(self.store.engine, path), []).exports(self.store)
 
     def call(self, name, *arguments):
-        """Calls a function by its name without the `oxmill_`."""
+        """Calls an exported function; `name` is without the prefix `oxmill_`."""
         try:
             return self.exports[f"oxmill_{name}"](self.store, *arguments)
         except Trap as trap:
-            # A panic ends the instance, and has a text.
+            # A panic ends the instance and leaves a text.
             raise Refused(self.text("panic") or str(trap)) from trap
 
     def text(self, name):
         memory, functions = self.exports["memory"], [self.exports[f"oxmill_{part}"] for part in (name, f"{name}_len")]
-        # Addresses are told as signed numbers.
+        # The module returns addresses as signed numbers.
         at, length = (function(self.store) & 0xFFFFFFFF for function in functions)
         return bytes(memory.read(self.store, at, at + length)).decode()
 
@@ -43,7 +43,7 @@ class Oxmill:
         self.exports["memory"].write(self.store, data, at)
 
     def check(self, job, **order):
-        """The summary of a job, a dictionary; `order` as src/web/lib.rs has it."""
+        """Returns the summary of a job as a dictionary. `order`: see src/web/lib.rs."""
         self.put(json.dumps(order).encode() + b"\0" + job)
         if self.call("check_begin"):
             raise Refused(self.text("output"))

@@ -1,4 +1,4 @@
-//! No pin of a board has two uses, and each that is used stands in the pin table of its drawing.
+//! Checks that no pin of a board has two uses, and that each used pin is in the pin table of its wiring.
 
 use oxmill_controller::{StepRates, StepTiming};
 use oxmill_images::{BOARDS, SMALL};
@@ -12,13 +12,13 @@ fn board_file(name: &str) -> String {
     fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Code and pin table of each wiring.
+/// Returns name, code and pin table of each wiring.
 fn wirings() -> [(&'static str, String, String); 2] {
     let pill = board_file("blackpill.rs");
     [("blackpill", pill.clone(), pill), ("nucleo64", board_file("nucleo64.rs"), board_file("nucleo64.md"))]
 }
 
-/// Pins that the code takes, such as `a.pa7`, in their order.
+/// Returns the pins that the code uses, such as `a.pa7`, in order.
 fn pins_of(code: &str) -> Vec<String> {
     let code: String = code.lines().filter(|line| !line.trim_start().starts_with("//")).collect();
     let mut found = Vec::new();
@@ -33,7 +33,7 @@ fn pins_of(code: &str) -> Vec<String> {
     found
 }
 
-/// Pins of the second column of the table of pins.
+/// Returns the pins of the second column of the pin table.
 fn pins_of_table(text: &str) -> BTreeSet<String> {
     let rows = text.lines().map(|line| line.trim_start_matches("//!").trim()).filter(|line| line.starts_with('|'));
     let cells = rows.filter_map(|row| row.split('|').nth(2).map(str::to_owned));
@@ -49,7 +49,7 @@ fn pins_of_table(text: &str) -> BTreeSet<String> {
 fn no_pin_is_used_twice_and_each_stands_in_the_table() {
     for (name, code, table) in wirings() {
         let pins = pins_of(&code);
-        // Three axes with step, direction and limit; the rest of a mill; the link.
+        // Three axes with step, direction and limit; the other pins of a mill; the link.
         assert!(pins.len() >= 20, "{name}: {pins:?}");
         let once: BTreeSet<&String> = pins.iter().collect();
         assert_eq!(once.len(), pins.len(), "{name} uses a pin twice: {pins:?}");
@@ -60,7 +60,7 @@ fn no_pin_is_used_twice_and_each_stands_in_the_table() {
     }
 }
 
-/// Timers: each name of a peripheral has one place where its owner is made.
+/// The owner of each timer peripheral is created in only one place.
 #[test]
 fn no_timer_has_two_uses() {
     for (name, code, _) in wirings() {
@@ -76,7 +76,8 @@ fn no_timer_has_two_uses() {
     }
 }
 
-/// The DMA streams of a Nucleo, whose UART has two of DMA1, and of a Black Pill, whose UART has one of DMA2 while flash is written.
+/// The DMA streams of a Nucleo, whose UART uses two streams of DMA1, and of a Black Pill, whose UART uses one stream of
+/// DMA2 while flash is written.
 #[test]
 fn no_stream_has_two_uses() {
     let number = |file: &str, name: &str| -> usize {
@@ -88,12 +89,12 @@ fn no_stream_has_two_uses() {
         [("chain.rs", "MOMENTS"), ("chain.rs", "BEAM"), ("usart_dma.rs", "RECEIVER"), ("usart_dma.rs", "SENDER")];
     let streams = dma1.map(|(file, name)| number(file, name));
     assert_eq!(streams, [2, 0, 5, 6]);
-    // The first port's edges where there is one port only: DMA2 S1 and S4.
+    // With only one port, its edges use DMA2 S1 and S4.
     assert!(board_file("stm32f4/chain.rs").contains("(0, 1) => Streams { on: 1, off: 4,"));
     assert_eq!(number("usart_interrupt.rs", "STREAM"), 2);
 }
 
-/// USB has no choice of pins, and VBUS sensing, which would take A9 from the USART, is off in the driver.
+/// The USB pins are fixed, and VBUS sensing, which would take A9 from the USART, is off in the driver.
 #[test]
 fn usb_has_its_pins_its_clock_and_its_vector() {
     let pill = board_file("blackpill.rs");
@@ -107,7 +108,7 @@ fn usb_has_its_pins_its_clock_and_its_vector() {
     assert!(nucleo.contains("UsbPort = NoPort") && !nucleo.contains("OTG"));
 }
 
-/// The list of boards is written down in several places that no compiler compares.
+/// The list of boards is repeated in several files; no compiler compares them.
 #[test]
 fn every_board_stands_in_every_list() {
     let ci = board_file("../.ci/run");
@@ -131,9 +132,9 @@ fn every_board_has_its_sizes_and_a_probe_profile() {
     }
 }
 
-/// The rule of docs/cost.md, "Step rates": two of the longest runs of the step task and half a batch fit into the time
-/// that the events of a full ring last, batches for three axes take no more than half of the processor, and the shortest pulse
-/// leaves a pause in which its timer comes to rest.
+/// The rule of docs/cost.md, "Step rates": two of the longest runs of the step task and half a batch fit into the
+/// duration of the events of a full ring; batches for three axes use at most half of the processor; and the shortest
+/// pulse leaves a pause in which its timer stops.
 #[test]
 fn step_rates_follow_the_rule() {
     const DEPTH: u64 = 96;
@@ -142,18 +143,18 @@ fn step_rates_follow_the_rule() {
         let (hz, core_hz) = (u64::from(board.safe_step_hz), u64::from(board.core_hz));
         let runs = 2 * u64::from(board.run_cycles) * hz;
         assert!(runs <= (DEPTH - BATCH / 2) * core_hz, "{board:?}");
-        // `cargo xtask count`, times 1.1.
+        // The figure of `cargo xtask count`, times 1.1.
         assert!(1_582 * hz / BATCH <= core_hz / 2, "{board:?}");
         let rates = StepRates { safe_hz: u32::MAX, least_pulse_tenths: board.least_pulse_tenths };
         assert!(rates.greatest_hz(board.least_pulse_tenths) >= hz as f32, "{board:?}");
-        // Four ticks from the trigger to the first count, one to the edge, one behind the pulse, one to the stop;
-        // the timer of the pulses counts with the step clock or faster.
+        // Four ticks from the trigger to the first count, one to the edge, one after the pulse, one to the stop; the
+        // timer of the pulses counts at the step clock or faster.
         let timing = StepTiming::new(board.step_clock_hz / 1_000_000, board.least_pulse_tenths, 0);
         assert!(timing.gap > timing.pulse + 7, "{board:?}");
     }
 }
 
-/// What a board says to a line.
+/// Returns a board's answer to a line.
 fn said(board: oxmill_boards::profiles::Board, line: &str) -> String {
     let mut mill = Simulator::new(Options { board, ..Options::default() });
     mill.run_until_idle();
@@ -163,7 +164,8 @@ fn said(board: oxmill_boards::profiles::Board, line: &str) -> String {
     mill.take_output()
 }
 
-/// A spindle that tells its speed needs a pin: without one a setting that asks for it would count any spindle as up to speed, or none.
+/// A spindle with an at-speed signal needs a pin. Without one, a setting that enables the signal would count every
+/// spindle as up to speed, or none.
 #[test]
 fn a_board_without_a_pin_for_the_speed_takes_no_setting_for_it() {
     for (wiring, code, _) in wirings() {
@@ -180,8 +182,8 @@ fn a_board_without_a_pin_for_the_speed_takes_no_setting_for_it() {
     }
 }
 
-/// A Black Pill's UART has an interrupt for each byte, which waits for runs of the step task: faster bytes would be lost. USB is
-/// its fast link.
+/// A Black Pill's UART has an interrupt for each byte, which waits for runs of the step task: at higher rates bytes
+/// would be lost. Its fast link is USB.
 #[test]
 fn a_black_pill_takes_no_rate_of_its_uart_that_it_cannot_keep() {
     for board in oxmill_boards::profiles::ALL {
@@ -200,14 +202,15 @@ fn a_black_pill_takes_no_rate_of_its_uart_that_it_cannot_keep() {
         let described = said(board, "$ES");
         let row = described.lines().find(|line| line.starts_with("[SETTING:931|")).expect("a row");
         assert!(row.contains(&format!("|115200|{most}|")), "{}: {row}", board.name);
-        // A byte takes ten bits to come. Meanwhile the longest run of the step task, and once more half of that for what is at the
-        // priority of the interrupt.
+        // A byte takes ten bit times. In this time fit the longest run of the step task, and half as much again for
+        // other code at the interrupt's priority.
         let byte = 10.0 / f64::from(board.most_baud);
         assert!(!is_slow || 1.5 * f64::from(board.run_cycles) / f64::from(board.core_hz) < byte, "{}", board.name);
     }
 }
 
-/// What a check for a board tells of words that it leaves out is what its image is built with.
+/// A check for a board reports the words that its image lacks: its list must match the features that the image is built
+/// with.
 #[test]
 fn boards_have_the_words_of_their_images() {
     let manifest = include_str!("../src/firmware/Cargo.toml");

@@ -1,4 +1,4 @@
-//! The words of the command line that other programs rely on, with the program itself.
+//! Tests the parts of the command line that other programs rely on, by running the program.
 
 use serde_json::Value;
 use std::fs;
@@ -20,7 +20,7 @@ fn json(output: &Output) -> Value {
     serde_json::from_slice(&output.stdout).expect("one JSON object")
 }
 
-/// A file of this test's own.
+/// Writes a file for this test.
 fn file(name: &str, text: &str) -> PathBuf {
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     fs::write(&path, text).expect("a file can be written");
@@ -66,7 +66,7 @@ fn places_are_numbers_without_a_resolution() {
     }
 }
 
-/// Longer than the virtual clock runs: the job is told to be unfinished, and nothing hangs or is cut short.
+/// A dwell longer than the virtual clock can run: the job is reported as unfinished, and nothing hangs or is cut short.
 #[test]
 fn a_dwell_of_many_thousand_years_ends_the_simulation() {
     let years = "50000000000";
@@ -84,7 +84,7 @@ fn a_dwell_of_many_thousand_years_ends_the_simulation() {
     assert_eq!(run(&["check", text(&job)]).status.code(), Some(1));
 }
 
-/// What a terminal would obey, and what no XML may have, is nowhere written as it is.
+/// Terminal control characters and characters invalid in XML are never output as they are.
 #[cfg(unix)]
 #[test]
 fn names_with_control_characters_are_shown_without_them() {
@@ -121,7 +121,7 @@ fn check_is_run_on_one_screen() {
     assert_eq!(run(&["check", "no such file"]).status.code(), Some(2));
 }
 
-/// A mark of the byte order in front, and any line ends.
+/// A byte order mark and any line ends are accepted.
 #[test]
 fn settings_may_come_from_any_editor() {
     let job = file("edited.nc", "G1 X10 F60000\n");
@@ -137,7 +137,7 @@ fn settings_may_come_from_any_editor() {
     assert!(said.contains("line 3 of ") && said.contains("is not of the form $n=v"), "{said}");
 }
 
-/// What a terminal has shown for `$$` is a file of settings as it is.
+/// A terminal's log of `$$` can be used as a settings file without changes.
 #[test]
 fn settings_may_be_what_a_machine_has_said() {
     let job = file("said.nc", "G1 X10 F60000\n");
@@ -153,7 +153,7 @@ fn settings_may_be_what_a_machine_has_said() {
     assert_eq!(run(&["run", text(&job), "--settings", text(&other)]).status.code(), Some(2));
 }
 
-/// The simulator has all words; a check for a board that lacks some says what it would answer.
+/// The simulator supports all words; a check for a board that lacks some reports the errors that the board would.
 #[test]
 fn a_check_for_a_small_board_refuses_what_it_leaves_out() {
     let job = file("small.nc", "$110=1000\nG21 G90\nG1 X1 F100\n%\nG999\n#1=2 (two)\nG68 X0 Y0 R45\nG1 X#1\nG69\nM2\n");
@@ -179,7 +179,7 @@ fn plot_draws_the_job() {
     let drawn = fs::read_to_string(&svg).expect("a drawing");
     assert!(drawn.starts_with("<svg") && drawn.contains("plot.nc"));
     assert!(fs::read(&png).expect("a drawing").starts_with(b"\x89PNG"));
-    // As `run --plot` draws it.
+    // The same drawing as by `run --plot`.
     let other = svg.with_file_name("plot_by_run.svg");
     run(&["run", text(&job), "--plot", text(&other)]);
     assert_eq!(fs::read_to_string(&other).expect("a drawing"), drawn);
@@ -200,7 +200,8 @@ fn shells_and_man_know_the_commands() {
     }
 }
 
-/// The page lies beside the program, as in the archive of a release; if it does not, both ways to get it are named.
+/// The page is found beside the program, as in the archive of a release; if it is not there, the message names both
+/// ways to get it.
 #[test]
 fn the_page_is_looked_for_beside_the_program() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("released");
@@ -220,7 +221,7 @@ fn the_page_is_looked_for_beside_the_program() {
     assert!(refused().contains("is not the page of Oxmill"));
 }
 
-/// Each option is in the manual, on standard output and in the files, which name each other.
+/// Each option is in the manual, both on standard output and in the files, which refer to each other.
 #[test]
 fn the_manual_has_the_options_of_each_command() {
     let plain = |text: &str| text.replace('\\', "");
@@ -250,7 +251,7 @@ fn the_manual_has_the_options_of_each_command() {
     assert_eq!(run(&["man", "--out", text(&file)]).status.code(), Some(2));
 }
 
-/// `docs/json.md` explains every field with its type, and none that does not exist.
+/// `docs/json.md` explains every field with its type, and no field that does not exist.
 #[test]
 fn the_page_of_the_json_has_its_fields() {
     let job = file("json.nc", "G1 X1 F100 (so what!)\nG999\nT1\nG38.2 Z-1\n");
@@ -300,7 +301,7 @@ fn errors_stand_in_the_summary_with_their_lines_and_end_with_1() {
     assert!(words.contains("line 2") || words.contains("     2"), "{words}");
 }
 
-/// A probing line is answered behind its alarm, and a line beyond the travel not at all.
+/// A probing line is answered after its alarm, and a line beyond the travel not at all.
 #[test]
 fn an_alarm_has_the_line_that_raised_it() {
     let limits: Vec<&str> = "--set 20=1 --set 22=1 --set 130=60 --work-zero=-40,-20,-10".split(' ').collect();
@@ -316,7 +317,7 @@ fn an_alarm_has_the_line_that_raised_it() {
     }
 }
 
-/// Nothing of it moved, and every line of it was accepted.
+/// None of its lines moved, although every one was accepted.
 #[test]
 fn a_block_without_an_end_is_an_error_of_the_line_that_began_it() {
     for (name, program, line) in [
@@ -364,7 +365,7 @@ fn files_that_are_no_jobs_are_named() {
     }
     let empty = run(&["check", "-"]);
     assert_eq!(empty.status.code(), Some(2), "{}", String::from_utf8_lossy(&empty.stderr));
-    // What is broken further on is run up to there.
+    // The lines before the damage are run.
     let job = file("damaged.nc", &format!("{}G1 X2\0\nG1 X3\n", "G1 X1 F6000\n".repeat(20_000)));
     let output = run(&["run", "--json", text(&job)]);
     let said = String::from_utf8_lossy(&output.stderr);
@@ -373,7 +374,7 @@ fn files_that_are_no_jobs_are_named() {
     assert_eq!((&summary["complete"], &summary["position_mm"][0]), (&false.into(), &1.0.into()));
 }
 
-/// A file for a control with M98: its sender sends all of it.
+/// A file for a control with M98: the sender sends all lines of it.
 #[test]
 fn nothing_falls_into_a_subprogram_behind_the_end() {
     let job = file("subprogram.nc", "%\nO1000\nG21 G0 X1\nM30\nO1001\nG1 Z-3 F100\nM99\n%\n");
@@ -386,7 +387,7 @@ fn nothing_falls_into_a_subprogram_behind_the_end() {
     assert_eq!(summary["position_mm"], serde_json::json!([1.0, 0.0, 0.0]));
 }
 
-/// Each line that a sender would hold the machine with, or open its door, and one that takes hours.
+/// Warns of each line with which a sender would hold the machine or open its door, and of a line that takes hours.
 #[test]
 fn lines_are_named_that_do_what_may_not_be_meant() {
     let job = file("meant.nc", "G21 G91\n(Grüße, Über-Maß à 5)\nG1 X1 F600\n(so what! go~)\nG1 X6 F0.05\nM2\n");
@@ -407,7 +408,7 @@ fn lines_are_named_that_do_what_may_not_be_meant() {
                 (4, "sent as it is, `!` holds the machine, `~` goes on where the machine is held in dialect grbl"),
             ]
         );
-        // 0.05 mm/min is 1 mm/min in Grbl's dialect.
+        // In Grbl's dialect 0.05 mm/min is raised to 1 mm/min.
         let long = (dialect == "oxmill").then_some((5, "takes 2 h 0 min 0 s"));
         assert_eq!((told.get(2).copied(), &summary["more_warnings"]), (long, &0.into()));
     }
@@ -442,14 +443,14 @@ fn drawings_and_traces_are_what_their_names_say() {
     assert_eq!(net, serde_json::json!(last.iter().map(|n| n.parse::<i64>().expect("steps")).collect::<Vec<_>>()));
 }
 
-/// Every output as one of the other files, by its own name and by others.
+/// Tries to write every output over one of the other files, by the file's own name and by others.
 #[test]
 fn no_file_is_written_over_another() {
     let program = "G1 X1 F300\n";
     let job = file("kept.nc", program);
     let settings = file("kept.txt", "$100=80\n");
     let linked = Path::new(env!("CARGO_TARGET_TMPDIR")).join("linked.svg");
-    // A link of an earlier run is none that can be made.
+    // A link left by an earlier run cannot be made again.
     let _ = fs::remove_file(&linked);
     fs::hard_link(&job, &linked).expect("a link can be made");
     let roundabout = job.parent().expect("a folder").join(".").join("kept.nc");
@@ -494,7 +495,7 @@ fn an_output_that_cannot_be_written_is_found_before_the_machine_starts() {
     assert_eq!(fs::read_to_string(trace).expect("text"), "as it was");
 }
 
-/// A device that takes nothing, as a full disk does.
+/// An output device that accepts nothing, like a full disk.
 #[cfg(target_os = "linux")]
 #[test]
 fn the_summary_is_printed_though_an_output_fails() {
@@ -536,7 +537,7 @@ fn a_reader_that_has_seen_enough_is_no_failure() {
     }
 }
 
-/// Standard error may be closed or full: the exit status still tells how it went.
+/// Standard error may be closed or full: the exit status still reports the result.
 #[cfg(unix)]
 #[test]
 fn nothing_that_cannot_be_said_is_a_crash() {
@@ -559,16 +560,16 @@ fn nothing_that_cannot_be_said_is_a_crash() {
     assert_eq!(mute.status.code(), Some(2));
 }
 
-/// Answers that are lost, and input that is not read to its end, end the program, with a status that says so.
+/// Lost answers, and input that cannot be read to its end, end the program with a status that reports it.
 #[cfg(unix)]
 #[test]
 fn a_device_on_standard_input_loses_nothing_silently() {
     let full = || Stdio::from(fs::OpenOptions::new().write(true).open("/dev/full").expect("a device"));
     for pins in [&[][..], &["--pins", "0"]] {
-        // Its input stays open.
+        // The program's input stays open.
         let mut program = oxmill(&[&["serve", "--stdio", "--speed", "max"], pins].concat());
         let mut program = program.stdin(Stdio::piped()).stdout(full()).spawn().expect("it starts");
-        // Even the greeting is lost: it may have ended already.
+        // The greeting is lost, too, so the program may have ended already.
         let _ = program.stdin.as_mut().expect("a pipe").write_all(b"G1 X1 F1000\n");
         let (code, said) = ended(program);
         assert!(code == Some(2) && said.contains("cannot write the answers"), "{pins:?}: {code:?}, {said}");
@@ -582,7 +583,7 @@ fn a_device_on_standard_input_loses_nothing_silently() {
     }
 }
 
-/// The status and the words of a program that ends by itself, and has its input until then.
+/// Returns exit status and output of a program that ends by itself while its input is still open.
 #[cfg(unix)]
 fn ended(mut program: std::process::Child) -> (Option<i32>, String) {
     let end = std::time::Instant::now() + std::time::Duration::from_secs(60);
@@ -600,7 +601,7 @@ fn ended(mut program: std::process::Child) -> (Option<i32>, String) {
     }
 }
 
-/// What a sender may open with, in one write.
+/// What a sender may send first, in one write.
 #[test]
 fn a_report_comes_before_the_line_that_follows_its_question() {
     for dialect in ["grbl", "oxmill"] {
@@ -626,7 +627,8 @@ fn a_device_on_standard_input_greets_and_answers() {
     assert!(said.contains("[VER:1.1h.") && said.ends_with("ok\r\nok\r\n"), "{said}");
 }
 
-/// A wrong byte in the store: `run` says so and does not begin, a device says so and is locked until somebody has looked.
+/// A wrong byte in the store: `run` reports it and does not start; a device reports it and stays locked until the user
+/// has checked.
 #[test]
 fn a_damaged_store_is_told_and_locks() {
     let job = file("stored.nc", "G21 G90\nG0 X10\n");
@@ -669,7 +671,7 @@ fn a_damaged_store_is_told_and_locks() {
     }
 }
 
-/// What has no end is not read to its end, and what is too long for what it should be is refused by name.
+/// Endless files are not read to the end, and a file too long for its purpose is rejected by name.
 #[cfg(unix)]
 #[test]
 fn files_are_read_with_a_bound() {
@@ -710,7 +712,7 @@ fn a_recorded_job_is_played_again() {
         summary["job"] = Value::Null;
     }
     assert_eq!(recorded, played);
-    // One that makes the same steps with other outputs, or by another clock, says so.
+    // A recording whose steps are the same but whose outputs or clock differ is reported.
     let text_of = fs::read_to_string(&recording).expect("a recording is text");
     for (from, to) in [("job M3 S500\\n\n", ""), ("nucleo_f446re 90000000", "nucleo_f446re 90000001")] {
         assert!(text_of.contains(from), "{from}");
@@ -720,13 +722,13 @@ fn a_recorded_job_is_played_again() {
             String::from_utf8_lossy(&output.stderr).contains("at its end the machine is where it was recorded, but")
         );
     }
-    // A program that makes other steps says so.
+    // A recording of a program that makes other steps is reported.
     let other = fs::read_to_string(&recording).expect("a recording is text").replace("G0 X0 Z1", "G0 X0 Z2");
     let changed = file("changed.rec", &other);
     let output = run(&["replay", text(&changed)]);
     assert_eq!(output.status.code(), Some(3), "worse than the refused line that both have");
     assert!(String::from_utf8_lossy(&output.stderr).contains("at its end the recording has the machine at"));
-    // One that was cut off cannot be compared.
+    // A truncated recording cannot be compared.
     let (cut, _) = other.trim_end().rsplit_once('\n').expect("lines");
     assert_eq!(run(&["replay", text(&file("cut.rec", &format!("{cut}\n")))]).status.code(), Some(3));
     let output = run(&["replay", text(&file("empty.rec", "oxmill recording 1\nbegin 0\n5 host ?\n"))]);
@@ -735,7 +737,7 @@ fn a_recorded_job_is_played_again() {
     assert_eq!(run(&["run", text(&job), "--record", text(&job)]).status.code(), Some(2), "the job itself");
 }
 
-/// Its end is not waited for.
+/// The replay does not wait for the end of the dwell.
 #[test]
 fn a_recorded_job_with_a_very_long_dwell_is_played_again() {
     let job = file("long_dwell.nc", "G0 X1\nG4 P10000000\nG0 X2\n");
@@ -745,7 +747,7 @@ fn a_recorded_job_with_a_very_long_dwell_is_played_again() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// What hinders the machine is found before an older recording is lost.
+/// Errors that prevent a run are found before an older recording is overwritten.
 #[test]
 fn a_recording_is_kept_until_there_is_a_new_one() {
     let job = file("kept.nc", "G0 X1\n");
@@ -791,7 +793,7 @@ fn a_replay_writes_the_trace_of_the_run() {
     assert_eq!(of_run, of_replay);
 }
 
-/// What acts at power-up only would not have acted yet when the settings were made.
+/// Settings that act only at power-up would not yet be active if they had been sent.
 #[test]
 fn settings_are_part_of_a_recording() {
     let job = file("settings.nc", "G0 X1\n$J=G91 Y1 F600\n");
@@ -827,12 +829,12 @@ fn a_recorded_conversation_is_played_again() {
     let played = run(&["replay", text(&recording), "--json"]);
     let summary = json(&played);
     assert_eq!((&summary["steps"], played.status.code()), (&serde_json::json!([0, 500, 250]), Some(1)));
-    // The setting was there before the host.
+    // The setting was active before the host connected.
     assert_eq!((&summary["errors"][0]["line"], &summary["errors"][0]["code"]), (&3.into(), &2.into()));
     assert!(String::from_utf8_lossy(&played.stderr).is_empty(), "the same steps");
 }
 
-/// Recordings of machines, each of which once found a fault or shows what must stay so.
+/// Recordings of machines: each once revealed a fault, or shows behaviour that must not change.
 #[test]
 fn recordings_from_the_field() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/recordings/field");
@@ -844,7 +846,7 @@ fn recordings_from_the_field() {
         let recording = fs::read_to_string(&path).expect("text");
         let played = run(&["replay", text(&path)]);
         if recording.contains("[REC:") {
-            // Of a board, which has failed there.
+            // A recording of a board that failed at its end.
             let said = String::from_utf8_lossy(&played.stdout);
             assert!(said.contains("arrives at the place and line of the failure"), "{}: {said}", path.display());
         } else {
@@ -854,7 +856,7 @@ fn recordings_from_the_field() {
     }
 }
 
-/// A terminal's log may hold bytes that are no text: those of a line before the port had its speed, say.
+/// A terminal's log may contain bytes that are not text, for instance from before the baud rate was set.
 #[test]
 fn noise_around_a_listing_does_not_matter() {
     let board = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/recordings/field/panic_in_mid_job.rec");
@@ -867,8 +869,8 @@ fn noise_around_a_listing_does_not_matter() {
     assert!(said.contains("arrives at the place and line of the failure"), "{said}{played:?}");
 }
 
-/// The rest of a job is a program that is accepted, on standard output or in a file; what hinders it is told, and then no file
-/// is left.
+/// The rest of a job is a program that is accepted, on standard output or in a file; errors are reported, and leave no
+/// file.
 #[test]
 fn the_rest_of_a_job_is_written() {
     let pocket = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/pocket_mm.nc");

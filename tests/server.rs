@@ -1,4 +1,5 @@
-//! `serve` with its clients: who is served, and what is left of one that has gone. With the program itself.
+//! Tests `serve` with its clients, by running the program: which clients are served, and what remains after one has
+//! disconnected.
 
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::{Shutdown, TcpStream};
@@ -6,12 +7,12 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// What an answer may take, on a slow machine too.
+/// Maximum time for an answer, also on a slow machine.
 const PATIENCE: Duration = Duration::from_secs(20);
 const WELCOME: &str = "Grbl 1.1h ['$' for help]";
 const BUSY: &str = "[MSG:Another host has the machine]\r\n";
 
-/// The page of `--web`, by hand: what a browser asks, and what other sites would.
+/// The page of `--web`, requested by hand: as a browser does, and as other sites would.
 #[test]
 fn a_page_is_served_to_this_computer_only() {
     let page = Path::new(env!("CARGO_TARGET_TMPDIR")).join("page.html");
@@ -40,7 +41,7 @@ fn a_page_is_served_to_this_computer_only() {
     assert!(served.contains(&format!("connect-src ws://{address} ws://localhost:{port}")), "{served}");
     assert!(served.contains("name=\"oxmill-machine\" content=\"/machine\""), "{served}");
     assert!(ask("/x", address, "").starts_with("HTTP/1.1 404 "));
-    // Another program of this host may have set a cookie that is no UTF-8.
+    // Another program on this host may have set a cookie that is not UTF-8.
     let mut stream = TcpStream::connect(address).expect("it listens");
     stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
     let request = [b"GET /x HTTP/1.1\r\nHost: ", address.as_bytes(), b"\r\nCookie: name=Andr\xE9\r\n\r\n"].concat();
@@ -62,7 +63,7 @@ fn a_page_is_served_to_this_computer_only() {
     let head =
         format!("GET /machine HTTP/1.1\r\nHost: {address}\r\nOrigin: http://{address}\r\n{key}\r\nCookie: name=Andr");
     assert!(answer_to(address, &[head.as_bytes(), b"\xE9\r\n\r\n"].concat()).starts_with("HTTP/1.1 101 "));
-    // A head that is too long or has no end is not answered, however slowly it comes, nor is one that is none.
+    // A head that is too long, incomplete or malformed gets no answer or a 403, however slowly it arrives.
     let long = format!("GET / HTTP/1.1\r\nHost: {address}\r\nX: {}", "x".repeat(1 << 15));
     for request in [long.as_bytes(), b"GET / HTTP/1.1\r\n", b"\r\n\r\n"] {
         let answer = answer_to(address, request);
@@ -74,13 +75,13 @@ fn a_page_is_served_to_this_computer_only() {
     }
 }
 
-/// The first bytes that come back to some, and nothing if the connection is closed without any.
+/// Returns the first bytes of the answer; empty if the connection is closed without an answer.
 fn answer_to(address: &str, request: &[u8]) -> String {
     let mut stream = TcpStream::connect(address).expect("it listens");
     stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
     stream.write_all(request).expect("it reads");
     let mut answer = [0; 4096];
-    // Closed with unread bytes in it, a connection is reset.
+    // A connection closed with unread bytes in it is reset.
     let length = match stream.read(&mut answer) {
         Err(error) if error.kind() == ErrorKind::ConnectionReset => 0,
         read => read.expect("an answer, or an end, in time"),
@@ -88,7 +89,8 @@ fn answer_to(address: &str, request: &[u8]) -> String {
     String::from_utf8_lossy(&answer[..length]).into_owned()
 }
 
-/// What any web page may have a browser send to a port of this computer. The body is lines of a machine.
+/// A request that any web page may have a browser send to a port of this computer. Its body contains lines for the
+/// machine.
 const REQUEST: &str = "POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: text/plain\r\n\r\n";
 
 #[test]
@@ -110,7 +112,7 @@ fn a_web_page_moves_nothing_on_a_port_of_lines() {
         let mut host = server.served();
         assert!(host.wait_for("<Idle").contains("MPos:0.000,0.000,0.000"), "{request}");
     }
-    // A line that begins like one, in pieces, is a line.
+    // A line that starts like a request, sent in pieces, is a line.
     let mut host = server.served();
     host.send("G");
     std::thread::sleep(Duration::from_millis(50));
@@ -126,7 +128,7 @@ fn a_web_page_moves_no_pin() {
     assert_eq!(answer_to(&pins, format!("{REQUEST}door 0\n").as_bytes()), "");
 }
 
-/// Also behind lines that have one, and as the first of a client.
+/// Also after complete lines, and as the first line of a client.
 #[test]
 fn a_line_without_an_end_moves_no_pin_and_is_refused() {
     let (_server, pins) = Server::with_pins();
@@ -140,7 +142,7 @@ fn a_line_without_an_end_moves_no_pin_and_is_refused() {
         client.lines.read_to_string(&mut rest).expect("it is closed");
         assert_eq!(rest, "[MSG:The line has no end]\r\n");
     }
-    // The longest line that is read.
+    // The longest line that is accepted.
     let mut client = Client::of(&pins);
     assert_eq!(client.ask(&format!("{:255}", "door 1")), "ok");
 }
@@ -152,14 +154,14 @@ fn a_port_that_is_open_to_others_says_so() {
     assert_eq!(warnings, 2, "{said:?}");
 }
 
-/// Threads and open files of a program.
+/// Returns the numbers of threads and open files of a program.
 #[cfg(target_os = "linux")]
 fn held(program: &Child) -> [usize; 2] {
     let count = |of: &str| std::fs::read_dir(format!("/proc/{}/{of}", program.id())).map_or(0, Iterator::count);
     [count("task"), count("fd")]
 }
 
-/// The timers that run for a connection on the side of the server, by number: 2 is the one that keeps it alive.
+/// Returns the kernel timers of a connection on the side of the server, by number: 2 is the keep-alive timer.
 #[cfg(target_os = "linux")]
 fn timers(client: &Client) -> Vec<String> {
     let port = |address: std::net::SocketAddr| format!(":{:04X}", address.port());
@@ -172,12 +174,13 @@ fn timers(client: &Client) -> Vec<String> {
         .filter(|words| words.len() > 5 && words[1].ends_with(&port(here)) && words[2].ends_with(&port(there)))
         .map(|words| words[5].split(':').next().unwrap_or_default().to_owned())
         .collect();
-    // A table that changes while it is read may have a line twice.
+    // A table that changes while it is read may contain a line twice.
     timers.dedup();
     timers
 }
 
-/// A client whose cable has been pulled is not seen by who waits for its bytes: the kernel asks for signs of life.
+/// If a client's cable is pulled, a server that waits for its bytes does not notice; so the kernel must send keep-alive
+/// probes.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_client_that_is_cut_off_is_asked_for_signs_of_life() {
@@ -186,7 +189,7 @@ fn a_client_that_is_cut_off_is_asked_for_signs_of_life() {
     let (_server, pins) = Server::with_pins();
     let mut client = Client::of(&pins);
     assert_eq!(client.ask("door 1"), "ok");
-    // What acknowledges the answer may still be on its way.
+    // The acknowledgement of the answer may still be in transit.
     let end = Instant::now() + PATIENCE;
     while timers(&client) != ["02"] {
         assert!(Instant::now() < end, "{:?}", timers(&client));
@@ -202,15 +205,15 @@ fn thousands_of_connections_leave_nothing_behind() {
     let web = ["serve", "--web", "0", "--page", page.to_str().expect("a path")];
     let (tcp, page, (pinned, pins)) = (Server::new(&[]), Server::started(&web, "web http://"), Server::with_pins());
     let (tcp_address, page_address) = (tcp.address.clone(), page.address.trim_end_matches('/').to_owned());
-    // Where each connection has a thread, fewer: they take a hundredth of a second.
+    // Fewer connections where each has a thread, because they take 10 ms each.
     let ports = [(tcp, tcp_address, "", 3000), (page, page_address, "", 1000), (pinned, pins, "steps\n", 1000)];
     for (server, address, line, many) in ports {
         let address = address.as_str();
-        // With all threads that it has for itself: those begin with the first connection at the latest.
+        // Counts the server's own threads, which are started by the first connection at the latest.
         answer_to(address, b"GET / HTTP/1.0\r\n\r\n");
         std::thread::sleep(Duration::from_millis(500));
         let before = held(&server.program);
-        // Some are idle at the same time: more than there are places, so that the last ones are closed.
+        // More idle connections than there are places, so the last ones are closed.
         let idle: Vec<TcpStream> = (0..100).map(|_| TcpStream::connect(address).expect("it listens")).collect();
         std::thread::sleep(Duration::from_millis(200));
         let during = held(&server.program);
@@ -219,7 +222,8 @@ fn thousands_of_connections_leave_nothing_behind() {
         let memory = resident(&server.program);
         for number in 0..many {
             let mut stream = TcpStream::connect(address).expect("it listens");
-            // Some leave at once, some while their line is carried out; one that finds no place may be gone already.
+            // Some leave at once, some while their line is carried out; a connection without a place may be closed
+            // already.
             if number % 3 > 0 {
                 let _ = stream.write_all(line.as_bytes());
             }
@@ -229,12 +233,14 @@ fn thousands_of_connections_leave_nothing_behind() {
             assert!(Instant::now() < end, "{before:?} {:?}", held(&server.program));
             std::thread::sleep(Duration::from_millis(50));
         }
-        // Stacks of threads that come and go take some; a connection that leaves 4 KiB is seen, and 1.4 KiB on the first port.
+        // Stacks of ended threads use some memory; a leak of 4 KiB per connection would be seen, and of 1.4 KiB on the
+        // first port.
         assert!(resident(&server.program) < memory + 4096, "{memory} {}", resident(&server.program));
     }
 }
 
-/// Clients of the pin port that never read their answers leave their places to others, and nothing grows meanwhile.
+/// Clients of the pin port that never read their answers lose their places to others, and memory does not grow
+/// meanwhile.
 #[cfg(target_os = "linux")]
 #[test]
 fn clients_that_do_not_read_hold_no_place() {
@@ -242,23 +248,24 @@ fn clients_that_do_not_read_hold_no_place() {
     let mut before = Client::of(&pins);
     assert_eq!(before.ask("door 0"), "ok");
     let memory = resident(&server.program);
-    // It is refused, with a long text: answers of three bytes would take longer to fill the buffers.
+    // This line is rejected with a long text: answers of three bytes would take longer to fill the buffers.
     let question = b"lamp 1\n".repeat(10_000);
     let mut unread: Vec<TcpStream> = (0..63).map(|_| TcpStream::connect(&pins).expect("it listens")).collect();
     for stream in &mut unread {
         stream.set_nonblocking(true).expect("a socket");
     }
-    // Each sends as much as is taken of it. The last that are read are so until their answers find no room.
+    // Each client sends as much as the server accepts. The last clients are read until their answers do not fit any
+    // more.
     let (mut is_full, end) = (false, Instant::now() + PATIENCE);
     loop {
         for stream in &mut unread {
             let _ = stream.write(&question);
         }
-        // One that reads is served all the time.
+        // A client that reads is served all the time.
         assert_eq!(before.ask("door 0"), "ok");
         assert!(resident(&server.program) < memory + 8192, "{memory} {}", resident(&server.program));
         let mut new = Client::of(&pins);
-        // One that is refused may find its connection closed.
+        // A rejected client may find its connection closed.
         let _ = new.stream.write_all(b"door 1\n");
         let mut said = String::new();
         match new.lines.read_line(&mut said) {
@@ -273,7 +280,7 @@ fn clients_that_do_not_read_hold_no_place() {
     assert!(is_full, "no place was left meanwhile");
 }
 
-/// Memory of a program that is in RAM, KiB.
+/// Returns a program's resident memory, KiB.
 #[cfg(target_os = "linux")]
 fn resident(program: &Child) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{}/status", program.id())).expect("it runs");
@@ -281,7 +288,7 @@ fn resident(program: &Child) -> u64 {
     line.trim().trim_end_matches(" kB").parse().expect("a number")
 }
 
-/// A line that does not end is refused, and neither that nor a client that does not read makes the program grow.
+/// An endless line is rejected, and neither that nor a client that does not read makes the program grow.
 #[cfg(target_os = "linux")]
 #[test]
 fn no_client_makes_the_server_grow() {
@@ -290,7 +297,7 @@ fn no_client_makes_the_server_grow() {
     assert_eq!(client.ask("G0X1"), "ok");
     client.wait_for("<Idle");
     let before = resident(&server.program);
-    // Polls are no line, however many there are.
+    // Polls are not lines, however many there are.
     for _ in 0..100 {
         client.send([b'?'; 1000]);
     }
@@ -305,12 +312,12 @@ fn no_client_makes_the_server_grow() {
         assert!(Instant::now() < end, "it is closed");
     }
     assert!(resident(&server.program) < before + 8192, "{before} {}", resident(&server.program));
-    // It is told why, if the end of the connection leaves it the time to read that.
+    // The client gets the reason, if it can read it before the connection ends.
     let mut short = server.served();
     assert_eq!(short.ask("G21"), "ok");
     short.send([b'X'; (1 << 16) + 2000]);
     assert_eq!(short.line(), "[MSG:The line has no end]");
-    // Also in its first line, where a request of a browser would be.
+    // Also in its first line, where a browser's request would be.
     let mut first = server.served();
     first.send([b'X'; (1 << 16) + 2000]);
     assert_eq!(first.line(), "[MSG:The line has no end]");
@@ -324,11 +331,11 @@ fn no_client_makes_the_server_grow() {
     }
     assert!(resident(&server.program) < before + 40_000, "{before} {}", resident(&server.program));
     drop(deaf);
-    // What the one that left had asked for is not said to the next one.
+    // The next client does not get answers to the previous client's lines.
     server.served();
 }
 
-/// What a pin has done at once is behind it in the recording: an alarm, an end of motion.
+/// Immediate effects of a pin, such as an alarm or the end of motion, follow the pin in the recording.
 #[test]
 fn a_recording_with_alarms_of_pins_is_played_again() {
     let folder = std::env::temp_dir().join(format!("oxmill-pins-{}", std::process::id()));
@@ -342,7 +349,7 @@ fn a_recording_with_alarms_of_pins_is_played_again() {
         assert_eq!(answer_to(&pins, format!("{pin} 1\n").as_bytes()), "ok\n");
         assert!(answer_to(&pins, b"steps\n").starts_with("steps "));
         let end = Instant::now() + PATIENCE;
-        // Where the machine is comes with the next look at it.
+        // The position is recorded at the next check of the machine.
         while !std::fs::read_to_string(&file).is_ok_and(|text| text.contains(" at ")) {
             assert!(Instant::now() < end, "{pin} is recorded");
             std::thread::sleep(Duration::from_millis(20));
@@ -350,7 +357,7 @@ fn a_recording_with_alarms_of_pins_is_played_again() {
         drop(server);
         let replay = Command::new(env!("CARGO_BIN_EXE_oxmill")).args(["replay", path]).output().expect("it runs");
         let said = String::from_utf8_lossy(&replay.stderr).into_owned();
-        // An alarm, or none, and the same steps.
+        // With or without an alarm, and with the same steps.
         assert!(
             matches!(replay.status.code(), Some(0 | 1)),
             "{pin}: {said}{}",
@@ -360,7 +367,7 @@ fn a_recording_with_alarms_of_pins_is_played_again() {
     std::fs::remove_dir_all(&folder).expect("it is there");
 }
 
-/// A port without an address is one of the loopback, for the pins as well; connections that find no place are told.
+/// A port without an address is on the loopback, also for the pins; connections that find no place get a message.
 #[test]
 fn a_port_alone_is_of_the_loopback() {
     for port in ["0", ":0"] {
@@ -379,19 +386,20 @@ fn a_port_alone_is_of_the_loopback() {
     drop((places, server));
 }
 
-/// A device, killed in the end.
+/// A running device; it is killed on drop.
 struct Server {
     program: Child,
     address: String,
 }
 
 impl Server {
-    /// At fifty times the speed of a clock: a move of a minute takes a second, and a client leaves in its midst.
+    /// Starts a device at fifty times real time: a move of a minute takes about a second, and a client can disconnect
+    /// during it.
     fn new(options: &[&str]) -> Server {
         Server::started(&[&["serve", "--tcp", "127.0.0.1:0", "--speed", "50"], options].concat(), "tcp ")
     }
 
-    /// Started, with the address that it tells behind a word.
+    /// Starts the program; returns it with the address that follows `word` in its output.
     fn started(options: &[&str], word: &str) -> Server {
         let mut program = Command::new(env!("CARGO_BIN_EXE_oxmill"))
             .args(options)
@@ -405,7 +413,7 @@ impl Server {
         Server { program, address }
     }
 
-    /// Started, with the first lines that it says to standard error.
+    /// Starts the program; returns it with its first lines on standard error.
     fn with_words(options: &[&str], lines: usize) -> (Server, Vec<String>) {
         let mut program = Command::new(env!("CARGO_BIN_EXE_oxmill"))
             .args(options)
@@ -421,7 +429,7 @@ impl Server {
         (Server { program, address: String::new() }, said)
     }
 
-    /// Started, with the address of its pin port.
+    /// Starts the program; returns it with the address of its pin port.
     fn with_pins() -> (Server, String) {
         let (server, said) = Server::with_words(&["serve", "--tcp", "127.0.0.1:0", "--pins", "127.0.0.1:0"], 1);
         let pins = said[0].strip_prefix("pins on ").expect("an address").to_owned();
@@ -432,8 +440,8 @@ impl Server {
         Client::of(&self.address)
     }
 
-    /// A client that has read the welcome. It tries until the one before has gone: what that has poured in is still on its
-    /// way, and a system under load may tell of a new connection before it tells of the end of the last.
+    /// Returns a client that has read the welcome message. It retries until the previous client is gone: that client's
+    /// bytes may still be in transit, and a busy system may report a new connection before the end of the last one.
     fn served(&self) -> Client {
         let end = Instant::now() + PATIENCE;
         loop {
@@ -487,7 +495,7 @@ impl Client {
         self.line()
     }
 
-    /// Waits for a state; nothing but reports may come meanwhile.
+    /// Waits for a state; only reports may arrive meanwhile.
     fn wait_for(&mut self, state: &str) -> String {
         let end = Instant::now() + PATIENCE;
         loop {
@@ -500,7 +508,7 @@ impl Client {
         }
     }
 
-    /// Pours in until nothing more is taken, at most 12 MB.
+    /// Sends lines until no more are accepted, at most 12 MB.
     fn pour(&mut self) {
         let piece = b"G1 X1 F100\nG1 X0\n".repeat(1000);
         self.stream.set_write_timeout(Some(Duration::from_millis(500))).expect("a socket");
@@ -524,7 +532,7 @@ fn a_flood_from_a_client_that_leaves_does_not_lock_the_server() {
     let mut second = server.served();
     second.send("!");
     second.pour();
-    // The same when only its side is closed, and it waits for answers.
+    // The same when the client only closes its sending side and waits for answers.
     second.stream.shutdown(Shutdown::Write).expect("a socket");
     let mut third = server.served();
     assert!(third.status().starts_with("<Hold:0|"));
@@ -542,14 +550,14 @@ fn the_half_line_of_a_client_that_left_is_cut() {
     assert!(next.wait_for("<Idle").contains("MPos:0.000,0.000,0.000"));
 }
 
-/// `G4` waits for the end of the motion, so its answer and that of the line behind it are pending when the client leaves;
-/// with none pending it is the same.
+/// `G4` waits for the end of the motion, so its answer and that of the next line are pending when the client
+/// disconnects; the result must be the same with none pending.
 #[test]
 fn a_client_that_leaves_in_mid_job_is_one_that_closes_its_port() {
     for (hold, pending) in [(1, true), (1, false), (0, true), (0, false)] {
         let server = Server::new(&["--set", &format!("914={hold}")]);
         let mut first = server.served();
-        // Long enough that the move has not ended when the port is found closed, even by a busy host.
+        // Long enough that the move has not ended when the closed port is noticed, even by a busy host.
         let to = if hold == 1 { 300 } else { 60 };
         assert_eq!(first.ask(&format!("G1 X{to} F60")), "ok");
         if pending {
@@ -562,7 +570,7 @@ fn a_client_that_leaves_in_mid_job_is_one_that_closes_its_port() {
             assert!(!report.contains("MPos:300."), "{report}");
             next.send("~");
         }
-        // No answer but to its own question.
+        // Only its own request is answered.
         let end = next.wait_for("<Idle");
         let place = format!("MPos:{}.000", to + i32::from(pending));
         assert!(end.contains(&place), "$914={hold}, {pending}: {end}");
@@ -596,7 +604,7 @@ fn a_reset_on_connection_gives_one_welcome() {
     assert_eq!(next.ask("G21"), "ok");
 }
 
-/// A file that a server writes is refused to another one, and is whole.
+/// A file that a server writes is refused to another one, and stays complete.
 fn is_refused_to_another(option: &str, file: &str) {
     let second = Command::new(env!("CARGO_BIN_EXE_oxmill"))
         .args(["serve", "--stdio", option, file])
@@ -624,7 +632,7 @@ fn a_recording_is_of_one_server() {
     Server::new(&["--record", text]);
 }
 
-/// As a board that has its settings when it is powered up: with homing on it is locked, and startup lines are carried out.
+/// Like a board that has its settings at power-up: with homing on it is locked, and startup lines are carried out.
 #[test]
 fn a_server_has_its_settings_at_power_up() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
@@ -676,7 +684,7 @@ fn a_store_is_of_one_server() {
     assert!(said.iter().any(|line| line.starts_with("$100=80")), "{said:?}");
 }
 
-/// A machine in a hold takes no lines: the program ends all the same, for no host will come.
+/// A held machine takes no lines: the program ends all the same, because no other host can connect.
 #[test]
 fn standard_input_that_ends_in_a_hold_ends_the_program() {
     let mut program = Command::new(env!("CARGO_BIN_EXE_oxmill"))
@@ -709,7 +717,7 @@ fn a_pseudo_terminal_keeps_nothing_for_the_next_client() {
         .expect("the program starts");
     let mut line = String::new();
     BufReader::new(program.stdout.take().expect("a pipe")).read_line(&mut line).expect("it says where it is");
-    // A read that would never end ends with the program.
+    // Ends the program, and with it a read that would never end.
     let (done, waits) = std::sync::mpsc::channel::<()>();
     let watch = std::thread::spawn(move || {
         let _ = waits.recv_timeout(PATIENCE);
@@ -735,7 +743,7 @@ fn a_pseudo_terminal_keeps_nothing_for_the_next_client() {
     watch.join().expect("no panic").expect("a program");
 }
 
-/// A link that leads to a file is somebody's; one that a program has left behind, which leads nowhere, is taken.
+/// A link that leads to a file is not replaced; a dangling link that a program has left behind is.
 #[cfg(unix)]
 #[test]
 fn no_link_to_a_file_is_taken_for_a_pseudo_terminal() {
@@ -760,7 +768,7 @@ fn no_link_to_a_file_is_taken_for_a_pseudo_terminal() {
     assert_eq!(std::fs::read_link(&to_job).expect("a link"), job);
 }
 
-/// With no room for another connection the system calls again and again.
+/// With no file descriptor left for another connection, the system reports the connection again and again.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_server_without_room_for_files_is_quiet() {
@@ -789,7 +797,7 @@ fn a_server_without_room_for_files_is_quiet() {
     assert_eq!(server.served().ask("G21"), "ok");
 }
 
-/// What a program has used of the processor, in hundredths of a second.
+/// Returns the processor time of a program, in hundredths of a second.
 #[cfg(target_os = "linux")]
 fn processor_time(program: &Child) -> u64 {
     let line = std::fs::read_to_string(format!("/proc/{}/stat", program.id())).expect("a process");

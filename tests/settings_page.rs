@@ -1,4 +1,4 @@
-//! `docs/settings.md` is made from the table of settings; this holds the two together.
+//! `docs/settings.md` is generated from the table of settings; this test compares the two.
 
 use oxmill_controller::protocol::descriptions;
 use oxmill_controller::protocol::text::Text;

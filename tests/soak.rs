@@ -1,12 +1,12 @@
-//! A long job with all that a day at the machine brings: lines of every kind as fast as the receive buffer takes them, held,
-//! resumed, overridden, asked for reports, stopped, reset in mid-motion, by hosts that close the port and come again or are
-//! silent for too long, and with inputs that stop it, as `$924` to `$928` say.
+//! A long job with everything that happens in a day at the machine: lines of every kind as fast as the receive buffer
+//! takes them, holds, resumes, overrides, reports, stops, resets during motion, hosts that close the port and reconnect
+//! or are silent for too long, and inputs that stop the machine according to `$924` to `$928`.
 //!
-//! Promises: each line is answered once; wherever the machine comes to rest, the motors have made the steps that the
-//! program asked for and no other, to the last one; after a stop or a reset the reported position is that of the motors, and
-//! the program goes on from there; memory does not grow.
+//! Invariants: each line is answered once; whenever the machine comes to rest, the motors have made exactly the steps
+//! of the program; after a stop or a reset the reported position is that of the motors, and the program continues from
+//! there; memory does not grow.
 //!
-//! `OXMILL_SOAK=N` plays N lines instead of the few of every run; `OXMILL_SOAK_SEED` begins elsewhere.
+//! `OXMILL_SOAK=N` plays N lines instead of the default few; `OXMILL_SOAK_SEED` sets the seed.
 
 use oxmill_simulator::{Options, Simulator};
 use oxmill_test_support::program::{AXES, Program, SETTINGS, STEPS_PER_MM};
@@ -14,19 +14,19 @@ use oxmill_test_support::{Random, numbers};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// What a host may still be owed at the end of a chunk, in virtual time.
+/// Maximum virtual time until all answers have arrived at the end of a chunk.
 const PATIENCE: Duration = Duration::from_secs(600);
-/// Growth of the process that is not one, KiB: what the allocator keeps.
+/// Tolerated growth of the process, KiB: memory that the allocator keeps.
 const GROWTH: u64 = 4_096;
-/// A silent host is missed; limit switches stop the machine.
+/// Host timeouts during a job and a jog, and hard limits.
 const WATCHES: [&str; 3] = ["$922=0.3", "$923=0.2", "$21=1"];
-/// Reactions that keep the position and, if it is the host that is missed, the job.
+/// Reactions that keep the position and, after a host timeout, the job.
 const CONTROLLED: [&str; 4] = ["1", "2", "4", "5"];
-/// Inputs that stop the machine by these, with their settings and alarms.
+/// Inputs that stop the machine with one of these reactions, with their settings and alarms.
 const FAULTS: [(&str, &str, &str); 3] =
     [("limit x", "$924", "ALARM:1"), ("estop", "$925", "ALARM:101"), ("fault", "$926", "ALARM:102")];
 
-/// Counts for the record.
+/// Counts of events, for the log.
 #[derive(Default, Debug)]
 struct Counts {
     lines: u64,
@@ -47,7 +47,7 @@ struct Soak {
     mill: Simulator,
     random: Random,
     program: Program,
-    /// Lines that are to be sent.
+    /// Lines that have not been sent.
     waiting: VecDeque<String>,
     sent: u64,
     answered: u64,
@@ -76,7 +76,7 @@ impl Soak {
         soak
     }
 
-    /// Sends what has room, as a sender that counts characters.
+    /// Sends the lines that fit, as a sender that counts characters does.
     fn send(&mut self) {
         while let Some(line) = self.waiting.front() {
             if self.mill.unread() + line.len() + 1 > self.mill.board().received_bytes {
@@ -89,7 +89,7 @@ impl Soak {
         }
     }
 
-    /// What has been said.
+    /// Returns the received lines.
     fn hear(&mut self) -> Vec<String> {
         self.half.push_str(&self.mill.take_output());
         let mut heard = Vec::new();
@@ -125,7 +125,7 @@ impl Soak {
         self.mill.machine().position().map(i64::from)
     }
 
-    /// Carries all out, and compares the motors with the program.
+    /// Runs everything to its end, and compares the motors with the program.
     fn finish(&mut self) {
         let begun = self.mill.clock().now();
         let patience = PATIENCE.as_secs() * u64::from(self.mill.board().step_clock_hz);
@@ -142,7 +142,7 @@ impl Soak {
         self.counts.rests += 1;
     }
 
-    /// The reported position is that of the motors.
+    /// Checks that the reported position is that of the motors.
     fn agree(&mut self) {
         let report = self.report();
         let reported =
@@ -150,7 +150,8 @@ impl Soak {
         assert_eq!(reported, self.place(), "{report} {}", self.told());
     }
 
-    /// One `~` may come while the machine still brakes; and it has braked for want of a host (`$928`) without being asked.
+    /// Resumes the job. A first `~` may arrive while the machine still brakes; and after a host timeout (`$928`) the
+    /// machine has braked by itself.
     fn go_on(&mut self) {
         let rests = !self.mill.is_stepping() && !self.mill.is_idle();
         if self.mill.controller().is_paused() || rests && self.report().starts_with("<Door:0") {
@@ -158,7 +159,7 @@ impl Soak {
         }
     }
 
-    /// Something that happens to a running job.
+    /// A random event during a job.
     fn disturb(&mut self) {
         match self.random.below(12) {
             0 | 1 => {
@@ -178,7 +179,7 @@ impl Soak {
                 self.wait(300);
                 self.mill.send("~");
             }
-            // Jog cancel: there is no jog.
+            // Jog cancel; without a jog it has no effect.
             6 => self.mill.send([0x85]),
             _ => {
                 let byte =
@@ -189,11 +190,11 @@ impl Soak {
         }
     }
 
-    /// Ends what is under way, and goes on from where it ended.
+    /// Interrupts the motion, and continues from where it ended.
     fn interrupt(&mut self, byte: u8) {
         let moving = self.mill.is_stepping();
         self.mill.send([byte]);
-        // Lines that were received are void; the one in work is answered, which a spindle that comes up again may delay.
+        // Received lines are void; the line in progress is answered, possibly late because of a spindle that spins up.
         self.mill.run_for(Duration::from_millis(500));
         self.half.push_str(&self.mill.take_output());
         while byte != 0x18 && !self.mill.is_idle() {
@@ -223,12 +224,12 @@ impl Soak {
         self.agree();
     }
 
-    /// An input stops the machine as its setting says. That keeps the position; the job goes on after a reset.
+    /// An input stops the machine according to its setting. The position is kept; the job continues after a reset.
     fn fault(&mut self) {
         let (pin, _, alarm) = FAULTS[self.random.below(3) as usize];
         self.hear();
         assert_eq!(self.mill.pin_line(&format!("{pin} 1")), "ok");
-        // The longest way to rest is that from 100 mm/s at 500 mm/s².
+        // The longest braking time is that from 100 mm/s at 500 mm/s².
         self.mill.run_for(Duration::from_millis(400));
         let heard = self.mill.take_output();
         assert!(heard.lines().any(|line| line == alarm), "{heard} {}", self.told());
@@ -238,9 +239,9 @@ impl Soak {
         self.interrupt(0x18);
     }
 
-    /// A jog at whose key nobody is any more, at rest. It ends by itself.
+    /// A jog whose host has become silent, started at rest. It ends by itself.
     fn jog(&mut self) {
-        // A hold may have come where the job had come to its end.
+        // A hold may have come at the end of the job.
         for _ in 0..100 {
             if self.report().starts_with("<Idle") {
                 break;
@@ -249,13 +250,13 @@ impl Soak {
             self.wait(100);
         }
         let (silences, begun) = (self.counts.silences, self.place()[0]);
-        // Within the program's reach.
+        // Towards the middle of the program's range.
         let by = self.random.below(11) as i64 * if begun > 0 { -1 } else { 1 };
         self.mill.send(format!("$J=G91 X{by} F1500\n"));
         self.wait(1_000);
         self.half.clear();
         (self.sent, self.answered) = (0, 0);
-        // It covers 5 mm until the host is missed, and then brakes for less than one.
+        // The jog covers 5 mm until the host timeout, and then brakes within less than one.
         let moved = (self.place()[0] - begun) as f64 / STEPS_PER_MM;
         let ends = by.abs() < 6 || self.counts.silences == silences + 1 && moved.abs() < by.abs() as f64;
         assert!(ends, "{moved} mm of a jog by {by} mm {}", self.told());
@@ -265,7 +266,7 @@ impl Soak {
         self.counts.jogs += 1;
     }
 
-    /// Other reactions, at rest.
+    /// Changes the reactions, at rest.
     fn settings(&mut self) {
         for (_, setting, _) in FAULTS {
             let reactions = if setting == "$925" { &CONTROLLED[..2] } else { &CONTROLLED };
@@ -275,7 +276,7 @@ impl Soak {
         self.finish();
     }
 
-    /// Some lines, and what happens meanwhile.
+    /// Sends some lines, with events in between.
     fn chunk(&mut self) {
         if self.random.below(4) == 0 {
             self.settings();
@@ -302,7 +303,7 @@ impl Soak {
                 self.fault();
             }
         }
-        // A host that has its answers closes the port while the machine still moves.
+        // A host that has received all answers closes the port while the machine still moves.
         if self.random.below(8) == 0 {
             while self.answered < self.sent {
                 self.wait(10);
@@ -318,7 +319,7 @@ impl Soak {
     }
 }
 
-/// Memory of this process, KiB: now, and at most. Where the system does not say it, nothing.
+/// Returns the memory of this process, KiB: current and maximum. `None` if the system does not report it.
 fn memory() -> Option<[u64; 2]> {
     let text = std::fs::read_to_string("/proc/self/status").ok()?;
     let field = |name: &str| {

@@ -1,5 +1,5 @@
-//! The reader of what a UART receives, on memory: nothing comes out in another order, no byte is missing without a word at its
-//! place, and no line with a damaged byte is carried out, whatever comes in between any two accesses.
+//! Tests the reader of a UART's received bytes, on memory: bytes keep their order, lost bytes are marked at their
+//! position, and no line with a damaged byte is carried out, whatever happens between any two memory accesses.
 
 use oxmill_boards::calls::{Calls, REST, is_stop};
 use oxmill_boards::uart_receiver::{Buffer, ByteSource, Look, MOST_WAITING, ReceivedBytes, SLOTS, UartReceiver};
@@ -9,17 +9,18 @@ use std::collections::VecDeque;
 use std::rc::Rc;
 use std::sync::atomic::{AtomicU16, Ordering};
 
-/// What DMA and the UART do, or the interrupt of one without DMA.
+/// Simulates DMA and the UART, or the interrupt of a UART without DMA.
 struct Wire {
     buffer: &'static Buffer,
     place: Cell<usize>,
     damaged: Cell<bool>,
-    /// Bytes that come right behind each of the next answers where the place is.
+    /// Bytes that arrive right after each of the next calls of `place`.
     at_place: RefCell<VecDeque<Vec<u8>>>,
-    /// Bytes that come when somebody next forgets the damage, or waits for a byte to settle.
+    /// Bytes that arrive when the damage is next cleared.
     at_clear: RefCell<Vec<u8>>,
+    /// Bytes that arrive while the reader waits for a byte to settle.
     at_settle: RefCell<Vec<u8>>,
-    /// A byte that has been counted and not been written: its slot.
+    /// A byte that has been counted but not written, with its slot.
     unwritten: Cell<Option<(usize, u8)>>,
 }
 
@@ -93,7 +94,7 @@ fn by_dma() -> (Rc<Wire>, UartReceiver<Dma>) {
     (wire.clone(), UartReceiver::new(Dma(wire.clone()), wire.buffer))
 }
 
-/// What has come out: bytes, and `None` where some are missing.
+/// Output of the reader: bytes, and `None` where bytes are missing.
 #[derive(Default)]
 struct Out(Vec<Option<u8>>);
 
@@ -109,7 +110,7 @@ impl Out {
         true
     }
 
-    /// A look with room for some messages.
+    /// Looks once, with room for some messages.
     fn glance<S: ByteSource>(&mut self, receiver: &mut UartReceiver<S>, room: &mut usize) -> Look {
         receiver.look(|message| self.send(room, message))
     }
@@ -118,7 +119,7 @@ impl Out {
         receiver.pass_on(calls, |message| self.send(room, message));
     }
 
-    /// Looks until all has come out: a look reads few bytes.
+    /// Looks until all bytes have been output: a single look reads few bytes.
     fn look<S: ByteSource>(&mut self, receiver: &mut UartReceiver<S>) -> Look {
         let (mut room, mut found) = (usize::MAX, Look::default());
         loop {
@@ -137,7 +138,7 @@ impl Out {
         self.0.iter().map(|byte| byte.map_or('#', char::from)).collect()
     }
 
-    /// The lines that would be carried out: nothing is missing in them, and none has what stands for a damaged byte.
+    /// Returns the lines that would be carried out: those without missing bytes and without the mark of a damaged byte.
     fn lines(&self) -> Vec<String> {
         let (mut lines, mut line, mut is_whole) = (Vec::new(), String::new(), true);
         for byte in &self.0 {
@@ -157,16 +158,16 @@ impl Out {
     }
 }
 
-/// Bytes of text that a look reads at most; half as many of others.
+/// Maximum number of text bytes per look; half as many of other bytes.
 const AT_A_TIME: usize = 28;
 
 #[derive(Clone, Debug)]
 enum Step {
-    /// So many bytes come.
+    /// This many bytes arrive.
     Come(usize),
-    /// One is counted, and written a little later.
+    /// A byte is counted, and written a little later.
     Count,
-    /// A look, and as many messages as there is room for.
+    /// A look with room for this many messages.
     Look(usize),
 }
 
@@ -180,7 +181,7 @@ fn step() -> impl Strategy<Value = Step> {
 }
 
 proptest! {
-    /// As long as there is room, all bytes come out in their order, however the looks fall.
+    /// While there is room, all bytes are output in order, whatever the timing of the looks.
     #[test]
     fn bytes_come_out_as_they_came(steps in prop::collection::vec(step(), 1..60)) {
         let (wire, mut receiver) = by_dma();
@@ -188,7 +189,7 @@ proptest! {
         for step in steps {
             let room = MOST_WAITING - (sent.len() - out.0.len()).min(MOST_WAITING);
             let next = |sent: &mut Vec<u8>| {
-                // Text that counts up.
+                // A text whose characters count up.
                 let byte = b'A' + (sent.len() % 50) as u8;
                 sent.push(byte);
                 byte
@@ -209,9 +210,9 @@ proptest! {
         prop_assert_eq!(out.0, sent.into_iter().map(Some).collect::<Vec<_>>());
     }
 
-    /// Some bytes are damaged, and become any others, ends of lines among them; looks fall anywhere, also between the rise of the line
-    /// that tells of it and the byte; bytes come while the damage is forgotten. No line is carried out that was not sent, none twice, and
-    /// none that had a damaged byte.
+    /// Some bytes are damaged and become any others, also line ends. Looks occur at any time, also after the signal of
+    /// a damage and before its byte; bytes arrive while the damage is cleared. No line is carried out that was not
+    /// sent, none twice, and none with a damaged byte.
     #[test]
     fn no_damaged_line_is_carried_out(
         damaged in prop::collection::btree_map(
@@ -241,7 +242,7 @@ proptest! {
                 at += 1;
             }
             for _ in 0..times {
-                // Undamaged ones only: these would pend anew.
+                // Only undamaged bytes: damaged ones would signal again.
                 let more = during.next().unwrap().min(sent.len() - at);
                 let more = (0..more).take_while(|k| !damaged.contains_key(&(at + k))).count();
                 wire.at_clear.replace(sent[at..at + more].to_vec());
@@ -252,7 +253,7 @@ proptest! {
                 break;
             }
         }
-        // Two lines that are good, behind all doubt.
+        // Two good lines, clearly after the damage.
         out.look(&mut receiver);
         wire.come_all(b"\nEND1\nEND2\n");
         out.look(&mut receiver);
@@ -271,8 +272,9 @@ proptest! {
     }
 }
 
-/// A byte is damaged at each place of three lines, and becomes a digit or the end of a line; looks come more often than bytes, and less
-/// often; the line that tells of it rises before the byte or with it. Its line is not carried out, nor a part of one.
+/// A byte is damaged at each position of three lines, and becomes a digit or a line end; looks are more or less
+/// frequent than bytes; the damage is signalled before the byte or with it. The damaged line is not carried out, not
+/// even in part.
 #[test]
 fn a_damaged_byte_at_each_place() {
     let sent = b"G1X11\nG1X12\nG1X13\n";
@@ -309,7 +311,8 @@ fn a_damaged_byte_at_each_place() {
     }
 }
 
-/// Whatever the message is filled with when it comes to the first byte that is good again: none of those that came goes.
+/// Whatever the message already contains when the first good byte after the damage arrives, no byte received is
+/// dropped.
 #[test]
 fn nothing_is_dropped_behind_damaged_bytes() {
     for count in 1..3 * ReceivedBytes::MOST {
@@ -324,7 +327,8 @@ fn nothing_is_dropped_behind_damaged_bytes() {
     }
 }
 
-/// A byte that is counted and not yet written is not there yet; the look after it has it, and what is doubted of it stays so.
+/// A byte that is counted but not yet written has not arrived yet; the next look reads it, and suspected damage remains
+/// suspected.
 #[test]
 fn a_byte_that_is_counted_and_not_written() {
     let (wire, mut receiver) = by_dma();
@@ -336,7 +340,7 @@ fn a_byte_that_is_counted_and_not_written() {
     wire.write();
     out.look(&mut receiver);
     assert_eq!(out.text(), "abc");
-    // Damaged, and not written at the look that sees the damage, nor at the next.
+    // Damaged, and not written at the look that sees the damage, nor at the next one.
     wire.damaged.set(true);
     wire.count(b'1');
     out.look(&mut receiver);
@@ -349,7 +353,8 @@ fn a_byte_that_is_counted_and_not_written() {
     assert_eq!(out.text(), "abc#@@@\n");
 }
 
-/// One byte less than there are slots may wait, for however long; one more, and all are lost but the last stop, once told.
+/// One byte less than the number of slots may wait for any time. With one more, all are lost except the last stop, and
+/// the loss is reported once.
 #[test]
 fn a_full_buffer_and_a_lap() {
     for more in [0, 1, 2, SLOTS - 1, SLOTS, SLOTS + 1, 3 * SLOTS + 7] {
@@ -362,7 +367,7 @@ fn a_full_buffer_and_a_lap() {
                 out.0.clear();
                 let count = SLOTS - 1 + more;
                 let mut bytes = vec![b'x'; count];
-                // Counted from the newest: what has been overwritten is gone.
+                // `stop` counts from the newest byte: older bytes may have been overwritten.
                 if let Some(stop) = stop {
                     bytes[count - 1 - stop] = b'!';
                 }
@@ -378,7 +383,7 @@ fn a_full_buffer_and_a_lap() {
                 wire.come_all(b"y\nz\n");
                 out.look(&mut receiver);
                 assert_eq!(out.text(), if more == 0 { "y\nz\n" } else { "#y\nz\n" });
-                // As good as new.
+                // The reader works as before.
                 out.0.clear();
                 wire.come_all(&vec![b'v'; SLOTS - 1]);
                 out.look(&mut receiver);
@@ -388,8 +393,8 @@ fn a_full_buffer_and_a_lap() {
     }
 }
 
-/// Nobody takes the messages while bytes come without end: the oldest are lost, once told, but for what stops the machine; DMA never comes
-/// round, so no look has to empty all slots.
+/// The messages are not taken while bytes arrive without end: the oldest bytes are lost, except those that stop the
+/// machine, and the loss is reported once. DMA never laps the reader, so no look has to empty all slots.
 #[test]
 fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
     let (wire, mut receiver) = by_dma();
@@ -414,7 +419,7 @@ fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
     }
     let look = out.look(&mut receiver);
     assert!(look.stop, "the stop has waited for room");
-    // What has come first is in the message that could not be sent; what is behind the loss is all that came last.
+    // The first bytes are in the message that could not be sent; the bytes after the loss are all of the last ones.
     let (first, behind) = out.0.split_at(ReceivedBytes::MOST);
     assert_eq!(first, last[..ReceivedBytes::MOST].iter().copied().map(Some).collect::<Vec<_>>());
     assert_eq!(behind[0], None, "the loss is told");
@@ -422,7 +427,8 @@ fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
     assert!(last.ends_with(&behind) && behind[0] == b'!' && behind.len() == 301, "{} behind the loss", behind.len());
 }
 
-/// A stop is seen behind more text than there is room for, at once or within a few looks, and is called for until it is passed on.
+/// A stop is seen behind more text than there is room for, at once or within a few looks, and the task is called for it
+/// until it is passed on.
 #[test]
 fn a_stop_is_seen_behind_text_that_has_no_room() {
     for stop in [b'!', 0x18, 0x19, 0x84, 0x85] {
@@ -447,7 +453,7 @@ fn a_stop_is_seen_behind_text_that_has_no_room() {
     }
 }
 
-/// A byte that comes while a look waits for the last one to be counted hides no overrun.
+/// A byte that arrives while a look waits for the last one to be counted does not hide an overrun.
 #[test]
 fn a_lap_is_seen_when_another_byte_comes_meanwhile() {
     let (wire, mut receiver) = by_dma();
@@ -460,7 +466,8 @@ fn a_lap_is_seen_when_another_byte_comes_meanwhile() {
     assert_eq!(out.text(), "#end\n");
 }
 
-/// The step task may interrupt a look anywhere, and bytes come meanwhile: no slot that has one looks like an overrun.
+/// The step task may interrupt a look anywhere, and bytes arrive meanwhile: no slot with such a byte looks like an
+/// overrun.
 #[test]
 fn bytes_that_come_while_a_look_asks_where_it_is() {
     for counts in (0..81).map(|code| [code % 3, code / 3 % 3, code / 9 % 3, code / 27]) {
@@ -473,7 +480,7 @@ fn bytes_that_come_while_a_look_asks_where_it_is() {
     }
 }
 
-/// Of several stops that are overwritten, the one that does most is kept.
+/// Of several overwritten stops, the most severe one is kept.
 #[test]
 fn the_heaviest_stop_is_kept_behind_a_lap() {
     for (stops, kept) in [(&b"!\x85"[..], b'!'), (b"\x18!", 0x18), (b"!\x19\x84", 0x19), (b"\x85\x84!", 0x84)] {
@@ -486,7 +493,7 @@ fn the_heaviest_stop_is_kept_behind_a_lap() {
     }
 }
 
-/// A byte of a character looks like a door or the end of a jog, and may come twice: none of them goes.
+/// A byte of a UTF-8 character looks like a door or a jog cancel, and may occur twice: none is dropped.
 #[test]
 fn characters_come_whole() {
     let text = "(1億 充 ㅅ Ä)\n".as_bytes();
@@ -497,7 +504,8 @@ fn characters_come_whole() {
     assert_eq!(out.0, text.iter().copied().map(Some).collect::<Vec<_>>());
 }
 
-/// DMA comes round behind the check for that, and the newest byte is read as the oldest: the reader finds its place again.
+/// DMA laps the reader after the check for it, and the newest byte is read as the oldest: the reader recovers its
+/// position.
 #[test]
 fn a_lap_within_a_look_leaves_no_reader_waiting() {
     for late in 1..6 {
@@ -507,7 +515,7 @@ fn a_lap_within_a_look_leaves_no_reader_waiting() {
         wire.damaged.set(true);
         wire.at_clear.replace(vec![b'y'; late]);
         (0..40).for_each(|_| _ = out.look(&mut receiver));
-        // The next bytes show it, and are lost with what waits.
+        // The next bytes reveal the lap, and are lost with the waiting ones.
         wire.come_all(b"\n\n");
         out.look(&mut receiver);
         wire.come_all(b"end\n");
@@ -516,8 +524,8 @@ fn a_lap_within_a_look_leaves_no_reader_waiting() {
     }
 }
 
-/// Bytes come while the slots are emptied: they are lost as well, but for a stop; those that come when the last slot has been emptied
-/// are the first behind the loss.
+/// Bytes that arrive while the slots are emptied are lost, too, except a stop; bytes that arrive when the last slot has
+/// been emptied are the first after the loss.
 #[test]
 fn bytes_that_come_while_the_slots_are_emptied() {
     for (first, last, expected) in [
@@ -531,7 +539,8 @@ fn bytes_that_come_while_the_slots_are_emptied() {
         let (wire, mut receiver) = by_dma();
         let mut out = Out::default();
         wire.come_all(&vec![b'x'; SLOTS + 5]);
-        // The place is asked for by the look, twice once the last byte has settled, and then when the first slot is emptied and the last.
+        // `place` is called by the look, twice after the last byte has settled, and then when the first and the last
+        // slot are emptied.
         wire.at_place.replace([b"", b"", b"", first, last].map(Vec::from).into());
         out.look(&mut receiver);
         wire.come_all(b"end\n");
@@ -540,14 +549,14 @@ fn bytes_that_come_while_the_slots_are_emptied() {
     }
 }
 
-/// The last byte is written and about to be counted: no slot is free at that moment, and nothing is lost.
+/// The last byte is written and about to be counted: no slot is free at this time, and nothing is lost.
 #[test]
 fn a_byte_that_is_about_to_be_counted() {
     let (wire, mut receiver) = by_dma();
     let mut out = Out::default();
     let place = wire.place.get();
     wire.buffer[place].store(u16::from(b'a'), Ordering::Relaxed);
-    // It is counted while the look waits for it.
+    // The byte is counted while the look waits for it.
     wire.at_settle.replace(b"a".to_vec());
     out.glance(&mut receiver, &mut 0);
     out.look(&mut receiver);
@@ -573,14 +582,14 @@ fn what_is_to_be_called_for() {
         (b"01234567890123456789012345678901", Look { news: true, ..Look::default() }),
         (b"!", Look { news: true, stop: true, ..Look::default() }),
         (b"\x18", Look { news: true, stop: true, ..Look::default() }),
-        // The same again says nothing new.
+        // The same byte again is not a new stop.
         (b"\x18", Look { news: true, ..Look::default() }),
     ] {
         wire.come_all(bytes);
         assert_eq!(out.look(&mut receiver), look, "{bytes:?}");
         assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
     }
-    // What has no room stays, and is called for again: a stop at once.
+    // Bytes without room stay, and the task is called for them again: for a stop at once.
     out.0.clear();
     wire.come_all(b"?G1X1\n!\n");
     out.glance(&mut receiver, &mut 0);
@@ -588,7 +597,7 @@ fn what_is_to_be_called_for() {
     assert_eq!(out.glance(&mut receiver, &mut 0), Look { news: true, stop: true, waits: true });
     out.pass_on(&mut receiver, &mut room, true);
     assert_eq!((out.glance(&mut receiver, &mut room), out.text().as_str()), (Look::default(), "?G1X1\n!\n"));
-    // A flood of the same: once for each call, however often it is passed on.
+    // A flood of the same command: passed on once per call, however often `pass_on` runs.
     out.0.clear();
     for calls in [false, false, true, false, true] {
         wire.come_all(&[b'?'; AT_A_TIME / 2]);
@@ -596,7 +605,7 @@ fn what_is_to_be_called_for() {
         out.pass_on(&mut receiver, &mut room, calls);
     }
     assert_eq!(out.text(), "??");
-    // A look reads few bytes, and the rest is called for.
+    // A look reads few bytes, and the task is called for the rest.
     out.0.clear();
     wire.come_all(&[b'x'; 100]);
     out.glance(&mut receiver, &mut room);
@@ -605,7 +614,7 @@ fn what_is_to_be_called_for() {
     assert!(out.glance(&mut receiver, &mut room).news);
 }
 
-/// A UART without DMA: its interrupt puts bytes into the slots, as long as there are any.
+/// A UART without DMA: its interrupt puts bytes into the slots while there are any.
 struct Interrupt(Cell<usize>);
 
 impl ByteSource for Interrupt {
@@ -645,11 +654,11 @@ fn an_interrupt_fills_the_slots() {
         assert_eq!((out.text().as_str(), receiver.source().0.get()), ("G1X1\n", 0), "it begins anew");
         out.0.clear();
     }
-    // Nobody reads for long: text finds no room, what stops the machine does, and what comes behind says that something is missing.
+    // The bytes are not read for long: text finds no room, a stop does, and the byte after it marks the loss.
     let kept = (0..2 * SLOTS).filter(|_| put(&mut receiver, b'x')).count();
     assert!(put(&mut receiver, b'!'));
     assert!(!put(&mut receiver, b'y') && kept < SLOTS);
-    // A look reads fewer than by DMA.
+    // A look reads fewer bytes than with DMA.
     let looks = (0..SLOTS).filter(|_| out.look(&mut receiver).stop).count();
     assert!(looks > 0);
     assert_eq!(out.text(), format!("{}#!", "x".repeat(kept)));
@@ -659,7 +668,7 @@ fn an_interrupt_fills_the_slots() {
     assert_eq!(out.text(), "#z");
 }
 
-/// At once, and then not again for as many samples as there are in 500 us.
+/// The task is called at once, and then not again for the number of samples in 500 us.
 #[test]
 fn the_serial_task_is_called_in_time_and_not_too_often() {
     let mut calls = Calls::new();

@@ -1,27 +1,27 @@
-//! What a build must know of a board's image, for build scripts and for `xtask`. `BOARDS` lists the boards, `chip`
-//! gives each one's linker script, `profile` and `SMALL` the cargo profile.
+//! Facts about the boards' images, for build scripts and `xtask`: the list of boards, each one's linker script and
+//! cargo profile.
 //!
-//! Linker arguments come from here and not from `rustflags`: a `RUSTFLAGS` in someone's environment replaces those
-//! silently, and the image would be empty.
+//! Linker arguments are set here and not by `rustflags`: a `RUSTFLAGS` in the environment would silently replace those,
+//! and the image would be empty.
 
 use std::{env, fs, path::PathBuf};
 
-/// Every board; each is also a feature of the packages that end in an image.
+/// All boards. Each is also a feature of the packages that link an image.
 pub const BOARDS: [&str; 6] =
     ["blackpill_f411", "blackpill_f401", "nucleo_f446re", "nucleo_f411re", "nucleo_f401re", "qemu_mps2"];
 
-/// Boards whose flash holds only an image that is built for size.
+/// Boards whose flash is too small for an image built for speed: theirs is built for size.
 pub const SMALL: [&str; 1] = ["blackpill_f401"];
 
-/// The profile that compiles for speed.
+/// The cargo profile that compiles for speed.
 pub const FAST: &str = "firmware";
 
-/// The cargo profile of a board's image.
+/// Returns the cargo profile of a board's image.
 pub fn profile(board: &str) -> &'static str {
     if SMALL.contains(&board) { "firmware-small" } else { FAST }
 }
 
-/// The memory of a board's chip, as the linker takes it under the name `chip.x`.
+/// Returns the linker script `chip.x` of a board's chip, or `None` for an unknown board.
 pub fn chip(board: &str) -> Option<&'static str> {
     Some(match board {
         "blackpill_f411" => include_str!("chips/blackpill_f411.x"),
@@ -34,9 +34,10 @@ pub fn chip(board: &str) -> Option<&'static str> {
     })
 }
 
-/// For a build script: puts the linker scripts of the chosen board on the linker's search path and asks for them. `kinds` are
-/// the kinds of target in `cargo:rustc-link-arg-KIND`. The plan itself, `memory.x`, is in the workspace's folder, where the linker
-/// runs and finds it first; the copy is for a workspace that is made of packages.
+/// For build scripts: writes the linker scripts of the chosen board into the linker's search path and passes them to
+/// the linker. `kinds` are the kinds of target in `cargo:rustc-link-arg-KIND`, `stack_kib` is the stack size in KiB. In
+/// this workspace the linker runs in the workspace's folder and finds the original `memory.x` there first; the copy
+/// written here is for a workspace that is made of packages.
 pub fn link(kinds: &[&str], stack_kib: u32) {
     println!("cargo:rerun-if-changed=build.rs");
     if env::var("CARGO_CFG_TARGET_OS").as_deref() != Ok("none") {

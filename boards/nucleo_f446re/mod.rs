@@ -1,32 +1,31 @@
-//! ST Nucleo-64 with STM32F446RE and an Arduino CNC shield v3, core at 180 MHz. Only this chip's numbers and clocks are
-//! here: `PROFILE`, `AXES`, `BLOCKS`, `RECORDING_PAGES`, `RUN_CYCLES`, `CORE_HZ`; `setup` and the pins are in
-//! `boards/nucleo64.rs`. Compare with the user manual (UM1724) and with the print on your shield before you switch the
-//! motors' supply on.
+//! ST Nucleo-64 with STM32F446RE and an Arduino CNC shield v3, core at 180 MHz. This file has only the numbers of this
+//! chip; `setup` and the pins are in `boards/nucleo64.rs`. Compare the pins with the user manual (UM1724) and with the
+//! print on your shield before you switch on the motors' supply.
 //!
 #![doc = include_str!("../nucleo64.md")]
 //!
-//! The clock comes from the ST-LINK (MCO, 8 MHz): bypass mode. 180 MHz core, 90 MHz step clock. In reset all pins float: spindle,
-//! laser and coolant need pull-down resistors, driver enable a pull-up.
+//! The clock comes from the ST-LINK (MCO, 8 MHz; bypass mode). The core runs at 180 MHz, the step clock at 90 MHz.
+//! All pins float during reset: spindle, laser and coolant need pull-down resistors, driver enable a pull-up.
 
 use crate::{nucleo64, profiles};
 use oxmill_controller::Profile;
 
 pub use crate::nucleo64::*;
 
-/// The row of this board.
+/// The profile of this board.
 pub const PROFILE: Profile = crate::profile(&profiles::NUCLEO_F446RE, true);
 /// Axes that have pins.
 pub const AXES: usize = profiles::NUCLEO_F446RE.axes;
-/// Depth of the look-ahead.
+/// Depth of the look-ahead, in blocks.
 pub const BLOCKS: usize = profiles::NUCLEO_F446RE.blocks;
-/// Pages of 256 bytes for the recording of what comes in.
+/// Pages of 256 bytes for the recording of inputs and received bytes.
 pub const RECORDING_PAGES: usize = profiles::NUCLEO_F446RE.recording_pages;
-/// More cycles than the longest run of the step task takes.
+/// Upper bound, in cycles, of a run of the step task that generates events.
 pub const RUN_CYCLES: u32 = profiles::NUCLEO_F446RE.run_cycles;
 /// Clock of the processor and of SysTick.
 pub const CORE_HZ: u32 = profiles::NUCLEO_F446RE.core_hz;
 
-/// Clocks, pins and timers; outputs are off.
+/// Sets up clocks, pins and timers; all outputs are off.
 pub fn setup(device: pac::Peripherals, low_voltage: fn() -> !) -> Parts {
     nucleo64::setup(device, CORE_HZ, low_voltage)
 }

@@ -1,27 +1,26 @@
-//! `SettingsFlash` where QEMU has none: RAM at `_settings_start`, the place that the linker script keeps free, which
-//! behaves as flash does. A `Sector` has `SECTOR_BYTES`, words are written once (`NotErased`), and `erase` fills with
-//! `ERASED`. A reset leaves it as it is, as it would flash; switching QEMU off does not.
+//! Emulates the settings flash, which this machine lacks: RAM at `_settings_start`, which the linker script reserves.
+//! It behaves like flash: a word can be written only once after an erase. It survives a reset, but not the end of QEMU.
 
 use oxmill_store::{Flash, Sector};
 
-/// Bytes of a sector, as on the STM32 boards.
+/// Bytes of a sector, the same as on the STM32 boards.
 const SECTOR_BYTES: u32 = 16 * 1024;
 const ERASED: u32 = u32::MAX;
 
-/// A word was to be written that is not erased.
+/// Error: the word to be written is not erased.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotErased;
 
-/// The two sectors.
+/// The two settings sectors.
 pub struct SettingsFlash(());
 
 unsafe extern "C" {
-    /// Where the settings sectors begin, from the linker script.
+    /// Start of the settings sectors, from the linker script.
     static mut _settings_start: u32;
 }
 
 impl SettingsFlash {
-    /// The sectors that the linker script keeps free.
+    /// Returns access to the sectors that the linker script reserves.
     #[allow(clippy::new_without_default, reason = "there is one, and the board makes it")]
     pub fn new() -> SettingsFlash {
         SettingsFlash(())
@@ -42,8 +41,8 @@ impl Flash for SettingsFlash {
     }
 
     fn read(&mut self, sector: Sector, address: u32) -> Result<u32, NotErased> {
-        // SAFETY: unsafe because a raw address is read; safe because it is aligned and lies in RAM that no section of the
-        // program uses.
+        // SAFETY: unsafe because a raw address is read; safe because it is aligned and lies in RAM that no section of
+        // the program uses.
         Ok(unsafe { Self::at(sector, address).read_volatile() })
     }
 

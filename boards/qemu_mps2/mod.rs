@@ -1,5 +1,5 @@
-//! QEMU's `mps2-an386`: a Cortex-M4F with UARTs and timers and without GPIO. Steps are not written to pins but added to
-//! a digest; a second UART reports it. A job, or a script that plays the host, is preloaded in PSRAM.
+//! QEMU's `mps2-an386`: a Cortex-M4F with UARTs and timers, but without GPIO. Steps are not written to pins, but added
+//! to a digest, which a second UART reports. PSRAM may be preloaded with a job, or with a script that plays the host.
 //!
 //! ```text
 //!   ┌───────────────────────────────────────────────────┐
@@ -8,23 +8,24 @@
 //!   │          `s`: the stack; `R` resets the machine;  │
 //!   │          `P` `F` `C` `H`: panic, fault, control   │
 //!   │          hangs, everything hangs                  │
-//!   │ TIMER0 ─ the next event, calls at a moment        │
+//!   │ TIMER0 ─ the next event, calls at a set time      │
 //!   │ TIMER1 ─ step clock and time, 25 MHz              │
 //!   │ SysTick  sampling of inputs (there are none)      │
 //!   │ SSRAM    in place of flash, settings sectors too  │
-//!   │ PSRAM 0x2100_0000  "JOB!", length, text: optional │
+//!   │ PSRAM 0x2100_0000, optional, one of:              │
+//!   │                    "JOB!", length, text           │
 //!   │                    "HOST", length, script         │
 //!   │                    "BUSY": never asleep           │
 //!   └───────────────────────────────────────────────────┘
 //! ```
-//! A job that QEMU's loader has put into PSRAM runs without the UART: its bytes are always there when the controller
-//! wants one, so the step stream is the same in every run. At its end the report goes to UART1 and QEMU ends. A script
-//! there takes the place of a host at UART0 (see `script`).
+//! A job that QEMU's loader has put into PSRAM runs without the UART. Its bytes are available whenever the controller
+//! reads one, so the step stream is the same in every run. At the end of the job, UART1 sends the report and QEMU
+//! exits. A script in PSRAM replaces the host at UART0 (see `script`).
 //!
-//! With counted instructions (`-icount`), virtual time follows the host's clock only while the processor sleeps: if it
-//! never does, whatever holds QEMU up, no time goes by without the instructions that belong to it.
+//! With counted instructions (`-icount`), virtual time follows the host's clock only while the processor sleeps. If it
+//! never sleeps ("BUSY"), virtual time depends on the executed instructions alone, even if the host delays QEMU.
 //!
-//! Everything with an address here is QEMU's: <https://www.qemu.org/docs/master/system/arm/mps2.html>, ARM DAI 0386.
+//! Source of all addresses: <https://www.qemu.org/docs/master/system/arm/mps2.html>, ARM DAI 0386.
 
 use core::cell::RefCell;
 use core::fmt::Write;
@@ -39,33 +40,34 @@ pub use mps2_pac as pac;
 use crate::uart_receiver::Look;
 use crate::{Due, Free, Incoming, NoPort, Port, SecondMotor, SlowLevels, StepOutput, Undone, profiles, stack};
 
-/// There is none.
+/// None: the machine has no USB.
 pub type UsbPort = NoPort;
 
 mod flash;
 mod script;
 pub use flash::SettingsFlash;
 
-/// The row of this board.
+/// The profile of this board.
 pub const PROFILE: Profile = crate::profile(&profiles::QEMU_MPS2, false);
-/// Axes that are counted.
+/// Axes whose steps are counted.
 pub const AXES: usize = profiles::QEMU_MPS2.axes;
-/// Depth of the look-ahead.
+/// Depth of the look-ahead, in blocks.
 pub const BLOCKS: usize = profiles::QEMU_MPS2.blocks;
-/// Pages of 256 bytes for the recording of what comes in.
+/// Pages of 256 bytes for the recording of inputs and received bytes.
 pub const RECORDING_PAGES: usize = profiles::QEMU_MPS2.recording_pages;
-/// More cycles than the longest run of the step task takes.
+/// Upper bound, in cycles, of a run of the step task that generates events.
 pub const RUN_CYCLES: u32 = profiles::QEMU_MPS2.run_cycles;
-/// The clock is the step clock.
+/// Ticks of [`clock_ticks`] in a microsecond. The clock is the step clock.
 pub const CLOCK_TICKS_PER_US: u32 = 25;
 /// Clock of SysTick.
 pub const CORE_HZ: u32 = 25_000_000;
-/// Samples of the inputs in a second: there are none, only the alarm clock of `control`, and each costs the host time.
+/// Samples per second. There are no inputs: the samples only drive the alarm clock of `control`, and each costs the
+/// host time.
 pub const SAMPLE_HZ: u32 = 2_000;
-/// The interrupt is the watchdog's.
+/// The non-maskable interrupt belongs to the watchdog.
 pub const WATCHES_CLOCK: bool = false;
 
-/// What `setup` deals out.
+/// What `setup` returns, one part for each task.
 pub struct Parts {
     /// For `step`.
     pub step_pins: StepPins,
@@ -85,7 +87,7 @@ pub struct Parts {
     pub watchdog: Watchdog,
 }
 
-/// The vectors of the tasks, as literals: RTIC reads them before any constant or `cfg` is known.
+/// The vectors of the tasks, as literals: RTIC expands them before constants and `cfg` are evaluated.
 #[macro_export]
 macro_rules! vectors {
     ($app:ident) => {
@@ -98,26 +100,26 @@ pub fn call_serial() {
     NVIC::pend(Interrupt::UART0_RX);
 }
 
-/// What the task of the inputs has of the UART: nothing, as the serial task receives by itself.
+/// The UART's receiver for the task of the inputs. It has no function, as the serial task reads the UART itself.
 pub struct UartInput;
 
 impl UartInput {
-    /// QEMU offers bytes at any rate.
+    /// Does nothing: QEMU delivers bytes at any rate.
     pub fn start(&mut self, _baud: u32) {}
 
-    /// Nothing waits here.
+    /// Does nothing: the serial task reads the UART itself.
     pub fn look(&mut self) -> Look {
         Look::default()
     }
 
-    /// Nothing waits here.
+    /// Does nothing: the serial task reads the UART itself.
     pub fn pass_on(&mut self, _calls: bool) {}
 }
 
-/// No rate is set.
+/// Default baud rate, without effect in QEMU.
 pub const USUAL_BAUD: u32 = 115_200;
 
-/// Starts timers and UARTs. There is no supply to watch.
+/// Starts timers and UARTs. `_low_voltage` is never called: there is no supply to monitor.
 pub fn setup(mut device: pac::Peripherals, _low_voltage: fn() -> !) -> Parts {
     device.UART0.set_divider(16);
     device
@@ -147,7 +149,8 @@ pub fn setup(mut device: pac::Peripherals, _low_voltage: fn() -> !) -> Parts {
     }
 }
 
-/// The sender has become free. It has a vector of its own; the serial task lives in the receiver's.
+/// Interrupt: the sender has become free. It has its own vector and calls the serial task, which is bound to the
+/// receiver's.
 #[allow(non_snake_case, reason = "the name of the vector")]
 #[unsafe(no_mangle)]
 // unsafe because the linker takes the name on trust; safe because it is the vector's, and the signature fits.
@@ -159,7 +162,7 @@ extern "C" fn UART0_TX() {
     NVIC::pend(Interrupt::UART0_RX);
 }
 
-/// Ticks of the step clock, wrapping.
+/// Returns the ticks of the step clock, wrapping.
 #[inline(always)]
 pub fn clock_ticks() -> u32 {
     // SAFETY: unsafe because the timer is read without owning it; safe because reading VALUE has no effect.
@@ -171,7 +174,7 @@ pub fn call_step() {
     NVIC::pend(Interrupt::TIMER0);
 }
 
-/// What the step task has done, for the test stand.
+/// Steps so far, for the report to the test stand.
 struct Record {
     digest: Digest,
     /// Step-clock ticks for which the step task has been busy.
@@ -182,7 +185,7 @@ struct Record {
 static RECORD: Mutex<RefCell<Record>> =
     Mutex::new(RefCell::new(Record { digest: Digest::new(), busy: 0, net: [0; AXES] }));
 
-/// Event that has been committed: its steps and directions, its moment, and the time that passes after it.
+/// A committed event: its steps and directions, its time, and the time from it to the next tick of the stepper.
 #[derive(Clone, Copy)]
 struct Pending {
     steps: u8,
@@ -191,21 +194,21 @@ struct Pending {
     passes: u32,
 }
 
-/// Step and direction outputs that end in the [`Digest`], one event at a time; three moments on one timer, which is set for the
-/// nearest.
+/// Step and direction outputs that go into the [`Digest`], one event at a time. One timer serves three scheduled times:
+/// it is set to the nearest.
 pub struct StepPins {
     timer: Timer0,
-    /// Of the event, and of the calls.
+    /// Scheduled times: of the event, and of the calls `MORE` and `MARK`.
     moments: [Option<u32>; 3],
     pending: Option<Pending>,
     begun: bool,
     directions: u8,
-    /// Where the next event is put together.
+    /// Buffers for the next event: its word and its time.
     word: [u32; 1],
     moment: [u32; 1],
 }
 
-/// An event holds its steps.
+/// The word of an event is the combination of its steps.
 const STEPS: [u32; crate::COMBINATIONS] = [0, 1, 2, 3, 4, 5, 6, 7];
 
 impl StepPins {
@@ -232,13 +235,13 @@ impl StepPins {
             NVIC::pend(Interrupt::TIMER0);
             return;
         }
-        // A reload value keeps the timer going, so that a moment missed by rounding is looked at again soon.
+        // The reload value keeps the timer running, so that a time missed by rounding is checked again soon.
         self.timer.set_reload(CORE_HZ / 1_000);
         self.timer.set_value(nearest);
         self.timer.set_control(Timer0::ENABLE | Timer0::INTERRUPT_ENABLE);
     }
 
-    /// The event comes out.
+    /// Outputs the pending event: adds it to the record.
     fn put_out(&mut self) {
         let Some(Pending { steps, directions, passes, .. }) = self.pending.take() else { return };
         critical_section::with(|cs| {
@@ -284,7 +287,7 @@ impl StepOutput<AXES> for StepPins {
         self.set(Self::MORE, Some(moment));
     }
 
-    /// Power is not recorded.
+    /// Schedules `MARK`; power is not recorded.
     fn mark_at(&mut self, moment: u32, _power: Option<u16>) {
         self.set(Self::MARK, Some(moment));
     }
@@ -356,32 +359,32 @@ impl StepOutput<AXES> for StepPins {
         undone
     }
 
-    /// Polarity is a matter of pins.
+    /// Does nothing: there are no pins.
     fn set_polarity(&mut self, _step_invert: u8, _direction_invert: u8, _second: SecondMotor) {}
 
-    /// So is the length of a pulse.
+    /// Does nothing: there are no pins.
     fn set_pulse(&mut self, _tenths: u16) {}
 
-    /// There is no PWM.
+    /// Does nothing: there is no PWM.
     fn set_pwm(&mut self, _hz: u32, _power: u16) {}
 
-    /// Not recorded.
+    /// Does nothing: power is not recorded.
     fn set_power(&mut self, _power: u16) {}
 
-    /// There is no probe.
+    /// Returns false: there is no probe.
     fn probe_low(&self) -> bool {
         false
     }
 }
 
-/// UART0.
+/// UART0, the link to the host.
 pub struct SerialPort(Uart0);
 
 impl Port for SerialPort {
-    /// QEMU offers no byte before the last one has been fetched.
+    /// QEMU delivers no byte before the last one has been fetched.
     const WAITS: bool = true;
 
-    /// The next byte, if one has come.
+    /// Fetches the next byte from the script or the UART, if any.
     fn receive(&mut self) -> Incoming {
         self.0.clear_interrupts(Uart0::RX_INTERRUPT);
         if let Some(byte) = script::receive() {
@@ -390,8 +393,8 @@ impl Port for SerialPort {
         if self.0.state() & Uart0::RX_FULL != 0 { Incoming::Byte(self.0.data() as u8) } else { Incoming::Nothing }
     }
 
-    /// A byte may wait unfetched: without this its interrupt would come again for ever. [`SerialPort::receive`] looks at
-    /// the register itself and finds it later.
+    /// If there is no space, a byte may stay unfetched: without this its interrupt would recur forever.
+    /// [`SerialPort::receive`] checks the data register itself and finds the byte later.
     fn allow(&mut self, room: usize) {
         if room == 0 {
             self.0.clear_interrupts(Uart0::RX_INTERRUPT);
@@ -408,53 +411,53 @@ impl Port for SerialPort {
         free
     }
 
-    /// The interrupt comes after every byte sent, wanted or not.
+    /// Does nothing: the interrupt occurs after every byte sent, wanted or not.
     fn call_when_free(&mut self, _wanted: bool) {}
 }
 
-/// No pins: nothing is active.
+/// Input pins: there are none, nothing is active.
 pub struct InputPins;
 
 impl InputPins {
-    /// Which pins are low: none.
+    /// Returns which pins are low: none.
     pub fn read(&mut self) -> u32 {
         0
     }
 
-    /// Which pins there are: none.
+    /// Returns which pins exist: none.
     pub fn fitted(&self) -> u32 {
         0
     }
 
-    /// There are no resistors.
+    /// Does nothing: there are no resistors.
     pub fn set_pulls(&mut self, _none: u32, _down: u32) {}
 }
 
-/// No pins.
+/// Slow outputs: there are none.
 pub struct SlowPins;
 
 impl SlowPins {
-    /// There is nothing to write to.
+    /// Does nothing.
     pub fn write(&mut self, _levels: SlowLevels) {}
 }
 
-/// There are no pins to make safe.
+/// Does nothing: there are no pins to make safe.
 pub fn safe_state() {}
 
-/// Where a preloaded job lies: a mark, a length, and the text.
+/// Address of preloaded data in PSRAM: a mark, a length, and the text of a job or script.
 const JOB: usize = 0x2100_0000;
 const JOB_MARK: u32 = u32::from_le_bytes(*b"JOB!");
 const SCRIPT_MARK: u32 = u32::from_le_bytes(*b"HOST");
 const BUSY_MARK: u32 = u32::from_le_bytes(*b"BUSY");
-/// What PSRAM can hold behind the two words.
+/// Maximum length: the rest of PSRAM after mark and length.
 const JOB_MAXIMUM: usize = 16 * 1024 * 1024 - 8;
 
-/// The job in PSRAM, if there is one.
+/// Returns the job in PSRAM, if there is one.
 pub fn preloaded_job() -> Option<&'static [u8]> {
     preloaded(JOB_MARK)
 }
 
-/// What lies in PSRAM with this mark.
+/// Returns the data in PSRAM if they have this mark.
 fn preloaded(mark: u32) -> Option<&'static [u8]> {
     if !is_marked(mark) {
         return None;
@@ -466,7 +469,7 @@ fn preloaded(mark: u32) -> Option<&'static [u8]> {
     }
 }
 
-/// Whether PSRAM begins with this mark.
+/// Returns whether PSRAM begins with this mark.
 fn is_marked(mark: u32) -> bool {
     // SAFETY: unsafe because raw memory is read; safe because PSRAM exists on this machine, is outside every section of
     // the program, and nothing writes to it after the reset.
@@ -475,7 +478,7 @@ fn is_marked(mark: u32) -> bool {
 
 static REPORTER: Mutex<RefCell<Option<Uart1>>> = Mutex::new(RefCell::new(None));
 
-/// Sends text, waiting for each byte.
+/// Sends text on UART1, waiting for each byte.
 struct Reporter(Uart1);
 
 impl Write for Reporter {
@@ -488,7 +491,7 @@ impl Write for Reporter {
     }
 }
 
-/// Tells the test stand what the step task has done so far.
+/// Sends the report of the steps so far to the test stand.
 fn send_record() {
     let (digest, busy, net) = critical_section::with(|cs| {
         let record = RECORD.borrow_ref(cs);
@@ -508,17 +511,19 @@ fn send(text: core::fmt::Arguments<'_>) {
     critical_section::with(|cs| REPORTER.borrow(cs).replace(Some(reporter.0)));
 }
 
+/// The preloaded job has ended.
 static DONE: AtomicBool = AtomicBool::new(false);
 
-/// The preloaded job has come to its end: `idle` sends the report and ends QEMU.
+/// Call at the end of the preloaded job: `idle` then sends the report and exits QEMU.
 pub fn job_done() {
     DONE.store(true, Ordering::Relaxed);
 }
 
-/// The host inside the machine, for [`idle`] alone.
+/// The script that plays the host; used by [`idle`] only.
 static SCRIPT: Mutex<RefCell<Option<script::Script>>> = Mutex::new(RefCell::new(None));
 
-/// What to do while nothing else is to be done.
+/// Runs when no task runs: advances the script, ends QEMU after a preloaded job, answers the test stand, and sleeps
+/// until the next interrupt.
 pub fn idle() {
     follow_script();
     if DONE.load(Ordering::Relaxed) {
@@ -541,7 +546,7 @@ pub fn idle() {
     }
 }
 
-/// Lets the host inside the machine do what it can.
+/// Advances the script as far as possible and sends its marks and notes to the test stand.
 fn follow_script() {
     let Some(mut script) = critical_section::with(|cs| SCRIPT.borrow_ref_mut(cs).take()) else { return };
     loop {
@@ -562,26 +567,27 @@ fn follow_script() {
     critical_section::with(|cs| SCRIPT.borrow(cs).replace(Some(script)));
 }
 
-/// The watchdog of the CMSDK: its first expiry is an interrupt that cannot be masked, the second resets.
+/// The CMSDK watchdog: its first expiry raises the non-maskable interrupt, the second resets.
 pub struct Watchdog(mps2_pac::Watchdog);
 
-/// Ticks until it expires: 5 s. Virtual time may leap when the host holds QEMU up, so this is generous.
+/// Ticks until the watchdog expires: 5 s. Generous, because virtual time may jump when the host delays QEMU.
 const WATCHDOG_TICKS: u32 = 5 * 25_000_000;
 
 impl Watchdog {
-    /// From here on it wants to be fed.
+    /// Starts the watchdog: from now on it must be fed.
     pub fn start(&mut self) {
         self.0.set_reload(WATCHDOG_TICKS);
         self.0.set_control(mps2_pac::Watchdog::INTERRUPT_ENABLE | mps2_pac::Watchdog::RESET_ENABLE);
     }
 
-    /// Feeds it.
+    /// Restarts the timeout.
     pub fn feed(&mut self) {
         self.0.clear(1);
     }
 }
 
-/// What QEMU does not say: a reset that no task asked for is the watchdog's. Start-up code leaves this word alone.
+/// State of the program across a reset, as QEMU does not report the cause of a reset: if it is not `ASKED`, the reset
+/// was the watchdog's. Start-up code does not initialize this word.
 #[unsafe(link_section = ".uninit.ALIVE")]
 // unsafe because the linker takes the section on trust; safe because every bit pattern is a number.
 static mut ALIVE: core::mem::MaybeUninit<u32> = core::mem::MaybeUninit::uninit();
@@ -593,7 +599,7 @@ fn set_alive(word: u32) {
     unsafe { (&raw mut ALIVE).cast::<u32>().write_volatile(word) }
 }
 
-/// Why the processor was reset.
+/// Returns the cause of the last reset, and marks the program as running.
 pub fn reset_cause() -> ResetCause {
     // SAFETY: unsafe because memory is read that may never have been written; safe because it is read as a number.
     let word = unsafe { (&raw const ALIVE).cast::<u32>().read_volatile() };
@@ -610,10 +616,11 @@ fn reset() -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// The test stand has asked for a failure.
+/// The test stand has requested a failure.
 static WANTED: AtomicBool = AtomicBool::new(false);
 
-/// The firmware has failed: says why and ends QEMU with a status of its own, unless the test stand wanted it so.
+/// Ends the program after a failure: prints `why` and exits QEMU with status 101. Resets instead if the test stand
+/// requested the failure.
 pub fn restart(why: core::fmt::Arguments<'_>) -> ! {
     if WANTED.load(Ordering::Relaxed) {
         reset()
@@ -622,14 +629,14 @@ pub fn restart(why: core::fmt::Arguments<'_>) -> ! {
     semihosting::process::exit(101)
 }
 
-/// Fails in one of the ways that firmware can fail in.
+/// Makes the firmware fail in one of four ways: `P` panic, `F` fault, `C` the control task hangs, `H` everything hangs.
 fn fail(way: u8) {
     WANTED.store(true, Ordering::Relaxed);
     match way {
         b'P' => panic!("wanted by the [test stand]"),
         b'F' => cortex_m::asm::udf(),
         b'C' => {
-            // Nothing of the lowest priority runs any more; the others do.
+            // Tasks of the lowest priority stop; the others continue.
             // SAFETY: unsafe because it may break critical sections; safe because the program is to end.
             unsafe { cortex_m::register::basepri::write(hardware_priority(1)) };
             loop {
@@ -645,7 +652,7 @@ fn fail(way: u8) {
     }
 }
 
-/// A priority of RTIC as the interrupt controller has it.
+/// Converts a priority of RTIC to that of the interrupt controller.
 const fn hardware_priority(logical: u8) -> u8 {
     ((1 << pac::NVIC_PRIO_BITS) - logical) << (8 - pac::NVIC_PRIO_BITS)
 }

@@ -1,21 +1,21 @@
-//! A host inside the machine: it plays a `Script` from PSRAM that says what is sent to the firmware, and what has to be
-//! waited for in virtual time: answers, a delay, or a report that says Idle.
+//! A host inside the machine: executes a `Script` from PSRAM, which defines the bytes to send to the firmware and the
+//! conditions to wait for in virtual time: answers, a delay, or an Idle status report.
 //!
-//! A host outside lives in real time, and where the machine is when its byte arrives depends on what else the processor
-//! does. This one sends its bytes at the same instruction in every run. It looks at the board whenever nothing else is to
-//! be done, at least at every SysTick.
+//! With a host outside the machine, which runs in real time, the machine's state when a byte arrives would vary between
+//! runs. This host sends its bytes at the same instruction in every run. It checks its conditions whenever the
+//! processor is idle, at least at every SysTick.
 //!
 //! | code | operands (little-endian) | |
 //! |---|---|---|
-//! | `S` | length `u16`, bytes | sends all of them at once |
-//! | `A` | count `u32` | waits for so many answers (`ok`, `error:`) since the last `R`, at most two minutes |
+//! | `S` | length `u16`, bytes | sends all bytes at once |
+//! | `A` | count `u32` | waits for `count` answers (`ok`, `error:`) since the last `R` or `N`, at most two minutes |
 //! | `W` | milliseconds `u32` | waits |
-//! | `I` | milliseconds `u32` | asks `?` with pauses of so much until the answer is `<Idle`, at most 4000 times |
-//! | `R` | | a record ends: tells the test stand how many bytes have been said so far |
-//! | `N` | | a record ends: tells that, the machine time, the steps of the motors and the stack |
-//! | `E` | milliseconds `u32` | the script ends here if the machine has run for so long |
+//! | `I` | milliseconds `u32` | sends `?`, pausing in between, until the answer is `<Idle`, at most 4000 times |
+//! | `R` | | ends a record: reports the number of bytes that the firmware has sent so far to the test stand |
+//! | `N` | | ends a record: reports that number, the machine time, the motors' steps and the stack |
+//! | `E` | milliseconds `u32` | ends the script if the machine has run for at least this time |
 //!
-//! At its end the report of the test stand follows, and QEMU ends.
+//! At the end of the script, the test stand's report is sent and QEMU exits.
 
 use super::clock_ticks;
 use core::cell::{Cell, RefCell};
@@ -25,17 +25,17 @@ use mps2_pac::Interrupt;
 
 /// Ticks of the step clock in a millisecond.
 const TICKS_PER_MS: u32 = 25_000;
-/// Longest wait for answers.
+/// Timeout of a wait for answers.
 const PATIENCE: u32 = 120_000 * TICKS_PER_MS;
-/// Most questions in a wait for Idle.
+/// Maximum number of `?` in a wait for Idle.
 const MOST_QUESTIONS: u32 = 4_000;
-/// Bytes of a line's beginning that tell what it is.
+/// Length of a line's beginning that identifies its kind.
 const HEAD: usize = 6;
 
-/// Bytes that wait to be received.
+/// Bytes of the script that the firmware has not received yet.
 static WAITING: Mutex<Cell<&'static [u8]>> = Mutex::new(Cell::new(&[]));
 
-/// The next byte that the script sends.
+/// Takes the next byte from the script.
 pub fn receive() -> Option<u8> {
     critical_section::with(|cs| {
         let waiting = WAITING.borrow(cs);
@@ -50,20 +50,25 @@ fn send(bytes: &'static [u8]) {
     NVIC::pend(Interrupt::UART0_RX);
 }
 
-/// What the firmware has said.
+/// What the firmware has sent.
 struct Said {
     bytes: u32,
+    /// Beginning of the present line.
     head: [u8; HEAD],
+    /// Length of the present line.
     length: usize,
+    /// Number of `ok` and `error:`.
     answers: u32,
+    /// Number of status reports.
     reports: u32,
+    /// The last status report said Idle.
     idle: bool,
 }
 
 static SAID: Mutex<RefCell<Said>> =
     Mutex::new(RefCell::new(Said { bytes: 0, head: [0; HEAD], length: 0, answers: 0, reports: 0, idle: false }));
 
-/// A byte that the firmware says.
+/// Call for each byte that the firmware sends.
 pub fn hear(byte: u8) {
     critical_section::with(|cs| {
         let said = &mut *SAID.borrow_ref_mut(cs);
@@ -91,7 +96,7 @@ pub fn hear(byte: u8) {
     });
 }
 
-/// What is being waited for.
+/// What the script waits for.
 #[derive(Clone, Copy)]
 enum Wait {
     Nothing,
@@ -100,40 +105,42 @@ enum Wait {
     Report { before: u32, pause: u32, step: usize },
 }
 
-/// A script and how far it has been followed.
+/// A script and the progress in it.
 pub struct Script {
     text: &'static [u8],
     next: usize,
     wait: Wait,
+    /// Answers up to the end of the last record.
     answers_before: u32,
-    /// Asked since the record began.
+    /// Number of `?` sent since the record began.
     questions: u32,
-    /// The step clock when it was looked at last, and its ticks since the start of the script.
+    /// The step clock when it was last read.
     looked: u32,
+    /// Its ticks since the start of the script.
     ticks: u64,
 }
 
-/// What the test stand has to do for the script.
+/// What the caller of [`Script::go_on`] must do for the script.
 pub enum Wanted {
-    /// Nothing now.
+    /// Nothing at present.
     Nothing,
-    /// To tell how many bytes have been said.
+    /// Report the number of bytes that the firmware has sent.
     Mark(u32),
-    /// The same, with the time in ms since the script began, and all else that the test stand knows.
+    /// Report that number, the time in ms since the start of the script, the motors' steps and the stack.
     Note(u32, u64),
-    /// The script is at its end.
+    /// The script has ended.
     End,
 }
 
 impl Script {
-    /// At its beginning.
+    /// Starts a script.
     pub fn new(text: &'static [u8]) -> Script {
         Script { text, next: 0, wait: Wait::Nothing, answers_before: 0, questions: 0, looked: clock_ticks(), ticks: 0 }
     }
 
-    /// Advances as far as it can, at most to the end of a record.
+    /// Advances as far as possible, at most to the end of a record.
     pub fn go_on(&mut self) -> Wanted {
-        // The clock wraps after minutes; it is looked at much more often.
+        // The clock wraps after minutes and is read much more often.
         let now = clock_ticks();
         self.ticks += u64::from(now.wrapping_sub(self.looked));
         self.looked = now;
@@ -150,7 +157,7 @@ impl Script {
                 Wait::Until { since, ticks } if clock_ticks().wrapping_sub(since) >= ticks => {}
                 Wait::Report { before, pause, step } if reports != before => {
                     if !idle && self.questions < MOST_QUESTIONS {
-                        // The same step once more.
+                        // Repeat the same step.
                         self.next = step;
                         self.wait = Wait::Until { since: clock_ticks(), ticks: pause * TICKS_PER_MS };
                         continue;
@@ -202,7 +209,7 @@ impl Script {
         self.ticks / u64::from(TICKS_PER_MS)
     }
 
-    /// A number of so many bytes, the lowest first.
+    /// Takes a little-endian number of `bytes` bytes from the script.
     fn take(&mut self, bytes: usize) -> u32 {
         let number = &self.text[self.next..self.next + bytes];
         self.next += bytes;

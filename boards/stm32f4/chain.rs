@@ -1,34 +1,34 @@
-//! Edges by timers and DMA: an event is written to the ports at its moment, whatever the processor is doing. The step
-//! task fills a ring of events; TIM5 counts the time, DMA1 fetches the next moment, TIM1 times the pulse, and DMA2
-//! writes the words to the ports.
+//! Hardware-timed step output: timers and DMA write each event to the GPIO ports at its time, without the CPU. The step
+//! task fills a ring of events; TIM5 keeps the time, DMA1 loads the time of the next event, TIM1 times the pulse, and
+//! DMA2 writes the words to the ports.
 //!
 //! ```text
 //!  TIM5 (32 bits, runs freely)                 TIM1 (one pulse, started by TIM5)
 //!   CC1 ─┬─TRGO──────────────────────────────▶ CC1 (CC3) ─▶ DMA2 ─▶ BSRR   step on, directions; second port
 //!        │                                     CC4 (CC2) ─▶ DMA2 ─▶ BSRR   step off, $0 later; of two ports the first
-//!        └─▶ DMA1 S2 ─▶ TIM5_CCR1: the moment of the next event
-//!   CC2, CC3: calls at a moment   CC4: calls by software
-//!        CC3 ─▶ DMA1 S0 ─▶ TIM3_CCR2: the power of a beam at the step that begins its segment
+//!        └─▶ DMA1 S2 ─▶ TIM5_CCR1: the time of the next event
+//!   CC2, CC3: calls at a set time   CC4: calls by software
+//!        CC3 ─▶ DMA1 S0 ─▶ TIM3_CCR2: the laser's power, at the step that begins its segment
 //! ```
-//! Moments are absolute, so no error adds up; and an event that was not committed in time has no moment: behind the last one
-//! is a moment that is just past, which the counter comes to after 2^32 ticks. So pulses end by themselves when nothing
-//! is committed, whatever the reason.
+//! Event times are absolute, so errors do not accumulate. The ring entry after the last committed event holds a time
+//! that has just passed, which the counter reaches only after 2^32 ticks. So if nothing is committed, for any reason,
+//! the pulses end by themselves.
 //!
-//! Events that must not wait for each other (a probe is watched) are put out one by one: then the processor writes CCR1, and
-//! CC1 calls it. Nothing else differs.
+//! While a probe is watched, events must not be queued: they are output one by one. Then the CPU writes CCR1, and CC1
+//! interrupts. Nothing else differs.
 //!
-//! What the parts demand, all of it held by the models of `tests/virtual_board`:
+//! Hardware constraints, all checked by the models of `tests/virtual_board`:
 //!
-//! * GPIO is written through DMA2's memory port, and DMA2 does nothing for APB2 meanwhile: ES0287 2.2.11 (F411). So
-//!   rings are read as a "peripheral" that counts up.
-//! * DMA1 fetches a word ahead: the moment of an event must be in the ring before the one but one before it is out.
-//! * TIM1 must be clocked while the processor sleeps (`step_pins` sees to it), or it ignores its trigger.
-//! * TIM1 ignores a trigger while it counts. Its counter would then be one event behind TIM5: the streams' counts differ.
-//! * A request from before would be served at once: TIM1 is reset before each begin.
-//! * A stream to a peripheral holds the next word from the moment it is on: that of the beam is switched on once more for each power, and one
-//!   power is armed at a time. What is written to TIM3 at its moment acts at once.
+//! * ES0287 2.2.11 (F411): DMA2 must write GPIO through its memory port and must not serve APB2 meanwhile. The rings
+//!   are therefore configured as an incrementing "peripheral".
+//! * DMA1 fetches one word ahead: the time of an event must be in the ring before the event two before it is output.
+//! * TIM1 must be clocked while the processor sleeps, or it ignores its trigger; `step_pins` enables that clock.
+//! * TIM1 ignores a trigger while it counts. DMA2 then lags TIM5 by one event, which the streams' counts reveal.
+//! * A stale request would be served at once: TIM1 is reset before each `begin`.
+//! * A stream to a peripheral fetches its word when it is enabled. The laser's stream is therefore re-enabled for each
+//!   power, and one power is armed at a time. A write to TIM3 takes effect at once.
 //!
-//! Emulated; no bench has confirmed it yet.
+//! Tested in emulation only, not yet on hardware.
 
 use super::dma::{
     self, CIRCULAR, CR, HISR, LISR, MEMORY_COUNTS, NDTR, PERIPHERAL_COUNTS, SERVED_CYCLES, TO_PERIPHERAL, VERY_HIGH,
@@ -39,39 +39,42 @@ use crate::contract::{COMBINATIONS, Due, Free};
 use core::marker::PhantomData;
 use core::sync::atomic::{Ordering, compiler_fence};
 
-/// Places of the ring. That behind the last event stays free.
+/// Slots of the ring. The slot after the last event stays free.
 const RING: usize = 128;
-/// Events that can be ahead, [`crate::StepOutput::DEPTH`]: a stop counts as many in less time than two bytes of the UART take.
-/// 1 is the way back to an interrupt for each event, on all boards.
+/// Maximum number of events ahead ([`crate::StepOutput::DEPTH`]). A stop counts up to this many cancelled events, in
+/// less time than two bytes of the UART take. With 1, all boards would use one interrupt for each event.
 pub(super) const DEPTH: usize = 96;
-/// Ticks of TIM1 from its start to the edge; the pulse ends so many later.
+/// Ticks of TIM1 from its start to the leading edge of the pulse. The trailing edge follows after the pulse length.
 const EDGE_COUNT: u32 = 1;
-/// Ticks between the last look at the time and the first moment, at least: TIM1 listens before it comes.
+/// Minimum ticks from the last reading of TIM5 to the first event, so that TIM1 listens for its trigger in time.
 const LISTENS_TICKS: u32 = 48;
-/// More ticks than it takes to begin once more, with all moments of the ring put off.
+/// Upper bound, in ticks, of one more attempt in `begin`, including delaying all times of the ring.
 const AGAIN_TICKS: u32 = 2_200;
-/// Ticks from a moment within which its request may be under way. At the greatest rate moments are some 90 apart.
+/// Ticks around a scheduled time within which its DMA request may be under way. At the maximum rate, events are about
+/// 90 ticks apart.
 const NEAR_TICKS: u32 = 48;
-/// Ticks after which an event that is not out never will be.
+/// An event that is this many ticks late will never be output.
 const STANDS_TICKS: i32 = 500;
-/// Looks at the counts that must all differ, besides the first.
+/// Number of repeated comparisons of the counts. Counts that differ are a fault only if they differ in all of these,
+/// too.
 const MORE_LOOKS: u32 = 8;
 
-/// Error flags of four streams, and of that of the moments.
+/// Error flags of streams 0 to 3. In both flag registers of DMA2, they cover streams 0 to 7.
 const ERRORS: u32 = dma::errors(&[0, 1, 2, 3]);
+/// Error flags of the stream [`MOMENTS`].
 const MOMENT_ERRORS: u32 = dma::errors(&[MOMENTS]);
 
-/// The stream of the moments, and its channel.
+/// Stream of DMA1 that loads the event times, and its channel.
 const MOMENTS: usize = 2;
 const MOMENTS_CHANNEL: u32 = 6 << 25;
-/// The stream of the beam's power, and its channel. It waits for that of the moments.
+/// Stream of DMA1 that writes the laser's power, and its channel. Its priority is lower than that of [`MOMENTS`].
 const BEAM: usize = 0;
 const BEAM_CHANNEL: u32 = 6 << 25;
-/// Channel of TIM1's compare events.
+/// Channel of TIM1's compare events on DMA2.
 const EDGES_CHANNEL: u32 = 6 << 25;
 
-/// Streams of DMA2 for a port, and the compare channels of TIM1 that ask them: of the edge and of the end of the pulse.
-/// With one port stream 2, the receiver's on a Black Pill, stays free.
+/// Streams of DMA2 for a port, `on` for the edge and `off` for the end of the pulse, and the DMA request bits of TIM1's
+/// compare channels that trigger them. With one port, stream 2 stays free: it is the UART receiver's on a Black Pill.
 struct Streams {
     on: usize,
     off: usize,
@@ -86,35 +89,37 @@ const fn streams(port: usize, ports: usize) -> Streams {
     }
 }
 
-/// SMCR of TIM1: TIM5 is its trigger (TS = 000), which starts it (SMS = 110) or is ignored.
+/// SMCR of TIM1: TIM5 is the trigger (TS = 000) and is ignored.
 ///
-/// ITR0 of TIM1 is TIM5 in the table "TIMx internal trigger connection" of TIM1_SMCR: RM0368 (F401; table 50), RM0383 (F411),
-/// RM0390 (F446), RM0090 (F407; table 94). All four have the same row for TIM1: TIM5, TIM2, TIM3, TIM4. Taken from drivers that cite
-/// these tables, as the manuals themselves were not at hand; no bench has confirmed it yet.
+/// ITR0 of TIM1 is TIM5 in the table "TIMx internal trigger connection" of TIM1_SMCR: RM0368 (F401; table 50), RM0383
+/// (F411), RM0390 (F446), RM0090 (F407; table 94). All four have the same row for TIM1: TIM5, TIM2, TIM3, TIM4. Source:
+/// drivers that cite these tables, as the manuals themselves were not available; not yet confirmed on hardware.
 const IGNORED: u32 = 0;
+/// SMCR of TIM1: TIM5 starts it (SMS = 110).
 const STARTS: u32 = IGNORED | 0b110;
-/// CR1 of TIM1: one pulse.
+/// CR1 of TIM1: one-pulse mode.
 const ONE_PULSE: u32 = 1 << 3;
-/// CR2 of TIM5: its event of channel 1 is the trigger output (MMS = 011).
+/// CR2 of TIM5: the compare event of channel 1 is the trigger output (MMS = 011).
 #[cfg(feature = "stm32f4")]
 pub(super) const COMPARE_PULSE: u32 = 0b011 << 4;
-/// DIER of TIM5: the DMA request of channel 1.
+/// DIER of TIM5: DMA request of channel 1.
 const ASKS_FOR_MOMENT: u32 = 1 << 9;
-/// DIER of TIM5: the DMA request of channel 3.
+/// DIER of TIM5: DMA request of channel 3.
 const ASKS_FOR_POWER: u32 = 1 << 11;
-/// DIER of TIM5: what calls at any time.
+/// DIER of TIM5: the interrupts that are always enabled.
 pub(super) const CALLS: u32 = Due::MORE.0 | Due::MARK.0 | Due::CALLED.0;
-/// RCC: reset of APB2, TIM1's bit.
+/// RCC: offset of the reset register of APB2, and the bit of TIM1 in it.
 const APB2RSTR: usize = 0x24;
 const TIM1_RESET: u32 = 1;
 
-/// What DMA reads, at an address that stays.
+/// Memory that DMA reads; it must stay at its address.
 #[repr(C, align(4))]
 pub struct Rings<const P: usize> {
-    /// For each port.
+    /// The words of the events, for each port.
     words: [[u32; RING]; P],
+    /// The times of the events.
     moments: [u32; RING],
-    /// All pulses end.
+    /// For each port: the word that ends all pulses.
     off: [u32; P],
     /// The next compare value of the PWM.
     power: u32,
@@ -125,26 +130,28 @@ impl<const P: usize> Rings<P> {
     pub const EMPTY: Self = Rings { words: [[0; RING]; P], moments: [0; RING], off: [0; P], power: 0 };
 }
 
-/// The chain on `P` ports.
+/// Step output by timers and DMA on `P` ports.
 pub(super) struct Chain<M, const P: usize> {
     rings: &'static mut Rings<P>,
     ports: [usize; P],
-    /// Where the next event goes.
+    /// Slot of the next event to be committed.
     head: usize,
     /// Length of a pulse in ticks of TIM1.
     pulse: u32,
-    /// Events are put out.
+    /// Output has started.
     begun: bool,
+    /// Each event is output by an interrupt of its own.
     one_by_one: bool,
-    /// One by one: an event has been committed and is not out.
+    /// With `one_by_one`: an event has been committed and is not output yet.
     pending: bool,
-    /// Moments that DMA1 has counted when the first is written: 1, or 2 if it counts a word when it fetches it. Of that the manual
-    /// leaves a doubt (DMA_SxNDTR), so the part is asked at each begin.
+    /// Number of event times that DMA1 has counted when the first is in CCR1: 1, or 2 if it counts a word when fetching
+    /// it. The manual leaves this open (DMA_SxNDTR), so each `begin` measures it.
     first_moments: usize,
     map: PhantomData<M>,
 }
 
-/// No pulse begins after this, and DMA writes no edge and no power. For a program that ends: nothing is counted any more.
+/// Stops TIM1 and the DMA streams: after this no pulse begins, and DMA writes no edge and no power. For a program that
+/// ends: step counts are lost.
 #[cfg(feature = "stm32f4")]
 #[inline(never)]
 pub(super) fn cut<M: Map>() {
@@ -160,7 +167,8 @@ pub(super) fn cut<M: Map>() {
 }
 
 impl<M: Map, const P: usize> Chain<M, P> {
-    /// Places that stay free: that behind the last event, and the one of which only the first port's word may be out.
+    /// Slots that stay free: the one after the last event, and with several ports one more, of which only the first
+    /// port's word may have been output.
     const SPARE: usize = if P > 1 { 2 } else { 1 };
 
     pub(super) const fn new(ports: [usize; P], rings: &'static mut Rings<P>) -> Self {
@@ -177,25 +185,26 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
     }
 
-    /// At rest: the word of each port that ends all pulses, and their length.
+    /// Sets the word of each port that ends all pulses. Call at rest.
     pub(super) fn set_off(&mut self, off: [u32; P]) {
         self.rings.off = off;
     }
 
+    /// Sets the length of a pulse in ticks of TIM1. Call at rest.
     pub(super) fn set_pulse(&mut self, ticks: u32) {
         self.pulse = ticks;
     }
 
-    /// What the step task has been called for.
+    /// Returns the reasons for the call of the step task and clears them.
     #[inline(always)]
     pub(super) fn take(&mut self) -> Due {
         let mut due = Due(read(M::TIM5 + SR));
         if !self.one_by_one {
-            // Events that follow by themselves raise the flag, too, and DMA1 may be about to take it for its request.
+            // Queued events raise this flag, too, and DMA1 may be about to serve its request: leave it alone.
             due = Due(due.0 & !Due::OUT.0);
         }
         if due.has(Due::MARK) {
-            // The same: its request is served before the flag goes.
+            // Likewise, let the request for power be served before the flag is cleared.
             self.keep_power();
         }
         // Flags are cleared by writing 0; a 1 leaves them alone.
@@ -206,7 +215,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
         due
     }
 
-    /// Sets the moment of the call for more. The moment before, if it has come meanwhile, calls no more.
+    /// Schedules the call `MORE`. A pending one is cancelled, even if its time has come meanwhile.
     #[inline(always)]
     pub(super) fn call_at(&mut self, moment: u32) {
         write(M::TIM5 + CCR2, moment);
@@ -216,17 +225,18 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
     }
 
-    /// The same of a mark; with a power, its event makes DMA1 write it.
+    /// Schedules the call `MARK`; with `power`, the same compare event makes DMA1 write the power.
     ///
-    /// There is one event for each moment, and so one request: the flag is cleared while none can come, and where the moment has passed
-    /// before it was set, as the flag tells, the event is made by hand. It asks for the same word.
+    /// Each mark must raise exactly one event and thus one request. The flag is therefore cleared while no event can
+    /// occur. If `moment` passed before it was set, so that the flag stays clear, software generates the event, which
+    /// raises the same request.
     pub(super) fn mark_at(&mut self, moment: u32, power: Option<u32>) {
         self.keep_power();
         write(M::TIM5 + CCR3, read(M::TIM5 + CNT).wrapping_sub(1));
         write(M::TIM5 + SR, !Due::MARK.0);
         if let Some(power) = power {
             self.rings.power = power;
-            // DMA reads what has been written: the word is fetched as the stream is switched on.
+            // The write must precede the next line: the stream fetches the word when it is switched on.
             compiler_fence(Ordering::SeqCst);
             let how = CIRCULAR | WORDS | BEAM_CHANNEL | TO_PERIPHERAL;
             switch_on(M::DMA1, BEAM, M::TIM3 + CCR2, &raw const self.rings.power as usize, RING, how);
@@ -235,13 +245,13 @@ impl<M: Map, const P: usize> Chain<M, P> {
         write(M::TIM5 + CCR3, moment);
         if read(M::TIM5 + CNT).wrapping_sub(moment) as i32 >= 0 && read(M::TIM5 + SR) & Due::MARK.0 == 0 {
             write(M::TIM5 + EGR, Due::MARK.0);
-            // Of this request no moment tells.
+            // `await_served` cannot derive the time of this request from CCR3, so wait here.
             cortex_m::asm::delay(SERVED_CYCLES);
         }
     }
 
-    /// DMA writes no power after this. A request that is about to come is served before: one that is taken back half-way, or that no
-    /// stream takes, would stay, and the next power come too soon.
+    /// Disarms the power stream: DMA writes no power after this. A request that is imminent is served first: a request
+    /// that was withdrawn half-way, or that no stream serves, would stay pending and trigger the next power too early.
     #[inline(never)]
     pub(super) fn keep_power(&mut self) {
         let asks = read(M::TIM5 + DIER);
@@ -252,7 +262,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
     }
 
-    /// Where the event is that comes next.
+    /// Returns the slot of the next event to be output.
     #[inline(always)]
     fn tail(&self) -> usize {
         RING.wrapping_sub(read(stream(M::DMA2, streams(0, P).on) + NDTR) as usize) % RING
@@ -267,7 +277,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
     }
 
-    /// Places for words of the last port, or for what is to become words (see `translate`), and for moments.
+    /// Returns the free slots for times and for words of the last port. With several ports the words hold steps until
+    /// [`Chain::translate`].
     #[inline(always)]
     pub(super) fn free<'a>(&'a mut self, table: &'a [u32; COMBINATIONS]) -> Free<'a> {
         let room = if self.one_by_one {
@@ -281,7 +292,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
         Free { table, words, moments }
     }
 
-    /// Where words lie on several ports, an event holds the steps until it is committed: then each port gets its word.
+    /// For several ports: replaces the steps in the next `events` slots by the words of each port.
     #[inline(always)]
     pub(super) fn translate(&mut self, tables: &[[u32; COMBINATIONS]; P], events: usize) {
         for at in (self.head..RING).take(events) {
@@ -301,7 +312,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
         if let Some(behind) = self.rings.moments.get_mut(self.head) {
             *behind = last.wrapping_sub(1);
         }
-        // DMA reads what has been written.
+        // The ring must be written before DMA reads it.
         compiler_fence(Ordering::SeqCst);
         if self.begun && self.one_by_one {
             self.pending = true;
@@ -315,7 +326,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
         self.rings.moments.get(place % RING).copied().unwrap_or(0)
     }
 
-    /// One by one: the moment of the event that has just been committed. Gives the ticks by which it was too late.
+    /// With `one_by_one`: schedules the event that has just been committed. Returns the ticks by which it was late and
+    /// has been delayed.
     #[inline(always)]
     fn set_moment(&mut self, moment: u32) -> u32 {
         write(M::TIM5 + CCR1, moment);
@@ -336,14 +348,15 @@ impl<M: Map, const P: usize> Chain<M, P> {
         self.moment_at(self.head.wrapping_sub(left).wrapping_sub(1))
     }
 
-    /// DMA1 fetches the moment of an event when the one but one before it comes out: so it will, once events are begun.
+    /// DMA1 fetches the time of an event when the event two before it is output: an event must be committed before
+    /// then, also if output has not started yet.
     #[inline(always)]
     pub(super) fn joins_until(&self, next: u32) -> u32 {
         let is_alone = self.one_by_one || !self.begun && self.head < 2;
         if is_alone { next } else { self.moment_before(1) }
     }
 
-    /// No request for a moment, and none before there is a moment again.
+    /// Disables the request for event times, and sets CCR1 so that none arises before the next time is loaded.
     fn expect_no_moment(&mut self) {
         write(M::TIM5 + DIER, CALLS);
         write(M::TIM5 + CCR1, read(M::TIM5 + CNT).wrapping_sub(1));
@@ -351,10 +364,11 @@ impl<M: Map, const P: usize> Chain<M, P> {
         compiler_fence(Ordering::SeqCst);
     }
 
-    /// Waits until no request of a compare channel is under way, nor soon will be: moments are further apart than this takes.
+    /// Waits until no request of a compare channel is under way or imminent. Scheduled times are further apart than
+    /// this takes.
     fn await_served(&self, channel: usize) {
         let moment = read(M::TIM5 + channel);
-        // A look takes a tick at least.
+        // One iteration takes at least a tick.
         for _ in 0..3 * NEAR_TICKS {
             if (read(M::TIM5 + CNT).wrapping_sub(moment).wrapping_add(NEAR_TICKS)) >= 2 * NEAR_TICKS {
                 return;
@@ -362,12 +376,13 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
     }
 
-    /// Gives the ticks by which all events had to be put off, as the first was not to be had in time.
+    /// Starts the output of the committed events. Returns the ticks by which all of them were delayed because it was
+    /// too late for the first.
     pub(super) fn begin(&mut self, one_by_one: bool) -> u32 {
         self.begun = true;
         self.one_by_one = one_by_one;
         self.pending = one_by_one;
-        // Whatever TIM1 may still ask for is forgotten.
+        // Clears pending requests of TIM1.
         write(M::RCC + APB2RSTR, TIM1_RESET);
         write(M::RCC + APB2RSTR, 0);
         let off = EDGE_COUNT + self.pulse;
@@ -398,11 +413,11 @@ impl<M: Map, const P: usize> Chain<M, P> {
         loop {
             switch_on(M::DMA1, MOMENTS, M::TIM5 + CCR1, self.rings.moments.as_ptr() as usize, RING, how);
             cortex_m::asm::delay(SERVED_CYCLES);
-            // The first moment comes by DMA as all others do, asked for by hand; TIM1 does not listen yet.
+            // Software requests the first time; DMA loads it like all others. TIM1 is not listening yet.
             write(M::TIM5 + DIER, CALLS | ASKS_FOR_MOMENT);
             write(M::TIM5 + EGR, Due::OUT.0);
             cortex_m::asm::delay(SERVED_CYCLES);
-            // Before the first moment comes, or this is done once more.
+            // Valid only before the time of the first event; if it has passed, the loop repeats.
             let counted = self.moments_counted();
             let is_fetched_ahead = counted == 2 && read(M::TIM5 + CCR1) == self.moment_at(0);
             self.first_moments = if is_fetched_ahead { 2 } else { 1 };
@@ -412,12 +427,13 @@ impl<M: Map, const P: usize> Chain<M, P> {
                 write(M::TIM1 + SMCR, STARTS);
                 return put_off;
             }
-            // It has passed, or would before TIM1 listens: nothing has come out, and all of it comes later by as much.
+            // The time of the first event has passed, or would pass before TIM1 listens. No event has been output:
+            // delay all of them and try again.
             self.await_served(CCR1);
             write(stream(M::DMA1, MOMENTS) + CR, 0);
             self.expect_no_moment();
             let by = again.wrapping_sub(left);
-            // Whatever this takes, it comes to an end.
+            // Each attempt allows more time, so that the loop ends.
             again = again.wrapping_add(AGAIN_TICKS);
             for moment in &mut self.rings.moments {
                 *moment = moment.wrapping_add(by);
@@ -426,14 +442,15 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
     }
 
-    /// Whether the parts that count events disagree, or have failed. What differs while an event comes out agrees right after.
+    /// Returns whether the counters of events disagree or have failed. Counts that differ while an event is output
+    /// agree right after it.
     #[inline(always)]
     pub(super) fn fault(&self) -> bool {
         if !self.begun {
             return false;
         }
         if self.one_by_one {
-            // A trigger that TIM1 has missed: the event that was out has left its words behind.
+            // TIM1 missed a trigger: the words of an event that counts as output are still in the ring.
             return !self.pending && self.lags() && (0..MORE_LOOKS).all(|_| self.lags());
         }
         if self.stands() {
@@ -445,12 +462,13 @@ impl<M: Map, const P: usize> Chain<M, P> {
         !self.counts_agree() && self.still_disagree()
     }
 
+    /// Returns whether DMA2 has not output the word of every committed event.
     #[inline(always)]
     fn lags(&self) -> bool {
         self.tail() != self.head
     }
 
-    /// The moment of the event that comes next has passed.
+    /// Returns whether the output is stuck: the time of the next event has passed long ago.
     #[inline(always)]
     fn stands(&self) -> bool {
         let tail = self.tail();
@@ -458,21 +476,22 @@ impl<M: Map, const P: usize> Chain<M, P> {
         since > STANDS_TICKS && tail != self.head && tail == self.tail()
     }
 
-    /// An event that comes out during a look makes that one differ, and the next at most. Counts that differ for good never agree.
+    /// Returns whether repeated comparisons all differ. An event that is output during a comparison affects that one
+    /// and at most the next; counts that differ permanently never agree.
     #[cold]
     #[inline(never)]
     fn still_disagree(&self) -> bool {
         (0..MORE_LOOKS).all(|_| !self.counts_agree())
     }
 
-    /// Moments that DMA1 has counted, modulo the ring.
+    /// Returns the number of event times that DMA1 has counted, modulo the ring.
     #[inline(always)]
     fn moments_counted(&self) -> usize {
         RING.wrapping_sub(read(stream(M::DMA1, MOMENTS) + NDTR) as usize) % RING
     }
 
-    /// Between two events: as many moments more than edges as at the begin, as many edges on all ports, and one end of a pulse less at
-    /// most.
+    /// Returns whether the counts are those of a pause between two events: DMA1 is `first_moments` times ahead of the
+    /// edges, all ports have the same number of edges, and at most one end of a pulse is outstanding.
     #[inline(always)]
     fn counts_agree(&self) -> bool {
         let left = |number| read(stream(M::DMA2, number) + NDTR) as usize;
@@ -486,7 +505,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
         agree
     }
 
-    /// After [`Chain::silence`], which gives the tail: how many events were not out. Has `each` see the words of those on each port.
+    /// Call after [`Chain::silence`], with its `tail`. Calls `each` with the words of each event that was not output,
+    /// and returns the number of these events.
     pub(super) fn undone(&mut self, tail: usize, mut each: impl FnMut(&[u32; P])) -> usize {
         let mut events = 0;
         let mut at = tail;
@@ -504,16 +524,16 @@ impl<M: Map, const P: usize> Chain<M, P> {
         events
     }
 
-    /// Ends what has been begun, and power if it is to be dark: where the event is that did not come out any more, and whether the
-    /// counts disagree.
+    /// Ends the output, and with `dark` the power. Returns the slot of the first event that was not output, and whether
+    /// the counts disagree.
     #[inline(always)]
     pub(super) fn silence(&mut self, dark: bool) -> (usize, bool) {
         if !self.begun {
             return (0, false);
         }
         write(M::TIM1 + SMCR, IGNORED);
-        // A request that came right before is served: one of TIM5 that is taken back half-way would stay. First that for moments, of
-        // which more than one would come while a change of power is awaited.
+        // Let requests raised just before be served: a request of TIM5 that is withdrawn half-way would stay pending.
+        // The request for event times comes first, since more than one would arise while a change of power is awaited.
         self.await_served(CCR1);
         write(M::TIM5 + DIER, read(M::TIM5 + DIER) & ASKS_FOR_POWER | CALLS);
         self.keep_power();
@@ -528,7 +548,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
         fault |= (read(M::DMA2 + LISR) | read(M::DMA2 + HISR)) & ERRORS != 0;
         if !self.one_by_one {
-            // As many more than events as at the begin; one more, if the next match came after TIM1 had ceased to listen.
+            // DMA1 is as far ahead of the events as at `begin`, or one more if the next match came after TIM1 had
+            // stopped listening.
             let more = self.moments_counted().wrapping_sub(tail).wrapping_sub(self.first_moments) % RING;
             fault |= more > 1 || read(M::DMA1 + LISR) & MOMENT_ERRORS != 0;
         }

@@ -1,9 +1,8 @@
-//! What the STM32F4 boards share in setting up the chip: step pins and their timers, the microsecond clock, input
-//! pins, slow outputs, the watchdog, the settings flash, the watch on the clock, the cause of a reset, and
-//! the safe state of the outputs.
+//! Set-up of the chip, shared by the STM32F4 boards: step pins and their timers, the microsecond clock, input pins,
+//! slow outputs, the watchdog, monitoring of the oscillator, the cause of a reset, and the safe state of the outputs.
 //!
-//! Clocks, pins and other set-up go through the HAL, whose types see to it that no pin is used twice; what the step
-//! interrupt touches is in `step.rs` and `chain.rs`.
+//! Set-up goes through the HAL, whose types ensure that no pin is used twice. The part that the step interrupt uses is
+//! in `step.rs` and `chain.rs`.
 
 use core::sync::atomic::Ordering;
 use oxmill_controller::ResetCause;
@@ -22,7 +21,7 @@ use super::registers::{Chip, Map, read_idr, timer, write, write_bsrr};
 use super::step::{self, Clocks, Place, SAFE, note_safe_level};
 use crate::{Due, Port, SlowLevels};
 
-/// A whole register as a number.
+/// Writes a whole register as a number.
 macro_rules! raw {
     ($register:expr, $bits:expr) => {{
         // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because only timers
@@ -31,17 +30,18 @@ macro_rules! raw {
     }};
 }
 
-/// Puts step, spindle and coolant outputs into their safe levels and stops PWM and step timer. The motor drivers stay as
-/// they are: an unpowered axis may drop.
+/// Sets step, spindle, coolant and program outputs to their safe levels and stops PWM and step timer. The driver enable
+/// does not change: an unpowered axis may drop.
 pub fn safe_state() {
-    // A pulse that DMA begins after these stores would undo them.
+    // First, because a pulse that DMA begins after the stores below would undo them.
     chain::cut::<Chip>();
     for (port, safe) in SAFE.iter().enumerate() {
         write_bsrr::<Chip>(port, safe.load(Ordering::Relaxed));
     }
-    // The PWM's output is forced low, too: without preload the manual does not say when a compare value acts (TIMx_CCMR1, OC1PE, note 2).
-    // SAFETY: unsafe because the owners of the timers are by-passed; safe because an output that is low, a compare value of 0 and a
-    // stopped counter are right at any moment that this function is called, and nothing runs after it.
+    // Also force the PWM's output low: without preload the manual does not say when a compare value takes effect
+    // (TIMx_CCMR1, OC1PE, note 2).
+    // SAFETY: unsafe because the owners of the timers are by-passed; safe because an output that is low, a compare
+    // value of 0 and a stopped counter are right whenever this function is called, and no code runs after it.
     unsafe {
         (*pac::TIM3::ptr()).ccmr1_output().write(|w| w.bits(0b100 << 12));
         (*pac::TIM3::ptr()).ccr2().write(|w| w.bits(0));
@@ -58,13 +58,13 @@ impl<MODE> From<&ErasedPin<MODE>> for Place {
 /// Step and direction outputs on `P` ports, with the timers that they need.
 pub type StepPins<const P: usize> = step::StepPins<Chip, P, (pac::TIM1, pac::TIM5, pac::TIM3, [ErasedPin<Output>; 8])>;
 
-/// Calls the step task, from any task: the call waits as a flag of its timer until it is taken.
+/// Calls the step task, from any task. The call waits as a flag of the step task's timer until `take` clears it.
 #[inline]
 pub fn call_step() {
     write(<Chip as Map>::TIM5 + timer::EGR, Due::CALLED.0);
 }
 
-/// Pins of several ports, each turned into the same: `each!([a.pa1, b.pb2].into_pull_up_input())`.
+/// Converts pins of several ports alike: `each!([a.pa1, b.pb2].into_pull_up_input())`.
 macro_rules! each {
     ([$($pin:expr),+].$turn:ident $how:tt) => {
         [$($pin.$turn $how.erase()),+]
@@ -75,8 +75,8 @@ macro_rules! each {
 }
 pub(crate) use each;
 
-/// Sets up what puts out steps: TIM5, which starts to run, TIM1, the DMA controllers; and TIM3 for the PWM, whose pin must already
-/// be in its alternate function. Puts the pins to rest.
+/// Sets up the step output: TIM5, which starts to run, TIM1 and the DMA controllers; also TIM3 for the PWM, whose pin
+/// must already be in its alternate function. Sets all step and direction pins to their levels at rest.
 pub fn step_pins<const P: usize>(
     step: [ErasedPin<Output>; 4],
     direction: [ErasedPin<Output>; 4],
@@ -87,22 +87,22 @@ pub fn step_pins<const P: usize>(
 ) -> StepPins<P> {
     pac::TIM3::enable(rcc);
     pac::TIM3::reset(rcc);
-    // PWM mode 1 without preload: a new value, above all 0, acts at once.
+    // PWM mode 1 without preload: a new value takes effect at once, above all 0.
     pwm.ccmr1_output().write(|w| raw!(w, 0b110 << 12));
     pwm.ccr2().write(|w| raw!(w, 0));
     pwm.ccer().write(|w| w.cc2e().set_bit());
     pwm.cr1().write(|w| w.cen().set_bit());
-    // The slave's clock comes first (reference manual, timer synchronization).
+    // Enable the clock of the slave timer first (reference manual, timer synchronization).
     pac::TIM1::enable(rcc);
-    // By the manuals of the F401 and F411 (RCC_APB2LPENR, reset value 0x0007 7930) it would stand whenever the processor sleeps, and
-    // ignore its trigger; all else that is used has its clock then.
+    // By the manuals of the F401 and F411 (RCC_APB2LPENR, reset value 0x0007 7930), TIM1 would otherwise stop while the
+    // processor sleeps and ignore its trigger. All other peripherals in use keep their clock during sleep.
     pac::TIM1::enable_in_low_power(rcc);
     pac::TIM1::reset(rcc);
     pac::DMA1::enable(rcc);
     pac::DMA2::enable(rcc);
     pac::TIM5::enable(rcc);
     pac::TIM5::reset(rcc);
-    // The HAL picks the nearest clock it can make; another one than the planner counts with would falsify every speed.
+    // The HAL picks the nearest clock that it can make; a clock other than the planner's would falsify every speed.
     assert_eq!(pac::TIM5::timer_clock(&rcc.clocks).raw(), crate::PROFILE.step_clock_hz);
     clock.arr().write(|w| raw!(w, u32::MAX));
     clock.cr2().write(|w| raw!(w, COMPARE_PULSE));
@@ -115,13 +115,13 @@ pub fn step_pins<const P: usize>(
     let [a, b, c, d] = step;
     let [e, f, g, h] = direction;
     let Some(rings) = rings else {
-        // The device's peripherals are there once.
+        // `setup` takes the peripherals, so it runs once and the memory is free.
         unreachable!()
     };
     StepPins::at(at, turn_at, probe.probe(), clocks, rings, (pulse, clock, pwm, [a, b, c, d, e, f, g, h]))
 }
 
-/// Ticks of the clock in a microsecond.
+/// Ticks of [`clock_ticks`] in a microsecond.
 pub const CLOCK_TICKS_PER_US: u32 = 1;
 /// Samples of the inputs in a second, by SysTick.
 pub const SAMPLE_HZ: u32 = 20_000;
@@ -130,16 +130,16 @@ pub const WATCHES_CLOCK: bool = true;
 
 /// Starts TIM2 as the clock: 1 MHz, free-running.
 pub fn start_clock(timer: pac::TIM2, rcc: &mut Rcc) {
-    // The HAL's counters have an end, and this one has none: all 32 bits, as after a reset.
+    // The HAL's counters have a limit. This one counts through all 32 bits, as after a reset.
     let timer = FTimerUs::new(timer, rcc).release();
-    // The prescaler is taken over by an update.
+    // An update event loads the prescaler.
     timer.egr().write(|w| w.ug().set_bit());
     timer.cr1().write(|w| w.cen().set_bit());
 }
 
-/// Resets the chip if its own boot loader has jumped into the program instead of a reset, as hosts may order it to (`:leave` of
-/// dfu-util): system memory is at address 0 then, with it the table of the vectors, and clocks and peripherals are as the loader left
-/// them. First of all in the set-up.
+/// Resets the chip if its boot loader jumped into the program, as hosts may order it to (`:leave` of dfu-util). Then
+/// system memory with its vector table is at address 0, and clocks and peripherals are as the loader left them. Call
+/// first in the set-up.
 pub fn begin_with_reset(rcc: &pac::RCC, syscfg: &pac::SYSCFG) {
     rcc.apb2enr().modify(|_, w| w.syscfgen().set_bit());
     // An enabled clock takes some cycles to arrive; reading back waits for them.
@@ -150,43 +150,46 @@ pub fn begin_with_reset(rcc: &pac::RCC, syscfg: &pac::SYSCFG) {
     }
 }
 
-/// Has the chip watch its oscillator (clock security system). If that fails, the processor continues at 16 MHz of its own and takes
-/// the non-maskable interrupt, whose handler is the program's. Unwatched, the processor would stand still, and outputs stay as they
-/// are until the watchdog resets. To be called when the oscillator runs.
+/// Makes the chip monitor its oscillator (clock security system). If the oscillator fails, the processor continues on
+/// its internal 16 MHz and takes the non-maskable interrupt, whose handler belongs to the program. Without monitoring
+/// the processor would stop, and outputs would stay as they are until the watchdog resets. Call when the oscillator
+/// runs.
 pub fn watch_clock() {
     // SAFETY: unsafe because a bit of the clock control is set without owning it; safe because no task runs yet.
     unsafe { (*pac::RCC::ptr()).cr().modify(|_, w| w.csson().set_bit()) };
 }
 
-/// Microseconds, wrapping.
+/// Returns the time in microseconds; it wraps after 2^32.
 #[inline(always)]
 pub fn clock_ticks() -> u32 {
     // SAFETY: unsafe because the register is read without owning the timer; safe because reading CNT has no effect.
     unsafe { (*pac::TIM2::ptr()).cnt().read().bits() }
 }
 
-/// Baud rate of the link, if no setting says another: what Grbl's senders expect.
+/// Default baud rate of the link: the one that Grbl's senders expect.
 pub const USUAL_BAUD: u32 = 115_200;
 
-/// Inputs at most.
+/// Maximum number of inputs.
 const MOST_INPUTS: usize = crate::PROFILE.program_pins[1] as usize + if crate::AXES > 3 { 12 } else { 11 };
 
-/// Inputs, with pull-ups until a setting wants something else.
+/// Input pins; with pull-ups, unless settings choose otherwise.
 pub struct InputPins {
-    /// Where they are, and their bits.
+    /// The pins and their [`input_bits`](crate::input_bits).
     places: [(Place, u32); MOST_INPUTS],
-    /// How many of them there are.
+    /// The number of entries in use.
     count: usize,
     probe: Place,
-    /// Pins of ports A, B and C that are inputs, those that were high at the last reading, and the word of it: they change seldom.
+    /// The input pins of ports A, B and C.
     used: [u16; 3],
+    /// Those that were high at the last reading. The word is computed again only if they change, which is rare.
     high: [u16; 3],
+    /// The word of the last reading.
     word: u32,
     _pins: [Option<ErasedPin<Input>>; MOST_INPUTS],
 }
 
 impl InputPins {
-    /// The pins in this order: limit X, Y, Z, probe, door, hold, start, reset.
+    /// Takes the pins in this order: limit X, Y, Z, probe, door, hold, start, reset.
     pub fn new(pins: [ErasedPin<Input>; 8]) -> Self {
         use crate::input_bits::{DOOR, HOLD, LIMITS, PROBE, RESET, START};
         let nowhere = Place::new(0, 0);
@@ -204,14 +207,15 @@ impl InputPins {
         pins.into_iter().zip(bits).fold(inputs, |inputs, (pin, bit)| inputs.with(bit, pin))
     }
 
-    /// And a pin for one more of [`input_bits`](crate::input_bits).
+    /// Adds a pin for one more of [`input_bits`](crate::input_bits).
     pub fn with(mut self, bit: u32, pin: ErasedPin<Input>) -> Self {
         self._pins[self.count] = Some(pin);
         let place = self._pins[self.count].as_ref().map(Place::from);
         self.note(bit, place)
     }
 
-    /// The last pin is this one of [`input_bits`](crate::input_bits), too: settings say as which it is used.
+    /// Assigns a second of the [`input_bits`](crate::input_bits) to the pin added last; settings choose which of the
+    /// two is used.
     pub fn also(self, bit: u32) -> Self {
         let place = self.places.get(self.count.wrapping_sub(1)).map(|(place, _)| *place);
         self.note(bit, place)
@@ -233,7 +237,7 @@ impl InputPins {
         self.probe
     }
 
-    /// Which pins are low, as `input_bits`.
+    /// Reads the pins. Returns which are low, as `input_bits`.
     #[inline]
     pub fn read(&mut self) -> u32 {
         let [a, b, c] = self.used;
@@ -245,7 +249,7 @@ impl InputPins {
         self.word
     }
 
-    /// The word of the pins that are high.
+    /// Computes the `input_bits` of the low pins from `high`.
     #[inline(never)]
     fn word_of_pins(&self) -> u32 {
         self.places.iter().take(self.count).fold(0, |word, (place, bit)| {
@@ -254,16 +258,16 @@ impl InputPins {
         })
     }
 
-    /// Which pins there are.
+    /// Returns which pins exist, as `input_bits`.
     pub fn fitted(&self) -> u32 {
         self.places.iter().take(self.count).fold(0, |word, (_, bit)| word | 1 << bit)
     }
 
-    /// Pull-ups, but nothing for the inputs of one word, and pull-downs for those of the other.
+    /// Sets the pull resistors: none for the inputs in `none`, pull-downs for those in `down`, pull-ups for all others.
     pub fn set_pulls(&mut self, none: u32, down: u32) {
         let places = self.places.get(..self.count).unwrap_or_default();
         for (place, _) in places {
-            // A pin may have two bits.
+            // A pin may have two bits: use both.
             let bits = places.iter().filter(|(other, _)| other == place).fold(0, |bits, (_, bit)| bits | 1 << bit);
             // PUPDR: 1 pulls up, 2 down.
             let pull = match (down & bits != 0, none & bits != 0) {
@@ -276,27 +280,27 @@ impl InputPins {
     }
 }
 
-/// Chooses the pull resistor of an input (PUPDR). The HAL does so for pins whose number is part of their type only.
+/// Sets the pull resistor of an input (PUPDR). The HAL supports this only for pins whose number is part of their type.
 fn set_pull(place: Place, pull: u32) {
     const PORT_SIZE: usize = 0x400;
     const PUPDR: usize = 0x0C;
     let register = (<Chip as Map>::GPIO + PORT_SIZE * place.port + PUPDR) as *mut u32;
-    // SAFETY: unsafe because the register is reached by its address and shared by the pins of a port; safe because the port
-    // is one that has been set up, and after the set-up nothing else writes it.
+    // SAFETY: unsafe because the register is reached by its address and shared by the pins of a port; safe because the
+    // port is one that has been set up, and after the set-up nothing else writes it.
     unsafe {
         let others = register.read_volatile() & !(0b11 << (2 * place.pin));
         register.write_volatile(others | pull << (2 * place.pin));
     }
 }
 
-/// Outputs that change slowly, those of programs among them.
+/// Number of slow outputs, including those for programs.
 const SLOW_OUTPUTS: usize = 5 + crate::PROFILE.program_pins[0] as usize;
 
 /// Outputs that change slowly.
 pub struct SlowPins([ErasedPin<Output>; SLOW_OUTPUTS]);
 
 impl SlowPins {
-    /// The pins in this order: driver enable, spindle on, spindle reversed, flood, mist, and those of programs.
+    /// Takes the pins in this order: driver enable, spindle on, spindle reversed, flood, mist, outputs for programs.
     pub fn new(pins: [ErasedPin<Output>; SLOW_OUTPUTS]) -> Self {
         for pin in pins.iter().skip(1) {
             note_safe_level(Place::from(pin), false);
@@ -314,7 +318,7 @@ impl SlowPins {
     }
 }
 
-/// What `setup` deals out.
+/// What `setup` returns, one part for each task.
 pub struct Parts<I, S: Port, L: Port, const P: usize> {
     /// For `step`.
     pub step_pins: StepPins<P>,
@@ -334,12 +338,12 @@ pub struct Parts<I, S: Port, L: Port, const P: usize> {
     pub watchdog: Watchdog,
 }
 
-/// No debugger puts a job into the RAM of a board.
+/// Returns `None`: no job is ever put into the RAM of this board.
 pub fn preloaded_job() -> Option<&'static [u8]> {
     None
 }
 
-/// Without a preloaded job there is no end of it.
+/// Does nothing: there is no preloaded job.
 pub fn job_done() {}
 
 /// Sleeps until the next interrupt.
@@ -348,34 +352,35 @@ pub fn idle() {
     cortex_m::asm::wfi();
 }
 
-/// The independent watchdog: it runs on a clock of its own (32 kHz nominal, 17 to 47 by the data sheet), so its time is
-/// 2 s nominal and at least 1.3 s: more than an erase of flash takes.
+/// The independent watchdog. It runs on its own clock (32 kHz nominal, 17 to 47 by the data sheet), so its timeout is 2
+/// s nominal and at least 1.3 s: more than a flash erase takes.
 pub struct Watchdog(IndependentWatchdog);
 
 impl Watchdog {
-    /// Not started yet. It holds while a debug probe has halted the processor.
+    /// Creates the watchdog, not started yet. It pauses while a debug probe has halted the processor.
     pub fn new(device: pac::IWDG, debug: &pac::DBGMCU) -> Watchdog {
         let watchdog = IndependentWatchdog::new(device);
         watchdog.stop_on_debug(debug, true);
-        // So does the step clock: none begins while the processor cannot add to them, and a pulse that is out ends. The beam
-        // stays as it is.
+        // The step clock pauses, too: no step begins while the processor cannot commit more, and a pulse in progress
+        // ends. The laser's power does not change.
         debug.apb1_fz().modify(|_, w| w.dbg_tim5_stop().set_bit());
         Watchdog(watchdog)
     }
 
-    /// From here on it wants to be fed.
+    /// Starts the watchdog: from now on it must be fed.
     pub fn start(&mut self) {
         self.0.start(2_000.millis());
     }
 
-    /// Feeds it.
+    /// Restarts the timeout.
     #[inline]
     pub fn feed(&mut self) {
         self.0.feed();
     }
 }
 
-/// Why the processor was reset (RCC_CSR), and clears it. Every reset also pulls the reset pin, so the pin comes last.
+/// Returns the cause of the last reset (RCC_CSR) and clears it. Every reset also pulls the reset pin, so that flag is
+/// checked after the others.
 pub fn reset_cause() -> ResetCause {
     // SAFETY: unsafe because the clock control is by-passed; safe because nothing else uses this register.
     let csr = unsafe { (*pac::RCC::ptr()).csr() };

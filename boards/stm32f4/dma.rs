@@ -1,12 +1,13 @@
-//! DMA streams by their registers: what the chain of the steps and the UART share.
+//! Access to DMA streams by their registers, shared by the step output (`chain`) and the UART.
 //!
-//! Raw registers, because the HAL's transfers own their buffer up to the end: these go round, are looked at while they do, and begin
-//! again with another length each time. Rules that the parts demand, held by the models of `tests/virtual_board`: CR of a stream is not
-//! read right after EN was set, and streams are not switched on back to back.
+//! Raw registers, because a transfer of the HAL owns its buffer until it ends. The streams here are circular, are read
+//! while they run, and restart with different lengths. Hardware constraints, checked by the models of
+//! `tests/virtual_board`: do not read a stream's CR right after setting EN, and do not switch on two streams back to
+//! back.
 
 use super::registers::{read, write};
 
-/// Registers of a controller: the flags of streams 0 to 3 and 4 to 7, and where these are cleared; the first stream.
+/// Registers of a controller: flags of streams 0 to 3 and 4 to 7, the registers that clear them, and the first stream.
 pub(super) const LISR: usize = 0x00;
 pub(super) const HISR: usize = 0x04;
 const LIFCR: usize = 0x08;
@@ -18,7 +19,8 @@ pub(super) const CR: usize = 0x00;
 pub(super) const NDTR: usize = 0x04;
 const PAR: usize = 0x08;
 const M0AR: usize = 0x0C;
-/// CR of a stream: on; memory is read; circular; either address counts up; words on both sides; very high priority.
+/// CR of a stream: enable; memory to peripheral; circular; increment the peripheral or the memory address; words on
+/// both sides; very high priority.
 pub(super) const EN: u32 = 1;
 pub(super) const TO_PERIPHERAL: u32 = 1 << 6;
 pub(super) const CIRCULAR: u32 = 1 << 8;
@@ -26,16 +28,16 @@ pub(super) const PERIPHERAL_COUNTS: u32 = 1 << 9;
 pub(super) const MEMORY_COUNTS: u32 = 1 << 10;
 pub(super) const WORDS: u32 = 2 << 11 | 2 << 13;
 pub(super) const VERY_HIGH: u32 = 3 << 16;
-/// Flags of a stream, six bits; transfer error and direct mode error among them.
+/// All flags of a stream (six bits wide), and its transfer error and direct mode error.
 const FLAGS: u32 = 0x3D;
 const ERROR_FLAGS: u32 = 0b1100;
 
-/// Where the flags of a stream stand.
+/// Bit position of a stream's flags.
 const fn flags_at(stream: usize) -> u32 {
     [0, 6, 16, 22][stream % 4]
 }
 
-/// The error flags of some streams, which share a register.
+/// Returns the error flags of some streams that share a register.
 pub(super) const fn errors(streams: &[usize]) -> u32 {
     let (mut flags, mut at) = (0, 0);
     while at < streams.len() {
@@ -45,19 +47,19 @@ pub(super) const fn errors(streams: &[usize]) -> u32 {
     flags
 }
 
-/// More cycles than it takes from a request to the last word that comes of it.
+/// Upper bound, in cycles, of the time from a request to the last word that it transfers.
 pub(super) const SERVED_CYCLES: u32 = 80;
-/// Between two streams that are switched on.
+/// Cycles between switching on two streams.
 const APART_CYCLES: u32 = 12;
 
-/// Address of a stream's registers.
+/// Returns the address of a stream's registers.
 #[inline(always)]
 pub(super) const fn stream(dma: usize, number: usize) -> usize {
     dma + STREAMS + STREAM_SIZE * number
 }
 
-/// A transfer under way ends before a stream is off, which EN tells (reference manual, "Stream configuration procedure"). One that
-/// never ends would be the last thing to wait for.
+/// Waits until a stream is off: EN stays set until the current transfer has ended (reference manual, "Stream
+/// configuration procedure"). The wait is bounded, in case a transfer never ends.
 #[inline(always)]
 pub(super) fn await_off(stream: usize) {
     let mut looks = SERVED_CYCLES;
@@ -66,14 +68,14 @@ pub(super) fn await_off(stream: usize) {
     }
 }
 
-/// Clears all flags of a stream. Those of an earlier use would keep it from starting.
+/// Clears all flags of a stream. Flags of an earlier use would prevent it from starting.
 #[inline(always)]
 pub(super) fn clear_flags(dma: usize, number: usize) {
     let clear = if number < 4 { LIFCR } else { HIFCR };
     write(dma + clear, FLAGS << flags_at(number));
 }
 
-/// Programs a stream that is off for `count` transfers; `peripheral` and `memory` as the manual names the ports.
+/// Programs a disabled stream for `count` transfers; `peripheral` and `memory` are the manual's names of the two ports.
 #[inline(always)]
 pub(super) fn program(dma: usize, number: usize, peripheral: usize, memory: usize, count: usize) {
     let at = stream(dma, number);
@@ -82,7 +84,7 @@ pub(super) fn program(dma: usize, number: usize, peripheral: usize, memory: usiz
     write(at + NDTR, count as u32);
 }
 
-/// Programs a stream and switches it on, in direct mode as after a reset.
+/// Programs a stream and switches it on; `how` is its CR without EN. It runs in direct mode, the default after a reset.
 #[inline(never)]
 pub(super) fn switch_on(dma: usize, number: usize, peripheral: usize, memory: usize, count: usize, how: u32) {
     let at = stream(dma, number);

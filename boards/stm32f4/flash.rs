@@ -1,8 +1,8 @@
 //! The `SettingsFlash` of an STM32F4: two of its 16 KiB sectors, written in words at parallelism 32 (2.7 V and more).
 //!
-//! Promises that only these two sectors are ever touched. While the memory works, every fetch from flash stalls, so the
-//! whole program is stalled: 16 us for a word (100 at most), 250 ms for an erase (500 at most; data sheet of the STM32F411,
-//! table "Flash memory programming"). When to begin an operation is left to the caller.
+//! Only these two sectors are ever written or erased. During either, every fetch from flash stalls and with it the
+//! whole program: 16 us for a word (100 at most), 250 ms for an erase (500 at most; data sheet of the STM32F411, table
+//! "Flash memory programming"). The caller decides when to start an operation.
 
 use oxmill_store::{Flash, Sector};
 use stm32f4xx_hal::pac;
@@ -16,7 +16,7 @@ const FLASH_START: u32 = 0x0800_0000;
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 // SR
 const BUSY: u32 = 1 << 16;
-/// Operation error, write protection, alignment, parallelism, sequence; a 1 written clears the bit.
+/// Operation error, write protection, alignment, parallelism, sequence; writing 1 clears the bit.
 const ERRORS: u32 = 1 << 1 | 1 << 4 | 1 << 5 | 1 << 6 | 1 << 7;
 // CR
 const PROGRAM: u32 = 1 << 0;
@@ -29,7 +29,7 @@ const LOCK: u32 = 1 << 31;
 const DATA_CACHE: u32 = 1 << 10;
 const DATA_CACHE_RESET: u32 = 1 << 12;
 
-/// A whole register as a number.
+/// Writes a whole register as a number.
 macro_rules! raw {
     ($register:expr, $bits:expr) => {{
         // SAFETY: unsafe because the device crate cannot know which numbers the register takes; safe because each value
@@ -38,28 +38,29 @@ macro_rules! raw {
     }};
 }
 
-/// Why the memory did not take something.
+/// Why a write or an erase failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FlashError {
     /// The error bits of SR.
     Refused(u32),
-    /// What is read is not what was written.
+    /// The value read back differs from the value written.
     Unlike,
 }
 
-/// The two sectors.
+/// The two settings sectors.
 pub struct SettingsFlash {
     flash: pac::FLASH,
     before_stall: fn(),
 }
 
 unsafe extern "C" {
-    /// Where the settings sectors begin, from the linker script.
+    /// Start of the settings sectors, from the linker script.
     static _settings_start: u32;
 }
 
 impl SettingsFlash {
-    /// The sectors that the linker script keeps free. `before_stall` sees to what cannot wait for the processor; interrupts are off.
+    /// Takes the sectors that the linker script reserves. `before_stall` is called, with interrupts off, before each
+    /// operation that stalls the processor, to set up what cannot wait.
     pub fn new(flash: pac::FLASH, before_stall: fn()) -> SettingsFlash {
         SettingsFlash { flash, before_stall }
     }
@@ -72,7 +73,7 @@ impl SettingsFlash {
         }
     }
 
-    /// Unlocks, lets `operation` begin, waits for its end, and locks again.
+    /// Unlocks the memory, starts `operation`, waits for its end, and locks the memory again.
     fn operate(&mut self, control: u32, operation: impl FnOnce(&pac::FLASH)) -> Result<(), FlashError> {
         let flash = &self.flash;
         let errors = critical_section::with(|_| {
@@ -92,11 +93,12 @@ impl SettingsFlash {
         if errors == 0 { Ok(()) } else { Err(FlashError::Refused(errors)) }
     }
 
-    /// Drops what the data cache has kept of the sectors: an erase does not (reference manual, "Flash erase sequences").
+    /// Resets the data cache, which may hold old words of the sectors: an erase does not update it (reference manual,
+    /// "Flash erase sequences").
     fn forget_cached(&self) {
         let acr = self.flash.acr();
         let before = acr.read().bits();
-        // It can be reset only while it is off.
+        // The cache can be reset only while it is off.
         acr.write(|w| raw!(w, before & !DATA_CACHE));
         acr.write(|w| raw!(w, before & !DATA_CACHE | DATA_CACHE_RESET));
         acr.write(|w| raw!(w, before & !DATA_CACHE));
@@ -113,8 +115,8 @@ impl Flash for SettingsFlash {
 
     fn read(&mut self, sector: Sector, address: u32) -> Result<u32, FlashError> {
         let address = Self::address(sector) + (address & (SECTOR_BYTES - 4));
-        // SAFETY: unsafe because a raw address is read; safe because it is aligned and lies in the settings sectors, which
-        // are always readable memory.
+        // SAFETY: unsafe because a raw address is read; safe because it is aligned and lies in the settings sectors,
+        // which are always readable memory.
         Ok(unsafe { (address as *const u32).read_volatile() })
     }
 
@@ -130,7 +132,7 @@ impl Flash for SettingsFlash {
 
     fn erase(&mut self, sector: Sector) -> Result<(), FlashError> {
         let number = (Self::address(sector) - FLASH_START) / SECTOR_BYTES;
-        // Sector 0 has the vectors, sector 3 and on the code.
+        // Sector 0 has the vectors, sectors 3 and up have the code.
         if !(1..=2).contains(&number) {
             return Err(FlashError::Refused(0));
         }

@@ -1,5 +1,5 @@
-//! The modules that the STM32F4 boards share: what the step interrupt touches ([`step`], `chain`, `dma`, `registers`), and the
-//! rest of the chip (`chip`, `flash`, `supply`, `usart`, `usb`).
+//! Modules shared by the STM32F4 boards: the part that the step interrupt uses ([`step`], `chain`, `dma`, `registers`)
+//! and the rest of the chip (`chip`, `flash`, `supply`, `usart`, `usb`).
 
 mod chain;
 mod dma;

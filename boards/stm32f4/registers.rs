@@ -1,33 +1,33 @@
-//! Addresses of the registers that the step interrupt touches, and volatile access to them. They are constants because
-//! in that interrupt each instruction counts.
+//! Addresses of the registers that the step interrupt uses, and volatile access to them. The addresses are constants
+//! because each instruction counts in that interrupt.
 //!
-//! Where the peripherals are is a type, [`Map`], so that the benchmark can run this very code on memory. Addresses and bits:
-//! reference manual RM0383, the same in RM0390 for the F446.
+//! The base addresses are a type parameter, [`Map`], so that the benchmark can run this code on plain memory. Source of
+//! addresses and bits: reference manual RM0383; those of RM0390 (F446) are the same.
 
-/// Addresses of the peripherals.
+/// Base addresses of the peripherals.
 ///
 /// # Safety
 ///
-/// Each is the address of the peripheral that it names, whose clock is on while it is used, or of memory that nothing else uses:
-/// all of them are written to as they are.
+/// Each constant is the address of the peripheral that it names, whose clock is on while it is used, or of memory that
+/// nothing else uses: this module writes to these addresses without further checks.
 pub unsafe trait Map {
-    /// Port A; the others follow.
+    /// Port A; the other ports follow.
     const GPIO: usize;
     /// The step clock.
     const TIM5: usize;
-    /// PWM of the spindle.
+    /// PWM of the spindle or laser.
     const TIM3: usize;
-    /// Pulses.
+    /// Pulse timer.
     const TIM1: usize;
-    /// Moments.
+    /// DMA controller that loads event times and the laser's power.
     const DMA1: usize;
-    /// Edges.
+    /// DMA controller that writes the edges.
     const DMA2: usize;
     /// Reset and clocks.
     const RCC: usize;
 }
 
-/// Those of the STM32F4.
+/// The addresses of the STM32F4.
 pub struct Chip;
 
 // SAFETY: unsafe because writes go there; safe because these are the addresses of the reference manuals' memory maps.
@@ -41,7 +41,7 @@ unsafe impl Map for Chip {
     const RCC: usize = 0x4002_3800;
 }
 
-/// Registers of a port, and the distance of two ports.
+/// Registers of a port, and the address distance of two ports.
 const IDR: usize = 0x10;
 const BSRR: usize = 0x18;
 const PORT_SIZE: usize = 0x400;
@@ -65,34 +65,37 @@ pub mod timer {
 
 #[inline(always)]
 pub(super) fn write(address: usize, value: u32) {
-    // SAFETY: unsafe because a raw address is written; safe because only the files of this folder call it, with addresses of
-    // registers of ports, timers, DMA controllers, RCC and the USART that have one owner each and whose clocks are on since `setup`
-    // (BSRR changes the pins it names and no others, EGR is a request that whoever may make). Of these, only DMA streams
-    // reach memory: `chain` has them read its own rings and write registers, `usart_dma` read its own halves and write its own slots, and
-    // `usart_interrupt` write its own slots, which are atomic.
+    // SAFETY: unsafe because a raw address is written; safe because only the files of this folder call it, with
+    // addresses of registers of ports, timers, DMA controllers, RCC and the USART that have one owner each and whose
+    // clocks are on since `setup`. (A write to BSRR changes only the pins it names; a write to EGR is a request that
+    // any code may make.) Of these, only DMA streams reach memory: `chain` makes them read its own rings and write
+    // registers, `usart_dma` makes them read its own halves and write its own slots, and `usart_interrupt` makes them
+    // write its own slots, which are atomic.
     unsafe { (address as *mut u32).write_volatile(value) }
 }
 
 #[inline(always)]
 pub(super) fn read(address: usize) -> u32 {
-    // SAFETY: unsafe because a raw address is read; safe because only the files of this folder call it, with addresses of
-    // registers that may be read at any time without effect, or of the USART, by the tasks at the priority of the inputs.
+    // SAFETY: unsafe because a raw address is read; safe because only the files of this folder call it, with addresses
+    // of registers that may be read at any time without effect, or of the USART, by the tasks at the priority of the
+    // inputs.
     unsafe { (address as *const u32).read_volatile() }
 }
 
-/// Address of the register that sets and resets pins of a port at one moment: low half sets, high half resets.
+/// Returns the address of the register that sets and resets pins of a port with one store: the low half sets, the high
+/// half resets.
 #[inline(always)]
 pub(super) const fn bsrr_of<M: Map>(port: usize) -> usize {
     M::GPIO + PORT_SIZE * port + BSRR
 }
 
-/// Sets and resets pins of a port at one moment.
+/// Sets and resets pins of a port with one store.
 #[inline(always)]
 pub(super) fn write_bsrr<M: Map>(port: usize, value: u32) {
     write(bsrr_of::<M>(port), value);
 }
 
-/// Levels of the pins of a port.
+/// Returns the levels of the pins of a port.
 #[inline(always)]
 pub(super) fn read_idr<M: Map>(port: usize) -> u32 {
     read(M::GPIO + PORT_SIZE * port + IDR)

@@ -1,6 +1,6 @@
-//! `StepPins<M, P, O>`, the step and direction outputs of an STM32F4, and the spindle's PWM: tables with the port words
-//! of each combination of steps and directions, with the polarities that are set. When the words come out is left to
-//! `chain.rs`; setting clocks, pins and timers up to `chip.rs`.
+//! Step and direction outputs of an STM32F4 and the spindle's PWM: `StepPins`, with tables of the port words of each
+//! combination of steps and directions, for the polarities in force. `chain.rs` decides when the words are output;
+//! `chip.rs` sets up clocks, pins and timers.
 
 use super::chain::Chain;
 pub use super::chain::Rings;
@@ -10,17 +10,17 @@ use crate::contract::{COMBINATIONS, Due, Free, SecondMotor, StepOutput, Undone};
 use core::marker::PhantomData;
 use core::sync::atomic::{AtomicU32, Ordering};
 
-/// Ports A, B and C: all that these boards bring out.
+/// Number of ports that these boards bring out: A, B and C.
 pub const PORTS: usize = 3;
 
-/// PWM of spindle and laser before the settings are known: `$33` of a new controller.
+/// PWM frequency of spindle and laser before the settings are loaded: the default of `$33`.
 const DEFAULT_PWM_HZ: u32 = 5_000;
 
-/// What to write to each port so that nothing moves, turns, burns or flows. Kept here and not with a task, because a
-/// panic may come in any of them.
+/// The BSRR word of each port that makes all its outputs safe: nothing moves, turns, burns or flows. A static instead
+/// of a task's resource, because a panic may occur in any task.
 pub static SAFE: [AtomicU32; PORTS] = [const { AtomicU32::new(0) }; PORTS];
 
-/// Notes the level that makes a pin safe.
+/// Records the level at which a pin is safe.
 pub fn note_safe_level(place: Place, high: bool) {
     if let Some(safe) = SAFE.get(place.port) {
         let both = 0x1_0001 << place.pin;
@@ -29,7 +29,7 @@ pub fn note_safe_level(place: Place, high: bool) {
     }
 }
 
-/// Place of a pin that exists: ports are reached by their number.
+/// A pin that exists, by the number of its port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Place {
     /// 0 for port A.
@@ -39,27 +39,28 @@ pub struct Place {
 }
 
 impl Place {
-    /// Port 0 to 2, for A to C, and pin 0 to 15. Panics with any other.
+    /// Creates the place of a pin: port 0 to 2 for A to C, pin 0 to 15. Panics otherwise.
     pub const fn new(port: usize, pin: u32) -> Place {
         assert!(port < PORTS && pin < 16, "there is no such pin");
         Place { port, pin }
     }
 }
 
-/// BSRR word that gives a pin a level.
+/// Returns the BSRR word that sets a pin to a level.
 pub const fn bsrr(pin: u32, high: bool) -> u32 {
     if high { 1 << pin } else { 0x1_0000 << pin }
 }
 
-/// Words for each combination of a bit for each axis, for each port.
+/// For each port, the BSRR word of each combination (one bit per axis).
 type Words<const P: usize> = [[u32; COMBINATIONS]; P];
-/// All of the bits.
+/// The combination with the bits of all axes.
 const ALL: u8 = (COMBINATIONS - 1) as u8;
-/// The bit of A, whose motor is the fourth; on a board with three axes there is none.
+/// The bit of axis A, whose motor is the fourth; 0 on a board with three axes.
 const FOURTH_AXIS: u8 = ALL & 8;
 
-/// Fills a table: which bits of a combination drive each pin, and a bit for each that is active low. `both` = a pin that is
-/// not driven gets the opposite level; otherwise it is left alone.
+/// Computes the words of each port for all combinations. `driven`: the bits of a combination that drive each pin.
+/// `invert`: a bit for each pin that is active low. With `both`, a pin that is not driven gets the opposite level;
+/// otherwise it is left alone.
 fn fill<const P: usize>(ports: [usize; P], places: [Place; 4], driven: [u8; 4], invert: u8, both: bool) -> Words<P> {
     let mut tables = [[0; COMBINATIONS]; P];
     for (i, (place, driven)) in places.into_iter().zip(driven).enumerate() {
@@ -75,13 +76,13 @@ fn fill<const P: usize>(ports: [usize; P], places: [Place; 4], driven: [u8; 4], 
     tables
 }
 
-/// The ports that pins lie on.
+/// Returns the ports of some pins. Panics if there are more than `P`.
 fn ports_of<const P: usize>(places: impl Iterator<Item = Place> + Clone) -> [usize; P] {
     let mut ports = [places.clone().next().map_or(0, |place| place.port); P];
     let mut used = 1;
     for place in places {
         if !ports[..used].contains(&place.port) {
-            // A board that says how many ports its pins are on and is wrong does not start.
+            // A board whose `P` is too small fails here, at its start.
             ports[used] = place.port;
             used += 1;
         }
@@ -89,12 +90,12 @@ fn ports_of<const P: usize>(places: impl Iterator<Item = Place> + Clone) -> [usi
     ports
 }
 
-/// Clocks that the outputs count with.
+/// Clocks of the output timers.
 #[derive(Clone, Copy, Debug)]
 pub struct Clocks {
-    /// Of TIM1, MHz.
+    /// Clock of TIM1, MHz.
     pub pulse_mhz: u32,
-    /// Of the PWM, Hz.
+    /// Clock of the PWM's timer, Hz.
     pub pwm_hz: u32,
 }
 
@@ -104,24 +105,26 @@ pub struct StepPins<M, const P: usize, O> {
     ports: [usize; P],
     step: [Place; 4],
     direction: [Place; 4],
+    /// Words of each combination of steps, without directions.
     steps: Words<P>,
+    /// Words of each combination of directions.
     directions: Words<P>,
-    /// Of the directions that hold: words for each combination of steps.
+    /// Words of each combination of steps, with the present directions.
     both: Words<P>,
-    /// What an event holds until it is committed: its word, or on several ports its steps.
+    /// What an event holds until it is committed, for each combination: its word, or on several ports its steps.
     table: [u32; COMBINATIONS],
     clocks: Clocks,
     pwm_period: u32,
-    /// Of the touch probe; the pin itself belongs to the inputs.
+    /// The touch probe's pin, which itself belongs to the inputs.
     probe: Place,
-    /// Whatever must not be used by anybody else.
+    /// Peripherals and pins that no other code may use.
     _owned: O,
     map: PhantomData<M>,
 }
 
 impl<M: Map, const P: usize, O> StepPins<M, P, O> {
-    /// The pins X, Y, Z and those of a second motor are outputs already, the timers run, and TIM1 and both DMA controllers have
-    /// their clocks.
+    /// Creates the outputs. The pins X, Y, Z and those of a second motor must be outputs already, the timers must run,
+    /// and TIM1 and both DMA controllers must have their clocks.
     pub fn at(
         step: [Place; 4],
         direction: [Place; 4],
@@ -154,7 +157,7 @@ impl<M: Map, const P: usize, O> StepPins<M, P, O> {
         pins
     }
 
-    /// The compare value of the PWM.
+    /// Returns the PWM's compare value for a power.
     fn compare(&self, power: u16) -> u32 {
         // 65535 becomes 65536/65536: fully on.
         let share = u32::from(power) + u32::from(power >> 15);
@@ -170,7 +173,7 @@ impl<M: Map, const P: usize, O> StepPins<M, P, O> {
 
 impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
     const DEPTH: usize = super::chain::DEPTH;
-    // A call takes less: much of the processor stays for other tasks, whatever the rate.
+    // Longer than the interrupt takes: at any rate, much of the CPU is left for other tasks.
     const SOON: u32 = 800;
 
     #[inline(always)]
@@ -249,10 +252,11 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
 
     #[inline(never)]
     fn halt(&mut self, dark: bool) -> Undone<AXES> {
-        // First of all: what is computed from here on delays nothing.
+        // First, so that the computations below do not delay the stop.
         let (tail, fault) = self.chain.silence(dark);
         let mut net = [0; AXES];
-        // The word of an axis alone has the bits of its pins, and of its directions one bit that no other one has.
+        // The word of a single axis has the bits of its pins; the word of its direction has one bit that no other
+        // direction has.
         let of = |table: &[u32; COMBINATIONS], axis: usize| table.get(1 << axis).copied().unwrap_or(0);
         let mut masks = [[(0, 0); P]; AXES];
         for (axis, masks) in masks.iter_mut().enumerate() {
@@ -274,7 +278,7 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
     }
 
     fn set_polarity(&mut self, step_invert: u8, direction_invert: u8, second: SecondMotor) {
-        // The fourth pin is driven as that of its axis is: as the second of another axis, or else as A.
+        // The fourth motor's pins follow those of its axis: the axis of the second motor, or else A.
         let axis = if second.axis == 0 { FOURTH_AXIS } else { second.axis };
         let fourth = |mask: u8, turn: bool| mask & 7 | u8::from((mask & axis != 0) != turn) << 3;
         let step_invert = fourth(step_invert, false);
@@ -293,22 +297,23 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
         self.write_ports(self.directions.map(|words| words[0]));
     }
 
-    /// The length of the step pulse in ticks of the timer that makes it.
+    /// Converts the length to ticks of TIM1.
     fn set_pulse(&mut self, tenths: u16) {
-        // What is no whole number of ticks is rounded up: a driver is never given less than it asks for.
+        // Rounded up to a whole number of ticks: a pulse is never shorter than the driver requires.
         self.chain.set_pulse((u32::from(tenths) * self.clocks.pulse_mhz).div_ceil(10));
     }
 
     fn set_pwm(&mut self, hz: u32, power: u16) {
         let counts = self.clocks.pwm_hz / hz.max(1);
-        // The timer has 16 bits; a period of 65536 would be one too many for `set_power`.
+        // The timer has 16 bits. The period is at most 65535 counts, because full power needs a compare value of one
+        // whole period.
         let prescaler = (counts >> 16).min(0xFFFF);
         self.pwm_period = (counts / (prescaler + 1)).clamp(2, 0xFFFF);
         write(M::TIM3 + PSC, prescaler);
         write(M::TIM3 + ARR, self.pwm_period - 1);
-        // At rest DMA has none to write.
+        // At rest DMA writes no power.
         write(M::TIM3 + CCR2, self.compare(power));
-        // Restarts the counter: the prescaler is taken over, and the counter cannot be beyond its end.
+        // Restarts the counter, which loads the prescaler and ensures that the counter is not beyond its new end.
         write(M::TIM3 + EGR, 1);
     }
 

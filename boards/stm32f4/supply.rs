@@ -1,30 +1,31 @@
-//! The supply of an STM32F4: the voltage scale of the core, the detector that interrupts when the board's supply falls,
-//! and a restart that waits until it has risen again.
+//! Supply of an STM32F4: the core's voltage scale, the detector that interrupts when the supply falls, and a restart
+//! that waits until the supply has risen again.
 
 use super::safe_state;
 use core::cell::Cell;
 use critical_section::Mutex;
 use stm32f4xx_hal::pac;
 
-/// A whole register as a number.
+/// Writes a whole register as a number.
 macro_rules! raw {
     ($register:expr, $bits:expr) => {{
-        // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because only the supply's
-        // and its interrupt line are written so: they reach no memory, and each value is explained where it is written.
+        // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because only the
+        // registers of the supply and of its interrupt line are written with it: they reach no memory, and each value
+        // is explained where it is written.
         unsafe { $register.bits($bits) }
     }};
 }
 
-/// Lets the core's supply carry the full clock: an F411 wakes up at a scale for 84 MHz (reference manual, PWR_CR, VOS), and
-/// the HAL leaves it there. The scale can be changed only while the PLL is off.
+/// Raises the core's voltage scale for the full clock: an F411 starts with the scale for 84 MHz (reference manual,
+/// PWR_CR, VOS), and the HAL leaves it there. The scale can be changed only while the PLL is off.
 #[cfg(feature = "stm32f411")]
 pub fn full_core_voltage(pwr: &pac::PWR) {
     clock_supply();
     pwr.cr().modify(|r, w| raw!(w, r.bits() | 0b11 << 14));
 }
 
-/// Clocks the control of the supply. Before an enabled clock has arrived, writes are lost and reads give nothing of use (errata
-/// sheets, "Delay after an RCC peripheral clock enabling"): reading back waits for it.
+/// Enables the clock of the supply control. Until the clock arrives, writes are lost and reads are useless (errata
+/// sheets, "Delay after an RCC peripheral clock enabling"); reading back waits for it.
 fn clock_supply() {
     // SAFETY: unsafe because a bit of the clock control is set without owning it; safe because no task runs yet.
     let enable = unsafe { (*pac::RCC::ptr()).apb1enr() };
@@ -32,7 +33,7 @@ fn clock_supply() {
     let _ = enable.read();
 }
 
-/// Vector of the voltage detector: the device crates disagree about its name.
+/// Vector of the voltage detector, whose name differs between the device crates.
 #[cfg(not(feature = "stm32f401"))]
 const VOLTAGE_VECTOR: pac::Interrupt = pac::Interrupt::PVD;
 #[cfg(feature = "stm32f401")]
@@ -41,21 +42,21 @@ const VOLTAGE_VECTOR: pac::Interrupt = pac::Interrupt::EXTI16_PVD;
 /// EXTI line of the voltage detector.
 const VOLTAGE_LINE: u32 = 1 << 16;
 
-/// What the program does when the supply fails.
+/// Called when the supply fails.
 static LOW_VOLTAGE: Mutex<Cell<fn() -> !>> = Mutex::new(Cell::new(unwatched));
 
-/// The vector is masked until [`watch_voltage`] has been given a function.
+/// Default handler. Not reached: the vector is masked until [`watch_voltage`] has set a function.
 fn unwatched() -> ! {
     safe_state();
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// Watches the supply: below 2.9 V (2.85 to 2.99 V, falling) `low_voltage` is called, which is to make everything safe while there
-/// still is power. Its vector has the highest priority of all; it runs once and does not return.
+/// Calls `low_voltage` when the supply falls below 2.9 V (2.85 to 2.99 V). `low_voltage` must make the machine safe
+/// while there is still power; it runs at the highest priority and does not return.
 pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI, low_voltage: fn() -> !) {
     critical_section::with(|cs| LOW_VOLTAGE.borrow(cs).set(low_voltage));
     detect_voltage(pwr);
-    // Rising edge of the detector's output: the voltage falls.
+    // The detector's output rises when the voltage falls.
     exti.rtsr().modify(|r, w| raw!(w, r.bits() | VOLTAGE_LINE));
     exti.pr().write(|w| raw!(w, VOLTAGE_LINE));
     exti.imr().modify(|r, w| raw!(w, r.bits() | VOLTAGE_LINE));
@@ -65,16 +66,16 @@ pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI, low_voltage: fn() -> !) {
         cortex_m::Peripherals::steal().NVIC.set_priority(VOLTAGE_VECTOR, 0);
         pac::NVIC::unmask(VOLTAGE_VECTOR);
     }
-    // A supply that has fallen before the edge was looked for raises none.
+    // A supply that fell before the edge detection was enabled raises no edge.
     if voltage_is_low() {
         pac::NVIC::pend(VOLTAGE_VECTOR);
     }
 }
 
-/// Waits until the supply has risen to 3 V (the detector's threshold, rising: 2.95 to 3.09 V). To be called before the clocks are
-/// set: the chip wakes up at 1.7 V, and the wait states of flash for a clock beyond the 16 MHz of a reset are those for 2.7 V or
-/// more (reference manual, "Relation between CPU clock frequency and flash memory read time"). Capacitors of some millifarads
-/// behind a small supply take a tenth of a second.
+/// Waits until the supply has risen to 3 V (the detector's rising threshold: 2.95 to 3.09 V). Call before setting the
+/// clocks: the chip starts at 1.7 V, and the flash wait states for a clock above the 16 MHz of a reset are those for
+/// 2.7 V or more (reference manual, "Relation between CPU clock frequency and flash memory read time"). A small supply
+/// takes a tenth of a second to charge capacitors of a few millifarads.
 pub fn await_voltage(pwr: &pac::PWR) {
     detect_voltage(pwr);
     if voltage_is_low() {
@@ -83,15 +84,15 @@ pub fn await_voltage(pwr: &pac::PWR) {
     }
 }
 
-/// Switches the detector on, at its highest threshold (PLS = 7): 2.9 V while the supply falls, and 0.1 V more while it rises (data
-/// sheets, "Embedded reset and power control block characteristics").
+/// Switches on the detector at its highest threshold (PLS = 7): 2.9 V falling and 0.1 V more rising (data sheets,
+/// "Embedded reset and power control block characteristics").
 fn detect_voltage(pwr: &pac::PWR) {
     clock_supply();
     pwr.cr().modify(|_, w| raw!(w.pvde().set_bit().pls(), 7));
     cortex_m::asm::delay(SETTLED_CYCLES);
 }
 
-/// For the detector's first comparison, at the 16 MHz of a reset: 10 us, which is more than its own delay.
+/// Delay for the detector's first comparison: 10 us at the 16 MHz of a reset, more than the detector needs.
 const SETTLED_CYCLES: u32 = 160;
 
 fn voltage_is_low() -> bool {
@@ -99,7 +100,7 @@ fn voltage_is_low() -> bool {
     unsafe { (*pac::PWR::ptr()).csr().read().pvdo().bit_is_set() }
 }
 
-/// The supply is failing.
+/// Interrupt handler of the voltage detector.
 #[cfg_attr(not(feature = "stm32f401"), unsafe(export_name = "PVD"))]
 #[cfg_attr(feature = "stm32f401", unsafe(export_name = "EXTI16_PVD"))]
 // unsafe because the linker takes the name on trust; safe because it is the vector's, and the signature fits.
@@ -107,7 +108,7 @@ extern "C" fn voltage_low() {
     critical_section::with(|cs| LOW_VOLTAGE.borrow(cs).get())()
 }
 
-/// The core's clock is the one of a reset (HSI). To be called when nothing is timed any more.
+/// Switches the core to the clock of a reset (HSI). Only when timing does not matter any more.
 fn slow_down() {
     // SAFETY: unsafe because the owner of the clocks is by-passed; safe because the program has ended.
     let rcc = unsafe { &*pac::RCC::ptr() };
@@ -117,8 +118,8 @@ fn slow_down() {
     while !rcc.cfgr().read().sws().is_hsi() {}
 }
 
-/// The firmware has failed: logs why and resets, as soon as the supply is good. It does so at 16 MHz, for which the wait states
-/// are enough on any supply; outputs stay driven, which they would not in a reset.
+/// Ends the program after a failure: logs `why` and resets as soon as the supply is good. Waits at 16 MHz, for which
+/// the wait states suffice at any supply voltage. Meanwhile the outputs stay driven; during a reset they would float.
 pub fn restart(why: core::fmt::Arguments<'_>) -> ! {
     slow_down();
     defmt::error!("{}", defmt::Display2Format(&why));

@@ -1,14 +1,14 @@
-//! The UART to the host: what the serial task has of it, [`Usart`], and what the tasks at the priority of the inputs have of it,
-//! [`UartInput`]. How bytes come and go depends on the board: by DMA (`usart_dma`), or by an interrupt (`usart_interrupt`).
+//! The UART to the host: [`Usart`] for the serial task, and [`UartInput`] for the tasks at the priority of the inputs.
+//! The board chooses how bytes are transferred: by DMA (`usart_dma`) or by an interrupt (`usart_interrupt`).
 //!
 //! ```text
 //!  UART ──▶ UartInput ──messages──▶ Usart ──▶ serial task
 //!  UART ◀── UartOutput ◀─────────── Usart ◀── serial task
 //! ```
-//! No byte waits for the step task in vain, and none interrupts it: at any rate that a board allows (`$931`), what comes in the
-//! longest run of that task is kept. A written word of flash may stall the processor for 100 us, an erase for half a
-//! second. What holds: a host that keeps to the flow control (at most the 255 bytes that `Bf:` counts are under way) loses nothing,
-//! and besides there is room for 64 realtime commands (`REALTIME_DEPTH`). Any other loss is reported.
+//! Bytes neither interrupt the step task nor are lost during its longest run, at any rate that a board allows (`$931`).
+//! Writing a word of flash may stall the processor for 100 us, an erase for half a second. Guarantee: a host that
+//! respects the flow control (at most the 255 bytes that `Bf:` counts are in flight) loses nothing, and there is
+//! additional space for 64 realtime commands (`REALTIME_DEPTH`). Any other loss is reported.
 
 use super::registers::{read, write};
 use crate::uart_receiver::{ByteSource, Look, ReceivedBytes, UartReceiver};
@@ -16,8 +16,9 @@ use crate::{Incoming, Port};
 use rtic_sync::channel::{Channel, Receiver, Sender};
 use rtic_sync::signal::{Signal, SignalReader, SignalWriter};
 
-/// Registers of a USART. The HAL sets it up; here they are raw, as DMA reads and writes the data register past the HAL, which also
-/// drops the byte beside an overrun: it may be one that stops the machine.
+/// Registers of a USART. The HAL sets up the USART; the registers are raw here because DMA reads and writes the data
+/// register without the HAL. Besides, the HAL drops the byte that was received before an overrun, which may be a
+/// command that stops the machine.
 pub(super) const SR: usize = 0x00;
 pub(super) const DATA: usize = 0x04;
 const BRR: usize = 0x08;
@@ -26,37 +27,41 @@ pub(super) const CR_3: usize = 0x14;
 // CR1
 const ON: u32 = 1 << 13;
 
-/// Another rate, before anything is sent. What has come so far came at another one, perhaps, and is dropped.
+/// Sets the baud rate; call before anything is sent. Drops a byte received so far, since it may have been sent at
+/// another rate.
 pub(super) fn set_baud(usart: usize, clock: u32, baud: u32) {
     let control = read(usart + CR_1);
     write(usart + CR_1, control & !ON);
-    // Sixteen samples a bit: the quotient has four bits of fraction, and so has the register.
+    // The USART takes sixteen samples per bit, and BRR has four fractional bits: so BRR is simply clock / baud,
+    // rounded.
     write(usart + BRR, (clock + baud / 2) / baud);
     write(usart + CR_1, control);
     let _ = (read(usart + SR), read(usart + DATA));
 }
 
-/// What the tasks at the priority of the inputs have of a UART: what has come, as messages to the serial task.
+/// A UART's receiver, for the tasks at the priority of the inputs: sends the received bytes as messages to the serial
+/// task.
 pub struct UartInput<S, const N: usize> {
     pub(super) receiver: UartReceiver<S>,
     messages: Sender<'static, ReceivedBytes, N>,
-    /// How many messages have been sent (wrapping).
+    /// Number of messages sent (wrapping).
     sent: u32,
+    /// Number, as in `sent`, of the message up to which a stop command may be waiting; the serial task reads it.
     hurry: SignalWriter<'static, u32>,
 }
 
 impl<S: ByteSource, const N: usize> UartInput<S, N> {
-    /// Looks at what has come.
+    /// Reads received bytes and sends each message that is full.
     #[inline(always)]
     pub fn look(&mut self) -> Look {
         let (messages, sent) = (&mut self.messages, &mut self.sent);
         self.receiver.look(|message| send(messages, sent, message))
     }
 
-    /// Sends what has come to the serial task. `calls`: the caller calls it.
+    /// Sends the bytes read so far to the serial task. With `calls`, the caller calls the serial task afterwards.
     pub fn pass_on(&mut self, calls: bool) {
         if calls && self.receiver.has_stop() {
-            // It is in the message that is being filled, or in one before it.
+            // The command is in the message being filled or in an earlier one.
             self.hurry.write(self.sent.wrapping_add(1));
         }
         let (messages, sent) = (&mut self.messages, &mut self.sent);
@@ -74,29 +79,30 @@ fn send<const N: usize>(
     is_sent
 }
 
-/// How a UART sends.
+/// The sending part of a UART.
 pub trait UartOutput {
-    /// Puts a byte behind those that wait to be sent, if there is room.
+    /// Queues a byte for sending. Returns false if the queue is full.
     fn send(&mut self, byte: u8) -> bool;
-    /// What has been put is sent, and the serial task is called when there is room again.
+    /// Starts sending the queued bytes. The serial task is called when there is space again.
     fn begin(&mut self);
 }
 
-/// What the serial task has of a UART.
+/// A UART, for the serial task.
 pub struct Usart<T, const N: usize> {
     messages: Receiver<'static, ReceivedBytes, N>,
-    /// How many have been taken (wrapping).
+    /// Number of messages taken (wrapping).
     taken: u32,
-    /// Up to which one a command that stops the machine may be among them.
     hurry: SignalReader<'static, u32>,
+    /// A command that stops the machine may be among the messages up to this number.
     hurries_to: u32,
-    /// The message that is being read, and how far.
+    /// The message being read.
     message: ReceivedBytes,
+    /// Index of its next byte.
     next: usize,
     output: T,
 }
 
-/// Both ends, with what joins them. To be called once.
+/// Creates the ends for both tasks and connects them. Call once.
 pub(super) fn join<S: ByteSource, T, const N: usize>(
     receiver: UartReceiver<S>,
     output: T,
@@ -111,7 +117,7 @@ pub(super) fn join<S: ByteSource, T, const N: usize>(
 }
 
 impl<T, const N: usize> Usart<T, N> {
-    /// The next message, if this one has been read.
+    /// Takes the next message if the present one has been read completely.
     #[inline]
     fn fetch(&mut self) {
         if self.message.from(self.next).is_empty() && !self.messages.is_empty() {
@@ -152,14 +158,14 @@ impl<T: UartOutput, const N: usize> Port for Usart<T, N> {
         self.hurries_to = self.hurry.try_read().unwrap_or(self.hurries_to);
         let left = self.hurries_to.wrapping_sub(self.taken) as i32;
         if left < 0 {
-            // One behind, so that the count of messages never comes round to it.
+            // Keep it one behind `taken`, so that the wrapping count never reaches an old value.
             self.hurries_to = self.taken.wrapping_sub(1);
             return false;
         }
         left > 0 || !self.message.from(self.next).is_empty()
     }
 
-    /// Every byte is fetched at once.
+    /// Does nothing: every byte is fetched at once, the sender cannot be held back.
     #[inline]
     fn allow(&mut self, _room: usize) {}
 
@@ -168,7 +174,7 @@ impl<T: UartOutput, const N: usize> Port for Usart<T, N> {
         self.output.send(byte)
     }
 
-    /// It calls in any case.
+    /// Starts sending; the serial task is called when there is space, wanted or not.
     #[inline]
     fn call_when_free(&mut self, _wanted: bool) {
         self.output.begin();

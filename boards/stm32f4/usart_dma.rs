@@ -1,13 +1,13 @@
-//! A UART by DMA in both directions: no byte costs an interrupt, and none is lost while the processor stands still.
+//! UART by DMA in both directions: bytes need no interrupts, and none is lost while the processor is stalled.
 //!
 //! ```text
 //!  USART ──▶ DMA, circular ──▶ buffer
 //!  USART ◀── DMA ◀── one half; the serial task fills the other, and is called at the end of a half
 //! ```
-//! DMA reads no status. That a byte was damaged is told by the interrupt line of the USART (EIE), whose vector is not enabled: its
-//! pending bit stays until it is cleared, whoever clears the flags by reading the data register. It is set before DMA fetches the byte.
-//! So what had come before the bit was found clear is good; else all that has come since the look before, and up to the next,
-//! is doubted (`uart_receiver`).
+//! DMA does not read the status register. Damaged bytes are detected by the USART's interrupt line (EIE), whose vector
+//! is not enabled: its pending bit stays set until software clears it, even though reading the data register clears the
+//! flags. The bit is set before DMA fetches the byte. So if the bit is found clear, all bytes that arrived before are
+//! good; otherwise all bytes since the previous look and up to the next are treated as damaged (`uart_receiver`).
 
 use super::dma::{CIRCULAR, HISR, MEMORY_COUNTS, NDTR, SERVED_CYCLES, TO_PERIPHERAL, clear_flags, stream, switch_on};
 use super::registers::{read, write};
@@ -22,45 +22,50 @@ use stm32f4xx_hal::{
     serial::{Rx, Tx},
 };
 
-/// Messages to the serial task. Between two calls at 1 Mbaud four are filled; a line that comes slowly takes one for each 200 us.
+/// Capacity of the queue of messages to the serial task. At 1 Mbaud four are filled between two calls; a line that
+/// arrives slowly takes one message per 200 us.
 const MESSAGES: usize = 12;
-/// Bytes of a half.
+/// Bytes of a half of the send buffer.
 const HALF: usize = 64;
 
-/// SR: a byte is in the data register.
+/// SR: the data register holds a received byte.
 const ARRIVED: u32 = 1 << 5;
-/// CR3: errors pend; DMA receives and sends.
+/// CR3: errors raise the interrupt line; DMA receives and sends.
 const BY_DMA: u32 = 1 | 1 << 6 | 1 << 7;
-/// CR of the streams: channel 4; half-words, circular, before what is sent; bytes, a call at the end.
+/// CR of the streams: channel 4.
 const CHANNEL: u32 = 4 << 25;
+/// CR of the receiving stream: half-words, circular, with a higher priority than sending.
 const RECEIVES: u32 = CHANNEL | CIRCULAR | MEMORY_COUNTS | 1 << 11 | 1 << 13 | 1 << 16;
+/// CR of the sending stream: bytes, with an interrupt at the end.
 const SENDS: u32 = CHANNEL | TO_PERIPHERAL | MEMORY_COUNTS | 1 << 4;
 
-/// The streams of USART2, which nothing else uses (reference manuals, "DMA1 request mapping"): the vector of the one that sends is that
-/// of the serial task.
+/// The streams of USART2, which nothing else uses (reference manuals, "DMA1 request mapping"). The serial task uses the
+/// vector of the sending stream.
 const DMA: usize = 0x4002_6000;
 const RECEIVER: usize = 5;
 const SENDER: usize = 6;
-/// The end of what that stream sends (HISR, TCIF6).
+/// The sending stream has transferred all its bytes (HISR, TCIF6).
 const SENT: u32 = 1 << 21;
+/// Address of USART2.
 const USART: usize = 0x4000_4400;
-/// The vector that stays masked.
+/// The vector whose pending bit reports damaged bytes; it stays masked.
 const VECTOR: pac::Interrupt = pac::Interrupt::USART2;
 
 /// The receiving half.
 pub struct ByDma {
     _rx: Rx<pac::USART2>,
     buffer: &'static Buffer,
-    /// Hz of its bus.
+    /// Clock of the USART's bus, Hz.
     clock: u32,
 }
 
-/// What the task of the inputs has of it.
+/// The receiver, for the task of the inputs.
 pub type Input = UartInput<ByDma, MESSAGES>;
-/// What the serial task has of it.
+/// The UART, for the serial task.
 pub type DmaPort = Usart<Halves, MESSAGES>;
 
-/// Takes the USART over from the HAL. It listens after [`Input::start`]. Not within the set-up, whose stack would have its buffers as well.
+/// Takes the USART over from the HAL. It receives after [`Input::start`]. Not inlined into the set-up, whose stack
+/// frame would otherwise include these buffers.
 #[inline(never)]
 pub fn by_dma((tx, rx): (Tx<pac::USART2>, Rx<pac::USART2>), rcc: &mut Rcc) -> (Input, DmaPort) {
     pac::DMA1::enable(rcc);
@@ -78,7 +83,7 @@ pub fn by_dma((tx, rx): (Tx<pac::USART2>, Rx<pac::USART2>), rcc: &mut Rcc) -> (I
 }
 
 impl Input {
-    /// Begins to listen, at this rate.
+    /// Starts receiving at this baud rate.
     pub fn start(&mut self, baud: u32) {
         let source = self.receiver.source();
         set_baud(USART, source.clock, baud);
@@ -104,7 +109,7 @@ impl ByteSource for ByDma {
     }
 
     fn clear_damage(&mut self) {
-        // A byte that DMA has not fetched yet is left to it, and the flags to the next look.
+        // If DMA has not fetched the byte yet, leave it to DMA; the next look clears the flags.
         if read(USART + SR) & ARRIVED == 0 {
             let _ = read(USART + DATA);
         }
@@ -116,13 +121,14 @@ impl ByteSource for ByDma {
     }
 }
 
-/// The sending half: one half of its memory is sent, the other one filled.
+/// The sending half: DMA sends one half of the buffer while the serial task fills the other.
 pub struct Halves {
     _tx: Tx<pac::USART2>,
     halves: &'static mut [[u8; HALF]; 2],
-    /// The half that is being filled, and its bytes.
+    /// The half being filled, and the number of bytes in it.
     half: usize,
     filled: usize,
+    /// DMA is sending the other half.
     sends: bool,
 }
 
@@ -141,9 +147,9 @@ impl UartOutput for Halves {
         has_room
     }
 
-    /// Sends the half that is being filled, if the other one is out.
+    /// Sends the half being filled, if the other one has been sent.
     fn begin(&mut self) {
-        // Not the count: it may come to its end before the last byte is out.
+        // Checks the flag, not NDTR, which may reach 0 before the last byte is transferred.
         if read(DMA + HISR) & SENT != 0 {
             self.sends = false;
             clear_flags(DMA, SENDER);
@@ -152,7 +158,7 @@ impl UartOutput for Halves {
             && self.filled > 0
             && let Some(half) = self.halves.get(self.half)
         {
-            // DMA reads what has been written.
+            // The half must be written before DMA reads it.
             fence(Ordering::SeqCst);
             let memory = half.as_ptr() as usize;
             switch_on(DMA, SENDER, USART + DATA, memory, self.filled, SENDS);

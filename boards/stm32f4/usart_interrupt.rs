@@ -1,13 +1,13 @@
-//! A UART by an interrupt for each byte, at the priority of the inputs, for boards on which DMA2 has both the edges of the steps
-//! and the only streams of this USART: it must do nothing for APB2 while it puts out steps (`chain`).
+//! UART with an interrupt for each byte, at the priority of the inputs. For boards on which DMA2 outputs the step edges
+//! and also has the only streams of this USART: DMA2 must not serve APB2 while it outputs steps (`chain`).
 //!
 //! ```text
 //!  USART ──▶ interrupt ──▶ buffer
-//!  USART ──▶ DMA ────────▶ buffer      while flash is written or erased: nothing moves then
+//!  USART ──▶ DMA ────────▶ buffer      only while flash is written or erased: the machine is at rest then
 //!  USART ◀── interrupt ◀── queue ◀── serial task
 //! ```
-//! A USART holds a byte for as long as the next one takes to come: 87 us at 115,200 baud, the most that such a board allows
-//! (`$931`). The longest run of the step task and what else is at the priority of the inputs take less.
+//! A USART holds a byte until the next one has arrived: 87 us at 115,200 baud, the maximum of such a board (`$931`).
+//! The longest run of the step task plus the other work at the priority of the inputs take less.
 
 use super::dma::{CR, EN, MEMORY_COUNTS, NDTR, await_off, clear_flags, program, stream};
 use super::registers::{read, write};
@@ -24,9 +24,10 @@ use stm32f4xx_hal::{
     serial::{Rx, Tx},
 };
 
-/// Messages to the serial task. A line that comes slowly takes one for each 200 us; what finds no room waits in the buffer.
+/// Capacity of the queue of messages to the serial task. A line that arrives slowly takes one message per 200 us; bytes
+/// for which there is no message wait in the buffer.
 const MESSAGES: usize = 6;
-/// Bytes that wait to be sent.
+/// Capacity of the queue of bytes to be sent.
 const SENT: usize = 16;
 
 // SR
@@ -42,34 +43,36 @@ const CALL_WHEN_FREE: u32 = 1 << 7;
 // CR3
 const DMA_RECEIVES: u32 = 1 << 6;
 
-/// The receiver's stream (reference manuals, "DMA2 request mapping"), on channel 4: half-words, once.
+/// The receiving stream (reference manuals, "DMA2 request mapping"): channel 4, half-words, not circular.
 const DMA: usize = 0x4002_6400;
 const STREAM: usize = 2;
 const RECEIVES: u32 = 4 << 25 | MEMORY_COUNTS | 1 << 11 | 1 << 13;
 const USART: usize = 0x4001_1000;
 const VECTOR: pac::Interrupt = pac::Interrupt::USART1;
 
-/// What fills the buffer, and what sends.
+/// State of the UART's interrupt, which fills the receive buffer and sends queued bytes.
 pub struct ByInterrupt {
     _rx: Rx<pac::USART1>,
     buffer: &'static Buffer,
-    /// Hz of its bus.
+    /// Clock of the USART's bus, Hz.
     clock: u32,
     /// The slot of the next byte.
     place: usize,
-    /// Bytes are missing before it.
+    /// Bytes are missing before the next byte.
     is_behind_loss: bool,
-    /// DMA has fetched a damaged byte.
+    /// DMA may have fetched a damaged byte.
     is_damaged: bool,
+    /// Bytes queued for sending.
     sent: Receiver<'static, u8, SENT>,
 }
 
-/// What the tasks at the priority of the inputs have of it.
+/// The receiver, for the tasks at the priority of the inputs.
 pub type Input = UartInput<ByInterrupt, MESSAGES>;
-/// What the serial task has of it.
+/// The UART, for the serial task.
 pub type InterruptPort = Usart<Queue, MESSAGES>;
 
-/// Takes the USART over from the HAL. It listens after [`Input::start`]. Not within the set-up, whose stack would have its buffers as well.
+/// Takes the USART over from the HAL. It receives after [`Input::start`]. Not inlined into the set-up, whose stack
+/// frame would otherwise include these buffers.
 #[inline(never)]
 pub fn by_interrupt((tx, rx): (Tx<pac::USART1>, Rx<pac::USART1>), rcc: &mut Rcc) -> (Input, InterruptPort) {
     pac::DMA2::enable(rcc);
@@ -89,7 +92,7 @@ pub fn by_interrupt((tx, rx): (Tx<pac::USART1>, Rx<pac::USART1>), rcc: &mut Rcc)
 }
 
 impl Input {
-    /// Begins to listen, at this rate.
+    /// Starts receiving at this baud rate.
     pub fn start(&mut self, baud: u32) {
         let source = self.receiver.source();
         set_baud(USART, source.clock, baud);
@@ -97,7 +100,8 @@ impl Input {
         write(USART + CR_1, read(USART + CR_1) | CALL_WHEN_COME);
     }
 
-    /// The interrupt: a byte has come, or may go; or the processor has stood, and DMA has received meanwhile.
+    /// Interrupt handler: a byte has arrived, the next may be sent, or a flash operation that stalled the processor has
+    /// ended, during which DMA received.
     #[inline]
     pub fn on_interrupt(&mut self) {
         let stood = read(USART + CR_3) & DMA_RECEIVES != 0;
@@ -106,7 +110,8 @@ impl Input {
         }
         let mut status = read(USART + SR);
         if stood && status & DAMAGED != 0 {
-            // It is not known which of the bytes that DMA has fetched: they are refused at the next look, and this one with them.
+            // It is unknown which of the bytes that DMA fetched is damaged: the next look refuses all of them,
+            // including the byte that is in the data register now.
             self.receiver.source().is_damaged = true;
             if status & ARRIVED == 0 {
                 let _ = read(USART + DATA);
@@ -120,7 +125,7 @@ impl Input {
             } else if status & ARRIVED != 0 {
                 self.put(byte);
             }
-            // The byte that has been read came before the one that is lost.
+            // The byte just read arrived before the lost one.
             if status & OVERRUN != 0 {
                 self.receiver.source().is_behind_loss = true;
             }
@@ -130,6 +135,7 @@ impl Input {
         }
     }
 
+    /// Writes a received byte into the buffer. Passes a command that stops the machine on at once.
     fn put(&mut self, byte: u8) {
         let ByInterrupt { place, is_behind_loss, .. } = *self.receiver.source();
         let has_room = self.receiver.put(byte, place, is_behind_loss);
@@ -147,30 +153,31 @@ impl Input {
 }
 
 impl ByInterrupt {
-    /// Sees to it that DMA goes on at the slot of the next byte, if it has to.
+    /// Prepares the stream to continue at the slot of the next byte if DMA has to take over.
     fn prepare(&self) {
         let memory = self.buffer.get(self.place..).unwrap_or_default();
         program(DMA, STREAM, USART + DATA, memory.as_ptr() as usize, memory.len());
     }
 
-    /// DMA receives no longer.
+    /// Ends receiving by DMA and continues after the bytes that it fetched.
     fn end_of_dma(&mut self) {
         write(USART + CR_3, read(USART + CR_3) & !DMA_RECEIVES);
         let at = stream(DMA, STREAM);
         write(at + CR, RECEIVES);
-        // It ends the byte that it is at.
+        // DMA finishes the byte in progress.
         await_off(at);
         let before = self.place;
         self.place = SLOTS - (read(at + NDTR) as usize).min(SLOTS);
         if self.place != before && core::mem::take(&mut self.is_behind_loss) {
-            // DMA marks no byte as behind a loss: those that it has fetched are refused.
+            // DMA cannot mark a loss before a byte: the bytes that it fetched are refused instead.
             self.is_damaged = true;
         }
         clear_flags(DMA, STREAM);
         self.prepare();
     }
 
-    /// The data register is free for a byte that waits to be sent. At the end of what waits the serial task is called: it may have more.
+    /// The data register is free: sends the next queued byte. When the queue is empty, calls the serial task, which may
+    /// have more.
     fn send(&mut self) {
         let control = read(USART + CR_1);
         let is_sending = control & CALL_WHEN_FREE != 0;
@@ -208,7 +215,7 @@ impl ByteSource for ByInterrupt {
     }
 
     fn begin_anew(&mut self) -> bool {
-        // While DMA receives, the interrupt that ends it is pending.
+        // Not while DMA receives: the interrupt that ends it is pending.
         let can = read(USART + CR_3) & DMA_RECEIVES == 0;
         if can && self.place > 0 {
             self.place = 0;
@@ -218,8 +225,8 @@ impl ByteSource for ByInterrupt {
     }
 }
 
-/// Has DMA receive until the interrupt, which follows, ends it: for an operation of the flash memory, which stalls the
-/// processor. Interrupts are off, and nothing moves.
+/// Lets DMA receive until the interrupt made pending here ends that: for a flash operation, which stalls the processor.
+/// Interrupts must be off and the machine at rest.
 pub fn receive_by_dma() {
     let at = stream(DMA, STREAM);
     if read(at + NDTR) != 0 {
@@ -229,7 +236,7 @@ pub fn receive_by_dma() {
     NVIC::pend(VECTOR);
 }
 
-/// The serial task's end of what is sent.
+/// The serial task's end of the send queue.
 pub struct Queue {
     _tx: Tx<pac::USART1>,
     bytes: Sender<'static, u8, SENT>,
@@ -241,7 +248,7 @@ impl UartOutput for Queue {
         self.bytes.try_send(byte).is_ok()
     }
 
-    /// The interrupt sends, if the data register is free, and is called when it is.
+    /// Triggers the interrupt, which sends if the data register is free, and otherwise as soon as it is.
     fn begin(&mut self) {
         if !self.bytes.is_empty() {
             NVIC::pend(VECTOR);

@@ -1,17 +1,18 @@
-//! The USB port of an STM32F4 (OTG_FS as a device): a serial port on the host, CDC-ACM, in packets of 64 bytes. It
-//! holds the host back while there is no room, and notices when a host opens, closes or unplugs the port.
+//! USB port of an STM32F4 (OTG_FS as a device): a serial port on the host (CDC-ACM) in packets of 64 bytes. It holds
+//! the host back while there is no space, and detects when a host opens, closes or unplugs the port.
 //!
 //! ```text
-//!  host ──OUT packet──▶ receive FIFO ──▶ packet ──receive──▶ serial task      next packet only when there is room for it
+//!  host ──OUT packet──▶ receive FIFO ──▶ packet ──receive──▶ serial task      next packet only when there is space
 //!  host ◀──IN packet─── transmit FIFO ◀── outgoing ◀──send── serial task
 //! ```
-//! Flow control (back-pressure): the hardware answers NAK from the end of one packet until software enables the endpoint again. The driver
-//! would do that by itself, and a packet that is not fetched would then sit in the FIFO, call the interrupt for ever and
-//! keep the control endpoint behind it from being heard. So the entry that ends a packet is taken out of the FIFO here, and
-//! the endpoint is enabled when a whole packet fits: what is in the FIFO can always be fetched at once, and DTR, suspend
-//! and reset are heard while the host is told to wait.
+//! Flow control (back-pressure): after each packet the hardware answers NAK until software enables the endpoint again.
+//! The driver would enable it at once. A packet for which there is no space would then stay in the FIFO, raise the
+//! interrupt forever and block the entries of the control endpoint after it. Therefore this file takes the entry that
+//! ends a packet out of the FIFO itself, and enables the endpoint only when a whole packet fits. So every packet in the
+//! FIFO can be fetched at once, and DTR, suspend and reset are processed while the host is held back.
 //!
-//! While flash is written the processor is stalled; the FIFO keeps one packet, and the host is told to wait.
+//! While flash is written, the processor is stalled; the FIFO holds one packet, and the hardware answers further ones
+//! with NAK.
 
 use cortex_m::singleton;
 use stm32f4xx_hal::{
@@ -34,12 +35,12 @@ use crate::{Incoming, Port};
 
 /// Largest packet of a bulk endpoint at full speed (USB 2.0, 5.8.3).
 const PACKET: usize = 64;
-/// Bytes sent at a time. A transfer ends with a packet that is not full, so every packet is a transfer of its own.
+/// Maximum bytes per sent packet. A packet that is not full ends a transfer, so every packet is a complete transfer.
 const SENT: usize = PACKET - 1;
 /// Words of the driver's receive buffers: 64 bytes each for the control endpoint and the data endpoint.
 const BUFFERS: usize = 2 * PACKET / 4;
 
-/// The test id of pid.codes: for development only, no device may be sold with it.
+/// The test id of pid.codes: for development only, devices must not be sold with it.
 const ID: UsbVidPid = UsbVidPid(0x1209, 0x0001);
 
 /// OTG_FS registers as offsets from its base (RM0383, 22.16.2 to 22.16.4).
@@ -47,72 +48,72 @@ const GINTSTS: usize = 0x014;
 const GINTMSK: usize = 0x018;
 const GRXSTSR: usize = 0x01C;
 const GRXSTSP: usize = 0x020;
-/// The bus is suspended.
+/// Device status; its bit `SUSPENDED`: the bus is suspended.
 const DSTS: usize = 0x808;
 const SUSPENDED: u32 = 1;
-/// Which endpoints call; those to the host are its lowest bits.
+/// Interrupt mask of the endpoints; IN endpoints (to the host) are its lowest bits.
 const DAINTMSK: usize = 0x81C;
 const DIEPCTL: usize = 0x900;
 const DOEPCTL: usize = 0xB00;
-/// DOEPTSIZ, behind DOEPCTL: one packet of [`PACKET`] bytes.
+/// DOEPTSIZ of endpoint 0, and its value for one packet of [`PACKET`] bytes.
 const DOEPTSIZ: usize = 0xB10;
 const ONE_PACKET: u32 = 1 << 19 | PACKET as u32;
 /// Bytes from the register of one endpoint to that of the next.
 const NEXT_ENDPOINT: usize = 0x20;
-/// GINTSTS and GINTMSK: the receive FIFO is not empty; and all that the driver attends to, with suspend, reset, enumeration,
-/// IN endpoints and wake-up.
+/// GINTSTS and GINTMSK: the receive FIFO is not empty (`RXFLVL`); all events that the driver handles (`EVENTS`), with
+/// suspend, reset, enumeration, IN endpoints and wake-up.
 const RXFLVL: u32 = 1 << 4;
 const EVENTS: u32 = RXFLVL | 1 << 11 | USBRST | 1 << 13 | 1 << 18 | 1 << 31;
 const USBRST: u32 = 1 << 12;
-/// GRXSTSR and GRXSTSP: endpoint, and what the entry is.
+/// GRXSTSR and GRXSTSP: number of the endpoint, and kind of the entry.
 const EPNUM: u32 = 0xF;
 const PKTSTS_SHIFT: u32 = 17;
 const PKTSTS: u32 = 0xF;
 const OUT_DATA: u32 = 2;
 const OUT_COMPLETED: u32 = 3;
-/// DOEPCTL and DIEPCTL: enabled, no more NAK, and both.
+/// DOEPCTL and DIEPCTL: enable, clear NAK, and both.
 const ENABLED: u32 = 1 << 31;
 const CNAK: u32 = 1 << 26;
 const ENABLED_AGAIN: u32 = CNAK | ENABLED;
-/// DIEPCTL: NAK, disabled; and behind it DIEPINT, where either is told once it is in force.
+/// DIEPCTL: set NAK, disable. DIEPINT (at this offset from DIEPCTL) reports when either has taken effect.
 const SNAK: u32 = 1 << 27;
 const DISABLED: u32 = 1 << 30;
 const DIEPINT: usize = 0x08;
 const NAK_IN_FORCE: u32 = 1 << 6;
 const IS_DISABLED: u32 = 1 << 1;
-/// GRSTCTL: empties the transmit FIFO of this number.
+/// GRSTCTL: flush the transmit FIFO with the given number.
 const GRSTCTL: usize = 0x010;
 const TXFFLSH: u32 = 1 << 5;
 const TXFNUM_SHIFT: u32 = 6;
-/// How long a flag of an endpoint is waited for: twice the time of a packet of 64 bytes on the bus (USB 2.0, 5.8.3).
+/// Timeout for a flag of an endpoint: twice the time of a packet of 64 bytes on the bus (USB 2.0, 5.8.3).
 const FLAG_TICKS: u32 = 100 * crate::CLOCK_TICKS_PER_US;
 /// DOEPCTL and DIEPCTL: the next packet is DATA0.
 const SD0PID: u32 = 1 << 28;
-/// Number of the interface of the data endpoints: that of the class behind its first, of control.
+/// Number of the interface with the data endpoints: the class's second one, after the control interface.
 const DATA_INTERFACE: u16 = 1;
 
-/// Where the part's number of 96 bits lies (RM0383, 24.1; RM0368, 24.1).
+/// Address of the part's unique 96-bit number (RM0383, 24.1; RM0368, 24.1).
 const UNIQUE_ID: usize = 0x1FFF_7A10;
-/// Hexadecimal digits of it.
+/// Hexadecimal digits of that number.
 const SERIAL_NUMBER: usize = 24;
 
 fn read(offset: usize) -> u32 {
     let address = (pac::OTG_FS_GLOBAL::ptr() as usize + offset) as *const u32;
-    // SAFETY: unsafe because a register is read by its address past the driver that owns it; safe because only the offsets
-    // above are used, and only by the serial task, in between the driver's calls. GRXSTSP takes an entry out of the FIFO,
-    // which the driver does not miss: it keeps no account of them.
+    // SAFETY: unsafe because a register is read by its address past the driver that owns it; safe because only the
+    // offsets above are used, and only by the serial task, between the driver's calls. Reading GRXSTSP takes an entry
+    // out of the FIFO; the driver keeps no account of entries.
     unsafe { address.read_volatile() }
 }
 
 fn write(offset: usize, word: u32) {
     let address = (pac::OTG_FS_GLOBAL::ptr() as usize + offset) as *mut u32;
-    // SAFETY: unsafe because a register is written by its address past the driver that owns it; safe because only GINTMSK,
-    // DAINTMSK, GRSTCTL and the registers of the data endpoints are written, by the serial task, in between the driver's calls,
-    // and what the driver finds there afterwards is what it would find behind a packet or a reset of the bus.
+    // SAFETY: unsafe because a register is written by its address past the driver that owns it; safe because only
+    // GINTMSK, DAINTMSK, GRSTCTL and the registers of the data endpoints are written, by the serial task, between the
+    // driver's calls, and leave the state that the driver would find after a packet or a reset of the bus.
     unsafe { address.write_volatile(word) }
 }
 
-/// Waits until bits have this value, for [`FLAG_TICKS`] at most. Whether they have.
+/// Waits until the bits have this value, for at most [`FLAG_TICKS`]. Returns whether they have.
 fn await_bits(offset: usize, bits: u32, value: u32) -> bool {
     let began = clock_ticks();
     while read(offset) & bits != value {
@@ -123,25 +124,26 @@ fn await_bits(offset: usize, bits: u32, value: u32) -> bool {
     true
 }
 
-/// The next packet of an endpoint is DATA0. Whether it is enabled stays as it is.
+/// Makes the next packet of an endpoint DATA0. Does not change whether the endpoint is enabled.
 fn begin_with_data0(base: usize, endpoint: EndpointAddress) {
     let control = base + endpoint.index() * NEXT_ENDPOINT;
     write(control, read(control) & !ENABLED | SD0PID);
 }
 
-/// How long after its end a host's bytes may still come.
+/// [`LATE_BYTES_US`] in ticks.
 const LATE_BYTES_TICKS: u32 = LATE_BYTES_US * crate::CLOCK_TICKS_PER_US;
 
-/// The serial port as the driver sees it. Besides, it hears which of the data endpoints have to begin with DATA0, as the host
-/// does after a request (USB 2.0, 9.1.1.5 and 9.4.5). The driver leaves their toggles alone: the next packet would be taken for
-/// one that was sent again, and be lost.
+/// The serial port's class for the driver. It also records which data endpoints must restart with DATA0, as the host
+/// does after certain requests (USB 2.0, 9.1.1.5 and 9.4.5). The driver alone does not reset their toggles, so the next
+/// packet would be taken for a repetition and be lost.
 struct SerialClass {
     port: CdcAcmClass<'static, UsbBusType>,
     begin_out: bool,
     begin_in: bool,
 }
 
-// A second class beside the first would do; with one alone the compiler knows what the driver calls, which saves a kilobyte.
+// Not a second class beside the first: with a single class the compiler resolves the driver's calls, which saves a
+// kilobyte.
 impl UsbClass<UsbBusType> for SerialClass {
     fn get_configuration_descriptors(&self, writer: &mut DescriptorWriter<'_>) -> usb_device::Result<()> {
         self.port.get_configuration_descriptors(writer)
@@ -158,7 +160,7 @@ impl UsbClass<UsbBusType> for SerialClass {
     fn control_out(&mut self, transfer: ControlOut<'_, '_, '_, UsbBusType>) {
         let Request { request_type, recipient, request, value, index, .. } = *transfer.request();
         if request_type == RequestType::Standard {
-            // Others are refused, and change nothing.
+            // The driver refuses other requests, which therefore change nothing.
             let both = (recipient, request) == (Recipient::Device, Request::SET_CONFIGURATION) && value <= 1
                 || (recipient, request, index) == (Recipient::Interface, Request::SET_INTERFACE, DATA_INTERFACE)
                     && value == 0;
@@ -171,47 +173,47 @@ impl UsbClass<UsbBusType> for SerialClass {
     }
 }
 
-/// The receiving half: what has been fetched of the last packet.
+/// The receiving half: the last packet that was fetched.
 struct Received {
     packet: [u8; PACKET],
     length: usize,
     next: usize,
-    /// The packet before has ended, and the endpoint waits to be enabled.
+    /// The end of the packet has been taken out of the FIFO; the endpoint must be enabled again.
     ended: bool,
-    /// The driver has seen events since it was last found without a packet. Only then it may have one; to ask takes 4 us,
-    /// and the serial task asks with each byte of the UART.
+    /// The driver has handled events since it last had no packet, so it may have one. Without this flag the serial task
+    /// would ask the driver at each byte of the UART, which takes 4 us.
     may_wait: bool,
 }
 
 impl Received {
-    /// What has not been taken yet.
+    /// Returns the bytes that have not been taken yet.
     fn left(&self) -> &[u8] {
         self.packet.get(self.next..self.length).unwrap_or_default()
     }
 }
 
-/// The port.
+/// The USB serial port.
 pub struct UsbPort {
     device: UsbDevice<'static, UsbBusType>,
     class: SerialClass,
     received: Received,
     outgoing: heapless::Vec<u8, SENT>,
     host: UsbHost,
-    /// The bus is being reset: until its end the driver takes the device for set up, but what is written to an endpoint
-    /// meanwhile is never sent and keeps it busy for ever.
+    /// The bus is being reset. Until the reset ends, the driver still takes the device for configured, but a packet
+    /// written to an endpoint is never sent and keeps the endpoint busy forever.
     resetting: bool,
     /// The interrupt of the receive FIFO is masked.
     masked: bool,
 }
 
 impl UsbPort {
-    /// Switches OTG_FS on; 48 MHz must be there. To be called once.
+    /// Switches OTG_FS on. Requires the 48 MHz clock. Call once.
     pub fn new(
         registers: (pac::OTG_FS_GLOBAL, pac::OTG_FS_DEVICE, pac::OTG_FS_PWRCLK),
         pins: (impl Into<alt::Dm>, impl Into<alt::Dp>),
         clocks: &Clocks,
     ) -> UsbPort {
-        // OTG_FS works at 48 MHz within 0.25 % (USB 2.0, 7.1.11); another clock would never come to life.
+        // OTG_FS needs 48 MHz within 0.25 % (USB 2.0, 7.1.11); with another clock it would never work.
         assert!(clocks.pll48clk().is_some_and(|clock| clock.raw() == 48_000_000), "no 48 MHz for USB");
         let usb = USB::new(registers, pins, clocks);
         let (Some(buffers), Some(number)) =
@@ -242,7 +244,7 @@ impl UsbPort {
         }
     }
 
-    /// What the receive FIFO begins with, if it is for the data endpoint.
+    /// Returns the kind of the first entry in the receive FIFO, if it belongs to the data endpoint.
     fn entry(&self) -> Option<u32> {
         let entry = (read(GINTSTS) & RXFLVL != 0).then(|| read(GRXSTSR))?;
         let data = (entry & EPNUM) as usize == self.class.port.read_ep().address().index();
@@ -257,13 +259,14 @@ impl UsbPort {
         }
     }
 
-    /// Lets the host send the next packet, and no other behind it: its end is that of a transfer of one packet (RM0383, 22.17.6,
-    /// "Generic non-isochronous OUT data transfers"). The driver leaves the size open when it enables the endpoint for the first time.
+    /// Allows the host to send exactly one more packet: a transfer of one packet, at whose end the endpoint is disabled
+    /// (RM0383, 22.17.6, "Generic non-isochronous OUT data transfers"). When the driver enables the endpoint for the
+    /// first time, it sets no size.
     fn enable_endpoint(&mut self) {
         let at = self.class.port.read_ep().address().index() * NEXT_ENDPOINT;
         let control = DOEPCTL + at;
         let before = read(control);
-        // The driver may have enabled it: then its size is not to be touched.
+        // If the driver has enabled the endpoint already, its size must not be changed.
         if before & ENABLED == 0 {
             write(DOEPTSIZ + at, ONE_PACKET);
         }
@@ -271,7 +274,7 @@ impl UsbPort {
         self.received.ended = false;
     }
 
-    /// Has the data endpoints begin with DATA0 where the host does.
+    /// Resets to DATA0 those data toggles that the host has reset.
     fn begin_toggles(&mut self) {
         let SerialClass { port, begin_out, begin_in } = &mut self.class;
         if core::mem::take(begin_out) {
@@ -282,8 +285,9 @@ impl UsbPort {
         }
     }
 
-    /// A packet can end between two looks at the FIFO, and the driver then enables the endpoint; twice in a row, and a
-    /// packet waits that has no place. Its interrupt must not call for ever: it is masked until there is room.
+    /// Masks or unmasks the interrupt of the receive FIFO. A packet may end between two looks at the FIFO, and the
+    /// driver then enables the endpoint; if that happens twice in a row, a packet waits for which there is no space.
+    /// Masking keeps it from raising the interrupt forever.
     fn mask(&mut self, masked: bool) {
         if masked != self.masked {
             self.masked = masked;
@@ -292,21 +296,21 @@ impl UsbPort {
         }
     }
 
-    /// Whether there is a host that has set the device up. The driver takes also what came before the bus went idle for a sign of
-    /// one, if it reads that afterwards.
+    /// Returns whether a host has configured the device. The driver alone is not reliable: if it reads data after the
+    /// bus went idle that arrived before, it takes them for a sign of a host.
     fn is_configured(&self) -> bool {
         self.device.state() == UsbDeviceState::Configured && !self.resetting && read(DSTS) & SUSPENDED == 0
     }
 
-    /// The host has gone, and what it has sent goes with it: here, and in the driver's buffer.
+    /// For a host that has left: discards its bytes, here and in the driver's buffer.
     fn forget_received(&mut self) {
         let _ = self.class.port.read_packet(&mut self.received.packet);
         self.received.length = 0;
         self.received.next = 0;
     }
 
-    /// The host has gone, and what it was to be sent goes with it: a packet, too, that it has not fetched (RM0383, 22.17.6,
-    /// "IN endpoint disable").
+    /// For a host that has left: discards the bytes queued for it, including a packet that it has not fetched (RM0383,
+    /// 22.17.6, "IN endpoint disable").
     fn forget_sent(&mut self) {
         self.outgoing.clear();
         let endpoint = self.class.port.write_ep().address().index();
@@ -315,12 +319,12 @@ impl UsbPort {
         if !is_enabled() {
             return;
         }
-        // What is told of an earlier time does not count.
+        // Clears earlier flags.
         write(control + DIEPINT, NAK_IN_FORCE | IS_DISABLED);
         write(control, read(control) & !ENABLED | SNAK);
         let is_refused = await_bits(control + DIEPINT, NAK_IN_FORCE, NAK_IN_FORCE);
         if !is_enabled() {
-            // It has just been fetched.
+            // The host has just fetched the packet.
             return;
         }
         if is_refused {
@@ -330,11 +334,12 @@ impl UsbPort {
             write(GRSTCTL, (endpoint as u32) << TXFNUM_SHIFT | TXFFLSH);
             await_bits(GRSTCTL, TXFFLSH, 0);
         } else {
-            // It stays, and goes to the next host: better than an endpoint that refuses for ever.
+            // The packet stays and goes to the next host: better than an endpoint that answers NAK forever.
             write(control, read(control) & !ENABLED | CNAK);
         }
     }
 
+    /// Gives the queued bytes to the driver, if it can take a packet.
     fn flush(&mut self) {
         if !self.outgoing.is_empty() && self.class.port.write_packet(&self.outgoing).is_ok() {
             self.outgoing.clear();
@@ -347,22 +352,24 @@ impl Port for UsbPort {
 
     fn poll(&mut self) -> bool {
         self.hold_endpoint();
-        // The driver masks interrupts for as long as it looks: not for nothing.
+        // Call the driver only if there are events: it disables interrupts while it polls.
         let events = read(GINTSTS);
         if events & USBRST != 0 {
             self.resetting = true;
-            // The driver disables its endpoints without the NAK that has to be in force before.
+            // Before the driver: it disables the endpoints without first setting NAK, as the hardware requires.
             self.forget_sent();
         }
         if events & EVENTS != 0 {
             self.device.poll(&mut [&mut self.class]);
             self.begin_toggles();
             self.received.may_wait = true;
-            // The end of the packet that the driver has just fetched lies behind it as a rule, and need not call once more.
+            // The packet that the driver has just fetched is usually followed by its end: take that, too, without
+            // another interrupt.
             self.hold_endpoint();
         }
         if self.device.state() == UsbDeviceState::Default {
-            // A reset of the bus has emptied the FIFO and enabled the endpoint. A configuration that is taken back has not.
+            // A reset of the bus has emptied the FIFO and enabled the endpoint. If the host only withdraws the
+            // configuration, it has not.
             self.resetting = false;
             self.received.ended = false;
         }
@@ -389,7 +396,8 @@ impl Port for UsbPort {
                 if !self.is_configured() || !self.host.speaks(LATE_BYTES_TICKS, clock_ticks) {
                     self.received.length = 0;
                 } else if !is_known {
-                    // It is seen to come before its bytes are read: behind them it would cut its own line in two.
+                    // Report the new host before its bytes are read: otherwise its arrival, which discards a partial
+                    // line, would discard part of its own first line.
                     crate::call_serial();
                     return Incoming::Nothing;
                 }
@@ -413,7 +421,7 @@ impl Port for UsbPort {
     }
 
     fn allow(&mut self, room: usize) {
-        // Without room nothing is fetched, and there may be a packet here, one with the driver and one in the FIFO.
+        // Without space nothing is fetched: there may be one packet here, one in the driver and one in the FIFO.
         self.mask(room == 0 && self.entry() == Some(OUT_DATA));
         let fetched = self.received.next >= self.received.length;
         if self.received.ended && fetched && room >= PACKET && self.is_configured() {
@@ -423,7 +431,7 @@ impl Port for UsbPort {
 
     fn send(&mut self, byte: u8) -> bool {
         if !self.is_configured() || !self.host.is_listening() {
-            // No host reads: as on a UART whose cable is not plugged in.
+            // Without a host, bytes are dropped, as on a UART without a cable.
             return true;
         }
         if self.outgoing.is_full() {
@@ -448,7 +456,7 @@ impl Port for UsbPort {
     fn call_when_free(&mut self, wanted: bool) {
         if self.is_configured() {
             self.flush();
-            // The end of a packet calls if something has had to wait for it.
+            // The end of a sent packet calls the serial task only if more is waiting to be sent.
             let endpoint = 1 << self.class.port.write_ep().address().index();
             let mask = read(DAINTMSK);
             let calls = if self.outgoing.is_empty() && !wanted { mask & !endpoint } else { mask | endpoint };
@@ -459,7 +467,7 @@ impl Port for UsbPort {
     }
 }
 
-/// The part's own number in hexadecimal digits: it tells two boards on one host apart.
+/// Returns the part's unique number in hexadecimal digits. It distinguishes two boards on one host.
 fn serial_number() -> [u8; SERIAL_NUMBER] {
     let mut digits = [0; SERIAL_NUMBER];
     for (word, digits) in digits.chunks_exact_mut(8).enumerate() {

@@ -2,9 +2,9 @@
 //! motors move the axes: Cartesian or CoreXY.
 //!
 //! The number of axes `N` (3 to 6) is a constant of the board and a const generic here, so a three-axis board pays for
-//! three. X, Y and Z always exist; A, B and C when `N` reaches them and the machine has them (`$930`): the others never
-//! move, and no report names them. X, Y and Z are lengths in millimetres; A, B and C are angles in degrees, and whatever
-//! is said of millimetres holds for their degrees.
+//! three. X, Y and Z always exist. A, B and C exist if `N` includes them and the machine has them (`$930`); other axes
+//! never move and appear in no report. X, Y and Z are lengths in millimetres; A, B and C are angles in degrees: for
+//! them, read degrees wherever a comment says millimetres.
 
 /// One axis of the machine, in the order of its letter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -27,7 +27,7 @@ impl Axis {
     /// All axes that any board may have, in order.
     pub const ALL: [Axis; 6] = [Axis::X, Axis::Y, Axis::Z, Axis::A, Axis::B, Axis::C];
 
-    /// Place of the axis in a [`PerAxis`], 0 for X.
+    /// Index of the axis in a [`PerAxis`], 0 for X.
     #[inline]
     pub const fn index(self) -> usize {
         self as usize
@@ -58,12 +58,12 @@ impl Axis {
         }
     }
 
-    /// Whether it turns: its coordinates are degrees.
+    /// Whether the axis is rotary: its coordinates are degrees.
     pub const fn is_rotary(self) -> bool {
         self as usize >= LINEAR
     }
 
-    /// Whether an axis of this travel has ends: one that turns and has no travel turns without end.
+    /// Whether the axis has ends. A rotary axis with `travel` 0 turns without end.
     pub fn has_ends(self, travel: f32) -> bool {
         !self.is_rotary() || travel > 0.0
     }
@@ -74,7 +74,7 @@ impl Axis {
     }
 }
 
-/// The first axes, X to Z, move the tool along a line.
+/// Number of linear axes: the first ones, X to Z.
 pub const LINEAR: usize = 3;
 
 /// How the motors move the tool.
@@ -97,7 +97,7 @@ impl<T: Copy, const N: usize> PerAxis<T, N> {
         Self([value; N])
     }
 
-    /// A value for each axis, made from the axis.
+    /// Makes the value of each axis from the axis.
     pub fn from_axis(mut make: impl FnMut(Axis) -> T) -> Self {
         Self(core::array::from_fn(|i| make(Axis::ALL.get(i).copied().unwrap_or(Axis::X))))
     }
@@ -116,13 +116,13 @@ impl<T: Copy, const N: usize> PerAxis<T, N> {
         }
     }
 
-    /// Each value transformed.
+    /// Transforms each value with `make`.
     #[inline]
     pub fn map<U: Copy>(&self, make: impl FnMut(T) -> U) -> PerAxis<U, N> {
         PerAxis(self.0.map(make))
     }
 
-    /// Two values of each axis combined.
+    /// Combines the two values of each axis with `make`.
     #[inline]
     #[allow(clippy::indexing_slicing, reason = "from_fn calls with i < N, and both arrays have N values")]
     pub fn zip<U: Copy, V: Copy>(&self, other: &PerAxis<U, N>, mut make: impl FnMut(T, U) -> V) -> PerAxis<V, N> {
@@ -134,7 +134,7 @@ impl<T: Copy, const N: usize> PerAxis<T, N> {
         self.0.iter()
     }
 
-    /// The values in axis order, to be changed.
+    /// The values in axis order, mutable.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut T> {
         self.0.iter_mut()
     }
@@ -154,7 +154,7 @@ impl AxisMask {
     /// No axis.
     pub const NONE: AxisMask = AxisMask(0);
 
-    /// The set with one more axis.
+    /// Returns the set with `axis` added.
     pub const fn with(self, axis: Axis) -> AxisMask {
         AxisMask(self.0 | (1 << axis.index()))
     }

@@ -1,6 +1,6 @@
-//! A hash (FNV-1a) of a step stream: once over the times of the step events, and once over their order. Two machines
-//! that have made the same steps have the same digest. The simulator computes it from its trace, a target without pins
-//! from what it would have written to them.
+//! A hash (FNV-1a) of a step stream: one over the times of the step events, one over their order. Two machines that
+//! have made the same steps have the same digest. The simulator computes it from its trace; a target without pins
+//! computes it from the words it would have written to them.
 
 /// Running digest over (time, step bits, direction bits) of each step event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,19 +1,10 @@
-//! `Controller`: the state the machine is in, the line it carries out, and the machine's parts. [`Controller::event`] takes
-//! in what has happened, [`Controller::output`] returns the next thing to do, and [`Controller::next_wakeup`] the time of the
-//! next call.
+//! [`Controller`] holds the state of the machine, the line being executed, and the machine's parts.
+//! [`Controller::event`] takes an event, [`Controller::output`] returns the next thing to do, and
+//! [`Controller::next_wakeup`] returns the time of the next call.
 //!
-//! Every call returns after a bounded piece of work: at most one line, one chord or one segment. Work that has to wait (for
-//! room in the look-ahead, the end of a motion, a dwell, a stored record) is kept as data and continued in a later call, so
-//! `?`, `!` and a reset are never late. Time is an argument.
-//!
-//! A stop acts before the controller hears of it: the step task (`src/step_task/step_timer`) stops the pulses, and reports where as an event.
-//!
-//! Calls between the rooms go one way:
-//!
-//! ```text
-//!  dispatch ──▶ inputs ──▶ host ──▶ work ──▶ states ──▶ outputs, answers ──▶ parts
-//! ```
-//! A test in `tests/architecture` checks that no two files call each other.
+//! Every call returns after a bounded piece of work: at most one line, one chord or one segment. Work that has to wait
+//! (for room in the look-ahead, the end of a motion, a dwell, a stored record) is kept as data and continued in a later
+//! call, so `?`, `!` and a reset are never late. Time is an argument.
 
 use crate::image::FULL_IMAGE;
 use crate::memory::Memory;
@@ -28,10 +19,10 @@ use crate::units::{Duration, Instant};
 use crate::work::line::LineInWork;
 use crate::work::task::Task;
 
-/// How often an output that changes with a motion (M62) looks whether that has begun: how late it may be.
+/// Interval at which output changes that wait for a motion (M62) are checked: the maximum delay of such a change.
 const OUTPUTS_LOOK: Duration = Duration::millis(1);
 
-/// What the controller must know of the machine it runs on.
+/// Properties of the board that the controller needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Profile {
     /// Name of the board.
@@ -40,22 +31,23 @@ pub struct Profile {
     pub step_clock_hz: u32,
     /// Step rates that the step task can follow.
     pub rates: StepRates,
-    /// Outputs and inputs for programs (M62 to M66).
+    /// Number of outputs and number of inputs for programs (M62 to M66).
     pub program_pins: [u8; 2],
-    /// Axes that have motors, `N` of the controller at most; a fourth motor is that of A or the second one of another axis.
+    /// Number of axes with motors, at most `N` of the controller. A fourth motor drives A, or is the second motor of
+    /// another axis.
     pub axes: usize,
-    /// Whether there are pins for a motor more than X, Y and Z.
+    /// Whether there are pins for a motor besides those of X, Y and Z.
     pub has_second_motor: bool,
-    /// Whether there is a pin on which a spindle tells that it is up to speed.
+    /// Whether there is an input for the spindle's at-speed signal.
     pub has_at_speed: bool,
-    /// Greatest rate of the UART (`$931`), baud.
+    /// Maximum rate of the UART (`$931`), baud.
     pub most_baud: u32,
-    /// Whether settings outlive the power: if not, nothing is handed to a store.
+    /// Whether settings survive power-off. If not, the controller asks for no store operations.
     pub has_store: bool,
 }
 
-/// Decides everything, for `N` axes.
-// Fields are in this order, small ones first: one instruction reaches 4 KiB from the base.
+/// The controller of a machine with `N` axes: makes all decisions.
+// Small fields come first: one load or store instruction reaches only 4 KiB from the base.
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
 pub struct Controller<const N: usize> {
@@ -66,14 +58,14 @@ pub struct Controller<const N: usize> {
 }
 
 impl<const N: usize> Controller<N> {
-    /// A controller with default settings, which works in the memory that it is lent. Stored records follow with
-    /// [`Controller::restore`], then [`Controller::start`].
+    /// Returns a controller with default settings that works in `memory`. Call [`Controller::restore`] for each stored
+    /// record, then [`Controller::start`].
     pub fn new(profile: Profile, memory: Memory<N>) -> Self {
         Self { state: State::Normal, task: Task::None, line: LineInWork::NONE, m: Machine::new(profile, memory) }
     }
 
-    /// What is known of the end before this start; before [`Controller::start`]. After a failure the machine is locked, for a
-    /// host that noticed nothing may still be sending its job.
+    /// Reports how the previous run ended; call before [`Controller::start`]. After a failure the machine is locked,
+    /// because a host that has not noticed the restart may still be sending its job.
     pub fn restarted(&mut self, restart: Restart) {
         if restart.is_failure() {
             self.enter(State::Alarm(None));
@@ -82,7 +74,7 @@ impl<const N: usize> Controller<N> {
         self.m.replies.restarted(restart);
     }
 
-    /// Power-up is complete: greets the host, and runs the startup lines once the inputs are known.
+    /// Completes power-up: greets the host, and runs the startup lines once the inputs are known.
     pub fn start(&mut self, now: Instant) {
         self.m.now = now;
         self.m.pins.disturb();
@@ -98,25 +90,25 @@ impl<const N: usize> Controller<N> {
         self.initialise();
     }
 
-    /// What the pump sees of the step task and of received lines. To be called before outputs, and before each event that
-    /// may tell what came before it from what comes after it: realtime commands, signals, the end of a host.
+    /// Takes the counters of the step task and of received lines. Call before outputs, and before each event that
+    /// separates earlier bytes from later ones: realtime commands, signals, a disconnect.
     pub fn observe(&mut self, observed: Observed) {
         self.m.step_supply.observe(observed);
         self.m.lines.observe(observed.received, observed.heard);
         if observed.rx_free == 0 {
-            // More may wait unseen in front of a full queue.
+            // The queue is full, so more bytes may wait in front of it: the host is not silent.
             self.m.lines.heartbeat_mut().hear();
         }
         self.m.motion.observe(&observed);
         self.m.parking.observe(&observed);
     }
 
-    /// Something happened at `now`.
+    /// Takes an event that happened at `now`.
     ///
-    /// The path of a line: its bytes come in here and are collected by `LineIntake`. At the last one `host::dispatch_line` has
-    /// the line checked and `work::stages` keeps it as a task. That is all an event does; what the line asks for is done by
-    /// [`Controller::output`].
-    // Always, so that the middle of a line costs no call.
+    /// The path of a line: its bytes arrive here and are collected by `LineIntake`. At the last byte
+    /// `host::dispatch_line` has the line checked, and `work::stages` keeps it as a task. [`Controller::output`] then
+    /// executes the task.
+    // `always`: a byte in the middle of a line costs no call.
     #[inline(always)]
     pub fn event(&mut self, now: Instant, event: Event<N>) {
         match event {
@@ -126,20 +118,20 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Takes a byte that makes a line longer and does nothing else, to which the time means nothing: nearly all events. What is
-    /// no such byte is not taken, and is told as an [`Event::Line`].
+    /// Takes a byte that only extends the current line, for which the time is irrelevant: nearly all events. Returns
+    /// false for any other byte, which is not taken; pass that byte as an [`Event::Line`].
     #[inline]
     pub fn take_text_byte(&mut self, byte: LineByte) -> bool {
         self.m.lines.take_plain(byte)
     }
 
-    /// Takes the first of some bytes of an epoch as far as they are such bytes. Gives how many.
+    /// Takes the leading `bytes`, all of one `epoch`, that only extend the current line. Returns how many were taken.
     #[inline]
     pub fn take_text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
         self.m.lines.take_text(epoch, bytes)
     }
 
-    /// All events but bytes of lines, for which there is [`Controller::line_byte`].
+    /// Handles all events except the line bytes that [`Controller::take_text_byte`] has taken.
     #[inline(never)]
     fn take(&mut self, now: Instant, event: Event<N>) {
         self.m.now = now;
@@ -168,7 +160,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether a line byte may be given.
+    /// Whether the controller accepts a line byte.
     pub fn wants_line(&self) -> bool {
         self.task.is_none()
             && !self.m.lines.holds()
@@ -177,21 +169,22 @@ impl<const N: usize> Controller<N> {
             && self.m.replies.has_room()
     }
 
-    /// Whether received lines wait for an operator or for the end of a motion, and bytes from before a reset with them.
+    /// Whether received lines wait for an operator or for the end of a motion. Bytes from before a reset then wait with
+    /// them.
     #[inline]
     pub fn lets_lines_wait(&self) -> bool {
         !self.state.takes_lines()
     }
 
-    /// Whether the step task will soon have done all that it has been given of a motion that continues.
+    /// Whether the step task will soon run out of segments although the motion continues.
     #[inline]
     pub fn is_short_of_segments(&self) -> bool {
         self.m.motion.is_short_of_segments()
     }
 
-    /// When the controller wants to be called although nothing happens.
+    /// Returns the time of the next call if nothing happens before; `None`: no call is needed.
     pub fn next_wakeup(&self) -> Option<Instant> {
-        // What a completed hold or a parked door has interrupted continues with an event, not by itself.
+        // Motion that a hold or a door has interrupted continues after an event: at rest it needs no wake-up.
         let moving = !self.m.motion.is_at_rest()
             || !self.m.parking.motion().is_at_rest()
             || self.m.step_supply.is_running() && !self.state.is_suspended();
@@ -211,7 +204,8 @@ impl<const N: usize> Controller<N> {
             State::Hold(hold) => hold.ends_with_spindle().map(|until| self.next_look_at_spindle(until)),
             _ => None,
         };
-        // Nor does a dwell that something has ended: its moment would be past for ever.
+        // A suspended dwell needs no wake-up either: its end may be past, which would wake the controller without
+        // pause.
         let task = match &self.state {
             State::Homing(homing) => homing.wakeup(),
             state if state.is_suspended() => None,
@@ -224,17 +218,19 @@ impl<const N: usize> Controller<N> {
         [moving, spindle, task, outputs, self.m.drivers.off_at(), silent, lost].into_iter().flatten().min()
     }
 
-    /// No more bytes will come: what is queued is started.
+    /// Reports that no more bytes will come: queued motion starts without waiting for more.
     pub fn input_ended(&mut self) {
         self.m.step_supply.end_input();
     }
 
-    /// Works, and gives the next thing to be done, at `now`, as far as the pump has room for it. Called until it gives `None`.
+    /// Does a bounded piece of work at `now` and returns the next output for which the pump has `room`. Call until it
+    /// returns `None`.
     ///
-    /// No getter: this is what drives everything that takes longer than an event. In the order of urgency it follows what has
-    /// ended, gives out stops, pins and records, keeps the step queue filled, answers, and then does one bounded piece of the
-    /// task in hand ([`Output::Worked`] or [`Output::Answer`]: there is more). So the path of a line goes through here at least
-    /// three times: carried out and answered, begun, and handed to the step task segment by segment.
+    /// Everything that takes longer than an event happens here, in order of urgency: it handles ended motions and
+    /// delays, outputs stops, pins and records, fills the step queue, answers, and then does one bounded piece of the
+    /// current task ([`Output::Worked`] or [`Output::Answer`]: there is more). So a line passes through here at least
+    /// three times: its task is executed and answered, its motion is started, and its segments are handed to the step
+    /// task one by one.
     pub fn output(&mut self, now: Instant, room: Room) -> Option<Output> {
         self.m.now = now;
         if self.may_have_changed()
@@ -257,7 +253,8 @@ impl<const N: usize> Controller<N> {
             return Some(Output::Reply(chunk));
         }
         if self.may_advance() && self.advance() {
-            // The answer to a line that only moves goes out at once; after anything else what that has changed comes first.
+            // The answer to a line that only moves is sent at once. After any other line, changed outputs come before
+            // the answer.
             let answer = if room.reply && self.m.pins.are_calm() { self.m.replies.next_chunk() } else { None };
             return Some(answer.map_or(Output::Worked, Output::Answer));
         }
@@ -274,13 +271,13 @@ impl<const N: usize> Controller<N> {
         None
     }
 
-    /// Whether anything that [`Controller::look_round`] looks at may be other than at the last time.
+    /// Whether anything that [`Controller::look_round`] checks may have changed since its last call.
     #[inline]
     fn may_have_changed(&self) -> bool {
         !self.m.pins.are_calm() || self.m.step_supply.is_running() && self.m.motion.is_idle()
     }
 
-    /// Whether nothing is under way but motion: then time and the step task change nothing but that it ends.
+    /// Whether only motion is in progress. Then time and the step task can change nothing except that the motion ends.
     fn only_moves(&self) -> bool {
         matches!(self.state, State::Normal)
             && self.m.probe.is_over()
@@ -290,25 +287,27 @@ impl<const N: usize> Controller<N> {
             && self.m.drivers.off_at().is_none()
             && !self.m.accessories.is_on()
             && !self.m.accessories.digital().is_waiting()
-            // A silence begins with what is at work, in the moment at which that begins.
+            // With a silence limit, the silence is timed from the start of the work, so `look_for_host` must see that
+            // start.
             && !self.m.settings.is_on(Key::HostSilence)
             && !self.m.settings.is_on(Key::JogSilence)
     }
 
-    /// The change that is to be made for an [`Output::Store`].
+    /// Returns the change to store for an [`Output::Store`].
     pub fn next_store(&mut self) -> Option<Store> {
         self.m.records.next_store()
     }
 
-    /// What goes before segments and answers: the end of what was under way, stops, wiring, pins, records.
+    /// Handles whatever takes precedence over segments and answers: ended motions and delays, stops, wiring, pins,
+    /// records.
     #[inline(never)]
     fn look_round(&mut self) -> Option<Output> {
-        // What follows may end motion and begin a delay.
+        // `settle` may end motion and start a delay.
         self.m.pins.disturb();
         let wanted = self.wants_line();
         self.settle();
         if !wanted && self.wants_line() {
-            // Bytes that have waited may come now, and nothing else would wake the pump for them.
+            // Waiting bytes may be taken from here on, and nothing else would wake the pump for them.
             return Some(Output::Worked);
         }
         if self.m.stops.take_order() {
@@ -336,7 +335,8 @@ impl<const N: usize> Controller<N> {
         None
     }
 
-    /// The same before all else. By itself, so that a motion under way costs no call.
+    /// Calls [`Controller::step_message`] when segments are urgent. Not inlined, so that only the frequent call in
+    /// [`Controller::output`] is.
     #[cold]
     #[inline(never)]
     fn urgent_message(&mut self) -> Option<ToStep> {
@@ -349,7 +349,7 @@ impl<const N: usize> Controller<N> {
         if let Some(ToStep::Segment(segment)) = &mut message {
             segment.power = self.overridden_power(segment.power);
         }
-        // What opens the step task again or watches the probe moves nothing.
+        // Messages that reopen the step task or watch the probe move nothing.
         let moves = !matches!(message, None | Some(ToStep::Resume { .. } | ToStep::Watch { .. }));
         if moves && self.m.drivers.switch_on() {
             self.m.pins.disturb();
@@ -357,7 +357,8 @@ impl<const N: usize> Controller<N> {
         message
     }
 
-    /// What comes before the motion of a job.
+    /// Returns the next message to the step task in order: reopening it, watching the probe, parking, then the job's
+    /// motion.
     #[inline(never)]
     fn message_in_turn(&mut self) -> Option<ToStep> {
         if !self.m.stops.is_open() {
@@ -375,7 +376,7 @@ impl<const N: usize> Controller<N> {
         self.m.parking.next_message().or_else(|| self.m.motion.next_message())
     }
 
-    /// Follows what has come to an end since the last call: motion, a hold's ramp, a jog, a door's delays.
+    /// Handles whatever has ended since the last call: motion, a hold's ramp, a jog, a door's delays.
     fn settle(&mut self) {
         if self.m.accessories.take_overrides_due() {
             self.apply_overrides();
@@ -412,7 +413,7 @@ impl<const N: usize> Controller<N> {
             }
             _ => {}
         }
-        // It may have been opened just now.
+        // The code above may have opened the door.
         if let State::Door(door) = self.state {
             self.settle_phases(door.phase);
         }
@@ -422,8 +423,8 @@ impl<const N: usize> Controller<N> {
 
     /// Starts queued motion when there is no reason to wait for more of it.
     fn auto_start(&mut self) {
-        // A move queued while the last piece of the one before was already in the step queue belongs to the same
-        // run: without a start of its own it would never begin.
+        // A move queued after the last segment of the previous move went into the step queue belongs to the same run:
+        // without this start it would never begin.
         if self.m.step_supply.is_running() && matches!(self.state, State::Normal | State::Jog { cancelling: false }) {
             self.m.motion.start();
             return;
@@ -437,14 +438,15 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// The store has answered a change: told at once, as the command may have been ended by a reset meanwhile.
+    /// Takes the store's answer to a change. A failure is reported at once, because a reset may have ended the command
+    /// meanwhile.
     fn stored(&mut self, done: bool) {
         if self.m.records.answered(done) {
             self.say(|out| report::message(out, "The setting holds but could not be stored"));
         }
     }
 
-    /// Takes a stored record at power-up. Records that make no sense are ignored.
+    /// Takes a stored record at power-up. Invalid records are ignored.
     pub fn restore(&mut self, record: &Record) {
         self.m.pins.disturb();
         self.m.records.restore(record, &mut self.m.settings, &mut self.m.interpreter);

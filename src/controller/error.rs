@@ -13,7 +13,7 @@ macro_rules! codes {
         }
 
         impl $codes {
-            /// All of them, in the order of their numbers.
+            /// All codes in the order of their numbers.
             pub const ALL: &'static [$codes] = &[$($codes::$name),*];
 
             /// The number on the wire.
@@ -21,7 +21,7 @@ macro_rules! codes {
                 self as u8
             }
 
-            /// What it means, for people.
+            /// The meaning, in English.
             pub const fn text(self) -> &'static str {
                 match self {
                     $($codes::$name => $text,)*
@@ -69,7 +69,7 @@ codes! {
     UnusedWords = 36, "value words stand in the line that no command uses";
     ToolLengthAxis = 37, "the tool length offset is for the tool axis only";
     ToolNumberTooHigh = 38, "the tool number is out of range";
-    /// Not in Grbl; the numbers from here to 54 are grblHAL's.
+    /// Not in Grbl. The numbers from here to 54 are grblHAL's.
     ValueOutOfRange = 39, "the value of a word is out of range";
     SpindleNotTurning = 41, "the cycle stops the spindle, which does not turn";
     UnknownTool = 47, "the tool is not in the table, or the table is full";
@@ -77,7 +77,7 @@ codes! {
     DriverFault = 51, "a motor driver reports a fault";
     SettingOutOfRange = 52, "the setting does not take this value";
     RetractBelowBottom = 54, "R of the cycle lies below the bottom of the hole";
-    /// The next ones with the numbers of grblHAL.
+    /// This and the next ones, up to 83, have grblHAL's numbers.
     UnknownOperation = 71, "the operator or function in the expression is unknown";
     DivisionByZero = 72, "the expression divides by zero";
     ArgumentOutOfRange = 73, "the argument is outside the range of the function or operator";
@@ -134,14 +134,15 @@ codes! {
     HomingPullOff = 8, "homing could not clear the switch by pulling off";
     HomingNoSwitch = 9, "homing found no switch within its travel";
     HomingSquaring = 10, "squaring found only one of the two switches of an axis";
-    /// The spindle did not tell in time that it is up to speed (`$915`, `$916`), or lost it in mid-job (`$929`). Not in Grbl; grblHAL's number.
+    /// The at-speed input did not report the speed in time (`$915`, `$916`), or the spindle lost it during a job
+    /// (`$929`). Not in Grbl; the number is grblHAL's.
     SpindleSpeed = 14, "the spindle did not come up to speed in time, or lost it";
-    /// The step queue ran dry at speed. Grbl has no number for it (its machine would lose steps silently); numbers from
-    /// 11 on are taken by other controllers, so one above theirs.
+    /// The step queue ran dry at speed. Grbl has no number for this: its machine would lose steps silently. Other
+    /// controllers use numbers from 11 on, so this one is above theirs.
     Underrun = 100, "motion data ran out at speed; the position may be lost";
     /// Not in Grbl; grblHAL's 10 is taken here by Grbl's own squaring alarm.
     EmergencyStop = 101, "the emergency stop was pressed; the position may be lost if something moved";
     DriverFault = 102, "a motor driver reported a fault; the position may be lost";
-    /// The step outputs have not put out what they were told to. Other controllers cannot know.
+    /// The step outputs did not output the commanded steps. Other controllers cannot detect this.
     Miscounted = 103, "the step outputs and their count disagree; the position is lost";
 }

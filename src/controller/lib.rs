@@ -1,8 +1,8 @@
 //! The controller of a CNC mill that speaks Grbl 1.1: protocol, G-code, planning and stepping.
 //!
-//! No hardware, no clock, no queues and no waiting live here: bytes, levels and the time come in through
-//! [`Controller::event`], and what is to be done comes out of [`Controller::output`]. So the same code, bit for bit, runs
-//! in the firmware on a board and in the simulator on a desk.
+//! The crate contains no hardware access, clock, queues or waiting: [`Controller::event`] takes bytes, levels and the
+//! time, and [`Controller::output`] returns the next thing to do. So the same code, bit for bit, runs in the firmware
+//! on a board and in the simulator on a desk.
 //!
 //! The journey of `G1 X10 F600`:
 //! 1. `protocol::realtime` passes its bytes on (a `?` between them would be answered at once);
@@ -17,7 +17,7 @@
 //! 10. the pump writes that to the step pins, or into a trace.
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
-// What is a reference on a board is a box on a host, of which a reference has to be taken.
+// `Lent` is a reference on a board and a box on a host; the explicit borrow is needed for the box only.
 #![cfg_attr(not(feature = "alloc"), allow(clippy::needless_borrow))]
 #![cfg_attr(
     not(test),

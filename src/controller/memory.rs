@@ -1,6 +1,6 @@
-//! The large parts of a controller lie in memory of their own, which the caller lends it for good: motion with its
-//! look-ahead, the interpreter, queued replies and stored texts, 20 to 70 KB in all. Each part is built in its place,
-//! so the stack never holds more than one of them.
+//! Memory for the large parts of a controller, which the caller lends permanently: motion with its look-ahead, the
+//! interpreter, queued replies and stored texts, 20 to 70 KB in all. Each part is built in its place, so the stack
+//! never holds more than one of them.
 
 use crate::dispatch::Profile;
 use crate::gcode::Interpreter;
@@ -9,7 +9,7 @@ use crate::lent::Lent;
 use crate::motion::Motion;
 use crate::protocol::replies::Replies;
 
-/// The large parts of one controller of `N` axes, new.
+/// The large parts of one controller with `N` axes, newly built.
 #[derive(Debug)]
 pub struct Memory<const N: usize> {
     pub(crate) motion: Lent<Motion<N>>,
@@ -21,7 +21,7 @@ pub struct Memory<const N: usize> {
 
 #[cfg(feature = "alloc")]
 impl<const N: usize> Memory<N> {
-    /// Memory from the heap, with a look-ahead of so many blocks.
+    /// Allocates the parts on the heap, with a look-ahead of `blocks` blocks.
     pub fn on_heap(profile: &Profile, blocks: usize) -> Self {
         let motion = |memory| Lent::new(Motion::unconfigured(profile.step_clock_hz, memory));
         Self {
@@ -59,7 +59,8 @@ mod on_board {
     }
 
     impl<const N: usize, const BLOCKS: usize> Storage<N, BLOCKS> {
-        /// All bytes are 0 or nothing, so a static one needs no flash (`cargo fw` checks the size of `.data`).
+        /// All bytes are 0 or uninitialised, so a static `Storage` needs no flash (`cargo fw` checks the size of
+        /// `.data`).
         pub const EMPTY: Self = Self {
             job: MotionStorage::EMPTY,
             parked: SingleMoveStorage::EMPTY,
@@ -71,7 +72,7 @@ mod on_board {
             records: MaybeUninit::uninit(),
         };
 
-        /// Builds the parts in their places and lends them for good.
+        /// Builds the parts in their places and lends them permanently.
         #[inline(never)]
         pub fn lend(&'static mut self, profile: &Profile) -> Memory<N> {
             let clock = profile.step_clock_hz;
@@ -85,7 +86,7 @@ mod on_board {
         }
     }
 
-    /// By itself: what a part takes of the stack is free again before the next is built.
+    /// Not inlined, so that the stack used by one part is free again before the next is built.
     #[inline(never)]
     fn in_place<T>(place: &'static mut MaybeUninit<T>, new: impl FnOnce() -> T) -> &'static mut T {
         place.write(new())

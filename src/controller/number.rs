@@ -6,16 +6,16 @@ use crate::units::{DECIMAL_PLACES, Decimal};
 /// How many digits of a number count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Digits {
-    /// All digits before the point, [`DECIMAL_PLACES`] behind it; further ones are dropped.
+    /// All digits before the point and [`DECIMAL_PLACES`] after it; further ones are dropped.
     Exact,
     /// Grbl's rule: the first eight digits, leading zeros included. Further digits before the point count as zeros,
-    /// those behind it are dropped.
+    /// further digits after it are dropped.
     Eight,
 }
 
 /// Digits that [`Digits::Eight`] keeps.
 const EIGHT: u32 = 8;
-/// A mantissa below this takes one more digit without leaving `u64`.
+/// A mantissa below this can take one more digit without overflowing `u64`.
 const ROOM_FOR_A_DIGIT: u64 = 1_000_000_000_000_000_000;
 /// Powers of ten up to [`DECIMAL_PLACES`].
 const POWERS: [u32; 8] = [1, 10, 100, 1000, 10_000, 100_000, 1_000_000, 10_000_000];
@@ -23,22 +23,21 @@ const POWERS: [u32; 8] = [1, 10, 100, 1000, 10_000, 100_000, 1_000_000, 10_000_0
 /// A number as it was written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Number {
-    /// Its value; what is beyond ±9.2 × 10¹¹ becomes that.
+    /// Value, saturated at ±9.2 × 10¹¹.
     pub value: Decimal,
-    /// Bytes of its text.
+    /// Length of the text in bytes.
     pub used: usize,
-    /// Digits behind the point, up to [`DECIMAL_PLACES`].
+    /// Digits after the point, up to [`DECIMAL_PLACES`].
     pub places: u8,
 }
 
-/// Parses the decimal text (sign, digits, at most one point) at the start of `text` to the fixed-point type [`Decimal`];
-/// `None` without any digit.
+/// Parses the decimal text (sign, digits, at most one point) at the start of `text`; `None` without any digit.
 #[inline(never)]
 pub fn read(text: &[u8], digits: Digits) -> Option<Number> {
     read_here(text, digits)
 }
 
-/// The same without a call, for the words of lines.
+/// [`read`], always inlined: for the words of lines.
 #[inline(always)]
 pub fn read_here(text: &[u8], digits: Digits) -> Option<Number> {
     let negative = text.first() == Some(&b'-');
@@ -51,13 +50,13 @@ pub fn read_here(text: &[u8], digits: Digits) -> Option<Number> {
     Some(Number { value: Decimal(if negative { -value } else { value }), used: signs + used, places })
 }
 
-/// A number as programs mostly write them, up to eight digits of which seven at most are behind the point: its value, the
-/// bytes it took and the digits behind the point; `None` for all others.
+/// Reads a number of the usual form: up to eight digits, at most seven of them after the point. Returns its value, the
+/// bytes used and the digits after the point; `None` for all other numbers.
 #[inline]
 fn read_short(text: &[u8]) -> Option<(i64, usize, u8)> {
     let mut mantissa: u32 = 0;
     let mut used = 0;
-    // How many bytes are used up to the point.
+    // Bytes up to and including the point; 0 before a point.
     let mut point = 0;
     for &byte in text {
         used += 1;
@@ -80,7 +79,7 @@ fn read_short(text: &[u8]) -> Option<(i64, usize, u8)> {
     Some((i64::from(mantissa) * i64::from(*power), used, fraction as u8))
 }
 
-/// The same for any number.
+/// As [`read_short`], for any number.
 #[inline(never)]
 fn read_long(text: &[u8], digits: Digits) -> Option<(i64, usize, u8)> {
     let mut used = 0;
@@ -90,7 +89,7 @@ fn read_long(text: &[u8], digits: Digits) -> Option<(i64, usize, u8)> {
     };
     let mut mantissa: u64 = 0;
     let mut count: u32 = 0;
-    // Digits of the mantissa behind the point; zeros that belong behind the mantissa because digits were left out.
+    // `fraction`: digits of the mantissa after the point. `zeros`: zeros to append to the mantissa for dropped digits.
     let mut fraction: u32 = 0;
     let mut zeros: u32 = 0;
     let mut point = false;
@@ -175,7 +174,7 @@ mod tests {
         }
     }
 
-    /// 123.456789 has nine digits: the document follows it through the loop to 12345678 and exponent -5.
+    /// 123.456789 has nine digits: the document's worked example ends with 12345678 and exponent -5.
     #[test]
     fn worked_example_of_the_document() {
         assert_eq!(eight("123.456789"), Some((1_234_567_800, 10)));
@@ -209,7 +208,7 @@ mod tests {
         assert_eq!(exact(&format!("-{nines}")), Some((-i64::MAX, 5001)));
         let zeros = "0".repeat(5000);
         assert_eq!(exact(&format!("{zeros}1.5")), Some((15_000_000, 5003)));
-        // Eight leading zeros are all the digits that Grbl looks at.
+        // Eight leading zeros use up all the digits that Grbl reads.
         assert_eq!(eight("00000000001"), Some((0, 11)));
         assert_eq!(eight(".123456789"), Some((1_234_567, 10)));
         assert_eq!(eight("-.123456789"), Some((-1_234_567, 11)));

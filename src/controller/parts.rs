@@ -1,5 +1,5 @@
-//! [`Machine`]: the parts of the machine that all states and lines work on. It knows neither the present state nor the
-//! line that is carried out.
+//! [`Machine`]: the parts of the machine that all states and lines work on. It contains neither the current state nor
+//! the line being executed.
 
 use crate::axes::AxisMask;
 use crate::dispatch::Profile;
@@ -24,7 +24,7 @@ use crate::states::stops::orders::Stops;
 use crate::units::Instant;
 use crate::work::probe::phases::Probe;
 
-// In this order, small things first: one instruction reaches 4 KiB from the base.
+// Small fields come first: one load or store instruction reaches only 4 KiB from the base.
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
 pub(crate) struct Machine<const N: usize> {
@@ -39,7 +39,7 @@ pub(crate) struct Machine<const N: usize> {
     pub pins: Pins,
     pub settings_lock: SettingsLock,
     pub now: Instant,
-    /// When a line of a program was answered last.
+    /// When a program line was last answered.
     pub answered_at: Instant,
     pub lines: LineIntake,
     pub interpreter: Lent<Interpreter<N>>,
@@ -73,7 +73,7 @@ impl<const N: usize> Machine<N> {
         }
     }
 
-    /// What is queued moves from here on.
+    /// Starts the queued motion.
     pub(crate) fn start_motion(&mut self) {
         self.step_supply.start();
         self.motion.start();
@@ -84,7 +84,7 @@ impl<const N: usize> Machine<N> {
         self.drivers.motion_ended(self.now, self.settings.whole(Key::IdleDelay));
     }
 
-    /// M5 without a word of the program, if the spindle is on: the next line inherits it.
+    /// Switches the spindle off if it is on, like M5 but not by a program word. The next line starts from that state.
     pub(crate) fn stop_spindle(&mut self) {
         if self.accessories.is_on() {
             self.accessories.stop_spindle();
@@ -93,7 +93,7 @@ impl<const N: usize> Machine<N> {
         }
     }
 
-    /// Whether M6 stops (`$918`).
+    /// Whether M6 pauses for a tool change (`$918`).
     pub(crate) fn prompts_for_tools(&self) -> bool {
         self.settings.is_on(Key::ToolChange)
     }

@@ -7,26 +7,27 @@
 //!    ▲                                                                        │
 //!    └── a segment for the step task, a line, a stop, a question to the store ◀┘
 //! ```
-//! Each segment for the step task and each line that has been carried out begins another round, so the look-ahead is as full as
-//! the received bytes allow before each segment is cut, and the steps do not depend on the speed of the processor; unless it is
-//! too slow for them: where the step task soon has no more segments of a motion, these come before lines. Whatever is answered by
-//! an event (a stop, a stored record, the view of the pins) begins one too: the answer is told before another output is asked
-//! for, and there is never more than one of a kind under way.
+//! Each segment for the step task and each executed line starts another round. So the look-ahead is as full as the
+//! received bytes allow before each segment is cut, and the steps do not depend on the speed of the processor. If the
+//! processor is too slow, and the step task will soon run out of segments of a motion, segments come before lines.
+//!
+//! An output that is answered by an event (a stop, a stored record, the view of the pins) starts another round too: the
+//! answer is passed on before the next output, so at most one output of each kind is pending.
 
 use crate::dispatch::Controller;
 use crate::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, REALTIME_DEPTH, Room};
 use crate::units::Instant;
 
-/// Where events come from.
+/// Sources of events.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
-    /// The step task: stopped, ran dry, touched.
+    /// The step task: stops, underruns, probe contacts.
     Step,
     /// The answer to [`Output::Store`].
     Store,
-    /// Hosts that have gone and come.
+    /// Hosts that have disconnected or connected.
     Hosts,
-    /// Realtime commands, in the order of their coming.
+    /// Realtime commands, in order of arrival.
     Commands,
     /// Levels of the inputs.
     Inputs,
@@ -34,60 +35,63 @@ pub enum Source {
     Pins,
 }
 
-/// Realtime commands between two looks at whether the step task is short of segments: a host that floods must not keep it waiting.
+/// Realtime commands passed on before the next check whether the step task is short of segments: a flood of commands
+/// must not starve it.
 const COMMANDS_AT_ONCE: u32 = 16;
-/// Most realtime commands of a round: more than can have waited when it began. These come before inputs and lines.
+/// Maximum number of realtime commands in a round: more than can have waited at its start. They come before inputs and
+/// lines.
 const MOST_COMMANDS: u32 = 2 * REALTIME_DEPTH as u32;
 
-/// What carries a controller: it has the queues, the time and the outputs, and decides nothing.
+/// The platform under a controller: provides queues, time and outputs, and makes no decisions.
 pub trait Pump<const N: usize> {
-    /// Whether something wakes the pump when more comes in or room is made while a round lasts. If not, a round in which
+    /// Whether input that arrives, or room that is made, during a round wakes the pump again. If not, a round in which
     /// anything was done is followed by another.
     const IS_WOKEN: bool;
-    /// The controller that is carried.
+    /// The controller that this pump drives.
     fn controller(&mut self) -> &mut Controller<N>;
-    /// A round begins; gives the time for all of it. Of the line bytes only those that are queued now belong to the round:
-    /// so a report asked for by `?` comes before the answer to a line that ends after it.
+    /// Begins a round and returns the time that holds for all of it. Only line bytes queued by now belong to the round,
+    /// so a report requested by `?` comes before the answer to a line that ends after the `?`.
     fn begin(&mut self) -> Instant;
-    /// How far the step task is, and what has been received and not yet taken.
+    /// Returns the progress of the step task, and the counts of bytes received and not yet taken.
     fn observed(&mut self) -> Observed;
     /// Takes the next event of a source.
     fn next_event(&mut self, source: Source) -> Option<Event<N>>;
     /// Takes the next byte of a line, if it may be taken now.
     fn next_line_byte(&mut self) -> Option<LineByte>;
-    /// Takes the next byte of a line if that is one that the controller would drop.
+    /// Takes the next line byte if the controller would drop it.
     fn next_old_byte(&mut self) -> Option<LineByte> {
         None
     }
-    /// Gives the controller text of a line that comes next and may be taken now, several bytes at a time. Only what
-    /// [`Pump::next_line_byte`] would give can be text; what is not, that gives. It records what it gives, as [`Pump::record`]
-    /// would. Whether there was any.
+    /// Passes text of the next line to the controller, several bytes at a time, as far as it may be taken now. Only
+    /// bytes that [`Pump::next_line_byte`] would return can be text; all other bytes are left to that function. Records
+    /// the text as [`Pump::record`] would. Returns whether there was any.
     #[inline(always)]
     fn give_text(&mut self, _now: Instant) -> bool {
         false
     }
-    /// Events and lines have been taken: what has found no room in their queues may come now. `took`: there were any.
-    /// Gives whether something has come.
+    /// Queues whatever found no room before, after events and lines were taken. `took`: whether any were taken. Returns
+    /// whether anything was queued.
     fn make_room(&mut self, took: bool) -> bool;
-    /// What the queues of outputs can take.
+    /// Returns which output queues have room.
     fn room(&mut self) -> Room;
-    /// Carries an output to where it is done. There is room for it.
+    /// Passes an output to the task or driver that performs it. There is room for it.
     fn carry(&mut self, output: Output);
-    /// The controller is about to be told of an event: what came in can be recorded here.
+    /// Called just before the controller takes an event, so that the event can be recorded.
     #[inline(always)]
     fn record(&mut self, _now: Instant, _event: &Event<N>) {}
-    /// Behind the end of a line of which the controller has been told more bytes wait.
+    /// Called after the controller has taken the end of a line while more bytes wait.
     #[inline(always)]
     fn record_more(&mut self) {}
 }
 
-/// One round; whether another one may find more to do.
+/// Runs one round. Returns whether another round may find more to do.
 #[inline]
 pub fn round<const N: usize, P: Pump<N>>(pump: &mut P) -> bool {
     let now = pump.begin();
     observe(pump);
-    // A command is told after the reports of the step task and the store of what came before it, and a host that has gone
-    // before the commands of the next one. One after the other and not in a loop, which costs a third more: a round is made for each segment.
+    // Commands come after the earlier reports of the step task and the store, and a disconnect comes before the
+    // commands of the next host. The calls are written out, because a loop over the sources costs a third more, and
+    // there is a round for each segment.
     let mut events = tell(pump, now, Source::Step);
     events |= tell(pump, now, Source::Store);
     events |= tell(pump, now, Source::Hosts);
@@ -123,20 +127,20 @@ pub fn round<const N: usize, P: Pump<N>>(pump: &mut P) -> bool {
         if observe(pump).received > 0 && matches!(byte.byte, b'\n' | b'\r') {
             pump.record_more();
         }
-        // A line may be long in coming to its end, or have none.
+        // The end of the line may be far away, or never come.
         if pump.controller().is_short_of_segments() {
             break;
         }
     }
     again |= pump.make_room(events || lines) || lines;
     let wanted = pump.controller().wants_line();
-    // Answers that go out may make room for those of lines that wait.
+    // Sent answers may make room for the answers to waiting lines.
     put_out(pump, now, &mut again) || again || !wanted && pump.controller().wants_line()
 }
 
-/// Drops what was received before a reset, though lines wait, behind an open door for instance, and where they wait for nothing
-/// but a reset: it would take up the room of what comes behind it, and in the end of another reset. No more than are queued at
-/// once: a host that floods must not keep that reset waiting. Whether there was any.
+/// Drops bytes received before a reset while lines wait (at an open door, or in a state that only a reset ends). Left
+/// in the queue, these bytes would take the room of later bytes, and in the end that of another reset. Drops at most as
+/// many as the queue holds: a host that floods must not delay that reset. Returns whether there were any.
 #[cold]
 #[inline(never)]
 fn drop_old_bytes<const N: usize>(pump: &mut impl Pump<N>, now: Instant) -> bool {
@@ -148,7 +152,8 @@ fn drop_old_bytes<const N: usize>(pump: &mut impl Pump<N>, now: Instant) -> bool
     true
 }
 
-/// Carries outputs until there is none, or one that begins another round: then true. `again`: outputs make others possible.
+/// Carries outputs until none is left, or until one starts another round: then returns true. Sets `again` if an output
+/// may have made others possible.
 #[inline(never)]
 fn put_out<const N: usize, P: Pump<N>>(pump: &mut P, now: Instant, again: &mut bool) -> bool {
     loop {
@@ -159,7 +164,7 @@ fn put_out<const N: usize, P: Pump<N>>(pump: &mut P, now: Instant, again: &mut b
             Output::Worked => return true,
             // The next line comes before another segment is cut.
             Output::Answer(_) => true,
-            // What announces a block is followed by its first segment.
+            // A message that announces a block is followed by the block's first segment.
             Output::Step(message) => !message.announces_block(),
             Output::Stop | Output::Store => true,
             Output::ReadPins { .. } | Output::ReadRecording { .. } => true,
@@ -173,7 +178,8 @@ fn put_out<const N: usize, P: Pump<N>>(pump: &mut P, now: Instant, again: &mut b
     }
 }
 
-/// The next byte that is not plain text. Text makes a line longer, and changes nothing of whether lines are wanted.
+/// Passes plain text to the controller and returns the next byte that is not text. Text only extends a line and does
+/// not change whether lines are wanted. Sets `took` if any byte was taken.
 #[inline(always)]
 fn next_byte_past_text<const N: usize>(pump: &mut impl Pump<N>, now: Instant, took: &mut bool) -> Option<LineByte> {
     loop {
@@ -187,20 +193,20 @@ fn next_byte_past_text<const N: usize>(pump: &mut impl Pump<N>, now: Instant, to
     }
 }
 
-/// Tells the events of a source; whether there were any.
+/// Passes all events of a source to the controller. Returns whether there were any.
 #[inline(always)]
 fn tell<const N: usize>(pump: &mut impl Pump<N>, now: Instant, source: Source) -> bool {
     tell_some(pump, now, source, u32::MAX) > 0
 }
 
-/// Tells the events of a source, up to `most` of them; how many there were.
+/// Passes up to `most` events of a source to the controller. Returns how many there were.
 #[inline(always)]
 fn tell_some<const N: usize>(pump: &mut impl Pump<N>, now: Instant, source: Source, most: u32) -> u32 {
     let mut told = 0;
     while told < most
         && let Some(event) = pump.next_event(source)
     {
-        // What has been received before an event is taken, has come before it.
+        // Bytes received before the event is taken count as earlier than the event.
         observe(pump);
         pump.record(now, &event);
         pump.controller().event(now, event);

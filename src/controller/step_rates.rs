@@ -3,33 +3,35 @@
 
 /// Nanoseconds in the unit of `$0`, a tenth of a microsecond.
 const TENTH_NS: u32 = 100;
-/// The longest pause that common drivers ask for: 2.5 us for a DM542, 1.9 us for a DRV8825, each with a pulse as long. Drivers
-/// that accept shorter pulses accept shorter pauses, such as an A4988 with 1 us of both.
+/// Longest pause that common drivers require: 2.5 us (DM542), 1.9 us (DRV8825), each with an equally long pulse.
+/// Drivers that accept shorter pulses also accept shorter pauses, such as the A4988 with 1 us for both.
 const LONGEST_PAUSE_NS: u32 = 2_500;
-/// Pulses shorter than this are for drivers that are far from their limit with a pause as long.
+/// Pulse length below which the pause may be shortened by [`ROUNDING_NS`]: drivers that accept such pulses are far from
+/// their limits with an equally long pause.
 const SHORT_PULSE_NS: u32 = 1_000;
-/// A step may come so much sooner than planned: intervals are whole ticks, two of which are 0.024 us at 84 MHz.
+/// A step may come this much earlier than planned, because intervals are whole ticks: two ticks are 0.024 us at 84 MHz.
 const ROUNDING_NS: u32 = 40;
 
-/// What bounds the step rate of one axis.
+/// Limits of the step rate of one axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StepRates {
-    /// Greatest rate with the shortest pulse, steps/s.
+    /// Maximum rate with the shortest pulse, steps/s.
     pub safe_hz: u32,
     /// The shortest pulse (`$0`), tenths of a microsecond.
     pub least_pulse_tenths: u16,
 }
 
 impl StepRates {
-    /// The greatest rate that can be kept with pulses of this length (tenths of a microsecond), steps/s.
+    /// Returns the maximum rate with pulses of this length (tenths of a microsecond), in steps/s.
     pub fn greatest_hz(self, pulse_tenths: u16) -> f32 {
         let kept = 1.0e9 / least_period_ns(pulse_tenths) as f32;
         if kept < self.safe_hz as f32 { kept } else { self.safe_hz as f32 }
     }
 }
 
-/// The least pause after a step pulse: the shorter of the pulse and the longest pause that drivers ask for. After a pulse below
-/// 1 us a single pause may be shorter by the rounding of intervals, so that a square wave can be kept.
+/// Returns the minimum pause after a step pulse, in ns: as long as the pulse, but at most the longest pause that
+/// drivers require. After a pulse below 1 us the pause may be shorter by the rounding of intervals, so that a square
+/// wave is possible.
 pub(crate) const fn least_pause_ns(pulse_tenths: u16) -> u32 {
     let pulse = pulse_tenths as u32 * TENTH_NS;
     if pulse < SHORT_PULSE_NS {
@@ -41,7 +43,8 @@ pub(crate) const fn least_pause_ns(pulse_tenths: u16) -> u32 {
     }
 }
 
-/// From step to step at least, as planned: the rounding of intervals leaves the pulse and the pause after it.
+/// Returns the minimum planned time from step to step, in ns. It includes the rounding of intervals, so the pulse and
+/// the pause after it are always complete.
 const fn least_period_ns(pulse_tenths: u16) -> u32 {
     pulse_tenths as u32 * TENTH_NS + least_pause_ns(pulse_tenths) + ROUNDING_NS
 }
@@ -59,13 +62,13 @@ mod tests {
             assert_eq!(rates.greatest_hz(pulse).round(), kept, "{pulse} tenths of a microsecond");
         }
         assert_eq!(StepRates { safe_hz: 100_000, ..rates }.greatest_hz(10), 100_000.0);
-        // A pulse of 0.5 us and a pause as long.
+        // A pulse of 0.5 us and an equally long pause.
         let fast = StepRates { safe_hz: 1_500_000, least_pulse_tenths: 5 };
         assert_eq!((fast.greatest_hz(5), fast.greatest_hz(9)), (1.0e6, 1.0e9 / 1_800.0));
         assert_eq!(fast.greatest_hz(10).round(), 490_196.0);
     }
 
-    /// At the greatest rate, with intervals that are shorter than planned by what their rounding may take off.
+    /// At the maximum rate, with each interval shortened by the maximum rounding.
     #[test]
     fn the_pause_is_the_shorter_of_the_pulse_and_what_drivers_ask_for() {
         for pulse in 10..=2550_u16 {

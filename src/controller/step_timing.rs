@@ -1,5 +1,5 @@
-//! When the edges of the step outputs may come, in ticks of the step clock: the pulse (`$0`) and the direction set-up
-//! (`$29`) give the minimum distances between events. The step task places its events by these.
+//! Minimum times between the edges of the step outputs, in ticks of the step clock, derived from the pulse length
+//! (`$0`) and the direction set-up time (`$29`). The step task places its events by these.
 //!
 //! ```text
 //!  step       ____┌─────┐_______________________┌─────┐____
@@ -12,28 +12,28 @@
 
 use crate::step_rates::least_pause_ns;
 
-/// Least set-up time of a direction, whatever `$29` says, microseconds.
+/// Minimum set-up time of a direction, even if `$29` is less, microseconds.
 const LEAST_SETUP_US: u32 = 2;
-/// No event for longer than this, microseconds, is filled up by events that change nothing: so what must be ahead of its time
-/// for outputs to follow on each other is never old.
+/// Maximum time between two events, microseconds: longer gaps are filled with events that change nothing. Gapless
+/// output needs some events queued ahead; this limit keeps them close to their times.
 const SPLIT_US: u32 = 250;
 
-/// See the head of this file.
+/// Minimum and maximum times between step events, in ticks of the step clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StepTiming {
     /// Length of a step pulse (`$0`) in ticks of the step clock.
     pub pulse: u32,
-    /// From one event to the next at least: a pulse and the pause after it.
+    /// Minimum time from one event to the next: a pulse and the pause after it.
     pub gap: u32,
-    /// From a change of directions to the next step at least.
+    /// Minimum time from a change of directions to the next step.
     pub setup: u32,
-    /// From one event to the next at most.
+    /// Maximum time from one event to the next.
     split: u32,
 }
 
 impl StepTiming {
-    /// Turns the step pulse width `$0`, tenths of a microsecond, and the direction set-up time `$29`, microseconds, into timer ticks of a
-    /// step clock of so many MHz.
+    /// Converts the step pulse length `$0` (tenths of a microsecond) and the direction set-up time `$29` (microseconds)
+    /// into ticks of a step clock of `clock_mhz` MHz.
     pub const fn new(clock_mhz: u32, pulse_tenths: u16, setup_us: u32) -> StepTiming {
         let pulse = pulse_ticks(pulse_tenths, clock_mhz);
         let gap = pulse + (least_pause_ns(pulse_tenths) * clock_mhz).div_ceil(1000);
@@ -47,15 +47,15 @@ impl StepTiming {
         }
     }
 
-    /// Whether ticks with these intervals, the least and the greatest of a row, can be put out as they are.
+    /// Whether a row of ticks can be output unchanged; the argument is its minimum and maximum interval.
     #[inline]
     pub fn is_regular(&self, (least, greatest): (u32, u32)) -> bool {
         least >= self.gap && greatest < self.split
     }
 
-    /// Where an event that changes nothing comes in between, if the next one is far from the last, or if what is ahead
-    /// is short (`short`), so that no more could follow soon: at least half of the time to both, and no more than the longest from the
-    /// last.
+    /// Returns the time of an event that changes nothing, to be inserted between `last` and `next`; `None` if none is
+    /// needed. One is needed if `next` is too far from `last`, or if so few events are queued ahead (`short`) that no
+    /// more could follow soon. It lies in the middle, but no further from `last` than the maximum.
     #[inline]
     pub fn between(&self, last: u32, next: u32, short: bool) -> Option<u32> {
         let away = next.wrapping_sub(last) as i32;
@@ -67,19 +67,19 @@ impl StepTiming {
     }
 }
 
-/// A step pulse (`$0`, tenths of a microsecond) in ticks of a timer of so many MHz. What is no whole number of ticks is rounded up,
-/// by less than one: whole microseconds are exact, tenths are on timers of 90, 100 or 180 MHz.
+/// Returns a step pulse (`$0`, tenths of a microsecond) in ticks of a timer of `clock_mhz` MHz, rounded up to whole
+/// ticks. Whole microseconds are exact; tenths are exact on timers of 90, 100 or 180 MHz.
 const fn pulse_ticks(pulse_tenths: u16, clock_mhz: u32) -> u32 {
     (pulse_tenths as u32 * clock_mhz).div_ceil(10)
 }
 
-/// The later of two moments of a wrapping clock.
+/// Returns the later of two times of a wrapping clock.
 #[inline]
 pub fn later(a: u32, b: u32) -> u32 {
     if a.wrapping_sub(b) as i32 >= 0 { a } else { b }
 }
 
-/// The sooner of two moments of a wrapping clock.
+/// Returns the earlier of two times of a wrapping clock.
 #[inline]
 pub fn sooner(a: u32, b: u32) -> u32 {
     if a.wrapping_sub(b) as i32 <= 0 { a } else { b }
@@ -102,7 +102,7 @@ mod tests {
             (96, 5, 0, (48, 93, 192)),
             (90, 5, 0, (45, 87, 180)),
             (84, 5, 0, (42, 81, 168)),
-            // 67.2 ticks of each, and 0.04 us less of the pause.
+            // 67.2 ticks each for pulse and pause; the pause less 0.04 us.
             (84, 8, 0, (68, 132, 168)),
         ] {
             let timing = StepTiming::new(clock_mhz, pulse_tenths, setup_us);
@@ -114,8 +114,8 @@ mod tests {
         }
     }
 
-    /// Whatever the length of the pulse, the rate that the settings allow leaves the gap, with a tick or more to spare at the
-    /// clocks of the boards.
+    /// At any pulse length, the rate that the settings allow keeps the gap, with at least a tick to spare at the clocks
+    /// of the boards.
     #[test]
     fn the_greatest_rate_leaves_the_gap() {
         let rates = crate::StepRates { safe_hz: u32::MAX, least_pulse_tenths: 1 };
@@ -134,7 +134,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the moments, steps of a wrapping clock: events in between keep both distances, and there is an end.
+        /// At any time of the wrapping clock, inserted events keep both the minimum and the maximum distance, and their
+        /// number is finite.
         #[test]
         fn long_times_are_filled_up(last in any::<u32>(), away in 0_u32..1 << 28, pulse_tenths in 5_u16..=2550, short in any::<bool>()) {
             let timing = StepTiming::new(96, pulse_tenths, 0);

@@ -2,18 +2,18 @@
 //! `Decimal` in 10^-7, `StepsPerMm`, `Instant` and `Duration` in microseconds, the `WeightedPoint` of a curve. Integer
 //! arithmetic is exact; sums saturate.
 //!
-//! Places are integers: [`Coordinate`] counts 0.1 nm (exact for seven decimals of a millimetre and for six of an inch),
-//! steps count motor steps. The way from one to the other is integer arithmetic ([`StepsPerMm`]), so a million moves of
-//! 0.001 mm end at exactly 1000 mm. Speeds and accelerations are `f32` in mm/s and mm/s²; mm/min exists only where
-//! text is read or written.
+//! Positions are integers: [`Coordinate`] counts 0.1 nm (exact for seven decimals of a millimetre and for six of an
+//! inch), steps count motor steps. The conversion between them is integer arithmetic ([`StepsPerMm`]), so a million
+//! moves of 0.001 mm end at exactly 1000 mm. Speeds and accelerations are `f32` in mm/s and mm/s²; mm/min exists only
+//! where text is read or written.
 
 /// Decimal places that a number of a program keeps.
 pub const DECIMAL_PLACES: u32 = 7;
 /// 10 to the power of [`DECIMAL_PLACES`].
 pub const DECIMAL_ONE: i64 = 10_000_000;
 
-/// `value` / [`DECIMAL_ONE`], rounded down: what the division gives, in a fifth of the time. This processor divides 32 bits
-/// only, and multiplies 32 by 32 bits in one instruction.
+/// Returns `value` / [`DECIMAL_ONE`], rounded down, in a fifth of the time of the division. The processor of a board
+/// divides only 32 bits, but multiplies 32 by 32 bits in one instruction.
 pub(crate) const fn ones(value: u64) -> u64 {
     /// 10^7 = 2^7 × 5^7.
     const ODD: u32 = 78_125;
@@ -30,9 +30,9 @@ pub(crate) const fn ones(value: u64) -> u64 {
     estimate + (rest / ODD) as u64
 }
 
-/// Quotient of a number of 96 bits, its highest word first, by a divisor below 2^24; the lowest 64 bits of it. Long division, a
-/// word at a time where nothing is left over and else a byte: with the remainder that is 32 bits, which the machine divides in
-/// one instruction.
+/// Returns the lowest 64 bits of the quotient of a 96-bit number (highest word first) and a divisor below 2^24. Long
+/// division, a word at a time while the remainder is 0, else a byte at a time: remainder and byte together fit the 32
+/// bits that the processor divides in one instruction.
 fn quotient(words: [u32; 3], divisor: u32) -> u64 {
     let (mut quotient, mut rest) = (0, 0);
     for word in words {
@@ -50,16 +50,16 @@ fn quotient(words: [u32; 3], divisor: u32) -> u64 {
     quotient
 }
 
-/// Whole part of a square root. Once in the image: it is long.
+/// Returns the whole part of a square root. Not inlined, because the code is long.
 #[inline(never)]
 pub(crate) fn integer_root(square: u128) -> u128 {
     square.isqrt()
 }
 
-/// The nearest `f32`. The machine converts 32 bits in one instruction, with the same result.
+/// Returns the nearest `f32`. The processor converts 32 bits in one instruction, with the same result.
 #[inline]
 pub(crate) fn wide_to_f32(value: i64) -> f32 {
-    // A function of its own, or the compiler makes one wide conversion of the two again.
+    // Not inlined: otherwise the compiler merges both conversions into one wide conversion.
     #[inline(never)]
     fn far(value: i64) -> f32 {
         value as f32
@@ -88,10 +88,12 @@ impl Decimal {
         Decimal(value as i64 * DECIMAL_ONE)
     }
 
-    /// The nearest `f32`, computed with one exact conversion and one division, so equal on every machine.
+    /// Returns the nearest `f32`, computed with one exact conversion and one division, so it is equal on every
+    /// processor.
     #[inline]
     pub fn to_f32(self) -> f32 {
-        // Apart, so that the wide integer is not rounded before it is divided: a printed setting reads back as itself.
+        // Whole part and rest are converted separately, so that the wide integer is not rounded before the division: a
+        // printed setting reads back as itself.
         let size = self.0.unsigned_abs();
         let whole = ones(size);
         let rest = (size as u32).wrapping_sub((whole as u32).wrapping_mul(DECIMAL_ONE as u32));
@@ -102,7 +104,7 @@ impl Decimal {
         if self.0 < 0 { -size } else { size }
     }
 
-    /// The whole part, cut towards zero, kept within `i32`.
+    /// Returns the whole part, rounded towards zero and saturated to `i32`.
     pub const fn truncate(self) -> i32 {
         let whole = ones(self.0.unsigned_abs());
         let whole = if whole > i32::MAX as u64 { i32::MAX } else { whole as i32 };
@@ -114,14 +116,14 @@ impl Decimal {
     }
 }
 
-/// A place or a length along an axis, in units of 0.1 nm (10⁻⁷ mm).
+/// A position or a length along an axis, in units of 0.1 nm (10⁻⁷ mm).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Coordinate(pub i64);
 
 impl Coordinate {
     /// The origin.
     pub const ZERO: Coordinate = Coordinate(0);
-    /// Greatest distance from the origin that the controller computes with: 50 m. Farther targets are refused.
+    /// Maximum distance from the origin that the controller computes with: 50 m. Targets beyond it are refused.
     pub const LIMIT: Coordinate = Coordinate(50_000 * DECIMAL_ONE);
 
     /// A length in millimetres as the program wrote it.
@@ -131,8 +133,8 @@ impl Coordinate {
 
     /// A length in inches as the program wrote it (25.4 mm each; exact for six decimals, rounded to 0.1 nm beyond).
     pub const fn from_inches(value: Decimal) -> Coordinate {
-        // 25.4 = 254 / 10; the half towards the sign rounds to nearest. Values are below 2^50 after range checks; wider
-        // ones saturate far outside LIMIT.
+        // 25.4 = 254 / 10. Adding a half with the sign of the value rounds to nearest. Values are below 2^50 after
+        // range checks; wider ones saturate far outside LIMIT.
         let wide = value.0.saturating_mul(254);
         let half = if wide < 0 { -5 } else { 5 };
         Coordinate(wide.saturating_add(half) / 10)
@@ -165,12 +167,12 @@ impl Coordinate {
         Coordinate(if scaled < 0.0 { (scaled - 0.5) as i64 } else { (scaled + 0.5) as i64 })
     }
 
-    /// The nearest place that the controller may compute with.
+    /// Returns the nearest coordinate within ±[`Coordinate::LIMIT`].
     pub fn limited(self) -> Coordinate {
         self.clamp(-Self::LIMIT, Self::LIMIT)
     }
 
-    /// Whether the controller may compute with this place (see [`Coordinate::LIMIT`]).
+    /// Whether the coordinate is within ±[`Coordinate::LIMIT`].
     pub const fn in_range(self) -> bool {
         self.0 <= Self::LIMIT.0 && self.0 >= -Self::LIMIT.0
     }
@@ -197,17 +199,14 @@ impl core::ops::Neg for Coordinate {
     }
 }
 
-/// `size` × `mantissa` + `half` for places that the controller does not compute with: it saturates.
+/// Returns `size` × `mantissa` + `half`, saturated, for coordinates beyond those that the controller computes with.
 #[inline(never)]
 fn far_product(size: u64, mantissa: u32, half: u64) -> u64 {
     let product = size.saturating_mul(u64::from(mantissa)).min(i64::MAX as u64);
     product.saturating_add(half).min(i64::MAX as u64)
 }
 
-/// How many motor steps make a millimetre: exactly the value of the `f32` setting, as mantissa × 2^-shift.
-///
-/// Only finite values above 0 and up to [`StepsPerMm::MAX`] exist; with the 24-bit mantissa and coordinates within
-/// [`Coordinate::LIMIT`] (below 2^39) every product fits an `i64`, so both directions are exact before one rounding.
+/// Motor steps per millimetre: exactly the value of the `f32` setting, as mantissa × 2^-shift.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StepsPerMm {
     mantissa: u32,
@@ -215,12 +214,12 @@ pub struct StepsPerMm {
 }
 
 impl StepsPerMm {
-    /// Greatest value that is taken.
+    /// Maximum accepted value.
     pub const MAX: f32 = 40_000.0;
-    /// Least value that is taken.
+    /// Minimum accepted value.
     pub const MIN: f32 = 0.001;
 
-    /// One step a millimetre.
+    /// One step per millimetre.
     pub const ONE: StepsPerMm = StepsPerMm { mantissa: 1, shift: 0 };
 
     /// The exact fraction of a setting; `None` outside [`StepsPerMm::MIN`]..=[`StepsPerMm::MAX`].
@@ -240,11 +239,11 @@ impl StepsPerMm {
         Some(StepsPerMm { mantissa, shift })
     }
 
-    /// The step nearest to a coordinate (a half goes away from zero).
+    /// Returns the step nearest to a coordinate (halves round away from zero).
     #[inline]
     pub fn steps(self, coordinate: Coordinate) -> i32 {
-        // |coordinate| < 2^39 and mantissa < 2^24. The divisor is 10^7 × 2^shift (shift <= 33: below 2^57), and what is cut
-        // off by the shift has no part in the quotient; nor has it in half of the divisor.
+        // Here |coordinate| < 2^39 and mantissa < 2^24. The divisor is 10^7 × 2^shift (shift <= 33: below 2^57). The
+        // bits cut off by the shift affect neither the quotient nor half of the divisor.
         const HALF: u64 = DECIMAL_ONE as u64 / 2;
         let size = coordinate.0.unsigned_abs();
         let rounded = if size >> 39 == 0 {
@@ -260,12 +259,12 @@ impl StepsPerMm {
         }
     }
 
-    /// How far a coordinate is beyond its nearest step, in sevenths of a step: the nearest of -3 to 3.
+    /// Returns how far a coordinate is beyond its nearest step `steps`, rounded to sevenths of a step: -3 to 3.
     pub fn sevenths_beyond(self, coordinate: Coordinate, steps: i32) -> i32 {
-        /// A step in the measure of `rest`.
+        /// One step in the unit of `rest`.
         const STEP: i32 = DECIMAL_ONE as i32;
-        // Both products may be too wide, but not their difference, which is half a step: below 2^56, or 10^7 / 2 without
-        // the shift.
+        // Both products may overflow, but their difference does not: it is at most half a step, below 2^56, or 10^7 / 2
+        // after the shift.
         let product = coordinate.0.wrapping_mul(i64::from(self.mantissa));
         let whole = i64::from(steps).wrapping_mul(DECIMAL_ONE << self.shift);
         let rest = (product.wrapping_sub(whole) >> self.shift) as i32;
@@ -273,10 +272,10 @@ impl StepsPerMm {
     }
 
     /// The coordinate nearest to a step.
-    // Once in the image, and not in each place that asks for those of all axes.
+    // Not inlined: callers convert all axes, and each would repeat the code.
     #[inline(never)]
     pub fn coordinate(self, steps: i32) -> Coordinate {
-        // |steps| <= 2^31 times 10^7 × 2^shift, which is below 2^57: 88 bits.
+        // At most 88 bits: |steps| <= 2^31, and the factor 10^7 × 2^shift is below 2^57.
         let (size, one) = (u64::from(steps.unsigned_abs()), (DECIMAL_ONE as u64) << self.shift);
         let low = size * u64::from(one as u32) + u64::from(self.mantissa / 2);
         let high = size * (one >> 32) + (low >> 32);
@@ -284,18 +283,18 @@ impl StepsPerMm {
         Coordinate(if steps < 0 { place.wrapping_neg() } else { place })
     }
 
-    /// The value as `f32`: the setting it came from.
+    /// Returns the `f32` setting from which the value was made.
     pub fn to_f32(self) -> f32 {
         self.mantissa as f32 / (1_u64 << self.shift) as f32
     }
 }
 
-/// mm/min of a setting or a program to mm/s.
+/// Converts mm/min of a setting or a program to mm/s.
 pub fn per_second(per_minute: f32) -> f32 {
     per_minute / 60.0
 }
 
-/// mm/s to mm/min for a report.
+/// Converts mm/s to mm/min for a report.
 pub fn per_minute(per_second: f32) -> f32 {
     per_second * 60.0
 }
@@ -303,9 +302,9 @@ pub fn per_minute(per_second: f32) -> f32 {
 /// A control point of a curve, in X and Y of the machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WeightedPoint {
-    /// Where it is.
+    /// Position.
     pub place: [Coordinate; 2],
-    /// How strongly the curve is drawn to it, above 0.
+    /// How strongly the curve is drawn to the point, above 0.
     pub weight: f32,
 }
 

@@ -1,5 +1,5 @@
-//! Questions about the controller; nothing changes here. Whether it is idle or at rest, positions, line numbers, the
-//! alarm, and the dialect in force.
+//! Read-only queries of the controller: whether it is idle or at rest, positions, line numbers, the alarm, and the
+//! dialect in force.
 
 use crate::axes::PerAxis;
 use crate::dispatch::Controller;
@@ -12,7 +12,7 @@ use crate::states::stops::reaction::Reaction;
 use crate::units::{Coordinate, Instant};
 use crate::work::task::{Stage, Task};
 
-/// A moment that does not come: instants of more than half of the range would count as past.
+/// A time that is never reached. Times in the upper half of the range would count as past.
 const NEVER: Instant = Instant::from_ticks(u64::MAX / 4);
 
 impl<const N: usize> Controller<N> {
@@ -26,40 +26,41 @@ impl<const N: usize> Controller<N> {
             && self.m.records.are_stored()
     }
 
-    /// Whether another host may take over: in addition no subroutine, loop or condition is open, whose next line would be
-    /// carried out as if it were in none.
+    /// Whether another host may take over: the controller is idle, and no subroutine, loop or condition is open. The
+    /// remaining lines of an open one would be executed as if they were in none.
     pub fn is_free(&self) -> bool {
         self.is_idle() && !self.m.interpreter.is_within_block()
     }
 
-    /// Whether characters of UTF-8 in remarks are text: to Grbl each of their bytes is a command or nothing.
+    /// Whether UTF-8 characters in comments are text. In Grbl's dialect each of their bytes is a command or is ignored.
     pub fn reads_characters(&self) -> bool {
         self.dialect() != Dialect::Grbl
     }
 
-    /// Whether answers wait for room to be put out.
+    /// Whether answers wait for room in the output queue.
     #[inline]
     pub fn has_answers(&self) -> bool {
         self.m.replies.are_waiting()
     }
 
-    /// Whether a job is under way: also where only a beam burns, on one point.
+    /// Whether a job is in progress. A laser that burns at rest counts as a job.
     pub(crate) fn is_at_work(&self) -> bool {
         self.m.step_supply.is_running() || !self.m.motion.is_idle() || !self.task.is_none() || self.burns()
     }
 
-    /// Whether a beam burns at rest.
+    /// Whether the laser burns at rest.
     pub(crate) fn burns(&self) -> bool {
         self.m.settings.is_on(Key::Laser) && self.resting_power() != 0
     }
 
-    /// Whether the spindle has to be up to speed: lines of a program are carried out, and none gives it time to come up.
+    /// Whether the spindle must be up to speed: program lines are being executed, and none of them is waiting for
+    /// spin-up.
     pub(crate) fn needs_speed(&self) -> bool {
         let works = self.m.step_supply.is_running() || !self.m.motion.is_idle() || self.task.is_program();
         matches!(self.state, State::Normal) && works && !self.task.is_spinning_up()
     }
 
-    /// Whether a spindle that turns continues to, at this alarm.
+    /// Whether a turning spindle stays on at this alarm.
     pub(crate) fn keeps_spindle_on(&self, alarm: Alarm) -> bool {
         let reaction = match alarm {
             Alarm::AbortInMotion => Reaction::of(Key::HostReaction, &self.m.settings),
@@ -73,7 +74,7 @@ impl<const N: usize> Controller<N> {
         reaction.spindle_on && door_allows && !self.m.accessories.is_suspended()
     }
 
-    /// Why motion stops or brakes, if it does for good.
+    /// Returns the reason why motion is stopping or braking, if it will not resume.
     pub(crate) fn stop_under_way(&self) -> Option<StopReason> {
         let alarm = match self.state {
             State::Braking { then } => then.alarm(),
@@ -91,12 +92,13 @@ impl<const N: usize> Controller<N> {
         self.task.is_none() && !matches!(self.state, State::Homing(_))
     }
 
-    /// Whether in addition nothing turns and nothing burns: the pump may be deaf for a second, to erase flash.
+    /// Whether the controller is idle and spindle and laser are off: the pump may then stall for a second to erase
+    /// flash.
     pub fn is_quiet(&self) -> bool {
         self.is_idle() && self.is_off()
     }
 
-    /// The same but for answers that are still to be sent: it will be quiet soon if no more lines come.
+    /// As [`Controller::is_quiet`], but answers may still have to be sent: it will soon be quiet if no more lines come.
     pub fn is_nearly_quiet(&self) -> bool {
         self.has_nothing_to_do() && self.m.motion.is_idle() && self.m.parking.motion().is_idle() && self.is_off()
     }
@@ -107,7 +109,7 @@ impl<const N: usize> Controller<N> {
 
     /// Where the machine is.
     pub fn machine_position(&self) -> PerAxis<Coordinate, N> {
-        // A parked machine is where the parking moves led.
+        // A parked machine is where the parking moves have taken it.
         if self.m.parking.is_away() {
             self.m.parking.motion().machine_position()
         } else {
@@ -120,28 +122,30 @@ impl<const N: usize> Controller<N> {
         self.machine_position().zip(&self.m.interpreter.work_zero(self.dialect()), |m, o| m - o)
     }
 
-    /// N word of the move under way, 0 = none.
+    /// N word of the move in execution, 0 = none.
     pub fn line_number(&self) -> u32 {
         self.m.motion.line_number()
     }
 
-    /// N word of the move that was handed to the step task last; see [`Controller::line_number`] for what it does now.
+    /// N word of the move that was last handed to the step task; [`Controller::line_number`] is that of the move in
+    /// execution.
     pub fn handed_line_number(&self) -> u32 {
         self.m.motion.running_line_number()
     }
 
-    /// N words of the move that was handed to the step task last, and of those that will be.
+    /// N words of the move that was last handed to the step task, and of the moves queued after it.
     pub fn queued_line_numbers(&self) -> impl Iterator<Item = u32> {
         self.m.motion.queued_line_numbers()
     }
 
-    /// Moves that are queued from here on have this number instead of their N words: for a simulator that shows which line a
-    /// move belongs to. Motion does not depend on it.
+    /// Gives moves queued from here on this number instead of their N words, so that a simulator can show to which line
+    /// a move belongs. Motion does not depend on the number.
     pub fn number_moves(&mut self, number: u32) {
         self.m.motion.number_moves(number);
     }
 
-    /// The tool that the spindle holds in the motion of the line that is carried out, or else now; 0 for none that M6 named.
+    /// The tool in the spindle during the motion of the line being executed; without such a line, the current tool. 0
+    /// if no M6 has named one.
     pub fn tool_in_work(&self) -> u32 {
         match self.task {
             Task::Job(_) => self.line.action.spindle_tool(),
@@ -149,12 +153,12 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// S of the line that is carried out, without overrides; 0 while the spindle is off or no line is carried out.
+    /// S of the line being executed, without overrides; 0 while the spindle is off or no line is being executed.
     pub fn speed_in_work(&self) -> f32 {
         if matches!(self.task, Task::Job(_)) { self.line.action.turning_speed() } else { 0.0 }
     }
 
-    /// Whether the line that is carried out is an arc or a spline.
+    /// Whether the line being executed is an arc or a spline.
     pub fn is_arc_in_work(&self) -> bool {
         matches!(self.task, Task::Job(_))
             && matches!(
@@ -163,7 +167,8 @@ impl<const N: usize> Controller<N> {
             )
     }
 
-    /// While the line that is carried out waits: until when for its spindle, and after that for its dwell.
+    /// Returns until when the line being executed waits for its spindle, before its dwell: 0 if it waits for no
+    /// spindle, `NEVER` if it has no dwell. `None` if the line does not wait.
     pub fn waits_for_spindle_until(&self) -> Option<Instant> {
         let Task::Job(job) = &self.task else { return None };
         match (job.stage, self.line.action.dwell) {
@@ -174,24 +179,24 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Lines that have been read since power-up (wrapping), whatever became of them.
+    /// Number of lines read since power-up (wrapping), accepted or not.
     pub fn lines_read(&self) -> u32 {
         self.m.lines.lines_read()
     }
 
-    /// The line ([`Controller::lines_read`] with it) that began the outermost subroutine, loop or condition which has not
-    /// come to its end, or in which the program has ended.
+    /// The line, as counted by [`Controller::lines_read`], that began the outermost subroutine, loop or condition that
+    /// is still open, or in which the program has ended.
     pub fn open_since(&self) -> Option<u32> {
         self.m.interpreter.open_since()
     }
 
-    /// The alarm that holds, if any.
+    /// The active alarm, if any.
     pub fn alarm(&self) -> Option<Alarm> {
         self.state.alarm()
     }
 
-    /// Whether the machine is where the position says, as far as anybody can know: not after a stop at speed, an underrun,
-    /// a power-up or a sleep with homing on, until it has been homed.
+    /// Whether the machine is where the position says, as far as can be known. False after a stop at speed, an
+    /// underrun, or a power-up or sleep with homing on, until the machine has been homed.
     pub fn is_trusted(&self) -> bool {
         self.m.reference.is_trusted()
     }
@@ -201,12 +206,12 @@ impl<const N: usize> Controller<N> {
         self.m.records.are_damaged()
     }
 
-    /// The settings that hold.
+    /// The settings in force.
     pub fn settings(&self) -> &Settings<N> {
         &self.m.settings
     }
 
-    /// What the program has come to, at the end of the lines that were taken.
+    /// The interpreter, in its state after the last line taken.
     pub fn interpreter(&self) -> &Interpreter<N> {
         &self.m.interpreter
     }
@@ -221,7 +226,7 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// What the host is spoken to in.
+/// Returns the dialect of the replies to the host.
 pub(crate) fn dialect<const N: usize>(settings: &Settings<N>) -> Dialect {
     match settings.whole(Key::Dialect) {
         0 => Dialect::Grbl,

@@ -1,6 +1,6 @@
-//! The build script of the firmware: has `oxmill_images::link` tell the linker about the board.
+//! Build script of the firmware: passes the board's linker options to the linker, with `oxmill_images::link`.
 
 fn main() {
-    // The conversations in QEMU come to 6.9 KiB (`cargo xtask converse`).
+    // The largest stack in the QEMU sessions is 6.9 KiB (`cargo xtask converse`).
     oxmill_images::link(&["bins"], 16);
 }

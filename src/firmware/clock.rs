@@ -1,37 +1,38 @@
-//! The time, in microseconds, and the alarm clock of `control`, which tells `inputs` when it is to be woken.
+//! The time in microseconds, and the alarm clock of `control`.
 //!
-//! The board counts ticks in 32 bits; `control` is the only one that asks for the time and sees to it that it asks often
-//! enough to notice every wrap. The alarm is looked at by the sampling of the inputs, so it needs no timer of its own
-//! and is late by at most one sample.
+//! The board counts ticks in 32 bits. Only `control` reads the time, and often enough to notice each wrap. The alarm is
+//! checked at each sample of the inputs, so it needs no timer of its own and is late by at most one sample.
 
 use crate::boards;
 use oxmill_controller::units::{Duration, Instant};
 use rtic_sync::signal::{SignalReader, SignalWriter};
 
-/// Longest time between two questions: far below the wrap of the fastest board clock (25 MHz: 171 s).
+/// Maximum time between two readings: far below the wrap of the fastest board clock (25 MHz: 171 s).
 const LONGEST_SLEEP: Duration = Duration::from_ticks(10_000_000);
 
 const NOW: Duration = Duration::from_ticks(0);
 
 /// The time since power-up.
 pub struct Clock {
-    /// Ticks at the last question, and those of them that do not make a microsecond.
+    /// Ticks at the last reading.
     seen: u32,
+    /// Ticks up to then that do not make up a whole microsecond.
     rest: u32,
+    /// Microseconds since power-up at the last reading.
     micros: u64,
     alarm: SignalWriter<'static, u32>,
 }
 
 impl Clock {
-    /// Begins at 0.
+    /// A clock that starts at 0.
     pub fn new(alarm: SignalWriter<'static, u32>) -> Clock {
         Clock { seen: boards::clock_ticks(), rest: 0, micros: 0, alarm }
     }
 
-    /// The time.
+    /// Returns the time since power-up.
     pub fn now(&mut self) -> Instant {
         let ticks = boards::clock_ticks();
-        // In 32 bits, by a constant: no division.
+        // A 32-bit division by a constant is compiled without a division.
         let passed = ticks.wrapping_sub(self.seen).wrapping_add(self.rest);
         self.seen = ticks;
         let micros = passed / boards::CLOCK_TICKS_PER_US;
@@ -40,7 +41,7 @@ impl Clock {
         Instant::from_ticks(self.micros)
     }
 
-    /// Sets the alarm; without a moment it still goes off before the counter wraps.
+    /// Sets the alarm. With `None` it still goes off before the counter wraps.
     pub fn set_alarm(&mut self, at: Option<Instant>) {
         let now = self.now();
         let sleep = at.map_or(LONGEST_SLEEP, |at| at.checked_duration_since(now).unwrap_or(NOW).min(LONGEST_SLEEP));
@@ -49,19 +50,19 @@ impl Clock {
     }
 }
 
-/// The alarm, as `inputs` has it.
+/// The alarm, as read by `inputs`.
 pub struct Alarm {
     set: SignalReader<'static, u32>,
     at: Option<u32>,
 }
 
 impl Alarm {
-    /// Not set.
+    /// An alarm that is not set.
     pub fn new(set: SignalReader<'static, u32>) -> Alarm {
         Alarm { set, at: None }
     }
 
-    /// Whether it has gone off; true once.
+    /// Returns whether the alarm has gone off; true once per alarm.
     #[inline(always)]
     pub fn goes_off(&mut self) -> bool {
         self.at = self.set.try_read().or(self.at);

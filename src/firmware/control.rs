@@ -1,5 +1,5 @@
-//! The control task: carries to the controller what other tasks have queued for it, and carries out what the controller
-//! decides, in the order of [`oxmill_controller::pump`].
+//! The control task: passes the messages of other tasks to the controller, and carries out the controller's outputs, in
+//! the order of [`oxmill_controller::pump`].
 
 use crate::boards::{self, AXES};
 use crate::clock::Clock;
@@ -20,14 +20,14 @@ use oxmill_controller::{Coalescing, Controller, LineReader, Owed};
 use rtic_sync::channel::{Receiver, Sender};
 use rtic_sync::signal::SignalWriter;
 
-/// While the queue to the step task is full, how soon to look again: short segments leave it faster than the controller's
-/// own wake-up expects.
+/// Wake-up interval while the queue to the step task is full: short segments leave the queue before the controller's
+/// own wake-up time.
 const FULL_QUEUE_WAKEUP: Duration = Duration::from_ticks(500);
 
 /// The controller of this board.
 pub type BoardController = Controller<AXES>;
 
-/// The ends of the channels that `control` holds.
+/// The ends of the channels that `control` owns.
 pub struct Ends {
     /// From `serial`.
     pub realtime: Receiver<'static, Realtime, REALTIME_DEPTH>,
@@ -47,7 +47,7 @@ pub struct Ends {
     pub input_wiring: Sender<'static, Wiring, 2>,
 }
 
-/// Everything the task owns.
+/// The state of the task.
 pub struct Control {
     controller: &'static mut BoardController,
     ends: Ends,
@@ -55,40 +55,43 @@ pub struct Control {
     settings: Settings,
     recorder: Recorder<&'static mut [Page]>,
     clock: Clock,
-    /// When the round began.
+    /// Start time of the round.
     round_began: Instant,
     line_reader: LineReader,
-    /// Line bytes given to the controller since power-up (wrapping).
+    /// Line bytes passed to the controller since power-up (wrapping).
     line_bytes_out: u32,
-    /// `hosts_came` and `hosts_went` of [`SERIAL`] as they were.
+    /// Value of `hosts_came` in [`SERIAL`] when it was last read.
     hosts_came: u8,
+    /// Value of `hosts_went` in [`SERIAL`] when it was last read.
     hosts_went: u16,
     job: Option<Job>,
-    /// Wiring facts for which there was no room.
+    /// Wiring data for which the queues had no room.
     unsent_wiring: Option<Wiring>,
-    /// Line bytes queued when the round began: those after them belong to a later one.
+    /// Count of queued line bytes when the round began: later bytes belong to a later round.
     lines_in: u32,
-    /// Commands were owed when the round began; taken, and still to be told.
+    /// The serial task owed commands when the round began.
     owes: bool,
+    /// Owed commands taken from the serial task but not yet passed to the controller.
     owed: Owed,
     coalescing: Coalescing,
-    /// Whether the last record was stored, still to be told.
+    /// Whether the last change was stored; the controller has not been informed yet.
     stored: Option<bool>,
-    /// Inputs that the board has; the controller has asked to see them.
+    /// Inputs that the board has.
     fitted: u32,
+    /// The controller has requested the state of the input pins.
     pins_asked: bool,
-    /// There will soon be no room for settings without an erase. Changes between rounds only.
+    /// The log will soon have no room without an erase. Changes only between rounds.
     wants_erase_soon: bool,
 }
 
-/// A preloaded job and how far it has been read.
+/// A preloaded job, and the index of its next byte.
 struct Job {
     text: &'static [u8],
     next: usize,
 }
 
 impl Control {
-    /// Ready to start.
+    /// Creates the task, ready to start.
     pub fn new(
         controller: &'static mut BoardController,
         ends: Ends,
@@ -124,14 +127,14 @@ impl Control {
         }
     }
 
-    /// Power-up is complete.
+    /// Starts the controller, when power-up is complete.
     pub fn start(&mut self) {
         let now = self.clock.now();
         self.controller.start(now);
     }
 
-    /// Pumps until there is nothing to do, and sets the alarm for the next time. A function of its own, so that the virtual
-    /// board can put an endless loop in its place.
+    /// Runs rounds until there is nothing to do, then sets the alarm. Not inlined, so that the virtual board can
+    /// replace it by an endless loop.
     #[inline(never)]
     pub fn turn(&mut self) {
         let heard = SERIAL.heard.load(Ordering::Relaxed);
@@ -141,14 +144,14 @@ impl Control {
             if !self.erase_ahead() {
                 break;
             }
-            // Lines had to wait for it.
+            // Lines had to wait for the erase.
         }
         let observed = self.observe();
         if observed.step_idle && self.controller.is_idle() {
             self.recorder.at_rest(self.round_began, self.controller);
         }
         let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();
-        // Whether the answers have gone out, too, the serial task knows.
+        // The serial task checks whether the replies have been sent, too.
         shared::set_free(heard, nothing_waits && self.controller.is_free() && observed.step_idle);
         CONTROL.reads_characters.store(self.controller.reads_characters(), Ordering::Relaxed);
         if self.job.as_ref().is_some_and(|job| job.next == job.text.len())
@@ -165,13 +168,13 @@ impl Control {
         self.clock.set_alarm(wakeup);
     }
 
-    /// Whether bytes of lines wait that this round may take.
+    /// Returns whether line bytes wait that this round may take.
     #[inline(always)]
     fn lines_wait(&self) -> bool {
         self.line_bytes_out != self.lines_in
     }
 
-    /// Nothing is left to be done for now: answers are not held any longer. Whether there are any.
+    /// Ends holding back answers when there is nothing else to do. Returns whether any were held.
     #[inline(always)]
     fn release_answers(&mut self) -> bool {
         let are_held = self.coalescing.holds(self.lines_wait()) && self.controller.has_answers();
@@ -181,7 +184,7 @@ impl Control {
         are_held
     }
 
-    /// Leaves place and line where a handler that ends the program finds them.
+    /// Stores position and line for a handler that ends the program.
     fn note_place(&mut self) {
         let mut place = [0; 3];
         for (slot, at) in place.iter_mut().zip(self.controller.machine_position().iter()) {
@@ -191,8 +194,9 @@ impl Control {
         last_words::note(Whereabouts { place, line, moment });
     }
 
-    /// Erases flash when nothing moves, turns or waits: the processor is stalled for a quarter of a second. What the host
-    /// sends in that time is kept (see the board).
+    /// Erases flash if that is due, the machine is at rest with its spindle off, and no command waits: the erase stalls
+    /// the processor for a quarter of a second. Bytes that the host sends meanwhile are kept (see the board). Returns
+    /// whether it erased.
     fn erase_ahead(&mut self) -> bool {
         let observed = self.observe();
         let nothing_waits =
@@ -204,7 +208,7 @@ impl Control {
         erases
     }
 
-    /// Hands the wiring facts to the tasks that own the pins; both queues are emptied within a millisecond at rest.
+    /// Sends the wiring data to the tasks that own the pins. At rest both queues are emptied within a millisecond.
     fn send_wiring(&mut self) {
         if let Some(wiring) = self.unsent_wiring
             && !self.ends.step_wiring.is_full()
@@ -218,17 +222,17 @@ impl Control {
     }
 
     fn observe(&self) -> Observed {
-        // The order matters: what leaves the queue shows up in the step task in the same handler.
+        // The queue is read first: a message leaves it and shows in `STEP` within one run of the step task's handler.
         let queue_empty = self.ends.segments.is_empty();
         let step_idle = queue_empty && STEP.at_rest.load(Ordering::Relaxed);
         let used = SERIAL.bytes_queued.load(Ordering::Relaxed).wrapping_sub(self.line_bytes_out) as usize;
-        // A job has its next bytes ready until its end.
+        // A preloaded job counts as a full queue until its end, because its next bytes are always ready.
         let arrived = SERIAL.bytes_received.load(Ordering::Relaxed);
         let heard = arrived.wrapping_add(SERIAL.bytes_ignored.load(Ordering::Relaxed));
         let received = arrived.wrapping_sub(self.line_bytes_out) as usize;
         let has_job = self.job.as_ref().is_some_and(|job| job.next < job.text.len());
         let (used, received) = if has_job { (LINES_DEPTH, LINES_DEPTH) } else { (used, received) };
-        // What has found no room waits in front of a queue that is full, of whatever messages.
+        // If messages wait for room, no space is free, whatever the count of bytes in the queue.
         let rx_free = if self.has_no_room() { 0 } else { LINES_DEPTH.saturating_sub(used) as u16 };
         Observed {
             segments_begun: STEP.segments_begun.load(Ordering::Relaxed),
@@ -239,21 +243,23 @@ impl Control {
         }
     }
 
-    /// Something that was received waits for room in a queue.
+    /// Returns whether received bytes wait for room in a queue.
     fn has_no_room(&self) -> bool {
         SERIAL.bytes_received.load(Ordering::Relaxed) != SERIAL.bytes_queued.load(Ordering::Relaxed)
     }
 
-    /// Bytes of lines are with the serial task, which gathers them for a message until the queue is empty, and it is.
+    /// Returns whether the serial task holds gathered line bytes although the queue is empty, so that it has to be
+    /// called.
     fn are_gathered(&self) -> bool {
         SERIAL.bytes_queued.load(Ordering::Relaxed) != self.line_bytes_out
             && self.line_reader.ahead().1.is_empty()
             && self.ends.lines.is_empty()
     }
 
-    /// A host that has gone or come since the last call.
+    /// Returns an event if a host has disconnected or connected since the last call.
     fn next_of_hosts(&mut self) -> Option<Event<AXES>> {
-        // In this order, for one may go and another come between the two: then it comes with the next round.
+        // The counts are read in this order because a host may disconnect and another connect between the two reads.
+        // The new host is then reported in the next round.
         let (came, went) = (SERIAL.hosts_came.load(Ordering::Relaxed), SERIAL.hosts_went.load(Ordering::Relaxed));
         if went != self.hosts_went {
             self.hosts_went = went;
@@ -262,8 +268,8 @@ impl Control {
         (came != core::mem::replace(&mut self.hosts_came, came)).then_some(Event::Connected)
     }
 
-    /// The next command: of those queued, then of those that were owed for want of room when the round began. What is
-    /// queued once these have been taken comes after them.
+    /// Returns the next command: first the queued ones, then those owed when the round began. Commands queued after the
+    /// owed ones were taken come later.
     fn next_command(&mut self) -> Option<Realtime> {
         if let Some(command) = self.owed.pop() {
             return Some(command);
@@ -279,13 +285,14 @@ impl Control {
         self.owed.pop()
     }
 
-    /// A host that sends one setting after the other is made to wait before there is no room for them.
+    /// Returns whether lines must wait for an erase. This delays a host that sends many settings before the log is
+    /// full.
     #[inline(always)]
     fn waits_for_erase(&self) -> bool {
         self.wants_erase_soon && self.controller.is_nearly_quiet()
     }
 
-    /// The next piece of the recording.
+    /// Passes the next piece of the recording to the controller.
     #[inline(never)]
     fn read_recording(&mut self, first: bool) {
         let Control { controller, recorder, settings, .. } = self;
@@ -330,7 +337,7 @@ impl Pump<AXES> for Control {
 
     #[inline(always)]
     fn next_event(&mut self, source: Source) -> Option<Event<AXES>> {
-        // To see that a queue is empty takes half as long as to see that nothing can be received.
+        // Checking whether a queue is empty takes half as long as a failed receive.
         match source {
             Source::Step if self.ends.events.is_empty() => None,
             Source::Step => self.ends.events.try_recv().ok().map(Event::Step),
@@ -405,12 +412,13 @@ impl Pump<AXES> for Control {
 
     #[inline(always)]
     fn make_room(&mut self, took: bool) -> bool {
-        // Behind all that this round has taken: the serial task may have found the last message still on its way.
+        // Called only now, when the round has taken all messages: in an earlier call, the serial task may have found
+        // the last message still in the queue.
         if took && (self.has_no_room() || self.are_gathered()) {
             boards::call_serial();
         }
         self.send_wiring();
-        // What comes wakes this task.
+        // New messages wake this task.
         false
     }
 
@@ -425,7 +433,7 @@ impl Pump<AXES> for Control {
         match output {
             Output::Step(message) => {
                 self.recorder.handed(&message);
-                // There is room, and no other task sends.
+                // There is room, and only this task sends.
                 let _ = self.ends.segments.try_send(message);
                 if STEP.wants.load(Ordering::Relaxed) != 0 {
                     boards::call_step();
@@ -434,7 +442,7 @@ impl Pump<AXES> for Control {
             Output::Reply(chunk) | Output::Answer(chunk) => {
                 let _ = self.ends.replies.try_send(chunk);
                 self.coalescing.sent(self.round_began);
-                // What follows comes with the same run.
+                // Further replies are sent in the same run of the serial task.
                 if !self.controller.has_answers() || self.ends.replies.is_full() {
                     boards::call_serial();
                 }

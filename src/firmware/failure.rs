@@ -1,16 +1,16 @@
-//! The end after a failure of any kind: `fail` brings outputs into the safe state first, keeps the `CrashKind` and the
-//! reason in RAM that outlives the reset, logs it, then resets; `low_voltage` is one cause. `FAILING` prevents a second
-//! failure within the first. The host is told of it at the next welcome line, by a machine that is locked.
+//! Ends the program after a failure of any kind: `fail` first brings the outputs into the safe state, stores kind and
+//! reason in RAM that survives a reset, logs the reason, then resets. The next welcome line reports the failure; the
+//! machine stays locked.
 
 use crate::{boards, last_words};
 use core::sync::atomic::{AtomicBool, Ordering};
 use oxmill_controller::messages::CrashKind;
 
-/// The program is being ended.
+/// The program is being ended: a second failure must not start over.
 static FAILING: AtomicBool = AtomicBool::new(false);
 
-/// Ends the program. A failure while it does so (in the log, whose frames do not nest; in a `Display` of the reason) leaves
-/// the first record as it is and resets at once.
+/// Ends the program. A failure during this (in the log, whose frames do not nest, or in a `Display` of the reason)
+/// keeps the first record and resets at once.
 pub fn fail(kind: CrashKind, why: core::fmt::Arguments<'_>) -> ! {
     cortex_m::interrupt::disable();
     boards::safe_state();
@@ -21,7 +21,7 @@ pub fn fail(kind: CrashKind, why: core::fmt::Arguments<'_>) -> ! {
     boards::restart(why)
 }
 
-/// The supply sinks: called by boards that can tell.
+/// Ends the program because the supply voltage drops. Called by boards that can detect this.
 pub fn low_voltage() -> ! {
     fail(CrashKind::Voltage, format_args!("supply below 2.9 V"))
 }

@@ -1,26 +1,24 @@
-//! The `Settings` store of the firmware: opens the `Log` of `oxmill-store` in the board's flash and restores each
-//! `Record` into the controller, stores a change, finds a `record` by number, and erases a sector before it is needed
-//! (`wants_erase`, `wants_erase_soon`), unless the flash is `worn`: one erase has failed. `defmt` logs what cannot be
-//! stored or found; a number is found by `seek`.
+//! The settings store of the firmware: opens the log of `oxmill-store` in the board's flash, restores its records into
+//! the controller, stores changes, and erases the spare sector before it is needed.
 //!
-//! A write is a few words and is made when the controller asks for it. An erase deafens the processor for a quarter of a
-//! second on the STM32 boards, so it is made ahead of need and only when the caller says that nothing moves, turns, burns
-//! or waits.
+//! A write is a few words, and is done when the controller requests it. An erase stalls the processor for a quarter of
+//! a second on the STM32 boards. So it is done ahead of need, and only when the caller finds that no motor moves, the
+//! spindle and the laser are off, and no command waits. After one failed erase, none is tried until the next power-up.
 
 use crate::boards::SettingsFlash;
 use crate::control::BoardController;
 use oxmill_controller::messages::{Record, Store};
 use oxmill_store::{Log, StoreError};
 
-/// The log, as long as the flash works.
+/// The settings store. `log` is `None` if the flash cannot be used.
 pub struct Settings {
     log: Option<Log<SettingsFlash>>,
-    /// An erase has failed: it is not tried again before the next power-up.
+    /// An erase has failed: none is tried before the next power-up.
     worn: bool,
 }
 
 impl Settings {
-    /// Finds the log, or makes an empty one in flash that holds none, and hands its records to the controller.
+    /// Opens the log, or creates an empty one in flash without a log, and passes its records to the controller.
     pub fn open(flash: SettingsFlash, controller: &mut BoardController) -> Settings {
         let mut log = Log::open(flash).ok();
         if let Some(log) = &mut log
@@ -34,7 +32,7 @@ impl Settings {
         Settings { log, worn: false }
     }
 
-    /// A stored record, by its number among those that count.
+    /// Returns a valid record by its index.
     pub fn record(&mut self, number: u16) -> Option<Record> {
         let (mut left, mut found) = (number, None);
         let seek = |record: Record| match left.checked_sub(1) {
@@ -45,7 +43,7 @@ impl Settings {
         found
     }
 
-    /// Carries out a change; whether it was stored.
+    /// Stores a change. Returns whether it was stored.
     pub fn store(&mut self, change: &Store) -> bool {
         match self.log.as_mut().map(|log| log.store(change)) {
             Some(Ok(())) => true,
@@ -59,17 +57,17 @@ impl Settings {
         }
     }
 
-    /// Whether an erase is due.
+    /// Returns whether the spare sector needs an erase.
     pub fn wants_erase(&self) -> bool {
         !self.worn && self.log.as_ref().is_some_and(Log::needs_erase)
     }
 
-    /// Whether there will soon be no room without it.
+    /// Returns whether the log will soon have no room without an erase.
     pub fn wants_erase_soon(&self) -> bool {
         !self.worn && self.log.as_ref().is_some_and(Log::needs_erase_soon)
     }
 
-    /// Erases the sector that holds nothing that counts.
+    /// Erases the spare sector, which holds no valid records.
     pub fn erase(&mut self) {
         if let Some(log) = &mut self.log
             && log.erase_spare().is_err()

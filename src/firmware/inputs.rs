@@ -1,10 +1,11 @@
-//! `Inputs` has the input pins sampled and filtered, and tells `control` what has been `Sensed`; an armed input asks
-//! the step task for a stop from here. It gives pins their pull-ups (`set_pulls`), counts noise, asserts that
-//! `input_bits` of the board are in the controller's order, and each sample also looks at the alarm clock of `control`,
-//! at the `Supervisor`, and at what the UART has received: it calls the serial task for it.
+//! Samples and filters the input pins, and reports changes to `control`. An armed input requests a stop of the step
+//! task from here, and the counts of noise are kept here.
 //!
-//! Sampling instead of edge interrupts: no pins clash on an interrupt line, and a bouncing switch cannot flood the CPU.
-//! A change passes after eight equal samples, 0.4 ms.
+//! Each sample also checks the alarm clock of `control`, the `Supervisor` of the watchdog, and the bytes received by
+//! the UART, for which it calls the serial task.
+//!
+//! Inputs are sampled instead of using edge interrupts: so no two pins compete for an interrupt line, and a bouncing
+//! switch cannot flood the CPU. A change takes effect after eight equal samples, 0.4 ms.
 
 use crate::boards::calls::Calls;
 use crate::boards::{self, InputPins, UartInput, input_bits};
@@ -17,7 +18,7 @@ use oxmill_controller::messages::{SECOND_SWITCH, SIGNALS_DEPTH, Sensed, Wiring, 
 use rtic_sync::channel::{Receiver, Sender};
 use rtic_sync::signal::SignalReader;
 
-// A board's word of inputs is the controller's.
+// The bits in a board's word of inputs are those of the controller.
 const _: () = assert!(
     input_bits::LIMITS == 0
         && 1 << input_bits::SECOND_LIMIT == SECOND_SWITCH
@@ -32,7 +33,7 @@ const _: () = assert!(
         && input_bits::SECOND_PROGRAM == input::SECOND_PROGRAM
 );
 
-/// Everything the task owns.
+/// The state of the task.
 pub struct Inputs {
     pins: InputPins,
     inputs: signals::Inputs,
@@ -41,14 +42,15 @@ pub struct Inputs {
     sent: Option<Sensed>,
     wake: Wake,
     alarm: Alarm,
-    /// When the serial task may be called for what can wait, and whether it has left some of that unread.
+    /// Decides when the serial task may be called for bytes that can wait.
     calls: Calls,
+    /// Reports that the serial task has left bytes unread.
     left_unread: SignalReader<'static, ()>,
     supervisor: Supervisor,
 }
 
 impl Inputs {
-    /// Nothing is reported before `control` has told how the inputs are wired.
+    /// Creates the task. It reports nothing until `control` has sent the wiring of the inputs.
     pub fn new(
         pins: InputPins,
         wiring: Receiver<'static, Wiring, 2>,
@@ -62,7 +64,7 @@ impl Inputs {
         Inputs { pins, inputs, wiring, signals, sent: None, wake, alarm, calls, left_unread, supervisor }
     }
 
-    /// One sample.
+    /// Takes one sample.
     pub fn sample(&mut self, uart: &mut UartInput) {
         self.supervisor.sample(&mut self.wake);
         if self.alarm.goes_off() {
@@ -96,12 +98,12 @@ impl Inputs {
         }
     }
 
-    /// Levels and not edges cross: if the queue is full, the newest state is sent at a later sample.
+    /// Sends the input levels to `control`. If the queue is full, the newest levels are sent at a later sample.
     #[inline(never)]
     fn tell(&mut self, uart: &mut UartInput) {
         let Some(sensed) = self.inputs.sensed() else { return };
-        // What has been read of the UART by now belongs before it: the serial task passes it on before `control` hears of this. What still
-        // waits in the buffer, as it does behind a flood, comes after it.
+        // UART bytes read up to this time precede this message: the serial task passes them on before `control`
+        // receives it. Bytes still in the buffer, as in a flood, come after it.
         uart.pass_on(true);
         boards::call_serial();
         let is_known = self.sent == Some(sensed);

@@ -1,14 +1,14 @@
-//! What the program says before a failure resets the board, in RAM that the start-up code leaves alone (`.uninit`). `keep` writes what
-//! failed, where the machine was and in which line; `take` reads it after the reset, for the welcome line and `$RC`. The pages of the
-//! recording (`$REC`) are kept in the same way.
+//! Record of a failure, in RAM that the start-up code does not initialise (`.uninit`). Before a failure resets the
+//! board, `keep` stores the reason, the machine position and the line. After the reset `take` reads the record, for the
+//! welcome line and `$RC`. The pages of the recording (`$REC`) are kept in the same way.
 //!
 //! ```text
 //!  failure ──keep──▶ .uninit ──reset──▶ take ──▶ controller ──▶ host
 //! ```
-//! RAM keeps its contents over every reset but not without power: then the checksum does not fit, and nothing is found. So the
-//! record of a sinking supply survives a dip that leaves RAM its 1.7 V or so, and not a power-off.
+//! RAM keeps its contents over each reset, but not without power: then the checksum is wrong, and no record is found.
+//! So the record of a supply that drops survives a dip that leaves about 1.7 V for the RAM, but not a power-off.
 //!
-//! Place and line are those of the last turn of the control task, 2 ms ago at most while something moves.
+//! Position and line are from the last turn of the control task, at most 2 ms ago while the machine moves.
 
 use crate::boards;
 use core::cell::Cell;
@@ -21,26 +21,26 @@ use critical_section::Mutex;
 use oxmill_controller::messages::{Crash, CrashKind};
 use oxmill_controller::recorder::Page;
 
-/// Bit by bit, without a table of 1 KiB.
+/// Computed bit by bit, without a table of 1 KiB.
 const CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
 const MARK: u32 = u32::from_le_bytes(*b"last");
 const TEXT: usize = 120;
 
-/// Where the machine was when the control task last looked.
+/// Position and line of the machine at the last turn of the control task.
 #[derive(Clone, Copy)]
 pub struct Whereabouts {
     /// Machine position, micrometres.
     pub place: [i32; 3],
-    /// N word of what was running.
+    /// N word of the running line.
     pub line: u32,
-    /// When that was: microseconds (wrapping).
+    /// Time of that turn: microseconds since power-up (wrapping).
     pub moment: u32,
 }
 
-/// Kept here and not with a task, because a failure may come in any of them.
+/// Global and not owned by a task, because any task may fail.
 static LAST: Mutex<Cell<Whereabouts>> = Mutex::new(Cell::new(Whereabouts { place: [0; 3], line: 0, moment: 0 }));
 
-/// For the control task, after each of its rounds.
+/// Stores position and line. Called by the control task after its rounds.
 pub fn note(last: Whereabouts) {
     critical_section::with(|cs| LAST.borrow(cs).set(last));
 }
@@ -68,10 +68,11 @@ static mut RECORD: MaybeUninit<Words> = MaybeUninit::uninit();
 // not initialised, and every bit pattern is a `Page`.
 static mut RECORDING: MaybeUninit<[Page; boards::RECORDING_PAGES]> = MaybeUninit::uninit();
 
-/// The record as words. A volatile access to the struct would be one for each byte of its text: 2 KB of code.
+/// The record as words. A volatile access to the struct would copy each byte of its text separately: 2 KB of code.
 type Words = [u32; size_of::<Kept>() / size_of::<u32>()];
 
-/// CRC-32 of all words but the last, which it is: RAM after power-up is not random enough to pass by accident.
+/// Returns the CRC-32 of all words but the last, which holds it. RAM after power-up does not pass this check by
+/// accident.
 fn sum(words: &Words) -> u32 {
     let mut digest = CRC.digest();
     for word in words.iter().take(words.len() - 1) {
@@ -80,7 +81,8 @@ fn sum(words: &Words) -> u32 {
     digest.finalize()
 }
 
-/// Text of a bounded length; what is no printable ASCII becomes a blank, and brackets round ones, for the host's sake.
+/// Text of limited length. Characters other than printable ASCII become blanks, and square brackets become round ones,
+/// because hosts parse square brackets.
 struct Line {
     text: [u8; TEXT],
     length: usize,
@@ -102,10 +104,10 @@ impl Write for Line {
     }
 }
 
-/// Keeps what failed over the reset. Interrupts are off.
+/// Stores the record of a failure. Interrupts must be off.
 pub fn keep(kind: CrashKind, why: core::fmt::Arguments<'_>) {
     let mut line = Line { text: [0; TEXT], length: 0 };
-    // What does not fit is cut off.
+    // Excess text is cut off.
     let _ = line.write_fmt(why);
     let kind = CrashKind::ALL.iter().position(|k| *k == kind).unwrap_or(0) as u32;
     let (length, text) = (line.length as u32, line.text);
@@ -119,17 +121,17 @@ pub fn keep(kind: CrashKind, why: core::fmt::Arguments<'_>) {
     }
     let record = addr_of_mut!(RECORD).cast::<u32>();
     for (at, word) in words.iter().enumerate() {
-        // SAFETY: unsafe because a static is written; safe because interrupts are off and nothing comes after.
+        // SAFETY: unsafe because a static is written; safe because interrupts are off and only the reset follows.
         unsafe { record.add(at).write_volatile(*word) }
     }
 }
 
-/// The record of the program before this one, once. Not within the set-up, whose stack would have it as well.
+/// Returns the record of the previous run, once. Not inlined, so that its stack is not part of the set-up's stack.
 #[inline(never)]
 pub fn take() -> Option<Crash> {
     let record = addr_of_mut!(RECORD).cast::<u32>();
     // SAFETY: unsafe because memory is read that may never have been written; safe because it is read as plain numbers,
-    // any of which is allowed, before the tasks run.
+    // for which any bit pattern is valid, before the tasks run.
     let words: Words = core::array::from_fn(|at| unsafe { record.add(at).read_volatile() });
     // SAFETY: as in `keep`; no task runs yet.
     unsafe { record.write_volatile(0) };
@@ -149,15 +151,15 @@ pub fn take() -> Option<Crash> {
     })
 }
 
-/// The pages for the recording, as they were before this start, for the first caller. Any other caller gets none.
+/// Returns the pages of the recording, as they were before this start, to the first caller. Later callers get no pages.
 pub fn pages() -> &'static mut [Page] {
     static LENT: AtomicBool = AtomicBool::new(false);
     if LENT.swap(true, Ordering::Relaxed) {
         return &mut [];
     }
-    // What lies there is not known to the compiler, which must not take it for nothing.
+    // `black_box` keeps the compiler from assuming that pages without a visible write have no contents.
     let pages = core::hint::black_box(addr_of_mut!(RECORDING)).cast::<[Page; boards::RECORDING_PAGES]>();
-    // SAFETY: unsafe because memory is read that may never have been written, and a static is lent for ever; safe because pages
-    // are plain numbers, any of which is allowed, and only the first call comes here.
+    // SAFETY: unsafe because memory is read that may never have been written, and a static is borrowed for ever; safe
+    // because pages are plain numbers, for which any bit pattern is valid, and only the first call gets here.
     unsafe { &mut *pages }
 }

@@ -1,16 +1,17 @@
-//! The firmware's modules: the controller of `oxmill-controller`, pumped by tasks of RTIC.
+//! The modules of the firmware: RTIC tasks that run the controller of `oxmill-controller`.
 //!
 //! ```text
-//!  priority 4  step     step timer     ◀─segments─┬─▶ events       pulses, directions, beam
-//!  priority 3  inputs   SysTick        ─signals─▶                  switches and their stops, alarm clock of `control`, bytes of the UART
+//!  priority 4  step     step timer     ◀─segments─┬─▶ events       pulses, directions, laser
+//!  priority 3  inputs   SysTick        ─signals─▶                  switches and their stops, alarm clock, UART bytes
 //!  priority 3  uart     UART           ─bytes─▶ ◀─bytes─           on a board whose UART has no DMA
 //!  priority 2  serial   DMA, USB       ─realtime, lines─▶ ◀─replies─  links to the hosts
-//!  priority 1  control  software task  everything is decided here, by the controller
+//!  priority 1  control  software task  the controller makes all decisions here
 //!  priority 0  idle                    sleeps
 //! ```
-//! The tasks are bound to their vectors in `main.rs`; what they do is here. Nothing shares the priority of `step`, and nothing is above it but
-//! the handlers that end the program. Each channel has one sender and one receiver; what happens when one is full is written at its depth in `oxmill_controller::messages`. A channel
-//! call takes 50 to 130 instructions and masks interrupts for 25 cycles of them at most (`cargo xtask count`).
+//! `main.rs` binds the tasks to their vectors; their code is here. No other task has the priority of `step`, and only
+//! the handlers that end the program are above it. Each channel has one sender and one receiver;
+//! `oxmill_controller::messages` describes, at each depth, what happens when the channel is full. A channel call takes
+//! 50 to 130 instructions and masks interrupts for at most 25 cycles (`cargo xtask count`).
 #![no_std]
 
 pub use oxmill_boards as boards;

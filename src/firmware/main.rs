@@ -1,7 +1,5 @@
-//! The program: an RTIC `app` that binds the tasks of `oxmill_firmware` to interrupt vectors (`step`, `inputs`,
-//! `uart`, `serial`, `usb`, `control`) and gives each, as `Local` or `Shared`, its ends of the channels. `init` paints the stack and
-//! calls `startup`, `control` waits to be `woken`, `idle` watches the stack. This file is the wiring diagram and
-//! nothing else. Each task takes its context `cx`.
+//! The program: an RTIC app that binds the tasks of `oxmill_firmware` to interrupt vectors, and gives each its ends of
+//! the channels. This file contains only the wiring between the tasks.
 #![no_std]
 #![no_main]
 #![allow(unsafe_op_in_unsafe_fn, clippy::undocumented_unsafe_blocks, reason = "code that RTIC generates in this file")]
@@ -10,8 +8,8 @@ mod panic;
 
 use defmt_rtt as _;
 
-/// The app. RTIC takes vectors as literals and cannot choose one by `cfg`, so the board calls this with its own.
-// Without `skip` rustfmt indents the list of channels further at each run.
+/// The app. RTIC takes vectors as literals and cannot select one by `cfg`, so the board calls this macro with its own.
+// Without `skip`, rustfmt indents the list of channels further at each run.
 #[rustfmt::skip]
 macro_rules! firmware {
     (serial: $serial:ident $(, uart: $uart:ident)? $(, usb: $usb:ident)?, step: $step:ident, dispatcher: $dispatcher:ident) => {
@@ -30,7 +28,7 @@ macro_rules! firmware {
             use rtic_sync::channel::Channel;
             use rtic_sync::signal::{Signal, SignalReader};
 
-            /// Each only of tasks of one priority.
+            /// Each resource is shared only by tasks of one priority.
             #[shared]
             struct Shared {
                 #[lock_free]
@@ -54,16 +52,16 @@ macro_rules! firmware {
                 segments: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new(),
                 events: Channel<StepEvent<AXES>, EVENTS_DEPTH> = Channel::new(),
                 signals: Channel<Sensed, SIGNALS_DEPTH> = Channel::new(),
-                // Changed settings; two of them always fit, as the receivers take them within a millisecond.
+                // Changed settings. Two always fit, because the receivers take them within a millisecond.
                 step_wiring: Channel<Wiring, 2> = Channel::new(),
                 input_wiring: Channel<Wiring, 2> = Channel::new(),
                 wake: Signal<()> = Signal::new(),
-                // The serial task has left something unread, and is to be called again.
+                // The serial task has left bytes unread and must be called again.
                 left_unread: Signal<()> = Signal::new(),
-                // When the control task is to be woken.
+                // Time of the next wake-up of the control task.
                 alarm: Signal<u32> = Signal::new(),
                 controller: MaybeUninit<BoardController> = MaybeUninit::uninit(),
-                // What it works in: look-ahead, held subroutines, tools.
+                // Memory of the controller: look-ahead, stored subroutines, tools.
                 storage: Storage<AXES, BLOCKS> = Storage::EMPTY,
             ])]
             fn init(cx: init::Context) -> (Shared, Local) {
@@ -85,7 +83,7 @@ macro_rules! firmware {
                 let tasks = startup::start(cx.device, cx.core.SYST, channels, local.controller, local.storage.lend(&boards::PROFILE));
                 let woken = local.wake.take_reader();
                 defmt::info!("{} is up", boards::PROFILE.name);
-                // Cannot fail: it has not been spawned before.
+                // This cannot fail, because the task has not been spawned before.
                 let _ = control::spawn();
                 let startup::Tasks { step, uart, serial, inputs, control } = tasks;
                 (Shared { uart, serial }, Local { step, inputs, control, woken })
@@ -101,7 +99,7 @@ macro_rules! firmware {
                 cx.local.inputs.sample(cx.shared.uart);
             }
 
-            // A UART that DMA does not serve.
+            // Only for a UART without DMA.
             $(
                 #[task(binds = $uart, priority = 3, shared = [uart])]
                 fn uart(cx: uart::Context) {
@@ -114,7 +112,7 @@ macro_rules! firmware {
                 cx.shared.serial.run();
             }
 
-            // The same work for another vector.
+            // The same task, for a second vector.
             $(
                 #[task(binds = $usb, priority = 2, shared = [serial])]
                 fn usb(cx: usb::Context) {

@@ -1,11 +1,9 @@
-//! `Outputs` writes the outputs that change slowly (`SlowOutputs` to `SlowLevels`): driver enable with its
-//! `enable_invert`, spindle and `spindle_reversed`, coolant, outputs of programs. `show` writes what is `wanted`:
-//! `drivers`, `flood`, `mist`, `digital`.
+//! Writes the outputs that change slowly: driver enable with its polarity, spindle, coolant, and outputs of programs.
 
 use crate::boards::{SlowLevels, SlowPins};
 use oxmill_controller::messages::{SlowOutputs, SpindleDirection};
 
-/// The slow pins and what they show.
+/// The slow pins and their levels.
 pub struct Outputs {
     pins: SlowPins,
     wanted: Option<SlowOutputs>,
@@ -13,18 +11,18 @@ pub struct Outputs {
 }
 
 impl Outputs {
-    /// Outputs are off, as `setup` left them.
+    /// All outputs are off, as the board's set-up leaves them.
     pub fn new(pins: SlowPins) -> Outputs {
         Outputs { pins, wanted: None, enable_invert: false }
     }
 
-    /// Takes over the levels wanted.
+    /// Writes new levels.
     pub fn show(&mut self, wanted: SlowOutputs) {
         self.wanted = Some(wanted);
         self.write();
     }
 
-    /// Takes over the polarity of the enable output.
+    /// Sets the polarity of the enable output.
     pub fn set_enable_invert(&mut self, invert: bool) {
         self.enable_invert = invert;
         self.write();

@@ -1,6 +1,6 @@
-//! The handlers that a program has once: `panic` with the location, `HardFault`, which reads the program counter from
-//! the stack `frame`, or finds that the stack overflowed (`StackOverflow`), and `NonMaskableInt`, when the clock has
-//! failed. They end in [`oxmill_firmware::failure`].
+//! The handlers that exist once per program. `panic` reports the location. `HardFault` reports the program counter from
+//! the stack frame, or a stack overflow. `NonMaskableInt` reports a failed clock. All end in
+//! [`oxmill_firmware::failure`].
 
 use core::panic::PanicInfo;
 use oxmill_controller::messages::CrashKind;
@@ -10,7 +10,7 @@ use oxmill_firmware::failure::fail;
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
     match info.location() {
-        // The file's name is enough, and leaves room for the message.
+        // The file name without its path is enough, and leaves room for the message.
         Some(place) => {
             let file = place.file().rsplit('/').next().unwrap_or_default();
             fail(CrashKind::Panic, format_args!("{file}:{}: {}", place.line(), info.message()))
@@ -19,10 +19,10 @@ fn panic(info: &PanicInfo<'_>) -> ! {
     }
 }
 
-/// The clock of the board has failed, and the processor continues by a slower one of its own: no rate is true any more. On a
-/// board that does not watch its clock the interrupt is that of the watchdog, which resets next.
-// unsafe because it replaces the handler of cortex-m-rt by its name; safe because the signature is the one of an exception that
-// does not return.
+/// The clock of the board has failed, and the processor continues with a slower internal clock, so that all rates are
+/// wrong. On a board that does not watch its clock, this interrupt is from the watchdog, which resets next.
+// unsafe because it replaces the handler of cortex-m-rt by its name; safe because it has the signature of an exception
+// handler that does not return.
 #[unsafe(no_mangle)]
 extern "C" fn NonMaskableInt() -> ! {
     if boards::WATCHES_CLOCK {
@@ -33,12 +33,12 @@ extern "C" fn NonMaskableInt() -> ! {
     }
 }
 
-/// Bus, usage and memory faults, a stack that has run out of RAM among them.
+/// Bus, usage and memory faults, including a stack that has run out of RAM.
 ///
-/// A fault of the stack leaves the stack pointer below RAM, where any push or load would be a second fault and lock the
-/// processor up with its outputs on. So the stack pointer is set back first; what was on the stack is not needed any more.
+/// After a stack overflow the stack pointer is below RAM. Any push or load would then be a second fault, which locks up
+/// the processor with its outputs on. So the stack pointer is reset first; the contents of the stack are not needed.
 // SAFETY: unsafe because it replaces the handler of cortex-m-rt by its name and moves the stack pointer; safe because
-// nothing returns from here, and the body it branches to takes the old pointer as a number.
+// it does not return, and the function that it branches to takes the old pointer as a number.
 #[unsafe(no_mangle)]
 #[unsafe(naked)]
 pub unsafe extern "C" fn HardFault() -> ! {
@@ -52,7 +52,7 @@ pub unsafe extern "C" fn HardFault() -> ! {
     )
 }
 
-/// `frame` is where the processor has put the registers, if it could.
+/// Reports the fault. `frame`: address where the processor has stored the registers, if it could.
 extern "C" fn hard_fault(frame: usize) -> ! {
     unsafe extern "C" {
         static _stack_end: u32;

@@ -1,14 +1,14 @@
-//! The links to the host, UART and USB: received bytes are split into realtime commands and bytes of lines and queued
-//! for `control`, and answers are sent to the host that has the machine.
+//! The links to the hosts, UART and USB: splits received bytes into realtime commands and line bytes, queues them for
+//! `control`, and sends replies to the host that has the floor.
 //!
 //! ```text
 //!  USART ──▶ link ───┐                                   ┌─▶ USART
 //!                    ├─▶ realtime, lines   replies ─floor─┤
 //!  USB   ──▶ link ───┘                                   └─▶ USB
 //! ```
-//! Both links are listened to at once. Realtime commands act from either; lines are taken from the one that has the floor:
-//! it changes when the machine has nothing to do, when its holder goes, and with a reset. A reset stops the step task
-//! from here, before anyone has queued or decided anything.
+//! Both links are always read. Realtime commands act from either link; lines are accepted only from the link that has
+//! the floor. The floor changes when the machine has nothing to do, when its holder disconnects, and with a reset. A
+//! reset stops the step task from here, before anything is queued or decided.
 
 use crate::boards::{self, Incoming, Port, SerialPort, UsbPort};
 use crate::shared::{self, ASKED, CONTROL, SERIAL, Wake};
@@ -19,63 +19,69 @@ use oxmill_controller::{HostArbiter, LineSender, Link, Queues};
 use rtic_sync::channel::{Receiver, Sender};
 use rtic_sync::signal::SignalWriter;
 
-/// Bytes of a USB packet.
+/// Size of a USB packet in bytes.
 const PACKET: usize = 64;
-/// A UART's sender does not wait: the queue is all that it may fill.
+/// A UART cannot make its sender wait, so bytes beyond the queue need not be held.
 const UART_HELD: usize = 1;
 
-/// Bytes that are not queued as parts of lines which are taken at once, and how many microseconds make up for one of them: a host, or
-/// noise on a wire, that sends them without end is not to take all of the processor.
+/// Maximum burst of bytes that are not queued as parts of lines. So a host, or noise on a wire, that sends such bytes
+/// without end cannot use all of the processor time.
 const MOST_OTHERS: u32 = 128;
+/// Time in µs after which one more such byte is allowed.
 const OTHER_US: u32 = 200;
-/// Bytes of a link that cannot wait which are taken one by one in so many µs, as they are no plain text: more than lines of 15
-/// characters that end by CR LF have in that time at 1 Mbaud, and so few that `control` gets on with its work. A host that counts what it sends has no
-/// more under way than there is room for.
+/// Maximum number of bytes that are taken one by one (not as plain text) in `SINGLY_US` µs from a link that cannot
+/// wait. This is more than lines of 15 characters with CR LF contain in that time at 1 Mbaud, and few enough for
+/// `control` to continue its work. A host that counts characters never has more bytes in transit than there is room
+/// for.
 const MOST_SINGLY: usize = 12;
+/// Period for `MOST_SINGLY`, in µs.
 const SINGLY_US: u32 = 800;
-/// Runs in which nothing comes behind a `!` that may be text, before it is a command: some 500 us apart.
+/// Minimum number of runs without a byte after a `!` that may be text, before it becomes a command. Runs are about 500
+/// µs apart.
 const QUIET_RUNS: u8 = 16;
 
-/// Number of the USART among the links, and of USB.
+/// Link number of the USART.
 const UART: usize = 0;
+/// Link number of USB.
 const USB: usize = 1;
 
-/// The ends of the queues to `control`.
+/// The sending ends of the queues to `control`.
 struct ToControl {
-    /// What finds no room may be owed: the link that is being read cannot wait.
+    /// Commands that find no room may be owed, because the link being read cannot wait.
     may_owe: bool,
-    /// No answer waits, or is half sent.
+    /// No reply waits or is partly sent.
     flushed: bool,
     realtime: Sender<'static, Realtime, REALTIME_DEPTH>,
     lines: Sender<'static, LineBytes, LINE_MESSAGES>,
     line_sender: LineSender,
     /// Line bytes queued in this run.
     bytes_queued: u32,
-    /// Bytes that are no parts of lines that may still be taken, and since when one has been made up for.
+    /// Number of bytes outside lines that may still be taken.
     others: u32,
+    /// Time, in clock ticks, up to which `allow_others` has added to `others`.
     others_since: u32,
-    /// Others have come that may not be taken yet, and the task is to be called again.
+    /// More bytes have arrived than may be taken now, so the task must be called again.
     leaves_unread: bool,
     left_unread: SignalWriter<'static, ()>,
 }
 
 impl ToControl {
-    /// Counts what may be taken again of bytes that are no parts of lines.
+    /// Adds to the number of bytes outside lines that may be taken, for the time that has passed.
     fn allow_others(&mut self) {
         let more = boards::clock_ticks().wrapping_sub(self.others_since) / (OTHER_US * boards::CLOCK_TICKS_PER_US);
         self.others = MOST_OTHERS.min(self.others.saturating_add(more));
         self.others_since = self.others_since.wrapping_add(more * OTHER_US * boards::CLOCK_TICKS_PER_US);
     }
 
-    /// No more bytes come in this run. Whether there is news for `control`.
+    /// Sends the gathered bytes at the end of a run. Returns whether there is news for `control`.
     fn flush(&mut self) -> bool {
         let Self { lines, line_sender, .. } = self;
-        // To the sender a queue is empty only when the receiver is done with its last message.
+        // `lines.is_empty` is true only when the receiver is done with the last message.
         line_sender.is_waiting() && line_sender.flush(lines.is_empty(), |message| lines.try_send(message).is_ok())
     }
 }
 
-/// Adds to a count whose only writer is this task.
+/// Adds to a count that only this task writes.
 fn count(counter: &AtomicU32, by: u32) {
     counter.store(counter.load(Ordering::Relaxed).wrapping_add(by), Ordering::Relaxed);
 }
@@ -132,11 +138,13 @@ struct Ported<P> {
     port: P,
     link: Link,
     open: bool,
-    /// Bytes taken one by one, and since when they are counted.
+    /// Number of bytes taken one by one since `singly_since`.
     singly: usize,
+    /// Time, in clock ticks, from which `singly` counts.
     singly_since: u32,
-    /// Since when, and in how many runs, nothing has come behind a `!` that may be text.
+    /// Time, in clock ticks, of the first run without a byte after a `!` that may be text.
     quiet_since: u32,
+    /// Number of such runs.
     quiet_runs: u8,
 }
 
@@ -153,10 +161,10 @@ impl<P: Port> Ported<P> {
         }
     }
 
-    /// Looks whether a host has come or gone. Whether there is news for `control`.
+    /// Checks whether a host has connected or disconnected. Returns whether there is news for `control`.
     fn look(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &ToControl) -> bool {
         let mut news = false;
-        // One host may go and another come at the same moment.
+        // One host may disconnect and another connect between two calls.
         for _ in 0..2 {
             let open = self.port.poll();
             if open == core::mem::replace(&mut self.open, open) {
@@ -174,7 +182,7 @@ impl<P: Port> Ported<P> {
         news
     }
 
-    /// Fetches what has come, as far as there is room. Whether there is news for `control`.
+    /// Reads received bytes as far as there is room. Returns whether there is news for `control`.
     fn receive(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut ToControl) -> bool {
         queues.may_owe = !P::WAITS;
         let mut news = self.link.pass_on(arbiter, queues);
@@ -198,8 +206,9 @@ impl<P: Port> Ported<P> {
                 }
                 Incoming::Byte(byte) => news |= self.link.take(byte, arbiter, other, queues),
             }
-            // Of lines no more is queued than there is room for, however they end. Where a link cannot wait, what is taken one by one is
-            // limited anyway, and the characters of remarks come from a host that counts them.
+            // Bytes of lines are limited by the room in the queue, whatever the line ends. On a link that cannot wait,
+            // bytes taken one by one are limited in any case, and characters of remarks come from a host that counts
+            // them.
             let is_other = queues.bytes_queued == queued && (P::WAITS || !self.link.is_in_remark());
             queues.others = queues.others.saturating_sub(u32::from(is_other));
             self.singly += 1;
@@ -212,7 +221,7 @@ impl<P: Port> Ported<P> {
                 break;
             }
         }
-        // Until the rest has been taken there is no room for more.
+        // There is no room for more until the rest has been taken.
         self.port.allow(if limited { 0 } else { self.link.room() });
         if self.link.is_ambiguous() && !limited && (!P::WAITS || self.link.room() >= PACKET) {
             news |= self.await_rest(arbiter, queues);
@@ -220,8 +229,9 @@ impl<P: Port> Ported<P> {
         news
     }
 
-    /// The last byte is a `!` that may be text, and the host could send more. Whether it is a command by now: where the processor has
-    /// stood, the rest may have come and not been looked at, so time alone does not tell.
+    /// Handles a `!` that may be text as the last byte, while the host could send more. After a wait it becomes a
+    /// command. Returns whether there is news for `control`. Runs are counted as well as time, because after a stall of
+    /// the processor the following bytes may have arrived without having been read.
     #[cold]
     fn await_rest(&mut self, arbiter: &mut HostArbiter, queues: &mut ToControl) -> bool {
         let now = boards::clock_ticks();
@@ -231,7 +241,7 @@ impl<P: Port> Ported<P> {
         self.quiet_runs = self.quiet_runs.saturating_add(1);
         let has_waited = now.wrapping_sub(self.quiet_since) >= AMBIGUOUS_US * boards::CLOCK_TICKS_PER_US;
         if !has_waited || self.quiet_runs < QUIET_RUNS {
-            // To be called again, though nothing comes.
+            // Makes the task be called again even if no byte arrives.
             queues.left_unread.write(());
             return false;
         }
@@ -239,14 +249,14 @@ impl<P: Port> Ported<P> {
         self.link.pass_on(arbiter, queues)
     }
 
-    /// Sends what the host is refused. `false` while there is more of it.
+    /// Sends the refusals. Returns `false` while some remain.
     fn refuse(&mut self) -> bool {
         let Self { port, link, .. } = self;
         link.refuse(|byte| port.send(byte))
     }
 }
 
-/// Everything the task owns.
+/// The state of the task.
 pub struct Serial {
     arbiter: HostArbiter,
     uart: Ported<SerialPort>,
@@ -255,13 +265,13 @@ pub struct Serial {
     replies: Receiver<'static, Chunk, REPLIES_DEPTH>,
     sending: Chunk,
     sent: usize,
-    /// Whom it is for.
+    /// Link number that `sending` is for.
     sending_to: usize,
     wake: Wake,
 }
 
 impl Serial {
-    /// Nothing received, nothing to send.
+    /// Creates the task; nothing is received and nothing waits to be sent.
     pub fn new(
         uart: SerialPort,
         usb: UsbPort,
@@ -294,8 +304,8 @@ impl Serial {
         }
     }
 
-    /// Called for received bytes or a packet, for room to send, and by `control` (an answer to send; room
-    /// in the queues). Once in the image, and not in each of two vectors.
+    /// Runs the task. Called for received bytes or a packet, for room to send, and by `control` (for a reply to send,
+    /// or for room in the queues). Not inlined, so that the image contains it once and not in each of two vectors.
     #[inline(never)]
     pub fn run(&mut self) {
         ASKED.serial.store(false, Ordering::Relaxed);
@@ -307,7 +317,7 @@ impl Serial {
         let mut news = uart.receive(arbiter, &mut usb.link, queues);
         news |= usb.look(arbiter, &mut uart.link, queues);
         news |= usb.receive(arbiter, &mut uart.link, queues);
-        // What takes them out, or reads the counts, does not preempt this task.
+        // The tasks that take these bytes or read the counts do not preempt this one.
         let queued = core::mem::take(&mut queues.bytes_queued);
         count(&SERIAL.heard, queued);
         count(&SERIAL.bytes_queued, queued);
@@ -322,18 +332,18 @@ impl Serial {
         }
     }
 
-    /// Sends as much as the ports take. Whether room has come about in the queue of answers.
+    /// Sends as much as the ports take. Returns whether the queue of replies was full and has room again.
     fn send(&mut self) -> bool {
         let mut room = false;
         let (uart, usb) = (self.uart.refuse(), self.usb.refuse());
         let holder = self.arbiter.holder();
         let to_usb = holder == USB;
         if self.sending_to != holder {
-            // The rest of a line that another host has begun to get is nothing to this one.
+            // The floor has changed: the rest of a line for the other host is dropped.
             self.sent = self.sending.as_bytes().len();
         }
         let mut more = false;
-        // A refusal is not torn by an answer.
+        // A reply must not interrupt a refusal.
         let clear = if to_usb { usb } else { uart };
         loop {
             if !clear {
@@ -346,7 +356,7 @@ impl Serial {
                 self.sending = chunk;
                 self.sent = 0;
                 self.sending_to = holder;
-                // Whoever found it full waits to be woken.
+                // A task that found the queue full waits to be woken.
                 room |= was_full;
                 continue;
             }

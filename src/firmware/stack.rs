@@ -1,35 +1,38 @@
-//! `Watch` looks from time to time how deep the stack has been, and logs it when the depth has grown. It is `looked` at
-//! by `clock_ticks` while the step task is `at_rest` and nothing is `heard` (it is not `busy`), and `defmt::info!` writes `used` of `size`.
+//! Logs the maximum depth of the stack when it has grown. It is measured only while the step task is at rest and no
+//! host sends.
 
 use crate::boards::{self, stack};
 use crate::shared::{SERIAL, STEP};
 use core::sync::atomic::Ordering;
 
-/// How long nothing has moved and nothing has come when it looks.
+/// Time without motion and received bytes before the stack is measured.
 const QUIET_TICKS: u32 = boards::CLOCK_TICKS_PER_US * 5_000;
-/// Between two looks.
+/// Minimum time between two measurements.
 const REST_TICKS: u32 = boards::CLOCK_TICKS_PER_US * 1_000_000;
 
-/// Logs each new depth, but not more often than once in a second: looking takes a hundred microseconds.
+/// Logs each new depth, at most once per second, because measuring takes a hundred microseconds.
 pub struct Watch {
+    /// Time of the last measurement.
     looked: u32,
-    /// When something was going on, and what had been heard then.
+    /// Time of the last activity.
     busy: u32,
+    /// Count of received bytes at that time.
     heard: u32,
+    /// Maximum depth so far, in bytes.
     most: u32,
 }
 
 impl Watch {
-    /// Nothing seen yet.
+    /// Starts with nothing measured.
     pub fn start() -> Watch {
         let now = boards::clock_ticks();
         Watch { looked: now, busy: now, heard: 0, most: 0 }
     }
 
-    /// To be called when there is nothing else to do.
+    /// Measures the depth if it is time. To be called when there is nothing else to do.
     pub fn look(&mut self) {
-        // A line of the log masks interrupts for as long as it takes, longer than a byte at 1 Mbaud: not while motors turn, and not
-        // while a host sends.
+        // A log line masks interrupts for longer than a byte takes at 1 Mbaud, so none is written while motors turn or
+        // a host sends.
         let (now, heard) = (boards::clock_ticks(), SERIAL.heard.load(Ordering::Relaxed));
         if heard != self.heard || !STEP.at_rest.load(Ordering::Relaxed) {
             (self.busy, self.heard) = (now, heard);

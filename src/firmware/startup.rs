@@ -1,5 +1,5 @@
-//! From reset to running tasks: `start` sets the board up, splits the channels, builds the controller in its place in
-//! RAM, restores the settings, starts the sampling of inputs, and puts together what each task owns.
+//! From reset to running tasks: `start` sets up the board, splits the channels, builds the controller in its final
+//! place in RAM, restores the settings, starts the sampling of inputs, and creates the tasks.
 
 use crate::boards::{self, AXES};
 use crate::clock::Alarm;
@@ -26,7 +26,7 @@ use oxmill_controller::settings::Key;
 use rtic_sync::channel::Channel;
 use rtic_sync::signal::Signal;
 
-/// The channels between the tasks, as `main` declares them.
+/// The channels between the tasks, as declared in `main`.
 #[allow(missing_docs, reason = "named and described in `main`")]
 pub struct Channels {
     pub realtime: &'static mut Channel<Realtime, REALTIME_DEPTH>,
@@ -42,7 +42,7 @@ pub struct Channels {
     pub alarm: &'static Signal<u32>,
 }
 
-/// What the tasks own.
+/// The tasks.
 #[allow(missing_docs, reason = "one for each task")]
 pub struct Tasks {
     pub step: Step,
@@ -52,19 +52,21 @@ pub struct Tasks {
     pub control: Control,
 }
 
-/// The rate of the UART: the usual one with hold and start both active, for a host that cannot have the chosen one.
+/// Returns the baud rate of the UART. If the hold and start inputs are both active, it is `USUAL_BAUD`, for a host that
+/// cannot use the chosen rate.
 fn baud(controller: &BoardController, low: u32) -> u32 {
     let inverted = controller.settings().whole(Key::ControlInvert);
     let is_active = |pin: u32, bit: u32| (low >> pin ^ inverted >> bit) & 1 != 0;
     if is_active(boards::input_bits::HOLD, 1) && is_active(boards::input_bits::START, 2) {
         boards::USUAL_BAUD
     } else {
-        // A greater one may have been stored before the board was told of its bound.
+        // A rate above the board's maximum may have been stored before that maximum existed.
         controller.settings().whole(Key::Baud).min(boards::PROFILE.most_baud)
     }
 }
 
-/// Sets the board up and deals everything out. Called once; in its place it needs one copy of the tasks less on the stack.
+/// Sets up the board and creates the tasks. Called once. Inlined, because this saves one copy of the tasks on the
+/// stack.
 #[inline(always)]
 pub fn start(
     device: boards::pac::Peripherals,

@@ -1,15 +1,15 @@
-//! `Supervisor` sees to it that every task still does its work: it asks step, serial and control ten times a second
-//! (`PERIOD`), and feeds the hardware `Watchdog` only when all have answered. A task `unanswered` for longer than
-//! `PATIENCE` is `stuck`, which is a failure. `ASKED`, `STEP_ASKED` and `wants` are loaded and stored `Relaxed`.
+//! Checks that every task still runs. Ten times per second `Supervisor` marks and calls step, serial and control, and
+//! feeds the hardware watchdog only if all of them have cleared their marks. If one fails to do so five times in a row,
+//! that is a failure.
 //!
 //! ```text
-//!  step, serial, control ──each run wipes its mark out──┐
-//!  inputs, every 100 ms: all wiped? feed; mark again and call them
-//!  half a second without `control`: outputs safe, record, reset       one of the others, or `inputs` itself: the hardware
+//!  step, serial, control ──each run clears its mark──┐
+//!  inputs, every 100 ms: all cleared? feed; set the marks again and call the tasks
+//!  `control` stuck for half a second: outputs safe, record, reset       another task, or `inputs`: the hardware resets
 //! ```
-//! A task that hangs in an endless loop keeps those of lower priority from running: `control` is caught here, the others
-//! by the hardware, after its own time. Time is counted in samples of `inputs`, so that a processor that stood still (an
-//! erase of flash) blames no task.
+//! A task in an endless loop blocks the tasks of lower priority. If it is `control`, the supervisor detects it; in
+//! other cases the hardware watchdog resets after its own time. Time is counted in samples of `inputs`, so a stalled
+//! processor (an erase of flash) is not taken for a stuck task.
 
 use crate::boards::{self, SAMPLE_HZ, Watchdog};
 use crate::failure;
@@ -17,12 +17,12 @@ use crate::shared::{ASKED, STEP, STEP_ASKED, Wake};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::CrashKind;
 
-/// Samples between two questions: 100 ms.
+/// Samples between two checks: 100 ms.
 const PERIOD: u32 = SAMPLE_HZ / 10;
-/// Questions that may go unanswered one after the other.
+/// Number of failed checks in a row after which a task counts as stuck.
 const PATIENCE: u32 = 5;
 
-/// What `inputs` owns of it.
+/// The part of the watchdog that `inputs` owns.
 pub struct Supervisor {
     watchdog: Watchdog,
     samples: u32,
@@ -36,7 +36,7 @@ impl Supervisor {
         Supervisor { watchdog, samples: 0, unanswered: 0 }
     }
 
-    /// One sample of `inputs` has passed.
+    /// Counts a sample of `inputs`.
     #[inline]
     pub fn sample(&mut self, wake: &mut Wake) {
         self.samples += 1;
@@ -70,7 +70,7 @@ impl Supervisor {
         }
         STEP.wants.store(STEP_ASKED, Ordering::Relaxed);
         boards::call_step();
-        // The other order would mark one that has answered already.
+        // In the opposite order, the mark would be set after the task has already run.
         ASKED.serial.store(true, Ordering::Relaxed);
         boards::call_serial();
         ASKED.control.store(true, Ordering::Relaxed);

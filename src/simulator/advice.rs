@@ -1,9 +1,9 @@
-//! What a person can do about each error and alarm, and what to write instead of words that are refused (G33, G41,
-//! M98). The controller's own texts say what is wrong; these say what helps.
+//! Advice for each error and alarm, and replacements for words that the controller rejects (G33, G41, M98). The
+//! controller's own texts name the fault; these texts say what the user can do about it.
 
 use oxmill_controller::error::{Alarm, Error};
 
-/// Words that are refused, and what to write instead.
+/// Rejected words, and what to write instead.
 const INSTEAD: [(&[&str], &str); 12] = [
     (
         &["G33", "G33.1", "G74", "G76", "G84"],
@@ -34,15 +34,15 @@ const INSTEAD: [(&[&str], &str); 12] = [
     (&["M19"], "Leave the word out: the spindle cannot be turned to an angle."),
 ];
 
-/// What helps against a word of the axis A where there is none.
+/// Advice for a word of the axis A on a machine without that axis.
 const WORD_OF_A: &str =
     "Set $930=4 if the machine has an axis A that turns, on a board with four axes; else leave the word out.";
 
-/// What helps against a remark with parentheses in it, such as `(profile (outside)`.
+/// Advice for a comment with nested parentheses, such as `(profile (outside)`.
 const NESTED_REMARK: &str = "Close each parenthesis of the remark in its line, or take those within it out: Grbl's dialect ends it at the first one that closes.";
 
-/// What helps against an error with this number that a line has met: what to write instead of a word of it, if that is
-/// known.
+/// Returns the advice for error `code` at the line `line`: the replacement for its rejected word, if there is one,
+/// otherwise the general advice for the error.
 pub fn for_line(code: u8, line: &str) -> &'static str {
     let refused =
         [Error::NotSupported, Error::UnsupportedCommand, Error::CutterCompensation, Error::UnsupportedCoordinateSystem];
@@ -62,7 +62,7 @@ pub fn for_line(code: u8, line: &str) -> &'static str {
     }
 }
 
-/// Whether a remark of the line has a parenthesis that opens within it.
+/// Returns whether a comment of the line contains an opening parenthesis.
 fn has_nested_remark(line: &str) -> bool {
     let mut within = false;
     for character in line.split(';').next().unwrap_or_default().chars() {
@@ -76,12 +76,12 @@ fn has_nested_remark(line: &str) -> bool {
     false
 }
 
-/// Whether a word is one of the axis A, and no letter of a name or of a function such as `ABS`.
+/// Returns whether a word belongs to the axis A, instead of being a letter of a name or of a function such as `ABS`.
 fn is_of_a(word: &str) -> bool {
     word.strip_prefix('A').is_some_and(|number| number.starts_with(|c: char| c.is_ascii_digit() || "+-.[#".contains(c)))
 }
 
-/// The words of a line without its remarks and the names of parameters.
+/// Returns the words of a line, without comments and parameter names.
 fn words(line: &str) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     let mut depth = 0_usize;
@@ -97,7 +97,7 @@ fn words(line: &str) -> Vec<String> {
     words
 }
 
-/// A word without zeros before and behind its number: `G081.0` is `G81`.
+/// Returns a word without leading and trailing zeros in its number: `G081.0` becomes `G81`.
 fn plain(word: &str) -> String {
     let (letter, number) = word.split_at(1);
     let (whole, fraction) = number.split_once('.').unwrap_or((number, ""));
@@ -106,12 +106,12 @@ fn plain(word: &str) -> String {
     format!("{letter}{}{point}{fraction}", if whole.is_empty() { "0" } else { whole })
 }
 
-/// What helps against an error with this number; empty for a number that does not exist.
+/// Returns the advice for an error number; empty if the number does not exist.
 pub fn for_code(code: u8) -> &'static str {
     Error::ALL.iter().find(|error| error.code() == code).map_or("", |error| for_error(*error))
 }
 
-/// What helps against an error.
+/// Returns the advice for an error.
 pub fn for_error(error: Error) -> &'static str {
     match error {
         Error::ExpectedLetter
@@ -235,7 +235,7 @@ pub fn for_error(error: Error) -> &'static str {
     }
 }
 
-/// What helps against an alarm.
+/// Returns the advice for an alarm.
 pub fn for_alarm(alarm: Alarm) -> &'static str {
     match alarm {
         Alarm::HardLimit => {

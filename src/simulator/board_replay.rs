@@ -1,35 +1,36 @@
-//! Plays a board's recording (`$REC`) into the simulator. The state at its beginning is restored, bytes and inputs come
-//! at their times, and step counters are compared at each rest. Reports where the simulator differs from the board, or
-//! why the recording cannot be played.
+//! Plays a board's recording (`$REC`) into the simulator: restores the recorded initial state, feeds bytes and inputs
+//! in at their recorded times, and compares the step counters at each rest. Reports where the simulator differs from
+//! the board, or why the recording cannot be played.
 //!
-//! A board is later than the simulator by the time that its processor takes, and what it did at a moment it did at another
-//! place than the simulator would. So what has stopped the board is played where the recording says that the board was cut off,
-//! if the machine comes by there at about that time. The other way round nothing is taken on trust: where the motors rest, which blocks
-//! were stepped in which order, and the place and line of a failure must come out by themselves.
+//! A board reacts later than the simulator, by the run time of its processor, so its motors are at other positions when
+//! a reset or an input stops them. Such a stop is therefore played when the simulated motors pass the recorded stop
+//! position, if they do so at about the recorded time. Results are never taken from the recording: the rest positions
+//! of the motors, the order of the stepped blocks, and the position and line of a failure must follow from the
+//! simulation.
 
 use crate::recording::{Input, NOTHING_COMPARED, Recording, Told};
 use crate::simulator::Simulator;
 use oxmill_controller::messages::{Noted, Signals, Standing, Stopping};
 use oxmill_controller::protocol::realtime;
 
-/// How much earlier or later than the board the simulator may be, in parts of a second.
+/// Maximum difference in time between simulator and board, as a fraction of a second: 1/20 s.
 const SLACK_PARTS: u64 = 20;
-/// Lines that were taken one right after the other, in parts of a second, had all been there when the first was taken.
+/// Lines taken within this fraction of a second (1/1000 s) of each other were all waiting when the first was taken.
 const AT_ONCE_PARTS: u64 = 1000;
-/// Of the words of a state in which F is undefined.
+/// Appears in the modal words of a state if F is undefined.
 const NO_FEED: &str = "F0.0000000S";
 
-/// What came of a replay.
+/// Result of a replay.
 #[derive(Debug, Default)]
 pub struct Arrival {
-    /// What is to be known of it.
+    /// Remarks for the user.
     pub notes: Vec<String>,
-    /// Where the simulator has parted from the board.
+    /// Where the simulator first differed from the board, or why the recording cannot be played; `None` if all agreed.
     pub parted: Option<String>,
 }
 
-/// Plays a recording on a machine with the recorded settings that has just been powered up. `hear` gets what it says, `pass` now and
-/// then the time since the begin, ticks of the step clock.
+/// Plays a recording on a machine that has the recorded settings and has just been powered up. `hear` receives the
+/// machine's output; `pass` is called from time to time with the time since the beginning, in ticks of the step clock.
 pub fn play(
     recording: &Recording,
     simulator: &mut Simulator,
@@ -63,10 +64,11 @@ pub fn play(
     arrival
 }
 
-/// What a reset has stopped may be told before the reset itself, as they come through two queues: it is put behind.
+/// Returns the inputs in causal order. The report of a stop may precede the reset that caused it, as the two pass
+/// through different queues: such a report is moved after the reset.
 fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
     let mut ordered = inputs.to_vec();
-    // Stops that were ordered and are not told yet.
+    // Number of ordered stops that no report has followed yet.
     let mut ordered_stops = 0_u32;
     for at in 0..ordered.len() {
         if stops(&ordered[at].1) {
@@ -75,18 +77,18 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
             ordered_stops -= 1;
         } else if is_stop(&ordered[at].1)
             && let Some(behind) = (at + 1..ordered.len().min(at + 4)).find(|next| stops(&ordered[*next].1))
-            // Else it is that one which the order has stopped.
+            // If another stop report lies between, that report belongs to the order.
             && !ordered[at + 1..behind].iter().any(|(_, input)| is_stop(input))
         {
             ordered[at..=behind].rotate_left(1);
-            // The one that is here now is another.
+            // The rotation has put another input at this index.
             ordered_stops += u32::from(stops(&ordered[at].1));
             if let Some((time, _)) = ordered.get(behind - 1).cloned() {
                 ordered[behind].0 = time;
             }
         }
     }
-    // Lines of a host that has gone were in the queue before it went: up to the cut.
+    // The queue already held the lines of a disconnected host before the disconnect: move them there, up to the cut.
     let mut since = 0;
     for cut in 0..ordered.len() {
         if !matches!(ordered[cut].1, Input::Told(Told::Noted(Noted::Cut))) {
@@ -106,10 +108,11 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
     ordered
 }
 
-/// Lines of which each waited behind the one before come in one piece: what the machine does with a line may depend on the next.
+/// Merges lines into one input if each was already waiting when the previous line was taken: what the machine does with
+/// a line may depend on the next one.
 fn at_once_together(inputs: Vec<(u64, Input)>, at_once: u64) -> Vec<(u64, Input)> {
     let mut together: Vec<(u64, Input)> = Vec::new();
-    // When the last line of the piece was taken.
+    // Time at which the last line of the merged input was taken.
     let mut last = 0;
     for (time, input) in inputs {
         if let Input::Host(more) = &input
@@ -128,7 +131,7 @@ fn at_once_together(inputs: Vec<(u64, Input)>, at_once: u64) -> Vec<(u64, Input)
     together
 }
 
-/// Whether it is of a line of the host, and no command.
+/// Returns whether an input belongs to a line of the host and is not a realtime command.
 fn is_of_line(input: &Input) -> bool {
     match input {
         Input::Host(bytes) => bytes.len() != 1 || realtime::command(bytes[0]).is_none(),
@@ -137,12 +140,12 @@ fn is_of_line(input: &Input) -> bool {
     }
 }
 
-/// Whether it is the begin of a line without its end.
+/// Returns whether an input is the beginning of a line, without the line end.
 fn is_begin(input: &Input) -> bool {
     matches!(input, Input::Host(bytes) if is_of_line(input) && !bytes.ends_with(b"\n") && !bytes.ends_with(b"\r"))
 }
 
-/// Whether it stops the step task.
+/// Returns whether an input stops the step task.
 fn stops(input: &Input) -> bool {
     match input {
         Input::Host(bytes) => bytes[..] == [0x18],
@@ -151,16 +154,17 @@ fn stops(input: &Input) -> bool {
     }
 }
 
-/// Whether it tells of a stop.
+/// Returns whether an input is the report of a stop.
 fn is_stop(input: &Input) -> bool {
     matches!(input, Input::Told(Told::Noted(Noted::Step(Stopping::AtRest | Stopping::Moving, _))))
 }
 
-/// The number of the input behind which a replay can begin.
+/// Returns the index of the input at which a replay can begin.
 fn begin_of(inputs: &[(u64, Input)]) -> Result<usize, String> {
     let told =
         |wanted: fn(&Told) -> bool| move |(_, input): &(u64, Input)| matches!(input, Input::Told(told) if wanted(told));
-    // Stored records are those of the end: before the last change the machine had others.
+    // The recording has the stored settings as they are at its end; before the last change the machine had other
+    // settings.
     let stored = inputs.iter().rposition(told(|told| matches!(told, Told::Noted(Noted::Stored(true)))));
     if stored.is_none() && matches!(inputs.first(), Some((_, Input::Told(Told::Noted(Noted::PowerUp))))) {
         return Ok(0);
@@ -185,14 +189,15 @@ struct Playing<'a, H, P> {
     simulator: &'a mut Simulator,
     hear: H,
     pass: P,
-    /// The time of the simulator at which it began, and how much it is ahead of the recording's.
+    /// Simulator time at which the replay begins.
     begin: u64,
+    /// Ticks by which the simulator's time is ahead of the recording's.
     shift: u64,
-    /// Of each motor, the counter of the board less that of the simulator.
+    /// Per motor: the board's step counter minus the simulator's.
     offset: Vec<i32>,
-    /// Ends of hosts that may be followed by a cut.
+    /// Number of connects and disconnects for which the recording may still contain a cut.
     cuts: u32,
-    /// Recorded places of the motors to which the simulator has come.
+    /// Number of recorded motor positions that the simulator has matched.
     met: u32,
 }
 
@@ -201,7 +206,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.hear_always();
         self.start(inputs, left_out, notes)?;
         for (at, (time, input)) in inputs.iter().enumerate().skip(1) {
-            // The begin of a line has the time of what came behind it, and was there already if it waited behind the line before.
+            // The beginning of a line has the time of the input after it. If it waited behind the line before, it was
+            // already there.
             let waited = at > 0 && matches!(inputs[at - 1].1, Input::Told(Told::Noted(Noted::More))) && is_begin(input);
             let time = if waited { self.simulator.clock().now() } else { time + self.shift };
             let later = inputs.get(at + 1..).unwrap_or_default();
@@ -222,7 +228,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         Ok(())
     }
 
-    /// Brings the state about from which it begins, with so many lines before it.
+    /// Establishes the state at which the replay begins. `left_out`: number of inputs of the recording before that
+    /// state.
     fn start(&mut self, inputs: &[(u64, Input)], left_out: usize, notes: &mut Vec<String>) -> Result<(), String> {
         let Some((time, input)) = inputs.first() else { return Err("nothing is recorded".into()) };
         let mut counters = Vec::new();
@@ -255,7 +262,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.take_output();
         let mut words = String::from_utf8_lossy(&standing.words).into_owned() + "\n";
         if words.contains(NO_FEED) {
-            // G1 with no feed is in force behind M30 or G94, and no line may say so.
+            // G1 without a feed rate is in force after M30 or G94, but no line can express that.
             words = words.replace(NO_FEED, "F1S") + "F0\n";
         }
         if standing.inches {
@@ -292,7 +299,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         u64::from(self.simulator.board().step_clock_hz)
     }
 
-    /// Lets time pass until something holds, in small steps from a little before a moment to a little after it. Whether it did.
+    /// Advances time until `holds` returns true, in steps of `step` ticks from a little before `time` to a little after
+    /// it. Returns whether it did.
     fn meet(&mut self, time: u64, step: u64, holds: impl Fn(&mut Simulator) -> bool) -> bool {
         let slack = self.hz() / SLACK_PARTS;
         self.advance(time.saturating_sub(slack));
@@ -312,25 +320,25 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         format!("{:.6} s after its begin", clock.seconds(time.saturating_sub(self.begin)))
     }
 
-    // What the motors have done
+    // Motor positions
 
     fn counters(&self) -> Vec<i32> {
         self.simulator.machine().position().to_vec()
     }
 
-    /// What the board's counters would be.
+    /// Converts the simulator's step counters to the board's.
     fn as_on_board(&self) -> Vec<i32> {
         self.counters().iter().zip(&self.offset).map(|(here, offset)| here.wrapping_add(*offset)).collect()
     }
 
-    /// Comes to where the board was cut off.
+    /// Advances to the position at which the board was cut off.
     fn meet_place(&mut self, time: u64, counters: &[i32]) -> bool {
         let wanted: Vec<i32> =
             counters.iter().zip(&self.offset).map(|(board, offset)| board.wrapping_sub(*offset)).collect();
         let step = self.hz() / 1_000_000;
         let is_there =
             |simulator: &mut Simulator| simulator.machine().position().get(..wanted.len()) == Some(&wanted[..]);
-        // At its own time, if it can be: motion may not have left a place, or have come to it long ago.
+        // Prefer the recorded time: the motors may not have left the position yet, or may have reached it long before.
         let mut ahead = self.simulator.clone();
         ahead.advance_to(time);
         if is_there(&mut ahead) {
@@ -340,11 +348,11 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.meet(time, step, is_there)
     }
 
-    // What comes in
+    // Inputs
 
     fn host(&mut self, time: u64, bytes: &[u8], later: &[(u64, Input)]) {
         match (bytes, cut_off(later)) {
-            // The steps end where the board's have ended.
+            // The simulated steps end at the position where the board's steps ended.
             ([0x18], Some(counters)) => {
                 self.meet_place(time, counters);
             }
@@ -355,7 +363,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.send_followed(bytes, more);
     }
 
-    /// A host says `~` as soon as it hears that the machine rests in a hold, and here that may be a little later.
+    /// A host sends `~` as soon as the machine reports that it rests in a hold. The simulator may reach that state a
+    /// little later.
     fn resume(&mut self, time: u64) {
         self.advance(time);
         let mut ahead = self.simulator.clone();
@@ -426,7 +435,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         match stopping {
             Stopping::Probed => {
                 if self.meet_place(time, counters) {
-                    // The step task sees the contact before the filter does, but for one that was there when it began to look.
+                    // The step task sees a contact before the filter does, unless the contact was already closed when
+                    // the watch started.
                     let mut pins = self.simulator.pins();
                     let inverted = self.simulator.wiring().map_or(0, |wiring| wiring.inputs.inverted);
                     let told = later.iter().find_map(|(time, input)| match input {
@@ -437,7 +447,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
                     });
                     pins.probe = match told {
                         Some((at, level)) if at <= time + self.hz() / SLACK_PARTS => level,
-                        // The filter has seen it before.
+                        // The filter has seen the contact before.
                         Some(_) => pins.probe,
                         None => !pins.probe,
                     };
@@ -448,7 +458,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
             Stopping::Underrun => return Err(format!("{}: the board's step queue ran dry", self.seconds(time))),
             Stopping::Miscounted => return Err(format!("{}: the board's outputs miscounted", self.seconds(time))),
             Stopping::Moving => self.advance(time),
-            // Braking may have begun a step clock's tick or two later.
+            // Braking may have started a tick or two of the step clock later.
             Stopping::AtRest => {
                 self.meet_place(time, counters);
             }
@@ -458,7 +468,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
 
     fn compare(&mut self, time: u64, counters: &[i32]) -> Result<(), String> {
         let here = self.as_on_board();
-        // Either may have counters of axes that the other does not have, and that stand.
+        // One of the two may have counters of axes that the other does not have; those axes must not have moved.
         let common = here.len().min(counters.len());
         let others = here.iter().skip(common).chain(counters.iter().skip(common));
         if here[..common] == counters[..common] && others.into_iter().all(|axis| *axis == 0) {
@@ -492,7 +502,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         Err(format!("{} the recording has the state {standing:?}; here it is {here:?}", self.seconds(time)))
     }
 
-    /// The end: the machine comes by the place, at the line.
+    /// Handles the end of the recording: the machine must pass the recorded position, at the recorded line.
     fn ended(
         &mut self,
         time: u64,
@@ -502,12 +512,12 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         notes: &mut Vec<String>,
     ) -> Result<(), String> {
         let is_there = |simulator: &mut Simulator| {
-            // The board tells the end of a segment, which begins anywhere between two events here. Looking may
-            // shift the wake-ups of these last milliseconds, and not what is handed to the step task.
+            // The board reports the end of a segment, which here may be anywhere between two events. `look` may shift
+            // the wake-ups of these last milliseconds, but not what the step task receives.
             simulator.look();
             let controller = simulator.controller();
             let here = controller.machine_position();
-            // As the board keeps it: whole micrometres towards zero.
+            // The board stores whole micrometres, rounded towards zero.
             controller.line_number() == line
                 && here.iter().zip(place).all(|(here, there)| i64::from(here.micrometres()) == *there)
         };
@@ -525,7 +535,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
     }
 }
 
-/// Where the board was cut off by what comes in now: its report follows at once.
+/// Returns the counters at which the next input cut the board off; its stop report is among the next three inputs.
 fn cut_off(later: &[(u64, Input)]) -> Option<&[i32]> {
     later.iter().take(3).find_map(|(_, input)| match input {
         Input::Told(Told::Noted(Noted::Step(Stopping::Moving, counters))) => Some(counters.as_slice()),

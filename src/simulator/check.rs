@@ -1,5 +1,5 @@
 //! Checks a job: runs it through the controller as fast as possible and collects the report. Uses no files, threads or
-//! clock of the host; the caller shows the progress, between calls.
+//! system clock; the caller shows the progress between calls.
 
 use crate::advice;
 use crate::boards::AXES;
@@ -12,12 +12,12 @@ use crate::tool_times::ToolTime;
 use oxmill_controller::error::{Alarm, Error};
 use oxmill_controller::messages::Realtime;
 
-/// Errors, and warnings, that the report keeps. The others are counted.
+/// Maximum number of errors, and of warnings, that the report lists. Further ones are only counted.
 const KEPT_ERRORS: usize = 1000;
-/// Messages of the controller, and notes of the simulator, that the report keeps. The others are counted.
+/// Maximum number of controller messages, and of simulator notes, that the report lists. Further ones are only counted.
 const KEPT_MESSAGES: usize = 50;
 
-/// What became of a job.
+/// Result of a job.
 #[derive(Debug, Default)]
 struct Outcome {
     errors: Vec<LineError>,
@@ -49,7 +49,7 @@ impl Outcome {
         }
     }
 
-    /// A message is told with the error that it explains.
+    /// Removes the last message if it is `message`: the report shows it with the error that it explains.
     fn unsay(&mut self, message: &str) {
         if self.more_messages > 0 {
             self.more_messages -= 1;
@@ -81,8 +81,8 @@ impl Outcome {
         }
     }
 
-    /// A subroutine, loop or condition that has not come to its end with the file: what is in it was not carried out, or
-    /// not as it was meant.
+    /// Reports a subroutine, loop or condition that is still open at the end of the file as an error: its content was
+    /// not executed, or not as intended.
     fn look_for_open_block(&mut self, since: Option<u32>, job: &JobText) {
         if let Some((line, source)) = since.and_then(|line| job.opener(line)) {
             let source = source.to_owned();
@@ -99,7 +99,7 @@ impl Outcome {
     }
 }
 
-/// A job on its way through the controller.
+/// A job that is being run through the controller.
 ///
 /// ```
 /// use oxmill_simulator::{JobText, Options, Simulator, check::Check};
@@ -111,14 +111,14 @@ impl Outcome {
 pub struct Check {
     simulator: Simulator,
     origin: u64,
-    /// Steps of the motors at the beginning.
+    /// Motor positions at the beginning, in steps.
     began_at: [i32; AXES],
     outcome: Outcome,
     done: bool,
 }
 
 impl Check {
-    /// Begins a job on a simulator that is idle. What the simulator is to record has to be told to it before.
+    /// Starts a job on an idle simulator. Configure beforehand what the simulator records.
     pub fn new(mut simulator: Simulator, job: JobText) -> Self {
         let origin = simulator.clock().now();
         simulator.mark_moves();
@@ -129,7 +129,7 @@ impl Check {
         Self { simulator, origin, began_at, outcome: Outcome::default(), done: false }
     }
 
-    /// A machine that has done something without a job, for its report.
+    /// Makes a report for a machine that has worked without a job. `said` is the machine's output.
     pub fn of(simulator: Simulator, origin: u64, said: &str) -> Self {
         let mut outcome = Outcome { complete: true, ..Outcome::default() };
         let mut answers = 0;
@@ -149,8 +149,8 @@ impl Check {
         Self { simulator, origin, began_at: [0; AXES], outcome, done: true }
     }
 
-    /// Takes the job further by so many rounds of the virtual clock, some microseconds of the host each. Whether it has come
-    /// to its end.
+    /// Advances the job by up to `rounds` rounds of the virtual clock, each of which takes the host some microseconds.
+    /// Returns whether the job has ended.
     pub fn advance(&mut self, rounds: u32) -> bool {
         for _ in 0..rounds {
             if self.done {
@@ -163,7 +163,7 @@ impl Check {
         self.done
     }
 
-    /// Carries the job on by a slice of machine time. Whether it is done.
+    /// Advances the job by one slice of machine time. Returns whether the job has ended.
     fn run_slice(&mut self) -> bool {
         let (simulator, outcome) = (&mut self.simulator, &mut self.outcome);
         if simulator.unfetched() > 0 {
@@ -238,17 +238,17 @@ impl Check {
         }
     }
 
-    /// The text of the job could not be read to its end.
+    /// Marks the job as incomplete: its text could not be read to the end.
     pub fn cut_short(&mut self) {
         self.outcome.complete = false;
     }
 
-    /// Bytes of the job read up to now.
+    /// Bytes of the job read so far.
     pub fn consumed(&self) -> u64 {
         self.simulator.job().map_or(0, JobText::consumed)
     }
 
-    /// Machine time that has passed since power-up, in seconds.
+    /// Machine time since power-up, in seconds.
     pub fn seconds(&self) -> f64 {
         self.simulator.clock().seconds(self.simulator.clock().now())
     }
@@ -258,12 +258,12 @@ impl Check {
         &self.simulator
     }
 
-    /// The simulator, to have its records taken.
+    /// The simulator, for taking its recordings.
     pub fn simulator_mut(&mut self) -> &mut Simulator {
         &mut self.simulator
     }
 
-    /// The report about what was done up to now. `host_s` is what it took the host, in seconds.
+    /// Returns the report up to now. `host_s`: run time on the host, in seconds.
     pub fn summary(&self, name: &str, host_s: f64) -> Summary {
         let simulator = &self.simulator;
         let (clock, trace, machine) = (simulator.clock(), simulator.trace(), simulator.machine());
@@ -272,7 +272,7 @@ impl Check {
         let measured = simulator.meter().measured();
         let times = simulator.meter().times().sum();
         let (low, high) = machine.extents();
-        // The step counter began at 0 at power-up; homing may have given the place another name since.
+        // The step counters began at 0 at power-up; homing may have assigned other coordinates to the position since.
         let here = simulator.machine_place();
         let counted = simulator.meter().millimetres(machine.motors());
         let axes = simulator.controller().settings().axes_in_use();
@@ -325,14 +325,14 @@ impl Check {
     }
 }
 
-/// The same for each part of the time of a tool.
+/// Rounds each part of a tool's time as [`round`] does.
 fn rounded(row: ToolTime) -> ToolTime {
     let ToolTime { tool, feed_s, rapid_s, dwell_s, spin_up_s } = row;
     let [feed_s, rapid_s, dwell_s, spin_up_s] = [feed_s, rapid_s, dwell_s, spin_up_s].map(round);
     ToolTime { tool, feed_s, rapid_s, dwell_s, spin_up_s }
 }
 
-/// To a nanometre: what lies beyond is the arithmetic's, not the machine's.
+/// Rounds to a nanometre: smaller digits are rounding errors of the calculation.
 fn round(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }
@@ -389,7 +389,7 @@ mod tests {
         assert!(checked("oxmill", "G1 X0.1 F0.1\n").forecast_s > 59.0);
     }
 
-    /// What a job takes where the spindle needs 1.5 s to turn and 0.75 s to stand.
+    /// Runs a job with a spindle that needs 1.5 s to spin up and 0.75 s to stop.
     fn with_spindle_delays(text: &'static str) -> Summary {
         let mut simulator = Simulator::new(crate::Options::default());
         crate::power_up::apply_setting(&mut simulator, "394=1.5").unwrap();
@@ -401,7 +401,8 @@ mod tests {
         summary
     }
 
-    /// No M6 here waits for the moves before it, so the tool of a move is not the one that the controller reads of meanwhile.
+    /// The M6 here do not wait for the moves before them, so the controller may already have read another tool than the
+    /// move uses.
     #[test]
     fn the_time_is_told_by_tool_and_by_kind() {
         let text = "G21 G91\nM3 S1000\nG4 P0.5\nT1 M6\nG1 X3 F600\nT2 M6 G0 X-3\nG4 P2\nG82 G99 X0 Y0 Z-1 R0.5 P0.25 F600\nG80\nG4 P1 M5\nT1 M6\nG0 X1\n";
@@ -425,11 +426,12 @@ mod tests {
         close(sum(|row| row.rapid_s), summary.rapid_s);
         close(sum(|row| row.dwell_s), summary.dwell_s);
         close(sum(|row| row.spin_up_s), summary.spin_up_s);
-        // Nothing else was waited for, but for what the look-ahead and the rounding to microseconds take.
+        // Otherwise the machine stands still only for the look-ahead and the rounding to microseconds.
         assert!((summary.standing_s - summary.dwell_s - summary.spin_up_s).abs() < 0.01, "{summary}");
     }
 
-    /// A boring cycle stops the spindle at the bottom and starts it again: that is no dwell. G4 beside M3 is one.
+    /// A boring cycle stops the spindle at the bottom and restarts it: waiting for that is not a dwell. G4 beside M3 is
+    /// a dwell.
     #[test]
     fn waiting_for_the_spindle_within_a_cycle_is_no_dwell() {
         let text = "G21 G91\nM3 S1000 G4 P0.5\nG86 G99 X0 Y0 Z-1 R0.5 P0.25 F600\nG80\n";
@@ -438,7 +440,7 @@ mod tests {
         assert!((summary.spin_up_s - (1.5 + 0.75 + 1.5)).abs() < 1e-4, "{summary}");
     }
 
-    /// A check marks the moves; the same job without marks has the same steps at the same times.
+    /// A check marks the moves. The same job without marks has the same steps at the same times.
     #[test]
     fn marks_change_nothing_of_the_job() {
         let short: String = (1..400).map(|i| format!("N{i} G1 X{}\n", f64::from(i) * 0.003)).collect();

@@ -1,5 +1,6 @@
-//! The clients of `serve`, and what their threads share with the loop that owns the simulator. A thread reads a
-//! client's bytes into an inbox, another writes its replies; events go to the loop through a channel.
+//! The clients of `serve`, and the state that their threads share with the loop that owns the simulator. For each
+//! client, one thread reads its bytes into an inbox and another writes the replies; events reach the loop through a
+//! channel.
 
 use crate::no_browser::is_realtime;
 use std::collections::VecDeque;
@@ -11,47 +12,48 @@ use std::thread;
 use std::time::Duration;
 use tungstenite::WebSocket;
 
-/// Bytes of a client that are read ahead of that. With more the client is told to wait, and that it has gone is not seen before
-/// there is room: TCP tells so behind the last of its bytes.
+/// Maximum number of bytes that are read ahead of a client. When the buffer is full, the client must wait, and its
+/// disconnection is noticed only after there is room again: TCP reports it after the last byte.
 const AHEAD: usize = (1 << 24) - PIECE;
-/// Bytes without a line end after which a client is served no more; a board refuses a line of over 255 in the end.
+/// Bytes without a line end after which a client is disconnected. A board rejects lines of over 255 bytes.
 pub(crate) const LONGEST_LINE: usize = 1 << 16;
-/// Bytes that are read at a time.
+/// Maximum number of bytes in one read.
 pub(crate) const PIECE: usize = 1024;
-/// Pieces of answers that may wait for a slow client.
+/// Number of reply chunks that may wait for a slow client.
 pub(crate) const ANSWERS: usize = 64;
-/// How often a reader that waits for room, or a writer whose client does not read, looks whether the client is there.
+/// How often a reader that waits for room, or a writer whose client does not read, checks whether the client is still
+/// connected.
 pub(crate) const LOOK: Duration = Duration::from_millis(20);
-/// How often a writer whose client does not read tries again.
+/// How often a writer retries if its client does not read.
 const AGAIN: Duration = Duration::from_millis(1);
-/// What is said to a client before it is closed because its line does not end.
+/// Sent to a client before its connection is closed because its line does not end.
 pub(crate) const ENDLESS: &[u8] = b"[MSG:The line has no end]\r\n";
-/// Connections that are looked after at a time; with more a new one is closed at once.
+/// Maximum number of simultaneous connections; further ones are closed at once.
 const CONNECTIONS: usize = 64;
 
-/// What the threads tell the loop.
+/// Events that the threads send to the loop.
 pub(crate) enum Happened {
-    /// A client is there.
+    /// A client is ready to be served.
     Connected(Client),
-    /// A connection has come in; the thread that reads from it needs the sender.
+    /// A connection was accepted; its reader thread needs the sender.
     Connecting(Incoming, SyncSender<Happened>),
-    /// Bytes of the client have come, or it has gone: see its [`Inbox`].
+    /// Bytes of the client have arrived, or the client has disconnected: see its [`Inbox`].
     Heard,
-    /// A line of the pin protocol; the answer goes to the sender.
+    /// A line of the pin protocol; the reply goes to the sender.
     Pins(String, Sender<String>),
 }
 
-/// A connection that has come in.
+/// An accepted connection.
 pub(crate) struct Incoming {
     pub(crate) link: Connection,
     pub(crate) place: Taken,
 }
 
-/// How a client is connected.
+/// The kind of a connection.
 pub(crate) enum Connection {
-    /// To the port of `--tcp`.
+    /// A program, at the port of `--tcp`.
     Program(TcpStream),
-    /// To that of `--web`.
+    /// A browser page, at the port of `--web`.
     Page(Box<WebSocket<TcpStream>>),
 }
 
@@ -64,21 +66,21 @@ impl Incoming {
     }
 }
 
-/// Places for connections. A thread that looks after one keeps its place until it ends.
+/// The free connection slots. A thread that serves a connection keeps its slot until it ends.
 #[derive(Clone, Default)]
 pub(crate) struct Places(Arc<()>);
 
-/// A place that is taken.
+/// An occupied connection slot.
 pub(crate) struct Taken(#[allow(dead_code, reason = "it is counted")] Arc<()>);
 
 impl Places {
-    /// `None` if there is none left.
+    /// Takes a slot; `None` if all are occupied.
     pub(crate) fn take(&self) -> Option<Taken> {
         (Arc::strong_count(&self.0) <= CONNECTIONS).then(|| Taken(self.0.clone()))
     }
 }
 
-/// Bytes of a client on their way from the thread that reads them to the loop.
+/// A client's bytes, on their way from its reader thread to the loop.
 #[derive(Default)]
 pub(crate) struct Inbox {
     state: Mutex<InboxState>,
@@ -92,9 +94,9 @@ struct InboxState {
     line: usize,
     /// The client sends nothing more.
     ended: bool,
-    /// The client is served no more.
+    /// The loop no longer serves the client.
     closed: bool,
-    /// Why it could not be read to its end.
+    /// The error that ended reading.
     failure: Option<io::Error>,
 }
 
@@ -115,12 +117,12 @@ impl Inbox {
         }
     }
 
-    /// Whether the client's line is longer than any that may become one.
+    /// Returns whether the client's line is longer than any valid line.
     pub(crate) fn is_endless(&self) -> bool {
         self.state().line > LONGEST_LINE
     }
 
-    /// At most so many bytes.
+    /// Removes and returns up to `most` bytes.
     pub(crate) fn take(&self, most: usize) -> Vec<u8> {
         let mut state = self.state();
         let length = most.min(state.bytes.len());
@@ -163,7 +165,8 @@ impl Inbox {
         self.state().failure.take()
     }
 
-    /// Waits until there is room for more. `false` if the client has gone meanwhile, or if its line does not end.
+    /// Waits until there is room for more bytes. Returns `false` if the client has disconnected meanwhile, or if its
+    /// line does not end.
     pub(crate) fn wait_for_room(&self, hung_up: impl Fn() -> bool) -> bool {
         let mut state = self.state();
         while !state.closed && state.bytes.len() >= AHEAD {
@@ -176,13 +179,13 @@ impl Inbox {
     }
 }
 
-/// A client as the loop knows it.
+/// A client, as the loop sees it.
 pub(crate) struct Client {
     pub(crate) inbox: Arc<Inbox>,
     pub(crate) answers: SyncSender<Vec<u8>>,
-    /// To see whether it is still there.
+    /// For checking whether the client is still connected.
     pub(crate) stream: Option<TcpStream>,
-    /// Standard input: all of it is carried out.
+    /// The client is standard input: all of its input is executed, even after it has ended.
     pub(crate) is_program: bool,
 }
 
@@ -194,13 +197,13 @@ impl Client {
     pub(crate) fn close(self) {
         self.inbox.close();
         if let Some(stream) = self.stream {
-            // Its reader wakes up. That of a client that has gone has ended.
+            // This wakes up the client's reader thread. The reader of a disconnected client has already ended.
             let _ = stream.shutdown(Shutdown::Read);
         }
     }
 }
 
-/// Whether the other side has closed its end, also while bytes of it are unread.
+/// Returns whether the other side has closed the connection, even while some of its bytes are unread.
 #[cfg(unix)]
 pub(crate) fn hung_up(link: &impl std::os::fd::AsFd) -> bool {
     use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
@@ -209,17 +212,18 @@ pub(crate) fn hung_up(link: &impl std::os::fd::AsFd) -> bool {
     #[cfg(not(target_os = "linux"))]
     let closed = PollFlags::empty();
     let mut look = [PollFd::new(link.as_fd(), closed)];
-    // The call tells of an error and a hang-up unasked.
+    // `poll` reports errors and hang-ups without being asked to.
     poll(&mut look, PollTimeout::ZERO).is_ok_and(|events| events > 0)
 }
 
-/// Only reading to the end tells.
+/// On this platform only reading to the end reveals a disconnection.
 #[cfg(not(unix))]
 pub(crate) fn hung_up<T>(_link: &T) -> bool {
     false
 }
 
-/// Reads until the other side is done or gone, is served no more, or has a line without an end, of which it is told.
+/// Reads a client's bytes into its inbox until the client is done, disconnected or no longer served, or until its line
+/// does not end; in the last case it calls `tell_endless`.
 pub(crate) fn pass_bytes(
     reader: &mut impl Read,
     inbox: &Inbox,
@@ -233,7 +237,7 @@ pub(crate) fn pass_bytes(
             Ok(0) => break,
             Ok(length) => {
                 inbox.push(&buffer[..length]);
-                // A loop that has as much to do as this looks into the inbox as well.
+                // The sender's queue may be full; the loop then has work to do and looks into the inbox anyway.
                 if let Err(TrySendError::Disconnected(_)) = sender.try_send(Happened::Heard) {
                     return;
                 }
@@ -245,30 +249,30 @@ pub(crate) fn pass_bytes(
             }
         }
     }
-    // Before the loop closes its side.
+    // Before the loop closes its side of the connection.
     if inbox.is_endless() {
         tell_endless();
     }
     inbox.end();
-    // Without a loop there is no receiver.
+    // If the loop has ended, there is no receiver.
     let _ = sender.send(Happened::Heard);
 }
 
-/// A thread that writes answers until its channel is closed or its client is gone.
+/// A thread that writes replies until its channel is closed or its client disconnects.
 pub(crate) type Writer = thread::JoinHandle<io::Result<()>>;
 
 pub(crate) fn writer(mut link: impl Write + Send + 'static, inbox: Arc<Inbox>) -> (SyncSender<Vec<u8>>, Writer) {
     let (sender, receiver) = sync_channel::<Vec<u8>>(ANSWERS);
     let handle = thread::spawn(move || {
         let written = receiver.iter().try_for_each(|bytes| write_out(&mut link, &bytes, &inbox));
-        // The loop may have nothing more to say, by which it would notice.
+        // Wakes the loop, which might have nothing more to write and so not notice.
         inbox.end();
         written
     });
     (sender, handle)
 }
 
-/// Writes all of it, unless the client has gone, or is served no more and does not read.
+/// Writes all bytes. Fails if the client has disconnected, or if it does not read and is no longer served.
 fn write_out(link: &mut impl Write, mut bytes: &[u8], inbox: &Inbox) -> io::Result<()> {
     while !bytes.is_empty() {
         match link.write(bytes) {

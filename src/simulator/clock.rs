@@ -1,12 +1,12 @@
 //! The virtual clock: counts ticks of the step clock since power-up and converts them to the controller's microseconds
-//! and back. It moves only when told to, and never backwards.
+//! and back. It advances only on request, and never backwards.
 
 use oxmill_controller::units::Instant;
 use std::time::Duration;
 
 const MICROSECONDS: u64 = 1_000_000;
 
-/// A clock that moves only when it is told to.
+/// A clock that advances only on request.
 #[derive(Clone, Copy, Debug)]
 pub struct Clock {
     hz: u64,
@@ -24,35 +24,36 @@ impl Clock {
         self.now
     }
 
-    /// Moves on. Time never runs backwards.
+    /// Advances to `ticks`; ignores a time in the past.
     pub fn advance_to(&mut self, ticks: u64) {
         self.now = self.now.max(ticks);
     }
 
-    /// The controller's view of now: whole microseconds that have passed.
+    /// The current time as the controller sees it, in whole elapsed microseconds.
     pub fn instant(&self) -> Instant {
-        // Seconds and the rest apart, so that days of ticks times a million do not overflow.
+        // Seconds and remainder separately, so that days of ticks times a million do not overflow.
         Instant::from_ticks(self.now / self.hz * MICROSECONDS + self.now % self.hz * MICROSECONDS / self.hz)
     }
 
-    /// The first tick at which [`Clock::instant`] has reached a moment. Moments beyond the clock's range saturate.
+    /// Returns the first tick at which [`Clock::instant`] has reached `instant`. Saturates beyond the clock's range.
     pub fn ticks_at(&self, instant: Instant) -> u64 {
         let us = instant.ticks();
         let seconds = (us / MICROSECONDS).saturating_mul(self.hz);
         seconds.saturating_add((us % MICROSECONDS * self.hz).div_ceil(MICROSECONDS))
     }
 
-    /// The last tick to which a wait may last: far enough from the greatest number for all that is added to a time.
+    /// The last tick until which a wait may last. It leaves room below the maximum value for anything that is added to
+    /// a time.
     pub fn end(&self) -> u64 {
         (u64::MAX / 4 / MICROSECONDS).saturating_mul(self.hz).min(u64::MAX / 2)
     }
 
-    /// Ticks of a span, rounded up. Spans beyond the clock's range saturate.
+    /// Converts a duration to ticks, rounded up. Saturates beyond the clock's range.
     pub fn ticks_in(&self, span: Duration) -> u64 {
         u64::try_from((span.as_nanos() * u128::from(self.hz)).div_ceil(1_000_000_000)).unwrap_or(u64::MAX)
     }
 
-    /// A number of ticks in seconds.
+    /// Converts ticks to seconds.
     pub fn seconds(&self, ticks: u64) -> f64 {
         ticks as f64 / self.hz as f64
     }
@@ -73,7 +74,7 @@ mod tests {
                     "{hz} {us}"
                 );
             }
-            // More than the longest dwell can be added to it, in ticks and in microseconds.
+            // There is room to add more than the longest dwell, in ticks and in microseconds.
             let mut last = clock;
             last.advance_to(clock.end());
             assert!(clock.end().checked_mul(2).is_some() && last.instant().ticks().checked_mul(4).is_some());

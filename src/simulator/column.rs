@@ -1,8 +1,8 @@
-//! Where in a line of a file the word stands that a refusal names. The controller reads lines without blanks and remarks
-//! and names words as it has read them, so the column is looked for in the line as it was written.
+//! Finds the column of the word that an error message names. The controller reads lines without blanks and comments and
+//! names words as it has read them, so the word is searched in the line as written in the file.
 
-/// The column (from 1, in characters) of the word that a sentence names, in a line; `None` if it names one that is missing and
-/// no other, or if the line is another one.
+/// Returns the column (from 1, in characters) in `line` of the word that the message `reason` names; `None` if the
+/// message names only a missing word, or if it is about another line.
 pub fn of_word(reason: &str, line: &str) -> Option<u64> {
     let words = without_remarks(line);
     let named = reason.split(": ").next().unwrap_or_default();
@@ -13,7 +13,7 @@ pub fn of_word(reason: &str, line: &str) -> Option<u64> {
     })
 }
 
-/// The characters of a line that are words, as capitals, with their columns.
+/// Returns the characters of a line outside comments and blanks, in upper case, with their columns.
 fn without_remarks(line: &str) -> Vec<(u64, char)> {
     let mut depth = 0_usize;
     let mut words = Vec::new();
@@ -28,12 +28,12 @@ fn without_remarks(line: &str) -> Vec<(u64, char)> {
     words
 }
 
-/// Whether a part of a sentence names a word, and is none of the language.
+/// Returns whether a part of a message is a G-code word rather than plain English.
 fn is_word(name: &str) -> bool {
     !name.is_empty() && !name.contains(|c: char| c.is_ascii_lowercase())
 }
 
-/// Whether a word begins here: `G2` is also `G02`, and not `G21`.
+/// Returns whether the G-code word `name` begins here: `G2` also matches `G02`, but not `G21`.
 fn begins(line: &[(u64, char)], name: &str, without_number: bool) -> bool {
     let is_of_number = |c: char| c.is_ascii_digit() || c == '.';
     let mut rest = line.iter().map(|(_, character)| *character).peekable();

@@ -1,4 +1,5 @@
-//! The command line: commands, options and exit status. Help texts and manual pages are made from the comments here.
+//! The command line: commands, options and exit status. Help texts and manual pages are generated from the comments of
+//! this file.
 
 use crate::boards::{self, Board};
 use crate::power_up::{Dialect, board_named};
@@ -7,7 +8,7 @@ use clap::{Args, Parser, Subcommand};
 use oxmill_controller::axes::LINEAR;
 use std::path::PathBuf;
 
-/// What the program's exit status says.
+/// Explains the exit status of the program.
 pub const EXIT_STATUS: &str = "\
 Exit status:
   0  all went well
@@ -189,7 +190,7 @@ pub struct BeginOptions {
     pub number: Option<u32>,
 }
 
-/// A length or a feed with up to seven decimals, in units of 10⁻⁷.
+/// A length or feed rate with up to seven decimals, in units of 1e-7.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Millimetres(pub i64);
 
@@ -265,7 +266,7 @@ pub struct Start {
     pub work_zero: Option<WorkZero>,
 }
 
-/// A place in mm of machine coordinates.
+/// A position in mm of machine coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WorkZero(pub [f64; LINEAR]);
 
@@ -278,16 +279,16 @@ impl std::str::FromStr for WorkZero {
     }
 }
 
-/// How virtual time follows the host's.
+/// Ratio of virtual time to the host's time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Speed {
-    /// So many virtual seconds in a second.
+    /// This many virtual seconds per second.
     Times(f64),
     /// As fast as possible while the machine is busy.
     Max,
 }
 
-/// Most virtual seconds in a second: no computer comes near, and the ticks of weeks have room in a `u64`.
+/// Maximum virtual seconds per second: more than any computer reaches, and the ticks of weeks still fit into a `u64`.
 const FASTEST: f64 = 10_000.0;
 
 impl std::str::FromStr for Speed {

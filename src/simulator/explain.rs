@@ -1,9 +1,9 @@
-//! What each setting does and when to change it, in a sentence or two. The controller's table has number, name, unit,
-//! range and default; boards do not have these sentences.
+//! Explains in a sentence or two what each setting does and when to change it. The controller's own table has number,
+//! name, unit, range and default; the boards' firmware does not contain these sentences.
 
 use oxmill_controller::settings::{AxisKey, Key};
 
-/// The sentences of the settings that exist once, in the order of the table.
+/// Sentences for the settings that exist once, in the order of the controller's table.
 const ONCE: [(Key, &str); Key::COUNT] = [
     (
         Key::StepPulse,
@@ -239,7 +239,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     ),
 ];
 
-/// The sentences of the settings that each axis has, in the order of the table.
+/// Sentences for the settings that exist per axis, in the order of the controller's table.
 const PER_AXIS: [(AxisKey, &str); AxisKey::COUNT] = [
     (
         AxisKey::HomingCycle,
@@ -271,7 +271,7 @@ const PER_AXIS: [(AxisKey, &str); AxisKey::COUNT] = [
     ),
 ];
 
-/// What the setting of this number does; empty for a number that does not exist.
+/// Returns the sentence for a setting number; empty if the number does not exist.
 pub fn setting(number: u16) -> &'static str {
     let once = ONCE.iter().find(|(key, _)| key.number() == number).map(|(_, sentence)| *sentence);
     let per_axis = || PER_AXIS.iter().find(|(key, _)| key.axis(number).is_some()).map(|(_, sentence)| *sentence);

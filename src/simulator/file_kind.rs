@@ -1,10 +1,10 @@
-//! Refuses files that cannot be a job, by their first bytes and before any line is read: empty files, binary files and
+//! Rejects files that cannot be a job by their first bytes, before any line is read: empty files, binary files and
 //! UTF-16 text.
 
-/// Of a file that is no job says what it is and what to do.
+/// Checks whether a file may be a job. `begin`: its first bytes; `is_all`: whether they are the whole file.
 ///
 /// # Errors
-/// If the bytes are of a file in UTF-16 or of a binary one, or if it is empty. `is_all`: they are the whole of it.
+/// If the bytes are UTF-16 or binary, or if the file is empty. The error says what the file is and what to do.
 pub fn refuse(begin: &[u8], is_all: bool) -> Result<(), &'static str> {
     if is_utf16(begin) {
         return Err("it is UTF-16 text, and a machine reads one byte for each character: save it as UTF-8 or ASCII");
@@ -21,7 +21,7 @@ pub fn refuse(begin: &[u8], is_all: bool) -> Result<(), &'static str> {
     Ok(())
 }
 
-/// With a mark of the byte order, or with a 0 in every other byte, as ASCII has in UTF-16.
+/// Returns whether the text has a UTF-16 byte order mark, or a 0 in nearly every other byte, as ASCII has in UTF-16.
 fn is_utf16(begin: &[u8]) -> bool {
     if begin.starts_with(b"\xFF\xFE") || begin.starts_with(b"\xFE\xFF") {
         return true;
@@ -32,9 +32,10 @@ fn is_utf16(begin: &[u8]) -> bool {
     pairs.len() >= 2 && first.min(second) == 0 && first.max(second) * 10 >= pairs.len() * 9
 }
 
-/// A byte 0, or more than one control character in 20 bytes.
+/// Returns whether there is a 0 byte, or more than one control character in 20 bytes.
 fn is_binary(begin: &[u8]) -> bool {
-    // Those of a paper tape's reader (0x11 to 0x14) and the end of a DOS file (0x1A) are in texts.
+    // Text files may contain the control characters of a paper tape reader (0x11 to 0x14) and the DOS end of file
+    // (0x1A).
     let is_control = |byte: &&u8| matches!(byte, 0..=8 | 0x0E..=0x10 | 0x15..=0x19 | 0x1B..=0x1F | 0x7F);
     begin.contains(&0) || begin.iter().filter(is_control).count() * 20 > begin.len()
 }

@@ -1,6 +1,6 @@
-//! The files of a run. No file is overwritten that the run also reads (symbolic links are followed). Every output is
-//! opened and locked before the machine starts, and an output that was not written is removed. Files that are read may
-//! not exceed a size, as a device or a pipe may have no end.
+//! The files of a run. A file that the run also reads is never overwritten (symbolic links are followed). Every output
+//! file is opened and locked before the machine starts, and a new one is removed again if nothing was written. Input
+//! files have a maximum size, as a device or a pipe may never end.
 
 use crate::file_kind;
 use crate::fittings::Fittings;
@@ -10,13 +10,13 @@ use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, BufRead, Read, Write};
 use std::path::{Path, PathBuf};
 
-/// Symbolic links that are followed to a file that does not exist yet.
+/// Maximum number of symbolic links that are followed to a file that does not exist yet.
 const MOST_LINKS: usize = 40;
 
-/// Longest file of text that somebody has written for a machine: settings, a description.
+/// Maximum size of a hand-written text file (settings, machine description), in bytes.
 pub const TEXT: usize = 1 << 20;
 
-/// Reads a whole file of at most so many bytes.
+/// Reads a whole file of at most `most` bytes.
 ///
 /// # Errors
 /// If it cannot be read or is longer.
@@ -29,10 +29,10 @@ pub fn read(path: &Path, most: usize) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Text from a file, or from standard input if the path is `-`, and its length if that is known.
+/// Opens a text file, or standard input if the path is `-`. Also returns its length in bytes, if known.
 ///
 /// # Errors
-/// If it cannot be read, or is no text.
+/// If it cannot be read, or is not a text file.
 pub fn open_text(path: &Path) -> io::Result<(Box<dyn BufRead>, Option<u64>)> {
     if path.as_os_str() == "-" {
         let mut reader = io::BufReader::new(io::stdin());
@@ -47,14 +47,14 @@ pub fn open_text(path: &Path) -> io::Result<(Box<dyn BufRead>, Option<u64>)> {
     }
     let length = about.is_file().then_some(about.len());
     let mut reader = io::BufReader::with_capacity(1 << 16, file);
-    // A file that cannot be read at all, or is no text, is found out before the machine starts.
+    // Detect an unreadable or non-text file before the machine starts.
     let begin = begin_of(&mut reader)?;
     let is_all = begin.is_empty() || length == Some(begin.len() as u64);
     file_kind::refuse(begin, is_all).map_err(io::Error::other)?;
     Ok((Box::new(reader.take(u64::MAX)), length))
 }
 
-/// What is there to be read first; nothing at the end.
+/// Returns the first bytes; empty at the end of the file.
 fn begin_of(reader: &mut impl BufRead) -> io::Result<&[u8]> {
     while let Err(error) = reader.fill_buf() {
         if error.kind() != io::ErrorKind::Interrupted {
@@ -64,7 +64,7 @@ fn begin_of(reader: &mut impl BufRead) -> io::Result<&[u8]> {
     reader.fill_buf()
 }
 
-/// Writes all of it to standard output. A reader that has seen enough, such as `head`, is no failure.
+/// Writes `bytes` to standard output. A reader that has closed the pipe, such as `head`, is not an error.
 ///
 /// # Errors
 /// If it cannot be written.
@@ -75,32 +75,32 @@ pub fn print(mut out: impl Write, bytes: &[u8]) -> io::Result<()> {
     }
 }
 
-/// A line on standard error, for the person who has started the program. One that cannot be written is left out. Names of
-/// files may have what a terminal would obey.
+/// Writes a line for the user to standard error; ignores a write error. Control characters are replaced, as file names
+/// may contain terminal escape sequences.
 pub fn remark(text: &str) {
     let _ = writeln!(io::stderr(), "{}", text.replace(|c: char| c.is_control() && c != '\n', "?"));
 }
 
-/// Locks a file as long as it is open: what two programs write into it would be lost.
+/// Locks a file while it is open: two programs writing into it would lose data.
 ///
 /// # Errors
-/// If another one has locked it.
+/// If another process has locked the file.
 pub fn lock(file: &File) -> io::Result<()> {
     match file.try_lock() {
         Ok(()) => Ok(()),
-        // Where files cannot be locked, this is as good as it gets.
+        // On a file system without locks, continue without.
         Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => Ok(()),
         Err(TryLockError::WouldBlock) => Err(io::Error::other("it is in use by another oxmill")),
         Err(TryLockError::Error(error)) => Err(error),
     }
 }
 
-/// Text without the mark of the byte order that some editors put in front.
+/// Returns text without a byte order mark, which some editors write at the beginning.
 pub fn without_mark(text: &str) -> &str {
     text.strip_prefix('\u{FEFF}').unwrap_or(text)
 }
 
-/// Reads the description of a machine, and gives its text too.
+/// Reads the description of a machine. Returns the fittings and the text of the file.
 ///
 /// # Errors
 /// If it cannot be read or understood.
@@ -112,18 +112,18 @@ pub fn read_machine(path: &Path) -> Result<(Fittings, String)> {
     Ok((fittings, text))
 }
 
-/// A file with its part in the run, such as `the job`.
+/// A file with its role in the run, such as `the job`.
 #[derive(Clone, Copy, Debug)]
 pub struct Role<'a> {
     /// The file.
     pub path: &'a Path,
-    /// What it is.
+    /// The role, for messages.
     pub name: &'static str,
-    /// Whether it is written.
+    /// Whether the run writes the file.
     pub written: bool,
 }
 
-/// Refuses files of which one would be written over another. Names that lead to one file by links are the same.
+/// Returns an error if one file would overwrite another. Two paths that lead to one file by links are the same file.
 pub fn check_apart(files: &[Role]) -> Result<()> {
     let places: Vec<Place> = files.iter().map(|file| Place::of(file.path)).collect();
     for (index, (file, place)) in files.iter().zip(&places).enumerate() {
@@ -137,13 +137,13 @@ pub fn check_apart(files: &[Role]) -> Result<()> {
     Ok(())
 }
 
-/// Where a path leads.
+/// The file that a path leads to.
 #[derive(Debug)]
 struct Place {
     path: Option<PathBuf>,
-    /// Device and number of the file on it.
+    /// Device and inode number.
     file: Option<(u64, u64)>,
-    /// A device, a pipe or the like, which is not written over.
+    /// A device, a pipe or the like, which can be both read and written.
     special: bool,
 }
 
@@ -173,7 +173,7 @@ fn number(_: &fs::Metadata) -> Option<(u64, u64)> {
     None
 }
 
-/// The place of a file that does not exist yet: its folder without links, and its name.
+/// Returns the path of a file that does not exist yet: its folder with links resolved, and its name.
 fn future(path: &Path) -> Option<PathBuf> {
     let mut path = path.to_path_buf();
     for _ in 0..MOST_LINKS {
@@ -190,8 +190,8 @@ fn future(path: &Path) -> Option<PathBuf> {
     None
 }
 
-/// A file that will be written. It is opened at once, so that one that cannot be written is found out before the work, and
-/// keeps what it has until then. One that was made for this and is not written is removed.
+/// An output file. It is opened immediately, so that an unwritable file is detected before the work, and keeps its
+/// content until it is written. A file that was created here but never written is removed.
 #[derive(Debug)]
 pub struct Output {
     path: PathBuf,
@@ -200,7 +200,7 @@ pub struct Output {
 }
 
 impl Output {
-    /// Opens the file, which is made if there is none. Another program may not write it meanwhile.
+    /// Opens the file, creating it if necessary, and locks it against other programs.
     pub fn open(path: &Path) -> io::Result<Self> {
         let made = fs::symlink_metadata(path).is_err();
         let file = OpenOptions::new().write(true).create(true).truncate(false).open(path)?;
@@ -210,7 +210,7 @@ impl Output {
         Ok(Self { path: path.to_path_buf(), file: Some(file), made })
     }
 
-    /// The file, emptied.
+    /// Empties the file and returns it.
     pub fn begin(mut self) -> io::Result<File> {
         let file = self.file.take().ok_or(io::ErrorKind::NotFound)?;
         if file.metadata()?.is_file() {
@@ -219,14 +219,14 @@ impl Output {
         Ok(file)
     }
 
-    /// Writes the whole file.
+    /// Replaces the content of the file.
     pub fn write(self, bytes: &[u8]) -> Result<()> {
         let path = self.path.clone();
         let mut file = self.begin().with_context(|| format!("cannot write {}", path.display()))?;
         file.write_all(bytes).and_then(|()| file.flush()).with_context(|| format!("cannot write {}", path.display()))
     }
 
-    /// Its name.
+    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -235,7 +235,7 @@ impl Output {
 impl Drop for Output {
     fn drop(&mut self) {
         if self.made && self.file.is_some() {
-            // Nothing is lost if this fails: the file is empty.
+            // If this fails, nothing is lost: the file is empty.
             let _ = fs::remove_file(&self.path);
         }
     }

@@ -1,5 +1,5 @@
-//! What is fitted to the simulated machine, as described in TOML: limit switches, probe plate, backlash, a racked
-//! gantry. Follows the motors and says which contacts are closed or still bounce. It knows nothing of the controller.
+//! The hardware of the simulated machine, as described in TOML: limit switches, probe plate, backlash, a racked gantry.
+//! Follows the motors and computes which contacts are closed or still bouncing. Independent of the controller.
 
 use crate::boards::AXES;
 use crate::machine::Machine;
@@ -8,7 +8,7 @@ use oxmill_controller::axes::{Arrangement, Axis, LINEAR};
 use oxmill_controller::messages::{SECOND_SWITCH, Signals};
 use serde::Deserialize;
 
-/// A machine as it is described: in a file as TOML, elsewhere in any form that serde knows.
+/// Description of a machine: TOML in a file, otherwise any format that serde supports.
 ///
 /// ```toml
 /// steps_per_mm = [250, 250, 250]   # of the machine itself
@@ -68,7 +68,7 @@ enum Side {
     Negative,
 }
 
-/// One contact; places in mm from where the carriages stood at power-up.
+/// One contact; positions in mm from where the carriages were at power-up.
 #[derive(Clone, Debug)]
 struct Fitted {
     axis: usize,
@@ -77,31 +77,32 @@ struct Fitted {
     side: Side,
     bounce_us: u32,
     probe: bool,
-    /// Closed is a high pin, as at a switch that opens its circuit.
+    /// The pin is high if the contact is closed, as with a normally closed switch.
     opens: bool,
     closed: bool,
-    /// Microseconds of virtual time until which it chatters.
+    /// Virtual time until which the contact bounces, in microseconds.
     chatters_until: u64,
 }
 
-/// Limit switches as a controller's settings want them for homing, one for each axis.
+/// Limit switches that match a controller's homing settings, one per axis.
 #[derive(Clone, Debug)]
 pub struct HomeSwitches {
-    /// Of the motors, where no description says it: steps in a mm.
+    /// Steps per mm of each motor; used if there is no description.
     pub steps_per_mm: [f64; AXES],
-    /// How the motors move the carriages, where no description says it.
+    /// How the motors move the carriages; used if there is no description.
     pub arrangement: Arrangement,
-    /// Places in mm from where the carriages are now. The sign is the direction in which the carriage closes the switch.
+    /// Switch positions in mm from where the carriages are now. The sign is the direction in which the carriage closes
+    /// the switch.
     pub at_mm: [f64; AXES],
-    /// The axes that have one.
+    /// The axes that have a switch.
     pub axes: Vec<usize>,
-    /// The axis that has another one, at its second motor.
+    /// The axis that has a second switch, at its second motor.
     pub second_motor: Option<usize>,
-    /// Whether they open their circuit where others close it (`$5`).
+    /// Whether the switches are normally closed (`$5`).
     pub opens: bool,
 }
 
-/// Below any step: rounding.
+/// Tolerance for rounding, mm: less than any step.
 const A_HAIR_MM: f64 = 1.0e-7;
 
 /// All contacts of a machine.
@@ -112,21 +113,21 @@ pub struct Fittings {
     backlash_mm: [f64; AXES],
     racked_mm: f64,
     contacts: Vec<Fitted>,
-    /// Where each motor's drive holds its carriage, mm: behind the motor by no more than the backlash.
+    /// Position of each motor's drive, mm: behind the motor by up to the backlash.
     driven_mm: [f64; AXES],
 }
 
 impl Fittings {
-    /// Reads a description as TOML.
+    /// Reads a machine description from TOML.
     ///
     /// # Errors
-    /// If it is not TOML of the form of [`Description`], or as [`Fittings::new`].
+    /// If the text is not TOML of the form of [`Description`], or in the cases of [`Fittings::new`].
     #[cfg(feature = "program")]
     pub fn parse(text: &str) -> Result<Self> {
         Self::new(toml::from_str(text)?)
     }
 
-    /// What a description says.
+    /// Builds the machine of a description.
     ///
     /// # Errors
     /// If it names an axis that does not exist, or a number is out of range.
@@ -166,7 +167,7 @@ impl Fittings {
         Ok(Self { steps_per_mm, kinematics, backlash_mm, racked_mm, contacts, driven_mm: [0.0; AXES] })
     }
 
-    /// Fits switches to a machine, unless it has switches of its own. Whether it had none.
+    /// Adds the switches unless the machine already has limit switches. Returns whether they were added.
     pub fn fit_switches(&mut self, switches: &HomeSwitches) -> bool {
         if self.contacts.iter().any(|contact| !contact.probe) {
             return false;
@@ -196,7 +197,7 @@ impl Fittings {
         true
     }
 
-    /// The same places have other names from here on: `by` is added to the steps of the motors.
+    /// Shifts the coordinates of all positions: `by` is added to the steps of the motors.
     pub fn rename_places(&mut self, by: [i32; AXES]) {
         if self.is_empty() {
             return;
@@ -211,7 +212,7 @@ impl Fittings {
         }
     }
 
-    /// Where the carriages are when the drives of the motors are here, mm.
+    /// Returns the carriage positions for drive positions of the motors, mm.
     fn places(&self, motors: [f64; AXES]) -> [f64; AXES] {
         let mut places = motors;
         if self.kinematics == Kinematics::CoreXy {
@@ -221,12 +222,12 @@ impl Fittings {
         places
     }
 
-    /// Whether nothing is fitted that follows the motors.
+    /// Returns whether the machine has neither contacts nor backlash, so nothing needs to follow the motors.
     pub fn is_empty(&self) -> bool {
         self.contacts.is_empty() && self.backlash_mm == [0.0; AXES]
     }
 
-    /// The motors stand here now. Whether a contact has changed.
+    /// Follows the motors to the current position of `machine`. Returns whether a contact has changed.
     pub fn moved(&mut self, machine: &Machine, now_us: u64) -> bool {
         if self.is_empty() {
             return false;
@@ -244,7 +245,7 @@ impl Fittings {
             } else {
                 places[contact.axis]
             };
-            // A contact described at a step closes at that step.
+            // A contact located exactly at a step closes at that step.
             let beyond = match contact.side {
                 Side::Positive => place - contact.at_mm,
                 Side::Negative => contact.at_mm - place,
@@ -259,17 +260,18 @@ impl Fittings {
         changed
     }
 
-    /// Where the drives of the motors hold the carriages, mm from where they stood at power-up.
+    /// The drive position of each motor, mm from power-up.
     pub fn driven_mm(&self) -> [f64; AXES] {
         self.driven_mm
     }
 
-    /// Whether the plate is touched, as the step task sees it.
+    /// Returns whether the probe plate is touched, as the step task sees it (without bounce).
     pub fn touches(&self) -> bool {
         self.contacts.iter().any(|c| c.probe && c.closed)
     }
 
-    /// What the pins show at a moment: a chattering contact shows its state in most samples and its contrary in some.
+    /// Returns the levels of the pins at a time: a bouncing contact shows its state in most samples and the opposite in
+    /// some.
     pub fn sample(&self, now_us: u64) -> Signals {
         let mut signals = Signals::default();
         for contact in &self.contacts {
@@ -287,7 +289,7 @@ impl Fittings {
         signals
     }
 
-    /// Whether a contact still chatters.
+    /// Returns whether a contact is still bouncing.
     pub fn chatter(&self, now_us: u64) -> bool {
         self.contacts.iter().any(|c| now_us < c.chatters_until)
     }

@@ -1,5 +1,5 @@
-//! A flash image in a file (`--store`), locked while it is in use: the sectors one after the other, 16 KiB each, as a
-//! probe would read them out. Every word that the log writes goes to the file at once and alone.
+//! A flash image in a file (`--store`), locked while in use: the sectors one after the other, 16 KiB each, as a debug
+//! probe would read them. Every word that the log writes is written to the file at once, separately.
 
 use crate::files::lock;
 use crate::store::{IMAGE, Kept, Store, Unusable};
@@ -10,8 +10,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 impl Store {
-    /// The store in a file, which is locked as long as this one lives: what two of them write would be lost. A file that
-    /// does not exist yet or has nothing in it becomes an empty store.
+    /// Opens the store in a file, and keeps the file locked while the store exists: two writers would lose data. A
+    /// missing or empty file becomes an empty store.
     pub fn open(path: &Path) -> Result<Self> {
         let mut file = OpenOptions::new()
             .read(true)
@@ -22,7 +22,7 @@ impl Store {
             .with_context(|| format!("cannot open the flash image {}", path.display()))?;
         lock(&file).with_context(|| format!("cannot lock the flash image {}", path.display()))?;
         let mut bytes = Vec::new();
-        // One byte more than an image has tells that it is none.
+        // Reading one byte more than the image size reveals a file that is too long.
         (&file)
             .take(IMAGE as u64 + 1)
             .read_to_end(&mut bytes)
@@ -30,7 +30,7 @@ impl Store {
         if bytes.is_empty() {
             bytes = Self::blank();
             if let Err(error) = file.write_all(&bytes) {
-                // Half an image would be refused the next time.
+                // The next run would reject half an image.
                 let _ = file.set_len(0);
                 return Err(error).with_context(|| format!("cannot make the flash image {}", path.display()));
             }

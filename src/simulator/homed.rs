@@ -1,5 +1,5 @@
-//! Homes a simulated machine before its job and sets its work zero (`--work-zero`), so that soft limits act in the job.
-//! Fits the switches that the settings ask for, and sends `$H` and G10 L2 like a host.
+//! Homes a simulated machine before its job and sets its work zero (`--work-zero`), so that soft limits act during the
+//! job. Adds the switches that the settings imply, and sends `$H` and G10 L2 like a host.
 
 use crate::boards::AXES;
 use crate::fittings::HomeSwitches;
@@ -9,17 +9,17 @@ use oxmill_controller::axes::LINEAR;
 use oxmill_controller::settings::{AxisKey, Key};
 use std::time::Duration;
 
-/// What the inputs need to see new switches.
+/// Time that the input filter needs to report new switches.
 const SETTLING: Duration = Duration::from_millis(5);
-/// How far the work zero may be from where it was ordered, mm: what a number of G-code is rounded to.
+/// Tolerance between the requested and the actual work zero, mm: G-code numbers are rounded to this.
 const ROUNDING_MM: f64 = 1e-3;
 
-/// Homes an idle machine with the controller's own `$H`, and puts the work zero of G54 at a place in mm of machine
-/// coordinates. A machine without switches gets one at the end of each axis that `$23` and `$130` to `$132` tell, as if it had
-/// been powered up in the middle of its travel. From here on the count of steps has the names of machine coordinates.
+/// Homes an idle machine with the controller's own `$H`, and sets the work zero of G54 to `work_zero`, in mm of machine
+/// coordinates. A machine without switches gets one at the end of each axis as `$23` and `$130` to `$132` say, as if it
+/// had been powered up in the middle of its travel. Afterwards the step counts correspond to machine coordinates.
 ///
 /// # Errors
-/// A text for people: homing is off (`$22`), or has failed, or the place is out of range.
+/// A text for users: homing is off (`$22`) or has failed, or `work_zero` is out of range.
 pub fn home(simulator: &mut Simulator, work_zero: [f64; LINEAR]) -> Result<(), String> {
     if !simulator.controller().settings().is_on(Key::Homing) {
         return Err("homing is needed ($22=1)".into());
@@ -43,11 +43,11 @@ pub fn home(simulator: &mut Simulator, work_zero: [f64; LINEAR]) -> Result<(), S
     Ok(())
 }
 
-/// The switches that the settings ask for.
+/// Returns the switches that the settings imply.
 fn switches_of(simulator: &Simulator) -> HomeSwitches {
     let settings = simulator.controller().settings();
     let to_negative = settings.whole(Key::HomingDirection);
-    // An axis that turns without end meets its switch within a turn.
+    // A rotary axis without travel limits reaches its switch within one turn.
     let half = settings.axes(AxisKey::Travel).0.map(|travel| if travel > 0.0 { f64::from(travel) / 2.0 } else { 90.0 });
     let homed = settings.homing_cycles().iter().fold(0, |all, cycle| all | cycle);
     HomeSwitches {
@@ -60,7 +60,8 @@ fn switches_of(simulator: &Simulator) -> HomeSwitches {
     }
 }
 
-/// Has a line carried out, and gives what the controller has against it.
+/// Sends a line and runs until the machine is idle. An error contains the controller's alarm or error with its
+/// messages.
 fn say(simulator: &mut Simulator, line: &str) -> Result<(), String> {
     simulator.take_output();
     simulator.send(format!("{line}\n"));
@@ -75,7 +76,7 @@ fn say(simulator: &mut Simulator, line: &str) -> Result<(), String> {
     error.map_or(Ok(()), |code| Err(format!("was refused with error:{code}: {}{messages}", error_text(code))))
 }
 
-/// Counts the steps of the motors from machine coordinate 0 on.
+/// Shifts the step counts so that they count from machine coordinate 0.
 fn name_steps(simulator: &mut Simulator, machine: [f64; AXES]) {
     simulator.learn_resolution();
     let world = &mut simulator.world;
@@ -129,7 +130,7 @@ mod tests {
         );
     }
 
-    /// The homing is no part of the report.
+    /// The homing is not part of the report.
     #[test]
     fn the_job_is_the_same_behind_a_homing() {
         let bare = || machine(&["22=1"], Fittings::default());
@@ -167,7 +168,8 @@ mod tests {
         }
     }
 
-    /// The machine's own switches are used, and close where they did when the steps have other names.
+    /// The machine's own switches are used. They still close at the same position after the step counts have been
+    /// shifted.
     #[test]
     fn a_machine_has_its_own_switches() {
         let description = r#"{"steps_per_mm": [250, 250, 250], "switch": [

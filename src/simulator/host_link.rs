@@ -1,11 +1,11 @@
-//! The host's end of the link. Bytes wait in the host's port, the boards' own [`Link`] fetches
-//! them, and the controller takes them from the queues. A host can connect, disconnect, lose bytes and stay silent.
+//! The host's end of the link. Bytes wait in the host's port, the boards' own [`Link`] fetches them, and the controller
+//! takes them from the queues. A host can connect, disconnect, lose bytes and stay silent.
 //!
 //! ```text
 //!  host ──▶ port ──▶ Link ──▶ queues of commands and lines ──▶ control task
 //! ```
-//! The host is on a link like USB, which can wait: what has no room in the board's queues and in the link waits in the
-//! host's port.
+//! The simulated link has flow control, like USB: bytes for which the link and the board's queues have no room wait in
+//! the host's port.
 
 use crate::boards::AXES;
 use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, REALTIME_DEPTH, Realtime};
@@ -14,20 +14,21 @@ use oxmill_controller::units::{Duration, Instant};
 use oxmill_controller::{HostArbiter, Link, Queues};
 use std::collections::VecDeque;
 
-/// Number of the host's link, and of the one that has no host.
+/// Index of the host's link.
 const HOST: usize = 0;
+/// Index of the link that has no host.
 const UNUSED: usize = 1;
 
-/// The queues from the link to the control task, as deep as the boards'.
+/// The queues from the link to the control task, as large as the boards'.
 #[derive(Clone, Default)]
 struct ToControl {
     realtime: VecDeque<Realtime>,
     lines: VecDeque<LineByte>,
-    /// All that any host has said is done and answered.
+    /// Everything that any host has sent is executed and answered.
     free: bool,
-    /// Characters of remarks are text.
+    /// The controller reads comments as text, character by character.
     reads_characters: bool,
-    /// The step task has to be stopped.
+    /// The step task must be stopped.
     stop: bool,
 }
 
@@ -65,24 +66,24 @@ impl Queues for ToControl {
     }
 }
 
-/// The link with what is in front of it and behind it.
+/// The link, with the host's port in front of it and the controller's queues after it.
 #[derive(Clone)]
 pub struct HostLink {
-    /// Sent by the host and not yet fetched by the link, which has no room.
+    /// Bytes that the host has sent and the link has not fetched yet, for lack of room.
     port: VecDeque<u8>,
     link: Link,
     unused_link: Link,
     arbiter: HostArbiter,
     queues: ToControl,
-    /// Bytes that the link has fetched (wrapping).
+    /// Number of bytes that the link has fetched (wrapping).
     heard: u16,
     connected: bool,
     disconnected: bool,
-    /// When a `!` that may be text is a command, if nothing comes until then.
+    /// Time at which a `!` that may be text is executed as a command if no byte follows until then.
     command_at: Option<Instant>,
-    /// More bytes wait behind those that were sent, in a replay.
+    /// In a replay: more bytes wait after those sent so far.
     more: bool,
-    /// The host is never silent, in a replay.
+    /// In a replay: the host never counts as silent.
     never_silent: bool,
 }
 
@@ -105,38 +106,38 @@ impl Default for HostLink {
 }
 
 impl HostLink {
-    /// Bytes from the host reach its port.
+    /// Puts bytes from the host into its port.
     pub fn send(&mut self, bytes: &[u8]) {
         self.port.extend(bytes);
     }
 
-    /// More bytes wait behind those that come next, or not.
+    /// Sets whether more bytes wait after those that are sent next.
     pub fn follow(&mut self, more: bool) {
         self.more = more;
     }
 
-    /// From here on the host is never silent.
+    /// From here on the host never counts as silent.
     pub fn hear_always(&mut self) {
         self.never_silent = true;
     }
 
-    /// Bytes are lost here.
+    /// Simulates the loss of bytes at this point of the stream.
     pub fn lose(&mut self) {
         self.link.lose();
     }
 
-    /// A realtime command that does not come over the wire.
+    /// Queues a realtime command that does not come over the link.
     pub fn command(&mut self, command: Realtime) {
         // There is room: each turn empties the queue.
         self.arbiter.command(command, &mut self.queues);
     }
 
-    /// A host has opened the port.
+    /// The host opens the port.
     pub fn connect(&mut self) {
         self.connected |= self.link.came(&mut self.arbiter, &mut self.unused_link, &self.queues);
     }
 
-    /// The host has closed the port, or is unplugged; what the port holds goes with it.
+    /// The host closes the port, or is unplugged; the bytes in the port are lost.
     pub fn disconnect(&mut self) {
         self.port.clear();
         self.disconnected |= self.link.went(&mut self.arbiter);
@@ -144,13 +145,13 @@ impl HostLink {
 
     // The serial task
 
-    /// What the link holds goes into the queues, as far as there is room; whether anything did.
+    /// Moves bytes from the link into the queues, as far as there is room. Returns whether any byte was moved.
     pub fn pass_on(&mut self) -> bool {
         self.link.pass_on(&mut self.arbiter, &mut self.queues)
     }
 
-    /// Fetches a byte from the port, if there are one and room for it; whether something was queued. `is_free`,
-    /// `reads_characters`: what the controller says.
+    /// Fetches a byte from the port; `None` if the port is empty or the link has no room. Returns whether a byte was
+    /// queued. `is_free`, `reads_characters`: state of the controller.
     pub fn fetch(&mut self, is_free: bool, reads_characters: bool) -> Option<bool> {
         let byte = if self.link.room() > 0 { self.port.pop_front()? } else { return None };
         self.heard = self.heard.wrapping_add(1);
@@ -160,13 +161,13 @@ impl HostLink {
         Some(self.link.take(byte, &mut self.arbiter, &mut self.unused_link, &mut self.queues))
     }
 
-    /// All that could be fetched has been: if the last byte is a `!` that may be text, the rest of its line is waited for.
-    /// Whether it has been waited for long enough, and a command was queued.
+    /// Call after all available bytes have been fetched. If the last byte is a `!` that may be text, waits for the rest
+    /// of its line. When the wait is over, queues the `!` as a command and returns whether a command was queued.
     pub fn await_rest(&mut self, now: Instant) -> bool {
         if !self.link.is_ambiguous() {
             return false;
         }
-        // What has no room yet may be the rest.
+        // The rest of the line may be in the port, waiting for room.
         let at = *self.command_at.get_or_insert(now + Duration::micros(AMBIGUOUS_US.into()));
         if !self.port.is_empty() || now < at {
             return false;
@@ -176,24 +177,24 @@ impl HostLink {
         self.pass_on()
     }
 
-    /// When to look again at a `!` that may be text, if the host could send the rest of its line.
+    /// When to look again at a `!` that may be text; `None` while bytes wait in the port.
     pub fn rest_due(&self) -> Option<Instant> {
         self.command_at.filter(|_| self.port.is_empty())
     }
 
-    /// Whether the step task has to be stopped; `true` once.
+    /// Returns whether the step task must be stopped; returns `true` only once per request.
     pub fn wants_stop(&mut self) -> bool {
         std::mem::take(&mut self.queues.stop)
     }
 
-    /// Whether something has found no room.
+    /// Returns whether bytes wait in the port or the link.
     pub fn waits(&self) -> bool {
         !self.port.is_empty() || self.link.is_waiting() || self.link.is_ambiguous()
     }
 
     // The control task
 
-    /// A host that has gone or come.
+    /// Returns the next connect or disconnect.
     pub fn next_event(&mut self) -> Option<Event<AXES>> {
         if std::mem::take(&mut self.disconnected) {
             return Some(Event::Disconnected(self.arbiter.gone()));
@@ -206,12 +207,12 @@ impl HostLink {
         self.queues.realtime.pop_front()
     }
 
-    /// The next byte of a line, which stays.
+    /// Returns the next byte of a line without removing it.
     pub fn line_byte_ahead(&self) -> Option<LineByte> {
         self.queues.lines.front().copied()
     }
 
-    /// The next byte of a line.
+    /// Removes and returns the next byte of a line.
     pub fn next_line_byte(&mut self) -> Option<LineByte> {
         self.queues.lines.pop_front()
     }
@@ -221,19 +222,21 @@ impl HostLink {
         self.queues.lines.len()
     }
 
-    /// Line bytes in the queue, those that wait in the link for room in it, and the cut that goes before these.
+    /// Line bytes in the queue and in the link, and the cut that precedes the latter; one more if further bytes wait in
+    /// a replay.
     pub fn received(&self) -> usize {
         let held = self.link.held();
         self.queues.lines.len() + held + usize::from(held > 0 && self.arbiter.owes_cut()) + usize::from(self.more)
     }
 
-    /// Bytes that the link has fetched (wrapping); one more each time it is asked in place of a host that cannot be silent.
+    /// Number of bytes that the link has fetched (wrapping). Increases with each call if the host never counts as
+    /// silent.
     pub fn heard(&mut self, never_silent: bool) -> u16 {
         self.heard = self.heard.wrapping_add(u16::from(never_silent || self.never_silent));
         self.heard
     }
 
-    /// Bytes sent and not yet taken by the controller: in its queue, in the link, and in the port.
+    /// Bytes sent and not yet taken by the controller: in the queue, the link and the port.
     pub fn unread(&self) -> usize {
         self.port.len() + self.received() - usize::from(self.more)
     }

@@ -1,25 +1,26 @@
-//! The input task: samples the simulated pins through the boards' own filter. A pin is low if a hand or a closed
-//! contact pulls it. Reports changes to the controller, and stops the step task if an armed input becomes active.
+//! The input task: samples the simulated pins through the boards' own filter. A pin is low if the user or a closed
+//! contact pulls it low. Reports changes to the controller, and stops the step task if an armed input becomes active.
 
 use crate::clock::Clock;
 use crate::fittings::Fittings;
 use oxmill_controller::machine::signals::{Inputs, SETTLING};
 use oxmill_controller::messages::{Sensed, Signals, Wiring, input};
 
-/// The pins and the filter behind them.
+/// The pins and their filter.
 #[derive(Clone)]
 pub struct InputTask {
-    /// Levels that a hand has put on the pins, and those of the machine's own contacts at the last sample.
+    /// Pins that the user pulls low.
     hand: Signals,
+    /// State of the machine's contacts at the last sample.
     contacts: Signals,
-    /// Samples since the contacts last changed.
+    /// Number of samples since the contacts last changed.
     steady: u8,
-    /// When the next sample is due, in ticks; `None` while nothing can change.
+    /// Time of the next sample, in ticks; `None` while nothing can change.
     sample_due: Option<u64>,
     inputs: Inputs,
-    /// Changes of each input that the filter has rejected.
+    /// Per input: changes that the filter has rejected.
     noise: [u16; input::COUNT],
-    /// What the controller was told of last.
+    /// The last report to the controller.
     told: Option<Sensed>,
 }
 
@@ -38,33 +39,33 @@ impl Default for InputTask {
 }
 
 impl InputTask {
-    /// Levels that a hand has put on the pins.
+    /// Pins that the user pulls low.
     pub fn hand(&self) -> Signals {
         self.hand
     }
 
-    /// Moves pins by hand; whether they have changed.
+    /// Sets the pins that the user pulls low. Returns whether they have changed.
     pub fn set_hand(&mut self, signals: Signals) -> bool {
         std::mem::replace(&mut self.hand, signals) != signals
     }
 
-    /// Pins that are low: those that a hand has put to 1, and closed contacts.
+    /// Pins that are low, whether by the user or by closed contacts.
     pub fn low(&self) -> u32 {
         self.hand.word() | self.contacts.word()
     }
 
-    /// When the next sample is due.
+    /// Time of the next sample, in ticks.
     pub fn sample_due(&self) -> Option<u64> {
         self.sample_due
     }
 
-    /// A contact has moved: a sample is due, unless one is already.
+    /// Schedules a sample because a contact has moved, unless a sample is already scheduled.
     pub fn sample_at(&mut self, ticks: u64) {
         self.sample_due.get_or_insert(ticks);
     }
 
-    /// One sample with the machine's contacts as they are now; the next follows while the filter or a contact has not
-    /// settled. Whether the step task has to be stopped.
+    /// Takes one sample with the machine's contacts as they are now, and schedules the next while the filter or a
+    /// contact has not settled. Returns whether the step task must be stopped.
     pub fn sample_contacts(&mut self, fittings: &mut Fittings, clock: &Clock, period: u64) -> bool {
         let now = clock.instant().ticks();
         let contacts = fittings.sample(now);
@@ -75,7 +76,7 @@ impl InputTask {
         self.sample(self.low())
     }
 
-    /// A sample; whether an armed input stops the step task here and now.
+    /// Takes a sample. Returns whether an armed input stops the step task.
     pub fn sample(&mut self, low: u32) -> bool {
         let stops = self.inputs.sample(low);
         let rejected = self.inputs.rejected();
@@ -85,8 +86,8 @@ impl InputTask {
         stops
     }
 
-    /// As many samples as the filter wants; how many of them stop the step task. Not while contacts have not settled at
-    /// power-up, for the first that the controller hears of the inputs has them in it.
+    /// Takes [`SETTLING`] samples at once. Returns how many of them stop the step task. Does nothing while contacts
+    /// settle after power-up: the controller's first report of the inputs must include them.
     pub fn settle(&mut self) -> usize {
         if self.inputs.sensed().is_none() && self.sample_due.is_some() {
             return 0;
@@ -94,12 +95,12 @@ impl InputTask {
         (0..SETTLING).filter(|_| self.sample(self.low())).count()
     }
 
-    /// Polarity and arming.
+    /// Sets polarity and arming of the inputs.
     pub fn wire(&mut self, wiring: &Wiring) {
         self.inputs.wire(wiring);
     }
 
-    /// The inputs, if they have changed since the controller was told.
+    /// Returns the inputs if they have changed since the last report to the controller, and marks them as reported.
     pub fn next_change(&mut self) -> Option<Sensed> {
         let sensed = self.inputs.sensed().filter(|sensed| self.told != Some(*sensed))?;
         self.inputs.told();
@@ -107,12 +108,12 @@ impl InputTask {
         Some(sensed)
     }
 
-    /// Changes of each input that the filter has rejected.
+    /// Per input: changes that the filter has rejected.
     pub fn noise(&self) -> [u16; input::COUNT] {
         self.noise
     }
 
-    /// Forgets them.
+    /// Resets the counts of [`InputTask::noise`].
     pub fn clear_noise(&mut self) {
         self.noise = [0; input::COUNT];
     }

@@ -1,5 +1,5 @@
-//! Carries out `run`, `check`, `plot`, `replay` and `resume`: reads the files, powers up a simulator, sends the job,
-//! and writes summary, trace, recording and drawings. Returns how the command has ended, for its exit status.
+//! Runs `run`, `check`, `plot`, `replay` and `resume`: reads the files, powers up a simulator, sends the job, and
+//! writes summary, trace, recording and drawings. Returns how the command ended, for its exit status.
 
 use crate::board_replay;
 use crate::check::Check;
@@ -28,22 +28,22 @@ use std::path::Path;
 use std::rc::Rc;
 use std::time::Instant;
 
-/// Rounds of the virtual clock between looks at the progress: some 10 ms of the host.
+/// Rounds of the virtual clock between updates of the progress display: some 10 ms on the host.
 const ROUNDS: u32 = 4096;
 
-/// What a power cut ordered on the command line leaves of the word under way.
+/// Bits of a flash word that are still programmed when an ordered power cut interrupts its write: the lower half.
 const HALF_WORD: u32 = 0xFFFF;
 
-/// Longest recording that is read.
+/// Maximum size of a recording, in bytes.
 const RECORDING: usize = 1 << 30;
 
-/// Longest job of which the rest can be written.
+/// Maximum size of a job for `resume`, in bytes.
 const JOB: usize = 1 << 30;
 
-/// Why a machine that is recorded goes no further.
+/// Error message for a recorded machine that stops because the recording cannot be written.
 pub const UNRECORDED: &str = "cannot write the recording";
 
-/// Says so if an ordered power cut has come.
+/// Returns an error if the ordered power cut has happened.
 pub fn check_power(simulator: &Simulator) -> Result<()> {
     if simulator.power_is_gone() {
         bail!("the power was cut, as ordered, at operation {} of the flash", simulator.store().operations());
@@ -51,7 +51,7 @@ pub fn check_power(simulator: &Simulator) -> Result<()> {
     Ok(())
 }
 
-/// Refuses a job on settings that may not be the machine's: it would be locked.
+/// Refuses a job if the stored settings were damaged: motion would be locked.
 fn check_store(simulator: &Simulator, store: Option<&Path>) -> Result<()> {
     if simulator.controller().is_store_damaged() {
         let name = store.unwrap_or(Path::new("store")).display();
@@ -63,8 +63,8 @@ fn check_store(simulator: &Simulator, store: Option<&Path>) -> Result<()> {
     Ok(())
 }
 
-/// A simulator as the options describe it, its settings applied; and its recording from power-up on, if it is recorded:
-/// [`begin_recording`] has to follow.
+/// Powers up a simulator as the options describe it and applies its settings. Also returns its recorder if `recorded`,
+/// which records from power-up on; call [`begin_recording`] next.
 pub fn power_up(options: &MachineOptions, recorded: bool) -> Result<(Simulator, Option<Recorder>)> {
     let (mut simulator, machine) = fitted(options)?;
     let mut recorder = begin_recorder(&mut simulator, &machine, options, recorded)?;
@@ -72,13 +72,13 @@ pub fn power_up(options: &MachineOptions, recorded: bool) -> Result<(Simulator, 
     Ok((simulator, recorder))
 }
 
-/// The same as a board that has its settings already when it is powered up: it is locked if homing is on, and startup lines
-/// are carried out.
+/// Like [`power_up`], but as a board that already has its settings at power-up: it is locked if homing is on, and its
+/// startup lines are executed.
 pub fn power_up_as_board(options: &MachineOptions, recorded: bool) -> Result<(Simulator, Option<Recorder>)> {
     let (mut simulator, machine) = fitted(options)?;
     let settings = settings(options)?;
     apply_settings(&mut simulator, &mut None, &settings)?;
-    // A cut that has been ordered may still come, and damage has to be confirmed.
+    // Do not power up again if an ordered power cut may still happen, or if damage must be confirmed first.
     if !(settings.is_empty() || options.cut_power.is_some() || simulator.controller().is_store_damaged()) {
         simulator = simulator.powered_again().context("the settings are lost")?;
     }
@@ -86,7 +86,7 @@ pub fn power_up_as_board(options: &MachineOptions, recorded: bool) -> Result<(Si
     Ok((simulator, recorder))
 }
 
-/// A simulator with its store and what is fitted to it, and the text that describes that.
+/// Returns a simulator with its store and fittings, and the text of the machine description.
 fn fitted(options: &MachineOptions) -> Result<(Simulator, String)> {
     let mut store = options.store.as_deref().map_or_else(|| Ok(Store::in_memory()), Store::open)?;
     if let Some(operations) = options.cut_power {
@@ -111,7 +111,7 @@ fn begin_recorder(
     Ok(recorded.then(|| Recorder::begin(simulator, machine)))
 }
 
-/// The settings of the options, each with where it comes from.
+/// Returns the settings of the options, each as (origin, setting).
 fn settings(options: &MachineOptions) -> Result<Vec<(String, String)>> {
     let mut lines = Vec::new();
     if let Some(path) = &options.settings {
@@ -119,7 +119,7 @@ fn settings(options: &MachineOptions) -> Result<Vec<(String, String)>> {
             .with_context(|| format!("cannot read the settings file {}", path.display()))?;
         let text = String::from_utf8_lossy(&text).replace("\r\n", "\n");
         for (index, line) in files::without_mark(&text).split(['\n', '\r']).enumerate() {
-            // Comments and blank lines may stand between the settings, as in a dump that someone edited.
+            // Comments and blank lines may be between the settings, as in an edited dump.
             let setting = line.split([';', '#', '(']).next().unwrap_or_default().trim();
             if !setting.is_empty() && !is_said_around_settings(line) {
                 lines.push((format!("line {} of {}", index + 1, path.display()), setting.to_owned()));
@@ -151,21 +151,21 @@ fn apply_settings(
     Ok(())
 }
 
-/// Whether a line is the question or what a machine says before and behind the answer to `$$`: what a terminal has shown
-/// may have both.
+/// Returns whether a line is `$$` itself or machine output before or after its reply: text copied from a terminal may
+/// contain both.
 fn is_said_around_settings(line: &str) -> bool {
     let line = line.trim();
     matches!(line, "ok" | "$$") || ["Grbl ", "[", "<"].iter().any(|begin| line.starts_with(begin))
 }
 
-/// How a command has ended.
+/// How a command ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ending {
     /// All went well.
     Good,
-    /// The job has refused lines, ended in an alarm, or was not taken to its end.
+    /// The job has rejected lines, ended in an alarm, or was not completed.
     Faulty,
-    /// What was played is not what was recorded, or cannot be compared with it.
+    /// The replay differs from the recording, or cannot be compared with it.
     OtherSteps,
 }
 
@@ -175,44 +175,45 @@ impl Ending {
     }
 }
 
-/// How the summary is printed.
+/// Format of the printed summary.
 #[derive(Clone, Copy, Debug)]
 enum Form {
-    /// All of it.
+    /// The whole summary.
     Whole,
-    /// On one screen.
+    /// A summary that fits on one screen.
     Short,
     Json,
 }
 
-/// Carries out `check`.
+/// Runs `check`.
 ///
 /// # Errors
-/// If a file cannot be read, or a setting is refused.
+/// If a file cannot be read, or a setting is rejected.
 pub fn check(options: CheckJob) -> Result<Ending> {
     let CheckJob { job, json, start, machine } = options;
     let form = if json { Form::Json } else { Form::Short };
     carry_out_job(&Run { job, json, plot: Vec::new(), trace: None, record: None, start, machine }, form)
 }
 
-/// Carries out `plot`.
+/// Runs `plot`.
 ///
 /// # Errors
-/// If a file cannot be read or written, or a setting is refused.
+/// If a file cannot be read or written, or a setting is rejected.
 pub fn plot(options: PlotJob) -> Result<Ending> {
     let PlotJob { job, output, start, machine } = options;
     carry_out_job(&Run { job, json: false, plot: output, trace: None, record: None, start, machine }, Form::Short)
 }
 
-/// Carries out `run`.
+/// Runs `run`.
 ///
 /// # Errors
-/// If a file cannot be read or written, or a setting is refused.
+/// If a file cannot be read or written, or a setting is rejected.
 pub fn run(options: &Run) -> Result<Ending> {
     carry_out_job(options, if options.json { Form::Json } else { Form::Whole })
 }
 
-/// Carries out `replay`. Other steps are graver than faults of the job, which the recording may have, too.
+/// Runs `replay`. Steps that differ from the recording take precedence over faults of the job, which the recording may
+/// have, too.
 ///
 /// # Errors
 /// If the recording cannot be read or played.
@@ -250,10 +251,10 @@ pub fn replay(options: &Replay) -> Result<Ending> {
     Ok(if same.is_ok() { Ending::of(&summary) } else { Ending::OtherSteps })
 }
 
-/// Carries out `resume`.
+/// Runs `resume`.
 ///
 /// # Errors
-/// If a file cannot be read or written, a setting is refused, or the job cannot go on at that line.
+/// If a file cannot be read or written, a setting is rejected, or the job cannot continue at that line.
 pub fn resume(options: &ResumeJob) -> Result<Ending> {
     let name = options.job.display().to_string();
     let output_role = options.output.as_deref().map(|path| Role { path, name: "--output", written: true });
@@ -292,7 +293,8 @@ pub fn resume(options: &ResumeJob) -> Result<Ending> {
     Ok(Ending::Good)
 }
 
-/// Plays a recording to its end and shows the progress: bytes of its job, or ticks of the step clock.
+/// Plays a recording to its end and shows the progress: in bytes if it records a job, otherwise in ticks of the step
+/// clock.
 fn play(
     recording: &Recording,
     mut simulator: Simulator,
@@ -319,16 +321,17 @@ fn play(
         recording.play(&mut simulator, |text| said.push_str(text), pass).and_then(|()| recording.check_compared())
     };
     if recording.is_of_board() {
-        // What the board did not live to do is no part of it.
+        // Anything after the end of the board's recording is not part of it.
         return (Check::of(simulator, clock.now(), &said), same);
     }
-    // What the last of it has begun.
+    // Finish what the last inputs have started.
     simulator.run_until_idle();
     said.push_str(&simulator.take_output());
     (Check::of(simulator, clock.now(), &said), same)
 }
 
-/// Empties the file and writes the recording into it from here on. Whatever else may hinder the machine has been found.
+/// Empties the file and writes the recording into it from here on. Call when everything else that could prevent the run
+/// has been checked.
 pub fn begin_recording(recorder: &mut Option<Recorder>, file: Option<Output>) -> Result<()> {
     let (Some(recorder), Some(file)) = (recorder, file) else { return Ok(()) };
     let path = file.path().display().to_string();
@@ -386,7 +389,7 @@ fn carry_out_job(options: &Run, form: Form) -> Result<Ending> {
     carry_out(&mut check, &progress);
     progress.finish_and_clear();
     check_power(check.simulator())?;
-    // Whatever fails from here on, the summary is printed first.
+    // If anything fails from here on, the summary is still printed first.
     let mut failures = Vec::from_iter(reading_failure(&mut check, &name));
     failures.extend(check.simulator_mut().trace_mut().finish().context("cannot write the trace to its end").err());
     if let Some(recorder) = recorder {
@@ -407,7 +410,7 @@ fn carry_out_job(options: &Run, form: Form) -> Result<Ending> {
     Err(first)
 }
 
-/// Takes a job to its end and shows the progress.
+/// Runs a job to its end and shows the progress.
 fn carry_out(check: &mut Check, progress: &ProgressBar) {
     while !check.advance(ROUNDS) {
         progress.set_position(check.consumed());
@@ -415,14 +418,14 @@ fn carry_out(check: &mut Check, progress: &ProgressBar) {
     }
 }
 
-/// Why the job could not be read to its end, which makes its report one of a job that was cut short.
+/// Returns the error that ended reading the job, and marks the report as incomplete.
 fn reading_failure(check: &mut Check, name: &str) -> Option<Error> {
     let failure = check.simulator_mut().job_mut().and_then(JobText::failure)?;
     check.cut_short();
     Some(anyhow!(failure).context(format!("cannot read the job {name} to its end")))
 }
 
-/// The files of a run and what they are for.
+/// The files of a run with their roles.
 fn roles(options: &Run) -> Vec<Role<'_>> {
     let job = (options.job.as_os_str() != "-").then_some(options.job.as_path());
     let plots = options.plot.iter().map(|path| Role { path, name: "--plot", written: true });
@@ -432,7 +435,7 @@ fn roles(options: &Run) -> Vec<Role<'_>> {
     others.chain(machine).chain(plots).collect()
 }
 
-/// The files of a machine, and its recording.
+/// The files of a machine and its recording, with their roles.
 pub fn machine_roles<'a>(machine: &'a MachineOptions, record: Option<&'a Path>) -> Vec<Role<'a>> {
     let files = [
         (machine.settings.as_deref(), "--settings", false),
@@ -453,7 +456,7 @@ fn print(summary: &Summary, form: Form) -> Result<()> {
         Form::Short => ShortReport(summary).to_string(),
         Form::Json => serde_json::to_string_pretty(summary)? + "\n",
     };
-    // Without a terminal, or with NO_COLOR, the stream leaves the colours out.
+    // Without a terminal, or with NO_COLOR, the stream removes the colours.
     files::print(anstream::stdout(), text.as_bytes()).context("cannot write the summary")
 }
 
@@ -461,13 +464,13 @@ fn base_name(path: &Path) -> String {
     if path.as_os_str() == "-" {
         return "standard input".into();
     }
-    // No terminal obeys it, and it may stand in XML.
+    // Control characters could act on a terminal, and are invalid in XML.
     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().replace(char::is_control, "?")
 }
 
-/// A bar for the share of `what`, if its length is known.
+/// A progress bar for the share of `what`, or a spinner if the length is unknown.
 fn progress_bar(length: Option<u64>, what: &str) -> ProgressBar {
-    // Standard error may be a terminal while standard output goes to a file: the bar is for the person who waits.
+    // Standard error may be a terminal while standard output goes to a file, and the bar is for the waiting user.
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
@@ -477,7 +480,8 @@ fn progress_bar(length: Option<u64>, what: &str) -> ProgressBar {
         .map_or(bar.clone(), |style| bar.with_style(style))
 }
 
-/// No time to go: it would have to be told from the part of the file that was read, and a line may take a second or a day.
+/// The text shows no remaining time: the only basis would be the part of the file that was read, but one line may take
+/// a second or a day.
 fn progress_template(share_of: Option<&str>) -> String {
     let share = share_of.map_or("{spinner}".into(), |what| format!("{{bar:40}} {{percent:>3}} % of {what},"));
     share + " {msg} of machine time in {elapsed}"
@@ -496,7 +500,7 @@ mod tests {
         }
     }
 
-    /// Of a job its bytes are counted, of a talk with a host the time.
+    /// Progress is counted in bytes for a recorded job, in time for a recorded host session.
     #[test]
     fn a_recording_shows_its_progress() {
         let begin = "oxmill recording 1\nboard desk 1000000\nbegin 1000000\n";
@@ -508,7 +512,7 @@ mod tests {
             assert_eq!(length, if job { 2000 * 18 } else { 3_000_000 });
             let progress = ProgressBar::hidden();
             let (_, same) = play(&recording, recording.power_up().unwrap(), &progress, &mut Vec::new());
-            // Neither recording says where the motors end.
+            // Neither recording contains the final motor positions.
             assert!(same.is_err(), "{same:?}");
             let position = progress.position();
             assert!(if job { (1..=length).contains(&position) } else { position == length }, "{position} of {length}");

@@ -1,9 +1,10 @@
-//! The controller on a desk: the same code as on the board, with a virtual clock and a traced machine around it. Here
-//! are the list of modules and `main` of the program.
+//! The controller on a desktop computer: the same code as on the board, with a virtual clock and a traced machine
+//! around it. This file declares the modules and the program's `main`.
 //!
-//! The feature `program` is the program: `run` sends a job through it and says what the machine did; `serve` is a Grbl device
-//! for senders. Without it this is a library that has no files, threads, clock or drawing, and runs wherever a processor is:
-//! [`Simulator`] is a function of what is sent to it and when in virtual time, [`check`] takes a job through it.
+//! The feature `program` adds the command-line program: among others, `run` simulates a job and reports what the
+//! machine did, and `serve` is a Grbl device for senders. Without it this library uses no files, threads, system clock
+//! or drawing, and runs on any processor: the output of [`Simulator`] depends only on its input and on the virtual time
+//! of each input; [`check`] runs a job through it.
 //!
 //! ```no_run
 //! use oxmill_simulator::{Options, Simulator};
@@ -94,7 +95,7 @@ use job::Ending;
 #[cfg(feature = "program")]
 use std::process::ExitCode;
 
-/// The program. Its exit status is explained by [`command_line::EXIT_STATUS`].
+/// Runs the program. [`command_line::EXIT_STATUS`] explains the exit status.
 #[cfg(feature = "program")]
 pub fn main() -> ExitCode {
     let result = match CommandLine::parse().command {

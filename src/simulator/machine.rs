@@ -1,17 +1,17 @@
-//! The machine behind the step pins: net steps and pulses of each motor, and the extents that the carriages have
-//! reached, on a Cartesian or CoreXY machine.
+//! The machine driven by the step pins: net steps and pulses of each motor, and the extents reached by the carriages,
+//! on a Cartesian or CoreXY machine.
 
 use crate::boards::AXES;
 
 use oxmill_controller::axes::{Arrangement, LINEAR};
 use oxmill_controller::messages::{GangedMotors, Wiring};
 
-/// The values of X, Y and Z.
+/// Returns the values of X, Y and Z.
 pub fn linear<T>([x, y, z, ..]: [T; AXES]) -> [T; LINEAR] {
     [x, y, z]
 }
 
-/// Motors and carriages, in steps from where they stood at power-up.
+/// Motors and carriages, in steps from where they were at power-up.
 #[derive(Clone, Debug, Default)]
 pub struct Machine {
     position: [i32; AXES],
@@ -26,13 +26,13 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Which motors follow which pulses from here on.
+    /// Sets which motors follow which pulses from here on.
     pub fn wire(&mut self, wiring: &Wiring) {
         self.ganged = wiring.ganged;
         self.ganged_motors = wiring.ganged_motors;
     }
 
-    /// How the motors move the carriages. Of importance for the extents only.
+    /// Sets how the motors move the carriages, which matters for the extents only. A change restarts the extents.
     pub fn arrange(&mut self, arrangement: Arrangement) {
         if self.arrangement != arrangement {
             self.arrangement = arrangement;
@@ -40,7 +40,7 @@ impl Machine {
         }
     }
 
-    /// Step pins rise; `directions` has a bit for each axis that moves to negative.
+    /// Counts rising edges of the step pins. `directions` has a bit for each axis that moves in the negative direction.
     #[inline]
     pub fn step(&mut self, mut steps: u8, directions: u8) {
         if self.ganged & steps != 0 {
@@ -65,7 +65,7 @@ impl Machine {
         }
     }
 
-    /// Places of the carriages in steps; those of a CoreXY machine in half steps of its X and Y.
+    /// Returns the carriage positions in steps; on a CoreXY machine, X and Y are in half steps.
     #[inline]
     fn carriages(&self) -> [i32; AXES] {
         match self.arrangement {
@@ -89,12 +89,13 @@ impl Machine {
         linear(self.position)
     }
 
-    /// Net steps of all motors since power-up, but for the second one of an axis.
+    /// Net steps of all motors since power-up, except the second motor of a ganged axis.
     pub fn motors(&self) -> [i32; AXES] {
         self.position
     }
 
-    /// Least and greatest place of each carriage (half steps of X and Y on a CoreXY machine) since power-up or the last [`Machine::restart`].
+    /// Minimum and maximum position of each carriage since power-up or the last [`Machine::restart`], in steps (X and Y
+    /// of a CoreXY machine: half steps).
     pub fn extents(&self) -> ([i32; AXES], [i32; AXES]) {
         (self.low, self.high)
     }
@@ -104,18 +105,18 @@ impl Machine {
         linear(self.pulses)
     }
 
-    /// The same of all motors.
+    /// Pulses of all motors since power-up or the last [`Machine::restart`].
     pub fn motor_pulses(&self) -> [u64; AXES] {
         self.pulses
     }
 
-    /// Restarts the count of extents and pulses at the present position.
+    /// Restarts extents and pulse counts at the present position.
     pub fn restart(&mut self) {
         self.restart_extents();
         self.pulses = [0; AXES];
     }
 
-    /// The same place has another name from here on: `by` is added to the steps of each motor.
+    /// Shifts the coordinates of the present position: `by` is added to the steps of each motor. Restarts the extents.
     pub fn rename_place(&mut self, by: [i32; AXES]) {
         for (axis, by) in by.into_iter().enumerate() {
             self.position[axis] = self.position[axis].wrapping_add(by);

@@ -1,26 +1,26 @@
-//! Which line and tool each move belongs to. The controller carries a number with each move; this table says what the
-//! number means, as long as moves with it may still come.
+//! Maps moves to their line and tool. The controller carries a number with each move; this table keeps the meaning of a
+//! number while moves with it may still come.
 
 use std::collections::VecDeque;
 
-/// Numbers that are kept at least, before those that no queued move has are forgotten: more than there are moves in a
-/// look-ahead, so that this is rare.
+/// Minimum number of entries before those without a queued move are removed. It exceeds the moves of a look-ahead, so
+/// that removal is rare.
 const KEPT: usize = 1 << 12;
 
-/// What a move belongs to.
+/// The line and tool that a move belongs to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Mark {
-    /// The line, as the controller counts them.
+    /// The line number, as the controller counts lines.
     pub line: u32,
-    /// The tool that the spindle holds; 0 for none that M6 named.
+    /// The tool in the spindle; 0 if no M6 has named one.
     pub tool: u32,
     /// Whether the line is an arc.
     pub arc: bool,
-    /// S of the line, rounded; 0 while the spindle is off.
+    /// The spindle speed S of the line, rounded; 0 while the spindle is off.
     pub speed: u32,
 }
 
-/// The marks of the lines that are on their way.
+/// The marks of the lines whose moves may still come.
 #[derive(Clone, Debug, Default)]
 pub struct Marks {
     known: VecDeque<(u32, Mark)>,
@@ -28,8 +28,9 @@ pub struct Marks {
 }
 
 impl Marks {
-    /// A line begins, or is still in work. The number of its moves, if it is another one than before. `queued` tells the
-    /// numbers of the moves that are on their way: of those of lines that move nothing there is no end.
+    /// Notes the line that is being executed. Returns a new number for its moves if the mark has changed. `queued`
+    /// returns the numbers of the moves in the queue; it limits the table, as any number of lines may come that move
+    /// nothing.
     pub fn begin(&mut self, mark: Mark, queued: impl FnOnce() -> Vec<u32>) -> Option<u32> {
         if self.known.back().is_some_and(|(_, last)| *last == mark) {
             return None;
@@ -43,7 +44,7 @@ impl Marks {
         Some(self.last)
     }
 
-    /// What a number means. Those before it will not be asked for again.
+    /// Returns the mark of a number, and forgets all numbers before it.
     pub fn of(&mut self, number: u32) -> Mark {
         let Some(at) = self.known.iter().position(|(known, _)| *known == number) else { return Mark::default() };
         self.known.drain(..at);

@@ -1,14 +1,13 @@
-//! Measures how far and how fast the tool went, on the blocks and segments that the step task executed: distances,
-//! times, and peaks of speed and acceleration that rounding to steps cannot explain. Also takes samples for the
-//! drawing.
+//! Measures how far and how fast the tool moved, from the blocks and segments that the step task executed: distances,
+//! times, and the parts of peak speeds and accelerations that rounding to steps cannot explain. Also takes samples for
+//! the drawing.
 //!
-//! A segment says how many units of its block it advances and in how many ticks of the step clock, and a block how many
-//! steps each axis takes. Nothing here is done per step.
+//! A segment gives the number of units of its block that it advances and the number of ticks of the step clock; a block
+//! gives the steps of each axis. Nothing here is computed per step.
 //!
-//! The ends of a block are rounded to steps, so the length of a short one is known badly: half a step at each end is 4 %
-//! of 25 steps. Speeds and accelerations are therefore taken over windows that reach across blocks, of one to
-//! `LONGEST_WINDOW` segments, and each is lessened by what rounding may have added to it. What remains has been
-//! reached for certain.
+//! The ends of a block are rounded to steps, so the length of a short block is uncertain: half a step at each end is 4
+//! % of 25 steps. Speeds and accelerations are therefore averaged over windows of one to `LONGEST_WINDOW` segments,
+//! across blocks, and reduced by what rounding may have added. The remaining value was certainly reached.
 
 use crate::boards::AXES;
 use crate::machine::linear;
@@ -19,61 +18,64 @@ use oxmill_controller::axes::Arrangement;
 use oxmill_controller::messages::{AxisSteps, INTERVAL_FRACTION_BITS, Segment, ToStep, UNITS_PER_STEP};
 use std::collections::VecDeque;
 
-/// Shortest window that acceleration is measured on, in seconds. Below it the rounding of ticks is too large a part.
+/// Minimum window for measuring acceleration, in seconds. In shorter windows the rounding of ticks has too much
+/// influence.
 const SHORTEST: f64 = 0.0002;
-/// Segments of the longest window.
+/// Segments in the longest window.
 const LONGEST_WINDOW: usize = 1024;
-/// What rounding may add to a speed that is taken as it is, as a part of it.
+/// Rounding error, as a fraction of a speed, up to which the speed is not reduced.
 const SPEED_TOLERANCE: f64 = 0.005;
-/// The same for an acceleration.
+/// Rounding error, as a fraction of an acceleration, up to which the acceleration is not reduced.
 const ACCELERATION_TOLERANCE: f64 = 0.02;
-/// The same for a speed in a drawing. It is seldom reached, and a longer window would blur what follows a short block.
+/// Acceptable rounding error, as a fraction of a speed, in a drawing. The error rarely reaches it, and a longer window
+/// would blur the motion after a short block.
 const DRAWN_TOLERANCE: f64 = 0.06;
-/// How far the end of a block may be from the step that it is rounded to, in steps. The planner rounds the time of a block
-/// as far.
+/// Maximum distance of the end of a block from the step that it is rounded to, in steps. The planner rounds the time of
+/// a block by as much.
 const ROUNDING: f64 = 0.5;
-/// How wrong the place of an arc's chord may be, whose ends are told in parts of a step.
+/// Maximum position error at the ends of an arc's chord, which are given in fractions of a step; in steps.
 const TOLD: f64 = 0.5 / AxisSteps::PARTS as f64;
-/// Blocks shorter than this many steps say little of the length of their path: some are measured together.
+/// Blocks shorter than this many steps say little about the length of their path: several are measured together.
 const SHORT: f64 = 4.0;
-/// From so many steps on, what rounding across the path adds to the length is left out of account: less than 0.01 %.
+/// From this many steps on, the length that rounding across the path adds is ignored: it is less than 0.01 %.
 const LONG: f64 = 32.0;
-/// So many steps of short blocks are measured together.
+/// Number of steps of short blocks that are measured together.
 const TOGETHER: f64 = 12.0;
-/// Two neighbouring windows are on a line if they are longer than the way from end to end by this part at most: then
-/// they turn by less than 0.13 rad.
+/// Two neighbouring windows count as straight if the sum of their lengths exceeds the distance from end to end by at
+/// most this fraction: the direction then changes by less than 0.13 rad.
 const STRAIGHT: f64 = 0.002;
 
-/// What a job did, in mm and s.
+/// Results of a job, in mm and s.
 ///
-/// Peaks are means over windows of some segments, less what the rounding to steps may have added. Where blocks are long
-/// the window is a single segment.
+/// Peaks are averages over windows of several segments, reduced by what rounding to steps may have added. In long
+/// blocks the window is a single segment.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Measured {
     /// Length of the path.
     pub distance: f64,
-    /// Length of its rapids.
+    /// Length of the rapids in the path.
     pub rapid_distance: f64,
-    /// Greatest path speed.
+    /// Maximum path speed.
     pub speed: f64,
-    /// Greatest change of path speed per time: that of ramps. What curves and corners take across the path is no part of
-    /// it.
+    /// Maximum change of path speed per time, as on ramps. Excludes the acceleration across the path in curves and
+    /// corners.
     pub acceleration: f64,
-    /// Greatest speed of each axis.
+    /// Maximum speed of each axis.
     pub axis_speed: [f64; AXES],
-    /// The greatest part that each axis had in a ramp: the change of path speed per time, by the direction of the path.
+    /// Maximum component of each axis of the acceleration on ramps: the change of path speed per time, times the
+    /// direction of the path.
     pub axis_acceleration: [f64; AXES],
 }
 
-/// A block on its way to the step task.
+/// A block that was loaded into the step task but has not started.
 #[derive(Clone, Copy, Debug)]
 struct Coming {
     steps_by_axis: [AxisSteps; AXES],
-    /// Axes that go to negative.
+    /// Bit mask of the axes that move in the negative direction.
     directions: u8,
-    /// Units of it that had been done before it was left for a detour.
+    /// Number of its units that were executed before a detour interrupted the block.
     entered: u32,
-    /// What it belongs to, if moves are marked.
+    /// The line and tool of the block, if moves are marked.
     mark: Mark,
 }
 
@@ -83,25 +85,26 @@ struct Block {
     delta: [f64; AXES],
     units: f64,
     length: f64,
-    /// What rounding adds to the length on average: it moves the ends across the path, too. And how wrong that may be.
+    /// Average length that rounding adds, as it also moves the ends across the path.
     excess: f64,
+    /// Uncertainty of the length without `excess`, across the path.
     doubt: f64,
-    /// How far the ends may be from where they are told to be, along the path.
+    /// Maximum distance of the ends from their nominal positions, along the path.
     error: f64,
-    /// Below [`SHORT`].
+    /// Whether the block is shorter than [`SHORT`].
     short: bool,
     number: u64,
     mark: Mark,
 }
 
 impl Block {
-    /// The place when so much of it is done.
+    /// Returns the position when the fraction `part` of the block is done.
     fn place(&self, part: f64) -> [f64; AXES] {
         std::array::from_fn(|axis| self.start[axis] + self.delta[axis] * part)
     }
 }
 
-/// Short blocks that are measured together.
+/// Consecutive short blocks that are measured together.
 #[derive(Clone, Copy, Debug, Default)]
 struct Pending {
     from: [f64; AXES],
@@ -114,23 +117,24 @@ struct Pending {
 #[derive(Clone, Copy, Debug)]
 struct Node {
     time: f64,
-    /// Way to here along the path, without the excess.
+    /// Distance along the path up to here, without the excess.
     way: f64,
-    /// Sum of the doubt.
+    /// Sum of the `doubt` of the blocks up to here.
     doubt: f64,
     place: [f64; AXES],
     error: f64,
-    /// Number of its block, and how wrong the block's length may be, as a part of it.
+    /// Number of the block.
     block: u64,
+    /// Relative uncertainty of the block's length.
     wrong: f64,
 }
 
-/// What is known of the way between two nodes.
+/// Distance and time between two nodes.
 #[derive(Clone, Copy, Debug)]
 struct Way {
     time: f64,
     length: f64,
-    /// How wrong the length may be, in mm.
+    /// Uncertainty of the length, in mm.
     error: f64,
 }
 
@@ -139,14 +143,14 @@ impl Way {
         self.length / self.time
     }
 
-    /// How wrong the length may be, as a part of it.
+    /// Returns the relative uncertainty of the length.
     fn wrong(self) -> f64 {
         if self.length > 0.0 { self.error / self.length } else { f64::INFINITY }
     }
 }
 
 impl Node {
-    /// Along the path.
+    /// Returns the way to another node along the path.
     fn along(&self, to: &Node) -> Way {
         let (time, length) = (to.time - self.time, to.way - self.way);
         let error =
@@ -154,7 +158,7 @@ impl Node {
         Way { time, length, error }
     }
 
-    /// In a straight line: the shortest that the way can have been.
+    /// Returns the way to another node in a straight line: a lower bound of the length.
     fn straight(&self, to: &Node) -> Way {
         Way { time: to.time - self.time, length: distance(&self.place, &to.place), error: self.error + to.error }
     }
@@ -164,7 +168,7 @@ fn distance(a: &[f64; AXES], b: &[f64; AXES]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (b - a) * (b - a)).sum::<f64>().sqrt()
 }
 
-/// A measured value without what may be error, if that is more than a tolerated part of it.
+/// Returns a measured value reduced by the part of its error that exceeds the fraction `tolerance` of it.
 fn certain(value: f64, error: f64, tolerance: f64) -> f64 {
     (value - (error - value * tolerance).max(0.0)).max(0.0)
 }
@@ -177,20 +181,21 @@ pub struct Meter {
     hz: f64,
     steps_per_mm: [f64; AXES],
     arrangement: Arrangement,
-    /// What has been told of A, B and C in the block that follows.
+    /// Steps of A, B and C of the block that follows.
     rest: Option<[AxisSteps; 3]>,
     next_block: Option<Coming>,
     upcoming: VecDeque<(Segment, Option<Coming>)>,
     block: Block,
     units_done: f64,
     waited: f64,
-    /// Ends of the last segments since rest.
+    /// Ends of the last segments since the machine was at rest.
     nodes: VecDeque<Node>,
-    /// Segments since power-up, and those since the last change between rapids and feeds.
+    /// Number of segments since power-up.
     segments: usize,
+    /// Number of segments since the last change between rapids and feeds.
     alike: usize,
     rapid: bool,
-    /// Short blocks whose length is not yet counted.
+    /// Short blocks whose length has not been counted yet.
     pending: Pending,
     measured: Measured,
     times: Times,
@@ -222,18 +227,18 @@ impl Meter {
         }
     }
 
-    /// What a step is worth from the next block on.
+    /// Sets the resolution and kinematics from the next block on.
     pub fn set_resolution(&mut self, steps_per_mm: [f64; AXES], arrangement: Arrangement) {
         self.steps_per_mm = steps_per_mm;
         self.arrangement = arrangement;
     }
 
-    /// The place of the tool in mm when the motors stand at these steps.
+    /// Returns the tool position in mm for motor positions in steps.
     pub fn millimetres(&self, steps: [i32; AXES]) -> [f64; AXES] {
         self.place_of(steps.map(f64::from))
     }
 
-    /// Steps of the motors at a place of the carriages in mm, to the nearest.
+    /// Returns the motor positions for a position of the carriages in mm, rounded to steps.
     pub fn steps_of(&self, places: [f64; AXES]) -> [i32; AXES] {
         let mut motors = places;
         if self.arrangement == Arrangement::CoreXy {
@@ -243,7 +248,7 @@ impl Meter {
         std::array::from_fn(|motor| (motors[motor] * self.steps_per_mm[motor]).round() as i32)
     }
 
-    /// So many steps in mm: 0 with a resolution of 0, which locks motion, as in the controller's reports.
+    /// Converts steps to mm. Returns 0 for a resolution of 0 (which locks motion), as in the controller's reports.
     fn way(&self, axis: usize, steps: f64) -> f64 {
         let per_mm = self.steps_per_mm[axis];
         if per_mm > 0.0 { steps / per_mm } else { 0.0 }
@@ -258,7 +263,7 @@ impl Meter {
         places
     }
 
-    /// The place in mm of carriages as [`crate::machine::Machine::extents`] counts them.
+    /// Converts carriage positions as counted by [`crate::machine::Machine::extents`] to mm.
     pub fn carriages_mm(&self, counts: [i32; AXES]) -> [f64; AXES] {
         let mut places: [f64; AXES] = std::array::from_fn(|axis| self.way(axis, f64::from(counts[axis])));
         if self.arrangement == Arrangement::CoreXy {
@@ -268,22 +273,22 @@ impl Meter {
         places
     }
 
-    /// Also collects what a drawing needs.
+    /// Also collects samples for a drawing from here on.
     pub fn draw(&mut self, drawing: Drawing) {
         self.drawing = Some(drawing);
     }
 
-    /// What has been collected for a drawing.
+    /// The drawing collected so far.
     pub fn drawing(&self) -> Option<&Drawing> {
         self.drawing.as_ref()
     }
 
-    /// The collected drawing.
+    /// Removes and returns the collected drawing.
     pub fn take_drawing(&mut self) -> Option<Drawing> {
         self.drawing.take()
     }
 
-    /// What was measured since power-up or the last [`Meter::restart`].
+    /// Results since power-up or the last [`Meter::restart`].
     pub fn measured(&self) -> Measured {
         self.measured
     }
@@ -293,7 +298,7 @@ impl Meter {
         &self.times
     }
 
-    /// The same, to have waits added.
+    /// The same times, for adding waits.
     pub fn times_mut(&mut self) -> &mut Times {
         &mut self.times
     }
@@ -304,7 +309,7 @@ impl Meter {
         self.times = Times::default();
     }
 
-    /// A message was loaded into the step task. `mark` is what its move belongs to, if moves are marked.
+    /// Handles a message loaded into the step task. `mark` is the line and tool of its move, if moves are marked.
     pub fn loaded(&mut self, message: &ToStep, mark: Mark) {
         match message {
             ToStep::BlockRest { steps_by_axis } => self.rest = Some(*steps_by_axis),
@@ -329,14 +334,14 @@ impl Meter {
         }
     }
 
-    /// The step task stopped and forgot what it had.
+    /// The step task has stopped and cleared its queue.
     pub fn stopped(&mut self, seconds: f64) {
         self.upcoming.clear();
         self.next_block = None;
         self.at_rest(seconds);
     }
 
-    /// The step task came to rest.
+    /// The step task has come to rest.
     pub fn at_rest(&mut self, seconds: f64) {
         self.nodes.clear();
         self.count_pending();
@@ -346,12 +351,12 @@ impl Meter {
         }
     }
 
-    /// The step task began the next segment at `seconds`; `position` is where the machine is.
+    /// The step task has started the next segment at `seconds`, at the machine position `position`.
     pub fn begin(&mut self, seconds: f64, position: [i32; AXES]) {
         let Some((segment, block)) = self.upcoming.pop_front() else { return };
         if let Some(block) = block {
             self.new_block(block, position);
-            // Held until something of the block is drawn: its first segment may be a wait.
+            // Keep the flag until a segment of the block is drawn: the first segment may be a wait.
             self.fresh = true;
         }
         let ticks = f64::from(segment.ticks);
@@ -367,7 +372,7 @@ impl Meter {
         let units = ticks * f64::from(UNITS_PER_STEP >> segment.level);
         let part = units / self.block.units;
         let length = part * (self.block.length - self.block.excess);
-        // Waits belong to the step that they put off.
+        // A wait belongs to the step that it delays.
         let waited = std::mem::take(&mut self.waited);
         let time = time + waited;
         let rapid = segment.flags & Segment::FLAG_RAPID != 0;
@@ -398,8 +403,8 @@ impl Meter {
         }
     }
 
-    /// Counts a piece of the block. A path in pieces of a step or two is a staircase, longer than the path that it
-    /// follows, so some of them are counted together, as a straight line.
+    /// Counts a piece of the block. A path of pieces of a step or two is a staircase, longer than the path that it
+    /// follows. Several of these pieces are therefore counted together, as a straight line.
     fn add_distance(&mut self, length: f64, parts: [f64; 2], rapid: bool) {
         if !self.block.short || rapid != self.pending.rapid {
             self.count_pending();
@@ -423,7 +428,7 @@ impl Meter {
     fn count_pending(&mut self) {
         let Pending { from, to, length, rapid } = std::mem::take(&mut self.pending);
         let straight = distance(&from, &to);
-        // Much shorter: the path turns there.
+        // If much shorter, the path turns within the pieces.
         let length = if straight >= length * 0.7 { straight } else { length };
         self.measured.distance += length;
         self.measured.rapid_distance += if rapid { length } else { 0.0 };
@@ -442,14 +447,14 @@ impl Meter {
         }
     }
 
-    /// The last node, and the one before it by so many segments.
+    /// Returns the node `segments` before the last, and the last node.
     fn window(&self, segments: usize) -> Option<(&Node, &Node)> {
         let last = self.nodes.len().checked_sub(1)?;
         Some((self.nodes.get(last.checked_sub(segments)?)?, self.nodes.get(last)?))
     }
 
     fn draw_segment(&mut self, seconds: f64, time: f64, rapid: bool, done: f64) {
-        // The shortest window that is good enough for the eye, or else the longest.
+        // Use the shortest window that is accurate enough for the eye, or else the longest.
         let mut known = None;
         for segments in scales().take_while(|segments| *segments <= self.alike) {
             let Some((from, to)) = self.window(segments) else { break };
@@ -503,7 +508,7 @@ impl Meter {
                 let speed = certain(length, error, SPEED_TOLERANCE) / along.time;
                 measured.axis_speed[axis] = measured.axis_speed[axis].max(speed);
             }
-            // A longer window has no greater mean.
+            // A longer window cannot have a greater mean.
             if along.wrong() <= SPEED_TOLERANCE {
                 break;
             }
@@ -528,7 +533,7 @@ impl Meter {
             let parts: [f64; AXES] = std::array::from_fn(part);
             let mut peaks = parts.iter().zip(measured.axis_acceleration);
             if acceleration <= measured.acceleration && peaks.all(|(part, peak)| acceleration * part <= peak) {
-                // A longer window has no greater mean; but short blocks may hide it.
+                // A longer window cannot have a greater mean, but short blocks in this window may hide it.
                 if error <= acceleration * ACCELERATION_TOLERANCE {
                     break;
                 }
@@ -537,7 +542,7 @@ impl Meter {
             if from.block == to.block {
                 error = acceleration * to.wrong;
             } else {
-                // On a line the places tell the length better than a sum of short blocks.
+                // On a straight line the positions give a more accurate length than the sum of short blocks.
                 let (one, two, all) = (from.straight(middle), middle.straight(to), from.straight(to));
                 let sum = one.length + two.length;
                 if sum - all.length <= sum * STRAIGHT && sum >= (first.length + second.length) * 0.9 {
@@ -559,7 +564,7 @@ impl Meter {
         self.measured = measured;
     }
 
-    /// How far a step of each motor moves an axis together, in mm.
+    /// Returns how far one step of every motor together moves an axis, in mm.
     fn coarseness(&self, axis: usize) -> f64 {
         let other = 1 - axis.min(1);
         match self.arrangement {
@@ -571,7 +576,7 @@ impl Meter {
     fn new_block(&mut self, block: Coming, position: [i32; AXES]) {
         let Coming { steps_by_axis, directions, entered, mark } = block;
         let sign = |motor: usize| if directions & (1 << motor) != 0 { -1.0 } else { 1.0 };
-        // The ends are told in the direction of motion, and to positive where there is no motion.
+        // The fractions at the ends are relative to the direction of motion; positive if the motor does not move.
         let way = |motor: usize| if steps_by_axis[motor].steps() == 0 { 1.0 } else { sign(motor) };
         let told = |parts: i32| f64::from(parts) / f64::from(AxisSteps::PARTS);
         let delta = self.place_of(std::array::from_fn(|motor| {
@@ -580,7 +585,7 @@ impl Meter {
         }));
         let length = delta.iter().map(|d| d * d).sum::<f64>().sqrt();
         let unit = delta.map(|d| if length > 0.0 { d / length } else { 0.0 });
-        // How much a step of each motor moves the tool along the path.
+        // How far a step of each motor moves the tool along the path.
         let steps: [f64; AXES] = std::array::from_fn(|motor| {
             let moved = self.place_of(std::array::from_fn(|other| if other == motor { 1.0 } else { 0.0 }));
             (0..AXES).map(|axis| moved[axis] * unit[axis]).sum::<f64>().abs()
@@ -588,7 +593,8 @@ impl Meter {
         let error = ROUNDING * steps.iter().sum::<f64>();
         let step = steps.iter().copied().fold(0.0, f64::max);
         let short = length < SHORT * step;
-        // Two ends, each even over a range of 2 r across the path, are apart by r² 2/3 in the mean square.
+        // Each end is evenly distributed over a range of 2 r across the path: the mean square of their distance is r²
+        // 2/3.
         let across =
             step * if steps_by_axis.iter().all(|axis_steps| axis_steps.is_on_steps()) { ROUNDING } else { TOLD };
         let excess = if length < LONG * step { (across * across / (3.0 * length)).min(length * 0.1) } else { 0.0 };
@@ -610,17 +616,18 @@ impl Meter {
     }
 }
 
-/// Lengths of windows, in segments.
+/// Returns the window lengths, in segments.
 fn scales() -> impl Iterator<Item = usize> {
     std::iter::successors(Some(1), |segments| Some(segments * 2)).take_while(|segments| *segments <= LONGEST_WINDOW)
 }
 
-/// Lengths of the windows to look at after so many segments: a long one four times in its length.
+/// Returns the window lengths to evaluate after the segment number `segments`. A long window is evaluated four times
+/// within its length.
 fn due_scales(segments: usize) -> impl Iterator<Item = usize> {
     scales().filter(move |scale| segments.is_multiple_of((scale / 4).max(1)))
 }
 
-/// Change of speed per time between two neighbouring ways, and how wrong it may be.
+/// Returns the change of speed per time between two neighbouring ways, and its uncertainty.
 fn change(first: Way, second: Way) -> (f64, f64) {
     let per = 2.0 / (first.time + second.time);
     ((second.speed() - first.speed()).abs() * per, (first.error / first.time + second.error / second.time) * per)

@@ -1,35 +1,36 @@
 //! Keeps browsers away from ports that take lines. Any web page can make a browser send a request to a port of this
-//! computer, and the request could hold G-code. The first line of a connection shows whether it is HTTP or TLS; if so,
-//! nothing of it is passed on except realtime commands in front of it.
+//! computer, and the request could contain G-code. The first line of a connection shows whether it is HTTP or TLS; if
+//! so, nothing of it is passed on except realtime commands before it.
 
 use std::io::{self, ErrorKind, Read};
 
-/// How an encrypted connection begins (RFC 8446, 5.1): its bytes may be realtime commands.
+/// Beginning of an encrypted connection (RFC 8446, 5.1). Its further bytes could be realtime commands.
 const TLS: &[u8] = b"\x16\x03";
-/// Longer than any line that the firmware takes; the addresses of requests may be longer, and then it is one.
+/// Longer than any line that the firmware accepts. A longer first line is taken for a request, as addresses may be
+/// long.
 const LONGEST_LINE: usize = 1024;
 
-/// No method that a page may use without asking first (by OPTIONS) is longer.
+/// Maximum length of an HTTP method: a page may not use a longer one without a preflight (OPTIONS).
 const LONGEST_METHOD: usize = 64;
 
 /// A reader that fails if a browser writes to it.
 pub struct NoBrowser<R> {
     reader: R,
-    /// The first line, as long as a request may begin with it.
+    /// The first line, while it may still be the beginning of a request.
     first: Option<Vec<u8>>,
-    /// What has been read and is not held back.
+    /// Bytes that were read and may be passed on.
     passed: Vec<u8>,
 }
 
 impl<R: Read> NoBrowser<R> {
-    /// Nothing has been read.
+    /// Wraps a reader from which nothing has been read.
     pub fn new(reader: R) -> Self {
         Self { reader, first: Some(Vec::new()), passed: Vec::new() }
     }
 }
 
-/// Whether a first line is that of a request, as soon as it tells: `METHOD TARGET HTTP/1.1` (RFC 9112, 3), where a page may name any
-/// method.
+/// Returns whether a first line is an HTTP request, `METHOD TARGET HTTP/1.1` (RFC 9112, 3); `None` while that is
+/// undecided. A page may use any method name.
 fn is_request(first: &[u8]) -> Option<bool> {
     if first.starts_with(TLS) {
         return Some(true);
@@ -43,8 +44,8 @@ fn is_request(first: &[u8]) -> Option<bool> {
     if !is_text || method.len() > LONGEST_METHOD || method.iter().any(|byte| b"\"(),/:;<=>?@[\\]{}".contains(byte)) {
         return Some(false);
     }
-    // `G1 X5`: a browser's target begins with a slash, whatever method a page names; those without one (`*`, a proxy's) have
-    // methods of letters.
+    // `G1 X5` is no request: a browser's target begins with a slash, whatever method a page names. Targets without a
+    // slash (`*`, a proxy's) occur only with methods made of letters.
     let target = line.get(method.len() + 1);
     if method.iter().any(u8::is_ascii_digit) && target.is_some_and(|begin| *begin != b'/') {
         return Some(false);
@@ -56,7 +57,7 @@ fn is_request(first: &[u8]) -> Option<bool> {
     (line.len() > LONGEST_LINE).then_some(true)
 }
 
-/// Realtime commands of Grbl, which are carried out without a line.
+/// Returns whether a byte is a Grbl realtime command, which is executed without a line.
 pub fn is_realtime(byte: u8) -> bool {
     b"!?~\x18".contains(&byte) || byte >= 0x80
 }
@@ -92,7 +93,7 @@ impl<R: Read> Read for NoBrowser<R> {
 mod tests {
     use super::*;
 
-    /// Gives its pieces one by one.
+    /// A reader that returns its pieces one by one.
     struct Pieces(Vec<&'static [u8]>);
 
     impl Read for Pieces {
@@ -166,7 +167,7 @@ mod tests {
         let mut buffer = [0; 8];
         assert_eq!(reader.read(&mut buffer).unwrap(), 1);
         assert_eq!(reader.read(&mut buffer).unwrap(), 2);
-        // Nor for the end of one that has begun.
+        // Nor do realtime commands wait for the end of a line that has started.
         let mut reader = NoBrowser::new(Pieces(vec![b"G1 ", b"X", b"!", b"~"]));
         for read in [b"G1 X" as &[u8], b"!", b"~"] {
             let length = reader.read(&mut buffer).unwrap();

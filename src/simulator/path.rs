@@ -1,74 +1,74 @@
-//! The data of a drawing: points of the tool path, and speeds over time. Both are bounded however long the job is:
-//! points are thinned within a tolerance (Douglas and Peucker), and neighbouring columns of time are merged.
+//! The data of a drawing: points of the tool path, and speed over time. Both have a maximum size, however long the job:
+//! points are thinned within a tolerance (Douglas-Peucker), and neighbouring time columns are merged.
 
 use crate::marks::Mark;
 use oxmill_controller::axes::LINEAR;
 
-/// Points of the path, at most.
+/// Maximum number of points of the path.
 const POINTS: usize = 300_000;
-/// Columns of the speed curve that are kept. When a job outgrows them, neighbours are merged.
+/// Maximum number of columns of the speed curve. When a job exceeds it, neighbouring columns are merged.
 const COLUMNS: usize = 8_192;
-/// Width of a column at first, in seconds: below a segment's.
+/// Initial width of a column, in seconds: shorter than a segment.
 const FIRST_WIDTH: f64 = 0.000_25;
-/// Two speeds that differ by less than this part of the greatest one look the same.
+/// Speeds that differ by less than this fraction of the maximum speed look the same.
 const SAME_SPEED: f32 = 0.02;
 
-/// How far the first thinning may move the path, in mm.
+/// Tolerance of the first thinning, in mm.
 const FIRST_TOLERANCE: f32 = 0.000_5;
-/// Points that are thinned out together.
+/// Maximum number of points that are thinned together.
 const AT_A_TIME: usize = 512;
 
-/// A piece of evenly accelerated motion along a straight move.
+/// A piece of uniformly accelerated motion within a straight move.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample {
-    /// When it began.
+    /// Start time.
     pub seconds: f64,
-    /// How long it took.
+    /// Duration in seconds.
     pub time: f64,
     /// Mean path speed in mm/s.
     pub speed: f64,
-    /// The time at which the speed was this: the middle of what it is a mean over.
+    /// The time to which `speed` belongs: the middle of the window that it was averaged over.
     pub known_at: f64,
-    /// Whether its move is a rapid.
+    /// Whether the move is a rapid.
     pub rapid: bool,
-    /// Where the straight move began, in mm.
+    /// Where the straight move started, in mm.
     pub from: [f64; LINEAR],
     /// Where the piece ended, in mm.
     pub to: [f64; LINEAR],
     /// Whether it is the first piece of its move.
     pub new_block: bool,
-    /// What its move belongs to, if moves are marked.
+    /// The line and tool of the move, if moves are marked.
     pub mark: Mark,
 }
 
-/// A point of the path and how the tool came to it.
+/// A point of the path, with the motion that led to it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
-    /// Place in mm.
+    /// Position in mm.
     pub at: [f32; LINEAR],
-    /// Mean path speed on the way here, mm/s.
+    /// Mean path speed of the motion to this point, mm/s.
     pub speed: f32,
-    /// Whether the way here is a rapid.
+    /// Whether the motion to this point is a rapid.
     pub rapid: bool,
-    /// When the way here began and ended, in seconds from the start of the drawing.
+    /// Start and end time of the motion to this point, in seconds from the start of the drawing.
     pub seconds: [f64; 2],
-    /// What the way here belongs to, or its end; if moves are marked.
+    /// The line and tool of the motion to this point, or of its last part; if moves are marked.
     pub mark: Mark,
 }
 
 impl Point {
-    /// What may not be mixed when points are left out.
+    /// Properties that must be equal for points to be merged.
     fn kind(&self) -> (bool, bool, u32, u32) {
         (self.rapid, self.mark.arc, self.mark.tool, self.mark.speed)
     }
 }
 
-/// Speeds in a span of time.
+/// Speeds within a span of time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Column {
-    /// Least and greatest speed of feeds in mm/s, 0 at rest; if anything but rapids is known of the span.
+    /// Minimum and maximum speed of feeds in mm/s (0 at rest); `None` if only rapids are known in the span.
     pub feed: Option<(f32, f32)>,
-    /// Greatest speed of rapids, mm/s; if there was one.
+    /// Maximum speed of rapids, mm/s; `None` if there was no rapid.
     pub rapid: Option<f32>,
 }
 
@@ -82,7 +82,7 @@ impl Column {
         Column { feed, rapid: self.rapid.into_iter().chain(other.rapid).reduce(f32::max) }
     }
 
-    /// Whether the speed curve of the drawing has a value in this column; if not, no speed changed in its time span.
+    /// Returns whether the column has a speed. If not, no speed changed in its time span.
     fn is_known(&self) -> bool {
         self.feed.is_some() || self.rapid.is_some()
     }
@@ -99,14 +99,15 @@ pub struct Drawing {
     width: f64,
     columns: Vec<Column>,
     top_speed: f32,
-    /// The last point may still be moved on along its straight move.
+    /// Whether the last point may still be moved further along its straight move.
     extend: bool,
-    /// Speed of the first piece of the way to the last point, mm/s: later ones may differ from it little.
+    /// Speed of the first piece that led to the last point, mm/s. Later pieces are merged with it if their speeds
+    /// differ little.
     first_speed: f32,
 }
 
 impl Drawing {
-    /// A drawing that begins at a place (mm) and a virtual time (s).
+    /// Starts a drawing at a position (mm) and a virtual time (s).
     pub fn new(start: [f64; LINEAR], seconds: f64) -> Self {
         Self::with_limit(start, seconds, POINTS)
     }
@@ -180,12 +181,12 @@ impl Drawing {
         self.extend = false;
     }
 
-    /// The path, its start included.
+    /// The points of the path, including its start.
     pub fn points(&self) -> &[Point] {
         &self.points
     }
 
-    /// The speed curve as (seconds from the start, column), in order of time, known columns only.
+    /// The known columns of the speed curve as (seconds from the start, column), in order of time.
     pub fn columns(&self) -> impl Iterator<Item = (f64, Column)> + '_ {
         let middle = |index: usize| (index as f64 + 0.5) * self.width;
         self.columns
@@ -195,7 +196,7 @@ impl Drawing {
             .map(move |(i, column)| (middle(i), *column))
     }
 
-    /// How long the drawing is, in seconds.
+    /// Duration of the drawing, in seconds.
     pub fn seconds(&self) -> f64 {
         self.end - self.origin
     }
@@ -217,8 +218,9 @@ impl Drawing {
         self.columns[index] = self.columns[index].merge(column);
     }
 
-    /// Leaves out what the eye would miss first, until a quarter of the room is free again. The tolerance grows only when
-    /// the one before no longer does it, so that it follows what the whole path needs and not how often it was thinned.
+    /// Thins the path out, the least visible points first, until a quarter of the space is free again. The tolerance
+    /// grows only when the present one no longer suffices, so it depends on the whole path and not on how often the
+    /// path was thinned.
     fn thin_out(&mut self) {
         loop {
             let speed = self.top_speed * SAME_SPEED * 2.0 * (self.tolerance / FIRST_TOLERANCE);
@@ -232,10 +234,11 @@ impl Drawing {
     }
 }
 
-/// The path without the points whose absence moves it by less than a tolerance in mm, or changes a speed by less than
-/// one in mm/s: Douglas and Peucker's method, on a bounded number of points at a time.
+/// Returns the path without the points whose removal moves the path by less than `tolerance` (mm) or changes a speed by
+/// less than `speed` (mm/s). Douglas-Peucker, on a limited number of points at a time.
 fn simplified(points: &[Point], tolerance: f32, speed: f32) -> Vec<Point> {
-    // Coarser than any machine: then rapids, feeds and arcs may become one, or a job of nothing but them would never shrink.
+    // With a tolerance beyond the size of any machine, rapids, feeds and arcs may be merged, too: otherwise a job whose
+    // points all differ in kind would never shrink.
     let mixed = tolerance > 1e4;
     let mut kept = vec![false; points.len()];
     let mut start = 0;
@@ -285,7 +288,7 @@ fn simplified(points: &[Point], tolerance: f32, speed: f32) -> Vec<Point> {
     simple
 }
 
-/// Mean speed of two ways, one behind the other, in mm/s.
+/// Returns the mean speed of two consecutive motions, in mm/s.
 fn mean_speed(one: &Point, other: &Point) -> f32 {
     let [first, second] = [one, other].map(|point| (point.seconds[1] - point.seconds[0]).max(0.0));
     let whole = first + second;
@@ -295,7 +298,7 @@ fn mean_speed(one: &Point, other: &Point) -> f32 {
     ((f64::from(one.speed) * first + f64::from(other.speed) * second) / whole) as f32
 }
 
-/// Distance of a point from the line between two others.
+/// Distance of a point from the line segment between two others.
 fn off_line(a: [f32; LINEAR], point: [f32; LINEAR], b: [f32; LINEAR]) -> f32 {
     let line: [f32; LINEAR] = std::array::from_fn(|i| b[i] - a[i]);
     let to: [f32; LINEAR] = std::array::from_fn(|i| point[i] - a[i]);
@@ -347,7 +350,7 @@ mod tests {
         }
         assert_eq!(drawing.points().len(), 2);
         assert!((drawing.points()[1].speed - 98.9375).abs() < 1e-3, "{:?}", drawing.points()[1]);
-        // And if points are left out later.
+        // Likewise if points are removed later.
         let points: Vec<Point> = std::iter::once(drawing.points()[0])
             .chain(speeds.iter().enumerate().map(|(i, speed)| {
                 let seconds = [i as f64, i as f64 + 1.0];
@@ -363,7 +366,7 @@ mod tests {
     fn the_number_of_points_is_bounded_and_the_shape_stays() {
         let mut drawing = Drawing::with_limit([50.0, 0.0, 0.0], 0.0, 8000);
         for i in 1..100_000 {
-            // 159 turns, in which the eye needs some dozen points each.
+            // 159 turns; each needs about a dozen points to look round.
             let angle = i as f64 * 0.01;
             let to = [50.0 * angle.cos(), 50.0 * angle.sin(), 0.0];
             drawing.add(sample(i, to, 10.0, true));

@@ -1,12 +1,13 @@
-//! The line protocol that moves input pins by hand: `limit x 1`, `probe 1`, `door 1`, `estop 1`, `input 0 1` and so on;
-//! `noise limit x` disturbs a pin for less than the filter needs, and `steps` asks what the step outputs have done.
+//! The line protocol that moves input pins by hand: `limit x 1`, `probe 1`, `door 1`, `estop 1`, `input 0 1` and so on.
+//! `noise limit x` puts a glitch on a pin that is shorter than the filter needs; `steps` queries the state of the step
+//! outputs.
 //!
-//! A level stays until it is changed; 1 is a closed contact (a low pin): active, unless a setting inverts the input.
+//! A level stays until it is changed. 1 is a closed contact (a low pin): active, unless a setting inverts the input.
 
 use oxmill_controller::axes::Axis;
 use oxmill_controller::messages::{SECOND_SWITCH, Signals, input};
 
-/// The levels after a line of the protocol, or a sentence about what is wrong with it.
+/// Returns the levels after a line of the protocol, or a sentence that says what is wrong with the line.
 pub fn apply(signals: Signals, axes: usize, line: &str) -> Result<Signals, String> {
     let words: Vec<String> = line.split_whitespace().map(str::to_ascii_lowercase).collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
@@ -46,7 +47,7 @@ pub fn apply(signals: Signals, axes: usize, line: &str) -> Result<Signals, Strin
     Ok(after)
 }
 
-/// The bit of the input that a line disturbs, if it is one that does.
+/// Returns the bit of the input on which a `noise` line puts a glitch; `None` for other lines.
 pub fn disturbed(axes: usize, line: &str) -> Option<Result<u32, String>> {
     let words: Vec<String> = line.split_whitespace().map(str::to_ascii_lowercase).collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();

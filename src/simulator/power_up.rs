@@ -1,5 +1,5 @@
 //! Powers up a simulator: finds the board by its name, selects the dialect, and applies settings as if a host had sent
-//! them. A setting that is refused is reported with the reason.
+//! them. Reports the reason if a setting is rejected.
 
 use crate::boards::{self, Board};
 use crate::simulator::Simulator;
@@ -20,12 +20,12 @@ pub enum Dialect {
 }
 
 impl Dialect {
-    /// Its value as a `$` setting.
+    /// The value of the setting that selects the dialect.
     pub fn setting(self) -> u8 {
         self as u8
     }
 
-    /// Its name on the command line.
+    /// The name of the dialect on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Dialect::Grbl => "grbl",
@@ -34,30 +34,30 @@ impl Dialect {
         }
     }
 
-    /// All of them.
+    /// All dialects.
     pub const ALL: [Dialect; 3] = [Dialect::Grbl, Dialect::Oxmill, Dialect::Seed];
 
-    /// The one of this name.
+    /// Returns the dialect with this name.
     pub fn by_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|dialect| dialect.name() == name)
     }
 
-    /// The one that a simulator has.
+    /// Returns the dialect that a simulator uses.
     pub fn of(simulator: &Simulator) -> Option<Self> {
         let value = simulator.controller().settings().whole(Key::Dialect);
         Self::ALL.into_iter().find(|dialect| u32::from(dialect.setting()) == value)
     }
 
-    /// The setting that chooses it, as `$n=v`.
+    /// The setting that selects the dialect, as `$n=v`.
     pub fn assignment(self) -> String {
         format!("${}={}", Key::Dialect.number(), self.setting())
     }
 }
 
-/// The board of this name.
+/// Returns the board with this name.
 ///
 /// # Errors
-/// A text with the names that there are.
+/// A text that lists the existing names.
 pub fn board_named(name: &str) -> Result<Board, String> {
     boards::ALL.into_iter().find(|board| board.name == name).ok_or_else(|| {
         let names: Vec<&str> = boards::ALL.iter().map(|board| board.name).collect();
@@ -65,19 +65,19 @@ pub fn board_named(name: &str) -> Result<Board, String> {
     })
 }
 
-/// What an error means, for people.
+/// Returns the text for an error code.
 pub fn error_text(code: u8) -> &'static str {
     Error::ALL.iter().find(|error| error.code() == code).map_or("an error without a description", |error| error.text())
 }
 
-/// Why a setting was not taken.
+/// Why a setting was rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SettingRefused {
     /// The text is not of the form `n=v` or `$n=v`.
     NoAssignment,
     /// The controller answered `error:N`.
     Error(u8),
-    /// The power was cut, as ordered.
+    /// The ordered power cut has happened.
     PowerGone,
 }
 
@@ -91,14 +91,14 @@ impl fmt::Display for SettingRefused {
     }
 }
 
-/// Applies `n=v` or `$n=v`. What the controller says besides is thrown away.
+/// Applies `n=v` or `$n=v`. Discards the controller's other output.
 ///
 /// # Errors
-/// Why it was not taken; the setting is as before then.
+/// Why the setting was rejected; it then keeps its value.
 pub fn apply_setting(simulator: &mut Simulator, setting: &str) -> Result<(), SettingRefused> {
     let assignment = setting.trim();
     let assignment = assignment.strip_prefix('$').unwrap_or(assignment);
-    // The wire has realtime commands, none of which a setting can need.
+    // The link would execute realtime commands; no setting needs their characters.
     let plain = assignment.bytes().all(|byte| byte.is_ascii_graphic() && !b"?!~".contains(&byte) || byte == b' ');
     if !plain || !assignment.contains('=') {
         return Err(SettingRefused::NoAssignment);

@@ -1,5 +1,5 @@
 //! Writes the lines that restore a machine's state before the rest of a job (`oxmill resume`): modal state, tool,
-//! offsets, the way to the position, spindle and coolant. Numbers are exact. If the rest begins within arcs or canned
+//! offsets, the moves to the position, spindle and coolant. Numbers are exact. If the rest begins within arcs or canned
 //! cycles, their words are added to its first line.
 
 use crate::boards::AXES;
@@ -11,39 +11,39 @@ use oxmill_controller::gcode::{
 use oxmill_controller::messages::SpindleDirection;
 use oxmill_controller::units::{Coordinate, DECIMAL_ONE, Decimal};
 
-/// How the tool goes to where the rest of a job begins.
+/// How the tool moves to where the rest of a job begins.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// The place, as the program has it.
+    /// The position in program coordinates.
     pub place: PerAxis<Coordinate, AXES>,
-    /// Axes that the job has moved; the others stay where they are.
+    /// Axes that the job has moved; the others keep their position.
     pub moved: PerAxis<bool, AXES>,
-    /// Z at which the tool travels; none for a job that has not moved Z.
+    /// Z at which the tool travels; `None` if the job has not moved Z.
     pub clearance: Option<Coordinate>,
-    /// The job has come to this Z by a rapid, and then to the place by rapids: nothing is there to be cut.
+    /// The job reached this Z by a rapid and then moved to `place` by rapids only: there is no material.
     pub is_clear: bool,
-    /// Feed downwards, mm/min.
+    /// Feed rate downwards, mm/min.
     pub plunge: Option<Decimal>,
-    /// Time for the spindle, seconds.
+    /// Spin-up time of the spindle, seconds.
     pub spin_up: u16,
-    /// The spindle is a laser ($32): it comes on last, and at once.
+    /// The spindle is a laser ($32): it is switched on last, without a delay.
     pub is_laser: bool,
-    /// A line of the rest continues in the motion mode.
+    /// Whether a line of the rest continues in the motion mode without its word.
     pub carries: bool,
-    /// Outputs of programs that are on, bit 0 for P0.
+    /// Program-controlled outputs that are on; bit 0 is P0.
     pub outputs: u8,
 }
 
-/// Whether the rest continues in a motion mode whose word cannot stand alone.
+/// Whether the rest continues in a motion mode whose word needs further words.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mode {
     /// Index in the rest of the first line that continues in the mode or selects another one.
     pub line: usize,
-    /// The words that it lacks, if it continues in the mode.
+    /// The words to add to that line, if it continues in the mode.
     pub words: Option<String>,
 }
 
-/// A number of 10⁻⁷ units, exact.
+/// Formats a number of 1e-7 units exactly.
 pub fn exact(number: i64) -> String {
     let (size, one) = (number.unsigned_abs(), DECIMAL_ONE.unsigned_abs());
     let sign = if number < 0 { "-" } else { "" };
@@ -51,10 +51,10 @@ pub fn exact(number: i64) -> String {
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
-/// The lines that restore a state, and bring the tool to the place.
+/// Returns the lines that restore a state and move the tool to the position.
 ///
 /// # Errors
-/// A text for people: there is something that they cannot restore, or a feed is not known.
+/// A text for users: the state has something that cannot be restored, or a feed rate is unknown.
 pub fn prologue(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String> {
     let modal = state.modal();
     if state.rotation().is_some() || state.scaling().is_some() {
@@ -70,13 +70,13 @@ pub fn prologue(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>,
     let is_fed = lines.iter().any(|line| line.contains('F'));
     lines.extend(modes(modal, is_fed));
     if entry.is_laser {
-        // A beam comes on last: with M3 and G1 in force it burns at rest.
+        // A laser is switched on last: with M3 and G1 in force it would burn at rest.
         lines.extend(accessories(modal, entry));
     }
     Ok(lines)
 }
 
-/// The tool in the spindle, by M6, and its offset.
+/// Returns the lines for the tool in the spindle (M6) and its offset.
 fn tool(state: &Interpreter<AXES>) -> Vec<String> {
     let (held, chosen) = (state.spindle_tool(), state.modal().tool);
     let mut lines = Vec::new();
@@ -90,7 +90,7 @@ fn tool(state: &Interpreter<AXES>) -> Vec<String> {
     if offset == PerAxis::all(Coordinate::ZERO) {
         return lines;
     }
-    // By its number, so that the machine takes its own table.
+    // By its number, so that the machine uses its own tool table.
     let by_number = held != 0 && state.tools().offset(held) == Some(offset);
     lines.push(if by_number { format!("G43 H{held}") } else { format!("G43.1{}", words(&offset)) });
     lines
@@ -99,17 +99,17 @@ fn tool(state: &Interpreter<AXES>) -> Vec<String> {
 fn offsets(state: &Interpreter<AXES>) -> Option<String> {
     let offset = state.offsets().g92;
     let words = words(&offset);
-    // One of 0 acts, too: #5210 tells it.
+    // An offset of 0 is in force, too, if set: #5210 reports it.
     state.offsets().g92_acts.then(|| format!("G52{}", if words.is_empty() { " X0" } else { &words }))
 }
 
-/// Words of the axes that are not 0.
+/// Returns the words of the axes that are not 0.
 fn words(place: &PerAxis<Coordinate, AXES>) -> String {
     let axes = Axis::of_machine::<AXES>().zip(place.iter()).filter(|(_, value)| **value != Coordinate::ZERO);
     axes.map(|(axis, value)| format!(" {}{}", char::from(axis.letter()), exact(value.0))).collect()
 }
 
-/// To the place; a cutter turns before it goes down.
+/// Returns the moves to the position; a cutter's spindle starts before the move down.
 fn way(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String> {
     let mut lines = Vec::new();
     if let Some(clearance) = entry.clearance {
@@ -129,7 +129,7 @@ fn way(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String> 
     Ok(lines)
 }
 
-/// From the clearance down to the place.
+/// Returns the move from the clearance down to the position.
 fn down(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String> {
     let Some(clearance) = entry.clearance else { return Ok(Vec::new()) };
     let cycle = matches!(state.modal().motion, MotionMode::Cycle(_)) && entry.carries;
@@ -138,7 +138,7 @@ fn down(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String>
         if words.plane != Plane::Xy {
             return Err("a canned cycle in another plane than G17 is in force there".into());
         }
-        // The series began at this level, which G98 goes back to.
+        // The series of cycles began at this level, to which G98 retracts.
         let mut place = *state.position();
         place.set(Axis::Z, state.cycle_level());
         let level = state.to_program(&place).get(Axis::Z).unwrap_or(clearance);
@@ -174,7 +174,7 @@ fn accessories(modal: &Modal, entry: &Entry) -> Vec<String> {
     lines
 }
 
-/// What stays in force and moves nothing, last what changes the meaning of lengths and feeds.
+/// Returns the modal words that move nothing; last those that change the meaning of lengths and feeds.
 fn modes(modal: &Modal, is_fed: bool) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     let mut add = |is_other: bool, word: &str| words.extend(is_other.then(|| word.to_owned()));
@@ -198,24 +198,25 @@ fn modes(modal: &Modal, is_fed: bool) -> Vec<String> {
     words
 }
 
-/// F, its meaning, the unit and G0 or G1. `is_fed`: a feed is in force already, which may have to go.
+/// Returns F with its mode, the unit, and G0 or G1. `is_fed`: a feed rate is already in force, and may have to be
+/// cleared.
 fn feed_and_motion(modal: &Modal, is_fed: bool) -> Vec<String> {
     let is_linear = modal.straight == MotionMode::Linear;
     let feed = (modal.feed_mode == FeedMode::PerMinute).then_some(modal.feed).filter(|feed| *feed > Decimal::ZERO);
-    // A G1 needs a feed.
+    // G1 needs a feed rate.
     let needed = feed.or(is_linear.then_some(Decimal::from_int(1)));
     let mut words = vec![modal.straight.word().to_owned()];
     if let (Some(feed), Some(word)) = (needed, words.first_mut()) {
         word.push_str(&format!(" F{}", exact(feed.0)));
     }
     if feed.is_none() && (is_fed || is_linear) {
-        // Another meaning takes it away.
+        // Changing the feed mode clears the feed rate.
         words.push("G93".into());
         words.push("G94".into());
     }
     let mut units = Units::Mm;
     if let Some(feed) = feed.filter(|_| modal.feed_in_inches) {
-        // To rotary axes it is another feed than its millimetres.
+        // For rotary axes, F in inches differs from the same F in millimetres.
         units = Units::Inch;
         words.push(format!("G20 F{}", exact(feed.0.saturating_mul(10) / 254)));
     }
@@ -224,10 +225,11 @@ fn feed_and_motion(modal: &Modal, is_fed: bool) -> Vec<String> {
     words
 }
 
-/// The line of the rest behind which the motion mode in force does not matter any more, and what it lacks.
+/// Finds the first line of the rest after which the present motion mode does not matter any more, and the words that it
+/// lacks.
 ///
 /// # Errors
-/// A text for people: there is no such line.
+/// A text for users: no line of the rest moves the machine.
 pub fn mode_of(state: &Interpreter<AXES>, rest: &[&[u8]], dialect: Dialect) -> Result<Mode, String> {
     let modal = state.modal();
     if matches!(modal.motion, MotionMode::Rapid | MotionMode::Linear | MotionMode::Cancelled) {
@@ -236,7 +238,7 @@ pub fn mode_of(state: &Interpreter<AXES>, rest: &[&[u8]], dialect: Dialect) -> R
     for (line, text) in rest.iter().enumerate() {
         let found = words_of(text);
         let groups = found.iter().filter_map(|(letter, number)| group_of(*letter, *number, dialect).ok());
-        // M2 and M30 select another; M0 does not.
+        // M2 and M30 select another mode; M0 does not.
         let mut selects = has_word(text, b'M', &[2, 30]);
         let mut takes_axes = false;
         for group in groups {
@@ -258,8 +260,9 @@ pub fn mode_of(state: &Interpreter<AXES>, rest: &[&[u8]], dialect: Dialect) -> R
     Err("no line moves the machine from there on".into())
 }
 
-/// The line of the rest with the first G5 without I and J, which continues the curve before, if none is in front of it there: by its
-/// words as far as their numbers are written out. `mode` is the one that is in force.
+/// Returns the index of the first line of the rest with a G5 without I and J, which continues the curve before it, if
+/// no other curve precedes it in the rest. Only words with literal numbers are recognized. `mode` is the motion mode in
+/// force.
 pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) -> Option<usize> {
     let mut is_curve = mode == MotionMode::Spline(SplineKind::Cubic);
     for (line, text) in rest.iter().enumerate() {
@@ -274,7 +277,7 @@ pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) ->
             if !has(b'I') {
                 return Some(line);
             }
-            // One that may be skipped is not sure to be in front.
+            // A curve in a line that may be skipped (`/`) does not count as preceding.
             if !text.trim_ascii_start().starts_with(b"/") {
                 return None;
             }
@@ -286,11 +289,11 @@ pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) ->
     None
 }
 
-/// The words of a canned cycle that a line does not have itself.
+/// Returns the words of a canned cycle that a line does not contain.
 fn cycle(kind: CycleKind, words: &CycleWords, units: Units, has: impl Fn(u8) -> bool) -> String {
     let length = |length: Coordinate| match units {
         Units::Mm => exact(length.0),
-        // Exact for six decimals of an inch, which is all that they were written with.
+        // Exact for the up to six decimals of an inch in which the lengths were written.
         Units::Inch => exact((length.0 * 10 + length.0.signum() * 127) / 254),
     };
     let depth = words.plane.axes().linear.letter();
@@ -307,7 +310,7 @@ fn cycle(kind: CycleKind, words: &CycleWords, units: Units, has: impl Fn(u8) -> 
     .collect()
 }
 
-/// The words of a line whose numbers are written out, without remarks.
+/// Returns the words of a line that have literal numbers, without comments.
 pub fn words_of(line: &[u8]) -> Vec<(u8, Decimal)> {
     let mut words = Vec::new();
     let mut bytes = line.iter().copied().filter(|byte| !matches!(byte, b' ' | b'\t')).peekable();
@@ -331,20 +334,20 @@ pub fn words_of(line: &[u8]) -> Vec<(u8, Decimal)> {
     words
 }
 
-/// Whether a line has one of some words whose numbers are whole.
+/// Returns whether a line has the word `letter` with one of the whole `numbers`.
 pub fn has_word(line: &[u8], letter: u8, numbers: &[i32]) -> bool {
     words_of(line)
         .iter()
         .any(|(other, number)| *other == letter && numbers.iter().any(|wanted| *number == Decimal::from_int(*wanted)))
 }
 
-/// Words at the begin of a line, behind what has to be there: a slash, an N word.
+/// Inserts words at the beginning of a line, after a slash and an N word, which must come first.
 pub fn put_in_front(line: &[u8], words: &str) -> Vec<u8> {
     let blank = |byte: &u8| matches!(byte, b' ' | b'\t');
     let skip = |at: usize, is: &dyn Fn(&u8) -> bool| at + line[at..].iter().take_while(|byte| is(byte)).count();
     let mut at = skip(0, &blank);
     if line.get(at) == Some(&b'/') {
-        // It may have a number.
+        // The slash may have a number.
         at = skip(at + 1, &|byte| byte.is_ascii_digit());
     }
     at = skip(at, &blank);

@@ -1,5 +1,5 @@
 //! `serve --pty`: a pseudo terminal that a sender opens like a serial port, by its name or a symbolic link. When the
-//! client closes it, what it has not read is thrown away. Several programs that have it open count as one client.
+//! client closes it, unread output is discarded. Several programs that have it open count as one client.
 
 use crate::clients::{Client, ENDLESS, Happened, Inbox, LOOK, PIECE, Writer, hung_up, writer};
 use anyhow::{Context, Result, bail};
@@ -17,22 +17,22 @@ use std::sync::mpsc::SyncSender;
 use std::thread;
 use std::time::Duration;
 
-/// How often a port that is not open is polled.
+/// How often a port without a client is polled.
 const CLOSED: Duration = Duration::from_millis(2);
 
-/// Makes a pseudo terminal, and a symbolic link to it, if one is named.
+/// Makes a pseudo terminal, and a symbolic link to it if `link` is given.
 pub(crate) fn open(link: Option<&Path>, sender: SyncSender<Happened>) -> Result<Port> {
     let ends = openpty(None, None).context("cannot make a pseudo terminal")?;
     let path = nix::unistd::ttyname(&ends.slave).context("the pseudo terminal has no name")?;
     let master = File::from(ends.master);
     make_raw(&master).context("cannot set up the pseudo terminal")?;
-    // A client that does not read must not hold the writer for ever.
+    // The write side must not block forever if a client does not read.
     fcntl(&master, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).context("cannot set up the pseudo terminal")?;
-    // Once the other end is closed, the first client to open it can be noticed.
+    // With the other end closed, the first client to open it is noticed.
     drop(ends.slave);
     if let Some(link) = link {
         match fs::symlink_metadata(link) {
-            // One that leads to a terminal, or nowhere any more, is that of a server before.
+            // A link to a terminal, or a dangling link, is left over from a previous server.
             Ok(old) if old.file_type().is_symlink() && !is_file_or_folder(link) => fs::remove_file(link)?,
             Ok(_) => bail!("{} is there already and does not lead to a terminal", link.display()),
             Err(_) => {}
@@ -46,7 +46,7 @@ fn is_file_or_folder(path: &Path) -> bool {
     fs::metadata(path).is_ok_and(|about| about.is_file() || about.is_dir())
 }
 
-/// No echo, no line editing, no translation: bytes as they are.
+/// Switches echo, line editing and translation off, so that bytes pass unchanged.
 fn make_raw(master: &File) -> nix::Result<()> {
     let mut terminal = tcgetattr(master)?;
     cfmakeraw(&mut terminal);
@@ -72,7 +72,7 @@ impl Port {
         &self.path
     }
 
-    /// Carries bytes of its clients, one after the other. `None` when the loop has ended.
+    /// Serves the clients one after the other. Returns `None` when the loop has ended.
     pub(crate) fn serve(mut self) -> Option<()> {
         loop {
             let (hung_up, readable) = self.look();
@@ -98,7 +98,7 @@ impl Port {
         }
     }
 
-    /// Whether no client has the port open, and whether there are bytes.
+    /// Returns whether no client has the port open, and whether bytes can be read.
     fn look(&self) -> (bool, bool) {
         let mut look = [PollFd::new(self.master.as_fd(), PollFlags::POLLIN)];
         let timeout = PollTimeout::try_from(LOOK).unwrap_or(PollTimeout::ZERO);
@@ -120,15 +120,15 @@ impl Port {
         Some(())
     }
 
-    /// Bytes for which there was no room go with the client, and so do answers that it has not read: the terminal would
-    /// keep them for the next one.
+    /// Discards the unread input of the client that has closed the port, and the replies that it has not read: the
+    /// terminal would keep them for the next client.
     fn closed(&mut self) -> Option<()> {
         if let Some(client) = self.client.take() {
             let mut rest = [0; PIECE];
             while (&self.master).read(&mut rest).is_ok_and(|length| length > 0) {}
             client.inbox.end();
             self.sender.send(Happened::Heard).ok()?;
-            // The loop has let go of it then, and nothing is written any more.
+            // The loop has then released the client, and nothing more is written.
             let _ = client.writer.join().ok()?;
             let flags = (OFlag::O_NOCTTY | OFlag::O_NONBLOCK).bits();
             if let Ok(end) = OpenOptions::new().read(true).write(true).custom_flags(flags).open(&self.path) {

@@ -1,5 +1,5 @@
-//! Connects the controller to the simulated board, in the order of [`oxmill_controller::pump`]: where events come from,
-//! and where outputs go.
+//! Connects the controller to the simulated board, in the order of [`oxmill_controller::pump`]: supplies events and
+//! carries out outputs.
 
 use crate::boards::AXES;
 use crate::marks::Mark;
@@ -19,13 +19,13 @@ impl Pump<AXES> for Simulator {
     }
 
     fn begin(&mut self) -> Instant {
-        // Nothing is received while a round lasts, so all that is queued belongs to it.
+        // Nothing is received during a round, so everything in the queues belongs to it.
         self.read_job_ahead();
         self.clock.instant()
     }
 
     fn observed(&mut self) -> Observed {
-        // A job has its next bytes ready until its end.
+        // A job always has its next bytes ready, until its end.
         let has_job = self.job.0.is_some();
         let queued = if has_job { self.job_ready } else { self.host.queued() };
         let received = if has_job { self.job_ready } else { self.host.received() };
@@ -34,7 +34,7 @@ impl Pump<AXES> for Simulator {
             step_idle: self.step.is_idle(),
             rx_free: self.board.received_bytes.saturating_sub(queued) as u16,
             received: u16::try_from(received).unwrap_or(u16::MAX),
-            // A job has no host that could be silent.
+            // A job has no host that could fall silent.
             heard: self.host.heard(has_job),
         }
     }
@@ -75,7 +75,7 @@ impl Pump<AXES> for Simulator {
     }
 
     fn room(&mut self) -> Room {
-        // Asked before each output: the line in work is known, and none of its moves is queued yet.
+        // This is called before each output: the line in progress is known, and none of its moves is queued yet.
         self.mark_line();
         Room { step: self.step.queued() < SEGMENTS_DEPTH, reply: self.outgoing.len() < OUTGOING }
     }
@@ -107,7 +107,7 @@ impl Pump<AXES> for Simulator {
             Output::ReadPins { clear_noise: true } => self.inputs.clear_noise(),
             Output::ReadPins { clear_noise: false } => self.pins_asked = true,
             Output::ReadRecording { first } => self.read_recording(first),
-            // A store that cannot be written is the host's fault; the controller tells the host.
+            // If the store cannot be written, the controller reports it to the host.
             Output::Store => {
                 let change = self.controller.next_store();
                 self.stored = change.map(|change| self.store.apply(&change).is_ok());
@@ -118,14 +118,15 @@ impl Pump<AXES> for Simulator {
 }
 
 impl Simulator {
-    /// The next piece of what a board would have recorded.
+    /// Passes the next piece of the recording to the controller, as a board records it.
     fn read_recording(&mut self, first: bool) {
         let Simulator { controller, recorder, store, board, .. } = self;
         let record = |number| store.records().into_iter().nth(usize::from(number));
         recorder.read(first, (board.name, board.step_clock_hz), record, |piece| controller.recorded(piece));
     }
 
-    /// The inputs that this machine has: those of its axes, of programs and of a spindle, a second switch, and all others.
+    /// Returns the inputs that this machine has: those of its axes, programs and spindle, the second switch, and all
+    /// others.
     fn view_of_pins(&self) -> PinView {
         const { assert!(input::COUNT == 17) };
         let axes = (1 << self.board.axes) - 1;

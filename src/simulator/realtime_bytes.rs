@@ -1,11 +1,11 @@
-//! Bytes of a job's line that a machine would take as realtime commands if a sender sends them as they are. Warns what
-//! they would do, and in which dialects.
+//! Finds bytes in a job's line that a machine would execute as realtime commands if a sender sends them unchanged.
+//! Warns what they would do, and in which dialects.
 
 use oxmill_controller::messages::Realtime;
 use oxmill_controller::protocol::realtime::command;
 use oxmill_controller::protocol::remark::Remark;
 
-/// What a command does to a job. `None`: nothing that would be noticed.
+/// Returns what a command does to a job; `None` if it has no noticeable effect.
 fn effect(command: Realtime) -> Option<&'static str> {
     Some(match command {
         Realtime::Status => return None,
@@ -35,10 +35,10 @@ fn effect(command: Realtime) -> Option<&'static str> {
     })
 }
 
-/// What the bytes of a line would do on their way, if anything. The text is that of a file, without its end.
+/// Returns a warning about the realtime commands that a line of the file (without its line end) contains, if any.
 pub fn warning(line: &[u8]) -> Option<String> {
     let is_text = texts(line);
-    // Those that act in all dialects, in Grbl's alone, and in the others alone.
+    // Effects in all dialects, in dialect grbl only, and in the other dialects only.
     let mut acts: [Vec<String>; 3] = Default::default();
     for (at, byte) in line.iter().enumerate() {
         let Some(command) = command(*byte) else { continue };
@@ -61,7 +61,7 @@ pub fn warning(line: &[u8]) -> Option<String> {
     (!told.is_empty()).then(|| format!("sent as it is, {}", told.join("; ")))
 }
 
-/// Which bytes are text of a remark, and no commands but to Grbl.
+/// Returns for each byte whether it is text of a comment: such bytes are commands in dialect grbl only.
 fn texts(line: &[u8]) -> Vec<bool> {
     let mut remark = Remark::NONE;
     let mut is_text = vec![false; line.len()];
@@ -72,7 +72,7 @@ fn texts(line: &[u8]) -> Vec<bool> {
             begun_at = at;
         }
         if !remark.takes(*byte, || true) {
-            // The line goes on behind it, at least by its end.
+            // At least the line end follows the byte.
             is_text[at] = matches!(byte, b'!' | b'~') && remark.is_inside();
             remark.follow(*byte);
         } else if !remark.has_begun_character() {
@@ -82,7 +82,7 @@ fn texts(line: &[u8]) -> Vec<bool> {
     is_text
 }
 
-/// A byte as people find it in the file: by itself, or with its character.
+/// Returns a byte as readers of the file recognize it: by itself, or with its character.
 fn shown(line: &[u8], at: usize) -> String {
     let byte = line[at];
     if byte.is_ascii_graphic() {
@@ -131,7 +131,7 @@ mod tests {
             told("É \u{A1}").unwrap(),
             "sent as it is, byte 0x89 of `É` switches single block on or off, byte 0xA1 of `¡` switches mist coolant on or off in dialects oxmill and seed"
         );
-        // Windows-1252, and a control character.
+        // Windows-1252 text, and a control character.
         assert_eq!(
             warning(b"(\x84a\x93\x18)").unwrap(),
             "sent as it is, byte 0x84 opens the safety door, byte 0x93 raises the feed by 1 %, byte 0x18 resets the machine \

@@ -1,10 +1,9 @@
-//! `oxmill resume`: writes the rest of a job as a program of its own, which a machine without any memory of the job can
-//! run.
+//! `oxmill resume`: writes the rest of a job as a self-contained program, for a machine that has no memory of the job.
 //!
-//! The lines in front are run twice in a simulator, with different work zeros. If the two runs differ in anything, it
-//! depends on where the machine stood when the job began, and the job is refused. `prologue` then writes lines that
-//! restore the state. A third simulator runs these lines and the first of the rest; unless its state equals that of the
-//! first run (`Interpreter::differs_from`), nothing is written.
+//! The preceding lines are run twice in a simulator, with different work zeros. If the resulting states differ, the
+//! rest depends on where the machine was when the job began, and the job is rejected. `prologue` then writes lines that
+//! restore the state. A third simulator runs these lines and the first line of the rest; nothing is written unless its
+//! state equals that of the first run (`Interpreter::differs_from`).
 
 use crate::boards::AXES;
 use crate::power_up::{Dialect, apply_setting, error_text};
@@ -17,27 +16,27 @@ use oxmill_controller::messages::Realtime;
 use oxmill_controller::settings::Key;
 use oxmill_controller::units::{Coordinate, DECIMAL_ONE, Decimal};
 
-/// Where a simulator is when a job or a program begins: at no place that is likely to be written in one, so that each axis
-/// that is named moves.
+/// Position of a simulator when a job or a program begins. No program is likely to contain these coordinates, so each
+/// axis that a program names moves.
 const START: [f64; AXES] = [-0.1357, -0.2473, -0.3791, -0.4919];
 
-/// How far from there the second simulator is, and by how much the zero of each coordinate system is from that of the one
-/// before.
+/// Distance of the second simulator from [`START`], and the shift of the zero of each coordinate system relative to the
+/// system before.
 const ELSEWHERE: [f64; AXES] = [1.9, 3.1, -2.3, 4.7];
 
-/// Seconds for the spindle, where nothing else is said.
+/// Default spin-up time, in seconds.
 pub const SPIN_UP: u16 = 5;
 
-/// Feed below which no plunge is asked for, as in Grbl; it is simulated, which would last for hours.
+/// Minimum plunge feed, mm/min, as in Grbl. A slower plunge would be simulated for hours.
 const SLOWEST: Decimal = Decimal::from_int(1);
 
-/// A length in mm, or a feed in mm/min, to seven decimals; none beyond what a machine may have.
+/// Converts a length in mm or a feed rate in mm/min to units of 1e-7; `None` beyond the controller's range.
 pub fn number_of(value: f64) -> Option<i64> {
     (value.abs() <= Coordinate::LIMIT.0 as f64 / DECIMAL_ONE as f64)
         .then(|| (value * DECIMAL_ONE as f64).round() as i64)
 }
 
-/// Where a job is to go on.
+/// Where a job is to be resumed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Begin {
     /// At this line of the file, from 1.
@@ -46,37 +45,38 @@ pub enum Begin {
     Number(u32),
 }
 
-/// How a job is to go on.
+/// How a job is to be resumed.
 #[derive(Clone, Copy, Debug)]
 pub struct Wish {
-    /// Where.
+    /// Where to resume.
     pub begin: Begin,
-    /// Z at which the tool goes to the place, in mm of the program's coordinates; the highest to which the job has
-    /// gone if none is given and it has travelled at known heights only.
+    /// Z at which the tool travels to the position, in mm of program coordinates. Default: the highest Z of the job, if
+    /// the job has travelled at known heights only.
     pub clearance: Option<Coordinate>,
-    /// Feed down to the place, mm/min; that of the job's last plunge straight down if none is given.
+    /// Feed rate down to the position, mm/min. Default: that of the job's last plunge straight down.
     pub plunge: Option<Decimal>,
-    /// How long the spindle has to come up to speed, in seconds.
+    /// Time for the spindle to spin up, in seconds.
     pub spin_up: u16,
 }
 
-/// A program that carries a job on.
+/// A program that resumes a job.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Resumed {
-    /// The program, each line with its end.
+    /// The program; each line ends with LF.
     pub program: Vec<u8>,
-    /// The line of the file from which on it is the job.
+    /// Number of the line of the file at which the unchanged rest begins.
     pub line: u64,
-    /// Lines of the job.
+    /// Number of lines of the job.
     pub lines: u64,
-    /// What is in front of that line.
+    /// The lines before that line.
     pub prologue: Vec<String>,
 }
 
-/// The rest of a job. The simulator is idle and has the settings of the machine; `name` is for a comment.
+/// Returns the rest of a job. The simulator must be idle and have the settings of the machine; `name` is used in a
+/// comment.
 ///
 /// # Errors
-/// A text for people: a line in front is refused or there is none, or something of the state there is not known.
+/// A text for users: a preceding line is rejected or missing, or a part of the state at the line is not known.
 pub fn resume(machine: &Simulator, name: &str, job: &[u8], wish: &Wish) -> Result<Resumed, String> {
     if wish.plunge.is_some_and(|feed| feed < SLOWEST) {
         return Err("the plunge feed is below 1 mm/min".into());
@@ -120,7 +120,7 @@ pub fn resume(machine: &Simulator, name: &str, job: &[u8], wish: &Wish) -> Resul
     Ok(Resumed { program, line: at as u64 + 1, lines: lines.len() as u64, prologue: begin })
 }
 
-/// Whose meaning the words of a program have on a machine.
+/// Returns the dialect in which a machine interprets a program.
 fn dialect_of(simulator: &Simulator) -> gcode::Dialect {
     match Dialect::of(simulator) {
         Some(Dialect::Grbl) => gcode::Dialect::Grbl,
@@ -129,7 +129,7 @@ fn dialect_of(simulator: &Simulator) -> gcode::Dialect {
     }
 }
 
-/// The lines of a file, ended by LF, CR LF or CR, without their ends.
+/// Splits a file at LF, CR LF or CR; the lines are without their ends.
 fn lines_of(job: &[u8]) -> Vec<&[u8]> {
     let mut job = job.strip_prefix("\u{FEFF}".as_bytes()).unwrap_or(job);
     let mut lines = Vec::new();
@@ -142,12 +142,12 @@ fn lines_of(job: &[u8]) -> Vec<&[u8]> {
     lines
 }
 
-/// A line as it goes over a wire: without realtime commands, which a comment may have.
+/// Returns a line as a sender transmits it: without realtime commands, which a comment may contain.
 fn spoken(line: &[u8]) -> String {
     String::from_utf8_lossy(line).chars().filter(|c| matches!(c, ' '..='~' | '\t') && !"?!~".contains(*c)).collect()
 }
 
-/// The index of the line with which the rest of a job begins.
+/// Returns the index of the line at which the rest of a job begins.
 fn place_of(lines: &[&[u8]], begin: Begin) -> Result<usize, String> {
     match begin {
         Begin::Line(line) if (1..=lines.len() as u64).contains(&line) => Ok(line as usize - 1),
@@ -159,7 +159,7 @@ fn place_of(lines: &[&[u8]], begin: Begin) -> Result<usize, String> {
     }
 }
 
-/// The N word at the begin of a line.
+/// Returns the N word at the beginning of a line.
 fn line_number_of(line: &str) -> Option<u32> {
     let line = line.trim_start().trim_start_matches('/').trim_start();
     let digits = line.strip_prefix(['N', 'n'])?.trim_start();
@@ -176,27 +176,27 @@ struct End {
     /// The tool length offset in Z.
     length: Coordinate,
     is_rapid: bool,
-    /// Not only Z has moved.
+    /// Whether an axis other than Z has moved.
     travels: bool,
 }
 
-/// A job on its way, line by line.
+/// A simulated job, executed line by line.
 struct Walk {
     simulator: Simulator,
     /// Axes that have moved.
     moved: PerAxis<bool, AXES>,
     ends: Vec<End>,
-    /// It has come to its Z by a rapid, and since then moved by rapids only.
+    /// The job reached its Z by a rapid and has made only rapids since.
     is_clear: bool,
-    /// Feed of the last move straight down, mm/min.
+    /// Feed rate of the last move straight down, mm/min.
     plunge: Option<Decimal>,
-    /// An output changes with the next motion.
+    /// Whether an output will change with the next motion.
     waits_for_motion: bool,
 }
 
 impl Walk {
-    /// Carries lines out on a machine that has been powered up as another one; if `elsewhere`, with other work zeros and from
-    /// another place.
+    /// Runs lines on a machine that is powered up like `machine`; if `elsewhere`, with other work zeros and from
+    /// another position.
     fn along(machine: &Simulator, lines: &[&[u8]], elsewhere: bool) -> Result<Self, String> {
         let mut simulator = powered_up_as(machine)?;
         if elsewhere {
@@ -221,12 +221,12 @@ impl Walk {
         self.simulator.controller().interpreter()
     }
 
-    /// The place as the program has it.
+    /// Returns the position in program coordinates.
     fn place(&self) -> PerAxis<Coordinate, AXES> {
         self.state().to_program(self.state().position())
     }
 
-    /// By how much G52 or G92 shifts Z.
+    /// Returns the shift of Z by G52 or G92.
     fn shift_of_z(&self) -> Coordinate {
         self.state().offsets().g92.get(Axis::Z).unwrap_or_default()
     }
@@ -236,7 +236,7 @@ impl Walk {
         self.state().offsets().tool_length.get(Axis::Z).unwrap_or_default()
     }
 
-    /// Carries a line out.
+    /// Runs a line.
     fn take(&mut self, index: usize, line: &[u8]) -> Result<(), String> {
         let line = spoken(line);
         let begins_homed = line.trim_start().to_ascii_uppercase().starts_with("$H") && !self.moved.0.contains(&true);
@@ -282,7 +282,8 @@ impl Walk {
         Ok(())
     }
 
-    /// How the tool goes to the place that the job has reached, as far as it does not depend on where it began.
+    /// Returns how the tool moves to the position that the job has reached. Fails if the state at the line depends on
+    /// where the job began.
     fn entry(&self, other: &Walk, wish: &Wish, carries: bool) -> Result<Entry, String> {
         let moved = self.moved.zip(&other.moved, |here, there| here || there);
         let (place, there) = (self.place(), other.place());
@@ -328,8 +329,8 @@ impl Walk {
         })
     }
 
-    /// The highest Z to which the job has gone, if it has travelled at such heights only as are known in this coordinate
-    /// system.
+    /// Returns the highest Z of the job so far. Fails unless the job has travelled only at heights that are known in
+    /// the present coordinate system.
     fn clearance(&self, other: &Walk) -> Result<Coordinate, String> {
         const WISH: &str = "say at which Z the tool may travel (--clearance)";
         let system = self.state().modal().coordinate_system;
@@ -362,8 +363,8 @@ impl Walk {
         Ok(highest)
     }
 
-    /// Takes the job some lines further, and a machine that has just been powered up through the prologue and the same
-    /// lines as they are written: both must be in the same state then.
+    /// Runs the job some lines further, and runs the prologue and the same lines, as written, on a machine that has
+    /// just been powered up. Fails unless both machines are then in the same state.
     fn compare(&mut self, prologue: &[String], written: &[Vec<u8>], job: &[&[u8]]) -> Result<(), String> {
         let mut anew = powered_up_as(&self.simulator)?;
         let taken = prologue.iter().map(|line| line.clone().into_bytes()).chain(written.iter().cloned());
@@ -382,13 +383,13 @@ impl Walk {
     }
 }
 
-/// The outputs of programs that are on, bit 0 for P0.
+/// Returns the program-controlled outputs that are on; bit 0 is P0.
 fn outputs_of(simulator: &Simulator) -> u8 {
     simulator.outputs().map_or(0, |outputs| outputs.digital)
 }
 
-/// Another machine with the same settings, offsets and fittings, that has just been powered up. It has no limits: this place
-/// or that would be beyond them, and it is not homed.
+/// Returns a new simulator, just powered up, with the same settings, offsets and fittings. Limits and homing are
+/// switched off, as the simulator is not homed and its positions may exceed the limits.
 fn powered_up_as(machine: &Simulator) -> Result<Simulator, String> {
     let store = machine.store().apart().map_err(|why| why.to_string())?;
     let (board, fittings) = (*machine.board(), machine.fittings().clone());
@@ -402,7 +403,7 @@ fn powered_up_as(machine: &Simulator) -> Result<Simulator, String> {
     Ok(simulator)
 }
 
-/// Puts the work zeros elsewhere, and the machine.
+/// Changes the work zeros and the machine position.
 fn move_elsewhere(simulator: &mut Simulator) -> Result<(), String> {
     let axes = simulator.controller().settings().axes_in_use();
     let words = |times: usize| -> String {
@@ -424,7 +425,7 @@ fn jog(simulator: &mut Simulator, by: [f64; AXES]) -> Result<(), String> {
     settle(simulator)
 }
 
-/// Has a line carried out, up to its answer.
+/// Sends a line and runs until its reply.
 fn say(simulator: &mut Simulator, line: &str) -> Result<(), String> {
     simulator.take_output();
     simulator.send(format!("{line}\n"));
@@ -447,7 +448,7 @@ fn say(simulator: &mut Simulator, line: &str) -> Result<(), String> {
     }
 }
 
-/// Lets all motion end, and presses cycle start where the program pauses.
+/// Runs until all motion has ended; presses cycle start where the program pauses.
 fn settle(simulator: &mut Simulator) -> Result<(), String> {
     while !simulator.run_until_idle() {
         if !simulator.controller().is_paused() {

@@ -1,12 +1,14 @@
 //! `serve`: the simulator as a Grbl device for senders. Opens the link (TCP, a page, a pseudo terminal, or standard
 //! input and output), and lets virtual time pass with the host's clock.
 //!
-//! Threads do nothing but wait for bytes and hand them to the one loop that owns the simulator. Virtual time follows the
-//! host's clock times the speed; when the machine would fall behind, time slows down rather than pile up.
+//! Threads only wait for bytes and hand them to the one loop that owns the simulator. Virtual time follows the host's
+//! clock multiplied by the speed. If the simulation cannot keep up, virtual time runs slower instead of catching up
+//! later.
 //!
-//! One client is served at a time, as one program has a serial port open; on TCP another one is told so and turned away.
-//! A client has gone when it closes its side. Then the port is closed (`$914` says what becomes of the job), and what it
-//! sent and the board has no room for is thrown away. It is read ahead of the machine, so that its end is noticed.
+//! One client is served at a time, as a serial port is open in one program only; on TCP, a second client gets a message
+//! and is disconnected. When a client closes its side, the port is closed (`$914` determines the fate of the job), and
+//! bytes for which the board has no room are discarded. A client's bytes are read ahead of the machine, so that its
+//! disconnection is noticed.
 
 use crate::clients::{
     ANSWERS, Client, Connection, ENDLESS, Happened, Inbox, Incoming, LONGEST_LINE, LOOK, PIECE, Writer, hung_up,
@@ -31,18 +33,18 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Bytes of a client that wait in front of the board's link, as in a host's port.
+/// Maximum number of a client's bytes that wait in front of the board's link, as in a host's port.
 const PORT: usize = 1 << 14;
-/// How often the loop looks at the clock while the machine is busy.
+/// How often the loop checks the clock while the machine is busy.
 const BUSY: Duration = Duration::from_millis(1);
-/// How often it does while nothing can happen without the host.
+/// How often the loop checks the clock while nothing can happen without the host.
 const QUIET: Duration = Duration::from_millis(50);
-/// What a second client is told.
+/// Sent to a second client.
 const TURNED_AWAY: &[u8] = b"[MSG:Another host has the machine]\r\n";
-/// Virtual time that is simulated in one go, between looks at the link.
+/// Virtual time that is simulated at once, between checks of the link.
 const SLICE: Duration = Duration::from_millis(20);
 
-/// Carries out `serve`. Returns when standard input ends; the other links never end.
+/// Runs `serve`. Returns when standard input ends; with the other links it never returns.
 pub fn serve(options: &Serve) -> Result<()> {
     check_apart(&machine_roles(&options.machine, options.record.as_deref()))?;
     let open =
@@ -52,7 +54,7 @@ pub fn serve(options: &Serve) -> Result<()> {
     let (sender, receiver) = sync_channel(4);
     if let Some(address) = &options.pins {
         let listener = listen(address)?;
-        // Standard output belongs to the client when it is the link.
+        // If the link is standard input and output, standard output belongs to the client.
         remark(&format!("pins on {}", listener.local_addr()?));
         let sender = sender.clone();
         thread::spawn(move || serve_pins(&listener, &sender));
@@ -60,7 +62,7 @@ pub fn serve(options: &Serve) -> Result<()> {
     let written = open_link(options, sender)?;
     begin_recording(&mut recorder, record)?;
     Device::new(simulator, options.speed, options.reset_on_connect, recorder).run(&receiver)?;
-    // The device is gone, and so is who could give the writer more: what it still has goes out.
+    // The device has ended, so nothing more is sent to the writer: wait until it has written its queue.
     match written.map_or(Ok(Ok(())), Writer::join) {
         Ok(Err(error)) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         Ok(written) => written.context("cannot write the answers"),
@@ -68,13 +70,14 @@ pub fn serve(options: &Serve) -> Result<()> {
     }
 }
 
-/// Says where the link is. Whoever started the program may wait for that.
+/// Prints the address of the link; whoever started the program may wait for it.
 fn announce(link: &str) -> Result<()> {
     let mut out = io::stdout();
     writeln!(out, "{link}").and_then(|()| out.flush()).context("cannot write to standard output where the link is")
 }
 
-/// Opens the link, whose clients the sender tells of. The writer of standard output, if that is the link.
+/// Opens the link; its clients are announced through `sender`. Returns the writer of standard output if that is the
+/// link.
 fn open_link(options: &Serve, sender: SyncSender<Happened>) -> Result<Option<Writer>> {
     if let Some(address) = &options.link.tcp {
         let listener = listen(address)?;
@@ -100,20 +103,20 @@ fn open_link(options: &Serve, sender: SyncSender<Happened>) -> Result<Option<Wri
     Ok(None)
 }
 
-/// The simulator, the clock it follows and the client it talks to.
+/// The simulator, the clock that it follows, and its client.
 struct Device {
     simulator: Simulator,
     speed: Speed,
     reset_on_connect: bool,
-    /// A moment of the host's clock and the virtual time (in ticks) that belongs to it.
+    /// A time of the host's clock and the corresponding virtual time in ticks.
     anchor: (Instant, u64),
     client: Option<Client>,
-    /// Clients on TCP that have come when the one before was about to go.
+    /// TCP clients that connected while the previous client was about to disconnect.
     waiting: VecDeque<(Incoming, SyncSender<Happened>)>,
-    /// An answer that the client had no room for.
+    /// A reply for which the client had no room.
     kept: Option<Vec<u8>>,
     recorder: Option<Recorder>,
-    /// Why the recording is not whole.
+    /// The error that made the recording incomplete.
     unrecorded: Option<io::Error>,
 }
 
@@ -132,7 +135,7 @@ impl Device {
         }
     }
 
-    /// Something is about to come in.
+    /// Records an input before the simulator receives it.
     fn record(&mut self, input: &Input) {
         if let Some(recorder) = &mut self.recorder
             && let Err(error) = recorder.input(&self.simulator, input)
@@ -151,14 +154,14 @@ impl Device {
 
     fn run_until_left(&mut self, receiver: &Receiver<Happened>) -> Result<()> {
         loop {
-            // What came is dated with the time at which it came.
+            // Advance first, so that input is dated with the time at which it arrived.
             self.pass_time();
             self.fetch();
             if !self.answer() {
                 let was_program = self.client.as_ref().is_some_and(|client| client.is_program);
                 self.left();
                 if was_program {
-                    // Its writer knows why. No other host will come.
+                    // The client's writer knows the reason. With standard input no other host can connect.
                     return Ok(());
                 }
             }
@@ -171,8 +174,8 @@ impl Device {
             }
             let active = self.simulator.is_active();
             if self.is_done() && !active && self.simulator.unfetched() == 0 && self.kept.is_none() {
-                // Lines that are unread now wait for a host that will not come. The writer ends when the last answer has
-                // been written and its sender is gone.
+                // Lines that are unread now wait for a host that will never come. The writer ends after the last reply,
+                // when its sender is dropped.
                 let failure = self.client.as_ref().and_then(|client| client.inbox.failure());
                 return failure.map_or(Ok(()), Err).context("cannot read standard input to its end");
             }
@@ -206,13 +209,13 @@ impl Device {
                     self.record(&Input::Pin(line.clone()));
                 }
                 let answer = self.simulator.pin_line(&line);
-                // A client that has gone in the meantime needs no answer.
+                // A client that has disconnected meanwhile needs no reply.
                 let _ = reply.send(answer);
             }
         }
     }
 
-    /// Passes on what the client has sent, as far as its port has room, and notices its end.
+    /// Passes the client's bytes on, as far as its port has room, and handles its disconnection.
     fn fetch(&mut self) {
         loop {
             let Some(client) = &self.client else { return };
@@ -222,7 +225,7 @@ impl Device {
                 self.record(&Input::Host(bytes.clone()));
                 self.simulator.send(bytes);
             } else if ended && !client.is_program {
-                // What it has been told by now it may still read.
+                // The client may still read the replies made so far.
                 self.answer();
                 return self.left();
             } else {
@@ -231,7 +234,8 @@ impl Device {
         }
     }
 
-    /// Whether the program on standard input has been passed on, or waits for a machine that waits for a host.
+    /// Returns whether all of standard input has been passed on, or the rest waits for a machine that itself waits for
+    /// a host.
     fn is_done(&self) -> bool {
         let has_room = self.simulator.unread() < PORT;
         self.client.as_ref().is_some_and(|client| {
@@ -243,7 +247,7 @@ impl Device {
     fn connecting(&mut self, incoming: Incoming, sender: SyncSender<Happened>) {
         match &self.client {
             None => self.admit(incoming, sender),
-            // Its reader is about to tell so.
+            // The reader of the previous client is about to report its disconnection.
             Some(client) if client.has_gone() => self.waiting.push_back((incoming, sender)),
             Some(_) => {
                 thread::spawn(move || turn_away(incoming));
@@ -287,12 +291,12 @@ impl Device {
     fn connected(&mut self, client: Client) {
         self.client = Some(client);
         self.kept = None;
-        // Without a client the answers are lost, as on a port that is not open.
+        // Without a client, replies are lost, as on a port that is not open.
         self.simulator.take_output();
         self.record(&Input::Connect);
         self.simulator.connect();
         if self.reset_on_connect {
-            // It gets the welcome of the reset.
+            // Only the welcome message of the reset reaches the client.
             self.simulator.take_output();
             self.record(&Input::Host(vec![0x18]));
             self.simulator.send([0x18]);
@@ -335,10 +339,10 @@ impl Device {
         }
     }
 
-    /// Gives the client what was said, as far as it has room. `false` if it takes no answers any more.
+    /// Sends replies to the client, as far as it has room. Returns `false` if it does not accept replies any more.
     fn answer(&mut self) -> bool {
         let Some(client) = &self.client else {
-            // No client is connected.
+            // Without a client, the output is discarded.
             self.simulator.take_output();
             return true;
         };
@@ -360,7 +364,7 @@ impl Device {
     }
 }
 
-/// A client that comes while another one has the machine is told so.
+/// Tells a client that another client has the machine, and closes its connection.
 fn turn_away(incoming: Incoming) {
     match incoming.link {
         Connection::Program(stream) => tcp_link::turn_away(&stream, TURNED_AWAY),
@@ -370,7 +374,7 @@ fn turn_away(incoming: Incoming) {
 
 fn serve_stdio(client: Client, sender: &SyncSender<Happened>) {
     let inbox = client.inbox.clone();
-    // A pipe that has ended is read to its end all the same: it is a program, and all of it is there.
+    // Even after the pipe has ended, everything is read and executed: it is a complete program.
     if sender.send(Happened::Connected(client)).is_ok() {
         let tell = || inbox.fail(io::Error::other(format!("a line has more than {LONGEST_LINE} characters")));
         pass_bytes(&mut io::stdin().lock(), &inbox, sender, || false, tell);

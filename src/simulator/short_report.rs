@@ -1,12 +1,12 @@
-//! What `check` prints on one screen: the verdict, the first refused lines with advice, the alarm, messages, times by
-//! tool, and extents. Long lists are cut short, with the number of further entries.
+//! The report of `check` on one screen: verdict, first rejected lines with advice, alarm, messages, times by tool, and
+//! extents. Long lists are truncated, with the number of further entries.
 
 use crate::summary::{Summary, clock_time, counted};
 use anstyle::{AnsiColor, Style};
 use oxmill_controller::axes::Axis;
 use std::fmt;
 
-/// Refused lines that are shown.
+/// Maximum number of rejected lines in the report.
 const SHOWN_ERRORS: usize = 8;
 
 const GOOD: Style = AnsiColor::Green.on_default().bold();

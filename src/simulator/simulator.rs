@@ -1,13 +1,13 @@
-//! `Simulator`: a board on a desk, in virtual time. Bytes, realtime commands and input pins go in; answers, outputs,
-//! positions and the trace of all steps come out.
+//! `Simulator`: a board in virtual time, without hardware. Inputs are bytes, realtime commands and input pins; outputs
+//! are replies, output pins, positions and the trace of all steps.
 //!
-//! Everything is a function of what was sent and when in virtual time; the host's speed has no part in it. The control
-//! task takes no time, so it is never late. What happens at the same tick happens in this order:
+//! All results depend only on the inputs and their virtual times; the speed of the host has no influence. The control
+//! task takes no time, so it is never late. Events at the same tick happen in this order:
 //! 1. the step task's tick,
 //! 2. bytes from the host, in the order sent, through the boards' own [`Link`](oxmill_controller::Link),
 //! 3. changes of input pins, through the boards' own filter,
-//! 4. a turn of the control task: rounds in the order of [`oxmill_controller::pump`], the firmware's, until one has found
-//!    nothing to do.
+//! 4. a turn of the control task: rounds in the order of [`oxmill_controller::pump`], as in the firmware, until a round
+//!    finds nothing to do.
 
 use crate::boards::{self, AXES, BLOCKS, Board};
 use crate::clock::Clock;
@@ -32,17 +32,17 @@ use oxmill_controller::units::Coordinate;
 use oxmill_controller::{Controller, Profile, StepRates};
 use std::time::Duration;
 
-/// Outgoing bytes that may wait for the host before the controller is asked to keep its answers.
+/// Maximum number of outgoing bytes that wait for the host before the controller must hold its replies back.
 pub(crate) const OUTGOING: usize = 1 << 16;
 
-/// What a simulator is made of.
+/// The parts of a simulator.
 #[derive(Debug)]
 pub struct Options {
     /// The board that is simulated.
     pub board: Board,
     /// The flash image.
     pub store: Store,
-    /// Switches and plate of the machine.
+    /// Switches and probe plate of the machine.
     pub fittings: Fittings,
     /// Whether all step events are kept in memory, for [`Trace::kept`].
     pub keep_steps: bool,
@@ -54,8 +54,8 @@ impl Default for Options {
     }
 }
 
-/// A controller, a step task and a machine in virtual time. A copy continues as this one would, but without its job and its
-/// CSV file.
+/// A controller, a step task and a machine in virtual time. A clone continues like the original, but without its job
+/// and its CSV file.
 #[derive(Clone)]
 pub struct Simulator {
     pub(crate) board: Board,
@@ -66,23 +66,24 @@ pub struct Simulator {
     pub(crate) inputs: InputTask,
     pub(crate) step: StepTask,
     pub(crate) world: World,
-    /// Whether the last record was stored, still to be told.
+    /// Whether the last record was stored; the controller has not been notified yet.
     pub(crate) stored: Option<bool>,
-    /// The controller has asked to see the inputs.
+    /// Whether the controller has requested the state of the inputs.
     pub(crate) pins_asked: bool,
     pub(crate) outgoing: Vec<u8>,
-    /// A job whose lines are taken whenever the controller wants them, and how many bytes of it are ready.
+    /// A job whose lines the controller takes whenever it is ready.
     pub(crate) job: Sole<JobText>,
+    /// Number of bytes of `job` that are ready.
     pub(crate) job_ready: usize,
     pub(crate) wiring: Option<Wiring>,
-    /// What came in, as a board records it.
+    /// Records the inputs as a board does.
     pub(crate) recorder: Recorder<Box<[Page]>>,
-    /// What moves belong to, if somebody wants to know.
+    /// Maps moves to their line and tool, if [`Simulator::mark_moves`] was called.
     pub(crate) marks: Option<Marks>,
 }
 
 impl Simulator {
-    /// Powers the board up and lets the controller say its welcome.
+    /// Powers the board up and lets the controller send its welcome message.
     pub fn new(options: Options) -> Self {
         let Options { board, mut store, fittings, keep_steps } = options;
         let profile = Profile {
@@ -133,52 +134,54 @@ impl Simulator {
         simulator
     }
 
-    // The outside world
+    // Inputs
 
-    /// Bytes from the host, at the present virtual time. Realtime commands act now, whatever line bytes stand before them,
-    /// as long as these find room in the board's queue and the link (255 and 192 bytes); what is beyond, commands too,
-    /// waits in the host's port: see [`Simulator::unread`].
+    /// Receives bytes from the host at the present virtual time. Realtime commands act immediately, ahead of the line
+    /// bytes before them, as long as these fit into the board's queue and the link (255 and 192 bytes). Further bytes,
+    /// including commands, wait in the host's port: see [`Simulator::unread`].
     pub fn send(&mut self, bytes: impl AsRef<[u8]>) {
         self.host.send(bytes.as_ref());
         self.receive();
         self.turn();
     }
 
-    /// Bytes from the host, behind which more wait or not: for a replay, which has these at the time they were taken.
+    /// For a replay, which sends bytes at the time at which they were taken: receives bytes; `more` says whether
+    /// further bytes wait after them.
     pub fn send_followed(&mut self, bytes: impl AsRef<[u8]>, more: bool) {
         self.host.follow(more);
         self.send(bytes);
-        // What waited has been taken, though it may be the begin of a line that is told when it ends.
+        // The board had taken the waiting bytes by then. The recording may contain them later, with the end of their
+        // line.
         self.host.follow(false);
     }
 
-    /// For a replay, which does not know when the host was heard: it is never silent.
+    /// For a replay, which has no times of received bytes: the host never counts as silent.
     pub fn hear_always(&mut self) {
         self.host.hear_always();
     }
 
-    /// Bytes of the host are lost on their way.
+    /// Simulates the loss of bytes on their way from the host.
     pub fn lose_bytes(&mut self) {
         self.host.lose();
     }
 
-    /// For a replay: the machine takes this state. See `Controller::stand`.
+    /// For a replay: sets the state of the machine. See `Controller::stand`.
     pub fn stand(&mut self, standing: &Standing, lock: bool) {
         self.controller.stand(standing, lock);
         self.turn();
     }
 
-    /// Hash of all blocks that were handed to the step task since its last stop.
+    /// Hash of all blocks that the step task has received since its last stop.
     pub fn recorded_blocks(&self) -> u32 {
         self.recorder.blocks()
     }
 
-    /// For a replay: that many blocks have gone before.
+    /// For a replay: continues the block hash of [`Simulator::recorded_blocks`] from `blocks`.
     pub fn follow_blocks(&mut self, blocks: u32) {
         self.recorder.follow_blocks(blocks);
     }
 
-    /// A realtime command that does not come over the wire.
+    /// Executes a realtime command that does not come over the link.
     pub fn press(&mut self, command: Realtime) {
         if command == Realtime::Reset {
             self.stop();
@@ -187,35 +190,35 @@ impl Simulator {
         self.turn();
     }
 
-    /// A host has opened the port.
+    /// A host opens the port.
     pub fn connect(&mut self) {
         self.host.connect();
         self.turn();
     }
 
-    /// The host has closed the port, or is unplugged. What its port and the link still hold goes with it, also the rest of
-    /// a line; lines that the board's queue has are carried out and get no `ok` or `error`.
+    /// The host closes the port, or is unplugged. Bytes in its port and in the link are lost, including the rest of a
+    /// line. Lines in the board's queue are executed, without an `ok` or `error`.
     pub fn disconnect(&mut self) {
         self.host.disconnect();
         self.turn();
     }
 
-    /// What the controller has said since the last call.
+    /// Returns the controller's output since the last call.
     pub fn take_output(&mut self) -> String {
         let taken = std::mem::take(&mut self.outgoing);
         if taken.len() >= OUTGOING {
-            // The controller has held answers back, and what depends on them.
+            // The controller has held back replies and the work that depends on them.
             self.turn();
         }
         String::from_utf8_lossy(&taken).into_owned()
     }
 
-    /// Levels that a hand has put on the input pins. A pin at 1 is active unless a setting inverts it.
+    /// Pins that the user pulls low. A pin at 1 is active unless a setting inverts it.
     pub fn pins(&self) -> Signals {
         self.inputs.hand()
     }
 
-    /// Moves input pins by hand.
+    /// Sets the pins that the user pulls low.
     pub fn set_pins(&mut self, signals: Signals) {
         if self.inputs.set_hand(signals) {
             self.settle_inputs();
@@ -223,8 +226,9 @@ impl Simulator {
         }
     }
 
-    /// A line of the pin protocol, such as `limit x 1`; the answer is `ok` or says what is wrong. `steps` asks what the step
-    /// outputs have done: position of the motors, pulses of each, and the hash of all step events in their order.
+    /// Executes a line of the pin protocol, such as `limit x 1`; returns `ok` or what is wrong. `steps` returns the
+    /// state of the step outputs: motor positions, pulses of each motor, and the hash of all step events in their
+    /// order.
     pub fn pin_line(&mut self, line: &str) -> String {
         if line.trim() == "steps" {
             let axes = self.controller.settings().axes_in_use();
@@ -257,7 +261,7 @@ impl Simulator {
         }
     }
 
-    /// Whether a line of the pin protocol is one that moves or disturbs a pin.
+    /// Returns whether a line of the pin protocol moves a pin or puts a glitch on it.
     pub fn moves_pin(&self, line: &str) -> bool {
         let axes = self.board.axes;
         match crate::pins::disturbed(axes, line) {
@@ -271,27 +275,28 @@ impl Simulator {
         self.host.unread()
     }
 
-    /// Bytes of answers not yet fetched with [`Simulator::take_output`].
+    /// Bytes of output not yet fetched with [`Simulator::take_output`].
     pub fn unfetched(&self) -> usize {
         self.outgoing.len()
     }
 
     // Time
 
-    /// Lets virtual time pass.
+    /// Advances virtual time.
     pub fn run_for(&mut self, time: Duration) {
         self.advance_to(self.clock.now().saturating_add(self.clock.ticks_in(time)));
     }
 
-    /// Lets virtual time pass until nothing is moving, waiting or unanswered, or the machine waits for the host (a hold,
-    /// an alarm with unread lines, 64 KiB of answers that were not fetched). Gives whether the controller is idle.
+    /// Advances virtual time until nothing is moving, waiting or unanswered, or until the machine waits for the host (a
+    /// hold, an alarm with unread lines, 64 KiB of replies that were not fetched). Returns whether the controller is
+    /// idle.
     pub fn run_until_idle(&mut self) -> bool {
         self.turn();
         while !self.is_idle() && self.advance_once(u64::MAX) {}
         self.is_idle()
     }
 
-    /// Lets virtual time pass up to a tick of the step clock.
+    /// Advances virtual time to a tick of the step clock.
     pub fn advance_to(&mut self, ticks: u64) {
         while self.clock.now() < ticks {
             if !self.advance_once(ticks) {
@@ -301,13 +306,13 @@ impl Simulator {
         }
     }
 
-    /// The controller looks how far the step task is, as a board's does whenever anything wakes it. How often it does may shift
-    /// the wake-ups that follow, so a run that is to be the same as another must look as often.
+    /// Lets the controller check the progress of the step task, as on a board whenever anything wakes it. Each check
+    /// may shift the following wake-ups, so two runs that are compared must check equally often.
     pub fn look(&mut self) {
         self.turn();
     }
 
-    /// Advances to the next event, at most to `limit`. `false` if nothing will happen by itself.
+    /// Advances to the next event, at most to `limit`. Returns `false` if nothing will happen without further input.
     pub fn advance_once(&mut self, limit: u64) -> bool {
         if self.power_is_gone() {
             return false;
@@ -319,7 +324,8 @@ impl Simulator {
         }
         let until = wake.unwrap_or(u64::MAX).min(limit).min(sample.unwrap_or(u64::MAX));
         let began = self.clock.now();
-        // Where only the limit is reached nothing looks, or how time is cut would shift the wake-ups that follow.
+        // Reaching only the limit is no event: otherwise the caller's choice of limits would shift the following
+        // wake-ups.
         let is_event = loop {
             match self.step.due() {
                 Some(due) if due <= until => {
@@ -328,7 +334,7 @@ impl Simulator {
                         break true;
                     }
                 }
-                // The timer runs on and so does the wait for the wake-up.
+                // The timer keeps running, and so does the wait for the wake-up.
                 _ => {
                     self.clock.advance_to(until);
                     break wake == Some(until) || sample == Some(until);
@@ -346,26 +352,26 @@ impl Simulator {
         true
     }
 
-    /// The tick at which something is to be done next, by the controller or for a byte that may be text or a command, if the clock
-    /// comes to it.
+    /// Returns the tick at which the controller must work next, or at which a byte that may be text becomes a command;
+    /// `None` if the clock never reaches it.
     fn wake_due(&self) -> Option<u64> {
         let due = [self.controller.next_wakeup(), self.host.rest_due()].into_iter().flatten();
         let due = due.map(|instant| self.clock.ticks_at(instant)).min()?;
         (due <= self.clock.end()).then(|| due.max(self.clock.now() + 1))
     }
 
-    /// How long nothing will happen by itself; 0 if nothing ever will.
+    /// Returns the number of ticks during which nothing will happen without further input; 0 if nothing ever will.
     pub fn ticks_without_event(&self) -> u64 {
         let next = [self.wake_due(), self.step.due(), self.inputs.sample_due()].into_iter().flatten().min();
         next.map_or(0, |next| next.saturating_sub(self.clock.now() + 1))
     }
 
-    /// Whether the controller waits for a moment to which the clock does not come.
+    /// Returns whether the controller waits for a time that the clock never reaches.
     pub fn waits_beyond_the_clock(&self) -> bool {
         self.controller.next_wakeup().is_some() && self.wake_due().is_none()
     }
 
-    /// Whether nothing is queued, moving, waited for or unanswered.
+    /// Returns whether nothing is queued, moving, waiting or unanswered.
     pub fn is_idle(&self) -> bool {
         self.controller.is_idle()
             && self.step.is_done()
@@ -375,17 +381,17 @@ impl Simulator {
             && self.job.0.as_ref().is_none_or(|job| job.is_used_up())
     }
 
-    /// Whether an ordered power cut has come: nothing happens any more.
+    /// Returns whether the ordered power cut has happened: the simulator then stops.
     pub fn power_is_gone(&self) -> bool {
         self.store.power_is_gone()
     }
 
-    /// Whether something will happen without the host: a motion or a wait is going on.
+    /// Returns whether something will happen without the host: a motion or a wait is in progress.
     pub fn is_active(&self) -> bool {
         !self.power_is_gone() && (self.step.due().is_some() || self.wake_due().is_some())
     }
 
-    /// Whether the step task is busy.
+    /// Returns whether the step task is busy.
     pub fn is_stepping(&self) -> bool {
         self.step.due().is_some()
     }
@@ -395,7 +401,7 @@ impl Simulator {
         &self.clock
     }
 
-    // What can be seen
+    // State
 
     /// The board.
     pub fn board(&self) -> &Board {
@@ -412,15 +418,15 @@ impl Simulator {
         &self.world.trace
     }
 
-    /// Trace of the step outputs, to be told what else to record.
+    /// Trace of the step outputs, for changing what it records.
     pub fn trace_mut(&mut self) -> &mut Trace {
         &mut self.world.trace
     }
 
-    /// Another one with the same flash and fittings, at the moment after it has been powered up: idle, or locked if homing is on.
+    /// Returns a new simulator with the same flash and fittings, just after power-up: idle, or locked if homing is on.
     ///
     /// # Errors
-    /// When the file of its store cannot be written.
+    /// If the file of its store cannot be written.
     pub fn powered_again(&self) -> anyhow::Result<Self> {
         let store = self.store().power_cycled()?;
         let (board, fittings) = (*self.board(), self.fittings().clone());
@@ -429,7 +435,7 @@ impl Simulator {
         Ok(simulator)
     }
 
-    /// The machine.
+    /// Switches, probe plate and backlash of the machine.
     pub fn fittings(&self) -> &Fittings {
         &self.world.fittings
     }
@@ -439,42 +445,42 @@ impl Simulator {
         &self.world.machine
     }
 
-    /// Distances and speeds.
+    /// The measured distances and speeds.
     pub fn meter(&self) -> &Meter {
         &self.world.meter
     }
 
-    /// Distances and speeds, to be told what else to collect.
+    /// The meter of distances and speeds, for changing what it collects.
     pub fn meter_mut(&mut self) -> &mut Meter {
         &mut self.world.meter
     }
 
-    /// The flash image; give it to another simulator to see what a power cycle leaves.
+    /// The flash image; pass it to another simulator to simulate a power cycle.
     pub fn store(&self) -> &Store {
         &self.store
     }
 
-    /// The flash image, to have its power cut.
+    /// The flash image, for ordering a power cut.
     pub fn store_mut(&mut self) -> &mut Store {
         &mut self.store
     }
 
-    /// Slow outputs; `None` before the controller has written them.
+    /// The slow outputs; `None` before the controller has written them.
     pub fn outputs(&self) -> Option<SlowOutputs> {
         self.step.outputs()
     }
 
-    /// Spindle or laser power now, 0 to 65535.
+    /// The present spindle or laser power, 0 to 65535.
     pub fn power(&self) -> u16 {
         self.step.power()
     }
 
-    /// Facts for the pins' own tasks.
+    /// The wiring, as used by the tasks of the pins.
     pub fn wiring(&self) -> Option<Wiring> {
         self.wiring
     }
 
-    /// Step-clock ticks for which the step task has been busy: the time of the digest.
+    /// Step-clock ticks during which the step task was busy: the time base of the digest.
     pub fn busy_ticks(&self) -> u64 {
         self.step.busy()
     }
@@ -484,7 +490,7 @@ impl Simulator {
         linear(self.machine_place())
     }
 
-    /// The same with the degrees of A.
+    /// Machine position in mm, and of A in degrees.
     pub fn machine_place(&self) -> [f64; AXES] {
         self.controller.machine_position().0.map(millimetres)
     }
@@ -494,25 +500,25 @@ impl Simulator {
         linear(self.work_place())
     }
 
-    /// The same with the degrees of A.
+    /// Work position in mm, and of A in degrees.
     pub fn work_place(&self) -> [f64; AXES] {
         self.controller.work_position().0.map(millimetres)
     }
 
-    /// Digests, trace, extents and measurements restart: what follows is a job of its own.
+    /// Restarts digests, trace, extents and measurements for a new job.
     pub fn begin_job(&mut self) {
         self.step.restart();
         self.world.restart();
         self.learn_resolution();
     }
 
-    /// From here on it is known of moves what line and tool they belong to: for drawings and times. Status reports have numbers
-    /// of their own instead of N words then.
+    /// From here on, each move is marked with its line and tool, for drawings and times. Status reports then contain
+    /// other numbers instead of N words.
     pub fn mark_moves(&mut self) {
         self.marks = Some(Marks::default());
     }
 
-    /// Gives the controller a job, whose lines it takes whenever it wants one.
+    /// Loads a job, whose lines the controller takes whenever it is ready.
     pub fn load_job(&mut self, mut job: JobText) {
         job.begin(self.controller.lines_read(), self.board.has_all_words);
         self.job = Sole(Some(job));
@@ -531,7 +537,7 @@ impl Simulator {
 
     // The tasks
 
-    /// One sample with the machine's contacts as they are now.
+    /// Takes one sample of the machine's contacts as they are now.
     fn sample_contacts(&mut self) {
         let period = u64::from(self.board.step_clock_hz / SAMPLE_HZ);
         if self.inputs.sample_contacts(&mut self.world.fittings, &self.clock, period) {
@@ -539,19 +545,20 @@ impl Simulator {
         }
     }
 
-    /// A hand, or the host with a setting, takes its time: the input task has taken as many samples as its filter wants.
+    /// Samples the inputs until the filter has settled: changes by the user, or by the host with a setting, are slow
+    /// enough for that.
     pub(crate) fn settle_inputs(&mut self) {
         for _ in 0..self.inputs.settle() {
             self.stop();
         }
     }
 
-    /// Stops the step task at once.
+    /// Stops the step task immediately.
     pub(crate) fn stop(&mut self) {
         self.step.stop(&self.clock, &mut self.world);
     }
 
-    /// The link fetches what the host has sent, as far as there is room. Whether anything was queued.
+    /// Lets the link fetch the host's bytes, as far as there is room. Returns whether anything was queued.
     pub(crate) fn receive(&mut self) -> bool {
         let mut any = self.host.pass_on();
         while let Some(queued) = self.host.fetch(self.controller.is_free(), self.controller.reads_characters()) {
@@ -563,7 +570,7 @@ impl Simulator {
         any | self.host.await_rest(self.clock.instant())
     }
 
-    /// One turn of the control task at the present time.
+    /// Runs one turn of the control task at the present time.
     fn turn(&mut self) {
         while !self.power_is_gone() {
             if !pump::round(self) {
@@ -576,7 +583,7 @@ impl Simulator {
         }
     }
 
-    /// Counts the time since a tick as dwell or as spin-up, if the line in work waits for one of them.
+    /// Counts the time since the tick `began` as dwell or as spin-up, if the line in progress waits for one of them.
     fn count_wait(&mut self, began: u64) {
         let Some(spindle_until) = self.controller.waits_for_spindle_until() else { return };
         let now = self.clock.now();
@@ -589,7 +596,7 @@ impl Simulator {
         self.world.meter.times_mut().add_to_line(self.controller.lines_read(), seconds);
     }
 
-    /// Gives the moves of the line in work their number.
+    /// Assigns a number to the moves of the line in progress.
     pub(crate) fn mark_line(&mut self) {
         if let Some(marks) = &mut self.marks {
             let controller = &mut self.controller;
@@ -603,10 +610,10 @@ impl Simulator {
         }
     }
 
-    /// Erases flash while the machine is quiet, so that no write has to wait for it.
+    /// Erases flash while the machine is quiet, so that no write has to wait for an erase.
     fn erase_ahead(&mut self) {
         if self.store.needs_erase() && self.step.due().is_none() && self.controller.is_quiet() {
-            // A file that cannot be written shows at the next write.
+            // If the file cannot be written, the next write will report it.
             let _ = self.store.erase_ahead();
         }
     }
@@ -618,7 +625,7 @@ impl Simulator {
         self.world.machine.arrange(arrangement);
     }
 
-    /// Makes the next bytes of a job ready; at its end the controller is told that no more will come.
+    /// Makes the next bytes of a job ready; at its end, notifies the controller that no more input will come.
     pub(crate) fn read_job_ahead(&mut self) {
         if let Some(job) = &mut self.job.0 {
             self.job_ready = job.waiting();

@@ -1,5 +1,5 @@
-//! What a small board does not support ([`Board::has_all_words`]). The simulator supports everything; a check for such
-//! a board adds the error that the board would answer to each line.
+//! Features that a small board does not support ([`Board::has_all_words`]). The simulator supports everything; a check
+//! for such a board adds the error that the board would return for each line.
 //!
 //! [`Board::has_all_words`]: oxmill_boards::profiles::Board::has_all_words
 
@@ -7,13 +7,14 @@ use crate::prologue::words_of;
 use oxmill_controller::error::Error;
 use oxmill_controller::units::Decimal;
 
-/// The error with which such a board refuses a line that the others take.
+/// Returns the error with which such a board rejects a line that other boards accept.
 pub fn error_of(line: &str) -> Option<Error> {
     let code = code(line);
     let is_computed = code.contains(['#', '[']) || is_o_word(&code);
     match code.chars().next() {
         Some('$') => return (code.starts_with("$M") && code.contains('=')).then_some(Error::ExpressionsLeftOut),
-        // The operator may have it left out; a checked line has a header in front, and writes characters as others.
+        // A skipped line (`/`) may never be executed. A checked line (`:`) has a header with other characters at the
+        // beginning.
         Some('/' | ':') => return None,
         _ if is_computed => return Some(Error::ExpressionsLeftOut),
         _ => {}
@@ -22,7 +23,7 @@ pub fn error_of(line: &str) -> Option<Error> {
     words.iter().find_map(|(letter, number)| refused(*letter, *number, &words))
 }
 
-/// A line without blanks and remarks, in capitals.
+/// Returns a line without blanks and comments, in upper case.
 fn code(line: &str) -> String {
     let mut depth = 0_usize;
     let mut code = String::new();
@@ -37,7 +38,7 @@ fn code(line: &str) -> String {
     code
 }
 
-/// O, a label and a keyword. A number alone is that of a program.
+/// Returns whether a line is an O word: O, a label and a keyword. O with only a number is a program number.
 fn is_o_word(code: &str) -> bool {
     let behind_digits = |text: &str| text.trim_start_matches(|c: char| c.is_ascii_digit()).to_owned();
     let line = code.strip_prefix('N').map_or(code.to_owned(), behind_digits);

@@ -1,6 +1,6 @@
-//! The step task of the simulator: the controller's own stepper, with a queue of messages and a timer in virtual time.
-//! Each tick steps the motors, checks the probe and is traced. Stops and underruns are reported to the controller as on
-//! a board.
+//! The step task of the simulator: the controller's own stepper, with a message queue and a timer in virtual time. Each
+//! tick steps the motors, checks the probe and is traced. Stops and underruns are reported to the controller as on a
+//! board.
 
 use crate::boards::AXES;
 use crate::clock::Clock;
@@ -14,12 +14,12 @@ use oxmill_controller::Stepper;
 use oxmill_controller::messages::{SEGMENTS_DEPTH, SlowOutputs, StepEvent, ToStep, Wiring};
 use std::collections::VecDeque;
 
-/// What is behind the pins, and what records it.
+/// The machine driven by the pins, and its instruments.
 #[derive(Clone)]
 pub struct World {
     /// Motors and carriages.
     pub machine: Machine,
-    /// Switches and plate.
+    /// Switches and probe plate.
     pub fittings: Fittings,
     /// Distances and speeds.
     pub meter: Meter,
@@ -28,7 +28,7 @@ pub struct World {
 }
 
 impl World {
-    /// Trace, extents and measurements begin at zero.
+    /// Restarts trace, extents and measurements from zero.
     pub fn restart(&mut self) {
         self.trace.restart();
         self.machine.restart();
@@ -40,20 +40,20 @@ impl World {
 #[derive(Clone)]
 pub struct StepTask {
     stepper: Box<Stepper<AXES>>,
-    /// Messages that wait, each with what its move belongs to.
+    /// Waiting messages, each with the line and tool of its move.
     segments: VecDeque<(ToStep, Mark)>,
     events: VecDeque<StepEvent<AXES>>,
-    /// When the step timer expires next; `None` while it is stopped.
+    /// Next expiry of the step timer, in ticks; `None` while the timer is stopped.
     due: Option<u64>,
-    /// Ticks for which the task has been busy.
+    /// Ticks during which the task was busy.
     busy: u64,
     directions: u8,
     begun: u32,
-    /// Count of stops that the task waits to hear of, while its gate is shut.
+    /// While set, the task ignores messages until a `Resume` with this count of stops.
     shut: Option<u16>,
     power: u16,
     outputs: Option<SlowOutputs>,
-    /// The probe is active while its pin is high.
+    /// Whether the probe is active while its pin is high.
     probe_invert: bool,
 }
 
@@ -76,48 +76,48 @@ impl Default for StepTask {
 }
 
 impl StepTask {
-    /// When the step timer expires next.
+    /// Next expiry of the step timer, in ticks.
     #[inline]
     pub fn due(&self) -> Option<u64> {
         self.due
     }
 
-    /// Ticks for which the task has been busy: the time of the digest.
+    /// Ticks during which the task was busy: the time base of the digest.
     pub fn busy(&self) -> u64 {
         self.busy
     }
 
-    /// The time of the digest begins at zero.
+    /// Resets the time base of the digest to zero.
     pub fn restart(&mut self) {
         self.busy = 0;
     }
 
-    /// Messages that wait.
+    /// Number of waiting messages.
     pub fn queued(&self) -> usize {
         self.segments.len()
     }
 
-    /// Whether nothing moves and nothing waits.
+    /// Returns whether nothing moves and nothing waits.
     pub fn is_done(&self) -> bool {
         self.due.is_none() && self.segments.is_empty()
     }
 
-    /// The same, and nothing is loaded.
+    /// Returns whether nothing moves or waits, and the stepper has nothing loaded.
     pub fn is_idle(&self) -> bool {
         self.is_done() && self.stepper.is_idle()
     }
 
-    /// Segments begun since power-up.
+    /// Number of segments started since power-up.
     pub fn segments_begun(&self) -> u32 {
         self.stepper.segments_begun()
     }
 
-    /// Slow outputs, as written last.
+    /// The slow outputs as last written.
     pub fn outputs(&self) -> Option<SlowOutputs> {
         self.outputs
     }
 
-    /// Spindle or laser power now.
+    /// The present spindle or laser power.
     pub fn power(&self) -> u16 {
         self.power
     }
@@ -127,12 +127,12 @@ impl StepTask {
         self.events.pop_front()
     }
 
-    /// Takes over what concerns it of the wiring.
+    /// Applies the wiring of the probe.
     pub fn wire(&mut self, wiring: &Wiring) {
         self.probe_invert = wiring.probe_invert;
     }
 
-    /// Takes over the slow outputs; the power of a moving laser comes with the segments.
+    /// Sets the slow outputs; the power of a moving laser comes with the segments.
     pub fn show(&mut self, outputs: SlowOutputs, clock: &Clock, world: &mut World) {
         self.outputs = Some(outputs);
         if !outputs.power_from_segments || self.due.is_none() {
@@ -141,13 +141,13 @@ impl StepTask {
         world.trace.outputs(clock.now(), &outputs, self.power);
     }
 
-    /// A message comes into the queue. `mark` is what its move belongs to, if moves are marked.
+    /// Queues a message. `mark` is the line and tool of its move, if moves are marked.
     pub fn queue(&mut self, message: ToStep, mark: Mark, clock: &Clock, world: &mut World) {
         self.segments.push_back((message, mark));
         self.load(clock, world);
     }
 
-    /// Fills the stepper from the queue and starts the timer when it has work.
+    /// Fills the stepper from the queue, and starts the timer when the stepper has work.
     fn load(&mut self, clock: &Clock, world: &mut World) {
         while self.stepper.wants()
             && let Some((message, mark)) = self.segments.pop_front()
@@ -164,7 +164,7 @@ impl StepTask {
         }
     }
 
-    /// The step timer expires, now. `true` if the control task should look at once.
+    /// Handles the expiry of the step timer. Returns `true` if the control task should run immediately.
     #[inline]
     pub fn tick(&mut self, clock: &Clock, world: &mut World, inputs: &mut InputTask) -> bool {
         let due = clock.now();
@@ -206,16 +206,16 @@ impl StepTask {
             self.load(clock, world);
         }
         if self.due.is_none() {
-            // A laser with scaled power (M4) is dark at no speed, one with constant power stays on.
+            // A laser with scaled power (M4) is dark at standstill; one with constant power stays on.
             self.carry_power(due, self.outputs.map_or(0, |outputs| outputs.power), world);
             world.meter.at_rest(clock.seconds(due));
             return true;
         }
-        // Samples of a contact begin now, and not with whatever wakes the pump next.
+        // Start sampling a changed contact immediately, instead of at the next wake-up of the pump.
         probed || contact
     }
 
-    /// Shows another power of a laser, where segments carry it.
+    /// Sets another laser power, if the segments carry the power.
     fn carry_power(&mut self, at: u64, power: u16, world: &mut World) {
         if let Some(outputs) = self.outputs
             && outputs.power_from_segments
@@ -227,7 +227,7 @@ impl StepTask {
     }
 
     fn look_at_probe(&mut self, world: &World, inputs: &InputTask) -> bool {
-        // The step task looks at the pin itself and not at what the filter has let pass.
+        // The step task reads the pin directly, without the filter.
         let touched = (inputs.hand().probe || world.fittings.touches()) != self.probe_invert;
         let first = self.stepper.probe(touched);
         if first {
@@ -236,11 +236,11 @@ impl StepTask {
         first
     }
 
-    /// Stops at once.
+    /// Stops immediately.
     pub fn stop(&mut self, clock: &Clock, world: &mut World) {
         let event = self.stepper.stop([0; AXES]);
         self.stopped(event, clock, world);
-        // What is queued is void, and a full queue would have no room for `Resume`.
+        // The queued messages are void; in a full queue they would leave no room for `Resume`.
         self.load(clock, world);
     }
 

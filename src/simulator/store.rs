@@ -1,9 +1,9 @@
-//! The settings store of a simulated board: two flash sectors in memory under the log that the boards use. Every word
-//! written can be copied to a file at once.
+//! The settings store of a simulated board: two flash sectors in memory under the log that the boards use. Every
+//! written word can be copied to a file immediately.
 //!
-//! Whoever keeps a copy is told of every word at once, so whatever ends the process leaves what a power cut would leave. A
-//! power cut can also be ordered: after so many words and erases, the next one is left half done and nothing is taken any
-//! more.
+//! The owner of a copy receives every word immediately, so any end of the process leaves the same state as a power cut.
+//! A power cut can also be ordered: after a given number of writes and erases, the next operation is left half done and
+//! all further ones fail.
 
 use anyhow::{Context, Result, anyhow, bail};
 use oxmill_controller::messages::{Record, Store as Change};
@@ -11,46 +11,46 @@ use oxmill_store::{Flash, Log, Sector, StoreError};
 use std::fmt;
 use std::sync::Arc;
 
-/// Bytes of a sector on the boards.
+/// Size of a sector on the boards, in bytes.
 const SECTOR: u32 = 16 * 1024;
-/// Bytes of an image: both sectors.
+/// Size of an image with both sectors, in bytes.
 pub const IMAGE: usize = 2 * SECTOR as usize;
 const ERASED: u32 = u32::MAX;
 
 /// A change of the image.
 #[derive(Clone, Copy, Debug)]
 pub enum Kept<'a> {
-    /// These bytes are now at this offset.
+    /// Bytes at this offset have changed to the given ones.
     Bytes(usize, &'a [u8]),
-    /// What was told is to be safe now.
+    /// All changes so far must be made durable.
     Sync,
 }
 
-/// Keeps a copy of the image.
+/// A function that keeps a copy of the image.
 pub type Keep = Arc<dyn Fn(Kept<'_>) -> std::io::Result<()> + Send + Sync>;
 
-/// Why an image is of no use.
+/// Why an image cannot be used.
 #[derive(Debug)]
 pub enum Unusable {
-    /// It is something else.
+    /// It is not a flash image with a log.
     Foreign(anyhow::Error),
-    /// The log in it cannot be carried on.
+    /// The log in the image cannot be continued.
     Log(Failure),
 }
 
-/// The log in its flash.
+/// The settings log in its flash.
 #[derive(Clone, Debug)]
 pub struct Store {
     log: Log<Image>,
 }
 
 impl Store {
-    /// An empty store that ends with the process.
+    /// Makes an empty store in memory, which ends with the process.
     pub fn in_memory() -> Self {
         Self::with_sectors_of(SECTOR)
     }
 
-    /// The same with smaller sectors, which are full sooner.
+    /// Makes an empty store in memory with smaller sectors, which fill up sooner.
     ///
     /// # Panics
     /// If a sector is too small for its own header.
@@ -58,17 +58,17 @@ impl Store {
         Self::power_up(Image::erased(bytes)).expect("memory takes everything while it has power")
     }
 
-    /// The store in an image that is kept elsewhere, too: `keep` is told of every change.
+    /// Opens the store in an image that has a copy elsewhere; `keep` receives every change.
     ///
     /// # Errors
-    /// If the bytes are no flash image, or the log in it cannot be read.
+    /// If the bytes are not a flash image, or the log in it cannot be read.
     pub fn kept(bytes: &[u8], keep: Keep) -> Result<Self, Unusable> {
         let mut image = Image::from_bytes(bytes).map_err(Unusable::Foreign)?;
         image.keep = Some(keep);
         Self::power_up(image).map_err(Unusable::Log)
     }
 
-    /// An erased image with an empty log.
+    /// Returns an erased image with an empty log.
     pub fn blank() -> Vec<u8> {
         Self::in_memory().log.into_flash().bytes()
     }
@@ -77,10 +77,10 @@ impl Store {
         Ok(Self { log: Log::open(image)? })
     }
 
-    /// The store as it is found when power comes back: the same flash, and no further cut.
+    /// Returns the store as found after a power cycle: the same flash, without an ordered power cut.
     ///
     /// # Errors
-    /// When the file cannot be written.
+    /// If the file cannot be written.
     pub fn power_cycled(&self) -> Result<Self> {
         let mut image = self.log.flash().clone();
         image.cut = None;
@@ -88,25 +88,25 @@ impl Store {
         Self::power_up(image).map_err(|failure| anyhow!("{failure}"))
     }
 
-    /// The same in memory alone: whoever keeps a copy is not told of what comes.
+    /// Returns a copy in memory only: its changes are not passed to `keep`.
     ///
     /// # Errors
-    /// When the log cannot be read.
+    /// If the log cannot be read.
     pub fn apart(&self) -> Result<Self> {
         let mut image = self.log.flash().clone();
         image.keep = None;
         Self::power_up(image).map_err(|failure| anyhow!("{failure}"))
     }
 
-    /// All records that count, as they are restored at power-up.
+    /// Returns all valid records, as restored at power-up.
     pub fn records(&mut self) -> Vec<Record> {
         let mut records = Vec::new();
-        // A file is read once, when it is opened.
+        // The image is in memory, so this cannot fail: a file is read only when it is opened.
         let _ = self.log.for_each(|record| records.push(record));
         records
     }
 
-    /// Carries out a change. `Ok` means that it is safe.
+    /// Stores a change. `Ok` means that it is durable.
     pub fn apply(&mut self, change: &Change) -> Result<()> {
         self.log.store(change).map_err(|error| match error {
             StoreError::Full => anyhow!("the flash is full"),
@@ -115,25 +115,26 @@ impl Store {
         self.log.flash().sync().context("cannot write the flash image")
     }
 
-    /// Whether a sector should be erased when there is time.
+    /// Returns whether a sector should be erased when there is time.
     pub fn needs_erase(&self) -> bool {
         self.log.needs_erase()
     }
 
-    /// Erases it.
+    /// Erases the spare sector.
     pub fn erase_ahead(&mut self) -> Result<()> {
         self.log.erase_spare().map_err(|failure| anyhow!("{failure}"))
     }
 
-    /// Lets the power go after so many more operations: the next one is left half done. `torn` are the bits that a word
-    /// written by it has got; with bit 0 set, an erase looks complete and is not.
+    /// Cuts the power after `operations` more operations: the next operation is left half done. `torn`: mask of the
+    /// bits that an interrupted word write still programs. With bit 0 set, an interrupted erase looks complete but
+    /// counts as failed.
     pub fn cut_power_after(&mut self, operations: u32, torn: u32) {
         let image = self.log.flash_mut();
         image.cut = Some(operations);
         image.torn = torn;
     }
 
-    /// Whether the power is gone.
+    /// Returns whether the power was cut.
     pub fn power_is_gone(&self) -> bool {
         self.log.flash().gone
     }
@@ -143,18 +144,18 @@ impl Store {
         self.log.flash().bytes()
     }
 
-    /// Words written and sectors erased so far.
+    /// Number of words written and sectors erased so far.
     pub fn operations(&self) -> u32 {
         self.log.flash().operations
     }
 }
 
-/// Why the flash did not take something.
+/// Why a flash operation failed.
 #[derive(Debug)]
 pub enum Failure {
-    /// The power went.
+    /// The power was cut.
     PowerCut,
-    /// The copy could not be kept.
+    /// The copy could not be written.
     Copy(std::io::Error),
 }
 
@@ -171,7 +172,7 @@ impl fmt::Display for Failure {
 #[derive(Clone)]
 struct Image {
     sectors: [Vec<u32>; 2],
-    /// Shared, because a store that is cloned is still the same flash.
+    /// Shared, because a cloned store represents the same flash.
     keep: Option<Keep>,
     operations: u32,
     cut: Option<u32>,
@@ -191,7 +192,7 @@ impl Image {
         Self { sectors: [words.clone(), words], keep: None, operations: 0, cut: None, torn: 0, gone: false }
     }
 
-    /// Anything but an image that holds a log is refused rather than erased.
+    /// Rejects everything except an image with a log, instead of erasing it.
     fn from_bytes(bytes: &[u8]) -> Result<Self> {
         if bytes.len() != IMAGE {
             bail!("it does not have {IMAGE} bytes");
@@ -219,7 +220,7 @@ impl Image {
         }
     }
 
-    /// Counts an operation; whether there is power for it. Without power nothing happens at all.
+    /// Counts an operation. Returns whether there is power for it; fails if the power was cut before.
     fn spend(&mut self) -> Result<bool, Failure> {
         if self.gone {
             return Err(Failure::PowerCut);

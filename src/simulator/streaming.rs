@@ -1,8 +1,8 @@
-//! Forecasts a job over a serial link: how long it takes with a sender that counts characters at a baud rate, and at
-//! which lines the machine waits for bytes. Compared with the same job over a link without limit.
+//! Forecasts a job over a serial link: its duration with a sender that counts characters at a baud rate, and the lines
+//! at which the machine waits for bytes, in comparison with an unlimited link.
 //!
-//! The sender counts characters: it sends a line as long as what the controller has not answered, with it, fits into the
-//! receive buffer. Answers need their time on the way back, too. Time passes in slices of a millisecond.
+//! The sender counts characters: it sends a line if the line and all unanswered lines together fit into the
+//! controller's receive buffer. Replies take time on the way back, too. Time advances in slices of a millisecond.
 
 use crate::machine::linear;
 use crate::path::Drawing;
@@ -11,13 +11,13 @@ use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-/// A slice of time.
+/// Length of a time slice.
 const SLICE: Duration = Duration::from_millis(1);
-/// Slices in a second, times the bits on the wire for a byte: start, eight data bits, stop.
+/// Slices per second, times the bits on the wire per byte: start, eight data bits, stop.
 const BYTE: u64 = 1000 * 10;
-/// A lag that has grown by less than this between two lines is left out of account, in seconds: it is the slices'.
+/// Increases of the lag from one line to the next below this are ignored, in seconds: the time slices cause them.
 const NOTICEABLE: f64 = 0.005;
-/// Places that are listed.
+/// Maximum number of lines that are listed.
 const MOST_PLACES: usize = 20;
 
 /// A line at which the machine lost time.
@@ -25,14 +25,14 @@ const MOST_PLACES: usize = 20;
 pub struct Lost {
     /// Number of the line in the text sent, from 1.
     pub line: u64,
-    /// How much later it ended than the lines before it had let expect, in seconds.
+    /// Additional delay at this line, relative to the delay of the lines before, in seconds.
     pub seconds: f64,
 }
 
-/// What became of a job that was sent.
+/// Result of a job that was sent.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Streamed {
-    /// Bits per second of the link; 0 for one without limit.
+    /// Bits per second of the link; 0 for an unlimited link.
     pub baud: u32,
     /// From the first byte sent to rest, in seconds.
     pub forecast_s: f64,
@@ -40,7 +40,7 @@ pub struct Streamed {
     pub complete: bool,
     /// Lines that were answered with an error.
     pub errors: u64,
-    /// Where most time was lost against a link without limit, the worst first.
+    /// Lines with the most time lost compared with an unlimited link, the largest loss first.
     pub lost: Vec<Lost>,
 }
 
@@ -53,19 +53,21 @@ pub struct Streaming {
     waiting: VecDeque<Vec<u8>>,
     /// Lengths of the lines that have been sent and not answered.
     in_flight: VecDeque<usize>,
-    /// Bytes of the lines that the sender has handed to the link.
+    /// Bytes that the sender has handed to the link.
     outgoing: VecDeque<u8>,
-    /// Bytes that the link may still carry in this slice, and what it carries back.
+    /// Transmission capacity for `outgoing`, in units of 1/[`BYTE`] byte.
     credit: u64,
+    /// Reply bytes on their way back.
     returning: VecDeque<u8>,
     answer: Vec<u8>,
+    /// Transmission capacity for `returning`, in units of 1/[`BYTE`] byte.
     credit_back: u64,
     errors: u64,
     done: bool,
 }
 
 impl Streaming {
-    /// Begins to send a text to a simulator that is idle, at so many bits per second; 0 for a link without limit.
+    /// Starts sending a text to an idle simulator at `baud` bits per second; 0 for an unlimited link.
     pub fn new(mut simulator: Simulator, text: &[u8], baud: u32) -> Self {
         let origin = simulator.clock().now();
         simulator.begin_job();
@@ -92,7 +94,7 @@ impl Streaming {
         }
     }
 
-    /// Lets so many milliseconds of the machine pass. Whether the job has come to its end.
+    /// Advances the machine by up to `slices` milliseconds. Returns whether the job has ended.
     pub fn advance(&mut self, slices: u32) -> bool {
         for _ in 0..slices {
             if self.done {
@@ -130,7 +132,7 @@ impl Streaming {
         self.done = answered && self.simulator.is_idle() || stuck && !self.in_flight.is_empty();
     }
 
-    /// A dwell may last for years.
+    /// Skips slices in which nothing happens: a dwell may last for years.
     fn pass_slices_without_event(&mut self) {
         let slice = self.simulator.clock().ticks_in(SLICE);
         let slices = self.simulator.ticks_without_event() / slice;
@@ -153,20 +155,20 @@ impl Streaming {
         }
     }
 
-    /// Lines that have been answered, of how many.
+    /// Returns the number of answered lines, and the number of all lines.
     pub fn progress(&self) -> (u64, u64) {
         let left = (self.waiting.len() + self.in_flight.len()) as u64;
         let read = u64::from(self.simulator.controller().lines_read().wrapping_sub(self.lines_before));
         (read, read.max(1) + left)
     }
 
-    /// When each line of the text ended, in seconds from the first byte.
+    /// Returns the end time of each line of the text, in seconds from the first byte.
     fn ends(&self) -> BTreeMap<u32, f64> {
         let points = self.simulator.meter().drawing().map_or(&[][..], Drawing::points);
         points.iter().map(|point| (point.mark.line.wrapping_sub(self.lines_before), point.seconds[1])).collect()
     }
 
-    /// What became of it, compared with the same job over a link without limit.
+    /// Returns the result, compared with the same job over an unlimited link.
     pub fn summary(&self, unlimited: &Streaming) -> Streamed {
         let clock = self.simulator.clock();
         let free = unlimited.ends();
@@ -192,19 +194,19 @@ impl Streaming {
     }
 }
 
-/// How many of the waiting bytes a link carries in a slice.
+/// Returns how many of the waiting bytes a link carries in one slice.
 fn carried(baud: u32, credit: &mut u64, waiting: usize) -> usize {
     if baud == 0 {
         return waiting;
     }
     *credit += u64::from(baud);
     let carried = usize::try_from(*credit / BYTE).unwrap_or(waiting).min(waiting);
-    // An idle link saves nothing up but the part of a byte that is under way.
+    // An idle link accumulates no credit except for the byte in progress.
     *credit = if carried < waiting { *credit - carried as u64 * BYTE } else { *credit % BYTE };
     carried
 }
 
-/// The lines as a sender sends them: without tape marks, and without what would be a realtime command.
+/// Returns the lines as a sender transmits them: without tape marks and without realtime commands.
 fn lines_of(text: &[u8]) -> VecDeque<Vec<u8>> {
     let text = String::from_utf8_lossy(text).replace("\r\n", "\n").replace('\r', "\n");
     let plain = |c: char| if c.is_ascii_graphic() && !"!?~".contains(c) { c as u8 } else { b' ' };
@@ -232,7 +234,7 @@ mod tests {
         streaming
     }
 
-    /// Moves of 0.1 mm at 6000 mm/min: a thousand lines of 17 bytes in a second.
+    /// Moves of 0.1 mm at 6000 mm/min: a thousand lines of 17 bytes per second.
     fn dense() -> String {
         let moves: String = (1..=500).map(|i| format!("G1X{:.4}Y0.0000\n", f64::from(i) * 0.1)).collect();
         format!("G21 G90 F6000\n{moves}")
@@ -246,7 +248,7 @@ mod tests {
         let unlimited = free.summary(&free);
         assert!(unlimited.complete && fast.complete && slow.complete);
         assert!(fast.forecast_s < unlimited.forecast_s + 0.2, "{fast:?} {unlimited:?}");
-        // 8 kB at 1920 bytes a second.
+        // 8 kB at 1920 bytes per second.
         assert!(slow.forecast_s > 3.5 && slow.forecast_s > 2.0 * unlimited.forecast_s, "{slow:?} {unlimited:?}");
         assert!(!slow.lost.is_empty() && unlimited.lost.is_empty());
         assert!(slow.lost.iter().all(|lost| (1..=501).contains(&lost.line) && lost.seconds > 0.0));
@@ -259,7 +261,7 @@ mod tests {
         assert_eq!((summary.errors, summary.complete), (1, true));
     }
 
-    /// One of a thousand years is passed at once, and one that is longer than the clock runs ends it.
+    /// A dwell of a thousand years is skipped; a dwell beyond the range of the clock ends the job.
     #[test]
     fn long_dwells_take_no_time_of_the_host() {
         for baud in [0, 9600] {

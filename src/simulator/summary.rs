@@ -1,34 +1,34 @@
 //! The result of a job: errors, alarm, messages, times, distances, extents, peaks and digests. Written as JSON, or as
-//! text for people.
+//! text for users.
 
 use crate::tool_times::ToolTime;
 use oxmill_controller::axes::Axis;
 use serde::Serialize;
 use std::fmt;
 
-/// An answer `error:N`.
+/// A reply `error:N`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct LineError {
     /// Number of the line in the file, from 1.
     pub line: u64,
     /// The error's number.
     pub code: u8,
-    /// Where in the line the word is that the text names, in characters from 1, if it names one of the line.
+    /// Column of the word that `text` names, in characters from 1; `None` if it names no word of the line.
     pub column: Option<u64>,
     /// What is wrong with the line.
     pub text: String,
     /// The line.
     pub source: String,
-    /// What helps against it.
+    /// What the user can do about the error.
     pub advice: String,
 }
 
-/// A line that is accepted and does what may not be meant.
+/// A line that is accepted but may not do what was intended.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Warning {
     /// Number of the line in the file, from 1.
     pub line: u64,
-    /// What it does.
+    /// What the line does.
     pub text: String,
 }
 
@@ -37,25 +37,25 @@ pub struct Warning {
 pub struct AlarmReport {
     /// The alarm's number.
     pub code: u8,
-    /// What it means.
+    /// The meaning of the alarm.
     pub text: String,
-    /// The oldest line without an answer when it came, if there was one.
+    /// The oldest unanswered line at the time of the alarm, if any.
     pub line: Option<u64>,
-    /// What helps against it.
+    /// What the user can do about the alarm.
     pub advice: String,
 }
 
-/// Where the machine went, in mm of machine coordinates, or in degrees.
+/// The range of machine coordinates that was reached, in mm or degrees.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Extents {
-    /// Least position of each axis.
+    /// Minimum position of each axis.
     pub min: Vec<f64>,
-    /// Greatest position of each axis.
+    /// Maximum position of each axis.
     pub max: Vec<f64>,
 }
 
 impl Extents {
-    /// Each axis, and in words where it went.
+    /// Returns each axis with its range as text.
     pub fn rows(&self) -> impl Iterator<Item = (Axis, String)> {
         Axis::ALL.into_iter().zip(self.min.iter().zip(&self.max)).map(|(axis, (low, high))| {
             let unit = if axis.is_rotary() { "deg" } else { "mm" };
@@ -64,8 +64,8 @@ impl Extents {
     }
 }
 
-/// The whole report. Field names are a promise to those who read the JSON. Lists of axes are as long as there are axes in use
-/// (`$930`); of A they are in degrees, and a way that it takes part in counts a degree as a millimetre.
+/// The complete report. Field names are stable for readers of the JSON. Lists of axes have one entry per axis in use
+/// (`$930`); entries of A are in degrees, and distances that involve A count a degree as a millimetre.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[allow(missing_docs, reason = "names and units say it; the others are explained")]
 pub struct Summary {
@@ -75,44 +75,44 @@ pub struct Summary {
     pub step_clock_hz: u32,
     /// Lines of the file.
     pub lines: u64,
-    /// Lines that begin with `%` and were left out.
+    /// Lines that begin with `%` and were skipped.
     pub tape_marks: u64,
     /// The first errors, at most 1000.
     pub errors: Vec<LineError>,
-    /// How many errors there were beyond those of the list.
+    /// Number of errors beyond those in `errors`.
     pub more_errors: u64,
-    /// Lines that do what may not be meant, at most 1000.
+    /// Lines that may not do what was intended, at most 1000.
     pub warnings: Vec<Warning>,
-    /// How many there were beyond those of the list.
+    /// Number of warnings beyond those in `warnings`.
     pub more_warnings: u64,
     pub alarm: Option<AlarmReport>,
-    /// Whether the job was taken to its end.
+    /// Whether the job was completed.
     pub complete: bool,
-    /// Remarks of the simulator, such as a pause that it ended.
+    /// Notes of the simulator, such as a pause that it ended; at most 50.
     pub notes: Vec<String>,
-    /// How many there were beyond those of the list, which has 50 at most.
+    /// Number of notes beyond those in `notes`.
     pub more_notes: u64,
-    /// Messages of the controller.
+    /// Messages of the controller, at most 50.
     pub messages: Vec<String>,
-    /// How many there were beyond those of the list, which has 50 at most.
+    /// Number of messages beyond those in `messages`.
     pub more_messages: u64,
-    /// From the first line to rest: what a board will take over a link that never starves it.
+    /// From the first line to rest: the time that a board will need if its link never starves it.
     pub forecast_s: f64,
     /// From the first step to the last.
     pub duration_s: f64,
-    /// Part of it for which the step task was busy.
+    /// Part of `duration_s` during which the step task was busy.
     pub moving_s: f64,
-    /// Part of the forecast for which the machine moved at feed: all moves but rapids.
+    /// Part of the forecast in motion at feed: all moves except rapids.
     pub feed_s: f64,
-    /// Part of the forecast for rapids.
+    /// Part of the forecast in rapids.
     pub rapid_s: f64,
-    /// The rest: dwells, spindle delays, tool changes.
+    /// The rest of the forecast: dwells, spindle delays, tool changes.
     pub standing_s: f64,
-    /// Part of it for G4 and the dwells of canned cycles.
+    /// Part of `standing_s` for G4 and the dwells of canned cycles.
     pub dwell_s: f64,
-    /// Part of it for the spindle to turn, or to come to rest.
+    /// Part of `standing_s` for the spindle to spin up or to stop.
     pub spin_up_s: f64,
-    /// The same by tool, in the order in which they came.
+    /// These times by tool, in the order of use.
     pub tools: Vec<ToolTime>,
     /// Machine position at the end.
     pub position_mm: Vec<f64>,
@@ -127,35 +127,36 @@ pub struct Summary {
     pub distance_mm: f64,
     pub rapid_distance_mm: f64,
     pub extents_mm: Extents,
-    /// Greatest path speed: a mean over some milliseconds or more, less what the rounding to steps may have added to it.
+    /// Maximum path speed: an average over some milliseconds or more, reduced by what rounding to steps may have added.
     pub peak_speed_mm_s: f64,
-    /// Greatest change of path speed per time, measured likewise: that of ramps. What curves and corners take across the
-    /// path is no part of it.
+    /// Maximum change of path speed per time, measured likewise, as on ramps. Excludes the acceleration across the path
+    /// in curves and corners.
     pub peak_acceleration_mm_s2: f64,
-    /// Greatest speed of each axis, measured likewise.
+    /// Maximum speed of each axis, measured likewise.
     pub peak_axis_speed_mm_s: Vec<f64>,
-    /// The greatest part that each axis had in a ramp: the change of path speed per time, by the direction of the path.
+    /// Maximum component of each axis of the acceleration on ramps: the change of path speed per time, times the
+    /// direction of the path.
     pub peak_axis_acceleration_mm_s2: Vec<f64>,
-    /// Over (time in step-clock ticks, step bits, direction bits) of each step event.
+    /// Hash over (time in step-clock ticks, step bits, direction bits) of each step event.
     pub trace_hash: String,
-    /// Over step and direction bits alone.
+    /// Hash over the step and direction bits only.
     pub order_hash: String,
-    /// What the simulation took.
+    /// Duration of the simulation, in seconds of the host.
     pub host_s: f64,
 }
 
 impl Summary {
-    /// How many errors there were.
+    /// Returns the number of errors.
     pub fn error_count(&self) -> u64 {
         self.errors.len() as u64 + self.more_errors
     }
 
-    /// How many warnings there were.
+    /// Returns the number of warnings.
     pub fn warning_count(&self) -> u64 {
         self.warnings.len() as u64 + self.more_warnings
     }
 
-    /// The parts of the forecast in one line.
+    /// Returns the parts of the forecast in one line.
     pub fn parts(&self) -> String {
         let parts = [("at feed", self.feed_s), ("in rapids", self.rapid_s), ("standing", self.standing_s)];
         let standing = [("dwell", self.dwell_s), ("spindle", self.spin_up_s)];
@@ -164,7 +165,7 @@ impl Summary {
         if standing.is_empty() { parts } else { format!("{parts} ({})", standing.join(", ")) }
     }
 
-    /// A line for each tool, if there are several.
+    /// Returns a line for each tool if there are several tools, otherwise nothing.
     pub fn several_tools(&self) -> Vec<String> {
         let line = |row: &ToolTime| {
             let parts = [
@@ -179,7 +180,7 @@ impl Summary {
         if self.tools.len() > 1 { self.tools.iter().map(line).collect() } else { Vec::new() }
     }
 
-    /// Whether every line was accepted and nothing went wrong.
+    /// Returns whether every line was accepted, no alarm occurred and the job was completed.
     pub fn is_good(&self) -> bool {
         self.errors.is_empty() && self.alarm.is_none() && self.complete
     }
@@ -189,7 +190,7 @@ fn named_time((name, seconds): &(&str, f64)) -> String {
     format!("{} {name}", clock_time(*seconds))
 }
 
-/// How many errors, and how many warnings, people are shown.
+/// Maximum number of errors, and of warnings, in the text for users.
 const SHOWN_ERRORS: usize = 20;
 
 impl fmt::Display for Summary {
@@ -211,7 +212,7 @@ impl fmt::Display for Summary {
             (false, None) => "not taken to the end".into(),
         };
         row(f, "job", ended)?;
-        // A message may be the reason of many errors.
+        // One message may be the reason for many errors.
         for (message, times) in runs(&self.messages) {
             row(f, "message", if times > 1 { format!("{message} ({times} times)") } else { message.into() })?;
         }
@@ -297,17 +298,17 @@ fn list(values: impl Iterator<Item = f64>) -> String {
     values.map(|v| format!("{v:.1}")).collect::<Vec<_>>().join(", ")
 }
 
-/// A number of things.
+/// Formats a number of items, with the plural of `name` where needed.
 pub fn counted(number: u64, name: &str) -> String {
     format!("{number} {name}{}", if number == 1 { "" } else { "s" })
 }
 
-/// Equal texts that follow each other, and how many they are.
+/// Returns runs of equal consecutive texts, with their lengths.
 fn runs(texts: &[String]) -> impl Iterator<Item = (&str, usize)> {
     texts.chunk_by(|a, b| a == b).map(|run| (run[0].as_str(), run.len()))
 }
 
-/// Seconds as people read them. Rounded first: 59.98 s behind a minute are another minute.
+/// Formats a duration for users. Rounds first: 59.98 s after a minute become another minute.
 pub fn clock_time(seconds: f64) -> String {
     let tenths = (seconds * 10.0).round();
     if (seconds * 1000.0).round() < 60_000.0 {

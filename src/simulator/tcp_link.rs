@@ -1,5 +1,5 @@
-//! `serve --tcp` and `--pins`: accepts TCP connections, serves one client of the machine and some pin clients, and
-//! turns the others away. Time-outs and keep-alive end connections of clients that are gone or do not read.
+//! `serve --tcp` and `--pins`: accepts TCP connections, serves one client of the machine and several pin clients, and
+//! turns others away. Time-outs and keep-alive end the connections of clients that have vanished or do not read.
 
 use crate::clients::{Connection, ENDLESS, Happened, Incoming, LOOK, PIECE, Places};
 use crate::files::remark;
@@ -12,39 +12,43 @@ use std::sync::mpsc::{SyncSender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// What is said to a client for whom there is no place, and how long one that is turned away is listened to at most, so that it can read why.
+/// Sent to a client if all connections are in use.
 const CROWDED: &[u8] = b"[MSG:Too many connections]\r\n";
+/// Maximum time to keep reading from a rejected client, so that it can read the reason.
 const CLOSING_TIME: Duration = Duration::from_secs(1);
-/// How long a client of another computer may be silent until its system is asked for a sign of life, and the time between
-/// such questions: one whose cable has been pulled leaves the machine to others after a minute or two.
+/// Idle time after which TCP keep-alive probes a client on another computer. With [`QUESTIONS`], a client whose cable
+/// was pulled releases the machine after a minute or two.
 const SILENCE: Duration = Duration::from_secs(20);
+/// Time between keep-alive probes.
 const QUESTIONS: Duration = Duration::from_secs(5);
-/// How long its system may leave an answer unacknowledged, or have no room for it.
+/// How long a client's system may leave a reply unacknowledged, or have no room for it.
 #[cfg(target_os = "linux")]
 const UNACKNOWLEDGED: Duration = Duration::from_secs(60);
 
-/// A client that does not read holds its writer for that time at most.
+/// Sets up a client's connection. A write to a client that does not read blocks for at most `unread`.
 pub(crate) fn set_up(stream: &TcpStream, unread: Duration) -> io::Result<()> {
-    // Answers are short and each is waited for.
+    // Replies are short, and the client waits for each.
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(unread))?;
     let socket = SockRef::from(stream);
-    // While an answer is under way no sign of life is asked for, and the system would repeat it for a quarter of an hour.
+    // While a reply is being sent, TCP sends no keep-alive probes; the system would retransmit it for a quarter of an
+    // hour.
     #[cfg(target_os = "linux")]
     socket.set_tcp_user_timeout(Some(UNACKNOWLEDGED))?;
     socket.set_tcp_keepalive(&TcpKeepalive::new().with_time(SILENCE).with_interval(QUESTIONS))
 }
 
-/// Longest line of the pin protocol, bytes.
+/// Maximum length of a line of the pin protocol, bytes.
 const PIN_LINE: u64 = 256;
-/// How long a client of that protocol may take for its first line.
+/// How long a pin client may take for its first line.
 const FIRST_LINE: Duration = Duration::from_secs(60);
-/// How long it may leave answers unread when there is no room for another one.
+/// How long a pin client may leave replies unread when there is no room for another.
 const UNREAD: Duration = Duration::from_secs(5);
-/// Room of the system for the lines of such a client, and for its answers, bytes.
+/// Socket buffer sizes for the lines and the replies of a pin client, bytes.
 const PIN_BUFFER: usize = 1 << 14;
 
-/// A port alone, or with a colon before it, is one of the loopback. Says so if others than this computer can connect.
+/// Listens on an address; a port alone, or with a colon before it, is on the loopback. Warns if other computers can
+/// connect.
 pub(crate) fn listen(address: &str) -> Result<TcpListener> {
     let port = address.strip_prefix(':').unwrap_or(address).parse::<u16>();
     let address = port.map_or_else(|_| address.to_owned(), |port| format!("127.0.0.1:{port}"));
@@ -56,26 +60,26 @@ pub(crate) fn listen(address: &str) -> Result<TcpListener> {
     Ok(listener)
 }
 
-/// Tells a client why it is served no more, or never. Nothing of what it says then is looked at.
+/// Tells a client why it is not served, or not served any more. Discards its input.
 pub(crate) fn turn_away(mut stream: &TcpStream, why: &[u8]) {
     let end = Instant::now() + CLOSING_TIME;
     let _ = stream.set_write_timeout(Some(CLOSING_TIME));
     let _ = stream.set_read_timeout(Some(CLOSING_TIME));
     let told = stream.write_all(why).and_then(|()| stream.shutdown(Shutdown::Write));
-    // A socket closed with unread bytes in it would take the line back.
+    // Closing a socket with unread bytes in it would discard the message.
     let mut thrown_away = [0; PIECE];
     while told.is_ok() && Instant::now() < end && stream.read(&mut thrown_away).is_ok_and(|length| length > 0) {}
 }
 
-/// Tells one for whom there is no place, without waiting for it.
+/// Tells a client that all connections are in use, without waiting for it.
 pub(crate) fn refuse(mut stream: &TcpStream) {
     let told = stream.set_nonblocking(true).and_then(|()| stream.write_all(CROWDED));
     let told = told.and_then(|()| stream.shutdown(Shutdown::Write));
-    // A socket closed with unread bytes in it would take the line back.
+    // Closing a socket with unread bytes in it would discard the message.
     let _ = told.and_then(|()| stream.read(&mut [0; PIECE]));
 }
 
-/// The connections that come in. A system that has no room for one says so again and again.
+/// Returns incoming connections. Retries after a pause if the system cannot accept one.
 pub(crate) fn connections(listener: &TcpListener) -> impl Iterator<Item = TcpStream> {
     listener.incoming().filter_map(|stream| stream.inspect_err(|_| thread::sleep(LOOK)).ok())
 }
@@ -103,7 +107,7 @@ pub(crate) fn serve_pins(listener: &TcpListener, sender: &SyncSender<Happened>) 
         };
         let sender = sender.clone();
         thread::spawn(move || {
-            // Whoever says something else than lines is closed.
+            // An error ends the connection of a client that sends anything but lines.
             let _ = serve_pin_client(&stream, &sender);
             drop(place);
         });
@@ -111,7 +115,7 @@ pub(crate) fn serve_pins(listener: &TcpListener, sender: &SyncSender<Happened>) 
 }
 
 fn serve_pin_client(stream: &TcpStream, sender: &SyncSender<Happened>) -> io::Result<()> {
-    // One whose cable has been pulled, or that does not read, holds its place for a short time only, and little memory.
+    // A client that has vanished or does not read occupies its slot only for a short time, and little memory.
     set_up(stream, UNREAD)?;
     let socket = SockRef::from(stream);
     socket.set_send_buffer_size(PIN_BUFFER)?;
@@ -119,7 +123,8 @@ fn serve_pin_client(stream: &TcpStream, sender: &SyncSender<Happened>) -> io::Re
     let mut back = stream;
     let (reply, answers) = channel();
     let mut reader = BufReader::new(NoBrowser::new(stream));
-    // Whoever says nothing holds no place for long; after its first line a bench may be silent for hours.
+    // A client that sends nothing does not occupy a slot for long. After its first line, a test bench may be silent for
+    // hours.
     stream.set_read_timeout(Some(FIRST_LINE))?;
     loop {
         let mut line = String::new();

@@ -1,9 +1,9 @@
-//! Gives a job's text to the controller byte by byte, and matches each reply to its line: errors, messages, and the
+//! Passes a job's text to the controller byte by byte, and assigns each reply to its line: errors, messages, and the
 //! line of an alarm.
 //!
-//! A file is not a wire: no byte of it is a realtime command. Comments may hold any UTF-8; what is not ASCII reaches the
-//! controller as `?`, which means nothing in a comment and is refused anywhere else. Every line gets exactly one answer,
-//! in order, as for any sender.
+//! The bytes of a file are never realtime commands, unlike those on a link. Comments may contain any UTF-8: non-ASCII
+//! characters reach the controller as `?`, which is ignored in a comment and rejected elsewhere. Every line gets
+//! exactly one answer, in order, as with any sender.
 
 use crate::realtime_bytes;
 use crate::small_board;
@@ -13,15 +13,15 @@ use oxmill_controller::protocol::line_checksum::ANSWER_HEADER;
 use std::collections::VecDeque;
 use std::io::{self, BufRead};
 
-/// A longer line is no program for a machine.
+/// A longer line cannot be a program for a machine.
 const LONGEST_LINE: usize = 1 << 20;
-/// Bytes that are made ready ahead of the controller: what a full receive queue holds.
+/// Number of bytes that are made ready ahead of the controller, like a full receive queue.
 const AHEAD: usize = 256;
 
-/// What the controller said.
+/// A reply of the controller, or a warning.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Said {
-    /// `error:N`, to the line with this number.
+    /// `error:N` for a line of the file.
     Error {
         /// Number of the line in the file, from 1.
         line: u64,
@@ -29,16 +29,16 @@ pub enum Said {
         code: u8,
         /// The line, without its end.
         text: String,
-        /// What is wrong with it, if that was said: the message in front of the error.
+        /// What is wrong with the line, if known: the message before the error.
         reason: Option<String>,
     },
-    /// Anything else than an answer to a line.
+    /// Any other output that is not an answer to a line.
     Message(String),
-    /// A line that has been given out does what may not be meant.
+    /// A line given to the controller may not do what was intended.
     Warning(Warning),
 }
 
-/// Lines on their way and answers to them.
+/// A job's lines on their way to the controller, and the answers to them.
 pub struct JobText {
     reader: Box<dyn BufRead>,
     bytes: VecDeque<u8>,
@@ -46,46 +46,47 @@ pub struct JobText {
     after_cr: bool,
     stopped: bool,
     failed: Option<io::Error>,
-    /// Lines that were begun to be taken or wait to be, with their numbers; and the error of a board that refuses what the simulator
-    /// takes.
+    /// Lines that are being taken or wait to be, with their numbers, and with the error of a board that rejects a line
+    /// which the simulator accepts.
     unanswered: VecDeque<(u64, String, Option<Error>)>,
-    /// The board has all words that the simulator has.
+    /// Whether the board supports all words of the simulator.
     has_all_words: bool,
     lines: u64,
     answers: u64,
-    /// The oldest line without an answer when an alarm was told, once one was.
+    /// The oldest unanswered line when the first alarm was reported.
     alarmed_at: Option<u64>,
     consumed: u64,
     reply: Vec<u8>,
-    /// The message that has just come, behind which there has been nothing else.
+    /// The message that was just received, if nothing followed it.
     message: Option<String>,
     said: Vec<Said>,
-    /// Lines that the controller had read before the first of these.
+    /// Number of lines that the controller had read before this job.
     lines_before: u32,
-    /// For each tape mark, how many lines had been given out before it.
+    /// For each tape mark: the number of lines given to the controller before it.
     marks: Vec<u64>,
-    /// Answered lines that may have begun a block of O words.
+    /// Answered lines that may have opened a block of O words.
     openers: Vec<Opener>,
-    /// A line with words has been given out.
+    /// Whether a line with words has been given to the controller.
     has_words: bool,
-    /// The line that has ended the program, and how many lines with words have been answered behind it.
+    /// The line that ended the program.
     ended_at: Option<ProgramEnd>,
+    /// Number of lines with words that were answered after the end of the program.
     behind_end: u64,
 }
 
-/// Where a program has ended.
+/// Where a program ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProgramEnd {
     /// Number of the line in the file, from 1.
     pub line: u64,
-    /// It is a tape mark, and no M2 or M30.
+    /// Whether a tape mark ended the program, instead of M2 or M30.
     pub is_tape_mark: bool,
 }
 
-/// What the controller says at M2 and M30.
+/// The controller's message at M2 and M30.
 const PROGRAM_END: &str = "[MSG:Pgm End]";
 
-/// Errors that say what the machine has against a line. A message in front of them is no word about the line.
+/// Errors caused by the state of the machine. A message before such an error does not explain the line.
 const OF_STATE: [u8; 6] = [
     Error::StoreReadFailed.code(),
     Error::NotIdle.code(),
@@ -95,17 +96,17 @@ const OF_STATE: [u8; 6] = [
     Error::DamagedLine.code(),
 ];
 
-/// A line that may have begun a block.
+/// A line that may have opened a block.
 struct Opener {
-    /// Its place among the lines given out, from 1.
+    /// Its index among the lines given to the controller, from 1.
     given: u64,
-    /// Its number in the file.
+    /// Its line number in the file.
     number: u64,
     text: String,
 }
 
 impl JobText {
-    /// The lines of a reader.
+    /// Makes a job of the lines of a reader.
     pub fn new(reader: impl BufRead + 'static) -> Self {
         Self {
             reader: Box::new(reader),
@@ -132,20 +133,21 @@ impl JobText {
         }
     }
 
-    /// The controller has read so many lines (wrapping) before the first of these. `has_all_words`: of a board that has not, its
-    /// errors are told with those of the controller.
+    /// Starts the job. `lines_before`: number of lines (wrapping) that the controller has read before. `has_all_words`:
+    /// if `false`, the errors of a board without all words are added.
     pub fn begin(&mut self, lines_before: u32, has_all_words: bool) {
         self.lines_before = lines_before;
         self.has_all_words = has_all_words;
     }
 
-    /// The line of the file, and its number, which was this one to the controller; as far as it may have begun a block.
+    /// Returns number and text of the line of the file that the controller counts as `line`, if it may have opened a
+    /// block.
     pub fn opener(&self, line: u32) -> Option<(u64, &str)> {
         let given = u64::from(line.wrapping_sub(self.lines_before));
         self.openers.iter().find(|opener| opener.given == given).map(|opener| (opener.number, opener.text.as_str()))
     }
 
-    /// Number in the file of the line that was this one to the controller. 0 for what was before the job.
+    /// Returns the number in the file of the line that the controller counts as `line`; 0 for a line before the job.
     pub fn file_line(&self, line: u32) -> u64 {
         let given = u64::from(line.wrapping_sub(self.lines_before));
         if line == 0 || given == 0 || given > self.lines {
@@ -154,69 +156,71 @@ impl JobText {
         given + self.marks.partition_point(|before| *before < given) as u64
     }
 
-    /// No block is open.
+    /// Forgets possible openers of blocks, as no block is open.
     pub fn forget_openers(&mut self) {
         self.openers.clear();
     }
 
-    /// Lines read up to now, tape marks included.
+    /// Number of lines read so far, including tape marks.
     pub fn lines(&self) -> u64 {
         self.lines
     }
 
-    /// Lines of `%` and nothing but remarks: marks of a punched tape's ends, not for the controller.
+    /// Number of tape marks: lines with `%` and only comments, which mark the ends of a punched tape and are not passed
+    /// on.
     pub fn tape_marks(&self) -> u64 {
         self.marks.len() as u64
     }
 
-    /// Lines answered.
+    /// Number of answered lines.
     pub fn answers(&self) -> u64 {
         self.answers
     }
 
-    /// Bytes of the file read up to now.
+    /// Number of bytes of the file read so far.
     pub fn consumed(&self) -> u64 {
         self.consumed
     }
 
-    /// Number of the oldest line without an answer.
+    /// Number of the oldest unanswered line.
     pub fn oldest_unanswered(&self) -> Option<u64> {
         self.unanswered.front().map(|(number, ..)| *number)
     }
 
-    /// The line that an alarm belongs to which has been told, or may be told yet: some lines are answered behind it.
+    /// Returns the line of an alarm that was reported, or of one that may be reported next: several lines may be
+    /// answered after it.
     pub fn alarmed_at(&self) -> Option<u64> {
         self.alarmed_at.or_else(|| self.oldest_unanswered())
     }
 
-    /// No further line is given out.
+    /// Stops giving lines to the controller.
     pub fn stop(&mut self) {
         self.stopped = true;
         self.bytes.clear();
         self.unanswered.clear();
     }
 
-    /// Whether all lines of the job have been given to the machine and answered.
+    /// Returns whether all lines of the job have been given to the controller and answered.
     pub fn is_used_up(&self) -> bool {
         self.bytes.is_empty() && (self.at_end || self.stopped) && self.unanswered.is_empty()
     }
 
-    /// Whether the file could not be read to its end.
+    /// Returns whether the file could not be read to the end.
     pub fn has_failed(&self) -> bool {
         self.failed.is_some()
     }
 
-    /// Why the file could not be read to its end.
+    /// Removes and returns the error that ended reading.
     pub fn failure(&mut self) -> Option<io::Error> {
         self.failed.take()
     }
 
-    /// What the controller said since the last call.
+    /// Returns the replies since the last call.
     pub fn said(&mut self) -> Vec<Said> {
         std::mem::take(&mut self.said)
     }
 
-    /// Bytes that are ready, at most as many as a receive queue would hold; 0 at the end.
+    /// Returns the number of bytes that are ready, at most the size of a receive queue; 0 at the end.
     pub fn waiting(&mut self) -> usize {
         self.fill();
         self.bytes.len().min(AHEAD)
@@ -248,7 +252,7 @@ impl JobText {
         }
     }
 
-    /// The next line without its end, which is LF, CR LF or CR.
+    /// Returns the next line without its end, which is LF, CR LF or CR.
     fn read_line(&mut self) -> io::Result<Option<Vec<u8>>> {
         let mut line = Vec::new();
         loop {
@@ -297,7 +301,7 @@ impl JobText {
         self.unanswered.push_back((self.lines, shown, left_out));
     }
 
-    /// A part of what the controller says.
+    /// Receives a part of the controller's output.
     pub fn answered(&mut self, bytes: &[u8]) {
         for byte in bytes {
             match byte {
@@ -311,14 +315,14 @@ impl JobText {
         }
     }
 
-    /// The line that has ended the program (M2, M30, a tape mark behind words), and how many lines with words behind it have
-    /// been answered.
+    /// Returns the line that ended the program (M2, M30, or a tape mark after words), and the number of lines with
+    /// words that were answered after it; `None` if there were no such lines.
     pub fn behind_end(&self) -> Option<(ProgramEnd, u64)> {
         self.ended_at.filter(|_| self.behind_end > 0).map(|end| (end, self.behind_end))
     }
 
     fn reply_line(&mut self, reply: &str) {
-        // A file that asks for checked lines gets answers of that form.
+        // A file that switches checked lines on gets answers in their form.
         let reply = match without_header(reply) {
             "known" => "ok",
             text => text,
@@ -326,7 +330,7 @@ impl JobText {
         let code = reply.strip_prefix("error:").and_then(|code| code.parse().ok());
         if reply == PROGRAM_END
             && let Some((line, ..)) = self.unanswered.front()
-            // A tape mark behind it may have been read already.
+            // A tape mark after it may have been read already.
             && self.ended_at.is_none_or(|end| *line < end.line)
         {
             self.ended_at = Some(ProgramEnd { line: *line, is_tape_mark: false });
@@ -353,12 +357,12 @@ impl JobText {
     }
 }
 
-/// An answer without what a checked one has in front.
+/// Returns an answer without the header of a checked line.
 pub fn without_header(reply: &str) -> &str {
     reply.strip_prefix(':').and_then(|answer| answer.get(ANSWER_HEADER - 1..)).unwrap_or(reply)
 }
 
-/// Whether a line has a `%` and behind it nothing but remarks.
+/// Returns whether a line is `%` followed only by comments.
 pub fn is_tape_mark(text: &str) -> bool {
     let Some(mut rest) = text.trim_start().strip_prefix('%') else { return false };
     loop {
@@ -370,13 +374,13 @@ pub fn is_tape_mark(text: &str) -> bool {
     }
 }
 
-/// Whether a line is empty or begins with a remark.
+/// Returns whether a line is empty or begins with a comment.
 fn is_remark(text: &str) -> bool {
     let text = text.trim_start();
     text.is_empty() || text.starts_with(['(', ';'])
 }
 
-/// A character as people are shown it.
+/// Returns a character as shown to users.
 fn shown_character(character: char) -> char {
     match character {
         '\t' => ' ',
@@ -385,10 +389,10 @@ fn shown_character(character: char) -> char {
     }
 }
 
-/// A character as the controller gets it.
+/// Converts a character for the controller.
 fn plain(character: char) -> u8 {
     match character {
-        // Blanks of other scripts are blanks.
+        // Blanks of other scripts count as blanks.
         _ if character.is_whitespace() => b' ',
         _ if character.is_ascii() => character as u8,
         _ => b'?',
@@ -430,7 +434,7 @@ mod tests {
         };
         assert_eq!(end("(a)\n%\nG0 X1\n%\nG0 X2\n\nX3\n%\nX4\n", &b"ok\r\n".repeat(6)), Some((4, true, 3)));
         assert_eq!(end("%\nG0 X1\n%\n(a)\n", &b"ok\r\n".repeat(2)), None);
-        // The one that comes first.
+        // The first end counts.
         assert_eq!(end("%\nM30\n%\nX4\n", b"[MSG:Pgm End]\r\nok\r\nok\r\n"), Some((2, false, 1)));
         assert_eq!(end("X1\n%\nM30\nX4\n", b"ok\r\n[MSG:Pgm End]\r\nok\r\nok\r\n"), Some((2, true, 2)));
     }
@@ -443,7 +447,7 @@ mod tests {
         assert_eq!((job.lines(), job.tape_marks()), (4, 2));
     }
 
-    /// Lines behind it are not checked ones, and refused.
+    /// The lines after `$LC=ON` are not checked lines, so they are rejected.
     #[test]
     fn answers_to_checked_lines_are_answers() {
         let mut job = JobText::new(&b"$LC=ON\nG0\n\n"[..]);
@@ -453,7 +457,7 @@ mod tests {
         assert!(job.is_used_up());
     }
 
-    /// Words behind the mark would be lost: the controller refuses them.
+    /// Words after the mark would be lost, so the controller must reject such a line.
     #[test]
     fn a_tape_mark_has_its_line_for_itself() {
         let mut job = JobText::new(&b"%G0X1\n%%\n% (a) X\n%(a\n%;\n"[..]);
@@ -496,7 +500,7 @@ mod tests {
         assert_eq!(job.said(), [Said::Error { line: 1, code: 2, text: "G1 X?".into(), reason: None }]);
     }
 
-    /// But for those that say what the machine has against it: their message is one of the machine.
+    /// Except for errors caused by the state of the machine: a message before them is not about the line.
     #[test]
     fn the_message_in_front_of_an_error_says_what_is_wrong_with_its_line() {
         let mut job = JobText::new(&b"G1 X\nG1\nG2\n"[..]);

@@ -2,12 +2,12 @@
 
 use serde::Serialize;
 
-/// What a tool took.
+/// Times of one tool.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct ToolTime {
-    /// The number of M6; 0 for what came before any.
+    /// The tool number of M6; 0 for the time before the first M6.
     pub tool: u32,
-    /// Moves that are no rapids, s.
+    /// Moves except rapids, s.
     pub feed_s: f64,
     /// Rapids, s.
     pub rapid_s: f64,
@@ -17,23 +17,23 @@ pub struct ToolTime {
     pub spin_up_s: f64,
 }
 
-/// A line that takes longer is told by its number, s.
+/// Lines that take longer than this are listed, s.
 const LONG: f64 = 3600.0;
 
-/// The times of all tools, in the order in which they came, and of the line in work.
+/// The times of all tools in the order of use, and of the line in progress.
 #[derive(Clone, Debug, Default)]
 pub struct Times {
     tools: Vec<ToolTime>,
     line: u32,
     line_s: f64,
-    /// Numbers of long lines before it, and their times in seconds.
+    /// Numbers of the long lines before `line`, with their times in seconds.
     long: Vec<(u32, f64)>,
 }
 
 impl Times {
-    /// The row of a tool.
+    /// Returns the row of a tool, which is created if needed.
     pub fn of(&mut self, tool: u32) -> &mut ToolTime {
-        // The tool that is in use was mostly the last.
+        // The tool in use is usually the last one.
         let at = self.tools.iter().rposition(|row| row.tool == tool).unwrap_or_else(|| {
             self.tools.push(ToolTime { tool, ..ToolTime::default() });
             self.tools.len() - 1
@@ -41,7 +41,7 @@ impl Times {
         &mut self.tools[at]
     }
 
-    /// Adds to the time of a line, as the controller counts them. What is in work is moved and waited for in the order of lines.
+    /// Adds to the time of a line (as the controller counts lines). Moves and waits come in the order of their lines.
     pub fn add_to_line(&mut self, line: u32, seconds: f64) {
         if line != self.line {
             self.long.extend(self.long_line());
@@ -50,7 +50,7 @@ impl Times {
         self.line_s += seconds;
     }
 
-    /// The lines that take longer than an hour, and how many seconds.
+    /// Returns the lines that take longer than an hour, with their times in seconds.
     pub fn long_lines(&self) -> Vec<(u32, f64)> {
         self.long.iter().copied().chain(self.long_line()).collect()
     }
@@ -59,12 +59,12 @@ impl Times {
         (self.line_s > LONG).then_some((self.line, self.line_s))
     }
 
-    /// The rows of the tools that took time.
+    /// Returns the rows of the tools that took time.
     pub fn rows(&self) -> Vec<ToolTime> {
         self.tools.iter().filter(|row| row.feed_s + row.rapid_s + row.dwell_s + row.spin_up_s > 0.0).cloned().collect()
     }
 
-    /// All of them together.
+    /// Returns the sum of all tools.
     pub fn sum(&self) -> ToolTime {
         self.tools.iter().fold(ToolTime::default(), |sum, row| ToolTime {
             tool: 0,

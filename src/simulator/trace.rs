@@ -1,5 +1,5 @@
-//! What the step outputs did, event by event: digests always, and on request a row for each event in a CSV file or a
-//! list in memory.
+//! Trace of the step outputs, event by event: digests always; on request also a row per event in a CSV file or a list
+//! in memory.
 
 use oxmill_controller::axes::{Axis, LINEAR};
 use oxmill_controller::digest::Digest;
@@ -8,24 +8,24 @@ use std::io::{self, BufWriter, Write};
 
 use crate::boards::AXES;
 
-/// One step event: the outputs that rose together.
+/// One step event: the step outputs that rose together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StepRecord {
     /// Virtual time in step-clock ticks since power-up.
     pub at: u64,
-    /// Step-clock ticks for which the step task had been busy: the time of the digest.
+    /// Step-clock ticks during which the step task had been busy: the time base of the digest.
     pub busy: u64,
-    /// Axes that stepped, bit 0 for X.
+    /// Axes that stepped; bit 0 is X.
     pub steps: u8,
-    /// Axes whose direction is negative, bit 0 for X.
+    /// Axes whose direction is negative; bit 0 is X.
     pub directions: u8,
     /// Step counters of X, Y and Z after the step.
     pub position: [i32; LINEAR],
-    /// That of A.
+    /// Step counter of A after the step.
     pub rotary: [i32; AXES - LINEAR],
 }
 
-/// What a copy of its owner is without: a file has one reader or writer.
+/// A value that a clone of its owner does not get, such as a file, which can have only one reader or writer.
 #[derive(Debug)]
 pub struct Sole<T>(pub Option<T>);
 
@@ -41,7 +41,7 @@ impl<T> Default for Sole<T> {
     }
 }
 
-/// Follows the step outputs.
+/// Records the step outputs.
 #[derive(Clone, Debug, Default)]
 pub struct Trace {
     digest: Digest,
@@ -54,7 +54,7 @@ pub struct Trace {
     history: History,
 }
 
-/// A running digest over the moments of all steps and of all changes of the outputs.
+/// A running hash over the times of all steps and of all changes of the outputs.
 #[derive(Clone, Debug, Default)]
 struct History {
     hash: u64,
@@ -81,13 +81,13 @@ impl History {
     }
 }
 
-/// A hash of words (FNV-1a).
+/// Returns a hash of words (FNV-1a).
 pub fn hash(words: impl IntoIterator<Item = u64>) -> u64 {
     words.into_iter().fold(0xCBF2_9CE4_8422_2325, |hash, word| (hash ^ word).wrapping_mul(0x0000_0100_0000_01B3))
 }
 
 impl Trace {
-    /// Also writes a CSV file from here on. `hz` is the step clock, `origin` the virtual time of its `t_s` = 0.
+    /// Also writes a CSV file from here on.
     pub fn write_csv(&mut self, csv: Csv) {
         self.csv = Sole(Some(csv));
     }
@@ -97,12 +97,12 @@ impl Trace {
         self.list = Some(Vec::new());
     }
 
-    /// The step events kept; empty unless [`Trace::keep`] was called.
+    /// The kept step events; empty unless [`Trace::keep`] was called.
     pub fn kept(&self) -> &[StepRecord] {
         self.list.as_deref().unwrap_or(&[])
     }
 
-    /// The step task begins a segment at this tick of the virtual clock.
+    /// The step task starts a segment at the tick `at` of the virtual clock.
     #[inline]
     pub fn segment(&mut self, at: u64) {
         if self.list.is_some() {
@@ -110,12 +110,12 @@ impl Trace {
         }
     }
 
-    /// When the segments began whose step events were kept.
+    /// Start ticks of the segments whose step events were kept.
     pub fn segments(&self) -> &[u64] {
         &self.segments
     }
 
-    /// Forgets what was counted, digested and kept: what follows is a trace of its own.
+    /// Clears counts, digests and kept events: a new trace begins.
     pub fn restart(&mut self) {
         self.digest = Digest::default();
         self.events = 0;
@@ -128,7 +128,7 @@ impl Trace {
         self.history = History::default();
     }
 
-    /// Step outputs rose.
+    /// Records rising step outputs.
     #[inline]
     pub fn step(&mut self, record: StepRecord) {
         self.digest.add(record.busy, record.steps, record.directions);
@@ -146,7 +146,7 @@ impl Trace {
         }
     }
 
-    /// Spindle or coolant outputs are these from a tick of the virtual clock on; `power` is 0 to 65535.
+    /// Records the spindle and coolant outputs from the tick `at` of the virtual clock on; `power` is 0 to 65535.
     pub fn outputs(&mut self, at: u64, outputs: &SlowOutputs, power: u16) {
         self.history.outputs(at, outputs, power);
         if let Some(csv) = &mut self.csv.0 {
@@ -154,17 +154,17 @@ impl Trace {
         }
     }
 
-    /// Digests over the steps so far.
+    /// Digests of the steps so far.
     pub fn digest(&self) -> &Digest {
         &self.digest
     }
 
-    /// Digest over the ticks of the virtual clock at which there were steps or other outputs, and over these outputs.
+    /// Hash of the virtual times of all steps and output changes, and of these outputs.
     pub fn history(&self) -> u64 {
         self.history.hash
     }
 
-    /// How many step events there were.
+    /// Number of step events.
     pub fn events(&self) -> u64 {
         self.events
     }
@@ -183,7 +183,8 @@ impl Trace {
     }
 }
 
-/// The CSV file. Spindle, power, coolant and the digital outputs of the program (a sum of 1 for P0, 2 for P1, 4, 8) are written into the first row after they changed and left empty elsewhere.
+/// The CSV file. Spindle, power, coolant and the digital outputs of the program (a sum of 1 for P0, 2 for P1, 4, 8) are
+/// written into the first row after a change and left empty in the others.
 pub struct Csv {
     out: BufWriter<Box<dyn Write>>,
     hz: u64,
@@ -202,11 +203,11 @@ impl std::fmt::Debug for Csv {
 }
 
 impl Csv {
-    /// Writes the head into an empty file. `hz` is the step clock, `origin` the tick at which `t_s` is 0; so many axes have a
-    /// column.
+    /// Writes the header into an empty file. `hz` is the step clock, `origin` the tick at which `t_s` is 0; `axes` axes
+    /// have a column.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If writing fails.
     pub fn new(file: impl Write + 'static, hz: u32, origin: u64, axes: usize) -> io::Result<Self> {
         let mut out = BufWriter::with_capacity(1 << 18, Box::new(file) as Box<dyn Write>);
         write!(out, "t_s")?;
@@ -268,8 +269,8 @@ impl Csv {
     }
 }
 
-/// Appends a whole number with at least `width` digits. Formatting a row is most of the cost of a trace, and `write!`
-/// takes several times as long.
+/// Appends an integer with at least `width` digits. Formatting a row is most of the cost of a trace, and `write!` takes
+/// several times as long.
 fn push_number(row: &mut Vec<u8>, mut value: u64, width: usize) {
     let mut digits = [b'0'; 20];
     let mut start = digits.len();

@@ -1,8 +1,8 @@
 //! `serve --web`: serves the page over HTTP and carries the machine's bytes over a WebSocket, on the loopback only.
 //!
-//! A web site that somebody visits can reach ports of this computer. So nothing is answered unless `Host` names the loopback
-//! (a name of another site may be made to lead here), and no machine is driven unless `Origin` is this page's: a browser
-//! tells both truthfully, and lets no page change them.
+//! Any web site that the user visits can reach ports of this computer. Therefore, requests are answered only if `Host`
+//! names the loopback (another site's name may resolve to this computer), and the machine is connected only if `Origin`
+//! is this page: a browser reports both truthfully and lets no page change them.
 
 use crate::clients::{Connection, ENDLESS, Happened, Inbox, Incoming, Places, Taken, hung_up};
 use crate::tcp_link::connections;
@@ -18,31 +18,33 @@ use tungstenite::handshake::server::{Request, Response};
 use tungstenite::protocol::WebSocketConfig;
 use tungstenite::{Message, WebSocket};
 
-/// How long a request may take to come, and how long it is.
+/// Maximum time for a request to arrive.
 const REQUEST_TIME: Duration = Duration::from_secs(5);
+/// Maximum size of a request's head, bytes.
 const REQUEST: usize = 1 << 14;
-/// How often answers are looked for while the page says nothing.
+/// How often the thread looks for replies while the page sends nothing.
 const LOOK: Duration = Duration::from_millis(3);
-/// How long a page that does not read may hold its thread.
+/// How long a page that does not read may block its thread.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Longest message of a page, which sends a line at a time, bytes.
+/// Maximum length of a message of the page, bytes; the page sends a line at a time.
 const MESSAGE: usize = 1 << 16;
-/// Where the machine is.
+/// Path of the machine's WebSocket.
 const DEVICE: &str = "/machine";
-/// What the page asks of the browser, and what it has to ask for here besides.
+/// The page's content security policy as built, replaced when the page is served so that it allows the WebSocket.
 const POLICY: &str = "connect-src 'none'";
+/// Text of the page after which a `meta` element with the path of the machine is inserted.
 const MARK: &str = "<meta charset=\"utf-8\">";
 
-/// A page that is served.
+/// The page that is served.
 pub struct Site {
     html: Vec<u8>,
-    /// The names by which the loopback may be called, with the port; also without it where browsers leave it out.
+    /// The names of the loopback with the port; for port 80 also without it, as browsers omit it.
     hosts: Vec<String>,
 }
 
 impl Site {
-    /// Opens the port and reads the page: the file that was named, or `oxmill.html` beside the program, or where
-    /// `cargo xtask web` leaves it.
+    /// Opens the port and reads the page: the given file, otherwise `oxmill.html` beside the program or where `cargo
+    /// xtask web` writes it.
     pub fn open(port: u16, page: Option<&Path>) -> Result<(TcpListener, Self)> {
         let path = page.map_or_else(usual_page, |path| Ok(path.to_owned()))?;
         let text =
@@ -58,7 +60,7 @@ impl Site {
         Ok((listener, Self { html, hosts }))
     }
 
-    /// Where a browser finds it.
+    /// The URL of the page.
     pub fn address(&self) -> String {
         format!("http://{}/", self.hosts[0])
     }
@@ -72,7 +74,7 @@ impl Site {
     }
 }
 
-/// The names of the loopback in `Host` and `Origin`.
+/// Returns the names of the loopback as they appear in `Host` and `Origin`.
 fn names(port: u16) -> Vec<String> {
     const NAMES: [&str; 2] = ["127.0.0.1", "localhost"];
     let bare = NAMES.iter().filter(|_| port == 80).map(|name| (*name).to_owned());
@@ -90,13 +92,13 @@ fn usual_page() -> Result<PathBuf> {
     )
 }
 
-/// Answers browsers, each in a thread of its own.
+/// Serves browsers, each in a thread of its own.
 pub fn serve_web(listener: &TcpListener, site: &Arc<Site>, sender: &SyncSender<Happened>) {
     let places = Places::default();
     for stream in connections(listener) {
         let Some(place) = places.take() else { continue };
         let (site, sender) = (site.clone(), sender.clone());
-        // A browser that fails to ask properly gets no answer; nothing else depends on it.
+        // A browser with an invalid request gets no reply; nothing else depends on it.
         thread::spawn(move || answer(stream, place, &site, &sender));
     }
 }
@@ -131,8 +133,8 @@ fn answer(stream: TcpStream, place: Taken, site: &Site, sender: &SyncSender<Happ
     }
 }
 
-/// The head of a request, which stays where it is for who answers it: a character for each byte, for other programs of this
-/// host may have set cookies in any encoding.
+/// Returns the head of a request without consuming it. Each byte becomes a character, as other programs on this host
+/// may have set cookies in any encoding.
 fn look_at_request(stream: &TcpStream) -> io::Result<String> {
     let end = Instant::now() + REQUEST_TIME;
     let mut buffer = vec![0; REQUEST];
@@ -150,7 +152,7 @@ fn look_at_request(stream: &TcpStream) -> io::Result<String> {
 }
 
 fn reply(mut stream: TcpStream, request: &str, status: &str, body: &[u8]) -> io::Result<()> {
-    // A socket that is closed with unread bytes in it would take the answer back.
+    // Closing a socket with unread bytes in it would discard the reply.
     stream.read_exact(&mut vec![0; request.chars().count() + 4])?;
     let kind = if status.starts_with("200") { "text/html" } else { "text/plain" };
     let head = format!(
@@ -162,7 +164,7 @@ fn reply(mut stream: TcpStream, request: &str, status: &str, body: &[u8]) -> io:
     stream.write_all(body)
 }
 
-/// Carries bytes between a page and the loop until either has gone.
+/// Carries bytes between a page and the loop until one of them has ended.
 pub fn pass_messages(
     mut socket: WebSocket<TcpStream>,
     inbox: &Inbox,
@@ -171,7 +173,7 @@ pub fn pass_messages(
 ) {
     let _ = carry(&mut socket, inbox, answers, sender);
     inbox.end();
-    // Without a loop there is no receiver.
+    // If the loop has ended, there is no receiver.
     let _ = sender.send(Happened::Heard);
     if inbox.is_endless() {
         let _ = socket.send(Message::binary(ENDLESS.to_vec()));
@@ -203,7 +205,7 @@ fn carry(
         match socket.read() {
             Ok(Message::Binary(bytes)) => {
                 inbox.push(&bytes);
-                // A loop that has much to do looks into the inbox as well.
+                // If the sender's queue is full, the loop has work to do and looks into the inbox anyway.
                 let _ = sender.try_send(Happened::Heard);
             }
             Ok(Message::Close(_)) => return Ok(()),
@@ -220,7 +222,7 @@ pub fn turn_away(mut socket: WebSocket<TcpStream>, why: &[u8]) {
     let _ = socket.get_ref().set_write_timeout(Some(PATIENCE));
     let _ = socket.send(Message::binary(why.to_vec()));
     let _ = socket.close(None);
-    // The browser closes its side, too, or the time to wait for it ends.
+    // Wait until the browser has closed its side, at most `PATIENCE`.
     let end = Instant::now() + PATIENCE;
     while Instant::now() < end && socket.read().is_ok() {}
 }

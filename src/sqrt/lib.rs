@@ -1,36 +1,37 @@
-//! The square root of an `f32`: one instruction (`vsqrt`) on the processors of the boards, `libm`'s elsewhere. The
-//! choice is by `target_arch = "arm"`, `target_abi = "eabihf"` and `target_os`.
+//! The square root of an `f32`: the instruction `vsqrt` on the boards' processors, `libm` elsewhere. `target_arch`,
+//! `target_os` and `target_abi` select the implementation.
 //!
-//! IEEE 754 rounds it correctly, so the instruction and the library give the same bits for every number and results do
-//! not depend on the machine. It is a crate of its own because the instruction needs `unsafe`, which the controller
-//! forbids.
+//! IEEE 754 requires correct rounding, so the instruction and the library give the same bits for every number, and
+//! results do not depend on the machine. This is a separate crate because the instruction needs `unsafe`, which the
+//! controller forbids.
 #![no_std]
 
-/// The square root; not a number below 0.
+/// Returns the square root; NaN for negative numbers.
 #[inline(always)]
 #[cfg(all(target_arch = "arm", target_os = "none", target_abi = "eabihf"))]
 pub fn square_root(value: f32) -> f32 {
     sqrtf(value)
 }
 
-/// The square root; not a number below 0.
+/// Returns the square root; NaN for negative numbers.
 #[inline]
 #[cfg(not(all(target_arch = "arm", target_os = "none", target_abi = "eabihf")))]
 pub fn square_root(value: f32) -> f32 {
     libm::sqrtf(value)
 }
 
-/// The C library's name for it: LLVM knows what a function of this name gives and, as this one is seen to do nothing else,
-/// makes the instruction of each call. So nothing is saved around a call, and what follows need not wait for it.
+/// The square root under the C library's name. LLVM knows the result of a function with this name and sees that this
+/// one has no other effect, so it replaces each call by the instruction. Then no registers are saved around a call, and
+/// later code need not wait for the result.
 ///
-/// Inline assembly knows no floating-point registers of this processor, so one is borrowed.
+/// Inline assembly cannot name floating-point registers as operands on this processor, so `s0` is borrowed.
 #[cfg(all(target_arch = "arm", target_os = "none", target_abi = "eabihf"))]
 #[inline(never)]
-// SAFETY: unsafe because of the name; safe because it does what the C library's function of that name does.
+// SAFETY: unsafe because of the exported name; safe because the function does the same as the C library's `sqrtf`.
 #[unsafe(no_mangle)]
 extern "C" fn sqrtf(value: f32) -> f32 {
     let mut bits = value.to_bits();
-    // SAFETY: unsafe because it is assembly; safe because s0 is put back, and no memory is used.
+    // SAFETY: unsafe because it is assembly; safe because s0 is restored and no memory is accessed.
     unsafe {
         core::arch::asm!(
             "vmov {kept}, s0",

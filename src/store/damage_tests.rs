@@ -1,23 +1,23 @@
-//! Wrong bits and bytes in the memory: no record but the one that they hit is lost, and they are told until somebody
-//! confirms it.
+//! Wrong bits and bytes in the memory: only the records that contain them are lost, and the damage is reported until it
+//! is confirmed.
 
 use super::*;
 use std::ops::Range;
 
 const CONFIRM: Store = Store::Remove { from: STORE_DAMAGED, until: STORE_DAMAGED + 1 };
 
-/// How the spare sector is when the damage comes.
+/// State of the spare sector when the damage occurs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Spare {
     /// Never used.
     Blank,
     /// Erased, with its mark.
     Erased,
-    /// The log before the last move.
+    /// Contains the log from before the last compaction.
     Old,
 }
 
-/// A log with records of all kinds, the changes that it holds in their order, and the bytes that each takes.
+/// Returns a log with records of all kinds, and its changes in order with the bytes that each occupies.
 fn image(spare: Spare) -> (Log<Mock>, Vec<(Range<u32>, Store)>) {
     let mut log = Log::open(Mock::new()).unwrap();
     let mut changes = vec![
@@ -64,7 +64,7 @@ fn image(spare: Spare) -> (Log<Mock>, Vec<(Range<u32>, Store)>) {
     (log, spans)
 }
 
-/// Whether a record is lost when one of these bytes is wrong: not by those that only fill up its last word.
+/// Returns whether wrong bytes at these addresses lose a record. Its padding bytes do not count.
 fn is_hit(span: &Range<u32>, change: &Store, addresses: &[u32]) -> bool {
     let length = match change {
         Store::Put(record) => record.value.len() as u32,
@@ -74,7 +74,7 @@ fn is_hit(span: &Range<u32>, change: &Store, addresses: &[u32]) -> bool {
     addresses.iter().any(|address| span.contains(address) && !filler.contains(address))
 }
 
-/// What is left of a log when these bytes are wrong.
+/// Returns the contents of a log after damage at these addresses.
 fn without(spans: &[(Range<u32>, Store)], addresses: &[u32]) -> BTreeMap<u16, Vec<u8>> {
     let mut model = BTreeMap::new();
     for (span, change) in spans {
@@ -89,7 +89,7 @@ fn change_byte(flash: &mut Mock, sector: Sector, address: u32, bits: u8) {
     flash.sectors[sector as usize][address as usize / 4] ^= u32::from(bits) << (8 * (address % 4));
 }
 
-/// Every wrong byte, and so every wrong bit: all other records hold, and it is told.
+/// Each wrong byte, which includes each wrong bit: all other records are valid, and the damage is reported.
 #[test]
 fn a_wrong_byte_costs_one_record_and_is_told() {
     for spare in [Spare::Blank, Spare::Erased, Spare::Old] {
@@ -102,7 +102,7 @@ fn a_wrong_byte_costs_one_record_and_is_told() {
                 change_byte(&mut flash, sector, address, bits);
                 let (stored, told) = found(&mut Log::open(flash.clone()).unwrap());
                 assert_eq!(stored, expected, "{spare:?}: {bits:#x} at {address}");
-                // A single word behind the end is what a power cut may leave.
+                // A power cut may leave a single word after the end.
                 assert_eq!(told, !(end..end + 4).contains(&address), "{spare:?}: {bits:#x} at {address}");
                 assert!(Log::is_in(&mut flash).unwrap());
             }
@@ -110,7 +110,7 @@ fn a_wrong_byte_costs_one_record_and_is_told() {
     }
 }
 
-/// The same in the sector that is not in use, which has nothing to lose.
+/// A wrong byte in the spare sector has no effect, as that sector has nothing to lose.
 #[test]
 fn a_wrong_byte_in_the_spare_sector_changes_nothing() {
     for spare in [Spare::Blank, Spare::Erased, Spare::Old] {
@@ -126,7 +126,7 @@ fn a_wrong_byte_in_the_spare_sector_changes_nothing() {
     }
 }
 
-/// A header of which nothing is left: the records are still found.
+/// With a header that is completely lost, the records are still found.
 #[test]
 fn a_lost_header_is_told() {
     let (log, spans) = image(Spare::Erased);
@@ -141,7 +141,7 @@ fn a_lost_header_is_told() {
     assert_eq!(contents(&mut Log::open(log.flash).unwrap()), without(&spans, &[]));
 }
 
-/// Lengths and values that would lead a reader into the middle of other records.
+/// Damaged lengths and kinds that would lead a reader into the middle of other records.
 #[test]
 fn damage_leads_nowhere() {
     let (log, spans) = image(Spare::Erased);
@@ -158,7 +158,7 @@ fn damage_leads_nowhere() {
     }
 }
 
-/// No text can hold a record that would count once the damage lets a reader into it.
+/// No text can contain a record that would count if damage led a reader into the text.
 #[test]
 fn a_record_in_a_value_does_not_count() {
     let mut value = [b' '; 32];
@@ -175,7 +175,7 @@ fn a_record_in_a_value_does_not_count() {
     assert_eq!(found(&mut Log::open(log.flash).unwrap()), (kept, true));
 }
 
-/// More than one wrong byte in the last record is not what a power cut leaves either.
+/// A power cut does not leave more than one wrong byte in the last record either.
 #[test]
 fn a_last_record_with_more_wrong_bytes_is_told() {
     let (log, spans) = image(Spare::Erased);
@@ -189,7 +189,7 @@ fn a_last_record_with_more_wrong_bytes_is_told() {
     }
 }
 
-/// Damage is told over power cycles, changes and moves to the other sector, until its record is removed; then all is clean.
+/// Damage is reported over power cycles, changes and compactions, until its record is removed. Then the log is clean.
 #[test]
 fn damage_is_told_until_it_is_confirmed() {
     for (hit, moves) in [(0, 0), (0, 3), (13, 0), (13, 1), (41, 3), (1, 2)] {
@@ -216,14 +216,14 @@ fn damage_is_told_until_it_is_confirmed() {
         assert_eq!(contents(&mut log), model);
         let mut log = Log::open(log.flash).unwrap();
         assert_eq!(contents(&mut log), model);
-        // And nothing is written by a second confirmation.
+        // A second confirmation writes nothing.
         let before = count(&log);
         log.store(&CONFIRM).unwrap();
         assert_eq!(count(&log), before);
     }
 }
 
-/// Without an erased spare sector the damage cannot be left behind, and it says so in time.
+/// Without an erased spare sector damage cannot be cleared, and `needs_erase_soon` reports this.
 #[test]
 fn a_confirmation_waits_for_the_spare_sector() {
     let (log, _) = image(Spare::Blank);
@@ -239,7 +239,8 @@ fn a_confirmation_waits_for_the_spare_sector() {
     assert!(!found(&mut Log::open(log.flash).unwrap()).1);
 }
 
-/// The power goes after every operation from damage to its confirmation: nothing is lost, and it can be confirmed again.
+/// The power is cut at each operation from the damage to its confirmation: nothing is lost, and it can be confirmed
+/// again.
 #[test]
 fn a_power_cut_in_the_confirmation_loses_nothing() {
     for hit in [0, 5, HEADER, HEADER + 21, 300] {
@@ -281,18 +282,18 @@ fn a_power_cut_in_the_confirmation_loses_nothing() {
     }
 }
 
-/// Words that have something of a log.
+/// Words that resemble parts of a log.
 fn any_word() -> impl Strategy<Value = u32> {
     let first = (prop_oneof![Just(PUT), Just(REMOVE)], 0_u8..104, 0_u16..8)
         .prop_map(|(kind, length, key)| u32::from(kind) | u32::from(length) << 8 | u32::from(key) << 16);
     prop_oneof![4 => first, 2 => any::<u32>(), 1 => Just(ERASED), 1 => Just(0), 1 => Just(MARK)]
 }
 
-/// Reads that opening a log of this size may take: each word as the first of the longest record, and the rest.
+/// Maximum number of reads for opening a log of this size: each word as the start of the longest record, and the rest.
 const OPENING: u32 = SIZE / 4 * (LONGEST_WORDS as u32 + 3) + 1000;
 
 proptest! {
-    /// Memory with anything in it: it is opened with so much work and no more, and works.
+    /// Memory with any contents is opened with a limited number of reads, and works.
     #[test]
     fn any_memory_is_opened(
         a in proptest::collection::vec(any_word(), SIZE as usize / 4),
@@ -320,7 +321,7 @@ proptest! {
         prop_assert_eq!(contents(&mut Log::open(log.flash).unwrap()), model);
     }
 
-    /// Any damage at all behind the header, and one wrong byte in it: what it does not hit holds.
+    /// Any damage after the header, and one wrong byte in it: all records outside the damage are valid.
     #[test]
     fn what_is_not_hit_holds(
         changes in changes(),
@@ -334,7 +335,7 @@ proptest! {
             let (sector, end) = (log.sector, log.end);
             change(&mut log, &c).unwrap();
             if log.sector != sector {
-                // What it has moved is not what was asked for.
+                // Compaction writes other records than the change itself.
                 spans = records(&mut log);
             } else if log.end > end {
                 spans.push((end..log.end, c));
@@ -352,7 +353,7 @@ proptest! {
         let mut model = without(&spans, &addresses);
         let (stored, told) = found(&mut log);
         prop_assert_eq!(&stored, &model);
-        // Records behind the damage tell of it.
+        // Records after the damage make it detectable.
         let behind = spans.iter().rfind(|(span, change)| !is_hit(span, change, &addresses));
         let must_tell = behind.is_some_and(|(span, _)| addresses.iter().any(|a| *a < span.end));
         prop_assert!(told || !must_tell);
@@ -371,7 +372,7 @@ proptest! {
     }
 }
 
-/// The records of a sound log and the bytes that they take.
+/// Returns the records of an undamaged log, and the bytes that they occupy.
 fn records(log: &mut Log<Mock>) -> Vec<(Range<u32>, Store)> {
     let mut all = Vec::new();
     let mut address = HEADER;

@@ -1,22 +1,23 @@
-//! Writes and erases that fail while the power stays, and power cuts one after the other: what the log has taken is found again.
+//! Writes and erases that fail under power, and repeated power cuts: every change that the log has accepted is found
+//! again.
 
 use super::*;
 use proptest::prelude::*;
 
-/// What becomes of an operation.
+/// How an operation fails.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
-    /// The memory refuses it.
+    /// The memory refuses it, without effect.
     Refused,
-    /// Some bits of it are done.
+    /// Some of its bits are done.
     Partly(u32),
-    /// It is done, and reported as failed.
+    /// It is done, but reported as failed.
     Reported,
-    /// The power goes with some bits of it done.
+    /// The power is cut when some of its bits are done.
     Cut(u32),
 }
 
-/// Flash on which the operations of a list fail.
+/// Flash on which operations fail according to a list.
 #[derive(Clone, Debug)]
 struct Worn {
     sectors: [Vec<u32>; 2],
@@ -103,7 +104,7 @@ fn series() -> impl Strategy<Value = Vec<(Store, u8)>> {
         8 => (0_u16..7, proptest::collection::vec(any::<u8>(), 0..60)).prop_map(|(key, v)| put(key, &v)),
         1 => (0_u16..7, 0_u16..7).prop_map(|(a, b)| Store::Remove { from: a.min(b), until: a.max(b) }),
     ];
-    // Whether there is time for an erase; a power cycle now and then.
+    // The number decides whether there is time for an erase, and whether a power cycle follows.
     proptest::collection::vec((one, 0..12_u8), 1..150)
 }
 
@@ -126,7 +127,7 @@ fn faults() -> impl Strategy<Value = Vec<(u32, Fault)>> {
     proptest::collection::vec((0_u32..120, fault), 1..8)
 }
 
-/// Any word of a move to the other sector fails in any way: what is taken after that is found again.
+/// Any word of a compaction fails in any way: later changes that are accepted are found again.
 #[test]
 fn a_move_that_fails_takes_nothing_along() {
     let faults = [Fault::Refused, Fault::Reported, Fault::Partly(0x00FF_FFFF), Fault::Partly(0xFF00_0000)];
@@ -138,7 +139,7 @@ fn a_move_that_fails_takes_nothing_along() {
         }
         log.store(&put(0, b"older")).unwrap();
         log.flash.faults = vec![(word, fault)];
-        // There is room for a short record, and none for this one.
+        // There is room for a short record, but not for this one.
         let moved = log.store(&put(0, &[7; 92]));
         assert_eq!(moved, Err(StoreError::Flash(())), "{word}");
         let taken = log.store(&put(9, b"on")).is_ok();
@@ -150,7 +151,7 @@ fn a_move_that_fails_takes_nothing_along() {
     }
 }
 
-/// Behind a write that failed nothing can be stored before the spare sector has been erased: that is told in time.
+/// After a failed write nothing can be stored until the spare sector has been erased. `needs_erase_soon` reports this.
 #[test]
 fn what_failed_needs_an_erase_soon() {
     let mut log = with_sectors_of(4 * RESERVE);
@@ -168,8 +169,8 @@ fn what_failed_needs_an_erase_soon() {
     assert_eq!(stored(&mut log), BTreeMap::from([(1, b"new".to_vec())]));
 }
 
-/// On a board a read is some hundred cycles, behind more than eight damaged stretches some thousand, and the control task has
-/// half a second to answer for itself: a log is not looked through for each of its records.
+/// On a board a read takes about a hundred cycles, or a thousand with more than eight gaps, and the watchdog allows the
+/// control task half a second. So the log must not be searched again for each of its records.
 #[test]
 fn a_full_log_is_soon_looked_through() {
     let mut log = with_sectors_of(16 * 1024);
@@ -195,7 +196,7 @@ fn a_full_log_is_soon_looked_through() {
     assert_eq!(stored(&mut log).len(), 240);
 }
 
-/// A record is taken by the memory, which reports a failure: it counts after a restart, unless it is replaced.
+/// The memory stores a record but reports a failure. After a restart the record counts, unless it is replaced.
 #[test]
 fn a_record_that_was_reported_as_failed_is_replaced() {
     for back in [put(1, b"old"), Store::Remove { from: 1, until: 2 }] {
@@ -213,7 +214,7 @@ fn a_record_that_was_reported_as_failed_is_replaced() {
     }
 }
 
-/// Changes, and faults on the way: what is found at each start is what has been taken, with or without changes that failed.
+/// Plays changes and faults. Each start finds all accepted changes, with or without the failed ones.
 fn play(series: Vec<(Store, u8)>, faults: Vec<(u32, Fault)>) -> Result<(), TestCaseError> {
     let mut log = worn();
     log.flash.faults = faults;
@@ -245,7 +246,7 @@ fn play(series: Vec<(Store, u8)>, faults: Vec<(u32, Fault)>) -> Result<(), TestC
     Ok(())
 }
 
-/// Changes of more keys than are found in one walk.
+/// Changes with more keys than one walk finds.
 fn many_keys() -> impl Strategy<Value = Vec<Store>> {
     let one = prop_oneof![
         20 => (0_u16..3 * KEYS as u16, proptest::collection::vec(any::<u8>(), 0..5)).prop_map(|(key, v)| put(key, &v)),

@@ -1,36 +1,35 @@
-//! Settings that survive a power cut at any moment: a `Log` of records (key, value, CRC-32) in two sectors of a
-//! `Flash`. A full sector is compacted into the other; damage costs only the records that it hits, and is told. It
-//! takes the place of the EEPROM of Grbl.
+//! Settings log that survives a power cut at any moment: records (key, value, CRC-32) in two sectors of a [`Flash`]. It
+//! replaces Grbl's EEPROM.
 //!
 //! ```text
 //!  sector  ┌───────┬────────┬────────┬────────┬───────────┐
 //!          │ header│ record │ record │ record │ erased ...│
 //!          └───────┴────────┴────────┴────────┴───────────┘
-//!  header  sequence · crc(sequence) · mark       mark: the erase came to its end; sequence and crc are written last when
-//!                                                a sector has been filled by a move
+//!  header  sequence · crc(sequence) · mark       mark: the erase is complete; compaction writes sequence and crc last
 //!  record  kind, length, key · value · crc       the crc is written last: without it the record does not exist
 //! ```
-//! The valid sector with the higher sequence counts; the last record of a key counts. When it is full, the records that
-//! count are copied into the other sector, which becomes valid with its last word, and only then is the old one of no
-//! more use. So at each moment one sector holds all settings, old or new. Erasing deafens the processor (hundreds of
-//! milliseconds on these parts), so it is never done in the course of a write: [`Log::needs_erase`] says when the spare
-//! sector should be erased, and the owner does it while nothing moves ([`Log::erase_spare`]). Cells of an erase that was
-//! cut short may read as ones and still not hold what is written to them; so a sector without its mark is erased again.
-//!
-//! A change is one record, so a change is atomic; who wants two things to change together gives them one key or a range.
+//! * The valid sector with the higher sequence is in use. The last record of a key is the valid one.
+//! * A full sector is compacted into the other, which becomes valid with its last word. So at each moment one sector
+//!   holds all settings, old or new.
+//! * A change is one record, and therefore atomic. Values that must change together need one key or a range of keys.
+//! * Erasing stalls the processor for hundreds of milliseconds on these parts, so a write never erases. While
+//!   [`Log::needs_erase`] is true, the owner calls [`Log::erase_spare`] when nothing moves.
+//! * After an interrupted erase, cells may read as ones and still not hold what is written to them. So a sector without
+//!   its mark is erased again.
 //!
 //! # Damage
-//! Flash may lose a bit, and a file may be overwritten. A record whose crc is wrong is left out, and the next one is looked
-//! for word by word: records begin at multiples of 4, a sector is erased as a whole, so what has a right crc behind the
-//! damage is a record of this log. (No text that a host can store looks like one: no character has the code of `PUT`, and
-//! none the length of a `REMOVE`.) A header with one wrong byte is mended by its crc.
+//! Flash may lose a bit, and a file may be overwritten. A record with a wrong crc is skipped, and the next record is
+//! searched word by word. Any record with a right crc after the damage belongs to this log, because records begin at
+//! multiples of 4 and a sector is erased as a whole. (No text that a host can store looks like a record: its characters
+//! are neither the kind `PUT` nor the length of a `REMOVE`.) One wrong byte in a header is corrected by its crc.
 //!
-//! A power cut leaves damage of its own, at the end: words of one record up to some word, of which any bits may be
-//! programmed, and nothing but erased words behind it. That is no damage, unless one wrong byte in an otherwise whole
-//! record explains it as well, which is possible only where the cut fell into the last word of a record.
+//! A power cut leaves a partial record at the end: some words, the last with only some of its bits programmed, then
+//! only erased words. This does not count as damage, unless one wrong byte in a complete record explains it too; that
+//! is possible only if the cut hit the last word of a record.
 //!
-//! Damage is handed out as a record with the key [`STORE_DAMAGED`] until that record is removed; it outlives power cycles
-//! and moves. Its removal copies what is left into the spare sector. Opening a damaged log changes nothing in flash.
+//! Damage is reported as a record with the key [`STORE_DAMAGED`] until that record is removed. The report survives
+//! power cycles and compaction. Removing the record compacts the log into the spare sector. Opening a damaged log
+//! changes nothing in flash.
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
@@ -39,9 +38,9 @@ use oxmill_controller::messages::{Record, STORE_DAMAGED, Store};
 
 /// A flash memory of two sectors. Addresses are bytes from the start of a sector, multiples of 4.
 pub trait Flash {
-    /// What can go wrong.
+    /// Error of the memory.
     type Error;
-    /// Bytes of a sector.
+    /// Returns the size of a sector in bytes.
     fn sector_size(&self) -> u32;
     /// Reads a word.
     ///
@@ -51,12 +50,12 @@ pub trait Flash {
     /// Programs a word that is erased (all ones).
     ///
     /// # Errors
-    /// If the memory does not take it.
+    /// If the word cannot be programmed.
     fn write(&mut self, sector: Sector, address: u32, word: u32) -> Result<(), Self::Error>;
-    /// Sets a whole sector to ones.
+    /// Erases a sector: sets it to ones.
     ///
     /// # Errors
-    /// If the memory does not do it.
+    /// If the sector cannot be erased.
     fn erase(&mut self, sector: Sector) -> Result<(), Self::Error>;
 }
 
@@ -99,7 +98,7 @@ impl Sector {
 pub enum StoreError<E> {
     /// The flash memory failed.
     Flash(E),
-    /// The log is full, and the spare sector has not been erased (or the live records alone fill a sector).
+    /// The log is full, and the spare sector is not erased (or the valid records alone fill a sector).
     Full,
 }
 
@@ -109,57 +108,61 @@ impl<E> From<E> for StoreError<E> {
     }
 }
 
-/// Room that is kept for what is stored while an erase has to wait: some forty settings.
+/// Free bytes below which an erase is urgent: room for about forty settings.
 const RESERVE: u32 = 1024;
 const ERASED: u32 = u32::MAX;
 /// Bytes of a sector's header: sequence, its crc, the mark of a completed erase.
 const HEADER: u32 = 12;
-/// The address of the mark, and its value.
+/// Address of the mark in a sector.
 const MARK_AT: u32 = 8;
+/// Value of the mark: the sector was erased completely.
 const MARK: u32 = u32::from_le_bytes(*b"wipe");
-/// Bytes of the longest value, and words of its record.
+/// Bytes of the longest value.
 const LONGEST: u32 = 100;
+/// Words of the longest record.
 const LONGEST_WORDS: usize = 27;
-/// Damaged stretches that are remembered; behind more of them every record is checked again each time.
+/// Maximum number of remembered gaps. After more gaps, records are checked each time they are read.
 const GAPS: usize = 8;
-/// Keys whose records are looked for in one walk over the log.
+/// Number of keys whose records are found in one walk over the log.
 const KEYS: usize = 128;
-/// In place of the address of a record: none is in the header.
+/// Stands for the address of a missing record: address 0 is in the header.
 const NOWHERE: u32 = 0;
 /// The polynomial of the CRC, its bits reflected.
 const POLYNOMIAL: u32 = CRC_32_JAMCRC.poly.reverse_bits();
 /// Kinds of record; both differ from erased and zeroed memory in several bits.
 const PUT: u8 = 0xA5;
+/// Kind of a record that removes a range of keys.
 const REMOVE: u8 = 0x5A;
 
-/// The log. One owner; every change is complete in flash when the call returns.
+/// The log. It has one owner; a change is complete in flash when the call returns.
 #[derive(Clone, Debug)]
 pub struct Log<F> {
     flash: F,
     sector: Sector,
     sequence: u32,
-    /// Behind the last record that counts: all before it has been checked or written.
+    /// Address after the last valid record: everything before it was checked or written.
     end: u32,
-    /// What follows is erased, so the next record may be appended.
+    /// The words from `end` on are erased, so a record may be appended.
     appendable: bool,
-    /// The sector in use has been damaged.
+    /// The sector in use is damaged.
     unsound: bool,
-    /// Damaged stretches between records, and where their list ends for want of room.
+    /// Gaps between records.
     gaps: heapless::Vec<Gap, GAPS>,
+    /// Address from which gaps are not listed, because the list is full.
     unmapped: u32,
-    /// The spare sector holds its mark and nothing else.
+    /// The spare sector is erased and has its mark.
     spare_erased: bool,
 }
 
-/// Where the records of keys that follow each other are.
+/// Addresses of the records of consecutive keys.
 type Places = [u32; KEYS];
 
-/// The keys from `from` on that have a record, and its address.
+/// Returns the keys from `from` on that have a record, and their addresses.
 fn stored(from: u16, places: &Places) -> impl Iterator<Item = (u16, u32)> {
     (from..=u16::MAX).zip(places.iter().copied()).filter(|(_, address)| *address != NOWHERE)
 }
 
-/// Bytes between records that hold none.
+/// A stretch of damaged bytes between records.
 #[derive(Clone, Copy, Debug)]
 struct Gap {
     start: u32,
@@ -176,8 +179,8 @@ fn crc(words: &[u32]) -> u32 {
     digest.finalize()
 }
 
-/// The word in which a single wrong byte explains why the last of these is not the crc of the others, and the bits that are
-/// wrong in it.
+/// Looks for a single wrong byte that explains why the last word is not the crc of the others. Returns the index of its
+/// word and the wrong bits in that word.
 fn wrong_byte(words: &[u32]) -> Option<(usize, u32)> {
     let (sum, covered) = words.split_last()?;
     let mut difference = crc(covered) ^ sum;
@@ -185,7 +188,7 @@ fn wrong_byte(words: &[u32]) -> Option<(usize, u32)> {
         if difference.to_le_bytes().iter().filter(|byte| **byte != 0).count() <= 1 {
             return Some((index, difference));
         }
-        // The crc is linear: run backwards over a word, the difference is the one that the word came in with.
+        // The crc is linear: running backwards over a word gives the difference before that word.
         for _ in 0..32 {
             difference = if difference >> 31 == 0 { difference << 1 } else { (difference ^ POLYNOMIAL) << 1 | 1 };
         }
@@ -225,7 +228,7 @@ impl Entry {
         words
     }
 
-    /// The key after the last that a removal takes away.
+    /// Returns the first key after the removed range.
     fn until(&self) -> u16 {
         match self.value.as_slice() {
             [low, high, ..] => u16::from_le_bytes([*low, *high]),
@@ -233,7 +236,7 @@ impl Entry {
         }
     }
 
-    /// Whether this entry, standing later in the log, makes an earlier record of `key` count no more.
+    /// Returns whether this entry, later in the log, invalidates an earlier record of `key`.
     fn replaces(&self, key: u16) -> bool {
         match self.kind {
             PUT => self.key == key,
@@ -242,7 +245,7 @@ impl Entry {
     }
 }
 
-/// The first word of a record, as far as it can be taken apart.
+/// The decoded first word of a record.
 #[derive(Clone, Copy, Debug)]
 struct Outline {
     kind: u8,
@@ -260,7 +263,7 @@ impl Outline {
         8 + self.length.next_multiple_of(4)
     }
 
-    /// Whether there are records that begin so.
+    /// Returns whether a record can begin with this word.
     fn is_possible(self) -> bool {
         match self.kind {
             PUT => self.length <= LONGEST,
@@ -270,7 +273,8 @@ impl Outline {
     }
 }
 
-/// The sequence of a sector that holds a log, and whether its header is whole; one wrong byte in it is mended.
+/// Returns the sequence of a sector that holds a log, and whether its header is intact. One wrong byte in the sequence
+/// or its crc is corrected.
 fn sequence_of<F: Flash>(flash: &mut F, sector: Sector) -> Result<Option<(u32, bool)>, F::Error> {
     let sequence = flash.read(sector, 0)?;
     let sum = flash.read(sector, 4)?;
@@ -285,14 +289,14 @@ fn sequence_of<F: Flash>(flash: &mut F, sector: Sector) -> Result<Option<(u32, b
 }
 
 impl<F: Flash> Log<F> {
-    /// Finds the log in flash; empty memory and memory that holds something else become an empty log.
+    /// Finds the log in flash. Memory without a log, empty or not, becomes an empty log.
     ///
     /// # Errors
     /// If the flash cannot be read, written or erased.
     pub fn open(flash: F) -> Result<Self, F::Error> {
         let mut log = Self::over(flash);
         if !log.find_sector()? {
-            // Nothing to lose: this is the only place where the sector in use is erased.
+            // No log is lost. This is the only place where the sector in use is erased.
             log.sector = Sector::A;
             log.sequence = 1;
             log.appendable = true;
@@ -322,7 +326,7 @@ impl<F: Flash> Log<F> {
         }
     }
 
-    /// Finds the sector in use and its records; `false` if there is none.
+    /// Finds the sector in use and its records. Returns `false` if there is none.
     fn find_sector(&mut self) -> Result<bool, F::Error> {
         let a = sequence_of(&mut self.flash, Sector::A)?;
         let b = sequence_of(&mut self.flash, Sector::B)?;
@@ -339,7 +343,7 @@ impl<F: Flash> Log<F> {
             self.survey()?;
             return Ok(true);
         }
-        // A header with more than one wrong byte: records tell that there is a log.
+        // The header has more than one wrong byte; records show that there is a log.
         for sector in [Sector::A, Sector::B] {
             self.sector = sector;
             if self.flash.read(sector, 0)? != ERASED || self.flash.read(sector, 4)? != ERASED {
@@ -353,7 +357,7 @@ impl<F: Flash> Log<F> {
         Ok(false)
     }
 
-    /// Finds the records of the sector, the stretches between them, and the end.
+    /// Finds the records of the sector, the gaps between them, and the end.
     fn survey(&mut self) -> Result<(), F::Error> {
         let mut address = HEADER;
         self.end = HEADER;
@@ -363,7 +367,7 @@ impl<F: Flash> Log<F> {
                 continue;
             };
             for (word, at) in entry.words().iter().zip((address..).step_by(4)) {
-                // The bytes that fill up its last word do not matter, but are told.
+                // Padding bytes do not matter, but a wrong one is reported as damage.
                 self.unsound |= self.flash.read(self.sector, at)? != *word;
             }
             if address > self.end {
@@ -381,7 +385,8 @@ impl<F: Flash> Log<F> {
         Ok(())
     }
 
-    /// What is behind the last record: whether it is erased, and whether it is damage other than a power cut's.
+    /// Examines the words after the last record. Returns whether they are erased, and whether they are damaged other
+    /// than by a power cut.
     fn look_behind(&mut self) -> Result<(bool, bool), F::Error> {
         let mut until = self.end;
         for address in (self.end..self.flash.sector_size()).step_by(4) {
@@ -397,7 +402,7 @@ impl<F: Flash> Log<F> {
         }
         let (first, last, covered) = match words.as_slice() {
             [] => return Ok((true, false)),
-            // A first word that was cut short may look like anything.
+            // A power cut may leave any bits of a first word.
             [_] => return Ok((false, false)),
             [first, .., last] => (*first, *last, words.get(..words.len() - 1).unwrap_or_default()),
         };
@@ -411,7 +416,7 @@ impl<F: Flash> Log<F> {
         Ok((false, !outline.is_possible() || !cut_short || one_byte))
     }
 
-    /// Whether a memory holds a log, as [`Log::open`] would find it.
+    /// Returns whether a memory holds a log, by the rules of [`Log::open`].
     ///
     /// # Errors
     /// If the memory cannot be read.
@@ -419,22 +424,22 @@ impl<F: Flash> Log<F> {
         Log::over(flash).find_sector()
     }
 
-    /// The memory.
+    /// Returns the memory.
     pub fn flash(&self) -> &F {
         &self.flash
     }
 
-    /// The memory, to be told what is no business of the log.
+    /// Returns the memory for direct access.
     pub fn flash_mut(&mut self) -> &mut F {
         &mut self.flash
     }
 
-    /// Gives the memory back.
+    /// Returns the memory and drops the log.
     pub fn into_flash(self) -> F {
         self.flash
     }
 
-    /// Hands every record that counts to `take`, and one with the key [`STORE_DAMAGED`] if others have been lost.
+    /// Passes each valid record to `take`, and a record with the key [`STORE_DAMAGED`] if the log is damaged.
     ///
     /// # Errors
     /// If the flash cannot be read.
@@ -455,11 +460,11 @@ impl<F: Flash> Log<F> {
         Ok(())
     }
 
-    /// Makes a change durable. A record that is there already is not written again.
+    /// Makes a change durable. A change that has no effect is not written.
     ///
     /// # Errors
-    /// [`StoreError::Full`] when there is no room and the spare sector is not erased; [`StoreError::Flash`] when the
-    /// memory fails. What was stored before still holds.
+    /// [`StoreError::Full`] if there is no room and the spare sector is not erased; [`StoreError::Flash`] if the memory
+    /// fails. Earlier changes remain valid.
     pub fn store(&mut self, change: &Store) -> Result<(), StoreError<F::Error>> {
         let entry = match change {
             Store::Put(record) => Entry { kind: PUT, key: record.key, value: record.value.clone() },
@@ -468,43 +473,44 @@ impl<F: Flash> Log<F> {
                 Entry { kind: REMOVE, key: *from, value }
             }
         };
-        // What is damaged cannot be written again where it is.
+        // Damage cannot be repaired in place: removing its record compacts the log.
         let cleans = self.unsound && entry.kind == REMOVE && entry.replaces(STORE_DAMAGED);
-        // Behind a write that failed, what is read now need not be what a restart finds.
+        // After a failed write, a restart may find something other than what is read now.
         if !cleans && self.appendable && self.holds(&entry)? {
             return Ok(());
         }
         if cleans || !self.appendable || self.end + entry.size() > self.flash.sector_size() {
             return self.compact_into_spare(&entry);
         }
-        // If the memory fails within the record, what it has written stays behind the end.
+        // If the memory fails within the record, the words written so far remain after the end.
         self.appendable = false;
         self.end = self.append(self.sector, self.end, &entry)?;
         self.appendable = true;
         Ok(())
     }
 
-    /// Whether the spare sector should be erased when there is time.
+    /// Returns whether the spare sector should be erased at the next opportunity.
     pub fn needs_erase(&self) -> bool {
         !self.spare_erased
     }
 
-    /// Whether no record fits before the spare sector has been erased, or only a few, or damage has to be left behind.
+    /// Returns whether the spare sector must be erased soon: no record fits before that, or only a few, or damage
+    /// cannot be cleared.
     pub fn needs_erase_soon(&self) -> bool {
         !self.spare_erased && (!self.appendable || self.unsound || self.end + RESERVE > self.flash.sector_size())
     }
 
-    /// Erases the spare sector, which holds nothing that counts. Takes hundreds of milliseconds on real flash.
+    /// Erases the spare sector, which holds no valid records. Takes hundreds of milliseconds on real flash.
     ///
     /// # Errors
-    /// If the memory does not do it.
+    /// If the sector cannot be erased.
     pub fn erase_spare(&mut self) -> Result<(), F::Error> {
         self.wipe(self.sector.other())?;
         self.spare_erased = true;
         Ok(())
     }
 
-    /// Compacts the log (garbage collection): copies what counts into the spare sector, and what is being stored with it; the spare then becomes the log.
+    /// Compacts the log: copies the valid records and the new one into the spare sector, which then becomes the log.
     fn compact_into_spare(&mut self, coming: &Entry) -> Result<(), StoreError<F::Error>> {
         if !self.spare_erased {
             return Err(StoreError::Full);
@@ -526,16 +532,17 @@ impl<F: Flash> Log<F> {
             from = next;
         }
         if damage {
-            // It has not been confirmed.
+            // The damage has not been confirmed.
             let entry = Entry { kind: PUT, key: STORE_DAMAGED, value: heapless::Vec::new() };
             end = self.copy(target, end, &entry)?;
         }
         if coming.kind == PUT {
-            // It replaces its predecessor in one step: both stand before the header does.
+            // The new record replaces its predecessor atomically: it becomes valid with the header, like the copies.
             end = self.copy(target, end, coming)?;
         }
         let sequence = self.sequence.wrapping_add(1);
-        // A header of which the last word fails may count after a restart, and what were appended here would not.
+        // If the last word of the header fails, a restart may find the new sector, and records appended here would be
+        // lost.
         self.appendable = false;
         self.write_header(target, sequence)?;
         self.sector = target;
@@ -548,7 +555,7 @@ impl<F: Flash> Log<F> {
         Ok(())
     }
 
-    /// Appends to a sector that is being filled, if there is room.
+    /// Appends to the sector being filled, if there is room.
     fn copy(&mut self, target: Sector, end: u32, entry: &Entry) -> Result<u32, StoreError<F::Error>> {
         if end + entry.size() > self.flash.sector_size() {
             return Err(StoreError::Full);
@@ -588,11 +595,11 @@ impl<F: Flash> Log<F> {
         Ok(Outline::read(self.flash.read(self.sector, address)?))
     }
 
-    /// The record at an address where there is one.
+    /// Reads the record at an address where there is one.
     fn entry(&mut self, address: u32) -> Result<Entry, F::Error> {
         let outline = self.outline(address)?;
         let mut entry = Entry { kind: outline.kind, key: outline.key, value: heapless::Vec::new() };
-        // Longer ones are refused by `checked_entry`.
+        // `checked_entry` refuses longer values.
         let _ = entry.value.resize_default(outline.length as usize);
         let mut at = address + 4;
         for bytes in entry.value.chunks_mut(4) {
@@ -605,7 +612,7 @@ impl<F: Flash> Log<F> {
         Ok(entry)
     }
 
-    /// The record at an address, if it is whole and its CRC is right.
+    /// Returns the record at an address, if it is complete and its crc is right.
     fn checked_entry(&mut self, address: u32) -> Result<Option<Entry>, F::Error> {
         let size = self.flash.sector_size();
         if address + 8 > size {
@@ -620,7 +627,7 @@ impl<F: Flash> Log<F> {
         Ok((entry.words().last() == Some(&sum)).then_some(entry))
     }
 
-    /// The first record from an address on.
+    /// Returns the first record at or after an address.
     fn record_from(&mut self, mut address: u32) -> Result<Option<(u32, Outline)>, F::Error> {
         while address < self.end {
             if let Some(gap) = self.gaps.iter().find(|gap| gap.start == address) {
@@ -634,8 +641,8 @@ impl<F: Flash> Log<F> {
         Ok(None)
     }
 
-    /// Where the records are that count, of as many keys from `from` on; and the first key behind these that has a record. To look
-    /// for what replaces each record would take seconds in a full log.
+    /// Returns the addresses of the valid records of the `KEYS` keys from `from` on, and the first later key that has a
+    /// record. One walk finds all of them: searching for each record's replacement would take seconds in a full log.
     fn counting(&mut self, from: u16) -> Result<(Places, Option<u16>), F::Error> {
         let mut places = [NOWHERE; KEYS];
         let index = |key: u16| usize::from(key.saturating_sub(from)).min(KEYS);
@@ -660,7 +667,7 @@ impl<F: Flash> Log<F> {
         Ok((places, more))
     }
 
-    /// Whether storing an entry would change nothing.
+    /// Returns whether storing an entry would have no effect.
     fn holds(&mut self, coming: &Entry) -> Result<bool, F::Error> {
         if coming.kind == REMOVE {
             let mut from = Some(coming.key);

@@ -1,4 +1,5 @@
-//! The settings log on a flash memory in RAM whose power is cut after any operation: each record is the old or the new one.
+//! The settings log on a flash memory in RAM. The power is cut after each operation: each record is then the old or the
+//! new one.
 
 #[path = "damage_tests.rs"]
 mod damage;
@@ -12,18 +13,19 @@ use std::vec::Vec;
 
 const SIZE: u32 = 512;
 
-/// Flash in RAM whose power can be cut: after `power` more operations each further one does half of its work and fails.
+/// Flash in RAM whose power can be cut: after `power` more operations, each further operation is done in part and
+/// fails.
 #[derive(Clone, Debug)]
 struct Mock {
     sectors: [Vec<u32>; 2],
-    /// Whether the last erase came to its end. If not, cells that read as ones are weak.
+    /// Whether the last erase was completed. If not, cells that read as ones are weak.
     whole: [bool; 2],
     power: Option<u32>,
     operations: u32,
     reads: u32,
-    /// Where a power cut left a word half written, and the bits that are missing.
+    /// Location of a word that a power cut left half written, and its missing bits.
     torn: Option<(Sector, u32, u32)>,
-    /// Bits that a word write which loses power still programs.
+    /// Bits that are still programmed in the word being written when the power is cut.
     torn_bits: u32,
 }
 
@@ -81,7 +83,7 @@ impl Flash for Mock {
     fn erase(&mut self, sector: Sector) -> Result<(), PowerCut> {
         let powered = self.spend();
         let words = &mut self.sectors[sector as usize];
-        // Cut short, the erase may look complete or not.
+        // An interrupted erase may look complete or not.
         let upto = if powered || self.torn_bits & 1 != 0 { words.len() } else { words.len() / 2 };
         words[..upto].fill(ERASED);
         self.whole[sector as usize] = powered;
@@ -97,7 +99,7 @@ fn put(key: u16, bytes: &[u8]) -> Store {
     Store::Put(Record { key, value: heapless::Vec::from_slice(bytes).unwrap() })
 }
 
-/// What is stored, and whether damage is told.
+/// Returns the stored records, and whether damage is reported.
 fn found(log: &mut Log<Mock>) -> (BTreeMap<u16, Vec<u8>>, bool) {
     let mut all = BTreeMap::new();
     log.for_each(|r| assert!(all.insert(r.key, r.value.to_vec()).is_none(), "a key counts once")).unwrap();
@@ -121,7 +123,7 @@ fn apply(model: &mut BTreeMap<u16, Vec<u8>>, change: &Store) {
     }
 }
 
-/// A store as its owner does it: the spare sector is erased first if that is due.
+/// Stores a change as the owner of the log does: first erases the spare sector if that is due.
 fn change(log: &mut Log<Mock>, change: &Store) -> Result<(), StoreError<PowerCut>> {
     if log.needs_erase() {
         log.erase_spare()?;
@@ -174,14 +176,14 @@ fn a_sector_is_used_to_its_last_word() {
     let mut log = Log::open(Mock::new()).unwrap();
     let mut stored = BTreeMap::new();
     for key in 0.. {
-        // A record has two words beside its value.
+        // A record has two words besides its value.
         let left = (SIZE - log.end) as usize;
         let length = if left > 100 { 40 } else { left - 8 };
         let record = put(key, &vec![key as u8; length]);
         change(&mut log, &record).unwrap();
         apply(&mut stored, &record);
         if left <= 100 {
-            // All of it goes to the other sector, and this record instead of that.
+            // Compaction copies everything to the other sector, with the new record in place of the old one.
             let record = put(key, &vec![0xAA; length]);
             assert_eq!(log.end, SIZE);
             change(&mut log, &record).unwrap();
@@ -211,7 +213,7 @@ fn what_stands_there_already_is_not_written_again() {
     assert_eq!(contents(&mut log).len(), 2);
 }
 
-/// A word that does not take what is written to it spoils its record and nothing else.
+/// A word that cannot be written spoils only its record.
 #[test]
 fn a_failed_write_spoils_its_record_only() {
     let mut log = Log::open(Mock::new()).unwrap();
@@ -232,8 +234,8 @@ fn changes() -> impl Strategy<Value = Vec<Store>> {
     proptest::collection::vec(one, 1..60)
 }
 
-/// The power goes after every single operation of the series, with any part of the last word written: what is found
-/// afterwards is the state before or after the change under way, and the log keeps working.
+/// Cuts the power at each operation of the series, with `torn_bits` of the last word written. Afterwards the log holds
+/// the state before or after the interrupted change, and still works.
 fn cut_everywhere(changes: &[Store], torn_bits: u32) -> Result<(), TestCaseError> {
     let whole = {
         let mut log = Log::open(Mock::new()).unwrap();
@@ -269,7 +271,7 @@ fn cut_everywhere(changes: &[Store], torn_bits: u32) -> Result<(), TestCaseError
         let mut log = Log::open(flash).unwrap();
         let (stored, told) = found(&mut log);
         prop_assert!(stored == before || stored == after, "{stored:?} is neither {before:?} nor {after:?}");
-        // Only a crc that lacks bits of a single byte may be taken for a wrong byte.
+        // Only if the missing bits of a crc are in a single byte may the cut be taken for damage.
         let one_byte = |missing: u32| missing.to_le_bytes().iter().filter(|byte| **byte != 0).count() == 1;
         let like_damage = torn.is_some_and(|(sector, address, missing)| {
             one_byte(missing) && (address == 4 || log.is_erased(sector, address + 4).unwrap())
@@ -283,7 +285,7 @@ fn cut_everywhere(changes: &[Store], torn_bits: u32) -> Result<(), TestCaseError
     Ok(())
 }
 
-/// With one byte changed, the torn value of this record would have a crc that fits by chance: no record is as short.
+/// With one byte corrected, the crc of this partial record would fit by chance, but no such record has this length.
 #[test]
 fn a_crc_that_fits_by_chance_is_no_damage() {
     let value = heapless::Vec::from_slice(&[203, 117, 14, 83, 92, 38, 228, 0, 129, 48]).unwrap();

@@ -1,6 +1,6 @@
-//! What the WebAssembly module does, without pointers: `check` and `stream` run a job, `turn` runs a machine for so
-//! many microseconds, `rows` gives the path as numbers, and `describe` the tables of settings, errors and alarms.
-//! Orders come as JSON.
+//! The functions of the WebAssembly module, without pointers: `check` and `stream` run a job, `turn` advances a machine
+//! by microseconds, `rows` returns the path as numbers, and `describe` the tables of settings, errors and alarms.
+//! Orders are JSON.
 
 use oxmill_controller::axes::LINEAR;
 use oxmill_controller::error::{Alarm, Error};
@@ -25,45 +25,45 @@ use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::time::Duration;
 
-/// What a caller wants to have simulated.
+/// A request for a simulation.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Order {
     /// Name of the job, for its summary.
     pub name: String,
-    /// Name of the board; without one, the desk's.
+    /// Name of the board; default: the desk's.
     pub board: Option<String>,
     /// `grbl`, `oxmill` or `seed`.
     pub dialect: Option<String>,
     /// Numbers of settings and their values.
     pub settings: BTreeMap<u16, Number>,
-    /// Whether the path is kept: [`rows`].
+    /// Whether the path is kept, for [`rows`].
     pub path: bool,
-    /// What is fitted to the machine, with the names that a file for `--machine` has.
+    /// The machine's hardware, with the fields of a file for `--machine`.
     pub machine: Option<Description>,
-    /// Work zero of G54 in mm of machine coordinates, for a machine that is homed before its job; without it, it is not homed.
-    /// For [`check`] and [`stream`] only.
+    /// Work zero of G54 in mm of machine coordinates; the machine is then homed before its job. Without it, the machine
+    /// is not homed. For [`check`] and [`stream`] only.
     pub work_zero: Option<[f64; LINEAR]>,
-    /// Lines that the machine carries out before its job, such as `G10 L1 P1 Z12.5`: its offsets and tools. For [`check`] and
-    /// [`stream`] only.
+    /// Lines that the machine executes before its job, such as `G10 L1 P1 Z12.5`: its offsets and tools. For [`check`]
+    /// and [`stream`] only.
     pub stored: Vec<String>,
-    /// Where the rest of a job that was broken off begins. For [`resume()`] only.
+    /// Where the rest of an interrupted job begins. For [`resume()`] only.
     pub resume: Option<Resume>,
-    /// Bits per second of the link that a job is sent over; 0 for one without limit. For [`stream`] only.
+    /// Bits per second of the link over which a job is sent; 0 for an unlimited link. For [`stream`] only.
     pub baud: u32,
 }
 
-/// Where the rest of a job begins, as the options of `oxmill resume` say it.
+/// Where the rest of a job begins, like the options of `oxmill resume`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Resume {
-    /// The first line, from 1 on.
+    /// The first line of the rest, from 1.
     pub line: u64,
-    /// Z at which the tool goes to the place, in mm as the program has it.
+    /// Z at which the tool travels to the position, in mm of program coordinates.
     pub clearance: Option<f64>,
-    /// Feed from there down, in mm/min.
+    /// Feed rate from there down, in mm/min.
     pub plunge: Option<f64>,
-    /// Seconds for the spindle.
+    /// Spin-up time of the spindle, in seconds.
     #[serde(default = "spin_up")]
     pub spin_up: u16,
 }
@@ -72,10 +72,10 @@ const fn spin_up() -> u16 {
     SPIN_UP
 }
 
-/// Splits an input into the order and the job behind it: JSON, a byte 0, the job.
+/// Splits an input into the order and the job: JSON, a 0 byte, the job.
 ///
 /// # Errors
-/// If the order is no JSON of this form.
+/// If the order is not valid JSON of this form.
 pub fn parse(input: &[u8]) -> Result<(Order, &[u8]), String> {
     let end = input.iter().position(|byte| *byte == 0).unwrap_or(input.len());
     let (order, job) = input.split_at(end);
@@ -83,10 +83,10 @@ pub fn parse(input: &[u8]) -> Result<(Order, &[u8]), String> {
     Ok((order, job.get(1..).unwrap_or_default()))
 }
 
-/// A simulator as ordered, idle.
+/// Returns a simulator as ordered, idle.
 ///
 /// # Errors
-/// If there is no such board or dialect, or if a setting is refused.
+/// If the board or dialect does not exist, or if a setting is rejected.
 pub fn power_up(order: &Order) -> Result<Simulator, String> {
     let board: Board = order.board.as_deref().map_or(Ok(boards::DESK), board_named)?;
     let fittings = order.machine.clone().map_or_else(|| Ok(Fittings::default()), Fittings::new);
@@ -104,7 +104,7 @@ pub fn power_up(order: &Order) -> Result<Simulator, String> {
     Ok(simulator)
 }
 
-/// A simulator as ordered, homed if a work zero is, with its offsets and tools.
+/// Returns a simulator as ordered, homed if there is a work zero, with its offsets and tools.
 fn power_up_for_job(order: &Order) -> Result<Simulator, String> {
     let mut simulator = power_up(order)?;
     if let Some(place) = order.work_zero {
@@ -122,10 +122,10 @@ fn power_up_for_job(order: &Order) -> Result<Simulator, String> {
     Ok(simulator)
 }
 
-/// A job that is ready to be checked.
+/// Prepares the check of a job.
 ///
 /// # Errors
-/// As [`power_up`], or if the job is no text or the machine cannot be homed and a work zero is ordered.
+/// As [`power_up`], or if the job is not text, or the machine cannot be homed for a work zero.
 pub fn check(order: &Order, job: &[u8]) -> Result<Check, String> {
     file_kind::refuse(job, true).map_err(|why| format!("the job is not read: {why}"))?;
     let mut simulator = power_up_for_job(order)?;
@@ -137,7 +137,7 @@ pub fn check(order: &Order, job: &[u8]) -> Result<Check, String> {
     Ok(Check::new(simulator, JobText::new(Cursor::new(job.to_vec()))))
 }
 
-/// The same job over a link without limit, and over the one that is ordered.
+/// Prepares sending a job over an unlimited link, and over the ordered link.
 ///
 /// # Errors
 /// As [`check`].
@@ -145,10 +145,10 @@ pub fn stream(order: &Order, job: &[u8]) -> Result<[Streaming; 2], String> {
     Ok([Streaming::new(power_up_for_job(order)?, job, 0), Streaming::new(power_up_for_job(order)?, job, order.baud)])
 }
 
-/// The rest of a job, with what is in front of it.
+/// Returns the rest of a job as JSON: the program, its first line in the file, the number of lines, and the prologue.
 ///
 /// # Errors
-/// As [`power_up`], if the order does not say where, or if the job cannot go on there.
+/// As [`power_up`], or if the order does not say where to resume, or if the job cannot be resumed there.
 pub fn resume(order: &Order, job: &[u8]) -> Result<Value, String> {
     file_kind::refuse(job, true).map_err(|why| format!("the job is not read: {why}"))?;
     let wanted = order.resume.as_ref().ok_or("the order does not say where the rest of the job begins")?;
@@ -165,7 +165,7 @@ pub fn resume(order: &Order, job: &[u8]) -> Result<Value, String> {
     Ok(json!({ "program": program, "line": rest.line, "lines": rest.lines, "prologue": rest.prologue }))
 }
 
-/// A machine that has been powered up with its settings, and that a host has been connected to.
+/// Returns a machine that was powered up with its settings, and to which a host has connected.
 ///
 /// # Errors
 /// As [`power_up`].
@@ -176,7 +176,7 @@ pub fn machine(order: &Order) -> Result<Simulator, String> {
     Ok(simulator)
 }
 
-/// Sends bytes to a machine, lets microseconds pass, and gives what it has said.
+/// Sends bytes to a machine, advances time by microseconds, and returns the machine's output.
 pub fn turn(machine: &mut Simulator, bytes: &[u8], microseconds: u32) -> String {
     if !bytes.is_empty() {
         machine.send(bytes);
@@ -185,20 +185,20 @@ pub fn turn(machine: &mut Simulator, bytes: &[u8], microseconds: u32) -> String 
     machine.take_output()
 }
 
-/// Numbers of a row of the path: x, y, z in mm of machine coordinates, speed in mm/s, begin and end in seconds from the
+/// Numbers per row of the path: x, y, z in mm of machine coordinates, speed in mm/s, start and end in seconds from the
 /// start of the job.
 pub const ROW: usize = 6;
-/// The bit of a row's line number that tells a rapid.
+/// The bit of a row's line number that marks a rapid.
 pub const RAPID: u32 = 1 << 31;
-/// The bit that tells an arc.
+/// The bit of a row's line number that marks an arc.
 pub const ARC: u32 = 1 << 30;
 
-/// The path of a job as rows of [`ROW`] numbers, and for each row the line of the file that it belongs to, with [`RAPID`]
-/// and [`ARC`], its tool, and its S (0 while the spindle is off). The first row is the start.
+/// Returns the path of a job as rows of [`ROW`] numbers, and for each row: its line of the file with [`RAPID`] and
+/// [`ARC`], its tool, and its S (0 while the spindle is off). The first row is the start.
 pub fn rows(check: &Check) -> (Vec<f32>, Vec<u32>, Vec<u32>, Vec<u32>) {
     let simulator = check.simulator();
     let points = simulator.meter().drawing().map_or(&[][..], Drawing::points);
-    // The step counter began at 0 at power-up; the machine's own name of the place may be another.
+    // The step counters began at 0 at power-up; the machine coordinates of that position may differ.
     let here = simulator.machine_place();
     let counted = simulator.meter().millimetres(simulator.machine().motors());
     let row = |point: &Point| {
@@ -221,7 +221,7 @@ pub fn rows(check: &Check) -> (Vec<f32>, Vec<u32>, Vec<u32>, Vec<u32>) {
     (points.iter().flat_map(row).collect(), points.iter().map(line).collect(), tools, speeds)
 }
 
-/// All that a user interface needs to know of the firmware: boards, settings, errors and alarms.
+/// Returns everything that a user interface needs about the firmware: boards, settings, errors and alarms.
 pub fn describe() -> Value {
     let board = |board: &Board| {
         json!({ "name": board.name, "step_clock_hz": board.step_clock_hz, "safe_step_hz": board.safe_step_hz,
@@ -244,7 +244,7 @@ pub fn describe() -> Value {
         "settings": rows, "errors": errors, "alarms": alarms })
 }
 
-/// A row of the table of settings, with the default of a new controller.
+/// Returns a row of the table of settings, with the default of a new controller.
 fn setting(row: &Row, settings: &Settings<AXES>) -> Value {
     let (kind, min, max) = match row.entry.kind {
         Kind::Whole(min, max) => ("whole", Some(json!(min)), Some(json!(max))),
@@ -261,7 +261,7 @@ fn setting(row: &Row, settings: &Settings<AXES>) -> Value {
     let default = settings.by_number(row.number).unwrap_or_default();
     json!({ "number": row.number, "name": String::from_utf8_lossy(&name), "unit": row.description.unit, "kind": kind,
         "min": min, "max": max, "values": String::from_utf8_lossy(&values),
-        // As people write it: an f32 has some nine digits, and a table seven.
+        // As users write it: an f32 has some nine digits, the table seven.
         "default": default.to_string().parse::<f64>().unwrap_or_default(), "grbl": row.entry.grbl,
         "explanation": explain::setting(row.number), "title": row.description.name, "group": row.description.group.text(),
         "labels": row.description.labels.split(',').filter(|label| !label.is_empty()).collect::<Vec<_>>(),
@@ -347,7 +347,8 @@ mod tests {
         assert_eq!(errors("\"G999\""), Err("G999: error:20".into()));
     }
 
-    /// Short moves of several lines become one, N words keep them apart, and neither changes when moves are numbered by lines.
+    /// Short moves of several lines are merged, N words keep them separate, and numbering the moves by lines changes
+    /// neither.
     #[test]
     fn a_path_changes_nothing_of_the_job() {
         let short: String = (1..400).map(|i| format!("G1 X{}\n", f64::from(i) * 0.003)).collect();

@@ -1,16 +1,17 @@
-//! The simulator as a WebAssembly module: the exported `extern` functions, `oxmill_path`, `oxmill_stream_begin` and so
-//! on, with pointers to the input and the answer and their lengths; a `panic` is caught as text. All state is in the
-//! module, which needs no imports, so it runs in a page, in Node, in Python; whoever wants two simulators makes two
-//! instances. The `Instance` keeps the job's length, a check, streams or a machine, and the `engine`'s answer as JSON
-//! bytes (`as_ptr`).
+//! The simulator as a WebAssembly module. It exports `extern` functions (`oxmill_path`, `oxmill_stream_begin` and so
+//! on) with pointers to the input and the output and their lengths; the text of a panic is kept. All state is in the
+//! module, which needs no imports, so it runs in a page, in Node or in Python. For two simulators, make two instances.
+//! The state is an `Instance`: input, output, and a check, streams or a machine; the `engine` does the work.
 //!
 //! # How to call it
 //!
-//! Text and bytes go in through a buffer and come out through another one:
-//! 1. `oxmill_input(n)` gives the address of `n` bytes in the module's memory: write the input there. It is used up by the
-//!    next call that takes one. The address is good until the next call.
-//! 2. Call. What says `status` gives 0, or 1 for a refusal: then the output is a text that says why.
-//! 3. `oxmill_output()` and `oxmill_output_len()` tell where the output is. It is good until the next call.
+//! Text and bytes are passed through an input buffer and an output buffer:
+//! 1. `oxmill_input(n)` returns the address of `n` bytes in the module's memory: write the input there. The next call
+//!    that takes an input consumes it. The address is valid until the next call.
+//! 2. Call a function. A function with a `status` returns 0, or 1 for a rejection: then the output is a text with the
+//!    reason.
+//! 3. `oxmill_output()` and `oxmill_output_len()` return address and length of the output, which is valid until the
+//!    next call.
 //!
 //! | function | input | gives | output |
 //! |---|---|---|---|
@@ -18,36 +19,37 @@
 //! | `oxmill_describe()` | | status | JSON: `version`, `boards`, `settings`, `errors`, `alarms` |
 //! | `oxmill_check_begin()` | order, 0, job | status | |
 //! | `oxmill_check_advance(rounds)` | | part of the job read, 0 to 1000, or [`DONE`] | |
-//! | `oxmill_check_seconds()` | | machine time up to now, in s | |
+//! | `oxmill_check_seconds()` | | machine time so far, in s | |
 //! | `oxmill_check_summary()` | | status | JSON: what `oxmill run --json` prints; `host_s` is 0 |
 //! | `oxmill_path()` | | rows of the path, for an order with `"path": true` | |
-//! | `oxmill_path_rows()` | | address of 6 `f32` for each row: x, y, z in mm of machine coordinates, speed in mm/s, begin and end in s | |
+//! | `oxmill_path_rows()` | | address of 6 `f32` for each row: x, y, z in mm of machine coordinates, speed in mm/s, start and end in s | |
 //! | `oxmill_path_lines()` | | address of a `u32` for each row: line of the file, bit 31 for a rapid, bit 30 for an arc |
-//! | `oxmill_path_tools()` | | address of a `u32` for each row: tool, 0 for none that M6 named | |
+//! | `oxmill_path_tools()` | | address of a `u32` for each row: tool, 0 if no M6 has named one | |
 //! | `oxmill_path_speeds()` | | address of a `u32` for each row: S, 0 while the spindle is off | |
 //! | `oxmill_stream_begin()` | order with `baud`, 0, job | status | |
 //! | `oxmill_stream_advance(ms)` | | as `oxmill_check_advance` | |
 //! | `oxmill_stream_summary()` | | status | JSON: `baud`, `forecast_s`, `complete`, `errors`, `lost: [{line, seconds}]` |
-//! | `oxmill_resume()` | order with `resume`, 0, job | status | JSON: `program`, `line`, `lines`, `prologue`: the rest of a job, as `oxmill resume` writes it |
-//! | `oxmill_machine_begin()` | order | status | what the machine says at power-up |
-//! | `oxmill_machine_turn(us)` | bytes of the host | status | what the machine has said after so many microseconds |
-//! | `oxmill_machine_pin()` | a line such as `probe 1` | status | `ok`, or what is wrong |
+//! | `oxmill_resume()` | order with `resume`, 0, job | status | JSON: `program`, `line`, `lines`, `prologue`: the rest of a job, as from `oxmill resume` |
+//! | `oxmill_machine_begin()` | order | status | the machine's output at power-up |
+//! | `oxmill_machine_turn(us)` | bytes of the host | status | the machine's output within the next `us` microseconds |
+//! | `oxmill_machine_pin()` | a line such as `probe 1` | status | `ok`, or the fault |
 //! | `oxmill_panic_len()`, `oxmill_panic()` | | length and address of the text of a panic | |
-//! | `oxmill_fail()` | | does not return: a panic, to try how it is shown | |
+//! | `oxmill_fail()` | | does not return: panics, for testing how a panic is shown | |
 //!
 //! Each of the `settings` has `number`, `name`, `unit`, `kind`, `min`, `max`, `values` (its range or choices as text),
 //! `default`, `grbl` (whether Grbl has it), `axis`, `title` (the name that all axes share), `group`, `labels` (names of
-//! choices or bits, from 0 on), and `explanation`: what it does and when one changes it.
+//! choices or bits, from 0 on), and `explanation`: what it does and when to change it.
 //!
-//! An order is JSON, all parts of which may be left out: `{"name": "a.nc", "board": "blackpill_f411", "dialect": "oxmill",
-//! "settings": {"110": 5000}, "path": true, "machine": {"steps_per_mm": [250, 250, 250]}, "work_zero": [-150, -100, -30],
-//! "baud": 115200}`. `machine` has the names of the file that `--machine` reads. With `work_zero`, in mm of machine
-//! coordinates, the machine of a check or a stream is homed before the job and G54 is put there, as with `--work-zero`.
-//! `"resume": {"line": 1200, "clearance": 20, "plunge": 100, "spin_up": 5}` says where the rest of a job begins; all but `line` may be left out.
-//! `"stored": ["G10 L1 P1 Z12.5"]` are lines that the machine of a check or a stream carries out before the job: its offsets and tools.
-//! Settings are applied in the order of their numbers, the dialect last.
+//! An order is JSON, all parts of which are optional: `{"name": "a.nc", "board": "blackpill_f411", "dialect": "oxmill",
+//! "settings": {"110": 5000}, "path": true, "machine": {"steps_per_mm": [250, 250, 250]}, "work_zero": [-150, -100,
+//! -30], "baud": 115200}`. `machine` has the fields of the file that `--machine` reads. With `work_zero`, in mm of
+//! machine coordinates, the machine of a check or a stream is homed before the job and G54 is set there, as with
+//! `--work-zero`. `"resume": {"line": 1200, "clearance": 20, "plunge": 100, "spin_up": 5}` says where the rest of a job
+//! begins; only `line` is required. `"stored": ["G10 L1 P1 Z12.5"]` are lines that the machine of a check or a stream
+//! executes before the job: its offsets and tools. Settings are applied in the order of their numbers, the dialect
+//! last.
 //!
-//! A panic ends the instance with a trap; its text can still be fetched.
+//! A panic traps and ends the instance; its text can still be fetched.
 
 pub mod engine;
 
@@ -58,11 +60,11 @@ use oxmill_simulator::streaming::Streaming;
 use std::cell::RefCell;
 use std::sync::Once;
 
-/// Number of this interface. It changes when a caller would have to.
+/// Number of this interface. It changes when callers have to change.
 pub const ABI: u32 = 2;
-/// What `oxmill_check_advance` gives at the end of the job.
+/// Result of `oxmill_check_advance` at the end of the job.
 pub const DONE: u32 = 1001;
-/// Parts that progress is told in.
+/// Progress is reported in this many parts.
 const PARTS: u64 = 1000;
 
 /// The state of an instance.
@@ -82,18 +84,18 @@ struct Instance {
 
 thread_local! {
     static INSTANCE: RefCell<Instance> = RefCell::default();
-    // Apart, because an instance that panics is in use.
+    // Separate, because a panicking call has `INSTANCE` borrowed.
     static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
 }
 
-/// Calls with the state of the instance. A panic in it leaves its text, whichever call comes first.
+/// Runs a call with the state of the instance. On the first call, installs a hook that keeps the text of a panic.
 fn with<T>(call: impl FnOnce(&mut Instance) -> T) -> T {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| std::panic::set_hook(Box::new(|panic| PANIC.with_borrow_mut(|text| *text = panic.to_string()))));
     INSTANCE.with_borrow_mut(call)
 }
 
-/// Carries out a call that takes the input and may be refused; its result is the output.
+/// Runs a call that takes the input and may fail. Its result or its error becomes the output.
 fn answer(call: impl FnOnce(&mut Instance, &[u8]) -> Result<Vec<u8>, String>) -> u32 {
     with(|instance| {
         let input = std::mem::take(&mut instance.input);
@@ -113,14 +115,14 @@ fn json(value: &impl serde::Serialize) -> Result<Vec<u8>, String> {
 }
 
 /// Number of this interface.
-// SAFETY of every `no_mangle` here: unsafe because two functions of one name would clash; safe because the names begin with
-// that of the project.
+// SAFETY of every `no_mangle` here: the attribute is unsafe because two functions with the same name would clash; all
+// names here begin with the name of the project.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_abi() -> u32 {
     ABI
 }
 
-/// Makes room for an input of so many bytes, and gives its address.
+/// Makes room for an input of `length` bytes and returns its address.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_input(length: usize) -> *mut u8 {
     with(|instance| {
@@ -148,7 +150,7 @@ pub extern "C" fn oxmill_describe() -> u32 {
     answer(|_, _| json(&engine::describe()))
 }
 
-/// Begins a job.
+/// Starts checking a job.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_check_begin() -> u32 {
     answer(|instance, input| {
@@ -161,7 +163,7 @@ pub extern "C" fn oxmill_check_begin() -> u32 {
     })
 }
 
-/// Takes the job further.
+/// Advances the check of the job.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_check_advance(rounds: u32) -> u32 {
     with(|instance| {
@@ -177,13 +179,13 @@ fn part(done: u64, all: u64) -> u32 {
     (done.min(all) * PARTS / all.max(1)) as u32
 }
 
-/// Machine time of the job up to now, in seconds.
+/// Machine time of the job so far, in seconds.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_check_seconds() -> f64 {
     with(|instance| instance.check.as_ref().map_or(0.0, Check::seconds))
 }
 
-/// The summary of the job. The input may hold its name.
+/// Outputs the summary of the job. The input may contain its name.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_check_summary() -> u32 {
     answer(|instance, name| {
@@ -192,7 +194,7 @@ pub extern "C" fn oxmill_check_summary() -> u32 {
     })
 }
 
-/// Makes the rows of the path ready, and gives their number.
+/// Prepares the rows of the path and returns their number.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_path() -> usize {
     with(|instance| {
@@ -220,13 +222,13 @@ pub extern "C" fn oxmill_path_tools() -> *const u32 {
     with(|instance| instance.tools.as_ptr())
 }
 
-/// Address of the S of the rows.
+/// Address of the spindle speeds (S) of the rows.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_path_speeds() -> *const u32 {
     with(|instance| instance.speeds.as_ptr())
 }
 
-/// Begins to send a job over a link.
+/// Starts sending a job over a link.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_stream_begin() -> u32 {
     answer(|instance, input| {
@@ -236,7 +238,7 @@ pub extern "C" fn oxmill_stream_begin() -> u32 {
     })
 }
 
-/// Lets so many milliseconds of the machine pass.
+/// Advances the machine by `milliseconds`.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_stream_advance(milliseconds: u32) -> u32 {
     with(|instance| {
@@ -249,7 +251,7 @@ pub extern "C" fn oxmill_stream_advance(milliseconds: u32) -> u32 {
     })
 }
 
-/// What became of the job that was sent.
+/// Outputs the result of the job that was sent.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_stream_summary() -> u32 {
     answer(|instance, _| {
@@ -258,7 +260,7 @@ pub extern "C" fn oxmill_stream_summary() -> u32 {
     })
 }
 
-/// Writes the rest of a job.
+/// Outputs the rest of a job as a program.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_resume() -> u32 {
     answer(|_, input| {
@@ -276,7 +278,7 @@ pub extern "C" fn oxmill_machine_begin() -> u32 {
     })
 }
 
-/// Sends the input to the machine and lets time pass.
+/// Sends the input to the machine and advances time.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_machine_turn(microseconds: u32) -> u32 {
     answer(|instance, input| {
@@ -306,7 +308,7 @@ pub extern "C" fn oxmill_panic() -> *const u8 {
     PANIC.with_borrow(|text| text.as_ptr())
 }
 
-/// Panics.
+/// Panics, for testing how a panic is shown.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_fail() {
     with(|_| panic!("oxmill_fail was called"))

@@ -1,4 +1,4 @@
-//! What the documents say of the code: files that exist, functions that are in them, rooms that are in the table.
+//! Checks the documents against the code: the files, functions and modules that they name exist.
 
 use crate::{root, source};
 use std::fs;
@@ -7,19 +7,19 @@ fn document(name: &str) -> String {
     fs::read_to_string(root().join("docs").join(name)).unwrap_or_else(|error| panic!("docs/{name}: {error}"))
 }
 
-/// The rows of all tables, as cells.
+/// Returns the rows of all tables, as cells.
 fn rows(text: &str) -> impl Iterator<Item = Vec<&str>> {
     text.lines()
         .filter(|line| line.starts_with('|') && !line.starts_with("|---"))
         .map(|line| line.trim_start_matches('|').trim_end_matches('|').split('|').map(str::trim).collect())
 }
 
-/// What stands between backticks.
+/// Returns the texts between backticks.
 fn quoted(text: &str) -> impl Iterator<Item = &str> {
     text.split('`').skip(1).step_by(2)
 }
 
-/// Names of the functions of a file, also of those that a macro makes.
+/// Returns the names of the functions of a file, including those that a macro makes.
 fn functions(file: &str) -> Vec<String> {
     let text = fs::read_to_string(root().join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
     let tokens = source::lex(&source::bare(&text));
@@ -43,7 +43,7 @@ fn the_journey_passes_functions_that_exist() {
     assert!(stations > 50, "{stations}");
 }
 
-/// Paths in backticks lead to something.
+/// Paths in backticks exist.
 #[test]
 fn paths_in_documents_exist() {
     let mut seen = 0;
@@ -62,7 +62,7 @@ fn paths_in_documents_exist() {
     assert!(seen > 60, "{seen}");
 }
 
-/// Each row of the glossary has its five cells, and no term two rows.
+/// Each row of the glossary has five cells, and no term has two rows.
 #[test]
 fn the_glossary_has_each_term_once() {
     let text = document("glossary.md");
@@ -102,7 +102,7 @@ fn every_room_has_a_sentence() {
     assert!(rooms.len() > 18, "{rooms:?}");
 }
 
-/// A file of tests that its program does not name would not be compiled, and nobody would see it.
+/// A test file that its program does not declare as a module would silently not be compiled.
 #[test]
 fn every_file_of_tests_is_in_its_program() {
     let folder = root().join("src/controller/tests");

@@ -1,4 +1,5 @@
-//! Who may know whom. Reads the sources, so that a shortcut between rooms fails here and not in somebody's head.
+//! Checks which parts of the code may depend on which, by reading the sources, so that a forbidden dependency fails a
+//! test.
 
 mod docs;
 mod shape;
@@ -10,7 +11,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The rooms of the controller and the rooms that each may name besides itself. A new room must be entered here.
+/// The rooms (top-level modules) of the controller, each with the rooms that it may use. A new room must be added here.
 const ROOMS: &[(&str, &[&str])] = &[
     ("units", &[]),
     ("axes", &[]),
@@ -40,11 +41,11 @@ const ROOMS: &[(&str, &[&str])] = &[
     ("recorder", &["dispatch", "messages", "protocol", "units"]),
 ];
 
-/// The rooms that carry out what comes in: all of them are about `Controller` and `Machine`. Which of their files may call
-/// which is held by `shape`.
+/// The rooms that carry out input and work on `Controller` and `Machine`. Module `shape` checks the calls between their
+/// files.
 const CORE: &[&str] = &["dispatch", "parts", "memory", "view", "states", "work", "host", "inputs", "outputs"];
 
-/// What a room of [`CORE`] may use.
+/// The rooms that a room of [`CORE`] may use.
 const ALL: &[&str] = &[
     "units",
     "axes",
@@ -71,15 +72,15 @@ const ALL: &[&str] = &[
     "outputs",
 ];
 
-/// Crates that the controller may build on.
+/// External crates that the controller may use.
 const CONTROLLER_CRATES: &[&str] = &["crc", "fugit", "heapless", "libm", "oxmill-sqrt"];
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// All Rust files below a folder, with their path from there. `tests` (folder or file) is left out: no rule is for it, and
-/// [`faults`] sees to it that it belongs to test builds only.
+/// Returns all Rust files below a folder, with their path from there. Skips `tests` (folder or file): the rules do not
+/// apply to tests, and [`faults`] checks that they are only part of test builds.
 fn sources(folder: &Path) -> Vec<(PathBuf, String)> {
     let mut found = source::all(folder);
     found.retain(|(file, _)| {
@@ -90,7 +91,7 @@ fn sources(folder: &Path) -> Vec<(PathBuf, String)> {
     found
 }
 
-/// Names of the modules that lead to a file: `protocol/text.rs` is [protocol, text], `gcode/mod.rs` is [gcode].
+/// Returns the module path of a file: `protocol/text.rs` is [protocol, text], `gcode/mod.rs` is [gcode].
 fn module_of(file: &Path) -> Vec<String> {
     let mut parts: Vec<String> =
         file.with_extension("").components().map(|c| c.as_os_str().to_string_lossy().into_owned()).collect();
@@ -100,7 +101,7 @@ fn module_of(file: &Path) -> Vec<String> {
     parts
 }
 
-/// The room that a path leads to, if it is one: `crate::x::..`, or `super::..` as far up as the root.
+/// Returns the room that a path leads to, if any: `crate::x::..`, or enough `super::` to reach the root.
 fn room_of(path: &[String], module: &[String]) -> Option<String> {
     let mut base = module.to_vec();
     let mut rest = path;
@@ -124,13 +125,13 @@ fn room_of(path: &[String], module: &[String]) -> Option<String> {
     base.first().cloned()
 }
 
-/// What a file of the controller does against the rules.
+/// Returns the rules that a file of the controller violates.
 fn faults(file: &Path, text: &str) -> Vec<String> {
-    // On hosts what is lent comes from the heap.
+    // On hosts, lent memory comes from the heap, so this line is allowed.
     let text = source::bare(text).replace("extern crate alloc;", "");
     let module = module_of(file);
     let mut faults = Vec::new();
-    // What `#[cfg(test)]` marks is gone from the text by now.
+    // `bare` has removed the items marked `#[cfg(test)]`.
     if source::words(&text).zip(source::words(&text).skip(1)).any(|(a, b)| a == "mod" && b == "tests") {
         faults.push("has `mod tests` without #[cfg(test)] right before it".to_string());
     }
@@ -149,8 +150,8 @@ fn faults(file: &Path, text: &str) -> Vec<String> {
         if path[0] == "std" || path[0] == "alloc" && room != "lent" {
             faults.push(format!("uses `{}`", path.join("::")));
         }
-        // An inline module puts `super` one level higher than the file; the rooms have none outside tests.
-        // Names that the crate's root re-exports would be a way round the table, so they are refused as well.
+        // An inline module would shift `super` by one level; outside tests the rooms have none. Names that the crate's
+        // root re-exports are rejected, because they would bypass the table.
         if let Some(other) = room_of(&path, &module)
             && other != *room
             && !allowed.contains(&other.as_str())
@@ -196,14 +197,14 @@ fn the_controller_is_no_std_without_unsafe_and_cannot_panic_by_lint() {
     }
 }
 
-/// Names of the `[dependencies]` of a manifest.
+/// Returns the names of the `[dependencies]` of a manifest.
 fn dependencies(manifest: &str) -> Vec<String> {
     let mut inside = false;
     let mut found = Vec::new();
     for line in manifest.lines().map(str::trim) {
         if line.starts_with('[') {
             inside = line == "[dependencies]";
-            // Also `[dependencies.x]` and target tables.
+            // Also `[dependencies.x]` and tables for single targets.
             if let Some(name) = line.trim_matches(['[', ']']).split("dependencies.").nth(1)
                 && !line.contains("dev-dependencies")
             {
@@ -233,7 +234,7 @@ fn simulator_faults(_: &Path, text: &str) -> Vec<String> {
     let text = source::bare(text);
     let mut faults: Vec<String> =
         source::words(&text).filter(|w| w == "unsafe").map(|_| "says `unsafe`".to_string()).collect();
-    // The simulator pumps; what it makes of the controller's rooms beyond their types would be a second controller.
+    // The simulator only pumps the controller: using more of its rooms than their types would make a second controller.
     for path in source::paths(&text) {
         if ["rtic", "rtic_sync", "cortex_m", "stm32f4xx_hal", "defmt"].contains(&path[0].as_str()) {
             faults.push(format!("uses `{}`", path.join("::")));
@@ -249,8 +250,8 @@ fn the_simulator_is_safe_and_knows_no_hardware() {
     assert!(text.contains("forbid(unsafe_code)"));
 }
 
-/// Boards know pins: of the controller they may fill in the profile, say why the processor began anew, and digest steps where
-/// there are no pins; of the tasks they know nothing.
+/// Boards know pins. Of the controller they may use the profile, the reset cause, and the step digest (for boards
+/// without pins); they must not use the tasks.
 fn board_faults(_: &Path, text: &str) -> Vec<String> {
     let mut faults = Vec::new();
     for path in source::paths(&source::bare(text)) {
@@ -258,7 +259,7 @@ fn board_faults(_: &Path, text: &str) -> Vec<String> {
             "oxmill_controller" => {
                 matches!(path.get(1).map(String::as_str), Some("Profile" | "StepRates" | "digest" | "ResetCause"))
             }
-            // What a board has received crosses to a task through a channel.
+            // Received bytes reach a task through a channel, so boards need neither of these.
             "rtic" | "oxmill_simulator" => false,
             _ => true,
         };
@@ -274,7 +275,7 @@ fn boards_know_pins_only() {
     report(&root().join("boards"), board_faults);
 }
 
-/// Any address can be made of a port's number: what reads and writes registers is for the folder that knows what is there.
+/// A port number can be turned into any address. So only the folder that knows the registers may read and write them.
 #[test]
 fn registers_are_reached_from_their_folder_only() {
     let text = source::bare(&fs::read_to_string(root().join("boards/stm32f4/registers.rs")).unwrap());
@@ -283,7 +284,7 @@ fn registers_are_reached_from_their_folder_only() {
     assert!(text.contains("pub(super) fn write(") && text.contains("pub(super) fn read("));
 }
 
-/// A page of errors that names one which nobody gives sends a reader looking for it.
+/// The page of errors must not list errors that are never reported.
 #[test]
 fn each_error_and_alarm_is_given_somewhere() {
     let texts: String = sources(&root().join("src/controller"))

@@ -1,12 +1,12 @@
-//! The shape of the code: calls and imports between the files of a room go one way, and a crate has each type name once.
+//! Checks the shape of the code: calls and imports between the files of a room have no cycles, and each type name
+//! occurs once per crate.
 
 use crate::source::{self, Item};
 use crate::{CORE, module_of, root, sources};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Types of one name in a crate: how many. Those of a part that a board leaves out have its names, and `gcode` calls the
-/// motion that a line asks for what `motion` calls the whole of it.
+/// Type names that occur several times in a crate, with their number: stubs have the names of the parts they replace.
 const SAME_NAMES: &[(&str, usize)] = &[
     ("src/controller Computed", 2),
     ("src/controller ComputedMemory", 2),
@@ -15,11 +15,11 @@ const SAME_NAMES: &[(&str, usize)] = &[
     ("src/controller Recorder", 2),
 ];
 
-/// The crates that make an image or the simulator.
+/// Crates that are part of an image or the simulator.
 const CRATES: [&str; 8] =
     ["boards", "src/controller", "src/firmware", "src/sqrt", "src/simulator", "src/step_task", "src/store", "src/web"];
 
-/// Compares what is found with a limit and with the list of what is beyond it.
+/// Compares figures with a limit and with the list of allowed exceptions.
 fn judge(what: &str, found: &BTreeMap<String, usize>, limit: usize, listed: &[(&str, usize)]) {
     let mut faults = Vec::new();
     for (name, figure) in found.iter().filter(|(_, figure)| **figure > limit) {
@@ -37,7 +37,7 @@ fn judge(what: &str, found: &BTreeMap<String, usize>, limit: usize, listed: &[(&
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-/// Items of all files of a folder.
+/// Returns the items of all files of a folder.
 fn items(folder: &str) -> Vec<(String, Vec<Item>)> {
     let read = |(file, text): &(std::path::PathBuf, String)| {
         (file.to_string_lossy().into_owned(), source::items(&source::lex(&source::bare(text))))
@@ -45,7 +45,8 @@ fn items(folder: &str) -> Vec<(String, Vec<Item>)> {
     sources(&root().join(folder)).iter().map(read).collect()
 }
 
-/// Files of the rooms of the controller, by room; a file at the root is a room of its own. Those of [`CORE`] are one.
+/// Returns the controller's files by room; a file at the root is a room of its own, and all rooms of [`CORE`] count as
+/// one.
 fn rooms() -> BTreeMap<String, Vec<(String, String)>> {
     let mut rooms: BTreeMap<String, Vec<(String, String)>> = BTreeMap::new();
     for (file, text) in sources(&root().join("src/controller")) {
@@ -56,7 +57,7 @@ fn rooms() -> BTreeMap<String, Vec<(String, String)>> {
     rooms
 }
 
-/// How many nodes of a graph lie on a circle.
+/// Returns the number of nodes of a graph that lie on a cycle.
 fn circles(graph: &BTreeMap<String, BTreeSet<String>>) -> usize {
     let reach = |from: &String| {
         let mut seen = BTreeSet::new();
@@ -71,7 +72,7 @@ fn circles(graph: &BTreeMap<String, BTreeSet<String>>) -> usize {
     let reached: BTreeMap<&String, BTreeSet<String>> = graph.keys().map(|file| (file, reach(file))).collect();
     let on: Vec<_> = reached.iter().filter(|(file, there)| there.contains(**file)).map(|(file, _)| file).collect();
     if !on.is_empty() {
-        // For whoever reads the failure.
+        // Helps to read the failure.
         println!("on a circle: {on:?}");
     }
     on.len()
@@ -84,7 +85,7 @@ fn calls_between_the_files_of_a_room_go_one_way() {
         let mut methods: BTreeMap<(String, String), String> = BTreeMap::new();
         let read: Vec<(&String, Vec<Item>)> =
             files.iter().map(|(file, text)| (file, source::items(&source::lex(&source::bare(text))))).collect();
-        // A `none.rs` has the functions of what it stands in for.
+        // A `none.rs` has the same functions as the module that it replaces.
         for (file, items) in read.iter().filter(|(file, _)| !file.ends_with("none.rs")) {
             for item in items.iter().filter(|item| item.kind == "impl") {
                 for name in item.functions() {
@@ -123,8 +124,8 @@ fn imports_between_the_files_of_a_room_go_one_way() {
                     |name: &String| by_module.contains_key(&[&module[..], std::slice::from_ref(name)].concat());
                 let Some(full) = full_path(&path, &module, is_child) else { continue };
                 let full = exported.get(&full).unwrap_or(&full);
-                // The longest module that the path begins with. What a room's root has is for all its files: the types and
-                // states that each of them works on.
+                // The longest module that is a prefix of the path. Items in a room's root do not count: they are the
+                // types and states that all files of the room share.
                 let target = (2..=full.len()).rev().find_map(|n| by_module.get(&full[..n]));
                 if let Some(other) = target.filter(|other| **other != file) {
                     graph.entry(file.clone()).or_default().insert((*other).clone());
@@ -137,7 +138,7 @@ fn imports_between_the_files_of_a_room_go_one_way() {
     judge("files on a circle of imports", &found, 0, &[]);
 }
 
-/// What a module gives out of its children: its own path for a name, and the path that it comes from.
+/// Returns the names that a module re-exports: its own path for a name, and the original path.
 fn re_exports(module: &[String], text: &str) -> Vec<(Vec<String>, Vec<String>)> {
     let bare = source::bare(text);
     let uses = bare.split(';').filter_map(|item| item.trim().rsplit_once("pub use ").map(|(_, tree)| tree.to_owned()));
@@ -152,7 +153,7 @@ fn re_exports(module: &[String], text: &str) -> Vec<(Vec<String>, Vec<String>)> 
         .collect()
 }
 
-/// A path from the root of the crate. `is_child`: whether a name is a module within this one.
+/// Returns the path from the root of the crate. `is_child`: whether a name is a module within this one.
 fn full_path(path: &[String], module: &[String], is_child: impl Fn(&String) -> bool) -> Option<Vec<String>> {
     let mut base = module.to_vec();
     let mut rest = path;
@@ -175,11 +176,11 @@ fn full_path(path: &[String], module: &[String], is_child: impl Fn(&String) -> b
 #[test]
 fn a_crate_has_each_type_name_once() {
     let mut found: BTreeMap<String, usize> = BTreeMap::new();
-    // What the boards' contract names, each board has.
+    // Every board defines the names of the boards' contract.
     for folder in CRATES.into_iter().filter(|folder| *folder != "boards") {
         for (_, items) in items(folder) {
             for item in items.iter().filter(|item| ["struct", "enum", "trait"].contains(&item.kind.as_str())) {
-                // A macro's type is named where the macro is used.
+                // A type in a macro gets its name where the macro is used.
                 if item.name != "$" {
                     *found.entry(format!("{folder} {}", item.name)).or_default() += 1;
                 }

@@ -1,10 +1,10 @@
-//! Reads Rust text just well enough to tell which paths it names: comments, strings and test modules are taken out, then
-//! `use` trees and qualified paths are collected.
+//! A minimal reader of Rust source that finds the paths it names: it removes comments, strings and test modules, then
+//! collects `use` trees and qualified paths.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// All Rust files below a folder, with their path from there, in order; without what tools put there.
+/// Returns all Rust files below a folder, with their path from there, sorted; skips `target` and `node_modules`.
 pub fn all(folder: &Path) -> Vec<(PathBuf, String)> {
     let mut found = Vec::new();
     let mut folders = vec![folder.to_path_buf()];
@@ -25,12 +25,12 @@ pub fn all(folder: &Path) -> Vec<(PathBuf, String)> {
     found
 }
 
-/// The text without comments, strings, characters and everything under `#[cfg(test)]`.
+/// Returns the text without comments, strings, characters and everything under `#[cfg(test)]`.
 pub fn bare(text: &str) -> String {
     without_tests(&without_comments_and_strings(text))
 }
 
-/// Comments, and the insides of strings and character literals, become blanks. Line breaks stay.
+/// Replaces comments and the contents of strings and character literals by blanks; keeps line breaks.
 fn without_comments_and_strings(text: &str) -> String {
     let source: Vec<char> = text.chars().collect();
     let mut out = String::with_capacity(text.len());
@@ -77,7 +77,7 @@ fn block_comment(rest: &[char]) -> usize {
     rest.len()
 }
 
-/// Length of a raw string that begins at `at`, as in `r#"..."#`.
+/// Returns the length of a raw string that starts at `at`, as in `r#"..."#`.
 fn raw_string(source: &[char], at: usize) -> Option<usize> {
     if at > 0 && (source[at - 1].is_alphanumeric() && source[at - 1] != 'b' || source[at - 1] == '_') {
         return None;
@@ -105,12 +105,12 @@ fn quoted(rest: &[char], quote: char) -> usize {
     rest.len()
 }
 
-/// Whether a quote opens a character and not a lifetime.
+/// Returns whether a quote starts a character literal, not a lifetime.
 fn is_character(rest: &[char]) -> bool {
     rest.get(1) == Some(&'\\') || rest.get(2) == Some(&'\'')
 }
 
-/// Removes each item that follows `#[cfg(test)]`. The text has no strings or comments any more.
+/// Removes each item that follows `#[cfg(test)]`. The text must be free of strings and comments.
 fn without_tests(text: &str) -> String {
     const MARK: &str = "#[cfg(test)]";
     let mut out = String::new();
@@ -143,7 +143,7 @@ fn without_tests(text: &str) -> String {
     out
 }
 
-/// Names, numbers and punctuation, in order; `::` is one.
+/// Splits a text into names, numbers and punctuation, in order; `::` is one token.
 pub fn lex(text: &str) -> Vec<String> {
     let mut found: Vec<String> = Vec::new();
     let mut chars = text.chars().peekable();
@@ -168,17 +168,17 @@ pub fn lex(text: &str) -> Vec<String> {
     found
 }
 
-/// Something with a body: `struct`, `enum`, `trait`, `impl` or `fn`.
+/// An item with a body: `struct`, `enum`, `trait`, `impl` or `fn`.
 pub struct Item {
     pub kind: String,
-    /// Of an `impl`, the type.
+    /// Name; for an `impl`, that of the type.
     pub name: String,
-    /// From the word that begins it to its end.
+    /// All tokens from the keyword to the end.
     pub body: Vec<String>,
 }
 
 impl Item {
-    /// Names of the functions in it, or its own if it is one.
+    /// Returns the names of the functions within the item, or its own name if it is a function.
     pub fn functions(&self) -> Vec<String> {
         let mut found = Vec::new();
         let mut at = 0;
@@ -197,7 +197,8 @@ impl Item {
     }
 }
 
-/// Index of the last token of an item that begins at `at`: its closing brace, or the semicolon of one without a body.
+/// Returns the index of the last token of an item that starts at `at`: its closing brace, or the semicolon of an item
+/// without a body.
 fn end_of(tokens: &[String], at: usize) -> usize {
     let (mut depth, mut braces) = (0_usize, 0_usize);
     for (i, token) in tokens.iter().enumerate().skip(at) {
@@ -218,7 +219,7 @@ fn end_of(tokens: &[String], at: usize) -> usize {
     tokens.len() - 1
 }
 
-/// The items of a file, also those of inline modules; those within items are not listed.
+/// Returns the items of a file, including those of inline modules, but not items within items.
 pub fn items(tokens: &[String]) -> Vec<Item> {
     let mut found = Vec::new();
     let mut at = 0;
@@ -237,7 +238,7 @@ pub fn items(tokens: &[String]) -> Vec<Item> {
     found
 }
 
-/// The last name of the type that an `impl` is for, without its parameters.
+/// Returns the last name of the type of an `impl`, without its parameters.
 fn type_of_impl(tokens: &[String]) -> String {
     let (mut angles, mut name) = (0_usize, String::new());
     for (i, token) in tokens.iter().enumerate().skip(1) {
@@ -253,14 +254,14 @@ fn type_of_impl(tokens: &[String]) -> String {
     name
 }
 
-/// Names of the methods called on `self`, and of the functions of `Self`.
+/// Returns the names of the methods called on `self`, and of the functions called on `Self`.
 pub fn calls_of_self(body: &[String]) -> Vec<String> {
     let is = |token: &String, text: &str| token == text;
     let receives = |w: &[String]| is(&w[0], "self") && is(&w[1], ".") || is(&w[0], "Self") && is(&w[1], "::");
     body.windows(4).filter(|w| receives(w) && is_name(&w[2]) && is(&w[3], "(")).map(|w| w[2].clone()).collect()
 }
 
-/// All words of the text.
+/// Returns all words of the text.
 pub fn words(text: &str) -> impl Iterator<Item = String> {
     lex(text).into_iter().filter(|t| t.starts_with(|c: char| c.is_alphanumeric() || c == '_'))
 }
@@ -269,7 +270,7 @@ fn is_name(token: &str) -> bool {
     token.starts_with(|c: char| c.is_alphabetic() || c == '_')
 }
 
-/// Every path of two or more names, in `use` trees and elsewhere.
+/// Returns every path of two or more names, in `use` trees and elsewhere.
 pub fn paths(text: &str) -> Vec<Vec<String>> {
     let tokens = lex(text);
     let mut found = Vec::new();
@@ -293,7 +294,7 @@ pub fn paths(text: &str) -> Vec<Vec<String>> {
     found
 }
 
-/// One tree of a `use`: a path that may end in `*`, in `as name`, or in a group of trees.
+/// Collects one tree of a `use`: a path that may end in `*`, in `as name`, or in a group of trees.
 fn tree(tokens: &[String], at: &mut usize, prefix: &[String], found: &mut Vec<Vec<String>>) {
     let mut path = prefix.to_vec();
     while let Some(token) = tokens.get(*at) {

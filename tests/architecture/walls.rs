@@ -1,9 +1,9 @@
-//! The walls between crates: who builds on whom, and that no file is compiled into two crates.
+//! Checks the dependencies between crates, and that no file is compiled into two crates.
 
 use crate::{dependencies, root, source, sources};
 use std::fs;
 
-/// Crates of this workspace that each crate may build on. What comes from outside is each crate's own affair.
+/// Crates of this workspace that each crate may use. External crates are not restricted here.
 const CRATES: &[(&str, &[&str])] = &[
     ("boards", &["oxmill-controller", "oxmill-store"]),
     ("boards/images", &[]),
@@ -30,7 +30,8 @@ fn crates_build_on_those_below_them() {
     }
 }
 
-/// What differs between boards is behind their contract: features belong to the crate of the boards.
+/// Differences between boards are hidden behind the boards' contract: only the boards crate may have features for
+/// boards.
 #[test]
 fn no_condition_of_the_firmware_names_a_board() {
     let mut read = 0;
@@ -46,7 +47,7 @@ fn no_condition_of_the_firmware_names_a_board() {
     assert!(read > 10);
 }
 
-/// What a chip needs depends on the chip's feature: a new board with it has it then, without being entered anywhere.
+/// Code for a chip depends on the chip's feature, so a new board with this chip needs no entry elsewhere.
 #[test]
 fn only_the_choice_of_a_board_names_one_in_a_condition() {
     let files = sources(&root().join("boards"));
@@ -59,7 +60,7 @@ fn only_the_choice_of_a_board_names_one_in_a_condition() {
     }
 }
 
-/// What the simulator's library has nothing of: the feature `program` brings it.
+/// Parts of the standard library that the simulator's library uses only with the feature `program`.
 const OF_THE_HOST: &[&[&str]] = &[
     &["std", "fs"],
     &["std", "net"],
@@ -80,7 +81,7 @@ fn the_simulator_as_a_library_has_no_files_threads_or_clock() {
         {
             if condition { &mut gated } else { &mut parts }.push(name.to_owned());
         }
-        // The name of the feature is a string, which `bare` has blanked.
+        // The feature's name is a string, which `bare` has blanked.
         condition = line.starts_with("#[cfg(feature");
     }
     assert!(parts.len() > 12 && gated.contains(&"server".to_owned()), "{parts:?} {gated:?}");
@@ -94,7 +95,7 @@ fn the_simulator_as_a_library_has_no_files_threads_or_clock() {
     }
 }
 
-/// Files that are compiled where they do not lie, and why.
+/// Files that are compiled outside their own folder, with the reason.
 const INCLUDED: &[(&str, &str, &str)] = &[
     ("src/controller/gcode/mod.rs", "computed/none.rs", "stands in for its folder"),
     ("src/controller/gcode/mod.rs", "refusal/none.rs", "stands in for its folder"),

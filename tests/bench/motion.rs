@@ -1,8 +1,8 @@
-//! How long jobs take, beside what other controllers take for like ones: the table of `docs/motion.md`.
+//! Durations of jobs, beside those of other controllers for equivalent jobs: the table of `docs/motion.md`.
 //!
-//! `cargo xtask bench` prints it; with names of files, the times of these programs. The controller and the step
-//! generator run in a loop with a link that is never late, so every figure is a time of the step clock and the same on
-//! every machine. Each job also runs with a look-ahead that holds all of it.
+//! `cargo xtask bench` prints the table; with names of files, the durations of these programs. The controller and the
+//! step generator run in a loop with a link that is never late, so every figure is in step-clock time and the same on
+//! every machine. Each job also runs with a look-ahead that holds the whole job.
 
 #[path = "../../xtask/src/programs/mod.rs"]
 #[allow(dead_code, unused_imports, reason = "only the benchmark's jobs are wanted here, and without their tests")]
@@ -15,18 +15,19 @@ use std::collections::VecDeque;
 use std::process::ExitCode;
 
 const AXES: usize = 3;
-/// Blocks of the boards, and more than any job has.
+/// Number of blocks of the boards.
 const BOARD: usize = oxmill_simulator::boards::BLOCKS;
+/// More blocks than any job has.
 const UNLIMITED: usize = 1 << 17;
 const STEP_CLOCK_HZ: u32 = 96_000_000;
 /// The machine: 80 steps/mm, 10,000 mm/min, 500 mm/s², junction deviation 0.010.
 const MACHINE: &str = "$0=3\n$11=0.010\n$30=1000\n$100=80\n$101=80\n$102=80\n$110=10000\n$111=10000\n$112=10000\n\
     $120=500\n$121=500\n$122=500\n";
 
-/// What a job did.
+/// Result of a job.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Outcome {
-    /// From the first to the last step, s.
+    /// Time from the first to the last step, s.
     seconds: f64,
     net: [i32; AXES],
     lines_refused: u32,
@@ -83,7 +84,7 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
                     if bytes.peek().is_none() && controller.is_idle() {
                         break;
                     }
-                    // A dwell or a wait: time jumps to its end.
+                    // During a dwell or a wait, time jumps to its end.
                     if let Some(at) = controller.next_wakeup() {
                         time = time.max(at.ticks() * u64::from(STEP_CLOCK_HZ) / 1_000_000);
                     }
@@ -116,12 +117,12 @@ struct Row {
     job: &'static str,
     what: &'static str,
     settings: &'static str,
-    /// What Grbl 1.1h and grblHAL take for the like job.
+    /// Durations of the equivalent job with Grbl 1.1h and with grblHAL.
     peers: [&'static str; 2],
 }
 
 impl Row {
-    /// Settings and program.
+    /// Returns settings and program.
     fn job(&self) -> (String, String) {
         let mut text = Vec::new();
         let written = programs::bench::generate(self.job, &mut text);
@@ -202,10 +203,10 @@ fn table() {
     }
 }
 
-/// Jerk of all axes in the second table, mm/s³: the acceleration of 500 mm/s² is there after 50 ms.
+/// Jerk of all axes in the second table, mm/s³: the acceleration of 500 mm/s² is reached after 50 ms.
 const JERK: &str = "10000";
 
-/// What bounded jerk costs.
+/// Prints how much longer jobs take with limited jerk.
 fn table_of_jerk() {
     println!("\n| job | trapezoid | jerk of {JERK} mm/s³ | |\n|---|---|---|---|");
     for row in ROWS {
@@ -221,7 +222,7 @@ fn table_of_jerk() {
 fn own(file: &str) -> Result<(), String> {
     let bytes = std::fs::read(file).map_err(|error| format!("{file}: {error}"))?;
     let text = String::from_utf8_lossy(&bytes);
-    // Lines that begin with `%` are marks of a tape.
+    // Lines that start with `%` are tape marks.
     let program: String = text.lines().filter(|line| !line.starts_with('%')).flat_map(|line| [line, "\n"]).collect();
     let outcome = simulate::<BOARD>(MACHINE, &program);
     println!("{file}: {:.3} s, steps {:?}, {} lines refused", outcome.seconds, outcome.net, outcome.lines_refused);
@@ -238,7 +239,7 @@ fn main() -> ExitCode {
         }
         files.iter().try_for_each(|file| own(file))
     };
-    // A controller with an unlimited look-ahead passes over the stack on its way to the heap.
+    // A controller with an unlimited look-ahead is moved over the stack to the heap, so a large stack is needed.
     let thread = std::thread::Builder::new().stack_size(256 << 20).spawn(work);
     match thread.map(std::thread::JoinHandle::join) {
         Ok(Ok(Ok(()))) => ExitCode::SUCCESS,

@@ -1,4 +1,4 @@
-//! `docs/boards.md`: the tables of boards and of pins are made from what the firmware is built from.
+//! `docs/boards.md`: the tables of boards and of pins are generated from the sources of the firmware.
 
 use crate::{keep, read, root, with_table};
 use oxmill_boards::profiles::{ALL, Board};
@@ -7,7 +7,7 @@ use oxmill_images::BOARDS;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-/// Lengths of the step pulse (`$0`) whose greatest rates the table has, tenths of a microsecond.
+/// Lengths of the step pulse (`$0`), tenths of a microsecond, for which the table lists maximum step rates.
 const PULSES: [u16; 7] = [5, 10, 20, 25, 30, 50, 100];
 /// What the small image lacks (`FULL_IMAGE`).
 const LEFT_OUT: &str = "expressions, parameters, O words; rotated and scaled coordinates; splines; rounded corners (`G64 P`); habits of CAM \
@@ -17,19 +17,19 @@ fn file(name: &str) -> String {
     read(&root().join(name))
 }
 
-/// Boards that one can buy.
+/// Returns the boards that exist as hardware.
 fn real() -> impl Iterator<Item = Board> {
     let built = BOARDS.into_iter().filter(|name| *name != "qemu_mps2");
     built.map(|name| ALL.into_iter().find(|board| board.name == name).expect("a profile"))
 }
 
-/// The value of a symbol of a linker script, such as 512 of `512K`.
+/// Returns the value of a linker-script symbol in KiB: 512 for `512K`.
 fn kib(script: &str, symbol: &str) -> u32 {
     let value = script.split(&format!("{symbol} = ")).nth(1).and_then(|rest| rest.split_once("K;"));
     value.and_then(|(digits, _)| digits.parse().ok()).unwrap_or_else(|| panic!("no {symbol}"))
 }
 
-/// The file with the pins of a board, without its comments.
+/// Returns the file with the pins of a board, without its comments.
 fn wiring(board: &str) -> String {
     let set_up = file(&format!("boards/{board}/mod.rs"));
     let name = ["blackpill", "nucleo64"].into_iter().find(|name| set_up.contains(&format!("crate::{name}")));
@@ -86,27 +86,27 @@ fn rates_table() -> String {
     table
 }
 
-/// Pins such as `a.pa10` in a piece of code, as `PA10`.
+/// Returns the pins in a piece of code, such as `a.pa10`, as `PA10`.
 fn pins_in(code: &str) -> Vec<String> {
     let words = code.split(|c: char| !c.is_ascii_alphanumeric() && c != '.');
     let pins = words.filter_map(|word| word.split('.').nth(1).filter(|pin| pin.starts_with('p') && pin.len() > 2));
     pins.filter(|pin| pin[2..].bytes().all(|c| c.is_ascii_digit())).map(str::to_uppercase).collect()
 }
 
-/// The pins between two pieces of code.
+/// Returns the pins between two pieces of code.
 fn pins_between(code: &str, begin: &str, end: &str) -> Vec<String> {
     let piece = code.split_once(begin).and_then(|(_, rest)| rest.split_once(end)).map(|(piece, _)| piece);
     piece.map(pins_in).unwrap_or_default()
 }
 
-/// The names of the inputs in the order in which the boards give their pins.
+/// Returns the names of the inputs in the order of their pins in the boards.
 fn inputs() -> Vec<String> {
     let chip = file("boards/stm32f4/chip.rs");
     let bits = chip.split_once("let bits = [").and_then(|(_, rest)| rest.split_once(']')).expect("the order").0;
     bits.split(", ").map(str::to_owned).collect()
 }
 
-/// The functions of a wiring in the order of the page, each with its pins.
+/// Returns the functions of a wiring in the order of the page, each with its pins.
 fn functions(wiring: &str) -> Vec<(&'static str, Vec<String>)> {
     let code = code(wiring);
     let given = pins_between(&code, "let inputs = each!([", "]");
@@ -141,7 +141,8 @@ fn functions(wiring: &str) -> Vec<(&'static str, Vec<String>)> {
     ]
 }
 
-/// What is printed beside the pins of a Nucleo, by the table of `boards/nucleo64.md`: `PA10 PB3 (D2 D3)`, `PC2 (CN7 pin 35)`.
+/// Returns the labels printed beside the pins of a Nucleo, from the table of `boards/nucleo64.md`: `PA10 PB3 (D2 D3)`,
+/// `PC2 (CN7 pin 35)`.
 fn prints() -> BTreeMap<String, String> {
     let table = file("boards/nucleo64.md");
     let cells = table.lines().filter(|line| line.starts_with('|')).filter_map(|line| line.split('|').nth(2));
@@ -188,7 +189,7 @@ fn the_page_of_boards_has_the_boards() {
     });
 }
 
-/// What the page says of the boards in its text.
+/// Facts about the boards in the page's text match the code.
 #[test]
 fn facts_of_the_page_of_boards_are_those_of_the_code() {
     let page = read(&root().join("docs/boards.md"));

@@ -1,4 +1,4 @@
-//! Commands in the pages exist, with their words.
+//! Checks that the commands in the pages exist, with their arguments.
 
 use crate::{all_pages, fence, fences, read, root};
 use clap::Parser;
@@ -6,19 +6,19 @@ use clap::error::ErrorKind;
 use oxmill_images::BOARDS;
 use oxmill_simulator::command_line::CommandLine;
 
-/// Commands of cargo itself that pages use.
+/// Cargo's own commands that the pages use.
 const OF_CARGO: [&str; 9] = ["bench", "binstall", "build", "clippy", "deny", "install", "mutants", "package", "test"];
-/// Programs of others that pages use.
+/// Other programs that the pages use.
 const OF_OTHERS: [&str; 9] = ["dfu-util", "git", "ls", "mdbook", "printf", "rustup", "stty", "timeout", "wait"];
 
 /// A command of a page.
 struct Command<'a> {
     words: Vec<&'a str>,
-    /// It is a line to be typed as it is, not one that the text only names.
+    /// Whether it is a complete line to be typed, not only a command that the text names.
     whole: bool,
 }
 
-/// A command line without what is no part of its words.
+/// Parses a command line, without prompt, variables, comments and redirections.
 fn command(line: &str, whole: bool) -> Command<'_> {
     let line = line.split(" #").next().unwrap_or_default().split(['>', '|']).next().unwrap_or_default();
     let is_variable = |word: &&str| word.contains('=') && word.starts_with(|c: char| c.is_ascii_uppercase());
@@ -26,7 +26,7 @@ fn command(line: &str, whole: bool) -> Command<'_> {
     Command { words: words.filter(|word| !word.starts_with(['…', '[']) && *word != "...").collect(), whole }
 }
 
-/// The commands of a page: lines of fences for a shell, and those named in its text.
+/// Returns the commands of a page: lines of shell fences, and commands named in its text.
 fn commands(text: &str, mut seen: impl FnMut(Command<'_>)) {
     for (_, lines) in fences(text).iter().filter(|(kind, _)| kind == "sh") {
         lines
@@ -48,7 +48,7 @@ fn commands(text: &str, mut seen: impl FnMut(Command<'_>)) {
     }
 }
 
-/// What a reader puts in the place of a word in capitals.
+/// Returns the value that a reader would fill in for a word in capitals.
 fn filled_in(word: &str) -> String {
     match word {
         "N" | "PORT" | "OPERATIONS" => "1",
@@ -60,11 +60,11 @@ fn filled_in(word: &str) -> String {
     .to_owned()
 }
 
-/// What is wrong with words for `oxmill`.
+/// Returns what is wrong with a command line of `oxmill`.
 fn fault_of_oxmill(words: &[&str], whole: bool) -> Option<String> {
     let words: Vec<String> = words.iter().map(|word| filled_in(word)).collect();
     let error = CommandLine::try_parse_from(words).err()?;
-    // What the text only names may leave out what it is given.
+    // A command that the text only names may lack its arguments.
     let is_short = matches!(
         error.kind(),
         ErrorKind::MissingRequiredArgument
@@ -82,7 +82,7 @@ fn fault_of_test(words: &[&str]) -> Option<String> {
     names.filter(|name| *name != "NAME").find(|name| !exists(name)).map(|name| format!("there is no test `{name}`"))
 }
 
-/// Words with two dashes are known to some file of `xtask`.
+/// Returns an unknown option: each option with two dashes must occur in some file of `xtask`.
 fn fault_of_flags(words: &[&str]) -> Option<String> {
     let files =
         std::fs::read_dir(root().join("xtask/src")).expect("xtask").map(|entry| entry.expect("an entry").path());
@@ -91,7 +91,7 @@ fn fault_of_flags(words: &[&str]) -> Option<String> {
     unknown.map(|word| format!("no task knows {word}"))
 }
 
-/// What is wrong with words for `cargo`, of which there are two at least.
+/// Returns what is wrong with a command line of `cargo`, which has at least two words.
 fn fault_of_cargo(words: &[&str], whole: bool) -> Option<String> {
     let aliases = read(&root().join(".cargo/config.toml"));
     let tasks = read(&root().join("xtask/src/main.rs"));
@@ -112,7 +112,7 @@ fn fault_of_cargo(words: &[&str], whole: bool) -> Option<String> {
     }
 }
 
-/// What is wrong with a command.
+/// Returns what is wrong with a command.
 fn fault(command: &Command) -> Option<String> {
     match command.words[..] {
         ["oxmill", ..] => fault_of_oxmill(&command.words, command.whole),
@@ -138,7 +138,7 @@ fn commands_of_the_pages_exist() {
     assert!(seen[0] > 60 && seen[1] > 20, "{seen:?} commands");
 }
 
-/// What the test above is to see.
+/// Checks the test above: it must find these faults.
 #[test]
 fn commands_that_do_not_exist_are_seen() {
     for line in [

@@ -1,4 +1,4 @@
-//! What is said in the fences named `conversation`.
+//! Runs the fences named `conversation` and compares the answers.
 
 use crate::{all_pages, keep, read, root};
 use oxmill_controller::messages::Realtime;
@@ -7,10 +7,11 @@ use std::collections::BTreeMap;
 use std::fs;
 
 const FENCE: &str = "```conversation\n";
-/// Pages in which all that is to be sent is said in a conversation.
+/// Pages that must show all lines to be sent in conversations.
 const HANDS_ON: [&str; 5] = ["boards", "first-cut", "set-up", "tuning", "troubleshooting"];
 
-/// A new machine; what is fitted to it says the file of `--machine` in the mark `<!-- machine: FILE -->`.
+/// Returns a new machine. The mark `<!-- machine: FILE -->` in the page names the file with its fittings, as for
+/// `--machine`.
 fn machine(page: &str) -> Simulator {
     let fittings = page.split("<!-- machine: ").nth(1).and_then(|rest| rest.split_once(" -->")).map(|(file, _)| {
         let text = fs::read_to_string(root().join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
@@ -22,7 +23,7 @@ fn machine(page: &str) -> Simulator {
     mill
 }
 
-/// Sends a line behind `> `: a realtime command by itself has no line end.
+/// Sends the line after `> `; a realtime command on its own gets no line end.
 fn send(mill: &mut Simulator, line: &str) {
     match line {
         "?" => mill.press(Realtime::Status),
@@ -33,8 +34,9 @@ fn send(mill: &mut Simulator, line: &str) {
     }
 }
 
-/// A fence as it is said: `> ` sends a line, `* ` moves an input pin as `--pins` does, both wait for the end of what they begin.
-/// With `...` behind it a line is not waited for: the machine has half a second.
+/// Plays a fence and returns the conversation with the actual answers, and the number of lines. `> ` sends a line, `* `
+/// sets an input pin as `--pins` does; both wait until the machine is idle. A line that ends in ` ...` gets only half a
+/// second.
 fn said(mill: &mut Simulator, fence: &str) -> (String, usize) {
     let (mut now, mut seen) = (String::new(), 0);
     for line in fence.lines().filter(|line| line.starts_with("> ") || line.starts_with("* ")) {
@@ -49,7 +51,7 @@ fn said(mill: &mut Simulator, fence: &str) -> (String, usize) {
             mill.run_for(std::time::Duration::from_millis(500));
         }
         let answer = mill.take_output().replace('\r', "");
-        // An alarm that only a reset ends keeps what is unread.
+        // In an alarm that only a reset ends, bytes stay unread.
         assert!(done || answer.contains("ALARM"), "{line}: {answer}");
         now += &format!("{line}\n{answer}");
         seen += 1;
@@ -57,7 +59,7 @@ fn said(mill: &mut Simulator, fence: &str) -> (String, usize) {
     (now, seen)
 }
 
-/// All on a page is one conversation with one new machine.
+/// All fences of a page are one conversation with one new machine.
 #[test]
 fn conversations_of_the_pages_are_what_is_said() {
     let mut seen = 0;
@@ -78,7 +80,7 @@ fn conversations_of_the_pages_are_what_is_said() {
     assert!(seen > 80, "{seen} lines");
 }
 
-/// Lines for the machine in a fence of another kind would be tried by no test.
+/// Lines for the machine in another kind of fence would not be tested.
 #[test]
 fn pages_with_hands_on_say_all_lines_in_conversations() {
     for name in HANDS_ON {
@@ -96,13 +98,13 @@ fn pages_with_hands_on_say_all_lines_in_conversations() {
     }
 }
 
-/// Settings as lines `$n=v` set them, the last one of a number.
+/// Returns the settings of the lines `$n=v`, with the last value of each number.
 fn assignments(text: &str, before: &str) -> BTreeMap<u16, String> {
     let lines = text.lines().filter_map(|line| line.strip_prefix(before)?.strip_prefix('$')?.split_once('='));
     lines.filter_map(|(number, value)| Some((number.parse().ok()?, value.to_owned()))).collect()
 }
 
-/// `examples/mill.txt` has the settings to which docs/set-up.md leads.
+/// `examples/mill.txt` has the settings that result from docs/set-up.md.
 #[test]
 fn the_settings_of_the_example_are_those_of_the_page() {
     let page = read(&root().join("docs/set-up.md"));

@@ -1,5 +1,6 @@
-//! The pages of `docs/`: those that are made from tables of the firmware are current, links lead somewhere, commands exist and
-//! say what the pages say, pictures are what the simulator draws. `OXMILL_WRITE_DOCS=1 cargo test --test book` writes what is made.
+//! Checks the pages of `docs/`: pages generated from tables of the firmware are current, links are valid, commands
+//! exist and print what the pages show, and pictures are those that the simulator draws.
+//! `OXMILL_WRITE_DOCS=1 cargo test --test book` writes everything that is generated.
 
 mod boards;
 mod commands;
@@ -32,7 +33,7 @@ fn read(path: &Path) -> String {
     fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// The Markdown files of a folder.
+/// Returns the Markdown files of a folder.
 fn pages(folder: &str) -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> = fs::read_dir(root().join(folder))
         .expect("a folder")
@@ -43,15 +44,15 @@ fn pages(folder: &str) -> Vec<PathBuf> {
     found
 }
 
-/// Pages are written by one test at a time.
+/// Lock: only one test at a time writes pages.
 static PAGES: Mutex<()> = Mutex::new(());
 
-/// Whether what is made from other things is to be written.
+/// Returns whether to write what is generated.
 fn writes() -> bool {
     std::env::var_os("OXMILL_WRITE_DOCS").is_some()
 }
 
-/// Holds a page to what is made of it, or writes that.
+/// Compares a page with the generated text, or writes it.
 fn keep(page: &Path, make: impl FnOnce(&str) -> String) {
     let _alone = PAGES.lock().unwrap_or_else(PoisonError::into_inner);
     let text = fs::read_to_string(page).unwrap_or_default();
@@ -72,7 +73,7 @@ fn keep(page: &Path, make: impl FnOnce(&str) -> String) {
     );
 }
 
-/// The text with another table between the two marks of a name.
+/// Returns the text with another table between the two marks of a name.
 fn with_table(text: &str, name: &str, table: &str) -> String {
     let (begin, end) = (format!("<!-- made: {name} -->\n"), "<!-- end -->");
     let (before, rest) = text.split_once(&begin).unwrap_or_else(|| panic!("no `made: {name}`"));
@@ -80,12 +81,12 @@ fn with_table(text: &str, name: &str, table: &str) -> String {
     format!("{before}{begin}{table}{end}{after}")
 }
 
-/// What opens or closes a fenced block, with what is behind it. In a list it is indented.
+/// Returns the text after the fence if the line opens or closes a fenced block, which is indented within a list.
 fn fence(line: &str) -> Option<&str> {
     line.trim_start().strip_prefix("```")
 }
 
-/// The fenced blocks of a page: what is behind the fence, and the lines, without the indentation of the fence.
+/// Returns the fenced blocks of a page: the text after the fence, and the lines without the indentation of the fence.
 fn fences(text: &str) -> Vec<(String, Vec<String>)> {
     let mut found: Vec<(String, Vec<String>)> = Vec::new();
     let mut open = None;
@@ -132,13 +133,13 @@ fn the_page_of_errors_is_the_tables() {
     keep(&root().join("docs/errors.md"), |_| page);
 }
 
-/// Targets of the links of a page, without those to other sites.
+/// Returns the targets of a page's links, without those to other sites.
 fn links(text: &str) -> Vec<String> {
     let targets = text.split("](").skip(1).filter_map(|rest| rest.split_once(')')).map(|(target, _)| target.to_owned());
     targets.filter(|target| !target.contains("://") && !target.contains(' ')).collect()
 }
 
-/// The name of a heading in a link: as forges and mdBook make it.
+/// Returns the anchor of a heading, as forges and mdBook make it.
 fn anchor(heading: &str) -> String {
     let plain = heading.trim_start_matches('#').trim().to_lowercase();
     plain
@@ -197,7 +198,7 @@ fn settings_that_pages_for_newcomers_name_exist() {
         (0..Settings::<3>::LINES).filter_map(|line| settings.row(line)).map(|row| row.1).collect();
     let mut seen = 0;
     for name in ["boards", "first-cut", "set-up", "tuning", "coming-from", "troubleshooting", "senders"] {
-        // The first column of a table may have the numbers of others.
+        // The first column of a table may have the setting numbers of other controllers.
         let text = read(&root().join(format!("docs/{name}.md")));
         let own: String = text
             .lines()
@@ -213,7 +214,7 @@ fn settings_that_pages_for_newcomers_name_exist() {
     assert!(seen > 200, "{seen} settings");
 }
 
-/// Numbers of settings in a cell: `$1`, `$26` and `$100` to `$102`.
+/// Returns the setting numbers in a cell: `$1`, `$26` and `$100` to `$102`.
 fn settings_of(cell: &str) -> Vec<u16> {
     let mut found: Vec<u16> = Vec::new();
     for (number, before) in cell.split("`$").skip(1).zip(cell.split("`$")) {
@@ -224,7 +225,7 @@ fn settings_of(cell: &str) -> Vec<u16> {
     found
 }
 
-/// Who comes from Grbl finds each of its settings in the first column.
+/// Users who come from Grbl find each of its settings in the first column.
 #[test]
 fn each_setting_of_grbl_is_treated_for_those_who_come_from_it() {
     let page = read(&root().join("docs/coming-from.md"));

@@ -1,11 +1,11 @@
-//! What commands print, and the times of jobs in tables: both are run.
+//! Runs the commands of the pages and compares their output, and the durations of jobs in tables.
 
 use crate::{all_pages, keep, read, root};
 use std::process::{Command, Stdio};
 
 const FENCE: &str = "```console\n";
 
-/// What the program of this tree prints for the words of a command line, in the folder of the tree.
+/// Returns the output of this tree's program for a command line, run in the folder of the tree.
 pub fn oxmill(words: &[&str]) -> String {
     let output =
         Command::new(env!("CARGO_BIN_EXE_oxmill")).args(words).current_dir(root()).stdin(Stdio::null()).output();
@@ -14,7 +14,7 @@ pub fn oxmill(words: &[&str]) -> String {
     String::from_utf8(output.stdout).expect("text")
 }
 
-/// Fences named `console`: a line behind `$ ` is run, and what it prints is below it.
+/// Fences named `console`: the command after `$ ` is run, and its output must follow.
 #[test]
 fn consoles_of_the_pages_are_what_is_printed() {
     let mut seen = 0;
@@ -38,15 +38,15 @@ fn consoles_of_the_pages_are_what_is_printed() {
     assert!(seen > 1, "{seen} commands");
 }
 
-/// The time that a job takes, as the program says it in its report.
+/// Returns the duration of a job according to the program's report.
 fn time(words: &[&str]) -> String {
     let report = oxmill(words);
     let time = report.lines().find_map(|line| line.trim().strip_prefix("time")).expect("a time");
     time.trim().to_owned()
 }
 
-/// A table of times: its first head cell is `oxmill check JOB ...`, a row begins with the words that it adds, and has the time that
-/// the program says in its second cell.
+/// Checks a table of durations: its first head cell is `oxmill check JOB ...`; a row starts with the words that it
+/// adds, and its second cell has the duration that the program reports.
 fn measured(text: &str, seen: &mut usize) -> String {
     let mut common: Vec<&str> = Vec::new();
     let mut now = String::new();

@@ -1,4 +1,4 @@
-//! Pictures that the simulator draws: the page of a picture has the command that draws it, and the picture is what it draws today.
+//! Pictures drawn by the simulator: the page with a picture has the command that draws it, and the picture is current.
 
 use crate::measured::oxmill;
 use crate::{all_pages, links, read, root, writes};
@@ -8,7 +8,7 @@ use std::path::Path;
 
 const COMMANDS: [&str; 2] = ["`oxmill plot ", "`cargo run --release -- plot "];
 
-/// Words behind `oxmill` that draw a picture of `docs/`.
+/// Returns the arguments of the `oxmill` commands that draw pictures of `docs/`.
 fn drawing_commands(text: &str) -> Vec<Vec<String>> {
     let named = COMMANDS.iter().flat_map(|begin| text.split(begin).skip(1)).filter_map(|rest| rest.split_once('`'));
     let words =
@@ -16,7 +16,7 @@ fn drawing_commands(text: &str) -> Vec<Vec<String>> {
     words.filter(|words: &Vec<String>| words.last().is_some_and(|file| file.starts_with("docs/"))).collect()
 }
 
-/// One drawing: it is drawn to another file and compared, or to its own.
+/// Draws a picture to another file and compares, or overwrites it.
 fn draw(words: &[String]) {
     let (own, command) = words.split_last().expect("words");
     let own = root().join(own);
@@ -50,8 +50,8 @@ fn pictures_are_what_the_simulator_draws() {
     assert!(shown.len() > 4, "{shown:?}");
 }
 
-/// Photographs of the page in a browser differ from browser to browser: here only that each is a picture and shown somewhere is
-/// held. The tests of the page hold that it says and looks what it did then.
+/// Screenshots differ between browsers: this test only checks that each is a picture and is shown somewhere. The tests
+/// of the page check what it shows.
 #[test]
 fn photographs_of_the_page_are_pictures_that_are_shown() {
     let shown: BTreeSet<String> =

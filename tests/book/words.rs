@@ -1,4 +1,5 @@
-//! `docs/gcode.md`: the table of words has each word that the firmware reads, and the list of what it refuses each that it names.
+//! `docs/gcode.md`: its table has every word that the firmware accepts, and its list of rejected words has every word
+//! that the firmware names in an error.
 
 use crate::{keep, read, root, with_table};
 use oxmill_controller::error::Error;
@@ -8,7 +9,7 @@ use oxmill_simulator::{Options, Simulator};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
-/// Words of one row, and what they mean. In which dialects they are, and of which group, the firmware says.
+/// Words of each row, with their meaning. Their dialects and groups come from the firmware.
 const MEANINGS: &[(&str, &str)] = &[
     ("G0", "rapid"),
     ("G1", "line at the feed F"),
@@ -73,7 +74,7 @@ const MEANINGS: &[(&str, &str)] = &[
     ),
 ];
 
-/// Letters of values, and what they are for.
+/// Letters of values, with their use.
 const LETTERS: &[(&str, &str)] = &[
     ("D", "register of a radius, which nothing uses"),
     ("E", "analog output or input"),
@@ -96,7 +97,7 @@ const LETTERS: &[(&str, &str)] = &[
 
 const DIALECTS: [(Dialect, &str); 3] = [(Dialect::Grbl, "grbl"), (Dialect::Oxmill, "oxmill"), (Dialect::Seed, "seed")];
 
-/// A word as it is written, such as G38.2.
+/// Formats a word, such as G38.2.
 fn written(letter: char, hundredths: u16) -> String {
     match (hundredths / 100, hundredths % 100) {
         (whole, 0) => format!("{letter}{whole}"),
@@ -105,7 +106,7 @@ fn written(letter: char, hundredths: u16) -> String {
     }
 }
 
-/// What the firmware says to each G and M word of a byte and two decimals.
+/// Returns the firmware's answer for each G and M word, from 0 to 255.99.
 fn asked(dialect: Dialect) -> impl Iterator<Item = (String, Result<Group, Error>)> {
     let all = ['G', 'M'].into_iter().flat_map(|letter| (0..25_600_u16).map(move |hundredths| (letter, hundredths)));
     all.map(move |(letter, hundredths)| {
@@ -114,7 +115,7 @@ fn asked(dialect: Dialect) -> impl Iterator<Item = (String, Result<Group, Error>
     })
 }
 
-/// Each word that any dialect has: its group and its dialects.
+/// Returns each word of any dialect, with its group and its dialects.
 fn words() -> BTreeMap<String, (String, Vec<&'static str>)> {
     let mut found: BTreeMap<String, (String, Vec<&str>)> = BTreeMap::new();
     for (dialect, name) in DIALECTS {
@@ -129,7 +130,7 @@ fn words() -> BTreeMap<String, (String, Vec<&'static str>)> {
     found
 }
 
-/// `CoordinateSystem` as `coordinate system`.
+/// Formats `CoordinateSystem` as `coordinate system`.
 fn spaced(name: &str) -> String {
     let parts = name.chars().flat_map(|c| c.is_uppercase().then_some(' ').into_iter().chain(c.to_lowercase()));
     parts.collect::<String>().trim().to_owned()
@@ -139,7 +140,7 @@ fn names(dialects: &[&str]) -> String {
     if dialects.len() == DIALECTS.len() { "all".into() } else { dialects.join(", ") }
 }
 
-/// The table of words.
+/// Returns the table of words.
 fn table() -> String {
     let mut words = words();
     let mut table = "| word | dialects | group | meaning |\n|---|---|---|---|\n".to_owned();
@@ -156,7 +157,7 @@ fn table() -> String {
     table
 }
 
-/// Dialects in which a letter with a value is no unknown word.
+/// Returns the dialects in which a letter with a value is a known word.
 fn dialects_of_letter(letter: char) -> Vec<&'static str> {
     let mut found = Vec::new();
     for (number, (_, name)) in DIALECTS.into_iter().enumerate() {
@@ -175,7 +176,7 @@ fn dialects_of_letter(letter: char) -> Vec<&'static str> {
     found
 }
 
-/// The table of letters.
+/// Returns the table of letters.
 fn letters() -> String {
     let mut known: BTreeMap<String, Vec<&str>> = ('A'..='Z')
         .filter(|letter| !"GM".contains(*letter))
@@ -199,12 +200,12 @@ fn the_page_of_words_has_those_of_the_firmware() {
     keep(&root().join("docs/gcode.md"), |text| with_table(&with_table(text, "words", &table), "letters", &letters));
 }
 
-/// Words behind an error in the section of what is not supported, up to the next error.
+/// Returns the words after an error in the section of unsupported words, up to the next error.
 fn refused_on_the_page(text: &str, error: Error) -> BTreeSet<String> {
     let section = text.split("## Not supported").nth(1).expect("a section");
     let list = section.split(&format!("`error:{}` for `", error.code())).nth(1).expect("a list").split('`').next();
     let words: Vec<&str> = list.unwrap_or_default().split_whitespace().collect();
-    // `M52 P1` and `M53 P0` are words that are known, with a value that is not.
+    // `M52 P1` and `M53 P0` are known words with an invalid value.
     words
         .windows(2)
         .map(|pair| pair[0])
@@ -214,7 +215,7 @@ fn refused_on_the_page(text: &str, error: Error) -> BTreeSet<String> {
         .collect()
 }
 
-/// Words without a fraction, of those that have one only the number before it.
+/// Returns the whole numbers of words: fractions are removed.
 fn wholes(words: impl Iterator<Item = String>) -> BTreeSet<String> {
     words.map(|word| word.split('.').next().unwrap_or_default().to_owned()).collect()
 }

@@ -1,9 +1,9 @@
-//! A board without a simulator: a controller with its queues, the step generator, a store and a clock, each of which a
-//! target may hold back, starve or have lie. It follows [`oxmill_controller::pump`], as every board does.
+//! A board without the simulator: a controller with its queues, the step generator, a store and a clock. A fuzz target
+//! may delay, starve or falsify each of them. It follows [`oxmill_controller::pump`], as every board does.
 //!
-//! It watches what must hold whatever comes: a round makes a bounded number of outputs, a controller that wants lines comes
-//! to an end of its work, no wake-up is past, nothing is sent to the step task or stepped in a lock, and each line is
-//! answered once.
+//! It checks invariants for any input: a round makes a bounded number of outputs; a controller that wants lines
+//! finishes its work; no wake-up is in the past; while locked, nothing is sent to the step task or stepped; each line
+//! is answered once.
 
 use super::work;
 use oxmill_controller::memory::Memory;
@@ -19,16 +19,16 @@ use std::collections::{BTreeMap, VecDeque};
 
 pub const AXES: usize = 3;
 const BLOCKS: usize = 16;
-/// Outputs of a round that are not answers: each but the last changes a pin or its wiring.
+/// Maximum number of outputs of a round that are not answers: each but the last changes a pin or its wiring.
 const MOST_QUIET_OUTPUTS: usize = 8;
-/// Rounds without time in between. A program can loop without moving: it is left to it then.
+/// Maximum number of rounds without time passing. A program can loop without moving; such a loop is left running.
 const MOST_ROUNDS: usize = 3_000;
-/// Edges of the control-flow graph in a round; 24,963 were the most when it was chosen.
+/// Maximum number of control-flow edges in a round; the highest count when this was chosen: 24,963.
 const MOST_WORK: u64 = 100_000;
-/// Ticks and wake-ups that a session has: beyond, time stands still.
+/// Maximum number of ticks and wake-ups of a session; after that time stands still.
 const MOST_MOMENTS: u32 = 60_000;
 
-/// Sources that may be held back, as bits.
+/// Sources that may be delayed, as bits.
 pub mod late {
     pub const STEP: u8 = 1;
     pub const COMMANDS: u8 = 2;
@@ -39,21 +39,21 @@ pub mod late {
     pub const ALL: u8 = 31;
 }
 
-/// Whether what an input does is printed (`OXMILL_FUZZ_SHOW`).
+/// Returns whether to print what an input does (`OXMILL_FUZZ_SHOW`).
 pub fn shows() -> bool {
     static SHOWS: std::sync::LazyLock<bool> =
         std::sync::LazyLock::new(|| std::env::var_os("OXMILL_FUZZ_SHOW").is_some());
     *SHOWS
 }
 
-/// A byte of a line, and whether the line that it ends must be answered, as far as the board knows.
+/// A byte of a line, and whether the board is sure that its line must be answered.
 type Queued = (LineByte, bool);
 
 #[derive(Clone)]
 pub struct Board {
     pub controller: Box<Controller<AXES>>,
     pub stepper: Box<Stepper<AXES>>,
-    /// Microseconds, and ticks of the step clock.
+    /// Time in microseconds, which are the ticks of the step clock.
     now: u64,
     queue: VecDeque<ToStep>,
     due: Option<u64>,
@@ -67,7 +67,7 @@ pub struct Board {
     pub hosts: VecDeque<Event<AXES>>,
     pub answers: VecDeque<Event<AXES>>,
     pins_asked: bool,
-    /// What came in: pages that are soon full.
+    /// Records the input; its pages fill up soon.
     recorder: Recorder<Vec<Page>>,
     pub late: u8,
     epoch: u16,
@@ -75,23 +75,25 @@ pub struct Board {
     signals: Signals,
     sensed: Sensed,
     armed: u32,
-    /// Changes are refused.
+    /// Whether the store rejects changes.
     pub store_fails: bool,
     pub records: BTreeMap<u16, Vec<u8>>,
     said: Vec<u8>,
     round_replies: usize,
     moments: u32,
-    /// The events are what a board can tell: else of what is told only that the controller stands it is asked.
+    /// Whether all events are ones that a real board can send. Otherwise the events may be false, and the controller
+    /// only has to survive them.
     pub is_true: bool,
-    /// The motors' least and greatest places, in steps, while soft limits are in force and the position is trusted.
+    /// Minimum and maximum positions of the motors, in steps, while soft limits are on and the position is trusted.
     pub travel: Option<[(i32, i32); AXES]>,
-    /// Rounds without time in between, and how often a program had not come to its end after so many.
+    /// Maximum number of rounds without time passing.
     pub most_rounds: usize,
+    /// Number of times that a program had not finished after `most_rounds`.
     pub unended: usize,
     book: Book,
 }
 
-/// Whether it answers a line: in plain text, or, while lines are checked, behind a number and a check.
+/// Returns whether a text line is an answer to a G-code line: plain, or with a number and a check if lines are checked.
 fn is_answer(line: &[u8]) -> bool {
     match line.strip_prefix(b":") {
         None => line == b"ok" || line.starts_with(b"error:"),
@@ -101,17 +103,19 @@ fn is_answer(line: &[u8]) -> bool {
     }
 }
 
-/// Which answers are owed.
+/// Account of the answers that are due.
 #[derive(Clone, Debug, Default)]
 struct Book {
-    /// What has been given of a line: whether it counts for sure.
+    /// Whether the line that has been started must be answered.
     is_sure: bool,
     last_byte: u8,
-    /// Answers that must have come and that may, and those that have.
+    /// Number of answers that must have been sent.
     least: usize,
+    /// Number of answers that may have been sent.
     most: usize,
+    /// Number of answers that were sent.
     come: usize,
-    /// Text that has not come to the end of its line.
+    /// Output since the last line end.
     text: Vec<u8>,
     reports: usize,
 }
@@ -122,7 +126,7 @@ impl Book {
         match byte.byte {
             HOST_CHANGED => self.is_sure = true,
             b'\n' | b'\r' => {
-                // One end of a line may be two bytes.
+                // A line end may be two bytes.
                 let merged = byte.byte == b'\n' && self.last_byte == b'\r';
                 self.most += 1;
                 self.least += usize::from(self.is_sure && !merged);
@@ -147,7 +151,7 @@ impl Book {
         }
     }
 
-    /// All lines that were given have been carried out.
+    /// Checks the number of answers after all lines have been carried out.
     fn settle(&mut self) {
         assert!(
             (self.least..=self.most).contains(&self.come),
@@ -161,7 +165,7 @@ impl Book {
 }
 
 impl Board {
-    /// Powered up, with what its store has.
+    /// Returns a board that has just been powered up, with the contents of its store.
     pub fn new(records: BTreeMap<u16, Vec<u8>>) -> Board {
         let profile = Profile {
             name: "test",
@@ -217,27 +221,27 @@ impl Board {
         board
     }
 
-    // What comes in
+    // Input
 
-    /// Whether there is room for a line of this length.
+    /// Returns whether there is room for a line of this length.
     pub fn has_room(&self, bytes: usize) -> bool {
         self.lines.len() + bytes <= LINES_DEPTH
     }
 
-    /// Whether all lines have been read, and the controller wants another.
+    /// Returns whether all lines have been read and the controller wants another.
     pub fn is_read(&self) -> bool {
         self.lines.is_empty() && self.controller.wants_line()
     }
 
     pub fn send(&mut self, bytes: &[u8]) {
         if self.has_room(bytes.len()) {
-            // The link takes every 0x18 for a reset.
+            // The link takes every 0x18 as a reset.
             let bytes = bytes.iter().filter(|byte| **byte != HOST_CHANGED);
             self.lines.extend(bytes.map(|byte| (LineByte { byte: *byte, epoch: self.epoch, damaged: false }, true)));
         }
     }
 
-    /// Bytes were lost: the last that came says so.
+    /// Marks the last byte as damaged: bytes were lost.
     pub fn damage(&mut self) {
         if let Some((byte, _)) = self.lines.back_mut().filter(|(byte, _)| byte.byte != HOST_CHANGED) {
             byte.damaged = true;
@@ -258,13 +262,13 @@ impl Board {
         }
     }
 
-    /// What is queued may be dropped.
+    /// Marks queued lines as possibly dropped.
     fn forget_lines(&mut self) {
         self.lines.iter_mut().for_each(|(_, sure)| *sure = false);
         self.book.is_sure = false;
     }
 
-    /// Levels of the inputs; armed ones stop the step task.
+    /// Sets the levels of the inputs; armed inputs stop the step task.
     pub fn inputs(&mut self, word: u32) {
         let risen = word & !self.signals.word();
         self.signals = Signals::of_word(word);
@@ -279,7 +283,7 @@ impl Board {
         self.levels.push_back(self.sensed);
     }
 
-    /// Something of its own is told of the inputs.
+    /// Sends a false input report.
     pub fn pretend_inputs(&mut self, sensed: Sensed) {
         self.levels.push_back(sensed);
         self.forget_lines();
@@ -293,7 +297,7 @@ impl Board {
         self.lines.push_back((cut, false));
     }
 
-    /// The step task stops at once.
+    /// Stops the step task at once.
     pub fn stop(&mut self) {
         let event = self.stepper.stop([0; AXES]);
         self.stopped(event);
@@ -305,7 +309,7 @@ impl Board {
         self.load();
     }
 
-    /// The outputs of a motor have failed while it moved.
+    /// Simulates a motor output that fails while the motor moves.
     pub fn miscount(&mut self, axis: usize, steps: i32) {
         if self.due.is_some()
             && let StepEvent::Stopped { stops, position, .. } = self.stepper.stop([0; AXES])
@@ -317,7 +321,7 @@ impl Board {
 
     // Time
 
-    /// Whether there is time left.
+    /// Returns whether the session has time left.
     pub fn has_time(&self) -> bool {
         self.moments < MOST_MOMENTS
     }
@@ -342,7 +346,7 @@ impl Board {
         assert!(!controller.is_locked() && controller.alarm().is_none(), "{what} in a lock, {:?}", controller.alarm());
     }
 
-    /// A tick; whether the controller should look.
+    /// Runs a tick; returns whether the controller should run.
     fn tick(&mut self) -> bool {
         let tick = self.stepper.tick();
         if tick.steps != 0 && self.is_true && self.reports.is_empty() {
@@ -371,7 +375,7 @@ impl Board {
         self.due.is_none() || !self.reports.is_empty()
     }
 
-    /// Time passes; the controller is called when it wants to be, or not at all (`stalled`).
+    /// Lets time pass, with the controller's wake-ups; without them if `stalled`.
     pub fn pass(&mut self, time: u64, stalled: bool) {
         let end = self.now.saturating_add(time);
         while self.has_time() {
@@ -391,7 +395,7 @@ impl Board {
         self.settle();
     }
 
-    /// A leap of time, in which a machine at rest is not looked at.
+    /// Jumps ahead in time with a machine at rest, without wake-ups.
     pub fn leap(&mut self, time: u64) {
         if self.due.is_none() {
             self.now += time;
@@ -399,9 +403,9 @@ impl Board {
         }
     }
 
-    // What the controller does
+    // Controller
 
-    /// Rounds until there is nothing to do.
+    /// Runs rounds until there is nothing to do.
     pub fn settle(&mut self) {
         for _ in 0..self.most_rounds {
             self.round_replies = 0;
@@ -414,25 +418,25 @@ impl Board {
                     self.book.settle();
                 }
                 let wakeup = self.controller.next_wakeup();
-                // While a stop is owed nothing else is looked at: on a board it comes before the next instruction. One that was
-                // made up never comes.
+                // A pending stop excuses a past wake-up: on a board the stop comes before the next instruction. A faked
+                // stop never comes.
                 let is_owed = !self.is_true || self.late & late::STEP != 0 && !self.reports.is_empty();
                 assert!(is_owed || wakeup.is_none_or(|at| at > self.now()), "{wakeup:?} is past at {}", self.now);
                 return;
             }
             assert_eq!(begun, self.stepper.segments_begun(), "time stands still in a round");
         }
-        // A loop of a program has no end of its own; nothing else has none.
+        // Only a loop of a program may run without end.
         self.unended += 1;
         assert!(!self.controller.wants_line(), "rounds without end");
     }
 
-    /// What has been said since the last time.
+    /// Returns the output since the last call.
     pub fn take_said(&mut self) -> String {
         String::from_utf8(std::mem::take(&mut self.said)).expect("ASCII")
     }
 
-    /// Sends a line and gives what is said until it is answered, at the latest after some time.
+    /// Sends a line and returns the output until it is answered, waiting for a limited time.
     pub fn ask(&mut self, line: &str) -> String {
         self.take_said();
         self.send(line.as_bytes());
@@ -447,7 +451,7 @@ impl Board {
         self.take_said()
     }
 
-    /// Asks for a report, and gets just one.
+    /// Requests a status report and checks that exactly one arrives.
     pub fn look(&mut self) {
         self.settle();
         if self.late & (late::REPLIES | late::COMMANDS) == 0 && self.commands.is_empty() {
@@ -491,10 +495,10 @@ impl Pump<AXES> for Board {
                 let sensed = self.levels.pop_front()?;
                 self.sensed.tripped = 0;
                 if sensed.signals.reset || sensed.signals.emergency_stop || sensed.tripped != 0 {
-                    // What has been received by now is dropped.
+                    // Everything received so far is dropped.
                     self.forget_lines();
                     if self.commands.iter().any(|command| command.opens_epoch()) {
-                        // So is a byte that has been given and waits for its command.
+                        // A byte that was handed over but waits for its command is dropped, too.
                         self.book.least = self.book.come;
                     }
                 }
@@ -504,7 +508,7 @@ impl Pump<AXES> for Board {
                 let event = self.hosts.pop_front()?;
                 if matches!(event, Event::Disconnected(_)) {
                     self.forget_lines();
-                    // Nor is the line in work answered.
+                    // The line in progress is not answered, either.
                     self.book.least = self.book.come;
                 }
                 Some(event)
@@ -530,12 +534,12 @@ impl Pump<AXES> for Board {
             return None;
         }
         self.lines.pop_front();
-        // Its line is dropped, and not answered.
+        // The line of this byte is dropped, and not answered.
         self.book.given(byte, false);
         Some(byte)
     }
 
-    /// As many as a message of the firmware has.
+    /// Hands over as many bytes as fit into a message of the firmware.
     fn give_text(&mut self, now: Instant) -> bool {
         let Some((LineByte { epoch, .. }, _)) = self.lines.front().copied() else { return false };
         let alike = self.lines.iter().take_while(|(byte, _)| byte.epoch == epoch && !byte.damaged);

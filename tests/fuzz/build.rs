@@ -1,4 +1,4 @@
-//! With libFuzzer, the counter of work is compiled: the compiler must not count the counting.
+//! With libFuzzer, compiles the work counter separately in C: the counting code itself must not be counted.
 
 fn main() {
     println!("cargo::rerun-if-changed=work.c");

@@ -1,11 +1,11 @@
-//! All that a controller can be told, in any order: bytes of lines, realtime commands, inputs, contacts, stops, segments
-//! that come too late, miscounted steps, answers of a store that works or does not, hosts that come and go, time that leaps;
-//! each source as late as it likes. The first byte chooses whether the step task and the inputs may lie, too: stops of
-//! any number and place that were not ordered, answers to nothing.
+//! All events that a controller can receive, in any order: bytes of lines, realtime commands, inputs, contacts, stops,
+//! late segments, miscounted steps, replies of a store that works or fails, hosts that connect and disconnect, jumps in
+//! time; each source may be delayed. The first byte chooses whether the step task and the inputs may also send false
+//! events: stops that were not ordered, of any number and position, and replies to nothing.
 //!
-//! Promises, beside those that the board watches: `?` is answered by one report; the position at rest is that of the
-//! motors; a machine that has miscounted does not claim to know it; after a reset, with its settings restored, it is idle
-//! and a jog makes just its steps.
+//! Invariants, in addition to those of the board: `?` is answered by one report; the position at rest is that of the
+//! motors; a machine that has miscounted does not claim to know its position; after a reset with restored settings it
+//! is idle, and a jog makes exactly its steps.
 
 use super::board::{AXES, Board, late, shows};
 use super::session::SETTINGS;
@@ -15,12 +15,12 @@ use oxmill_controller::messages::{Event, PinView, Realtime, Sensed, Signals, Ste
 use oxmill_controller::protocol::realtime;
 use std::collections::BTreeMap;
 
-/// Of each axis after [`RESOLUTION`].
+/// Steps/mm of each axis after [`RESOLUTION`].
 const STEPS_PER_MM: i64 = 250;
 const RESOLUTION: &str = "$100=250 $101=250 $102=250 $21=1";
 
 thread_local! {
-    /// As it is after a start: a copy is cheaper than another start.
+    /// A board after start-up: copying it is cheaper than starting again.
     static STARTED: Board = {
         let mut board = Board::new(BTreeMap::new());
         for line in RESOLUTION.split(' ').chain(SETTINGS.split(' ')) {
@@ -41,7 +41,7 @@ enum Action<'a> {
     Pass(u8),
     Stall(u8),
     Leap(u32),
-    /// Sources that are told later.
+    /// Delays the events of these sources.
     Late(u8),
     Miscount(u8, i8),
     StoreFails(bool),
@@ -50,7 +50,7 @@ enum Action<'a> {
     Lie(Lie),
 }
 
-/// What no step task, store or input task would tell.
+/// False events that no step task, store or input task would send.
 #[derive(Arbitrary, Debug)]
 enum Lie {
     Stopped { stops: u16, moving: bool, position: [i32; AXES] },
@@ -62,7 +62,7 @@ enum Lie {
     Trips { levels: u16, trips: u8, tripped: u16 },
 }
 
-/// Lines that chance does not find soon.
+/// Lines that random bytes would not produce soon.
 #[derive(Arbitrary, Debug)]
 enum Line {
     Move { motion: u8, axes: [i8; AXES], feed: u8 },
@@ -107,15 +107,17 @@ const LINES: [&str; 33] = [
     "O2ENDREPEAT",
     "$I=A",
 ];
-/// Settings that change what the machine does and not how long a session takes.
+/// Settings that change behaviour, but not how long a session takes.
 const NUMBERS: [u16; 24] =
     [0, 1, 3, 5, 10, 13, 15, 20, 21, 22, 23, 27, 30, 32, 40, 56, 58, 900, 901, 902, 924, 925, 926, 928];
-/// The one of them that gives places other names: the directions.
+/// The one of these settings that makes positions differ from the motors' count: the direction mask.
 const RENAMING: &str = "$3=";
-/// What the machine watches, and what it does for a fault: none of it gives places other names. Chosen by numbers from here.
+/// Commands from this number on set [`WATCHES`].
 const WATCHES_FROM: u8 = 240;
+/// Settings of what the machine monitors, and of its reactions to faults; none of them makes positions differ from the
+/// motors' count.
 const WATCHES: [u16; 11] = [914, 915, 916, 918, 922, 923, 924, 926, 927, 928, 929];
-/// Of these a value is 0.05 s.
+/// Of these settings the value is a multiple of 0.05 s.
 const TIMES: [u16; 4] = [916, 922, 923, 929];
 
 impl Line {
@@ -139,7 +141,7 @@ impl Line {
     }
 }
 
-/// The target.
+/// Runs the target on an input.
 pub fn run(data: &[u8]) {
     let Some((first, data)) = data.split_first() else { return };
     let mut board = STARTED.with(Clone::clone);
@@ -222,8 +224,8 @@ fn tell(board: &mut Board, lie: &Lie) {
     }
 }
 
-/// How far the motors are from where the controller says that they are: the same at each rest, as long as nothing gives
-/// the places other names.
+/// Offset between the motors and the controller's position: the same at each rest, until an action redefines the
+/// position.
 #[derive(Default)]
 struct Account {
     apart: Option<[i64; AXES]>,
@@ -240,7 +242,7 @@ impl Account {
             _ => false,
         };
         if renames {
-            // For good: a text may say that a step is another length, or that there is play.
+            // From now on nothing is checked: the text may change the step length or the backlash.
             self.miscounted = true;
         }
     }
@@ -256,7 +258,7 @@ impl Account {
         let places = board.controller.machine_position();
         let mut apart = [0; AXES];
         for (apart, (place, motor)) in apart.iter_mut().zip(places.iter().zip(board.motors)) {
-            // In hundredths of a step.
+            // Hundredths of a step.
             *apart = place.0 * STEPS_PER_MM / 100_000 - 100 * i64::from(motor);
         }
         let known = *self.apart.get_or_insert(apart);
@@ -266,7 +268,7 @@ impl Account {
     }
 }
 
-/// Whatever has happened: what is late is told, inputs are released, settings are restored, and a jog makes its steps.
+/// After the actions: delivers late events, releases inputs, restores settings, and checks that a jog makes its steps.
 fn back_to_idle(mut board: Board) {
     board.late = 0;
     board.store_fails = false;
@@ -274,13 +276,14 @@ fn back_to_idle(mut board: Board) {
         return;
     }
     board.inputs(0);
-    // A startup line may move for long, after a dwell even: a reset in mid-motion locks the machine, and then it is not carried out.
+    // A startup line may move for long, even after a dwell: a reset during motion locks the machine, and then the line
+    // is not carried out.
     let is_restored = (0..4).any(|_| {
         for time in [20_000, 200_000] {
             board.command(Realtime::Reset);
             board.pass(time, false);
         }
-        // The first is the end of a line that was begun.
+        // The empty line ends a line that had been started.
         board.ask("");
         board.ask("$RST=*").lines().any(|said| said == "ok")
     });

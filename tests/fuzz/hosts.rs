@@ -1,8 +1,8 @@
-//! Bytes of two hosts, one on a UART and one on USB, with queues that fill up and hosts that come and go.
+//! Bytes of two hosts, one on a UART and one on USB, with queues that fill up and hosts that connect and disconnect.
 //!
-//! Promises: a line that is read is one that a host has sent, whole and in the order of that host's lines, or it is told to
-//! be damaged, or a cut ends it; what is refused leaves no byte behind; no command is made up or doubled; a host that waits
-//! gets room as soon as the queues are read.
+//! Invariants: a line that is read is a line of a host, whole and in the order of that host's lines, or it is marked as
+//! damaged, or a cut ends it; rejected bytes leave no trace; no command is invented or doubled; a waiting host gets
+//! room as soon as the queues have been read.
 
 use super::work::at_most;
 use arbitrary::{Arbitrary, Unstructured};
@@ -66,21 +66,21 @@ enum Action {
     Free(bool),
 }
 
-/// What is read, and what it may be.
+/// The controller's side: reads bytes and compares them with the expected ones.
 #[derive(Default)]
 struct Reader {
     half: Vec<LineByte>,
     epoch: u16,
-    /// Letters of the lines that the hosts have sent and that have not been read, and of what a reset within leaves of them.
+    /// For each host the unread lines: number of letters, and the number left if a reset within the line cuts it.
     sent: [VecDeque<[usize; 2]>; 2],
-    /// Realtime commands sent and not read.
+    /// Realtime commands that were sent and have not been read.
     commands: Vec<Realtime>,
 }
 
-/// Edges of the control-flow graph in a call; 15 were the most when it was chosen.
+/// Maximum number of control-flow edges in a call; the highest count when this was chosen: 15.
 pub const MOST_WORK: u64 = 64;
 
-/// The target.
+/// Runs the target on an input.
 pub fn run(data: &[u8]) {
     let _ = all(&mut Unstructured::new(data));
 }
@@ -88,7 +88,7 @@ pub fn run(data: &[u8]) {
 const LETTERS: [u8; 2] = [b'a', b'b'];
 
 impl Reader {
-    /// A line of a host: its letter, and in the middle of it a byte that is no letter of the other host.
+    /// Returns a line of a host: its letter repeated, with `byte` in the middle unless that is a letter of a host.
     fn line(&mut self, host: usize, length: u8, byte: u8) -> Vec<u8> {
         let mut line = vec![LETTERS[host]; usize::from(length % 12)];
         let (whole, middle) = (line.len(), line.len() / 2);
@@ -109,7 +109,7 @@ impl Reader {
 
     fn read_lines(&mut self, queues: &mut Depths, most: usize) {
         for byte in queues.lines.drain(..most.min(queues.lines.len())) {
-            // What came before a reset is void, as it is to the controller.
+            // Bytes from before a reset are void, as they are for the controller.
             if byte.byte != HOST_CHANGED && std::mem::replace(&mut self.epoch, byte.epoch) != byte.epoch {
                 self.half.clear();
             }
@@ -162,7 +162,7 @@ fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
             Action::Usb(length, byte) => {
                 for byte in reader.line(1, length, byte) {
                     if usb.room() == 0 {
-                        // It is told to wait until the controller has read.
+                        // The host has to wait until the controller has read.
                         reader.read_commands(&mut queues);
                         reader.read_lines(&mut queues, MOST_LINES);
                         usb.pass_on(&mut arbiter, &mut queues);

@@ -1,8 +1,9 @@
-//! What reads what others have written, each as a function of some bytes that must hold for all of them.
+//! Fuzz targets for all code that parses foreign data. Each target is a function of some bytes; its invariants must
+//! hold for any bytes.
 //!
-//! A target panics when a promise is broken. `cargo xtask fuzz` lets libFuzzer look for such bytes, led by the code that
-//! they reach; `corpus/` has a small set that reaches most of it (an input a line, escaped), `finds/` what has shown a fault that
-//! was mended. `cargo test` runs all of it.
+//! A target panics when an invariant is violated. `cargo xtask fuzz` lets libFuzzer look for such bytes, guided by code
+//! coverage. `corpus/` has a small set of inputs that reaches most of the code (one input per line, escaped); `finds/`
+//! has inputs that once showed a fault, since corrected. `cargo test` runs all of them.
 
 mod board;
 pub mod events;
@@ -16,7 +17,7 @@ pub mod stored;
 pub mod usb;
 pub mod work;
 
-/// A target: its name, and what it does with its bytes.
+/// A target: its name and its function.
 pub type Target = (&'static str, fn(&[u8]));
 
 /// All targets.
@@ -32,14 +33,14 @@ pub const TARGETS: [Target; 9] = [
     ("usb", usb::run),
 ];
 
-/// The target of this name.
+/// Returns the target of this name.
 pub fn target(name: &str) -> Option<fn(&[u8])> {
     TARGETS.iter().find(|(known, _)| *known == name).map(|(_, run)| *run)
 }
 
 #[cfg(test)]
 mod tests {
-    /// The inputs of the tree, which once reached something that no other does.
+    /// Runs the inputs of the tree.
     fn replay(name: &str) {
         let run = super::target(name).expect("a target");
         let text = |folder| std::fs::read_to_string(format!("{}/{folder}/{name}.txt", env!("CARGO_MANIFEST_DIR")));
@@ -49,7 +50,7 @@ mod tests {
         inputs.iter().chain(&oxmill_test_support::unpack(&finds)).for_each(|input| run(input));
     }
 
-    /// A test for each, so that they run side by side.
+    /// One test per target, so that the tests run in parallel.
     macro_rules! replays {
         ($($name:ident),*) => {
             $(#[test] fn $name() { replay(stringify!($name)); })*

@@ -1,8 +1,8 @@
-//! G-code as a host sends it, in each dialect: lines, remarks, expressions, parameters, O words, lines of macros. The first byte chooses the
-//! dialect, whether block delete is on, and whether there is a fourth axis.
+//! G-code as a host sends it, in each dialect: lines, comments, expressions, parameters, O words, lines of macros. The
+//! first byte chooses the dialect, block delete on or off, and a fourth axis or none.
 //!
-//! Promises: a refused line changes nothing; every position stays within reach; what a line gives is a number; text that
-//! is held comes to an end or goes on in bounded steps.
+//! Invariants: a rejected line changes nothing; every position stays within range; every value that a line yields is a
+//! finite number; held text ends or continues in bounded steps.
 
 use super::work::at_most;
 use oxmill_controller::gcode::{
@@ -10,12 +10,12 @@ use oxmill_controller::gcode::{
 };
 use oxmill_controller::protocol::line_filter::{self, Line, LineRules, Pushed};
 
-/// X, Y, Z and A, of which the first byte may leave A out.
+/// X, Y, Z and A; the first byte may disable A.
 const AXES: usize = 4;
-/// Edges of the control-flow graph in a call; 5,120 were the most in 20 million executions: a call that looks for its subroutine
-/// in a full store of macros.
+/// Maximum number of control-flow edges in a call; the highest count in 20 million executions was 5,120: a call that
+/// looks for its subroutine in a full store of macros.
 const MOST_WORK: u64 = 20_000;
-/// Lines that a program may execute: a loop has no end of its own.
+/// Maximum number of lines that a program may execute: a loop may be endless.
 const MOST_LINES: usize = 2_000;
 
 struct Program {
@@ -25,7 +25,7 @@ struct Program {
     lines: usize,
 }
 
-/// The target.
+/// Runs the target on an input.
 pub fn run(data: &[u8]) {
     let Some((first, text)) = data.split_first() else { return };
     let dialect = [Dialect::Oxmill, Dialect::Grbl, Dialect::Seed][usize::from(*first % 3)];
@@ -146,7 +146,7 @@ impl Program {
     }
 }
 
-/// The number and the words of a `$Mn=` line.
+/// Returns the number and the text of a `$Mn=` line.
 fn macro_line(text: &[u8]) -> Option<(usize, &[u8])> {
     let text = text.strip_prefix(b"$M")?;
     let end = text.iter().position(|byte| *byte == b'=')?;

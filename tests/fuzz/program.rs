@@ -1,4 +1,5 @@
-//! Runs the target that `OXMILL_FUZZ_TARGET` names: with libFuzzer on what it finds, without it on the files that are given.
+//! Runs the target that `OXMILL_FUZZ_TARGET` names: with libFuzzer on generated inputs, otherwise on the files given as
+//! arguments.
 #![cfg_attr(feature = "libfuzzer", no_main)]
 
 fn chosen() -> fn(&[u8]) {

@@ -1,10 +1,10 @@
-//! Programs on a homed machine with soft limits, each line through the whole controller to the pulses: every dialect, lines,
-//! arcs, splines, cycles, expressions, loops, jogs, pauses. The first byte chooses the dialect. A realtime command within a
-//! line (hold, door, override, end of a jog, reset) comes when the line has been given and some time has passed, later the
-//! further behind it stands.
+//! Programs on a homed machine with soft limits, each line through the whole controller to the pulses: every dialect,
+//! lines, arcs, splines, cycles, expressions, loops, jogs, pauses. The first byte chooses the dialect. A realtime
+//! command within a line (hold, door, override, jog cancel, reset) is sent after the line, with a delay proportional to
+//! its position in the line.
 //!
-//! Promises: no pulse lies outside of the travel as long as the position is trusted, whatever is held, overridden or reset;
-//! each line is answered once, after a bounded number of rounds; nothing moves in an alarm; at rest the reported position is
+//! Invariants: while the position is trusted no pulse leaves the travel, whatever is held, overridden or reset; each
+//! line is answered once, after a bounded number of rounds; nothing moves in an alarm; at rest the reported position is
 //! that of the pulses.
 
 use super::board::{AXES, Board, shows};
@@ -12,26 +12,27 @@ use oxmill_controller::messages::Realtime;
 use oxmill_controller::protocol::realtime;
 use std::collections::BTreeMap;
 
-/// Steps in a millimetre: few, so that a program is short. An execution is of as many lines as its input has.
+/// Steps/mm: few, so that programs run fast. An execution runs as many lines as its input has.
 const STEPS_PER_MM: i64 = 4;
 /// Travel, mm.
 const TRAVEL: i32 = 60;
 const SETTINGS: &str = "$100=4 $101=4 $102=4 $110=30000 $111=30000 $112=30000 $120=4000 $121=4000 $122=4000 $130=60 $131=60 \
     $132=60 $24=3000 $25=6000 $26=1 $27=1 $22=1 $20=1";
-/// Where the motors stand at the switches, steps from where they are at power-up.
+/// Position of the motors at the switches, in steps from power-up.
 const SWITCHES: i32 = 20;
-/// Waits for an answer before the program is left to itself: a loop has no end of its own.
+/// Number of waits for an answer before the program is abandoned: a loop may be endless.
 const MOST_WAITS: usize = 40;
-/// Rounds without time in between that a line may take before it is taken for a loop, and how often one input may.
+/// Maximum number of rounds without time passing before a line counts as a loop.
 const MOST_ROUNDS: usize = 600;
+/// Maximum number of such loops of one input.
 const MOST_UNENDED: usize = 2;
-/// Lines of an input.
+/// Maximum number of lines of an input.
 const MOST_LINES: usize = 48;
-/// Time before a realtime command, for each place that it stands behind the beginning of its line or behind the one before it.
+/// Delay before a realtime command, in us per byte after the start of its line or after the previous command.
 const TIME_A_PLACE: u64 = 3_000;
 
 thread_local! {
-    /// Homed, in each dialect: a copy is cheaper than another homing.
+    /// Homed boards, one per dialect: copying is cheaper than homing again.
     static HOMED: [Board; 3] = ["$900=1", "$900=0", "$900=2"].map(homed);
 }
 
@@ -66,12 +67,12 @@ fn homed(dialect: &str) -> Board {
     board
 }
 
-/// The target.
+/// Runs the target on an input.
 pub fn run(data: &[u8]) {
     let Some((first, text)) = data.split_first() else { return };
     let mut board = HOMED.with(|boards| boards[usize::from(*first % 3)].clone());
     for line in text.split(|byte| matches!(byte, b'\n' | b'\r')).take(MOST_LINES) {
-        // Commands and settings may say that the travel is another; jogs may not.
+        // Commands and settings may change the travel, so they are skipped; jogs are allowed.
         let text: Vec<u8> = line.iter().copied().filter(|byte| !is_realtime(*byte)).collect();
         if text.contains(&b'$') && !text.starts_with(b"$J=") {
             continue;
@@ -83,12 +84,12 @@ pub fn run(data: &[u8]) {
     end(board);
 }
 
-/// Whether a link takes it for a command of its own: it is in no line.
+/// Returns whether the link treats the byte as a command of its own, not as part of a line.
 fn is_realtime(byte: u8) -> bool {
     matches!(byte, b'!' | b'?' | b'~' | 0x18 | 0x80..)
 }
 
-/// Gives the realtime commands of a line, each in its time.
+/// Sends the realtime commands of a line, each after its delay.
 fn interrupt(board: &mut Board, line: &[u8]) {
     let mut given = 0;
     for (place, byte) in line.iter().enumerate() {
@@ -101,8 +102,8 @@ fn interrupt(board: &mut Board, line: &[u8]) {
     }
 }
 
-/// Sends a text and gives the realtime commands of its line, and waits for the answer; false if there is none, as in a loop
-/// without end.
+/// Sends a text and the realtime commands of its line, and waits for the answer. Returns `false` if there is none, as
+/// in an endless loop.
 fn carry_out(board: &mut Board, text: &[u8], line: &[u8]) -> bool {
     if !board.has_room(text.len() + 1) {
         return false;
@@ -117,7 +118,7 @@ fn carry_out(board: &mut Board, text: &[u8], line: &[u8]) -> bool {
                 println!("{:?} {:?} {:?}", line.escape_ascii().to_string(), board.take_said(), board.motors);
             }
             if board.controller.alarm().is_some() {
-                // Where the machine has been stopped at speed it is not trusted any more, and nothing holds it.
+                // After a stop at speed the machine is not trusted, so soft limits no longer apply.
                 board.ask("$X");
                 if !board.controller.is_trusted() {
                     board.travel = None;
@@ -130,7 +131,7 @@ fn carry_out(board: &mut Board, text: &[u8], line: &[u8]) -> bool {
         }
         board.pass(50_000 << (wait / 4).min(12), false);
         if wait % 4 == 3 {
-            // M0, M6 and the like wait for somebody.
+            // M0, M6 and the like wait for the operator.
             board.command(Realtime::CycleStart);
             board.settle();
         }
@@ -138,21 +139,21 @@ fn carry_out(board: &mut Board, text: &[u8], line: &[u8]) -> bool {
     false
 }
 
-/// Whatever moves comes to its end, and the position is that of the pulses.
+/// Lets motion end, and checks that the position is that of the pulses.
 fn end(mut board: Board) {
     for _ in 0..MOST_WAITS {
         if board.controller.is_idle() || !board.has_time() || board.unended > MOST_UNENDED {
             break;
         }
         board.pass(200_000, false);
-        // Of a hold.
+        // Resumes a hold.
         board.command(Realtime::CycleStart);
     }
     let Some(travel) = board.travel.filter(|_| board.controller.is_idle()) else { return };
     let places = board.controller.machine_position();
     for (axis, place) in places.iter().enumerate().take(AXES) {
         let steps = i64::from(board.motors[axis] - travel[axis].1);
-        // In hundredths of a step.
+        // Hundredths of a step.
         let apart = place.0 * STEPS_PER_MM / 100_000 - 100 * steps;
         assert!(apart.abs() <= 100, "axis {axis} is at {} of 0.1 nm, and has made {steps} steps", place.0);
     }

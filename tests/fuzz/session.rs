@@ -1,9 +1,9 @@
-//! A machine in the simulator and all that can happen to it: text, realtime commands, inputs, hosts that come and go, power
-//! cuts while a record is written, and time.
+//! A machine in the simulator with all kinds of events: text, realtime commands, inputs, hosts that connect and
+//! disconnect, power cuts while a record is written, and time.
 //!
-//! Promises: it always answers `?` with a report; a reset ends every motion; of a line that a power cut ends, all is
-//! stored or nothing; with its inputs released, its settings restored and a reset it is idle, and a jog makes just its
-//! steps and moves the reported position by them.
+//! Invariants: `?` is always answered with a report; a reset ends every motion; of a line interrupted by a power cut
+//! either everything is stored or nothing; with inputs released, settings restored and a reset the machine is idle, and
+//! a jog makes exactly its steps and changes the reported position by them.
 
 use super::board::shows;
 use arbitrary::{Arbitrary, Unstructured};
@@ -12,7 +12,7 @@ use oxmill_simulator::{Fittings, Options, Simulator, Store};
 use oxmill_test_support::numbers;
 use std::time::Duration;
 
-/// A machine with switches and a plate, quick enough that a session is short. 250 steps/mm: a report shows each exactly.
+/// A machine with switches and a plate, fast enough for short sessions. 250 steps/mm: a report shows each step exactly.
 pub const MACHINE: &str = r#"
     steps_per_mm = [250, 250, 250]
     switch = [
@@ -22,15 +22,15 @@ pub const MACHINE: &str = r#"
     ]
     plate = { axis = "z", at_mm = -3.0, side = "negative", bounce_us = 200 }
 "#;
-/// Its settings, parted by spaces.
+/// Settings of this machine, separated by spaces.
 pub const SETTINGS: &str =
     "$110=3000 $111=3000 $112=3000 $120=300 $121=300 $122=300 $130=12 $131=12 $132=12 $24=300 $25=2000 $26=20";
-/// Inputs by their names in the simulator's pin protocol.
+/// Names of the inputs in the simulator's pin protocol.
 pub const PINS: [&str; 10] =
     ["door", "hold", "start", "reset", "limit x", "limit y", "limit z", "probe", "estop", "fault"];
 
 thread_local! {
-    /// As it is after a start: a copy is cheaper than another start.
+    /// A simulator after start-up: copying it is cheaper than starting again.
     static STARTED: Simulator = {
         let mut mill = power_up(Store::in_memory());
         ask_all(&mut mill, SETTINGS.split(' '));
@@ -51,7 +51,7 @@ enum Action<'a> {
     Pin(u8, bool),
     Wait(u8),
     Hosts(bool),
-    /// The power goes after so many words that this line writes, and comes back.
+    /// The power fails while this line is written to the store, after `after` words, and returns.
     PowerCut {
         line: Line,
         after: u8,
@@ -59,7 +59,7 @@ enum Action<'a> {
     },
 }
 
-/// Lines that chance does not find soon.
+/// Lines that random bytes would not produce soon.
 #[derive(Arbitrary, Debug)]
 enum Line {
     Move { motion: u8, axes: [i16; 3], feed: u8 },
@@ -92,7 +92,7 @@ const COMMANDS: [&str; 20] = [
     "O1CALL",
 ];
 
-/// What the machine watches and how it stops for faults: commands from [`WATCHES_FROM`] on.
+/// Settings of what the machine monitors and how it reacts to faults: commands from [`WATCHES_FROM`] on.
 const WATCHES: [&str; 16] = [
     "$914=0", "$915=1", "$916=.02", "$918=1", "$922=.02", "$922=.1", "$923=.02", "$923=.1", "$924=1", "$924=5",
     "$925=2", "$926=4", "$927=0", "$928=0", "$928=1", "$928=5",
@@ -111,7 +111,7 @@ impl Line {
                 let mm = |value: &i8| f64::from(*value) / 50.0;
                 format!("$J=G91X{:.2}Y{:.2}Z{:.2}F{}\n", mm(x), mm(y), mm(z), 60 + u32::from(*feed) * 12)
             }
-            // Resolution, rates and accelerations stay what a session has time for.
+            // Resolution, rates and accelerations are left alone, so that a session stays short.
             Line::Setting { number, .. } if (100..=132).contains(number) => "\n".into(),
             Line::Setting { number, value } => format!("${}={value}\n", number % 950),
             Line::Command(which @ WATCHES_FROM..) => format!("{}\n", WATCHES[usize::from(which - WATCHES_FROM)]),
@@ -120,7 +120,7 @@ impl Line {
     }
 }
 
-/// The target.
+/// Runs the target on an input.
 pub fn run(data: &[u8]) {
     let mut mill = STARTED.with(Clone::clone);
     let mut input = Unstructured::new(data);
@@ -162,14 +162,15 @@ fn act(mill: &mut Simulator, action: &Action) {
     }
 }
 
-/// As a sender that counts characters: commands do not wait behind lines for which there is no room.
+/// Sends bytes if there is room, like a sender that counts characters: so realtime commands never wait for lines that
+/// do not fit.
 fn send(mill: &mut Simulator, bytes: &[u8]) {
     if mill.unread() + bytes.len() <= mill.board().received_bytes {
         mill.send(bytes);
     }
 }
 
-/// The report that answers a `?`.
+/// Requests a status report and returns it.
 fn status(mill: &mut Simulator) -> String {
     mill.take_output();
     mill.send("?");
@@ -194,7 +195,7 @@ fn cut_power(mill: &mut Simulator, line: &str, after: u32, torn: u32) {
     *mill = power_up(mill.store().power_cycled().expect("memory that is written"));
 }
 
-/// What a power cycle would leave.
+/// Returns the records that a power cycle would leave.
 fn records(mill: &Simulator) -> Vec<Record> {
     let mut records = mill.store().power_cycled().expect("memory that is written").records();
     records.retain(|record| record.key != STORE_DAMAGED);
@@ -202,7 +203,7 @@ fn records(mill: &Simulator) -> Vec<Record> {
     records
 }
 
-/// Sends lines one after the other; each is carried out.
+/// Sends lines one by one; each must be carried out.
 fn ask_all<'a>(mill: &mut Simulator, lines: impl IntoIterator<Item = &'a str>) {
     for line in lines {
         mill.take_output();
@@ -218,8 +219,8 @@ fn reset(mill: &mut Simulator) {
     mill.run_for(Duration::from_millis(200));
 }
 
-/// Whatever has happened: inputs released, settings as at first and a reset, and it moves as it is told to. `history` is
-/// told with what fails.
+/// After any events: releases inputs, restores settings, resets, and checks that the machine moves as commanded.
+/// `history` is printed on failure.
 pub fn back_to_idle(mill: &mut Simulator, history: &str) {
     mill.connect();
     for pin in PINS {
@@ -228,8 +229,8 @@ pub fn back_to_idle(mill: &mut Simulator, history: &str) {
     reset(mill);
     reset(mill);
     assert!(!mill.is_stepping(), "a reset ends every motion: {} {history}", status(mill));
-    // The first line is the end of one that a reset has cut off at its head. Where a power cut has looked like damage, `$X`
-    // confirms it once the settings have been listed for a while.
+    // The empty line ends a line whose start was cut off by a reset. Where a power cut looked like damage, `$X`
+    // confirms it after the settings have been listed for a while.
     mill.take_output();
     mill.send("\n$X\n");
     mill.run_for(Duration::from_millis(100));
@@ -256,7 +257,7 @@ pub fn back_to_idle(mill: &mut Simulator, history: &str) {
     }
 }
 
-/// The reported machine position, mm.
+/// Returns the reported machine position, mm.
 fn reported(mill: &mut Simulator) -> [f64; 3] {
     let report = status(mill);
     numbers(&report, "MPos").unwrap_or_else(|| panic!("no MPos in {report}"))

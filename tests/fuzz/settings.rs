@@ -1,8 +1,8 @@
-//! `$` commands and texts of settings, startup lines, macros and build info in each dialect, with a store that works or does
-//! not, and power-ups in between. The first byte chooses the dialect.
+//! `$` commands, and values of settings, startup lines, macros and build info in each dialect, with a store that works
+//! or fails, and power-ups in between. The first byte chooses the dialect.
 //!
-//! Promises: each line is answered once; one that is refused leaves every listing as it was; one that is accepted reads back
-//! as it was set and changes nothing else; after a power-up all is as it was, if the store has taken it.
+//! Invariants: each line is answered once; a rejected line leaves every listing unchanged; an accepted value reads back
+//! as it was set and changes nothing else; after a power-up everything is as before, if the store has accepted it.
 
 use super::board::{Board, shows};
 use arbitrary::{Arbitrary, Unstructured};
@@ -27,7 +27,7 @@ enum Action<'a> {
 
 #[derive(Arbitrary)]
 enum Number {
-    /// One that there is.
+    /// An existing setting.
     Known(u8),
     Any(u16),
 }
@@ -39,7 +39,7 @@ enum Value {
     Text([u8; 4]),
 }
 
-/// Settings with a meaning beyond their value, or with neighbours.
+/// Settings with side effects or with related settings.
 const KNOWN: [u16; 48] = [
     0, 1, 2, 3, 4, 5, 6, 10, 11, 12, 13, 20, 21, 22, 23, 24, 25, 26, 27, 29, 30, 31, 32, 33, 37, 40, 41, 43, 44, 56,
     57, 58, 59, 100, 101, 110, 112, 120, 122, 130, 132, 140, 900, 901, 904, 905, 924, 928,
@@ -47,9 +47,9 @@ const KNOWN: [u16; 48] = [
 const LINES: [&str; 10] =
     ["O1SUB", "O1ENDSUB", "G0X1", "O2IF[#1]", "O2ENDIF", "O1RETURN", "(a)", "G91", "#1=2", "O1CALL"];
 const COMMANDS: [&str; 10] = ["$X", "$", "$G", "$I", "$C", "$RC", "$PINS", "$ES", "$EG", "$SLP"];
-/// What is listed of all that can be set.
+/// Commands that list everything that can be set.
 const LISTINGS: [&str; 5] = ["$$", "$#", "$N", "$I", "$M"];
-/// Lines of `$#` that a power-up forgets.
+/// Lines of `$#` that a power-up resets.
 const PASSING: [&str; 3] = ["[G92", "[TLO", "[PRB"];
 
 impl Number {
@@ -77,26 +77,26 @@ impl Value {
     }
 }
 
-/// What the listings say, a line after the other.
+/// Output of the listings, line by line.
 type Listed = Vec<String>;
 
 #[derive(Clone)]
 struct Machine {
     board: Board,
     listed: Listed,
-    /// All that has been set since the last power-up has been stored.
+    /// Whether all changes since the last power-up have been stored.
     is_stored: bool,
-    /// A startup line moves for long: nothing more is asked.
+    /// Whether a startup line moves for long: nothing more is sent then.
     is_busy: bool,
 }
 
-/// Actions of an input: after each all is listed.
+/// Maximum number of actions of an input: after each action everything is listed.
 const MOST_ACTIONS: usize = 16;
-/// Times that a line may wait for the operator.
+/// Maximum number of times that a line may wait for the operator.
 const MOST_WAITS: usize = 4;
 
 thread_local! {
-    /// As it is after a start, in each dialect.
+    /// Machines after start-up, one per dialect.
     static STARTED: [Machine; 3] = ["$900=1", "$900=0", "$900=2"].map(|dialect| {
         let mut machine = Machine { board: Board::new(BTreeMap::new()), listed: Vec::new(), is_stored: true, is_busy: false };
         machine.board.ask(dialect);
@@ -105,7 +105,7 @@ thread_local! {
     });
 }
 
-/// The target.
+/// Runs the target on an input.
 pub fn run(data: &[u8]) {
     let Some((first, data)) = data.split_first() else { return };
     let mut machine = STARTED.with(|machines| machines[usize::from(first % 3)].clone());
@@ -119,17 +119,17 @@ pub fn run(data: &[u8]) {
     }
 }
 
-/// A text that is one line, and which the link takes for nothing else.
+/// Returns a text as one line, without bytes that the link treats as commands.
 fn one_line(text: &str) -> String {
     text.chars().filter(|c| c.is_ascii() && !c.is_ascii_control() && !matches!(c, '!' | '?' | '~')).take(110).collect()
 }
 
-/// As the controller reads it: no blanks, no remarks, upper case.
+/// Returns whether the controller keeps the text as it is: no blanks, no comments, upper case only.
 fn is_plain(text: &str) -> bool {
     text.bytes().all(|byte| byte.is_ascii_graphic() && !byte.is_ascii_lowercase() && !b"();\\/\"%".contains(&byte))
 }
 
-/// The answers to a line.
+/// Returns the answers to a line.
 fn answers(said: &str) -> Vec<&str> {
     said.lines().filter(|said| *said == "ok" || said.starts_with("error:") || said.starts_with(':')).collect()
 }
@@ -160,10 +160,11 @@ impl Machine {
         }
     }
 
-    /// Sends a line; what is listed changes only where it may, and not at all if it was refused.
+    /// Sends a line and checks that listings change only where `may` allows it, and not at all if the line was
+    /// rejected.
     fn line(&mut self, line: &str, may: impl Fn(&str) -> bool) -> bool {
         let mut said = self.board.ask(line);
-        // One that waits for the operator goes on with `~`.
+        // A line that waits for the operator is resumed with `~`.
         for _ in 0..MOST_WAITS {
             if !answers(&said).is_empty() {
                 break;
@@ -179,10 +180,10 @@ impl Machine {
             self.reset();
         }
         let answers = answers(&said);
-        // A dwell or a move that takes long is cut off, and not answered.
+        // A dwell or move that takes long is interrupted, and not answered.
         let is_cut = answers.is_empty() && !self.board.controller.is_idle();
         assert!(answers.len() == 1 || is_cut, "{line:?}: {said}");
-        // Whatever it has begun has its end, or is ended: lines that are checked (`$LC=ON`), too.
+        // Ends whatever the line has started, including checked lines (`$LC=ON`).
         let begins = said.contains("[MSG:Enabled]") || said.starts_with(':');
         if !self.board.controller.is_idle() || self.board.controller.alarm().is_some() || begins {
             self.reset();
@@ -212,7 +213,7 @@ impl Machine {
             self.go_on();
         }
         self.is_busy = !self.board.controller.is_idle();
-        // The end of a line that was begun: behind it lines are not checked any more.
+        // The empty line ends a line that had been started; after it lines are no longer checked.
         self.board.ask("");
         self.board.ask("$X");
     }
@@ -222,10 +223,12 @@ impl Machine {
         self.board.pass(1_000_000, false);
     }
 
-    /// A setting: as it was set, in the digits of the report; its neighbours stay.
+    /// Changes a setting and checks that it is listed as set, to the digits of the report, and that related settings
+    /// stay.
     fn set(&mut self, number: u16, text: &str) {
         let name = format!("${number}=");
-        // Homing switches soft limits off with it; inches are another way to say the same; another dialect has other lists.
+        // Disabling homing also disables soft limits; inches change the units of listings; another dialect has other
+        // listings.
         let follows = |line: &str| match number {
             22 => line.starts_with("$20="),
             13 => line.starts_with("[G") || line.starts_with("[T") || line.starts_with("[P"),
@@ -235,14 +238,14 @@ impl Machine {
         let accepted = self.line(&format!("{name}{text}"), |changed| changed.starts_with(&name) || follows(changed));
         if accepted && number != 900 {
             let Some(entry) = self.listed.iter().find_map(|line| line.strip_prefix(&name)) else {
-                // Grbl's dialect takes all of them and lists its own.
+                // Grbl's dialect accepts all settings but lists only its own.
                 assert!(self.board.controller.settings().whole(Key::Dialect) == 0, "{name} is not listed");
                 return;
             };
             let listed: f64 = entry.split(' ').next().unwrap_or_default().parse().expect("a number");
             let set: f64 = text.trim().parse().unwrap_or(f64::NAN);
-            // Whole numbers are cut, rates of the spindle shown without decimals, of switches anything but 0 is 1, others are
-            // shown with three decimals.
+            // Whole numbers are truncated, spindle speeds are shown without decimals, a switch shows 1 for any value
+            // but 0, and others are shown with three decimals.
             let whole = !entry.contains('.');
             let switched = listed == 1.0 && set.trunc() != 0.0;
             let near = if whole {
@@ -254,7 +257,7 @@ impl Machine {
         }
     }
 
-    /// A text: as it was set, and nothing else has changed.
+    /// Changes a text and checks that it is listed as set, and that nothing else changes.
     fn text(&mut self, name: &str, text: &str, listing: &str) {
         let number = name.trim_start_matches("$N").trim_start_matches("$M").trim_end_matches('=');
         let shown = format!("{}{number}=", if listing == "$I" { "[VER" } else { listing });
@@ -273,14 +276,15 @@ impl Machine {
         let mut listed = Vec::new();
         for listing in LISTINGS {
             let said = self.board.ask(listing);
-            // The letters of the options follow from settings.
+            // The letters of the options depend on settings.
             let kept = said.lines().filter(|line| *line != "ok" && !line.starts_with("[OPT:"));
             listed.extend(kept.map(str::to_owned));
         }
         listed
     }
 
-    /// What was stored is there again; startup lines are carried out, and change no listing but what passes.
+    /// Cycles the power: stored values are listed again; startup lines are carried out and change only values that a
+    /// power-up resets.
     fn power_up(&mut self) {
         self.board = Board::new(std::mem::take(&mut self.board.records));
         self.board.pass(2_000_000, false);

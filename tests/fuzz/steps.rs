@@ -1,8 +1,8 @@
-//! Messages to the step generator: blocks of any steps, cut into any segments that a planner may make of them, loaded
-//! early or late, with stops between.
+//! Messages to the step generator: blocks of any steps, cut into any segments that a planner may produce, loaded early
+//! or late, with stops in between.
 //!
-//! Promises: no axis makes more than a step in a tick; the position that it reports is that of the steps it has made; a
-//! block that is run to its end makes just its steps; after a stop or an underrun nothing moves until it is resumed.
+//! Invariants: no axis makes more than one step per tick; the reported position is that of the steps made; a complete
+//! block makes exactly its steps; after a stop or an underrun nothing moves until it is resumed.
 
 use super::work::at_most;
 use arbitrary::{Arbitrary, Unstructured};
@@ -11,7 +11,7 @@ use oxmill_controller::messages::{AxisSteps, Segment, StepEvent, ToStep, UNITS_P
 use std::collections::VecDeque;
 
 const AXES: usize = 3;
-/// Ticks that a run may take.
+/// Maximum number of ticks of a run.
 const MOST_TICKS: u32 = 20_000;
 
 #[derive(Arbitrary)]
@@ -23,7 +23,7 @@ enum Action {
     Resume,
 }
 
-/// How a segment is cut off what is left of a block.
+/// Describes how a segment is cut from the rest of a block.
 #[derive(Arbitrary)]
 struct Cut {
     level: u8,
@@ -34,22 +34,22 @@ struct Cut {
     last: bool,
 }
 
-/// Edges of the control-flow graph in a tick; 8 were the most when it was chosen.
+/// Maximum number of control-flow edges in a tick; the highest count when this was chosen: 8.
 const MOST_WORK: u64 = 32;
 
 struct Run {
     stepper: Stepper<AXES>,
     queue: VecDeque<ToStep>,
-    /// Steps that have come out.
+    /// Net steps made.
     counted: [i32; AXES],
-    /// Where the blocks that are queued end.
+    /// End position of the queued blocks.
     planned: [i32; AXES],
     ticks: u32,
-    /// After a stop or an underrun, until it is resumed: the stops that have happened.
+    /// After a stop or an underrun, until it is resumed: the number of stops so far.
     shut: Option<u16>,
 }
 
-/// The target.
+/// Runs the target on an input.
 pub fn run(data: &[u8]) {
     let mut run = Run {
         stepper: Stepper::new(),
@@ -114,7 +114,7 @@ impl Run {
             }
             flags = 0;
         }
-        // The rest of the block, as coarse as may be.
+        // The rest of the block, in segments as coarse as possible.
         let rest =
             Cut { level: 0, ticks: 0, interval: 1 << 20, ramp: 0, wait: false, last: cuts.len().is_multiple_of(2) };
         while units < total {
@@ -126,7 +126,7 @@ impl Run {
         }
     }
 
-    /// What a tick may advance from here: it begins at a multiple of that.
+    /// Returns the units by which a tick may advance from here; a segment starts at a multiple of this value.
     fn units_per_tick(&self, units: u32, level: u8) -> u32 {
         let mut per_tick = UNITS_PER_STEP >> (level % 5);
         while !units.is_multiple_of(per_tick) {
@@ -173,7 +173,7 @@ impl Run {
         self.shut = Some(stops);
     }
 
-    /// What was queued is void; the next block begins where the steps have ended.
+    /// Resumes after a stop or an underrun: drops the queue; the next block starts where the steps ended.
     fn resume(&mut self) {
         let Some(stops) = self.shut.take() else { return };
         self.queue.clear();
@@ -181,7 +181,7 @@ impl Run {
         self.stepper.load(ToStep::Resume { stops });
     }
 
-    /// All that is queued is run: a message before each tick that there is one for.
+    /// Runs all queued messages, loading before each tick while there are any.
     fn finish(&mut self) {
         self.resume();
         while self.ticks < 4 * MOST_TICKS && (!self.queue.is_empty() || !self.stepper.is_idle()) {

@@ -1,8 +1,8 @@
-//! What a board finds in its flash memory, whatever has been written there, and changes to it of which the power may
-//! cut any.
+//! Flash memory with arbitrary contents, and changes to it, each of which a power cut may interrupt.
 //!
-//! Promises: opening never fails for what it finds; a key counts once; only erased words are written; what was stored is
-//! found, also after another power-up; of a change that a power cut ends, all is there or nothing, and of the rest all.
+//! Invariants: opening never fails, whatever the contents; a key counts once; only erased words are written; a stored
+//! value is found, also after another power-up; of an interrupted change either everything is stored or nothing, and
+//! all other values stay.
 
 use super::work::at_most;
 use arbitrary::{Arbitrary, Unstructured};
@@ -16,7 +16,7 @@ const ERASED: u32 = u32::MAX;
 #[derive(Clone)]
 struct Memory {
     sectors: [[u32; WORDS]; 2],
-    /// Operations until the power goes.
+    /// Number of operations until the power fails.
     power: Option<u32>,
 }
 
@@ -47,7 +47,7 @@ impl Flash for Memory {
         let powered = self.spend();
         let slot = &mut self.sectors[sector as usize][address as usize / 4];
         assert_eq!(*slot, ERASED, "only erased words are programmed");
-        // Half of the bits are still ones when the power goes.
+        // When the power fails, half of the bits are still ones.
         *slot = if powered { word } else { word | 0xFFFF };
         if powered { Ok(()) } else { Err(PowerCut) }
     }
@@ -59,7 +59,7 @@ impl Flash for Memory {
     }
 }
 
-/// Edges of the control-flow graph in a call; 1,911 were the most when it was chosen.
+/// Maximum number of control-flow edges in a call; the highest count when this was chosen: 1,911.
 const MOST_WORK: u64 = 8_000;
 
 #[derive(Arbitrary)]
@@ -98,7 +98,8 @@ fn open(memory: Memory) -> Log<Memory> {
     }
 }
 
-/// Makes a change, loses the power after so many operations, and powers up again. What was acknowledged is there.
+/// Makes a change, loses the power after `after` operations, and powers up again. Acknowledged values must still be
+/// there.
 fn cut(
     mut log: Log<Memory>,
     after: u8,
@@ -117,7 +118,7 @@ fn cut(
     log
 }
 
-/// The target.
+/// Runs the target on an input.
 pub fn run(data: &[u8]) {
     let mut input = Unstructured::new(data);
     let _ = all(&mut input);

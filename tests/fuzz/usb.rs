@@ -1,10 +1,10 @@
-//! Programs that open and close the USB port, with DTR or without, a cable that is pulled, packets that come after their
-//! sender has closed, and a controller that reads when it likes: the boards' own account of who is there
-//! (`boards/usb_host.rs`) and the link behind it. What of the port belongs to registers and to the driver's library runs on the
-//! virtual board.
+//! Programs that open and close the USB port, with or without DTR, a cable that is pulled, packets that arrive after
+//! their sender has closed the port, and a controller that reads at any time. Tests the boards' tracking of the
+//! connected host (`boards/usb_host.rs`) and the link after it. The parts of the port that use registers and the driver
+//! library are tested on the virtual board.
 //!
-//! Promises: a line that is read is one that a host has sent, whole; what a host still sends after its end is not read; in the
-//! end a host that opens the port is heard.
+//! Invariants: a line that is read is a whole line of a host; bytes that a host sends after its end are not read; in
+//! the end a host that opens the port is read.
 
 use super::board::shows;
 use super::hosts::MOST_WORK;
@@ -21,14 +21,14 @@ const PACKET: usize = 64;
 enum Action {
     Open,
     Close,
-    /// Bytes of whoever is there, and whether they end a line.
+    /// Bytes of the connected host, and whether they end a line.
     Packet(u8, bool),
-    /// So many that were on the way when the port was closed.
+    /// This many bytes were in transit when the port was closed.
     LatePacket(u8),
     Plugged(bool),
     Time(u8),
     Read(u8),
-    /// The machine works: no other host gets the floor.
+    /// The machine is working: no other host gets control.
     Busy(bool),
     Uart(u8, bool),
 }
@@ -88,12 +88,12 @@ struct Bus {
     now: u32,
     dtr: bool,
     plugged: bool,
-    /// The letter of the host that is there or comes next.
+    /// Letter of the connected host, or of the next one.
     letter: u8,
     closed_at: Option<u32>,
-    /// Letters of its line that has no end yet.
+    /// Number of letters of its unfinished line.
     begun: usize,
-    /// What has arrived and was not fetched.
+    /// Packets that have arrived and were not fetched.
     packets: VecDeque<Vec<u8>>,
 }
 
@@ -103,7 +103,7 @@ impl Bus {
         self.letter = if self.letter == b'y' { b'b' } else { self.letter + 1 };
     }
 
-    /// Whether the bytes that come are still taken for those of the host that has closed the port.
+    /// Returns whether arriving bytes still count as those of the host that has closed the port.
     fn is_late(&self) -> bool {
         self.closed_at.is_some_and(|at| self.now - at < LATE_BYTES_US)
     }
@@ -119,20 +119,20 @@ struct Board {
     arbiter: HostArbiter,
     queues: ToControl,
     half: Vec<u8>,
-    /// Lines that were sent whole and have not been read, as letter and length.
+    /// Lines that were sent completely and have not been read, as letter and length.
     sent: VecDeque<(u8, usize)>,
-    /// Lines that have been read whole.
+    /// Lines that have been read completely.
     read: Vec<Vec<u8>>,
 }
 
-/// The target.
+/// Runs the target on an input.
 pub fn run(data: &[u8]) {
     let _ = all(&mut Unstructured::new(data));
 }
 
 fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
     let bus = Bus {
-        // The clock of a board wraps after 71 minutes.
+        // The microsecond clock of a board wraps after 71 minutes.
         now: 0,
         dtr: false,
         plugged: true,
@@ -190,7 +190,7 @@ impl Board {
             Action::Open if *plugged && !*dtr => {
                 *dtr = true;
                 *closed_at = None;
-                // Whoever opens is another than one that has spoken without.
+                // A host that opens the port is a different one from a host that sent without opening it.
                 self.bus.next_host();
             }
             Action::Close if *plugged && *dtr => {
@@ -198,7 +198,8 @@ impl Board {
                 *closed_at = Some(*now);
             }
             Action::Packet(bytes, end) if *plugged => {
-                // One that speaks without opening the port is heard when the last is sure to have gone.
+                // A host that sends without opening the port counts as another one only when all late bytes of the
+                // previous host must have arrived.
                 if !*dtr && is_late {
                     return;
                 }
@@ -213,7 +214,7 @@ impl Board {
             Action::Plugged(now_plugged) if now_plugged != *plugged => {
                 *plugged = now_plugged;
                 if now_plugged {
-                    // The driver takes DTR back with the reset of the bus, and not before.
+                    // The driver clears DTR at the reset of the bus, not before.
                     *closed_at = dtr.then_some(*now);
                     *dtr = false;
                 } else {
@@ -237,7 +238,7 @@ impl Board {
     }
 
     fn send(&mut self, bytes: u8, end: bool) {
-        // The host is told to wait while two are here.
+        // The host has to wait while two packets are unread.
         if self.bus.packets.len() < 2 {
             let mut packet = vec![self.bus.letter; usize::from(bytes) % PACKET];
             self.bus.begun += packet.len();
@@ -249,9 +250,9 @@ impl Board {
         }
     }
 
-    /// The serial task, as `src/firmware/serial.rs` has it, on the port of `boards/stm32f4/usb.rs`.
+    /// The serial task as in `src/firmware/serial.rs`, on the port of `boards/stm32f4/usb.rs`.
     fn task(&mut self) {
-        // It calls itself where a host that has not opened the port begins to speak.
+        // The task wakes itself when a host that has not opened the port starts to send.
         while self.run() {}
     }
 

@@ -1,81 +1,85 @@
-//! By how much each axis changes its speed, read from the step times alone, and how much physics and the junction rule
-//! allow. Nothing here is taken from the planner: no spans, no queue, no blocks.
+//! Compares how much each axis changes its speed, read from the step times alone, with what physics and the junction
+//! rule allow. Nothing here is taken from the planner: no spans, no queue, no blocks.
 //!
-//! **What is read.** For a window T the mean speed of an axis over T is compared with its mean speed over the next T:
-//! `D = (p(t+2T) - 2 p(t+T) + p(t)) / T`. This is the mean of `v(τ+T) - v(τ)` over all τ from t to t+T, so a bound on the
-//! change of speed over every window of length T is, averaged over the same τ, a bound on D. A change that is over within
-//! a fraction of T shows in full: D reaches it when t+T is its moment.
+//! **Measured.** For a window T the mean speed of an axis over T is compared with its mean speed over the next T:
+//! `D = (p(t+2T) - 2 p(t+T) + p(t)) / T`. D is the mean of `v(τ+T) - v(τ)` over all τ from t to t+T. So a bound on the
+//! change of speed over every window of length T, averaged over the same τ, bounds D. A change that completes within a
+//! fraction of T shows in full: D reaches it when t+T is the time of the change.
 //!
-//! **What is allowed.** Between τ and τ+T the path turns from one direction to another by t, in any number of vertices.
+//! **Allowed.** Between τ and τ+T the path turns from one direction to another by the angle t, in any number of
+//! vertices.
 //! - Acceleration: `a T` for the axis, along and across the path together, and [`RAMP`] more.
-//! - The junction rule passes a single vertex of turn t at `v² = a d s / (1 - s)`, s = cos(t / 2), with a jump of the axis
-//!   by v times the difference of its two direction cosines. Chords change nothing about the motor: a turn that a program
-//!   makes in several vertices is granted the jump of the *whole* turn, once, and not one jump for each vertex. With
-//!   `v² <= a (L / t + d s / (1 - s))` for a span of length L <= v T the change of velocity is v t <= a T + v_j t: the two
-//!   terms here are that rule, for a path of any form. The sum of single jumps would be a multiple: it is what lets a half
-//!   circle of 0.05 mm in 24 chords pass at 100 mm/s.
-//! - The grant falls to zero for a reversal, and has a limit for small turns: v_j t → √(8 a d). The feed bounds v as well.
-//! - Directions are those of the chords that were meant, before rounding to the program's digits, so that no noise of
-//!   directions enters; what rounding does to the places is a term of its own.
+//! - The junction rule passes a single vertex of turn t at `v² = a d s / (1 - s)`, s = cos(t / 2); the axis speed then
+//!   jumps by v times the difference of the axis' two direction cosines. The motor feels no difference between one
+//!   vertex and several: a turn made in several vertices is granted the jump of the *whole* turn once, not a jump per
+//!   vertex. With `v² <= a (L / t + d s / (1 - s))` for a span of length L <= v T the change of velocity is
+//!   `v t <= a T + v_j t`: the two terms here are that rule, for a path of any form. Summing a jump per vertex would
+//!   grant a multiple: it would let a half circle of 0.05 mm in 24 chords pass at 100 mm/s.
+//! - The grant falls to zero for a reversal, and has a limit for small turns: v_j t → √(8 a d). The feed bounds v as
+//!   well.
+//! - Directions are those of the intended chords, before rounding to the program's digits, so that they carry no noise;
+//!   the position error due to rounding is a term of its own.
 //!
-//! **What is uncertain.** D is a second difference with the weights 1, 2, 1: places that are off by u make an error of
-//! 4 u / T.
-//! - Steps: an axis steps half way between two places, so that between two steps which follow each other its place is
-//!   known well; but a block begins and ends at whole steps, which is half a step. Where steps are far from each other the
-//!   axis may rest between them or turn, which is another half: [`STEPS`].
-//! - Digits: each coordinate is off by half of the last digit. The path that is driven has this noise, and a controller
-//!   that sees the same points cannot know of it, so that it may take a curve for as much flatter: half a digit in each
-//!   coordinate, together √3 of it ([`DIGITS`]). A direction that the path keeps for a length l is off by two of these over
-//!   l, and a turn by both of its directions: by so much it may be taken for less, which is how much a reversal between
-//!   two pieces that are not much longer than a digit can be mistaken for a corner. And where a vertex is it does not tell
-//!   from a bend as wide as the noise of the points on both sides, which is taken at v² = a R.
+//! **Uncertain.** D is a second difference with the weights 1, 2, 1: positions that are off by u cause an error of
+//! `4 u / T`.
+//! - Steps: an axis steps half way between two positions, so its position is well known between two consecutive steps.
+//!   But a block starts and ends at whole steps, which adds half a step. Between steps that are far apart the axis may
+//!   rest or reverse, which adds another half: [`STEPS`].
+//! - Digits: each coordinate is off by up to half of the last digit, and the machine drives this noisy path. A
+//!   controller sees only these points and may take a curve to be flatter by the same amount: half a digit in each
+//!   coordinate, √3 of it together ([`DIGITS`]). A direction that the path keeps for a length l is off by two of these
+//!   over l, and a turn by both of its directions; the turn may be underestimated by that sum. So a reversal between
+//!   two pieces not much longer than a digit can be mistaken for a corner. Nor can a controller tell a vertex from a
+//!   bend as wide as the noise of the points on both sides; such a bend is taken at v² = a R.
 
 use super::estimator::Limits;
 use super::oracle::{AXES, Place, Pulse};
 
-/// Share by which acceleration along and across may exceed that of the axis.
+/// Share by which the combined acceleration along and across the path may exceed that of the axis.
 pub const RAMP: f64 = 0.05;
-/// By how many steps a place may be off, between two steps that are near each other, and otherwise.
+/// Uncertainty of a position, in steps: between two steps that are near each other, and otherwise.
 const STEPS: [f64; 2] = [0.6, 1.0];
-/// By how many half digits a place may be off: its own, and √3 that may be taken for a flatter curve.
+/// Uncertainty of a position, in half digits: its own 1, and √3 by which a curve may be taken for flatter.
 const DIGITS: f64 = 2.75;
-/// The three coordinates of a point together.
+/// Uncertainty of a point, in half digits: about √3, its three coordinates together.
 const POINT: f64 = 1.75;
-/// As long as a path turns by less than this it keeps its direction, rad.
+/// Largest turn, rad, through which the path still counts as keeping its direction.
 const STRAIGHT: f64 = 0.25;
-/// Where a smooth curve has a corner: the least change of a direction, rad.
+/// Minimum change of direction, rad, that counts as a corner of a smooth curve.
 const CORNER: f64 = 0.3;
-/// Places that are read in a window.
+/// Position readings per window.
 const READINGS: usize = 8;
 
 /// A program of straight feed moves.
 #[derive(Clone, Debug)]
 pub struct Course {
-    /// Ends of the moves as they were meant, the first one is where the machine is; mm.
+    /// Ends of the moves as intended, mm; the first is the start position.
     pub meant: Vec<[f64; AXES]>,
-    /// The same as the program says them, mm.
+    /// The same points as written in the program, rounded to its digits, mm.
     pub written: Vec<[f64; AXES]>,
-    /// The last digit of the program, mm.
+    /// Value of the program's last digit, mm.
     pub digit: f64,
     /// mm/s.
     pub feed: f64,
-    /// Whether the chords are those of a smooth curve: nothing is granted but to vertices of [`CORNER`] and more, each alone.
+    /// Whether the chords approximate a smooth curve: then jumps are granted only at vertices of at least [`CORNER`],
+    /// each on its own.
     pub smooth: bool,
 }
 
-/// Where the change of an axis' speed is the greatest, against what is allowed.
+/// The change of an axis' speed that is largest relative to what is allowed.
 #[derive(Clone, Copy, Debug)]
 pub struct Change {
-    /// Seen over allowed: above 1 it is too much.
+    /// `seen` / `allowed`: above 1 is a fault.
     pub ratio: f64,
     pub axis: usize,
-    /// s since the first step, and the window.
+    /// Time of the change since the first step, s.
     pub at: f64,
+    /// Window, s.
     pub window: f64,
-    /// mm/s.
+    /// Measured and allowed change of speed, mm/s.
     pub seen: f64,
     pub allowed: f64,
-    /// Of `allowed`: what the junction rule grants.
+    /// The part of `allowed` that the junction rule grants, mm/s.
     pub granted: f64,
 }
 
@@ -103,21 +107,23 @@ fn norm(v: [f64; AXES]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// What noise may make of a turn: less by so much, rad, and a bend of this radius in place of a vertex, mm.
+/// Effect of noise on a turn: the angle by which it may be underestimated, rad, and the radius of a bend that may
+/// replace a vertex, mm.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Unsure {
     turn: f64,
     radius: f64,
 }
 
-/// By how much each axis may jump where the path turns from one direction to another, at no more than the feed.
+/// Returns the allowed speed jump of each axis where the path turns from one direction to another, at no more than the
+/// feed.
 pub fn granted(before: [f64; AXES], after: [f64; AXES], unsure: Unsure, limits: &Limits, feed: f64) -> [f64; AXES] {
     let turn = minus(after, before);
     let size = norm(turn);
     if size < 1e-12 {
         return [0.0; AXES];
     }
-    // size = 2 sin(t / 2), s = cos(t / 2); 1 - s = sin²(t / 2) / (1 + s) without the small difference.
+    // size = 2 sin(t / 2), s = cos(t / 2). Instead of 1 - s, a small difference: sin²(t / 2) / (1 + s).
     let sure = (2.0 * (size / 2.0).min(1.0).asin() - unsure.turn).max(1e-9);
     let (sine, s) = (sure / 2.0).sin_cos();
     let acceleration = (0..AXES)
@@ -128,7 +134,7 @@ pub fn granted(before: [f64; AXES], after: [f64; AXES], unsure: Unsure, limits: 
     turn.map(|part| speed2.sqrt().min(feed) * part.abs())
 }
 
-/// The trace with where the machine is, as s since the first step and steps.
+/// Returns the machine's position in steps after each pulse, with its time in s since the first step.
 fn places(trace: &[Pulse], hz: f64) -> Vec<(f64, Place)> {
     let first = trace.first().map_or(0, |pulse| pulse.at);
     let mut place = [0; AXES];
@@ -140,8 +146,8 @@ fn places(trace: &[Pulse], hz: f64) -> Vec<(f64, Place)> {
     places
 }
 
-/// When the machine is at each vertex: it passes all of them in their order, within a step. The middle between the first
-/// and the last moment at which it is there.
+/// Returns the time at which the machine passes each vertex: all of them in order, within a step. The time is the
+/// middle between the first and the last moment at which the machine is at the vertex.
 fn passed(places: &[(f64, Place)], course: &Course, limits: &Limits) -> Result<Vec<f64>, String> {
     let mut from = 0;
     let at = |index: usize| if index == 0 { [0; AXES] } else { places[index - 1].1 };
@@ -157,24 +163,26 @@ fn passed(places: &[(f64, Place)], course: &Course, limits: &Limits) -> Result<V
         times.push(0.5 * (time(first) + time(last)));
         from = first;
     }
-    // The middles of neighbours in the same place of steps are in order, others are by their firsts.
+    // Vertices at the same step position are already in order by these middles; the others are in order by their first
+    // moments.
     for index in 1..times.len() {
         times[index] = times[index].max(times[index - 1]);
     }
     Ok(times)
 }
 
-/// The direction in which the path leads at even moments, and where each axis is.
+/// The chord (index of its direction) and the axis positions at evenly spaced times.
 struct Reading {
     step: f64,
     directions: Vec<usize>,
-    /// Steps, and by how many of them they may be off.
+    /// Positions in steps, each with its uncertainty in steps.
     places: Vec<[(f64, f64); AXES]>,
 }
 
-/// Where an axis is at even moments, in steps. At a step it is half way between two places, and between two steps it
-/// is taken to move evenly, which leaves no more than the rounding of the ends of blocks. Where steps are so far apart
-/// that it may rest or turn between them it is at the place that was counted.
+/// Returns an axis' position and its uncertainty at evenly spaced times, in steps. At a step the axis is half way
+/// between two positions. Between steps it is taken to move evenly, which leaves only the rounding at the ends of
+/// blocks as error. Where steps are so far apart that the axis may rest or reverse between them, its position is the
+/// counted one.
 fn course_of_axis(places: &[(f64, Place)], axis: usize, step: f64, margin: usize, total: usize) -> Vec<(f64, f64)> {
     let mut levels = vec![];
     let mut before = 0;
@@ -204,7 +212,7 @@ fn course_of_axis(places: &[(f64, Place)], axis: usize, step: f64, margin: usize
 }
 
 fn read(places: &[(f64, Place)], passed: &[f64], step: f64) -> Reading {
-    // From rest to rest: two windows before and after.
+    // The margin is two windows of rest before the first step and after the last.
     let margin = 2 * READINGS;
     let last = places.last().map_or(0.0, |p| p.0);
     let total = (last / step).ceil() as usize + 2 * margin;
@@ -222,8 +230,8 @@ fn read(places: &[(f64, Place)], passed: &[f64], step: f64) -> Reading {
     Reading { step, directions, places }
 }
 
-/// By how much the direction of each chord may be off, rad: by what the path was before, up to its end, and by what comes,
-/// from its start.
+/// Returns the uncertainty of each chord's direction, rad: over the straight stretch that ends with the chord, and over
+/// the one that starts with it.
 fn unsure(course: &Course, chords: &[[f64; AXES]]) -> [Vec<f64>; 2] {
     let length = |k: usize| norm(minus(course.meant[k + 1], course.meant[k]));
     let kept = |k: usize, others: &mut dyn Iterator<Item = usize>| {
@@ -236,7 +244,7 @@ fn unsure(course: &Course, chords: &[[f64; AXES]]) -> [Vec<f64>; 2] {
     ]
 }
 
-/// What each axis is granted from one reading to that a window later.
+/// Returns the jump granted to each axis from one reading to the reading one window later.
 fn grants(course: &Course, chords: &[[f64; AXES]], directions: &[usize], limits: &Limits) -> Vec<[f64; AXES]> {
     let [behind, ahead] = unsure(course, chords);
     let grant = |before: usize, after: usize| {
@@ -254,7 +262,7 @@ fn grants(course: &Course, chords: &[[f64; AXES]], directions: &[usize], limits:
             corners.fold([0.0; AXES], |sum, one| std::array::from_fn(|axis| sum[axis] + one[axis]))
         })
         .collect();
-    // When a vertex is passed is known within a step: the greater of what its neighbours are granted.
+    // The time of passing a vertex is known to within a step, so take the maximum of the neighbours' grants.
     (0..pairs.len())
         .map(|k| {
             let near = &pairs[k.saturating_sub(1)..pairs.len().min(k + 2)];
@@ -263,7 +271,7 @@ fn grants(course: &Course, chords: &[[f64; AXES]], directions: &[usize], limits:
         .collect()
 }
 
-/// The greatest change of speed of any axis over a window (s), against what is allowed.
+/// Returns the change of an axis' speed over a window (s) that is largest relative to what is allowed.
 ///
 /// # Errors
 /// The machine does not follow the course.

@@ -1,5 +1,5 @@
-//! A machine whose carriages follow their motors with play, and a controller that knows how much: what counts is where the
-//! carriages are.
+//! A machine whose carriages have play, and a controller that compensates for it: the tests compare the positions of
+//! the carriages.
 
 use super::oracle::AXES;
 use super::rig::HZ;
@@ -16,7 +16,8 @@ const STEPS: f64 = 400.0;
 const PLAY: [f64; AXES] = [0.05, 0.03, 0.0];
 const RATE: [f64; AXES] = [6000.0, 5000.0, 3000.0];
 const ACCELERATION: [f64; AXES] = [600.0, 500.0, 300.0];
-/// Edge of the cells in which near places are looked for, mm: longer than a carriage may be off its way.
+/// Edge of the cells in which nearby positions are looked up, mm: longer than the allowed distance of a carriage from
+/// its path.
 const CELL: f64 = 0.1;
 const JUNCTION_DEVIATION: f64 = 0.01;
 
@@ -45,7 +46,7 @@ fn compensated(more: &str) -> Simulator {
     mill("$160=0.05\n$161=0.03\n", more)
 }
 
-/// Line for line, each to its end.
+/// Sends line by line and runs each to its end.
 fn run(mill: &mut Simulator, text: &str) {
     for line in text.lines() {
         mill.send(format!("{line}\n"));
@@ -77,7 +78,8 @@ fn a_carriage_stands_where_it_is_reported() {
     }
 }
 
-/// Slack that a short move has left over is not taken up while a drill plunges.
+/// Backlash that a short move leaves to be taken up is not taken up while a drill plunges: the drill is not dragged
+/// sideways.
 #[test]
 fn a_plunge_drags_no_drill() {
     let mut mill = compensated("");
@@ -91,7 +93,7 @@ fn a_plunge_drags_no_drill() {
     assert!((places[plunge.start][0] - 19.5).abs() < 1e-9, "{:?}", places[plunge.start]);
 }
 
-/// In a profile of X and Z nothing is waited for: the circles take as long as without slack.
+/// A profile in X and Z does not stop to take up backlash: its circles take as long as without backlash.
 #[test]
 fn a_profile_is_not_interrupted() {
     let mut seconds = Vec::new();
@@ -109,7 +111,8 @@ fn a_profile_is_not_interrupted() {
     assert!(seconds[1] < 1.02 * seconds[0], "{seconds:?}");
 }
 
-/// Moves shorter than the slack, there and back: the carriage has not followed the first when the second begins.
+/// Moves shorter than the backlash, back and forth: the carriage has not followed the first move when the second
+/// starts.
 #[test]
 fn short_moves_back_and_forth_end_in_the_right_place() {
     for line in
@@ -153,7 +156,7 @@ fn program() -> impl Strategy<Value = String> {
     })
 }
 
-/// The places of the carriages at each pulse, as the play of each drive makes them.
+/// Returns the positions of the carriages at each pulse, computed from the play of each drive.
 fn carriages(mill: &Simulator) -> Vec<[f64; AXES]> {
     let mut places = Vec::new();
     let mut driven = [0.0; AXES];
@@ -167,7 +170,8 @@ fn carriages(mill: &Simulator) -> Vec<[f64; AXES]> {
     places
 }
 
-/// Whether no motor goes beyond its speed and acceleration: steps in windows of 10 ms, in which one step is 0.25 mm/s.
+/// Checks that no motor exceeds its speed and acceleration, by counting steps in windows of 10 ms, in which one step is
+/// 0.25 mm/s.
 fn within_limits(mill: &Simulator, acceleration: [f64; AXES]) -> Result<(), String> {
     let window = HZ / 100;
     let end = mill.trace().kept().last().map_or(0, |r| r.at);
@@ -183,7 +187,8 @@ fn within_limits(mill: &Simulator, acceleration: [f64; AXES]) -> Result<(), Stri
         }
         let speeds: Vec<f64> = places.windows(2).map(|w| f64::from(w[1] - w[0]) / STEPS * 100.0).collect();
         let rate = RATE[axis] / 60.0;
-        // At a corner each axis may jump as the corner rule has it: v² of the circle that fits, for each side.
+        // At a corner the junction rule lets each axis jump by the speed of the circle that fits into the corner, on
+        // both sides.
         let jump = 2.0 * (8.0 * acceleration[axis] * JUNCTION_DEVIATION).sqrt();
         let allowed = acceleration[axis] * 0.01 * 1.01 + jump + 0.5;
         for pair in speeds.windows(2) {
@@ -209,7 +214,7 @@ proptest! {
         }
         prop_assert!(off(&with) < 1e-9);
         prop_assert_eq!(with.machine_position(), without.machine_position());
-        // While slack is taken up the carriage waits: it is off its way by no more than the play.
+        // The carriage waits while backlash is taken up: it leaves its path by no more than the play.
         let allowed = f64::hypot(PLAY[0], PLAY[1]) + 2.0 / STEPS;
         let cell = |place: [f64; AXES]| place.map(|mm| (mm / CELL).floor() as i32);
         let mut way: HashMap<[i32; AXES], Vec<[f64; AXES]>> = HashMap::new();
@@ -241,7 +246,7 @@ proptest! {
         let mut mill = compensated("");
         mill.send(&text);
         mill.run_for(Duration::from_millis(milliseconds));
-        // Not over the wire, where it would wait behind the text.
+        // As realtime input: over the serial line the command would wait behind the text.
         mill.press(if reset { Realtime::Reset } else { Realtime::FeedHold });
         mill.run_for(Duration::from_millis(500));
         prop_assert!(!mill.is_stepping());
@@ -258,7 +263,7 @@ proptest! {
 
 #[test]
 fn a_motor_that_takes_up_slack_is_not_too_fast() {
-    // At 20 mm/s soon after the turn, while half as much again would be taken up.
+    // 20 mm/s is reached soon after the reversal, while taking up the backlash would add half as much again.
     let mut mill = compensated("");
     run(&mut mill, "$110=1200\n$120=5000\nG0 X10");
     mill.trace_mut().restart();
@@ -271,7 +276,7 @@ fn a_motor_that_takes_up_slack_is_not_too_fast() {
     assert!(fastest > 0.99 * least, "{fastest} of {least}");
 }
 
-/// A relief: X is quick, and Z, which is not, turns back under way.
+/// A relief: X is fast, and the slow Z reverses while X moves.
 #[test]
 fn a_slow_axis_takes_up_its_slack_no_faster_than_its_own_corners() {
     let acceleration = [2000.0, 500.0, 20.0];
@@ -286,8 +291,8 @@ fn a_slow_axis_takes_up_its_slack_no_faster_than_its_own_corners() {
 
 #[test]
 fn what_follows_the_last_of_the_slack_begins_at_rest() {
-    // The second move is too short for the slack; what is left is taken up at rest. At some of these moments the third
-    // move finds that under way.
+    // The second move is too short to take up the backlash; the rest is taken up at rest. At some of these times the
+    // third move arrives while that is going on.
     let mut found = 0;
     for milliseconds in (70..190).step_by(2) {
         let mut mill = mill("$160=0.3\n", "");
@@ -296,7 +301,7 @@ fn what_follows_the_last_of_the_slack_begins_at_rest() {
         found += usize::from(mill.is_stepping());
         mill.send("Y9 F6000\n");
         assert!(mill.run_until_idle());
-        // The first ten steps of Y after the last of X, from rest: 25 um at 500 mm/s² take 10 ms.
+        // Ten steps of Y from rest after the last step of X: 25 um at 500 mm/s² take 10 ms.
         let turned = mill.trace().kept().iter().rposition(|r| r.steps & 1 != 0).unwrap();
         let steps = &mill.trace().kept()[turned + 1..];
         let time = (steps[10].at - steps[0].at) as f64 / HZ as f64;
@@ -351,7 +356,7 @@ fn a_reset_after_parking_finds_the_tool_where_it_is() {
             mill.run_for(Duration::from_millis(100));
             assert_eq!(mill.machine_position(), before);
         }
-        // The place that homing named differs from the counted one by the same on all of the way.
+        // The offset between homed and counted position is the same over the whole travel.
         let reported = mill.machine_position();
         let place = mill.fittings().driven_mm();
         let home = [2.0 + 2.0; AXES];
@@ -403,7 +408,7 @@ fn home_is_true_and_parking_comes_back() {
         run(&mut mill, &format!("G53 G0 X-20\nG53 G0 {retreat}"));
         let before = mill.fittings().driven_mm();
         assert!((before[0] - home[0] + 18.0).abs() < 1e-9, "{before:?} {home:?}");
-        // Out of the cut and back: the door opens while the tool goes its way.
+        // Away from the work and back: the door opens while the tool makes this move.
         mill.send("G91 G1 X-3 Z-0.5 F600\n");
         mill.run_for(Duration::from_millis(150));
         mill.send([0x84]);
@@ -418,8 +423,8 @@ fn home_is_true_and_parking_comes_back() {
     }
 }
 
-/// The belts of a CoreXY machine pull X along while one of them takes up its slack for Y: X is reported where Y's cycle has
-/// left it.
+/// The belts of a CoreXY machine move X while one of them takes up its backlash during Y's homing cycle: X must be
+/// reported at the position where that cycle left it.
 #[test]
 fn home_is_true_with_belts_that_have_slack() {
     const AT: [f64; AXES] = [4.0, 5.0, 3.0];

@@ -1,6 +1,6 @@
-//! G64 P: rounded corners and merged moves. How far the tool is from the programmed path is measured on the steps, geometrically
-//! and both ways: every place that a step leads to is near the path, and every point of the path has the tool come near. Nothing
-//! here is taken from the planner.
+//! G64 P: rounded corners and merged moves. The distance between the tool and the programmed path is measured on the
+//! steps, geometrically and both ways: every step position is near the path, and every point of the path is near a step
+//! position. Nothing here is taken from the planner.
 
 use super::axis_speeds::{Course, greatest_change};
 use super::estimator::Limits;
@@ -14,16 +14,17 @@ use std::collections::HashMap;
 
 type Point = [f64; AXES];
 
-/// Steps lie beside the path that is driven: half a step of each motor, and a fourteenth for its ends (docs/motion.md); or as
-/// far as without a tolerance.
+/// Maximum distance of step positions from the driven path, in steps of each motor: half a step, and a fourteenth for
+/// the rounding of its ends (docs/motion.md). A run may also be as far off as the same run without a tolerance.
 const STEP: f64 = 0.5 + 1.0 / 14.0;
-/// A job has become slower that takes this share more, and more than what jobs of fractions of a second differ by anyway.
+/// A job counts as slower if it takes more than this factor, and also [`NOTICEABLE_S`] longer.
 const SLOWER: f64 = 1.005;
+/// Differences below this, s, occur anyway between runs of short jobs.
 const NOTICEABLE_S: f64 = 0.012;
-/// The change of speed that [`super::axis_speeds`] reads, against what is allowed on the programmed path: the corner that the
-/// tool drives lies beside it.
+/// Allowed ratio of the change of speed read by [`super::axis_speeds`] to the change allowed on the programmed path:
+/// the corner that the tool drives lies beside the programmed one.
 const CHANGE: f64 = 1.1;
-/// Path between the points at which the tool has to come near, mm.
+/// Spacing of the path points that the tool must come near, mm.
 const SPACING: f64 = 0.02;
 
 fn limits(steps_per_mm: f64) -> Limits {
@@ -45,12 +46,13 @@ fn from_line(point: Point, [from, to]: [Point; 2]) -> f64 {
     dot(&rest, &rest).sqrt()
 }
 
-/// The greatest distance of any of the points from a line through others, mm.
+/// Returns the maximum distance of the points from a polyline, mm.
 fn farthest(points: &[Point], line: &[Point]) -> f64 {
     let pieces: Vec<[Point; 2]> = line.windows(2).map(|pair| [pair[0], pair[1]]).collect();
     let (mut nearest, mut most) = (0_usize, 0.0_f64);
     for point in points {
-        // From the piece that was nearest to the last one to both sides: what is as near as others have been changes nothing.
+        // Search outward from the piece nearest to the previous point; stop at a distance that cannot raise the
+        // maximum.
         let (start, mut least) = (nearest, f64::INFINITY);
         let outward = (0..pieces.len()).flat_map(|away| [start.checked_add(away), start.checked_sub(away)]);
         for index in outward.flatten().filter(|index| *index < pieces.len()) {
@@ -77,7 +79,7 @@ fn places(trace: &[Pulse], steps_per_mm: f64) -> Vec<Point> {
     places
 }
 
-/// Points along a path.
+/// Returns points along a path, at most [`SPACING`] apart.
 fn along(path: &[Point]) -> Vec<Point> {
     let mut points = Vec::new();
     for pair in path.windows(2) {
@@ -90,20 +92,20 @@ fn along(path: &[Point]) -> Vec<Point> {
     points
 }
 
-/// What a tolerance makes of a job.
+/// Result of running a job with a tolerance, compared with the exact path.
 #[derive(Debug)]
 struct Outcome {
-    /// Of the steps from the path, and of the path from the steps, mm.
+    /// Maximum distance of the steps from the path, and of the path from the steps, mm.
     steps: f64,
     path: f64,
-    /// Time, and as a share of that of the exact path.
+    /// Duration, s, and its ratio to the duration on the exact path.
     seconds: f64,
     share: f64,
-    /// The greatest change of speed of an axis against what is allowed.
+    /// Largest change of an axis' speed, as a ratio to the allowed one.
     change: f64,
 }
 
-/// One job in words, with the tolerance in mm.
+/// One job, to be run with G-code words that set the tolerance.
 struct Job<'a> {
     points: &'a [Point],
     style: Style,
@@ -140,7 +142,7 @@ impl Job<'_> {
                 let changes: Result<Vec<_>, String> = [0.005, 0.020].into_iter().map(of).collect();
                 match changes {
                     Ok(changes) => changes.iter().map(|change| change.ratio).fold(0.0, f64::max),
-                    // It does not pass the corners by which that is read.
+                    // The tool misses the vertices that the reading needs: compare with the exact run instead.
                     Err(_) => against(&rig, &exact, self.steps_per_mm),
                 }
             } else {
@@ -161,7 +163,7 @@ impl Job<'_> {
     }
 }
 
-/// Runs a job with some tolerances.
+/// Runs a job with several tolerances and returns the faults.
 fn check(name: &str, points: &[Point], style: Style) -> Vec<String> {
     let mut faults = Vec::new();
     for (steps_per_mm, feed, jerk) in [(80.0, 100.0, 0.0), (250.0, 33.0, 0.0), (250.0, 100.0, 20_000.0)] {
@@ -226,7 +228,7 @@ fn curves_in_chords_are_merged_within_the_tolerance() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-/// A generator of random numbers, the same ones at each run.
+/// Pseudorandom numbers with a fixed sequence.
 struct Random(u64);
 
 impl Random {
@@ -240,7 +242,7 @@ impl Random {
     }
 }
 
-/// A walk: bends in chords, straight runs of chords, corners, turns back, in the plane or in space.
+/// Returns a random path: bends in chords, straight runs of chords, corners and reversals, in the plane or in space.
 fn walk(random: &mut Random) -> Vec<Point> {
     let (mut at, mut heading, mut points) = ([0.0; AXES], random.unit() * 6.3, Vec::new());
     let (rise, chord) = (if random.unit() < 0.5 { 0.0 } else { random.unit() - 0.5 }, random.within(0.01, 2.0));
@@ -289,8 +291,8 @@ fn whatever_the_job_it_stays_within_the_tolerance_and_is_no_slower() {
     assert!(times.1 < times.0, "{} s in all, {} s without a tolerance", times.1, times.0);
 }
 
-/// Holds, resumes and overrides in mid-job change neither the path nor its end; and what takes up slack ends where it does
-/// without a tolerance.
+/// Holds, resumes and overrides during a job change neither the path nor its end; with backlash compensation the job
+/// ends at the same position as without a tolerance.
 #[test]
 fn holds_overrides_and_slack_leave_the_path_as_it_is() {
     let mut points = walk(&mut Random(11));
@@ -323,7 +325,7 @@ fn holds_overrides_and_slack_leave_the_path_as_it_is() {
     assert_eq!(run(&slack, &blended).place, run(&slack, &text).place);
 }
 
-/// A reset in mid-job leaves the machine where its steps have brought it, and the next job begins there.
+/// After a reset during a job the machine is where its steps have moved it, and the next job starts there.
 #[test]
 fn after_a_reset_nothing_is_left_of_what_was_held_back() {
     let points = walk(&mut Random(5));
@@ -347,14 +349,15 @@ fn after_a_reset_nothing_is_left_of_what_was_held_back() {
     assert_eq!(rig.place[0] - place[0], 250);
 }
 
-/// Pieces of a long path by the cubes of space that they pass, so that its length costs nothing.
+/// Pieces of a long path, indexed by the cubes of space that they pass, so that the cost of a lookup does not depend on
+/// the path's length.
 struct Space {
     pieces: Vec<[Point; 2]>,
     cubes: HashMap<[i32; AXES], Vec<u32>>,
 }
 
 impl Space {
-    /// Side of a cube, mm: how far a distance can be told.
+    /// Edge of a cube, mm: the maximum distance that can be measured.
     const CUBE: f64 = 0.15;
 
     fn of(path: &[Point]) -> Space {
@@ -376,12 +379,12 @@ impl Space {
         point.map(|mm| (mm / Self::CUBE).floor() as i32)
     }
 
-    /// The greatest distance of any of the points from the path; a cube at most is told.
+    /// Returns the maximum distance of the points from the path, limited to one cube's edge, mm.
     fn farthest(&self, points: &[Point]) -> f64 {
         let mut most = 0.0_f64;
         for point in points {
             let [x, y, z] = Self::cube(point);
-            // Those of the point's own cube are near enough for most.
+            // For most points the pieces in the point's own cube are near enough.
             let nearest = |cube: [i32; AXES]| {
                 let pieces = self.cubes.get(&cube).map_or(&[][..], Vec::as_slice);
                 pieces.iter().map(|piece| from_line(*point, self.pieces[*piece as usize])).fold(Self::CUBE, f64::min)
@@ -396,7 +399,7 @@ impl Space {
     }
 }
 
-/// The points that the lines of a program of G0 and G1 in absolute millimetres name, from the origin.
+/// Returns the end points of a program of G0 and G1 in absolute millimetres, starting with the origin.
 fn points_of(text: &str) -> Vec<Point> {
     let mut points = vec![[0.0; AXES]];
     for line in text.lines().filter(|line| !line.starts_with('(')) {
@@ -412,7 +415,8 @@ fn points_of(text: &str) -> Vec<Point> {
     points
 }
 
-/// A long finishing job, all of its lines: less time, and no step farther from the path than P, nor the path from the steps.
+/// A long finishing job, complete: it takes less time, and no step is farther than P from the path, nor any point of
+/// the path from the steps.
 #[test]
 fn the_relief_of_the_examples_takes_less_time_and_stays_within_the_tolerance() {
     const P: f64 = 0.05;
@@ -433,12 +437,12 @@ fn the_relief_of_the_examples_takes_less_time_and_stays_within_the_tolerance() {
         seconds(&blended)
     );
     assert!(steps_exact.max(path_exact) <= 1.5 / CARVER_STEPS * 2.0_f64.sqrt(), "exact: {steps_exact} {path_exact}");
-    // What the steps add would be allowed, but moves this short never use all of P.
+    // Step rounding would be allowed on top of P, but moves this short never use all of P.
     assert!(steps.max(path_off) <= P, "{steps} and {path_off} mm, allowed {P}");
     assert!(seconds(&blended) < 0.99 * seconds(&exact), "{} s, exact {} s", seconds(&blended), seconds(&exact));
 }
 
-/// Runs a program line by line over a link that needs so many seconds for a line.
+/// Runs a program line by line over a link that takes `line_s` seconds per line.
 fn run_late(settings: &str, text: &str, line_s: f64) -> Rig {
     let mut rig = Rig::with(settings);
     for line in text.lines() {
@@ -449,10 +453,10 @@ fn run_late(settings: &str, text: &str, line_s: f64) -> Rig {
     rig
 }
 
-/// Window in which speeds are compared where no course can be followed, s.
+/// Window in which speeds are compared if the course cannot be followed, s.
 const WINDOW: f64 = 0.02;
 
-/// The greatest change of an axis' mean speed from one window to the next, mm/s.
+/// Returns the largest change of an axis' mean speed from one window to the next, mm/s.
 fn greatest_jump(trace: &[Pulse], steps_per_mm: f64) -> f64 {
     let mut most = 0.0_f64;
     for axis in 0..AXES {
@@ -483,13 +487,15 @@ fn greatest_jump(trace: &[Pulse], steps_per_mm: f64) -> f64 {
     most
 }
 
-/// The greatest change of speed against that of the exact path. A step is seen in one window or the next.
+/// Returns the largest change of speed relative to that on the exact path. Two steps are allowed for: a step may fall
+/// into either of two windows.
 fn against(rig: &Rig, exact: &Rig, steps_per_mm: f64) -> f64 {
     greatest_jump(&rig.trace, steps_per_mm) / (greatest_jump(&exact.trace, steps_per_mm) + 2.0 / steps_per_mm / WINDOW)
 }
 
-/// A bend that is seen late is braked for. Exact, no axis changes its speed by more than it may; with a tolerance, whose path does not
-/// pass the corners by which that is read, by no more than on the exact path over the same link.
+/// The machine brakes for a bend even if the bend arrives late. On the exact path no axis changes its speed by more
+/// than allowed. With a tolerance the tool misses the vertices that this reading needs, so the change is compared with
+/// that on the exact path over the same link.
 #[test]
 fn over_a_late_link_no_axis_changes_its_speed_faster() {
     let cases = std::env::var("OXMILL_BLENDED").ok().and_then(|cases| cases.parse().ok()).unwrap_or(25);

@@ -1,4 +1,4 @@
-//! Plays the files of `tests/conversations/` against the machine: what a host sends and what it must get back.
+//! Plays the files of `tests/conversations/` against the machine: what a host sends and the answers it must get.
 //!
 //! ```text
 //! # a remark
@@ -8,19 +8,19 @@
 //! <- <Run|MPos:*      * stands for any text
 //! <~ ok               answers up to one of this form, whatever they are
 //! .. 0.5              half a second of virtual time passes
-//! .. idle             time passes until nothing moves and nothing is owed
-//! .. quiet            no answer is left unread, and none comes in a tenth of a second
+//! .. idle             time passes until nothing moves and no answer is pending
+//! .. quiet            no answer is left unread, and none arrives within a tenth of a second
 //! pin limit x 1       an input pin moves
 //! host goes           the host closes the port; `host comes`: it opens it
-//! power 0=1000 21=7   the power goes and comes back; these settings are stored then, whatever they can be
+//! power 0=1000 21=7   the power is cycled; meanwhile these settings are stored, valid or not
 //! ```
-//! Each file begins with a machine that has just been switched on, so its greeting comes first. At the end no answer may
+//! Each file starts with a machine that has just been powered up, so its greeting comes first. At the end no answer may
 //! be left unread.
 
 use super::rig::Rig;
 use std::path::{Path, PathBuf};
 
-/// Virtual seconds after which an answer is missed.
+/// Virtual seconds to wait for an answer before the test fails.
 const PATIENCE: f64 = 600.0;
 
 /// A conversation in progress.
@@ -91,7 +91,7 @@ impl Talk {
     }
 }
 
-/// Whether a line has the form of a pattern in which `*` is any text.
+/// Returns whether a line matches a pattern in which `*` stands for any text.
 fn matches(pattern: &str, line: &str) -> bool {
     let mut parts = pattern.split('*');
     let first = parts.next().unwrap_or_default();
@@ -132,13 +132,13 @@ fn unescape(text: &str) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// Keys and values such as `0=1000 21=7`.
+/// Parses settings such as `0=1000 21=7` into keys and values.
 fn stored(text: &str) -> Option<Vec<(u16, f32)>> {
     let of = |word: &str| word.split_once('=').and_then(|(key, value)| Some((key.parse().ok()?, value.parse().ok()?)));
     text.split_whitespace().map(of).collect()
 }
 
-/// Plays a conversation; what went wrong, with its line.
+/// Plays a conversation; returns the first failure with its line.
 fn play(text: &str) -> Result<(), String> {
     let mut talk = Talk { rig: Rig::new(), unread: String::new() };
     for (number, step) in text.lines().enumerate() {

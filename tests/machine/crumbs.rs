@@ -1,4 +1,4 @@
-//! Moves next to nothing: shorter than a step or than the last digit of a program, in between long ones.
+//! Tiny moves, shorter than a step or than the last digit of a program, between long ones.
 
 use super::oracle::AXES;
 use super::rig::{HZ, Rig};
@@ -17,7 +17,8 @@ fn machine(scale: f64, rate: f64, acceleration: f64) -> Rig {
     Rig::with(&text)
 }
 
-/// Rounding makes a step of a tenth of a nanometre; it gets no less time than half a step takes.
+/// A move of a tenth of a nanometre is rounded to one step; that step gets at least the time of half a step at the
+/// axis' rate.
 #[test]
 fn a_hairs_breadth_is_no_faster_than_its_axis() {
     let mut rig = machine(80.0, 100.0, 500.0);
@@ -26,7 +27,7 @@ fn a_hairs_breadth_is_no_faster_than_its_axis() {
     assert!(least > 0.99 * 0.5 / 80.0 / 100.0, "{least} s");
 }
 
-/// Nor is an axis beside it, which makes a real way meanwhile.
+/// An axis that makes a real move beside such a tiny move keeps its rate, too.
 #[test]
 fn beside_a_hairs_breadth_axes_keep_their_rates() {
     let mut rig = Rig::with("$0=1\n$11=0.01\n$100=80\n$101=400\n$110=6000\n$111=600\n$120=500\n$121=100\n");
@@ -38,7 +39,7 @@ fn beside_a_hairs_breadth_axes_keep_their_rates() {
     assert!(1.0 / 400.0 / least < 10.5, "{} mm/s", 1.0 / 400.0 / least);
 }
 
-/// A straight line in short chords, on an axis with coarse steps beside a fine one, is a straight line.
+/// A straight line in short chords runs without corners, also on an axis with coarse steps beside one with fine steps.
 #[test]
 fn coarse_steps_make_no_corners() {
     let mut rig = Rig::with("$0=1\n$11=0.01\n$100=250\n$101=8.889\n$110=6000\n$111=6000\n$120=500\n$121=500\n");
@@ -50,7 +51,7 @@ fn coarse_steps_make_no_corners() {
     assert!(seconds < 2.3, "{seconds} s");
 }
 
-/// With G93 a step that rounding makes of nothing takes its time, and no more.
+/// With G93, a tiny move that rounding makes a whole step takes its programmed time and no more.
 #[test]
 fn inverse_time_of_a_hairs_breadth() {
     let mut rig = machine(80.0, 100.0, 500.0);
@@ -59,18 +60,19 @@ fn inverse_time_of_a_hairs_breadth() {
     assert!(seconds > 2.0 && seconds < 3.5, "{seconds} s");
 }
 
-/// An axis stands while others make moves too short for a step: it comes down to the speed of a corner for that, and goes up
-/// again from there.
+/// While other axes make moves shorter than a step, this axis waits: it brakes to corner speed first and accelerates
+/// from there afterwards.
 #[test]
 fn a_wait_for_crumbs_is_a_corner() {
     let mut rig = machine(80.0, 100.0, 500.0);
     let crumbs = "Y0.005\nY0\n".repeat(50);
     rig.run_clean(&format!("G1 X20 Y0 F6000\n{crumbs}X20.0125\nX60\n"));
     let speeds: Vec<f64> = intervals(&rig, 0).iter().map(|seconds| 1.0 / 80.0 / seconds).collect();
-    // Between steps the corner's speed (3.5 mm/s) grows to 5.
+    // The corner speed of 3.5 mm/s grows to 5 within a step interval.
     let slowest = speeds[200..3000].iter().copied().fold(f64::MAX, f64::min);
     assert!(slowest < 6.0, "{slowest} mm/s");
-    // Over 32 steps (0.4 mm), as smoothed steps jitter: the acceleration with a fifth more, and the corner.
+    // Means over 32 steps (0.4 mm), because smoothed steps jitter; allowed are 1.2 times the acceleration, and the
+    // corner.
     let means: Vec<f64> = speeds.chunks(32).map(|w| w.len() as f64 / w.iter().map(|v| 1.0 / v).sum::<f64>()).collect();
     for pair in means.windows(2) {
         let change = (pair[1] * pair[1] - pair[0] * pair[0]).abs();
@@ -78,7 +80,7 @@ fn a_wait_for_crumbs_is_a_corner() {
     }
 }
 
-/// Corners between moves shorter than a digit, on a machine with steps shorter still.
+/// Corners between moves shorter than a digit, on a machine whose steps are shorter still.
 #[test]
 fn corners_between_moves_shorter_than_a_digit() {
     let mut rig = machine(10_000.0, 10.0, 100.0);
@@ -86,7 +88,7 @@ fn corners_between_moves_shorter_than_a_digit() {
     rig.run_clean(&format!("G91 G1 F600\n{x}{y}"));
     let last = intervals(&rig, 0);
     let speed = 10.0 / 10_000.0 / last[last.len() - 10..].iter().sum::<f64>();
-    // The corner rule allows 1.5 mm/s, and 2.1 for the length of a span that noise leaves certain.
+    // The junction rule allows 1.5 mm/s, and 2.1 with the length of the span that is certain despite noise.
     assert!(speed < 3.0, "{speed} mm/s into the corner");
     let back = "X-0.0004 Y0.0003\n".repeat(2000);
     let mut rig = machine(10_000.0, 10.0, 100.0);
@@ -96,7 +98,7 @@ fn corners_between_moves_shorter_than_a_digit() {
     assert!(speed < 3.0, "{speed} mm/s into the turn");
 }
 
-/// A move that is cut for the slack, on axes whose steps are as unlike as can be.
+/// A move that is split to take up backlash, on axes with extremely different step sizes.
 #[test]
 fn slack_on_the_longest_moves() {
     let settings = "$0=1\n$11=0\n$100=0.1\n$160=70\n$102=40000\n$110=60000\n$112=100\n$120=1000\n$122=100\n";

@@ -1,6 +1,6 @@
-//! Smooth curves that are taken with changing speed: the acceleration across and the ramp along are felt by the same motors
-//! at the same time, and their sum stays within the limit of each axis. And what that costs, beside the shortest time
-//! possible ([`super::optimum`]): `cargo test --test machine curves -- --nocapture` prints the table.
+//! Smooth curves taken at changing speed: the same motors feel the acceleration across the path and the ramp along it
+//! at the same time, and the sum stays within the limit of each axis. Also compares the durations with the shortest
+//! possible time ([`super::optimum`]): `cargo test --test machine curves -- --nocapture` prints the table.
 
 use super::axis_speeds::{Change, Course, Unsure, granted, greatest_change};
 use super::estimator::Limits;
@@ -11,11 +11,12 @@ use super::turns::{Style, program, run, seconds, settings};
 use oxmill_controller::messages::Realtime;
 use std::f64::consts::{PI, TAU};
 
-/// Window in which speeds are compared, s: long enough that steps and digits are 1 % of what the acceleration makes of it.
+/// Window in which speeds are compared, s: long enough that steps and digits contribute 1 % of the change due to
+/// acceleration.
 const WINDOW: f64 = 0.020;
 /// Length of the chords of the programs, mm.
 const CHORD: f64 = 0.1;
-/// Length of the pieces of the reference, mm.
+/// Length of the pieces in the reference computation, mm.
 const FINE: f64 = 0.01;
 
 const LIMITS: Limits =
@@ -37,7 +38,7 @@ fn line(feed: f64, from: [f64; 2], to: [f64; 2]) -> Part {
     part(feed, move |u| [from[0] + (to[0] - from[0]) * u, from[1] + (to[1] - from[1]) * u, 0.0])
 }
 
-/// Around a centre, from one angle to the other.
+/// An arc around a centre, from one angle to the other.
 fn arc(feed: f64, centre: [f64; 2], radius: f64, angles: [f64; 2]) -> Part {
     part(feed, move |u| {
         let angle = angles[0] + (angles[1] - angles[0]) * u;
@@ -45,7 +46,7 @@ fn arc(feed: f64, centre: [f64; 2], radius: f64, angles: [f64; 2]) -> Part {
     })
 }
 
-/// Ten shapes; they begin wherever they do.
+/// Returns ten shapes, each with its name; their start points are arbitrary.
 fn shapes() -> Vec<(&'static str, Vec<Part>)> {
     let rectangle = || {
         let mut parts = Vec::new();
@@ -120,7 +121,7 @@ fn norm(v: [f64; AXES]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// Points on a part that are about so far from each other, from its start on.
+/// Returns points on a part, about `chord` apart, from its start.
 fn along(part: &Part, chord: f64) -> Vec<[f64; AXES]> {
     const STEPS: u32 = 20_000;
     let at = |k: u32| (part.curve)(f64::from(k) / f64::from(STEPS));
@@ -140,7 +141,7 @@ fn along(part: &Part, chord: f64) -> Vec<[f64; AXES]> {
         .collect()
 }
 
-/// The pieces of a shape for the reference.
+/// Splits a shape into the pieces of the reference.
 fn pieces(shape: &[Part]) -> Vec<Piece> {
     let mut pieces: Vec<Piece> = Vec::new();
     for part in shape {
@@ -150,7 +151,7 @@ fn pieces(shape: &[Part]) -> Vec<Piece> {
         let mut entry2 = f64::INFINITY;
         if let Some(before) = pieces.last() {
             let turn = minus(tangents[0], before.tangent);
-            // Ends of smooth parts that join smoothly differ by a piece.
+            // At a smooth join the tangents differ by no more than the turn within one piece.
             if norm(turn) > 0.02 {
                 let jump = granted(before.tangent, tangents[0], Unsure::default(), &LIMITS, f64::INFINITY);
                 entry2 = (norm(jump) / norm(turn)).powi(2);
@@ -172,7 +173,7 @@ fn pieces(shape: &[Part]) -> Vec<Piece> {
     pieces
 }
 
-/// The program of a shape in chords, from the origin, and its course.
+/// Returns the program of a shape in chords, starting at the origin, and its course.
 fn in_chords(shape: &[Part]) -> (String, Course) {
     let start = (shape[0].curve)(0.0);
     let (mut points, mut feeds) = (Vec::new(), Vec::new());
@@ -190,22 +191,22 @@ fn in_chords(shape: &[Part]) -> (String, Course) {
     (lines.join("\n") + "\n", course)
 }
 
-/// What a shape takes, s, and the greatest change of speed.
+/// Returns the duration of a shape, s, and its largest change of speed.
 fn measure(shape: &[Part], jerk: f64) -> (f64, Change) {
     let (text, course) = in_chords(shape);
     let rig = run(&settings(&LIMITS, jerk), &text);
-    // The way of the first half step and of the last one is not seen.
+    // The trace does not cover the first and the last half step.
     let unseen = 2.0 * (1.0 / LIMITS.steps_per_mm[0] / LIMITS.acceleration[0]).sqrt();
     (seconds(&rig) + unseen, greatest_change(&rig.trace, HZ as f64, &course, &LIMITS, WINDOW).unwrap())
 }
 
-/// The shortest time of a shape.
+/// Returns the shortest time of a shape, s.
 fn shortest(shape: &[Part], bound: Bound) -> f64 {
     let pieces = pieces(shape);
     duration(&pieces, &optimum(&pieces, &LIMITS, bound))
 }
 
-/// The reference itself, where the result is known.
+/// Checks the reference against known results.
 #[test]
 fn the_shortest_time_is_known_for_lines_and_circles() {
     let of = |shape: &[Part]| shortest(shape, Bound::EachAxis);
@@ -216,14 +217,14 @@ fn the_shortest_time_is_known_for_lines_and_circles() {
     let diagonal = of(&[line(100.0, [0.0, 0.0], [30.0, 30.0])]);
     let expected = 1800.0_f64.sqrt() / 100.0 + 100.0 / (500.0 * 2.0_f64.sqrt());
     assert!((diagonal - expected).abs() < 0.001, "{diagonal}, {expected}");
-    // v² = a R wherever the tangent lies along an axis, and there the ramp along it is free: 50 mm/s on R = 5 mm are passed
-    // at four points of each turn, and between them it is a little faster.
+    // v² = a R wherever the tangent is parallel to an axis, and there the ramp along that axis is free: on R = 5 mm the
+    // machine passes four points of each turn at 50 mm/s and is a little faster between them.
     let turns = of(&[arc(100.0, [0.0, 0.0], 5.0, [0.0, 10.0 * TAU])]);
     let even = 10.0 * TAU * 5.0 / 50.0;
     assert!((0.9 * even..1.02 * even).contains(&turns), "{turns}, {even} at an even speed");
     let turns = shortest(&[arc(100.0, [0.0, 0.0], 5.0, [0.0, 10.0 * TAU])], Bound::Resultant);
     assert!((turns / even - 1.0).abs() < 0.02, "{turns}, {even} at an even speed");
-    // A right angle by the junction rule: v² = √2 a d × 2.41, for each side a ramp from there.
+    // A right angle by the junction rule, v² = √2 a d × 2.41, with a ramp on each side.
     let corner = of(&[line(100.0, [0.0, 0.0], [10.0, 0.0]), line(100.0, [10.0, 0.0], [10.0, 10.0])]);
     let speed = (2.0_f64.sqrt() * 500.0 * 0.01 * 2.414_213_6).sqrt();
     let top = ((2.0 * 500.0 * 10.0 + speed * speed) / 2.0).sqrt();
@@ -231,7 +232,8 @@ fn the_shortest_time_is_known_for_lines_and_circles() {
     assert!((corner - expected).abs() < 0.001, "{corner}, {expected}");
 }
 
-/// Ten shapes: within 5 % of each axis' acceleration over 20 ms, and how much more than the shortest time that takes.
+/// On ten shapes, no axis exceeds its acceleration over 20 ms by more than 5 %. Prints how much longer the shapes take
+/// than the shortest time.
 #[test]
 fn ramps_on_curves_stay_within_the_acceleration_of_each_axis() {
     let mut faults = Vec::new();
@@ -265,10 +267,11 @@ fn ramps_on_curves_stay_within_the_acceleration_of_each_axis() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-/// By how many percent a shape may take longer than the shortest time.
+/// Percent by which a shape may take longer than the shortest time.
 const MOST_MORE: f64 = 15.0;
 
-/// On a circle at the speed at which it takes all of the acceleration.
+/// Brakes with `commands` on a circle at the speed at which the circle uses all of the acceleration. Returns the
+/// largest change of speed and the braking time, s.
 fn braked_on_a_circle(jerk: f64, after: f64, commands: &[Realtime]) -> (Change, f64) {
     let (text, course) = in_chords(&[arc(100.0, [0.0, 0.0], 20.0, [0.0, 2.0 * TAU])]);
     let mut rig = Rig::with(&settings(&LIMITS, jerk));
@@ -280,7 +283,7 @@ fn braked_on_a_circle(jerk: f64, after: f64, commands: &[Realtime]) -> (Change, 
         rig.press(*command);
     }
     rig.run_for(3.0);
-    // The way of the axes in steps; 1000 of them a mm.
+    // Path speed from the steps of all axes; 1000 steps are 1 mm.
     let speed = |pulses: &[super::oracle::Pulse]| {
         let ends = pulses[pulses.len() - 1].at - pulses[0].at;
         pulses.iter().map(|pulse| pulse.steps.count_ones()).sum::<u32>() as f64 / (ends as f64 / HZ as f64) / 1000.0
@@ -293,8 +296,8 @@ fn braked_on_a_circle(jerk: f64, after: f64, commands: &[Realtime]) -> (Change, 
     (greatest_change(&rig.trace, HZ as f64, &course, &LIMITS, WINDOW).unwrap(), took)
 }
 
-/// A lower override and a hold in a bend brake with what the bend leaves of the acceleration. From v² = a·R down that takes
-/// v/a times the integral of 1/√(1 - x⁴) from 0 to 1, 1.31; and with a jerk limit, a/J more.
+/// A lower override and a hold in a bend brake with the acceleration that the bend leaves. Braking from v² = a·R takes
+/// v/a times the integral of 1/√(1 - x⁴) from 0 to 1, 1.31; with a jerk limit it takes a/J longer.
 #[test]
 fn braking_in_a_bend_stays_within_the_acceleration() {
     let lower = [Realtime::FeedDown10; 9];

@@ -1,32 +1,34 @@
 //! Measures speed and acceleration on a step trace, and compares them with the machine's limits.
 //!
-//! How limits are measured, and every allowance that is made:
+//! How limits are measured, with every allowance:
 //! - Path speed comes from the intervals between steps of a block's dominant axis, once they are shorter than 1 ms. A
-//!   step time is rounded to a tick of the step clock, so a speed may be off by one tick of its interval. Beyond that a
+//!   step time is rounded to a tick of the step clock, so a speed may be off by one tick of its interval. In addition a
 //!   limit may be exceeded by 1 % ([`TOLERANCE`]).
 //! - Below 8000 steps/s the generator works on a finer grid, and a step comes up to 7/16 of a step earlier in the path
-//!   than above; where the grid changes, an interval is longer or shorter by that. There a speed is measured over 16
-//!   steps, and these 7/16 are allowed for.
-//! - Acceleration is the change of that speed between two intervals, over the time between their middles: the mean speed
-//!   of an interval is the speed at its middle while the acceleration is even, and a mean of allowed values otherwise.
-//!   Compared are neighbours and intervals 2, 4, 8, ... apart, so that neither a jump nor a creeping excess is missed.
-//! - A change from one acceleration to the next waits for a whole step of the dominant axis and is then caught up with:
+//!   than above; where the grid changes, an interval is longer or shorter by that. Below this rate a speed is measured
+//!   over 16 steps, with an allowance of 7/16 of a step.
+//! - Acceleration is the change of that speed between two intervals, over the time between their middles: the mean
+//!   speed of an interval is the speed at its middle while the acceleration is constant, and otherwise a mean of
+//!   allowed values. Compared are neighbours and intervals 2, 4, 8, ... apart, so that neither a jump nor a creeping
+//!   excess is missed.
+//! - A change of acceleration takes effect only at the next whole step of the dominant axis and then catches up:
 //!   between two intervals an acceleration may seem to have acted for one step longer than their distance.
-//! - The ends of a move are rounded to steps, so that its length may be taken for half a step more or less than
-//!   programmed, and its speeds with it.
-//! - Below one step per millisecond, where an interval says little, the machine may be one step ahead of what the limits
-//!   allow: from rest it has made at most `v t + a t² / 2` after its first step, with `v² = 2 a` × one step.
-//! - At a corner the path speed is bounded by the junction rule: the machine may cut the corner on a circle that passes
-//!   within the junction deviation of it, at the acceleration that the axes allow across. Between the interval before
+//! - The ends of a move are rounded to steps, so its length, and with it its speeds, may be off by half a step.
+//! - Below one step per millisecond an interval says little. There the machine may be one step ahead of the limits:
+//!   from rest it has made at most `v t + a t² / 2` after its first step, with `v² = 2 a` × one step.
+//! - At a corner the junction rule bounds the path speed: the machine may cut the corner on a circle that passes within
+//!   the junction deviation of it, at the acceleration that the axes allow across the path. Between the interval before
 //!   the corner and the corner itself the block's acceleration acts for less than the time to the interval after it.
-//! - On a chain of moves without a sharp corner v² is at most a·R, a along the normal, with R from three points of it: the
-//!   ends of neighbouring moves, and points about [`REACHES`] away to both sides, which are taken where the path turns by
-//!   less than [`GENTLE`] between them. The junction deviation grants a jump for the whole of the turn on top. Every point
-//!   may be half a digit off; the part of the bend that this can explain is taken off. A planner that takes other points may see a bend begin half a reach later, and brake on it: a·reach more.
-//! - Short lines that continue each other may have been joined ([`Joins`]): then the trace follows the straight line from the
-//!   start of the first to the end of the last, which every point between is within half a step of. The trace does not
-//!   tell where: a few lines of the end may have been a move of their own, with half a step more or less than they are
-//!   long. So their speed is measured over 16 steps as well, and half a step is allowed for.
+//! - On a chain of moves without a sharp corner v² is at most a·R, with a along the normal. R comes from three points:
+//!   the ends of neighbouring moves, and points about one of [`REACHES`] away on both sides; the latter are used where
+//!   the path turns by less than [`GENTLE`] between them. The junction deviation also grants a jump for the whole turn.
+//!   Every point may be half a digit off; the part of the bend that this can explain is subtracted. A planner that uses
+//!   other points may see a bend start half a reach later, and brake on it: a·reach more is allowed.
+//! - Short lines that continue each other may have been joined ([`Joins`]): then the trace follows the straight line
+//!   from the start of the first to the end of the last, and every point between is within half a step of this line.
+//!   The trace does not show which lines were joined: a few lines at the end may have been a move of their own, half a
+//!   step longer or shorter than they are. So their speed is measured over 16 steps, too, with an allowance of half a
+//!   step.
 //! - Programs carry half a digit of noise: two moves whose directions differ by no more than one digit over the length
 //!   of the shorter one count as straight on.
 
@@ -35,25 +37,28 @@ use std::collections::BTreeSet;
 
 /// Share by which a limit may be exceeded.
 pub const TOLERANCE: f64 = 0.01;
-/// Last digit of the programs in these tests, mm.
+/// Value of the last digit of the programs in these tests, mm.
 pub const DIGIT: f64 = 0.001;
 
-/// How far away the points are from which a bend is measured, mm; how much the path may turn between, rad, and at one
-/// point; and how far it may be longer than straight.
+/// Distances of the points from which a bend is measured, mm.
 const REACHES: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
+/// Maximum turn of the path between these points, rad.
 const GENTLE: f64 = 0.35;
+/// Maximum turn at a single point that still counts as a bend, rad.
 const SHARP: f64 = 0.6;
+/// Minimum ratio of the straight distance to the distance along the path.
 const STRAIGHTNESS: f64 = 0.95;
 
-/// How far a point may be from where it was meant, mm: half a digit in two axes at once, rounded up.
+/// Maximum distance of a point from its intended position, mm: half a digit in two axes at once, rounded up.
 const NOISE: f64 = 0.0008;
 
-/// Steps per second below which steps are placed on a finer grid; by how much of a step that may move them; and over how
-/// many steps a speed is measured there.
+/// Step rate, steps/s, below which steps are placed on a finer grid.
 const SMOOTHED: f64 = 8000.0;
+/// Maximum shift of a step by the finer grid, in steps.
 const SHIFT: f64 = 7.0 / 16.0;
-/// By how much of a step the ends of lines within a joined move may have been rounded.
+/// Maximum rounding of line ends within a joined move, in steps.
 const JOINED_SHIFT: f64 = 0.5;
+/// Number of steps over which a speed is measured on the finer grid and in joined moves.
 const WINDOW: usize = 16;
 
 /// The limits of a machine, each axis in mm, mm/s and mm/s².
@@ -68,15 +73,15 @@ pub struct Limits {
 /// A straight move of a program.
 #[derive(Clone, Copy, Debug)]
 pub struct Line {
-    /// Ends in mm.
+    /// Start, mm.
     pub from: [f64; AXES],
-    /// See `from`.
+    /// End, mm.
     pub to: [f64; AXES],
     /// Programmed speed in mm/s; `None` for a rapid.
     pub feed: Option<f64>,
 }
 
-/// A move with what the limits make of it.
+/// A move with its limits and its step times.
 struct Move {
     from: [f64; AXES],
     to: [f64; AXES],
@@ -86,50 +91,53 @@ struct Move {
     acceleration: f64,
     /// mm of path for each step of the dominant axis.
     pitch: f64,
-    /// Share of the length that rounding its ends to steps may make.
+    /// Share of the length that rounding its ends to steps may add or remove.
     slack: f64,
-    /// Whether it may have been several moves.
+    /// Whether several lines may have been joined to this move.
     is_joined: bool,
-    /// Ticks of the dominant steps.
+    /// Times of the steps of the dominant axis, ticks.
     times: Vec<u64>,
 }
 
 /// The mean speed between two dominant steps.
 #[derive(Clone, Copy, Debug)]
 struct Reading {
-    /// Middle of the interval, s, and its length.
+    /// Middle of the interval, s.
     at: f64,
+    /// Length of the interval, s.
     span: f64,
-    /// Mean time of a step in it, s.
+    /// Mean time per step in the interval, s.
     step: f64,
     /// mm/s.
     speed: f64,
-    /// What the rounding to ticks can do to it, mm/s.
+    /// Maximum error of `speed` due to the rounding to ticks and to step positions, mm/s.
     rounding: f64,
 }
 
 impl Reading {
-    /// For how long an acceleration can act between two mean speeds: from middle to middle, and where one interval is
-    /// longer than the other, from its inside to its outside; and one step longer, for a change between them.
+    /// Returns the maximum time, s, for which an acceleration can act between two mean speeds. It is the distance of
+    /// the middles, plus the part by which the longer interval extends beyond the shorter, plus one step for a change
+    /// of acceleration between them.
     fn apart(&self, other: &Reading) -> f64 {
         (self.at - other.at).abs() + (self.span - other.span).abs() / 4.0 + self.step.max(other.step)
     }
 }
 
 impl Limits {
-    /// Greatest value along a direction that no axis' own value forbids.
+    /// Returns the maximum value along a direction at which no axis exceeds its own value.
     fn along(&self, values: [f64; AXES], unit: [f64; AXES]) -> f64 {
         (0..AXES).filter(|&a| unit[a] != 0.0).map(|a| values[a] / unit[a].abs()).fold(f64::INFINITY, f64::min)
     }
 
-    /// The steps nearest to a place, a half away from zero (that 2.03 is a little less in binary must not matter).
+    /// Returns the position in steps nearest to `mm`, rounding a half away from zero (2.03 is slightly less in binary;
+    /// this must not matter).
     pub fn place(&self, mm: [f64; AXES]) -> Place {
         std::array::from_fn(|a| ((mm[a] * self.steps_per_mm[a] * 1e6).round() / 1e6).round() as i64)
     }
 
-    /// Greatest path speed at the corner between two directions.
+    /// Returns the maximum path speed at the corner between two directions.
     ///
-    /// `noise`: by how much the digits of its points may have turned it, rad.
+    /// `noise`: angle by which rounding of the points may have changed the corner, rad.
     pub fn junction(&self, before: [f64; AXES], after: [f64; AXES], noise: f64) -> f64 {
         let turn: [f64; AXES] = std::array::from_fn(|a| after[a] - before[a]);
         let size = norm(turn);
@@ -148,11 +156,12 @@ fn norm(v: [f64; AXES]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// Longest line that may be joined with others, the sum of its axes, and the longest that comes of it, mm.
+/// Maximum length of a line that may be joined with others, as the sum over its axes, mm.
 const MOST_PIECE: f64 = 0.045 + 1e-9;
+/// Maximum length of a joined move, mm.
 const MOST_JOINED: f64 = 0.5 + 1e-6;
 
-/// Whether a straight line passes a place within half a step of every axis.
+/// Returns whether a straight line passes a point within half a step of every axis.
 fn passes(limits: &Limits, from: [f64; AXES], to: [f64; AXES], place: [f64; AXES]) -> bool {
     let (mut least, mut most) = (0.0_f64, 1.0_f64);
     for a in 0..AXES {
@@ -167,7 +176,7 @@ fn passes(limits: &Limits, from: [f64; AXES], to: [f64; AXES], place: [f64; AXES
     least <= most
 }
 
-/// The lines with steps, of which the machine may have made one at each place of a program.
+/// Enumerates the moves that the machine may have made by joining a program's lines.
 struct Joins<'a> {
     lines: &'a [Line],
     limits: &'a Limits,
@@ -179,7 +188,7 @@ impl Joins<'_> {
         dominant(self.limits.place(line.from), self.limits.place(line.to)).1 > 0
     }
 
-    /// The last lines of all moves that may begin with this one, the shortest first.
+    /// Returns the possible last lines of a move that starts with line `first`, the shortest move first.
     fn ends(&self, first: usize) -> Vec<usize> {
         let (start, mut ends) = (&self.lines[first], vec![first]);
         let is_short = |line: &Line| (0..AXES).map(|a| (line.to[a] - line.from[a]).abs()).sum::<f64>() <= MOST_PIECE;
@@ -200,8 +209,8 @@ impl Joins<'_> {
         ends
     }
 
-    /// Finds moves that the trace follows from its beginning to its end: for each its last line and the times of its
-    /// dominant steps. The longest are tried first.
+    /// Finds the moves that the trace follows from start to end: for each its first and last line and the times of its
+    /// dominant steps. Tries the longest moves first, and backtracks.
     fn follow(&self, trace: &[Pulse]) -> Result<Vec<(usize, usize, Vec<u64>)>, String> {
         let mut found: Vec<(usize, usize, Vec<u64>)> = Vec::new();
         let mut open: Vec<(usize, &[Pulse], Vec<usize>)> = Vec::new();
@@ -250,12 +259,12 @@ impl Joins<'_> {
     }
 }
 
-/// The moves that have steps, with the times of these.
+/// Returns the moves that have steps, with their step times.
 fn moves(trace: &[Pulse], lines: &[Line], limits: &Limits) -> Result<Vec<Move>, String> {
     let mut moves = Vec::new();
     let mut next = 0;
     for (first, last, times) in (Joins { lines, limits }).follow(trace)? {
-        // Moves of no steps pass their length on to the next one.
+        // Moves without steps pass their length on to the next move.
         let skipped = &lines[next..first];
         let carried: f64 = skipped.iter().map(|line| norm(std::array::from_fn(|a| line.to[a] - line.from[a]))).sum();
         next = last + 1;
@@ -281,11 +290,11 @@ fn moves(trace: &[Pulse], lines: &[Line], limits: &Limits) -> Result<Vec<Move>, 
     Ok(moves)
 }
 
-/// Compares a trace that begins and ends at rest, of nothing but straight moves, with the moves and the limits: the path
-/// step for step, speeds and accelerations as the head of this file says.
+/// Compares a trace of straight moves only, which starts and ends at rest, with the moves and the limits: the path step
+/// for step, speeds and accelerations as described at the head of this file.
 ///
 /// # Errors
-/// The first thing that is wrong.
+/// The first fault.
 pub fn check(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits) -> Result<(), String> {
     let moves = moves(trace, lines, limits)?;
     for (index, m) in moves.iter().enumerate() {
@@ -308,8 +317,9 @@ pub fn check(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits) -> Resul
     Ok(())
 }
 
-/// A reading for each interval, `None` for those longer than a millisecond. That of a slow interval, or of a joined move,
-/// covers the following steps as well, as far as there are any and none of their intervals is longer than a millisecond.
+/// Returns a reading for each interval, `None` for those longer than a millisecond. The reading of a slow interval, or
+/// of an interval of a joined move, also covers the following steps, up to [`WINDOW`] steps and up to the first
+/// interval longer than a millisecond.
 fn readings(m: &Move, hz: f64) -> Vec<Option<Reading>> {
     (1..m.times.len())
         .map(|i| {
@@ -338,7 +348,7 @@ fn check_move(m: &Move, hz: f64) -> Result<(), String> {
             return Err(format!("{} mm/s where {} are allowed, at {} s", reading.speed, m.speed, reading.at));
         }
     }
-    // Feeds slower than a step per millisecond have no readings: the whole move, but for one step.
+    // Feeds below one step per millisecond have no readings: check the mean speed of the whole move instead.
     if let [first, .., last] = m.times[..] {
         let seconds = (last - first) as f64 / hz;
         let steps = (m.times.len() - 1) as f64;
@@ -396,7 +406,8 @@ fn check_corner(before: &Move, after: &Move, hz: f64, limits: &Limits) -> Result
     Ok(())
 }
 
-/// Greatest speed² on the circle through three points, as far as noise cannot explain it; infinite if they say nothing.
+/// Returns the maximum speed² on the circle through three points, after subtracting what noise can explain; infinite if
+/// no bend remains.
 fn bend(points: [[f64; AXES]; 3], greatest_turn: f64, limits: &Limits) -> f64 {
     let [a, b, c] = points;
     let first: [f64; AXES] = std::array::from_fn(|i| b[i] - a[i]);
@@ -412,14 +423,14 @@ fn bend(points: [[f64; AXES]; 3], greatest_turn: f64, limits: &Limits) -> f64 {
     limits.along(limits.acceleration, turn.map(|t| t / norm(turn))) * (l1 + l2) / 2.0 / sure + junction * junction
 }
 
-/// The speeds on both sides of a corner against the bend that it is a part of.
+/// Checks the speeds on both sides of a corner against the bend that the corner belongs to.
 fn check_bend(moves: &[Move], corner: usize, hz: f64, limits: &Limits) -> Result<(), String> {
     let (before, after) = (&moves[corner - 1], &moves[corner]);
     let readings = [readings(before, hz).last().copied(), readings(after, hz).first().copied()];
     let here = after.from;
     let mut allowed2 = bend([before.from, here, after.to], SHARP, limits);
     for reach in REACHES {
-        // The nearest ends of moves so far away along the path.
+        // The nearest ends of moves at least `reach` away along the path.
         let reached = |mut corners: Box<dyn Iterator<Item = usize> + '_>, far: fn(&Move) -> [f64; AXES]| {
             let mut path = 0.0;
             corners.find_map(|i| {
@@ -440,7 +451,7 @@ fn check_bend(moves: &[Move], corner: usize, hz: f64, limits: &Limits) -> Result
     }
     let slack = TOLERANCE + before.slack + after.slack;
     for (reading, m) in readings.iter().flatten().flatten().zip([before, after]) {
-        // The reading is a mean over its span, the corner at one end of it.
+        // The reading is a mean over its span, and the corner lies at one end of the span.
         let most = allowed2.sqrt() * (1.0 + slack) + m.acceleration * (reading.span / 2.0 + reading.step);
         if reading.speed > most + reading.rounding {
             return Err(format!("{} mm/s on a bend for {}", reading.speed, allowed2.sqrt()));
@@ -449,24 +460,24 @@ fn check_bend(moves: &[Move], corner: usize, hz: f64, limits: &Limits) -> Result
     Ok(())
 }
 
-/// Turn of a corner beyond which it is exempt from the jerk limit, rad; and by how many steps a place on the path is
-/// uncertain between two of them.
+/// Turn, rad, beyond which a corner is exempt from the jerk limit.
 const CORNER: f64 = 0.05;
+/// Uncertainty of a position on the path between two steps, in steps.
 const UNCERTAIN: f64 = 0.5;
 
-/// Compares the jerk along the path with the limits of the axes (mm/s³, infinite for none), at any time but where a corner
-/// of more than [`CORNER`] is passed.
+/// Compares the jerk along the path with the limits of the axes (mm/s³, infinite for none), except while a corner of
+/// more than [`CORNER`] is passed.
 ///
-/// The place on the path is taken at four times, `h` apart. Its third difference is the mean jerk, weighted, times h³. A
-/// place between two steps is half a step uncertain, so the third difference by (1 + 3 + 3 + 1) / 2 = 4 steps; h is so long
-/// that this is a quarter of what the limit makes of it. Where directions change, the greatest limit of the moves passed
-/// counts.
+/// The position on the path is read at four times, `h` apart. Its third difference is the weighted mean jerk times h³.
+/// A position between two steps is uncertain by half a step, so the third difference is uncertain by
+/// (1 + 3 + 3 + 1) / 2 = 4 steps; h is so long that this is a quarter of the limit times h³. Where directions change,
+/// the highest limit of the moves passed counts.
 ///
 /// # Errors
 /// The first excess.
 pub fn check_jerk(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits, jerk: [f64; AXES]) -> Result<(), String> {
     let moves = moves(trace, lines, limits)?;
-    // Time, place, move; the machine stands before and after.
+    // Time, position on the path, move; the machine is at rest before and after.
     let mut places: Vec<(f64, f64, usize)> = Vec::new();
     let mut corners = Vec::new();
     let mut way = 0.0;
@@ -516,7 +527,7 @@ pub fn check_jerk(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits, jer
     Ok(())
 }
 
-/// At rest before the first of `times` (seconds since the first step): one step ahead at most.
+/// Checks a start from rest before the first of `times` (seconds since the first step), with an allowance of one step.
 fn check_rest(m: &Move, times: impl Iterator<Item = f64>) -> Result<(), String> {
     let acceleration = m.acceleration * (1.0 + TOLERANCE);
     let first = (2.0 * acceleration * m.pitch).sqrt();
@@ -545,7 +556,7 @@ mod tests {
         }
     }
 
-    /// A trace of a straight move whose path is at `travelled(share of the path)` seconds.
+    /// Returns the trace of a straight move that reaches each share of its path at `when(share)` seconds after `start`.
     fn trace(line: &Line, limits: &Limits, start: f64, when: impl Fn(f64) -> f64) -> Vec<Pulse> {
         let (from, to) = (limits.place(line.from), limits.place(line.to));
         let places = oracle::line(from, to);
@@ -567,7 +578,7 @@ mod tests {
             .collect()
     }
 
-    /// Time at which a trapezoid from rest to rest has covered `s` of `length`.
+    /// Returns the time at which a trapezoid from rest to rest has covered a share of `length`.
     fn trapezoid(length: f64, speed: f64, acceleration: f64) -> impl Fn(f64) -> f64 {
         let ramp = (speed * speed / 2.0 / acceleration).min(length / 2.0);
         let top = (2.0 * acceleration * ramp).sqrt();
@@ -602,8 +613,8 @@ mod tests {
         assert!(run(50.0, a * 1.03).unwrap_err().contains("mm/s²"));
     }
 
-    /// Thirty lines of 14 um: as one move; too fast; and with a few of them by themselves, rounded to more steps than they are
-    /// long.
+    /// Thirty lines of 14 um, in three versions: as one move; too fast; and with a few lines as a move of their own,
+    /// rounded to more steps than their length.
     #[test]
     fn joined_lines_are_measured_over_several_steps() {
         let limits = Limits { steps_per_mm: [250.0; 3], acceleration: [9000.0; 3], ..limits() };
@@ -616,7 +627,7 @@ mod tests {
         };
         run(40.0).unwrap();
         assert!(run(43.0).unwrap_err().contains("are allowed"));
-        // In the middle of the constant speed, four steps in the time of three and a half.
+        // At constant speed, in the middle: four steps in the time of three and a half.
         let even = trapezoid(0.42, 40.0, 9000.0);
         let (first, last) = (50.0 / 105.0, 54.0 / 105.0);
         let rounded = |share: f64| {
@@ -630,10 +641,10 @@ mod tests {
     fn a_jump_of_speed_is_seen() {
         let limits = limits();
         let smooth = trapezoid(LENGTH, 50.0, 400.0);
-        // After half of the way everything happens 9 us later: one interval of 22 us is too long.
+        // From half of the path on everything happens 9 us later: one interval of 22 us is too long.
         let t = trace(&STRAIGHT, &limits, 0.0, |s| smooth(s) + if s > 0.5 { 9e-6 } else { 0.0 });
         assert!(check(&t, HZ, &[STRAIGHT], &limits).is_err());
-        // At speed from the first step on.
+        // Full speed from the first step on.
         let t = trace(&STRAIGHT, &limits, 0.0, |s| s * LENGTH / 50.0);
         assert!(check(&t, HZ, &[STRAIGHT], &limits).unwrap_err().contains("of rest"));
     }
@@ -653,7 +664,7 @@ mod tests {
         let limits = limits();
         let first = Line { from: [0.0; 3], to: [20.0, 0.0, 0.0], feed: Some(50.0) };
         let second = Line { from: [20.0, 0.0, 0.0], to: [20.0, 20.0, 0.0], feed: Some(50.0) };
-        // Rounds the corner at `corner` mm/s: a ramp up, a ramp down to that, and the same backwards.
+        // Passes the corner at `corner` mm/s: a ramp up, a ramp down to that speed, then the mirror image.
         let run = |corner: f64| {
             let a = 400.0;
             let down_length = corner * corner / 2.0 / a;

@@ -1,4 +1,4 @@
-//! The programs of `examples/`: they run to their end, and end where they should.
+//! Runs the programs of `examples/` to their end and checks where they end.
 
 use super::host::{CARVER, CARVER_STEPS, assert_near};
 use super::oracle::{AXES, Circle, Pulse};
@@ -21,7 +21,7 @@ pub fn program(name: &str) -> String {
     std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// The place after each pulse, in mm.
+/// Returns the position after each pulse, in mm.
 pub fn places(trace: &[Pulse], from: [f64; AXES], steps_per_mm: [f64; AXES]) -> Vec<[f64; AXES]> {
     let mut steps = [0; AXES];
     trace
@@ -33,21 +33,21 @@ pub fn places(trace: &[Pulse], from: [f64; AXES], steps_per_mm: [f64; AXES]) -> 
         .collect()
 }
 
-/// Least and greatest coordinate of each axis.
+/// Returns the minimum and the maximum coordinate of each axis.
 fn extents(places: &[[f64; AXES]]) -> [[f64; AXES]; 2] {
     let fold =
         |start: f64, pick: fn(f64, f64) -> f64| std::array::from_fn(|a| places.iter().map(|p| p[a]).fold(start, pick));
     [fold(f64::INFINITY, f64::min), fold(f64::NEG_INFINITY, f64::max)]
 }
 
-/// Runs an example on a machine that carves, and looks at where it ends and how far it reached.
+/// Runs an example on a [`CARVER`] and checks its end position and the extents of its path.
 fn run(name: &str, end: [f64; AXES], reach: [[f64; AXES]; 2]) -> Rig {
     let mut rig = Rig::with(CARVER);
     rig.run_clean(&program(name));
     assert_near(rig.place_mm(CARVER_STEPS), end, HALF_STEP);
     assert_near(rig.reported("MPos"), end, HALF_STEP + 0.0005);
     let [low, high] = extents(&places(&rig.trace, [0.0; AXES], [CARVER_STEPS; AXES]));
-    // Arcs may lie off by a step and the tolerance.
+    // Arcs may be off by a step and the arc tolerance.
     assert_near(low, reach[0], 0.02);
     assert_near(high, reach[1], 0.02);
     rig
@@ -63,7 +63,7 @@ fn house() {
 #[test]
 fn five_circles() {
     let rig = run("five_circles", [-2.0, -10.0, 0.0], [[-12.0, -11.0, -1.0], [10.0, 11.0, 0.0]]);
-    // What is drawn at the depth of the cut, split at the rapids between: one full circle each.
+    // The path at cutting depth, split at the rapids: one full circle each.
     let all = places(&rig.trace, [0.0; AXES], [CARVER_STEPS; AXES]);
     let cuts: Vec<&[[f64; AXES]]> = all.split(|p| p[2] != -1.0).filter(|cut| !cut.is_empty()).collect();
     assert_eq!(cuts.len(), 5);
@@ -75,7 +75,7 @@ fn five_circles() {
     }
 }
 
-/// The drilling program of the document's chapter 4.5, in the dialect that is made for it.
+/// The drilling program of chapter 4.5 of the original document, in the dialect that supports it.
 #[test]
 fn drilling() {
     const INCH: f64 = 25.4;
@@ -86,7 +86,7 @@ fn drilling() {
     assert_near(rig.place_mm(CARVER_STEPS), end, HALF_STEP);
     assert_near(rig.reported("MPos"), end, HALF_STEP + 0.0005);
     let all = places(&rig.trace, [0.0; AXES], [CARVER_STEPS; AXES]);
-    // The ground of each hole, in the order in which they are drilled; one of them is drilled twice.
+    // The bottom of each hole, in drilling order; one hole is drilled twice.
     let bottom = (-0.75 * INCH * CARVER_STEPS).round() / CARVER_STEPS;
     let mut holes: Vec<f64> = Vec::new();
     for cut in all.split(|p| p[2] != bottom).filter(|cut| !cut.is_empty()) {
@@ -99,11 +99,11 @@ fn drilling() {
     for (hole, column) in holes.iter().zip(columns) {
         assert!((hole - column).abs() <= HALF_STEP, "{hole} for {column}");
     }
-    // Nothing moves in the plane while the tool is in the work.
+    // X and Y do not move while the tool is in the work.
     for pair in all.windows(2) {
         assert!(pair[0][2] > 0.0 || pair[0][..2] == pair[1][..2], "{pair:?}");
     }
-    // Pecks of 0.2 inch from R: the tool turns at each, and backs off by 0.01 inch.
+    // Pecks of 0.2 inch from R: the tool reverses at each peck and retracts by 0.01 inch.
     let turns: Vec<f64> = all
         .windows(3)
         .filter(|p| p[0][0] == first_hole(&all, bottom) && p[0][2] > p[1][2] && p[2][2] > p[1][2])
@@ -119,7 +119,7 @@ fn drilling() {
     assert_near(high, [3.0 * INCH, 0.0, 0.1 * INCH], HALF_STEP);
 }
 
-/// X of the first hole.
+/// Returns X of the first hole.
 fn first_hole(all: &[[f64; AXES]], bottom: f64) -> f64 {
     all.iter().find(|place| place[2] == bottom).map_or(f64::NAN, |place| place[0])
 }
@@ -164,7 +164,7 @@ fn every_example_has_a_test_and_short_lines() {
         assert!(text.is_ascii(), "{name}");
         assert!(text.len() < 1000 * 1024, "{name}");
         for line in text.lines() {
-            // With its blanks and comments, although Grbl does not count these.
+            // The limit includes blanks and comments, although Grbl does not count these.
             assert!(line.len() <= 79, "{name}: {line}");
         }
     }

@@ -1,37 +1,37 @@
-//! The other end of the line: what a sender program does, and what it makes of the answers.
+//! The host side of the tests: sends lines as a sender program does and reads the answers.
 
 use super::oracle::AXES;
 use super::rig::Rig;
 use oxmill_test_support::numbers;
 
-/// Virtual seconds after which an answer is missed.
+/// Virtual seconds to wait for an answer before the test fails.
 const PATIENCE: f64 = 3600.0;
 
-/// Settings of a machine that carves: 80 steps/mm, 6000 mm/min, 500 mm/s².
+/// Settings of a machine for carving: 80 steps/mm, 6000 mm/min, 500 mm/s².
 pub const CARVER: &str = "$100=80\n$101=80\n$102=80\n$110=6000\n$111=6000\n$112=6000\n$120=500\n$121=500\n$122=500\n";
 /// Steps per mm of [`CARVER`].
 pub const CARVER_STEPS: f64 = 80.0;
 
 impl Rig {
-    /// A machine whose greeting has been read and whose settings are these `$n=v` lines.
+    /// Returns a machine whose greeting has been read, with these `$n=v` lines applied.
     pub fn with(settings: &str) -> Rig {
         let mut rig = Rig::new();
         assert_eq!(rig.read_lines(), ["", "Grbl 1.1h ['$' for help]"]);
         for line in settings.lines() {
-            // A set that cannot be run before it is complete is told of after the `ok`.
+            // A set of settings that is unusable until it is complete is reported after the `ok`.
             assert_eq!(rig.ask(line).first().map(String::as_str), Some("ok"), "{line}");
         }
         rig
     }
 
-    /// The answer lines that have come, without their ends.
+    /// Returns the received lines, without their line ends.
     pub fn read_lines(&mut self) -> Vec<String> {
         let text = self.take_output();
         assert!(text.is_empty() || text.ends_with("\r\n"), "half a line: {text:?}");
         text.split_terminator("\r\n").map(str::to_string).collect()
     }
 
-    /// Sends one line and waits for its `ok` or `error`; everything that came until then.
+    /// Sends one line and waits for its `ok` or `error`; returns all lines received until then.
     pub fn ask(&mut self, line: &str) -> Vec<String> {
         self.send(format!("{line}\n").as_bytes());
         let mut text = String::new();
@@ -45,23 +45,23 @@ impl Rig {
         text.lines().map(str::to_string).collect()
     }
 
-    /// Waits until nothing moves and nothing is owed.
+    /// Waits until nothing moves and no answer is pending.
     pub fn settle(&mut self) {
         assert!(self.run_until(PATIENCE, |rig| rig.is_idle()), "never idle");
     }
 
-    /// Sends one line, expects `ok` and waits for the end of what it does.
+    /// Sends one line, expects `ok` and waits until the machine is idle.
     pub fn carry_out(&mut self, line: &str) {
         assert_eq!(self.ask(line), ["ok"], "{line}");
         self.settle();
     }
 
-    /// Streams a whole program and waits for its end. Gives the answer to each line.
+    /// Streams a whole program and waits for its end. Returns the answer to each line.
     pub fn run_program(&mut self, text: &str) -> Vec<String> {
         let mut answers: Vec<String> = Vec::new();
         for line in text.lines() {
             self.send(format!("{line}\n").as_bytes());
-            // Keep a few lines on the way, as a sender that counts characters does.
+            // Keep a few lines in flight, as a sender that counts characters does.
             if self.output_len() > 0 {
                 answers.extend(self.read_lines());
             }
@@ -82,7 +82,7 @@ impl Rig {
         assert_eq!(answers.len(), text.lines().count());
     }
 
-    /// The status report, field by field, as its text.
+    /// Requests a status report and returns its line.
     pub fn status(&mut self) -> String {
         self.send(b"?");
         let lines = self.read_lines();
@@ -90,24 +90,24 @@ impl Rig {
         report.clone()
     }
 
-    /// A position of the status report, `MPos` or `WPos`.
+    /// Returns a position of the status report, `MPos` or `WPos`.
     pub fn reported(&mut self, name: &str) -> [f64; AXES] {
         let report = self.status();
         numbers(&report, name).unwrap_or_else(|| panic!("no {name} in {report}"))
     }
 
-    /// Where the counted pulses have brought the machine, mm.
+    /// Returns the position according to the counted pulses, mm.
     pub fn place_mm(&self, steps_per_mm: f64) -> [f64; AXES] {
         self.place.map(|steps| steps as f64 / steps_per_mm)
     }
 }
 
-/// Whether a text contains an `ok` or an `error` as a whole line.
+/// Returns whether a text contains an `ok` or an `error` as a whole line.
 fn is_answered(text: &str) -> bool {
     text.ends_with('\n') && text.lines().any(|line| line == "ok" || line.starts_with("error:"))
 }
 
-/// Asserts that places agree within half of the last digit of a report, or `slack`.
+/// Asserts that two positions agree within `slack`, in mm.
 #[track_caller]
 pub fn assert_near(found: [f64; AXES], expected: [f64; AXES], slack: f64) {
     for axis in 0..AXES {

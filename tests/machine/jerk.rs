@@ -1,4 +1,5 @@
-//! Jerk-limited motion: bounded at any time, not slower at the borders of blocks, near the shortest possible time.
+//! Jerk-limited motion: the jerk is bounded at all times, borders of blocks cost no time, and durations are near the
+//! shortest possible.
 
 use super::estimator::{Limits, Line, check, check_jerk};
 use super::oracle::AXES;
@@ -21,7 +22,7 @@ fn settings(limits: &Limits, jerk: [f64; AXES]) -> String {
     text
 }
 
-/// A program in the plane and what it should do.
+/// A program in the plane with its expected end position and lines.
 #[derive(Clone, Debug)]
 struct Job {
     text: String,
@@ -38,7 +39,7 @@ impl Job {
         Job { text: "G21 G90 G94 G17\n".into(), at: [0; AXES], lines: Vec::new() }
     }
 
-    /// To a place in mm, rounded to micrometres, at a feed in mm/s.
+    /// Appends a move to a position in mm, rounded to micrometres, at a feed in mm/s.
     fn to(&mut self, place: [f64; AXES], feed: f64) {
         let place = place.map(|v| (v * 1000.0).round() as i64);
         if place == self.at {
@@ -58,7 +59,8 @@ impl Job {
         job
     }
 
-    /// Runs it on a machine, checks the path and all limits, and gives the seconds from the first to the last step.
+    /// Runs the job on a machine, checks the path and all limits, and returns the seconds from the first to the last
+    /// step.
     fn run(&self, limits: &Limits, jerk: [f64; AXES]) -> f64 {
         let mut rig = Rig::with(&settings(limits, jerk));
         rig.run_clean(&self.text);
@@ -72,7 +74,7 @@ impl Job {
     }
 }
 
-/// The least time of a change of speed, and its length.
+/// Returns the shortest time of a change of speed, and its length.
 fn ramp(from: f64, to: f64, acceleration: f64, jerk: f64) -> (f64, f64) {
     let change = (to - from).abs();
     let time = if change * jerk >= acceleration * acceleration {
@@ -83,8 +85,8 @@ fn ramp(from: f64, to: f64, acceleration: f64, jerk: f64) -> (f64, f64) {
     (time, 0.5 * (from + to) * time)
 }
 
-/// The least time of a way that begins and ends at given speeds without acceleration and is not faster than `most`: up to
-/// the greatest speed that leaves room to come down again. Found by halving.
+/// Returns the shortest time of a distance with given speeds and zero acceleration at its ends, at no more than `most`:
+/// up to the highest speed from which it can still slow down to `to`. Found by bisection.
 fn least_time(length: f64, from: f64, to: f64, most: f64, acceleration: f64, jerk: f64) -> f64 {
     let needs = |top: f64| ramp(from, top, acceleration, jerk).1 + ramp(top, to, acceleration, jerk).1;
     let (mut low, mut high) = (from.max(to), most);
@@ -102,13 +104,14 @@ fn least_time(length: f64, from: f64, to: f64, most: f64, acceleration: f64, jer
 
 const JERK: f64 = 5000.0;
 
-/// The first and last step lie some milliseconds within the move: the motor stands before half of the first step is due.
+/// Returns the time that the trace does not cover: the first and last step are some milliseconds within the move,
+/// because the motor starts and ends half a step away from them.
 fn of_steps() -> f64 {
     2.0 * (6.0 * 0.5 / MACHINE.steps_per_mm[0] / JERK).cbrt()
 }
 
-/// Five jobs against their shortest times. Where a corner is passed or another feed begins the acceleration is zero by our
-/// rule, and so it is in the reference.
+/// Compares five jobs with their shortest times. Where a corner is passed or the feed changes, our rule makes the
+/// acceleration zero; the reference does the same.
 #[test]
 fn jobs_take_little_more_than_the_shortest_time() {
     let a = MACHINE.acceleration[0];
@@ -155,13 +158,13 @@ fn jobs_take_little_more_than_the_shortest_time() {
     }
 }
 
-/// The borders of blocks do not show: neither where the machine ramps nor on a curve.
+/// Splitting a path into blocks costs no time, neither where the machine ramps nor on a curve.
 #[test]
 fn borders_of_blocks_cost_no_time() {
     let whole = Job::line(50.0, 1, 100.0).run(&MACHINE, [JERK; 3]);
     let chain = Job::line(50.0, 500, 100.0).run(&MACHINE, [JERK; 3]);
     assert!((chain / whole - 1.0).abs() < 0.005, "{whole} s in one block, {chain} s in 500");
-    // Into a circle of R = 10 mm along its tangent: v² = a·R is faster than the feed.
+    // Along the tangent into a circle of R = 10 mm, on which v² = a·R allows more than the feed.
     let mut circle = Job::new();
     circle.to([0.0, 30.0, 0.0], 60.0);
     for k in 1..=900 {
@@ -173,7 +176,8 @@ fn borders_of_blocks_cost_no_time() {
     assert!((seconds / ideal - 1.0).abs() < 0.01, "{seconds} of {ideal} s");
 }
 
-/// Corners are not passed faster than by the rule that also holds without jerk; nothing is faster than with the trapezoid.
+/// Corners are passed no faster than by the rule that holds without a jerk limit, and the job takes longer than with
+/// the trapezoid.
 #[test]
 fn corners_are_passed_no_faster() {
     for turn in [10.0_f64, 35.0, 90.0, 150.0] {
@@ -190,8 +194,8 @@ fn corners_are_passed_no_faster() {
     }
 }
 
-/// A hold or a slower feed comes before a corner behind which an axis takes less jerk and acceleration: the corner is passed
-/// as it would be without.
+/// A hold or a lower feed acts shortly before a corner after which an axis allows less jerk and acceleration: the
+/// corner is passed within the limits all the same.
 #[test]
 fn a_corner_is_minded_by_what_brakes_before_it() {
     let limits = Limits { acceleration: [500.0, 400.0, 60.0], ..MACHINE };
@@ -221,7 +225,8 @@ fn a_corner_is_minded_by_what_brakes_before_it() {
     }
 }
 
-/// A ramp that begins a little late, as the feed before it was still being reached, lands all the same.
+/// A ramp that starts slightly late, because the previous feed was still being reached, ends at the right position all
+/// the same.
 #[test]
 fn a_late_ramp_lands_at_the_end() {
     for fast in 51..70 {
@@ -235,7 +240,7 @@ fn a_late_ramp_lands_at_the_end() {
     }
 }
 
-/// Steps so coarse that a ramp has few of them: the corner behind is passed no faster than planned.
+/// The steps are so coarse that a ramp has few of them: the corner after the ramp is passed no faster than planned.
 #[test]
 fn corners_behind_coarse_steps_are_minded() {
     for (scale, steps, jerk) in [(2000.0, 5.0, [500_000.0, 0.0, 10_000.0]), (3000.0, 20.0, [100_000.0, 0.0, 1000.0])] {
@@ -252,19 +257,19 @@ fn corners_behind_coarse_steps_are_minded() {
             let mut rig = Rig::with(&settings(&limits, jerk));
             rig.run_clean(&job.text);
             let z: Vec<u64> = rig.trace.iter().filter(|p| p.steps & 4 != 0).map(|p| p.at).collect();
-            // The first three steps from rest at 50 mm/s² take 8 ms, with the speed of the corner (0.7 mm/s) some 5.
+            // The first three steps take 8 ms from rest at 50 mm/s², and about 5 ms from the corner speed (0.7 mm/s).
             let seconds = (z[3] - z[0]) as f64 / HZ as f64;
             assert!(seconds > 0.004, "{k}: three steps in {seconds} s");
         }
     }
 }
 
-/// A hold ends with the ramp that it has begun with: a start right behind it, at any moment, keeps the limit, too.
+/// A hold completes the ramp that it has started: a cycle start right after the hold, at any time, keeps the limit.
 #[test]
 fn a_start_right_behind_a_hold_keeps_the_limit() {
     for (feed, jerk) in [(8.0, 8000.0), (5.6, 8000.0), (8.0, 1500.0), (2.0, 1500.0), (40.0, 5000.0)] {
         let job = Job::line(10.0, 4, feed);
-        // About as long as the hold takes, and less and more.
+        // From 0.7 to 1.3 times the duration of the hold.
         let brakes = 2.0 * (feed / jerk).sqrt();
         for part in 0..60 {
             let mut rig = Rig::with(&settings(&MACHINE, [jerk; 3]));
@@ -284,7 +289,7 @@ fn a_start_right_behind_a_hold_keeps_the_limit() {
     }
 }
 
-/// The measure itself: the trapezoid has a jerk beyond these limits.
+/// Checks the measurement itself: it sees that a trapezoid exceeds these jerk limits.
 #[test]
 fn a_trapezoid_is_seen() {
     let job = Job::line(60.0, 1, 100.0);
@@ -293,7 +298,8 @@ fn a_trapezoid_is_seen() {
     assert!(check_jerk(&rig.trace, HZ as f64, &job.lines, &MACHINE, [JERK; 3]).unwrap_err().contains("mm/s³"));
 }
 
-/// Straight runs in one or many blocks at various feeds, gentle bends, circles of short chords, and corners.
+/// Generates jobs of straight runs in one or many blocks at various feeds, gentle bends, circles of short chords, and
+/// corners.
 fn jobs() -> impl Strategy<Value = Job> {
     let piece = prop_oneof![
         3 => (0_i32..=0, 1_u32..40, 1_u32..30, 2_u32..120, Just(0.0)),
@@ -326,12 +332,12 @@ fn unequal() -> impl Strategy<Value = (Limits, [f64; AXES])> {
 
 const TOUCHES: [u8; 10] = [0x90, 0x91, 0x91, 0x92, 0x92, 0x93, b'!', b'!', b'~', b'~'];
 
-/// `OXMILL_JERK`: so many random jobs, others than usual.
+/// Returns the number of random jobs; `OXMILL_JERK=N` runs N jobs, different from the default ones.
 fn cases() -> u32 {
     std::env::var("OXMILL_JERK").map_or(120, |cases| cases.parse().expect("a number"))
 }
 
-/// The usual jobs are always the same.
+/// Returns the seed: fixed for the default number of cases.
 fn seed() -> u64 {
     if cases() == 120 { 1 } else { u64::from(cases()) }
 }
@@ -346,7 +352,7 @@ proptest! {
         job.run(&limits, jerk);
     }
 
-    /// Under overrides and holds at any moment, so also in the midst of ramps up and down.
+    /// Overrides and holds at any time, also during ramps up and down.
     #[test]
     fn jerk_is_bounded_under_overrides_and_holds(
         (limits, jerk) in unequal(),
@@ -360,7 +366,7 @@ proptest! {
             rig.send(&[touch]);
         }
         for _ in 0..3 {
-            // A start in the midst of the ramp of a hold says nothing.
+            // A cycle start during the ramp of a hold has no effect.
             rig.run_for(1.5);
             rig.send(b"~");
         }

@@ -1,11 +1,11 @@
-//! The jerk limit wherever the machine moves otherwise than along a program's lines: arcs, homing, jogs and their cancel,
-//! parking, slack that is taken up, belts, and holds.
+//! The jerk limit wherever the machine moves other than along a program's lines: arcs, homing, jogs and their cancel,
+//! parking, backlash compensation, belts, and holds.
 //!
-//! Each test looks at one number over time, the way along an arc or the place of an axis, as the steps tell it: between two
-//! steps by interpolation, so up to a step off ([`UNCERTAIN`]; the finer grid of slow moves is part of that). Its
-//! differences over a time h, of first, second and third order, are means of speed, acceleration and jerk times h, h², h³.
-//! They may exceed what the limits make of that by 1 % for each order, and by what uncertain places make of it: 2, 4 and 8
-//! times that of one.
+//! Each test reads one quantity over time from the steps: the distance along an arc or the position of an axis. Between
+//! two steps it is interpolated, so it is up to a step off ([`UNCERTAIN`]; this includes the finer grid of slow moves).
+//! Its differences of first, second and third order over a time h are the means of speed, acceleration and jerk times
+//! h, h², h³. They may exceed the limit times h, h², h³ by 1 % per order, plus 2, 4 and 8 times the uncertainty of one
+//! position.
 
 use super::estimator::TOLERANCE;
 use super::oracle::AXES;
@@ -22,7 +22,7 @@ const RATE: f64 = 100.0;
 const ACCELERATION: f64 = 500.0;
 const JERK: f64 = 5000.0;
 const PITCH: f64 = 1.0 / STEPS;
-/// By how many steps a place may be off.
+/// Uncertainty of a position, in steps.
 const UNCERTAIN: f64 = 1.0;
 
 fn mill(description: &str, more: &str) -> Simulator {
@@ -38,7 +38,7 @@ fn mill(description: &str, more: &str) -> Simulator {
     mill
 }
 
-/// Line for line, each to its end.
+/// Sends line by line and runs each to its end.
 fn run(mill: &mut Simulator, text: &str) {
     for line in text.lines() {
         mill.send(format!("{line}\n"));
@@ -48,12 +48,12 @@ fn run(mill: &mut Simulator, text: &str) {
     assert!(!said.contains("error") && !said.contains("ALARM"), "{text}: {said}");
 }
 
-/// Seconds and all axes in mm, at rest first.
+/// Returns the time in seconds and the positions of all axes in mm, starting at rest.
 fn places(mill: &Simulator) -> Vec<(f64, [f64; AXES])> {
     mill.trace().kept().iter().map(|r| (r.at as f64 / HZ, r.position.map(|steps| f64::from(steps) / STEPS))).collect()
 }
 
-/// A place on the way at any time.
+/// Returns the interpolated position at a time.
 fn at(course: &[(f64, f64)], time: f64) -> f64 {
     let next = course.partition_point(|p| p.0 <= time);
     match (next.checked_sub(1).and_then(|k| course.get(k)), course.get(next)) {
@@ -63,12 +63,13 @@ fn at(course: &[(f64, f64)], time: f64) -> f64 {
     }
 }
 
-/// Compares speed, acceleration and jerk with bounds, wherever none of the places compared is exempt.
+/// Compares speed, acceleration and jerk with bounds, except where one of the compared positions is exempt.
 fn check(course: &[(f64, f64)], bounds: impl Fn(f64) -> [f64; 3], exempt: impl Fn(f64) -> bool) -> Result<(), String> {
     let (Some(first), Some(last)) = (course.first(), course.last()) else { return Err("nothing moves".into()) };
     let mut compared = 0;
     for (order, weights) in [[-1.0, 1.0, 0.0, 0.0], [1.0, -2.0, 1.0, 0.0], [-1.0, 3.0, -3.0, 1.0]].iter().enumerate() {
-        // So long that what is uncertain is a quarter of what the jerk makes of it, and the like for the others.
+        // h is so long that the uncertainty is a quarter of the jerk limit times h³; similarly for speed and
+        // acceleration.
         let h = [20.0 * PITCH / RATE, (64.0 * PITCH / ACCELERATION).sqrt(), (32.0 * PITCH / JERK).cbrt()][order];
         let mut time = first.0 - 3.0 * h;
         while time < last.0 {
@@ -111,7 +112,7 @@ fn assert_counted(mill: &Simulator) {
     assert_eq!(mill.machine().position().map(|steps| f64::from(steps) / STEPS), mill.machine_position());
 }
 
-/// The measure itself: it sees a trapezoid, and a jerk that is a half too great.
+/// Checks the measurement itself: it sees a trapezoid, and a jerk that is 50 % too high.
 #[test]
 fn what_exceeds_the_jerk_limit_is_seen() {
     for jerk in [0.0, 1.5 * JERK] {
@@ -128,7 +129,7 @@ proptest! {
         cases: 24, max_shrink_iters: 20, failure_persistence: None, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default()
     })]
 
-    /// Circles and helices of any size and feed; their way is the angle.
+    /// Circles and helices of any size and feed; the quantity checked is the angle.
     #[test]
     fn jerk_is_bounded_on_arcs(
         radius in 1_u32..30, turns in 1_u32..4, depth in prop::sample::select(vec![0_i32, 0, -2, 9]), feed in 300_u32..6000,
@@ -152,7 +153,7 @@ proptest! {
         prop_assert!(!said.contains("error") && !said.contains("ALARM"), "{said}");
         let end = [0.0, 0.0, f64::from(depth)];
         prop_assert_eq!(mill.machine().position().map(|steps| f64::from(steps) / STEPS), end);
-        // mm of path for each rad, and the shares of the plane and of Z in it.
+        // mm of path per rad, and the shares of the plane and of Z in the path.
         let angle = f64::from(turns) * std::f64::consts::TAU;
         let path = radius.hypot(f64::from(depth) / angle);
         let (plane, across) = (radius / path, (f64::from(depth) / angle / path).abs());
@@ -168,7 +169,7 @@ proptest! {
         }
         course.remove(0);
         prop_assert!((whole - angle).abs() < 2.0 * PITCH / radius, "{} of {} rad", whole, angle);
-        // Centripetal acceleration is the axes' own matter; along the path each gives what it can.
+        // Centripetal acceleration is not checked here; along the path each axis gives its maximum.
         let most = |place: f64| {
             let angle = place / path;
             let share = angle.cos().abs().max(angle.sin().abs()) * plane;
@@ -196,7 +197,7 @@ proptest! {
         prop_assert!(!mill.take_output().contains("error:9"));
         assert_counted(&mill);
         if !mill.trace().kept().is_empty() {
-            // Round a corner of two jogs an axis begins and ends at speed.
+            // At a corner between two jogs an axis starts and ends at speed; so only jogs along one axis are checked.
             let places = places(&mill);
             let (whole, _) = straight(&places);
             if whole {
@@ -206,7 +207,7 @@ proptest! {
     }
 }
 
-/// Whether only one axis moves, and which.
+/// Returns whether exactly one axis moves, and the first axis that moves.
 fn straight(places: &[(f64, [f64; AXES])]) -> (bool, usize) {
     let moves = |axis: usize| places.iter().any(|p| p.1[axis] != places[0].1[axis]);
     let axes: Vec<usize> = (0..AXES).filter(|axis| moves(*axis)).collect();
@@ -243,7 +244,7 @@ const SWITCHES: &str = r#"
 "#;
 const CYCLE: &str = "$22=1\n$24=300\n$25=2400\n$27=3\n";
 
-/// Behind the switch the step task brakes by itself, with an even deceleration; everything else has bounded jerk.
+/// After the switch the step task brakes by itself, with a constant deceleration; all other motion has bounded jerk.
 #[test]
 fn jerk_is_bounded_in_the_homing_cycle() {
     let mut mill = mill(SWITCHES, CYCLE);
@@ -279,7 +280,7 @@ fn jerk_is_bounded_on_the_way_to_the_parking_place() {
     }
 }
 
-/// While one axis takes up its slack, the other moves on along the path as smoothly as without it.
+/// While one axis takes up its backlash, the other continues along the path as smoothly as without backlash.
 #[test]
 fn jerk_is_bounded_while_slack_is_taken_up() {
     let mut mill = mill("backlash_mm = [0.05, 0.0, 0.0]", "$160=0.05\n");
@@ -294,11 +295,11 @@ fn jerk_is_bounded_while_slack_is_taken_up() {
     check_axes(&free, |_, _| false);
 }
 
-/// Belts that pull two axes: the limits are those of the axes.
+/// Belts that move two axes: the limits are those of the axes.
 #[test]
 fn jerk_is_bounded_on_belts() {
     let mut mill = mill("kinematics = \"corexy\"", "$904=1\n");
-    // From rest to rest: a corner would be exempt.
+    // From rest to rest, because a corner would be exempt.
     run(&mut mill, "G90 G1 X30 F6000\nX0\nY25\nY0\nG0 X20 Y20\nX0 Y0\nG1 X10 Y5\nX0 Y0");
     assert_eq!(mill.machine().position(), [0; AXES]);
     let axes: Vec<(f64, [f64; AXES])> =
@@ -306,7 +307,8 @@ fn jerk_is_bounded_on_belts() {
     check_axes(&axes, |_, _| false);
 }
 
-/// A ramp down with bounded jerk lasts v / A + A / J at least: a hold that is over so soon has begun in time.
+/// A ramp down with bounded jerk takes at least v / A + A / J: the start of a hold is computed back from its end, and
+/// must come in time.
 #[test]
 fn a_hold_with_jerk_limit_begins_within_25_ms() {
     for (feed, milliseconds) in [(6000, 500), (6000, 611), (3000, 333), (3000, 402), (1500, 700)] {
@@ -331,7 +333,7 @@ fn a_hold_with_jerk_limit_begins_within_25_ms() {
         } else {
             2.0 * (speed / JERK).sqrt()
         };
-        // The machine rests half a step after the last one at least.
+        // The machine is at rest at least half a step after the last step.
         let rest = end + (6.0 * 0.5 * PITCH / JERK).cbrt();
         let begins = rest - ramp - asked;
         println!("F{feed}: the hold acts after {:.1} ms", begins * 1000.0);

@@ -1,4 +1,4 @@
-//! Straight lines in very short chords: as fast as one line, and to the same end.
+//! Straight lines in very short chords take as long as one line and end at the same position.
 
 use super::oracle::AXES;
 use super::rig::HZ;
@@ -7,7 +7,7 @@ use std::fmt::Write;
 use std::io::Cursor;
 use std::time::Duration;
 
-/// Seconds from the first step to the last, and where the machine ends.
+/// Returns the seconds from the first step to the last, and the end position in steps.
 fn run(scale: f64, job: &str) -> (f64, [i64; AXES]) {
     let mut mill = Simulator::new(Options { keep_steps: true, ..Options::default() });
     let mut settings = String::from("$0=1\n$11=0.01\n");
@@ -19,7 +19,7 @@ fn run(scale: f64, job: &str) -> (f64, [i64; AXES]) {
     mill.take_output();
     mill.begin_job();
     mill.load_job(JobText::new(Cursor::new(job.as_bytes().to_vec())));
-    // Answers are fetched in time: the machine waits for that.
+    // Read the answers promptly: the machine waits when its output is full.
     while !mill.is_idle() {
         mill.run_for(Duration::from_millis(20));
         assert!(!mill.take_output().contains("error"));
@@ -28,7 +28,8 @@ fn run(scale: f64, job: &str) -> (f64, [i64; AXES]) {
     ((steps[steps.len() - 1].at - steps[0].at) as f64 / HZ as f64, mill.machine().position().map(i64::from))
 }
 
-/// A line of 60 mm at an angle (in degrees), and the same in chords, written with some decimals.
+/// Returns the program of a line of 60 mm at an angle (in degrees), and of the same line in chords, both with
+/// `decimals` decimals.
 fn line(angle: f64, chord: f64, decimals: usize) -> [String; 2] {
     let (y, x) = angle.to_radians().sin_cos();
     let count = (60.0 / chord) as u32;
@@ -39,7 +40,7 @@ fn line(angle: f64, chord: f64, decimals: usize) -> [String; 2] {
     [at(count), (1..=count).map(at).collect()].map(|moves| format!("G21 G90 G1 F6000\n{moves}"))
 }
 
-/// Look-ahead is no matter of how many moves a line is made of.
+/// The number of moves that make up a line does not limit the look-ahead.
 #[test]
 fn a_line_in_tiny_chords_takes_the_time_of_one() {
     for (angle, decimals) in [(0.0, 3), (90.0, 4), (33.0, 3), (40.0, 3), (21.3, 4), (71.0, 5)] {

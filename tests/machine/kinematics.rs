@@ -1,4 +1,4 @@
-//! Machines that are not three carriages with a motor each: belts that pull two axes, and an axis with two motors.
+//! Machines other than three carriages with one motor each: belts that move two axes, and an axis with two motors.
 
 use super::host::CARVER;
 use oxmill_simulator::{Fittings, Options, Simulator};
@@ -46,7 +46,7 @@ fn belts_draw_the_same_picture() {
     let [x, y, z] = cartesian.machine().position();
     let [a, b, belt_z] = belts.machine().position();
     assert_eq!((a, b, belt_z), (x + y, x - y, z));
-    // Every place of the belts' path lies on the path of the carriages: within a step and the rounding of either.
+    // Every position on the belts' path lies on the carriages' path, within a step and the rounding of both.
     let path: Vec<[f64; 2]> =
         cartesian.trace().kept().iter().map(|r| [0, 1].map(|i| f64::from(r.position[i]))).collect();
     let mut near = 0_usize;
@@ -54,13 +54,13 @@ fn belts_draw_the_same_picture() {
         let [a, b] = [0, 1].map(|i| f64::from(record.position[i]));
         let place = [0.5 * (a + b), 0.5 * (a - b)];
         let off = |p: &[f64; 2]| (p[0] - place[0]).hypot(p[1] - place[1]);
-        // The job is the same in the same order: look around where the last one was found.
+        // Both machines run the same job in the same order: search near the previous match.
         let window = near.saturating_sub(200)..(near + 400).min(path.len());
         near = window.min_by(|i, k| off(&path[*i]).total_cmp(&off(&path[*k]))).unwrap();
         assert!(off(&path[near]) < 1.5, "{place:?} is off by {}", off(&path[near]));
     }
     assert!(near + 2 >= path.len(), "the whole path was followed");
-    // The same speeds along the path: the same time, but for the rounding of corners to steps.
+    // The speed along the path is the same, so the time is, too, except for rounding corners to steps.
     let (one, other) = (cartesian.busy_ticks() as f64, belts.busy_ticks() as f64);
     assert!((one / other - 1.0).abs() < 0.01, "{one} {other}");
 }
@@ -91,7 +91,8 @@ fn belts_find_home_one_axis_or_two_at_a_time() {
         assert!(run(&mut mill, "$H").ends_with("ok\r\n"));
         assert_eq!(mill.machine_position(), [-2.0; 3]);
         let [a, b, z] = mill.machine().position();
-        // Two millimetres before the switches, less what a switch gives late: filter, and the speed of the locate.
+        // Two millimetres from the switches, less the distance covered until a switch is seen: filter delay times
+        // locate speed.
         assert!((a + b - 2 * 80).abs() <= 2 && (a - b - 2 * 400).abs() <= 2 && (z + 40).abs() <= 1, "{a} {b} {z}");
         run(&mut mill, "G53 G0 X-10 Y-20");
         let [a2, b2, _] = mill.machine().position();
@@ -140,7 +141,7 @@ fn a_crooked_gantry_comes_home_square() {
         let crooked = f64::from(second - first) / 80.0 + racked;
         assert!(crooked.abs() <= 1.5 / 80.0, "{racked}: still {crooked} mm off");
         assert_eq!(mill.machine_position(), [-2.0; 3]);
-        // From here on both go together.
+        // From here on both motors move together.
         run(&mut mill, "G53 G0 Y-20");
         assert_eq!(mill.machine().position()[1] - first, -18 * 80);
         assert_eq!(mill.machine().second_motor() - second, -18 * 80);
@@ -149,7 +150,7 @@ fn a_crooked_gantry_comes_home_square() {
 
 #[test]
 fn a_gantry_is_not_pulled_apart() {
-    // 5 % of 100 mm of travel: one motor may go 5 mm alone.
+    // 5 % of 100 mm of travel: one motor may move 5 mm alone.
     let mut mill = machine(&gantry(0.0, 30.0), &format!("{CARVER}{SQUARED}"));
     let said = run(&mut mill, "$H");
     assert!(said.contains("ALARM:10\r\n"), "{said}");
@@ -172,7 +173,7 @@ fn a_second_switch_is_a_limit_of_its_axis() {
     assert!(mill.take_output().contains("|Pn:X"));
 }
 
-/// X and Y together are the way of a motor, and an arc leads beyond its ends.
+/// The motor displacement is X plus Y, and an arc extends beyond its end points.
 #[test]
 fn what_leads_out_of_range_is_refused() {
     let settings = "$100=1\n$101=1\n$110=1000000\n$111=1000000\n$120=10000\n$121=10000\nG1 F6000000\n";

@@ -1,5 +1,5 @@
-//! Twelve jobs whose steps are written down: times, bits and order. `cargo test-target` holds the firmware on QEMU to the same,
-//! so what stands here is what both do. A change of motion that is meant to change them writes them anew:
+//! Twelve jobs whose steps are recorded as digests: times, bits and order. `cargo test-target` holds the firmware on
+//! QEMU to the same digests, so simulator and firmware agree on them. After an intended change of motion, rewrite them:
 //! `OXMILL_WRITE_DIGESTS=1 cargo test --test machine known_jobs`.
 
 use oxmill_simulator::{JobText, Options, Simulator, boards};

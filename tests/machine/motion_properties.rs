@@ -1,4 +1,4 @@
-//! What must hold for any job: limits kept, the end exact, no jump of speed, the path within its bounds.
+//! Properties of any job: limits are kept, the end is exact, the speed does not jump, the path stays within its bounds.
 
 use super::estimator::{Limits, Line, check};
 use super::examples::places;
@@ -14,8 +14,8 @@ type Microns = [i64; AXES];
 
 const DEFAULT_FEED: f64 = 600.0;
 
-/// Three machines: a slow mill with fine screws and unequal axes, a router with coarse belts, and one with limits far
-/// above what the moves reach.
+/// Generates one of three machines: a slow mill with fine screws and unequal axes, a router with coarse belts, and a
+/// machine whose limits are far above what the moves reach.
 fn machines() -> impl Strategy<Value = Limits> {
     prop_oneof![
         Just(Limits {
@@ -40,7 +40,7 @@ fn machines() -> impl Strategy<Value = Limits> {
 }
 
 fn settings(limits: &Limits) -> String {
-    // The shortest pulse: some rates here go beyond what Grbl's 10 us leave room for.
+    // The shortest pulse: some step rates here are too high for Grbl's 10 us.
     let mut text = format!("$0=1\n$11={}\n", limits.junction_deviation);
     for axis in 0..AXES {
         writeln!(text, "$10{axis}={}", limits.steps_per_mm[axis]).unwrap();
@@ -50,22 +50,22 @@ fn settings(limits: &Limits) -> String {
     text
 }
 
-/// A piece of a program, relative to where the one before ended.
+/// A piece of a program, relative to the end of the previous piece.
 #[derive(Clone, Debug)]
 enum Piece {
-    /// Straight, feed or rapid.
+    /// A straight move to this offset; rapid if the flag is set.
     Straight(Microns, bool),
-    /// To and fro between two places.
+    /// Back and forth between two positions.
     Zigzag { to: Microns, times: usize },
     /// Very many short moves on a growing circle.
     Spiral { chord: i64, growth: i64, count: usize },
-    /// Short moves straight on.
+    /// Short moves in one direction.
     Crumbs { step: Microns, count: usize },
-    /// Another feed, mm/min.
+    /// A new feed, mm/min.
     Feed(u32),
 }
 
-/// Realtime commands that change what is under way: feed overrides, rapid overrides, hold, start.
+/// Realtime commands that affect running motion: feed overrides, rapid overrides, hold, start.
 const TOUCHES: [u8; 10] = [0x90, 0x91, 0x91, 0x92, 0x92, 0x95, 0x97, b'!', b'!', b'~'];
 
 fn pieces() -> impl Strategy<Value = Vec<Piece>> {
@@ -93,7 +93,7 @@ fn piece() -> impl Strategy<Value = Piece> {
     ]
 }
 
-/// Directions at 15 degrees from each other, × 1000.
+/// Returns direction `index`, in steps of 15 degrees, × 1000.
 fn direction(index: i64) -> (i64, i64) {
     const QUARTER: [(i64, i64); 6] = [(1000, 0), (966, 259), (866, 500), (707, 707), (500, 866), (259, 966)];
     let (x, y) = QUARTER[index.rem_euclid(6) as usize];
@@ -105,7 +105,7 @@ fn direction(index: i64) -> (i64, i64) {
     }
 }
 
-/// A program under construction: its text, and what it should do.
+/// A program under construction: its text, and its expected end and lines.
 struct Job {
     text: String,
     at: Microns,
@@ -168,13 +168,13 @@ impl Job {
     }
 }
 
-/// A remnant shorter than a digit lies in a corner: the corner is taken as one.
+/// A remnant move shorter than a digit lies in a corner: the corner is still taken as one.
 #[test]
 fn a_remnant_hides_no_corner() {
     for job in ["X10.002 F500\nX10.0016\nX0", "X10.0018 F500\nX10.0022 Y0.0005\nY10"] {
         let mut rig = Rig::with("");
         rig.run_clean(&format!("G21 G90\nG1 {job}\n"));
-        // At 10 mm/s² the last 2 ms before a corner of 90 degrees or more go no farther than some steps.
+        // At 10 mm/s² the last 20 steps before a corner of 90 degrees or more take more than 30 ms.
         let corner = rig.trace.iter().rposition(|p| p.steps & 1 != 0 && p.directions & 1 == 0).unwrap();
         let at = |n: usize| rig.trace[n].at as f64 / HZ as f64;
         let time = at(corner) - at(corner - 20);
@@ -202,7 +202,7 @@ proptest! {
         }
     }
 
-    /// The same jobs under overrides and holds at any moments: the same path to the same end, and limits kept throughout.
+    /// The same jobs under overrides and holds at any time: same path, same end, limits kept throughout.
     #[test]
     fn overrides_and_holds_keep_path_and_limits(
         limits in machines(),
@@ -225,7 +225,7 @@ proptest! {
             }
             rig.send(&[touch]);
             if held && touch == b'!' {
-                // Long enough for any ramp here to end: nothing moves until the start.
+                // Long enough for any ramp here to end: nothing moves until the cycle start.
                 rig.run_for(1.2);
                 let place = rig.place;
                 rig.run_for(0.2);
@@ -238,7 +238,7 @@ proptest! {
         prop_assert!(answers.iter().all(|answer| answer == "ok"), "{:?}", answers);
         prop_assert_eq!(answers.len(), job.text.lines().count());
         prop_assert_eq!(rig.place, limits.place(mm(job.at)));
-        // Overrides go up to twice the feed.
+        // Overrides allow up to twice the feed.
         for line in &mut job.lines {
             line.feed = line.feed.map(|feed| feed * 2.0);
         }
@@ -247,8 +247,8 @@ proptest! {
         }
     }
 
-    /// Arcs in three planes, plain and helical, partial and full: on the circle, in the right direction, to the very end,
-    /// and not faster than programmed.
+    /// Arcs in three planes, plain and helical, partial and full: on the circle, in the right direction, to the exact
+    /// end, and no faster than programmed.
     #[test]
     fn arcs_stay_on_their_circle(
         limits in machines(),
@@ -264,7 +264,7 @@ proptest! {
         let word = ["G17", "G18", "G19"][plane];
         let (from_x, from_y) = direction(start);
         let (to_x, to_y) = direction(start + turn);
-        // From the origin: the centre lies opposite to the start.
+        // The arc starts at the origin, so the centre is opposite to the start direction.
         let centre = [-from_x * radius / 1000, -from_y * radius / 1000];
         let mut to: Microns = [0; AXES];
         to[axes[0]] = centre[0] + to_x * radius / 1000;
@@ -297,9 +297,9 @@ proptest! {
         };
         let step = limits.steps_per_mm.iter().map(|s| 1.0 / s).fold(0.0, f64::max);
         let places = places(&rig.trace, [0.0; AXES], limits.steps_per_mm);
-        // The arc tolerance, and the last digit of start and end. Each axis is within half a step of where it is on the
-        // chord, whose ends are rounded to sevenths of a step, of which 3.5 count as 3: 1/2 + 1/14 of a step in either axis,
-        // were both at their worst at once.
+        // Radial allowance: the arc tolerance, the last digit of start and end, and the steps. Each axis is within half
+        // a step of its position on the chord; the chord's ends are rounded to sevenths of a step, of which 3.5 count
+        // as 3. So an axis is off by 1/2 + 1/14 of a step, and both axes may be at their worst at once.
         let radial = 0.002 + std::f64::consts::SQRT_2 * 4.0 / 7.0 * step + 0.001;
         if let Err(fault) = circle.follows(&places, radial, 2.0 * step + 0.002) {
             return Err(TestCaseError::fail(format!("{fault}\n{text}")));
@@ -369,7 +369,8 @@ proptest! {
     }
 }
 
-/// 20,000 steps at an even speed take their time to the last tick of the step clock, whatever fraction of a tick a step is.
+/// 20,000 steps at constant speed take their time to the last tick of the step clock, whatever fraction of a tick a
+/// step takes.
 #[test]
 fn fractions_of_a_tick_add_up() {
     for feed in [3210.7, 5999.3, 7411.0] {
@@ -383,8 +384,8 @@ fn fractions_of_a_tick_add_up() {
     }
 }
 
-/// A circle of R = 5 mm in chords of 0.1 mm at F12000, where a planner that knows corners only runs at 200 mm/s: v² = a·R
-/// is 50 mm/s. And no slower than that.
+/// A circle of R = 5 mm in chords of 0.1 mm at F12000. A planner that knows only corners runs it at 200 mm/s, but
+/// v² = a·R allows 50 mm/s. It must not be slower than that, either.
 #[test]
 fn a_circle_of_short_chords_is_a_circle() {
     let limits = Limits {
@@ -399,7 +400,7 @@ fn a_circle_of_short_chords_is_a_circle() {
         let angle = k as f64 * 0.02;
         [5.0 * angle.cos() - 5.0, 5.0 * angle.sin(), 0.0].map(|v| (v * 1000.0).round() as i64)
     };
-    // Into it along its tangent.
+    // Into the circle along its tangent.
     job.to([0, -40_000, 0], true);
     for k in 0..=628 {
         job.to(point(k), false);
@@ -408,7 +409,8 @@ fn a_circle_of_short_chords_is_a_circle() {
     rig.run_clean(&job.text);
     check(&rig.trace, HZ as f64, &job.lines, &limits).unwrap();
     let seconds = (rig.trace[rig.trace.len() - 1].at - rig.trace[0].at) as f64 / HZ as f64;
-    // A triangle there, up and down to 50 mm/s on the way back, two turns, and half of a ramp more for the last stop.
+    // The ideal time: ramps up and down on the way out; a ramp up, then down to 50 mm/s, on the way back; two turns of
+    // the circle; and half of a ramp for the final stop.
     let (a, v, way) = (500.0_f64, 50.0_f64, 40.0_f64);
     let peak = (a * way + v * v / 2.0).sqrt();
     let ideal = 2.0 * (way / a).sqrt() + (2.0 * peak - v) / a + 62.8 / v + v / a / 2.0;
@@ -416,7 +418,7 @@ fn a_circle_of_short_chords_is_a_circle() {
 }
 
 impl Rig {
-    /// The machine position of the status report in steps, as far as its three decimals tell.
+    /// Returns the machine position of the status report in steps, to the precision of its three decimals.
     fn place_from_report(&mut self, steps_per_mm: [f64; AXES]) -> [f64; AXES] {
         let place = self.reported("MPos");
         std::array::from_fn(|a| place[a] * steps_per_mm[a])

@@ -1,10 +1,12 @@
-//! The shortest time in which a path can be taken, in `f64`, with the whole of it in view: what a controller with an endless
-//! queue and no rounding would do. A reference for times, and a source of motion that is known to be within its limits.
+//! Computes the shortest time of a path, in `f64`, with the whole path in view: what a controller with an endless queue
+//! and no rounding would do. Serves as a reference for times, and as a source of motion that is known to be within its
+//! limits.
 //!
-//! The path is given as pieces with their tangent x' and curvature x'' (by the length). With speed v and acceleration u
-//! along the path each axis has the acceleration `x'' v² + x' u`, which stays within its limit. Backward from the end: the
-//! greatest v² of each knot from which the rest can still be driven; forward: the greatest u that stays below that. The set
-//! of (v², u) is convex and holds (0, 0), so this is the optimum, but for the length of the pieces.
+//! The path is given as pieces with their tangent x' and curvature x'' (by length). With speed v and acceleration u
+//! along the path each axis has the acceleration `x'' v² + x' u`, which stays within its limit. Backward pass from the
+//! end: the maximum v² at each knot from which the rest can still be driven. Forward pass: the maximum u that does not
+//! exceed this v². The set of (v², u) is convex and contains (0, 0), so the result is the optimum, except for the
+//! finite length of the pieces.
 
 use super::axis_speeds::{Course, Unsure, granted};
 use super::estimator::Limits;
@@ -19,24 +21,26 @@ pub struct Piece {
     pub curvature: [f64; AXES],
     /// mm.
     pub length: f64,
-    /// Greatest speed² where it begins, and on it; (mm/s)².
+    /// Maximum speed² at the start of the piece, (mm/s)².
     pub entry2: f64,
+    /// Maximum speed² on the piece, (mm/s)².
     pub most2: f64,
 }
 
-/// What bounds the acceleration across and along.
+/// Rule that bounds the acceleration across and along the path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Bound {
-    /// Each axis its own.
+    /// Each axis has its own bound.
     EachAxis,
-    /// Their resultant: no more in any direction than the weakest axis can. On a circle the speed is even.
+    /// The resultant is bounded: in any direction by the acceleration of the weakest axis. On a circle the speed is
+    /// constant.
     Resultant,
 }
 
-/// The accelerations along the path that the axes can bear on a piece which is entered at `v2`.
+/// Returns the range of accelerations along the path that the axes allow on a piece entered at speed² `v2`.
 fn range(piece: &Piece, v2: f64, limits: &Limits, bound: Bound) -> (f64, f64) {
     let twice = 2.0 * piece.length;
-    // Not below a stop at its end.
+    // Brake at most to a stop at the end of the piece.
     let (mut low, mut high) = (-v2 / twice, f64::INFINITY);
     if bound == Bound::Resultant {
         let most = limits.acceleration.iter().copied().fold(f64::INFINITY, f64::min);
@@ -64,7 +68,7 @@ fn range(piece: &Piece, v2: f64, limits: &Limits, bound: Bound) -> (f64, f64) {
     (low, high)
 }
 
-/// Speed² at each knot, from rest to rest.
+/// Returns speed² at each knot, from rest to rest.
 pub fn optimum(pieces: &[Piece], limits: &Limits, bound: Bound) -> Vec<f64> {
     let mut reachable = vec![0.0; pieces.len() + 1];
     for (k, piece) in pieces.iter().enumerate().rev() {
@@ -93,13 +97,13 @@ pub fn optimum(pieces: &[Piece], limits: &Limits, bound: Bound) -> Vec<f64> {
     speeds2
 }
 
-/// Seconds.
+/// Returns the duration of a motion, s.
 pub fn duration(pieces: &[Piece], speeds2: &[f64]) -> f64 {
     pieces.iter().zip(speeds2.windows(2)).map(|(piece, v2)| 2.0 * piece.length / (v2[0].sqrt() + v2[1].sqrt())).sum()
 }
 
-/// The steps of such a motion along points, one piece between each two of them: each axis steps where it is half a step
-/// on, at the exact time.
+/// Returns the steps of a motion along points, with one piece between each two neighbours. Each axis steps at the exact
+/// time at which it is half way to the next step.
 fn steps(points: &[[f64; AXES]], pieces: &[Piece], speeds2: &[f64], limits: &Limits, hz: f64) -> Vec<Pulse> {
     let mut pulses = Vec::new();
     let mut begun = 0.0;
@@ -111,7 +115,7 @@ fn steps(points: &[[f64; AXES]], pieces: &[Piece], speeds2: &[f64], limits: &Lim
             let [from, to] = [k, k + 1].map(|n| points[n][axis] * steps_per_mm);
             let back = to < from;
             let (low, high) = (from.min(to), from.max(to));
-            // The halves in (low, high].
+            // All half steps in (low, high].
             for step in (low - 0.5).floor() as i64 + 1..=(high - 0.5).floor() as i64 {
                 let share = (step as f64 + 0.5 - from) / (to - from);
                 let at = ((begun + time(share)) * hz) as u64;
@@ -124,7 +128,7 @@ fn steps(points: &[[f64; AXES]], pieces: &[Piece], speeds2: &[f64], limits: &Lim
     pulses
 }
 
-/// The chords of a course as they were meant: unit vectors and lengths.
+/// Returns the intended chords of a course as unit vectors and lengths.
 fn chords(course: &Course) -> (Vec<[f64; AXES]>, Vec<f64>) {
     let ways: Vec<[f64; AXES]> =
         course.meant.windows(2).map(|ends| std::array::from_fn(|i| ends[1][i] - ends[0][i])).collect();
@@ -136,13 +140,13 @@ fn norm(v: [f64; AXES]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// Angle between two unit vectors.
+/// Returns the angle between two unit vectors, rad.
 fn angle(a: [f64; AXES], b: [f64; AXES]) -> f64 {
     (0..AXES).map(|i| a[i] * b[i]).sum::<f64>().clamp(-1.0, 1.0).acos()
 }
 
-/// Greatest v² at each vertex by the rule for turns: `a (L / t + d s / (1 - s))` for every span of vertices that is L long
-/// and turns by t, from one vertex to half a circle.
+/// Returns the maximum v² at each vertex by the rule for turns: `a (L / t + d s / (1 - s))` for every span of vertices
+/// that is L long and turns by t; spans range from one vertex to half a circle.
 fn speeds2_of_turns(chords: &[[f64; AXES]], lengths: &[f64], limits: &Limits, feed: f64) -> Vec<f64> {
     let mut most = vec![feed * feed; chords.len() + 1];
     for first in 1..chords.len() {
@@ -175,13 +179,13 @@ fn speeds2_of_turns(chords: &[[f64; AXES]], lengths: &[f64], limits: &Limits, fe
     most
 }
 
-/// The parts that a chord is cut into: two at least, so that it can begin and end at rest.
+/// Returns the number of parts that a chord is cut into: at least two, so that the motion can start and end at rest.
 fn parts(length: f64) -> u32 {
     (length / 0.05).ceil().clamp(2.0, 100.0) as u32
 }
 
-/// Steps of a machine that takes a course by the rule for turns, as fast as that allows. `excess`: allows so many times the
-/// v² in turns.
+/// Returns the steps of a machine that follows a course by the rule for turns, at the maximum speed. `excess`: factor
+/// on the allowed v² in turns.
 pub fn by_the_rule(course: &Course, limits: &Limits, excess: f64, hz: f64) -> Vec<Pulse> {
     let (chords, lengths) = chords(course);
     let most = speeds2_of_turns(&chords, &lengths, limits, course.feed);
@@ -197,7 +201,7 @@ pub fn by_the_rule(course: &Course, limits: &Limits, excess: f64, hz: f64) -> Ve
         for part in 0..count {
             let mut curvature = [0.0; AXES];
             if count == 2 {
-                // A bend that is taken as fast as it allows leaves no acceleration for a ramp.
+                // In a bend taken at its maximum speed no acceleration is left for a ramp.
                 let used = bend(k + part as usize);
                 let across = (0..AXES).map(|i| used[i].abs() / limits.acceleration[i]).fold(0.0, f64::max);
                 curvature = used.map(|x| x / excess / (across * most[k].max(most[k + 1])).max(1.0));

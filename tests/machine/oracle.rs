@@ -1,25 +1,25 @@
-//! What the step outputs should have done, computed another way than the controller does: lines by Bresenham's error
-//! term in whole numbers, arcs by the exact circle.
+//! Computes the expected step outputs independently of the controller: lines by Bresenham's error term in integers,
+//! arcs by the exact circle.
 
-/// Axes of the machines in these tests.
+/// Number of axes of the machines in these tests.
 pub const AXES: usize = 3;
 
-/// A place in motor steps.
+/// A position in motor steps.
 pub type Place = [i64; AXES];
 
-/// One step event of a trace: the outputs that rose together.
+/// One step event of a trace: the step outputs that rose together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pulse {
     /// Time in ticks of the step clock.
     pub at: u64,
     /// Axes that stepped, bit 0 for X.
     pub steps: u8,
-    /// Axes that move to negative, bit 0 for X.
+    /// Axes that move in negative direction, bit 0 for X.
     pub directions: u8,
 }
 
 impl Pulse {
-    /// Where a machine is after this event.
+    /// Returns the position of a machine after this event.
     pub fn moved(&self, mut place: Place) -> Place {
         for (axis, value) in place.iter_mut().enumerate() {
             if self.steps >> axis & 1 == 1 {
@@ -30,7 +30,7 @@ impl Pulse {
     }
 }
 
-/// The axis with the most steps (the first of equals), and how many they are.
+/// Returns the axis with the most steps (the first if equal), and its number of steps.
 pub fn dominant(from: Place, to: Place) -> (usize, u64) {
     let mut best = (0, 0);
     for axis in 0..AXES {
@@ -42,10 +42,11 @@ pub fn dominant(from: Place, to: Place) -> (usize, u64) {
     best
 }
 
-/// The places of a straight move after each step of its dominant axis.
+/// Returns the positions of a straight move after each step of its dominant axis.
 ///
-/// Bresenham: the error of a minor axis grows by 2 × its steps and falls by 2 × the dominant steps with each of its own,
-/// beginning half a step behind; a half itself waits for the next step.
+/// Bresenham: the error of a minor axis grows by 2 × its steps per dominant step and falls by 2 × the dominant steps
+/// with each of its own steps. It starts at minus half a step; at exactly half a step the axis waits for the next
+/// dominant step.
 pub fn line(from: Place, to: Place) -> Vec<Place> {
     let (_, count) = dominant(from, to);
     let count = count as i64;
@@ -65,16 +66,16 @@ pub fn line(from: Place, to: Place) -> Vec<Place> {
     places
 }
 
-/// Places to the step of the dominant axis at which a smoothing generator may step the axes.
+/// Grid positions per step of the dominant axis, at which a smoothing generator may step the axes.
 pub const FINE: i64 = 16;
 
-/// Takes the pulses of one straight move off a trace and compares them with Bresenham's places on a grid [`FINE`] times
-/// as fine as the dominant steps (a slow axis steps between those of the dominant one): after each event the machine
-/// must be at one of these places, farther on than before, and in the end at the last. So each axis is always within
-/// half a step of one point of the straight line. Gives back the times of the dominant steps.
+/// Takes the pulses of one straight move off a trace and compares them with Bresenham's positions on a grid [`FINE`]
+/// times as fine as the dominant steps (a slow axis steps between the steps of the dominant one). After each event the
+/// machine must be at one of these positions, beyond the previous one, and in the end at the last. So each axis is
+/// always within half a step of one point of the straight line. Returns the times of the dominant steps.
 ///
 /// # Errors
-/// What differs.
+/// The first difference.
 pub fn follow_line(trace: &mut &[Pulse], from: Place, to: Place) -> Result<Vec<u64>, String> {
     let (axis, count) = dominant(from, to);
     let threshold = count as i64 * FINE;
@@ -111,18 +112,19 @@ pub fn follow_line(trace: &mut &[Pulse], from: Place, to: Place) -> Result<Vec<u
     Ok(times)
 }
 
-/// An arc in the plane of the first two of `axes`, with the third moving evenly.
+/// An arc in the plane of the first two of `axes`, while the third moves evenly.
 #[derive(Clone, Debug)]
 pub struct Circle {
-    /// Axes of the plane, in the order in which the angle grows from the first to the second, and the axis across.
+    /// The two axes of the plane, in the order in which the angle grows from the first to the second, then the axis
+    /// perpendicular to the plane.
     pub axes: [usize; 3],
     /// Centre in the plane, mm.
     pub centre: [f64; 2],
-    /// Start and end, all axes, mm.
+    /// Start, all axes, mm.
     pub from: [f64; AXES],
-    /// See `from`.
+    /// End, all axes, mm.
     pub to: [f64; AXES],
-    /// Whether the angle falls.
+    /// Whether the angle decreases.
     pub clockwise: bool,
 }
 
@@ -133,27 +135,27 @@ impl Circle {
         (u.hypot(v), v.atan2(u))
     }
 
-    /// Angle from the start, in the direction of travel, 0 to 2π.
+    /// Returns the angle from the start, in the direction of travel, 0 to 2π.
     fn progress(&self, place: [f64; AXES]) -> f64 {
         let turn = std::f64::consts::TAU;
         let difference = self.seen(place).1 - self.seen(self.from).1;
         (if self.clockwise { -difference } else { difference }).rem_euclid(turn)
     }
 
-    /// Angle of the whole arc; a full turn when start and end are one.
+    /// Returns the angle of the whole arc; a full turn if start and end coincide.
     pub fn angle(&self) -> f64 {
         let angle = self.progress(self.to);
         let turn = std::f64::consts::TAU;
         if (1e-6..=turn - 1e-6).contains(&angle) { angle } else { turn }
     }
 
-    /// Compares the places of a trace (mm) with the arc.
+    /// Compares the positions of a trace (mm) with the arc.
     ///
-    /// `radial`: how far they may lie off the circle. `lag`: how far, in mm along the circle or the third axis, the
-    /// place may be from where it should be; steps are whole, so this is a step or two.
+    /// `radial`: maximum distance from the circle, mm. `lag`: maximum distance, in mm along the circle or the third
+    /// axis, from the expected position; steps are whole, so this is a step or two.
     ///
     /// # Errors
-    /// What differs.
+    /// The first difference.
     pub fn follows(&self, places: &[[f64; AXES]], radial: f64, lag: f64) -> Result<(), String> {
         let whole = self.angle();
         let (start_radius, end_radius) = (self.seen(self.from).0, self.seen(self.to).0);
@@ -161,7 +163,7 @@ impl Circle {
         let mut farthest = 0.0_f64;
         for &place in places {
             let mut angle = self.progress(place);
-            // Just behind the start, or just behind the end of a full turn.
+            // Just before the start, or just past the end of a full turn.
             if angle > whole + slack && angle > std::f64::consts::TAU - slack {
                 angle -= std::f64::consts::TAU;
             } else if angle < slack && farthest > std::f64::consts::TAU - 2.0 * slack {
@@ -248,8 +250,8 @@ mod tests {
         let good = pulses(&places, from);
         assert_eq!(follow_line(&mut &good[..], from, to).unwrap().len(), 10);
 
-        // Smoothed: at every place of the fine grid where something steps. Ten steps of X fill it, so its own steps come
-        // at the first place after each half.
+        // Smoothed: a position at every point of the fine grid where an axis steps. Ten steps of X fill the grid, so X
+        // steps at the first grid point after each half.
         let fine = |tick: i64, steps: i64| (2 * tick * steps + 10 * FINE - 1) / (2 * 10 * FINE);
         let mut before = from;
         let mut smoothed = Vec::new();

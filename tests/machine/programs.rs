@@ -1,14 +1,14 @@
-//! Plays `tests/programs/`: programs as CAM and hobby authors write them, with the positions that they reach and the errors
-//! of what is not built. Its README says what the lines mean.
+//! Plays `tests/programs/`: programs as CAM systems and hobby authors write them, with the positions that they reach
+//! and the errors of unsupported words. The README there explains the format.
 
 use super::rig::Rig;
 use std::path::Path;
 
-/// Virtual seconds within which an answer or the end of motion comes.
+/// Virtual seconds to wait for an answer or the end of motion before the test fails.
 const PATIENCE: f64 = 600.0;
-/// Lines with axis words from one check of the position to the next, outside of O words.
+/// Maximum number of lines with axis words between two checks of the position, outside of O words.
 const MOST_UNCHECKED: usize = 3;
-/// So far may a position be off, mm: a step, and the last digit of the report.
+/// Maximum position error, mm: a step, and the last digit of the report.
 const TOLERANCE: f64 = 0.0011;
 /// A machine of usual speed with fine steps, and work positions in the reports.
 const SETTINGS: [&str; 12] = [
@@ -26,7 +26,7 @@ const SETTINGS: [&str; 12] = [
     "$394=0",
 ];
 
-/// A program on its machine.
+/// A machine that plays a program.
 struct Player {
     rig: Rig,
     unread: String,
@@ -44,13 +44,13 @@ impl Player {
         player
     }
 
-    /// The answer to a line. Messages are passed over.
+    /// Sends a line and returns its answer; messages are skipped.
     fn ask(&mut self, line: &str) -> String {
         self.rig.send(format!("{line}\n").as_bytes());
         self.wait(is_answer)
     }
 
-    /// The first line for which the condition holds.
+    /// Returns the first line for which the condition holds; skips the others.
     fn wait(&mut self, wanted: impl Fn(&str) -> bool) -> String {
         loop {
             while let Some(end) = self.unread.find('\n') {
@@ -64,7 +64,7 @@ impl Player {
         }
     }
 
-    /// The work position when nothing moves any more, mm.
+    /// Waits until nothing moves, and returns the work position, mm.
     fn position(&mut self) -> [f64; 3] {
         assert!(self.rig.run_until(PATIENCE, |rig| rig.is_idle()), "the machine moves for ever");
         self.rig.send(b"?");
@@ -81,7 +81,7 @@ fn near(a: &[f64], b: &[f64]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() < TOLERANCE)
 }
 
-/// A line without its comments.
+/// Returns a line without its comments.
 fn bare(line: &str) -> String {
     let mut depth = 0;
     let shown = |c: &char| {
@@ -91,14 +91,14 @@ fn bare(line: &str) -> String {
     line.split(';').next().unwrap_or_default().chars().filter(shown).collect::<String>().to_ascii_uppercase()
 }
 
-/// Whether a line has words of X, Y or Z that lead somewhere: those of G10, G51, G52, G68 and G92 do not.
+/// Returns whether a line has X, Y or Z words that cause motion: those of G10, G51, G52, G68 and G92 do not.
 fn moves(line: &str) -> bool {
     !line.starts_with('#')
         && line.contains(['X', 'Y', 'Z'])
         && !["G10", "G51", "G52", "G68", "G92"].iter().any(|word| line.contains(word))
 }
 
-/// The first line that is too far behind the last check of a position.
+/// Returns the first line that is too many moves after the last check of the position.
 fn unchecked<'a>(lines: &[(usize, &'a str)]) -> Option<(usize, &'a str)> {
     let (mut since, mut depth) = (0, 0);
     for (i, (number, line)) in lines.iter().enumerate() {
@@ -120,7 +120,7 @@ fn unchecked<'a>(lines: &[(usize, &'a str)]) -> Option<(usize, &'a str)> {
     None
 }
 
-/// Plays one program; what goes wrong, with its line.
+/// Plays one program; returns the first failure with its line.
 fn play(reason: &str, lines: &[(usize, &str)]) -> Result<(), String> {
     let mut player = Player::new(reason.starts_with("seed: "));
     let mut checks = 0;
@@ -143,7 +143,7 @@ fn play(reason: &str, lines: &[(usize, &str)]) -> Result<(), String> {
             let waits = lines.get(i + 1).is_some_and(|(_, next)| *next == "~");
             let before = refused.map(|_| player.position());
             if waits {
-                // The answer to a pause comes when it ends.
+                // A pause is answered when it ends.
                 player.rig.send(format!("{line}\n").as_bytes());
                 player.rig.run_for(5.0);
                 player.unread += &player.rig.take_output();

@@ -1,4 +1,4 @@
-//! Faults in every state of the machine, with every reaction that can be set: what moves, what turns, what is told, and whether
+//! Faults in every machine state, with every reaction that can be set: checks motion, spindle, messages, and whether
 //! the position is still trusted.
 
 use oxmill_controller::axes::Axis;
@@ -12,11 +12,12 @@ const ACCELERATION: f64 = 500.0;
 /// Feed of the job, mm/s.
 const FEED: f64 = 20.0;
 const PARKED_Z: f64 = -5.0;
-/// What a machine covers at the feed before a pin's filter and the next look of the control task have told of a fault, mm.
+/// Distance covered at the feed before a fault is seen, mm: the pin's filter delay, and the time until the control task
+/// next runs.
 const LATE: f64 = 0.1;
-/// How long a host may be silent, ms.
+/// Host timeout, ms.
 const SILENCE: u64 = 500;
-/// What it covers with the segments that the step task has been given before a hold acts, mm.
+/// Distance covered before a hold acts, mm: segments that are already queued for the step task.
 const QUEUED: f64 = 0.02 * FEED;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,16 +55,16 @@ impl Fault {
             Fault::Driver => pin(mill, "fault 1"),
             Fault::Spindle => pin(mill, "at_speed 0"),
             Fault::Host => mill.disconnect(),
-            // Nothing but time.
+            // Only time has to pass.
             Fault::Silence => {}
         }
     }
 
-    /// How long it has to last before it is one, ms.
+    /// Returns how long the condition must last before it counts as a fault, ms.
     fn lasts(self) -> u64 {
         match self {
             Fault::Spindle => 51,
-            // The state has been asked for 3 ms ago.
+            // The last status request was 3 ms ago.
             Fault::Silence => SILENCE - 3 + 1,
             _ => 0,
         }
@@ -84,7 +85,7 @@ impl Fault {
     }
 }
 
-/// What the machine is doing when the fault comes.
+/// State of the machine when the fault occurs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum State {
     Idle,
@@ -140,7 +141,7 @@ impl State {
             State::Probe => ("M3 S500\nG91 G38.3 X-20 F1200\n", ""),
             State::Pause => ("M3 S500\nM0\n", ""),
             State::ToolChange => ("$900=1\n$918=1\nM3 S500\nT2 M6\n", ""),
-            // It waits behind the first move.
+            // The machine waits after the first move.
             State::SingleBlock => ("M3 S500\nG91 G1 X-1 F1200\nX-20\n", ""),
             State::Jog => ("M3 S500\n$J=G91 X-20 F1200\n", ""),
             State::HoldBraking => (run, "!"),
@@ -151,7 +152,7 @@ impl State {
             State::DoorParked => (run, "\u{84}       "),
             State::DoorReturning => (run, "\u{84}       ~"),
             State::Home => ("$H\n", ""),
-            // A soft limit; the reset after it leaves the lock.
+            // A soft limit; after the reset the machine stays locked.
             State::Alarm => ("$20=1\nG90 G1 X5 F100\n", "\x18"),
             State::Check => ("$C\n", ""),
             State::Sleep => ("$SLP\n", "      "),
@@ -163,7 +164,7 @@ impl State {
         mill.run_for(Duration::from_millis(300));
         for command in then.chars() {
             match command {
-                // Time for the next phase.
+                // Allow time for the next phase.
                 ' ' => mill.run_for(Duration::from_secs(1)),
                 command => mill.send([command as u32 as u8]),
             }
@@ -189,7 +190,7 @@ impl State {
         assert!(name.contains(wanted) || self == State::Dwell && name.contains("<Idle|"), "{self:?}: {said}{name}");
     }
 
-    /// Moves of the job, which have room to brake.
+    /// Returns whether a job or jog moves in this state, with room to brake.
     fn brakes(self) -> bool {
         matches!(
             self,
@@ -204,7 +205,7 @@ impl State {
     fn spindle_turns(self) -> bool {
         !matches!(
             self,
-            // M6 switches it off.
+            // M6 switches the spindle off.
             State::ToolChange
                 | State::DoorBraking
                 | State::DoorPullingOut
@@ -217,7 +218,7 @@ impl State {
         )
     }
 
-    /// Whether this fault is one in this state.
+    /// Returns whether the condition counts as a fault in this state.
     fn heeds(self, fault: Fault) -> bool {
         match fault {
             Fault::Limit => !matches!(self, State::Home | State::Alarm),
@@ -239,7 +240,7 @@ fn status(mill: &mut Simulator) -> String {
     mill.take_output()
 }
 
-/// Lets time pass with a host that asks for the state.
+/// Lets time pass while the host requests status reports.
 fn run_polled(mill: &mut Simulator, seconds: u32) {
     for _ in 0..10 * seconds {
         mill.send("?");
@@ -276,13 +277,13 @@ fn homed() -> Simulator {
     mill
 }
 
-/// Machine position as the controller has it, mm.
+/// Returns the controller's machine position, mm.
 fn position(mill: &Simulator) -> [f64; 3] {
     let position = mill.controller().machine_position();
     [Axis::X, Axis::Y, Axis::Z].map(|axis| position.get(axis).unwrap().to_mm().into())
 }
 
-/// The pulses since a count, mm.
+/// Returns the motion since the step counts `from`, mm.
 fn moved(mill: &Simulator, from: [i32; 3]) -> [f64; 3] {
     let now = mill.machine().position();
     std::array::from_fn(|i| f64::from(now[i] - from[i]) / STEPS_PER_MM)
@@ -292,13 +293,13 @@ fn turns(mill: &Simulator) -> bool {
     mill.outputs().is_some_and(|outputs| outputs.spindle != SpindleDirection::Off && outputs.power != 0)
 }
 
-/// One row of the table.
+/// One row of the table: a fault in a state, with the result.
 struct Case {
     fault: Fault,
     reaction: u8,
     state: State,
     mill: Simulator,
-    /// Count of the machine's motors, and the position, when it was homed.
+    /// Step counts of the motors, and the position in mm, when the machine had been homed.
     origin: ([i32; 3], [f64; 3]),
     at_fault: [f64; 3],
     trusted: bool,
@@ -336,11 +337,11 @@ impl Case {
     }
 
     fn retracts(&self) -> bool {
-        // The position of a driver at fault is not one to park by.
+        // The position of a faulty driver cannot be used for parking.
         self.reaction % 3 == 2 && self.state.brakes() && self.fault != Fault::Driver
     }
 
-    /// How far the tool has moved along X and Z since the fault, mm.
+    /// Returns the distance along X and the displacement along Z since the fault, mm.
     fn after_fault(&self) -> (f64, f64) {
         let now = moved(&self.mill, self.origin.0);
         ((now[0] - self.at_fault[0]).abs(), now[2] - self.at_fault[2])
@@ -379,14 +380,14 @@ impl Case {
         }
     }
 
-    /// Homing has failed, and says so.
+    /// Checks that homing failed with the fault's alarm.
     fn check_homing(&self) {
         let name = self.name();
         assert!(self.said.contains(self.fault.alarm()), "{name}");
         assert!(!self.mill.controller().is_trusted() && !turns(&self.mill), "{name}");
     }
 
-    /// A jog ends as by its cancel, whatever is set for jobs.
+    /// Checks that a jog ended as if it had been cancelled, whatever reaction is set for jobs.
     fn check_jog(self) {
         let name = self.name();
         let (x, z) = self.after_fault();
@@ -397,7 +398,7 @@ impl Case {
         assert!(!self.said.contains("ALARM:"), "{name}");
     }
 
-    /// A job that waits for its host can be resumed, and ends where it should.
+    /// Checks that a job waiting for its host can be resumed and ends where it should.
     fn check_wait(self) {
         self.check_path();
         self.check_resumed();
@@ -421,7 +422,7 @@ impl Case {
         assert!((travelled - wanted).abs() < 0.003, "X has moved by {travelled}: {name}");
     }
 
-    /// A reset, and the machine is as usable as it says.
+    /// Clears the faults and resets: the machine must be as usable as the controller claims.
     fn check_reset(mut self) {
         let trusted = self.mill.controller().is_trusted();
         for line in ["limit y 0", "estop 0", "fault 0", "at_speed 1"] {
@@ -473,13 +474,14 @@ fn each_fault_in_each_state_has_the_reaction_that_is_set() {
     assert_eq!(cases, 19 * (3 + 6) + 17 * 6 + with_job * (6 + 6 + 6) + 2 * 6, "states, reactions and faults");
 }
 
-/// Without a job to end: what the machine does it goes on with, or comes to its end as if nothing had happened.
+/// Without a job to interrupt, the machine continues, or finishes as if nothing had happened.
 #[test]
 fn what_is_no_fault_in_a_state_changes_nothing() {
     let homed = homed();
     let mut cases = 0;
     for fault in Fault::ALL {
-        // On the way back from a door the host and the spindle are looked at when the job goes on, and homing waits for switches.
+        // After a door, while the machine returns, host and spindle are checked only when the job continues; and homing
+        // waits for switches. These cases have their own tests.
         let is_later = |state: State| match fault {
             Fault::Limit => state == State::Home,
             _ => state == State::DoorReturning,
@@ -509,7 +511,7 @@ fn what_is_no_fault_in_a_state_changes_nothing() {
     assert_eq!(cases, 2 * host + spindle + limit, "states, reactions and faults");
 }
 
-/// The spindle has to come up again before the job goes on.
+/// The spindle must be at speed again before the job continues.
 #[test]
 fn a_spindle_that_is_slow_on_the_way_back_stops_the_job_there() {
     let homed = homed();
@@ -524,14 +526,14 @@ fn a_spindle_that_is_slow_on_the_way_back_stops_the_job_there() {
     }
 }
 
-/// The job that has been resumed is one that nobody watches.
+/// The resumed job has no host that watches it.
 #[test]
 fn a_host_that_goes_or_is_silent_on_the_way_back_stops_the_job_there() {
     let homed = homed();
     for fault in [Fault::Host, Fault::Silence] {
         for reaction in fault.reactions() {
             let mut case = Case::run(&homed, fault, reaction, State::DoorReturning);
-            // Back, and out of the cut again.
+            // Time to return, and to retract again.
             case.mill.run_for(Duration::from_secs(12));
             let name = case.name();
             let (x, _) = case.after_fault();
@@ -547,7 +549,7 @@ fn a_host_that_goes_or_is_silent_on_the_way_back_stops_the_job_there() {
     }
 }
 
-/// Of a report: the mode and the position.
+/// Returns mode and position of a report.
 fn place_and_mode(report: &str) -> Vec<&str> {
     let report = report.lines().find(|line| line.starts_with('<')).expect("a report");
     report.split('|').take(2).collect()
@@ -607,7 +609,7 @@ fn a_spindle_that_does_not_come_up_stays_on_only_if_that_is_set() {
     }
 }
 
-/// A homed machine with these settings that mills along X.
+/// Returns a homed machine with these settings that mills along X.
 fn milling(settings: &str) -> Simulator {
     let mut mill = homed();
     mill.send(settings);
@@ -631,7 +633,7 @@ fn no_beam_is_left_while_the_machine_brakes() {
             assert!(mill.power() != 0 && mill.is_stepping(), "{}", mill.take_output());
             fault.happen(&mut mill);
             mill.run_for(Duration::from_millis(5));
-            // What the step task had been given still has its power; the enable output is off.
+            // Segments already queued for the step task keep their power; the enable output is off.
             mill.run_for(Duration::from_millis(25));
             assert!(mill.power() == 0 && mill.is_stepping(), "{fault:?} {beam}: {}", mill.take_output());
             mill.run_for(Duration::from_secs(2));
@@ -687,7 +689,8 @@ fn a_spindle_that_is_given_time_costs_no_time() {
     mill.send("$916=1\n$929=0.1\n$394=4\n");
     assert!(mill.run_until_idle());
     mill.take_output();
-    // The watch is over before the spin-up is: each look at the clock would be a tick of it.
+    // The at-speed check ends before the spin-up does. If the spin-up were polled, each poll would advance the clock by
+    // one tick only.
     mill.send("M3 S500\n");
     let begun = mill.clock().now();
     let mut looks = 0;
@@ -701,7 +704,7 @@ fn a_spindle_that_is_given_time_costs_no_time() {
 
 #[test]
 fn the_heavier_of_two_faults_is_told_and_acts() {
-    // The button cuts the power of the drivers, too.
+    // The emergency stop also cuts the power of the drivers.
     let mut mill = milling("$925=1\n$926=1\n");
     pin(&mut mill, "estop 1");
     mill.run_for(Duration::from_millis(5));
@@ -710,7 +713,7 @@ fn the_heavier_of_two_faults_is_told_and_acts() {
     let said = mill.take_output();
     assert!(said.contains("ALARM:101\r") && !said.contains("ALARM:102"), "{said}");
     assert!(!mill.controller().is_trusted(), "a driver may have lost steps: {said}");
-    // A switch that stops at once, while the machine brakes for a spindle that may stay on.
+    // A switch that stops at once acts while the machine brakes for a spindle that may stay on.
     let mut mill = milling("$927=4\n");
     pin(&mut mill, "at_speed 0");
     mill.run_for(Duration::from_millis(55));
@@ -749,7 +752,7 @@ fn a_spindle_that_stays_on_keeps_its_speed() {
     }
 }
 
-/// Startup lines are no job that the host has left behind.
+/// A job of startup lines is not one that the departed host has left running.
 #[test]
 fn a_reset_on_the_way_back_from_a_door_forgets_that_the_host_has_gone() {
     let mut mill = homed();
@@ -758,7 +761,7 @@ fn a_reset_on_the_way_back_from_a_door_forgets_that_the_host_has_gone() {
     State::DoorParked.enter(&mut mill);
     mill.send("~");
     mill.run_for(Duration::from_secs(3));
-    // The spindle comes up.
+    // The spindle is spinning up.
     assert!(status(&mut mill).contains("<Door:3|") && turns(&mill) && !mill.is_stepping());
     mill.disconnect();
     pin(&mut mill, "reset 1");
@@ -768,7 +771,7 @@ fn a_reset_on_the_way_back_from_a_door_forgets_that_the_host_has_gone() {
     assert!(status(&mut mill).contains("<Idle|"), "{}", mill.take_output());
 }
 
-/// A tool that is parked from rest needs the drivers; when it is back they go off after `$1`.
+/// A tool that is parked from rest needs the drivers; after the tool has returned they are switched off after `$1`.
 #[test]
 fn the_drivers_go_off_behind_a_door_that_parked_the_tool() {
     let mut mill = homed();

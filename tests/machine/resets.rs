@@ -1,4 +1,4 @@
-//! A reset at any moment of a job: the machine is locked, opened, and moves.
+//! A reset at any time during a job: the machine locks, can be unlocked, and moves.
 
 use oxmill_simulator::{Options, Simulator};
 use std::time::Duration;

@@ -1,4 +1,5 @@
-//! A machine to try: the simulator in process, with the pulses of its step outputs counted apart from it.
+//! Test rig: runs the simulator in process and counts the pulses of its step outputs independently of the simulator's
+//! own counters.
 
 use super::oracle::{AXES, Place, Pulse};
 use oxmill_controller::messages::{Realtime, Record, Store};
@@ -7,20 +8,20 @@ use std::time::Duration;
 
 /// Step clock of the rig.
 pub const HZ: u64 = boards::DESK.step_clock_hz as u64;
-/// Pulses that the simulator may gather before they are counted.
+/// Number of pulses in the simulator's trace at which `run_until` counts and removes them.
 const GATHER: usize = 4096;
 
 pub struct Rig {
     mill: Simulator,
-    /// All pulses, unless `keep_trace` is off or somebody cleared it.
+    /// All pulses since power-up or since a test last cleared them; empty while `keep_trace` is off.
     pub trace: Vec<Pulse>,
     pub keep_trace: bool,
-    /// Where the counted pulses have brought the machine since power-up.
+    /// Position since power-up according to the counted pulses, in steps.
     pub place: Place,
 }
 
 impl Rig {
-    /// A new machine that has just been switched on; its greeting waits in the output.
+    /// Returns a machine that has just been powered up; its greeting is still unread in the output.
     pub fn new() -> Rig {
         let mill = Simulator::new(Options { keep_steps: true, ..Options::default() });
         Rig { mill, trace: Vec::new(), keep_trace: true, place: [0; AXES] }
@@ -31,24 +32,24 @@ impl Rig {
         self.mill.clock().now() as f64 / HZ as f64
     }
 
-    /// Bytes from the host; they arrive as fast as the line queue takes them.
+    /// Sends bytes from the host; they arrive as fast as the line queue accepts them.
     pub fn send(&mut self, bytes: &[u8]) {
         self.mill.send(bytes);
         self.count();
     }
 
-    /// A realtime command that does not wait behind what the host has sent.
+    /// Sends a realtime command ahead of any bytes that the host has already sent.
     pub fn press(&mut self, command: Realtime) {
         self.mill.press(command);
         self.count();
     }
 
-    /// What the machine has answered since the last call.
+    /// Returns the machine's output since the last call.
     pub fn take_output(&mut self) -> String {
         self.mill.take_output()
     }
 
-    /// The host opens the port, or leaves it.
+    /// Opens (`there`) or closes the host's port.
     pub fn host(&mut self, there: bool) {
         if there {
             self.mill.connect();
@@ -58,7 +59,7 @@ impl Rig {
         self.count();
     }
 
-    /// The power goes and comes back; meanwhile these values of settings have been stored.
+    /// Cycles the power; these (key, value) settings are written to the store while it is off.
     pub fn power_cycle(&mut self, values: &[(u16, f32)]) {
         self.count();
         let mut store = self.mill.store().power_cycled().expect("a store in memory");
@@ -69,13 +70,13 @@ impl Rig {
         self.mill = Simulator::new(Options { store, keep_steps: true, ..Options::default() });
     }
 
-    /// Moves an input pin, in the words of the simulator's pin protocol.
+    /// Sets an input pin by a line of the simulator's pin protocol.
     pub fn pin(&mut self, line: &str) {
         assert_eq!(self.mill.pin_line(line), "ok", "{line}");
         self.count();
     }
 
-    /// Counts the pulses of the simulator's trace and takes them out of it.
+    /// Moves the pulses from the simulator's trace to `trace` and adds them to `place`.
     fn count(&mut self) {
         for record in self.mill.trace().kept() {
             let pulse = Pulse { at: record.at, steps: record.steps, directions: record.directions };
@@ -93,7 +94,7 @@ impl Rig {
         self.count();
     }
 
-    /// Lets virtual time pass until the condition holds; `false` if that does not happen in `seconds`.
+    /// Runs virtual time until the condition holds; returns `false` if it does not hold within `seconds`.
     pub fn run_until(&mut self, seconds: f64, mut condition: impl FnMut(&mut Rig) -> bool) -> bool {
         let end = self.mill.clock().now() + (seconds * HZ as f64) as u64;
         loop {
@@ -111,17 +112,17 @@ impl Rig {
         }
     }
 
-    /// Whether nothing is queued, moving, waited for or unanswered.
+    /// Returns whether the machine is at rest with nothing queued, pending or unanswered.
     pub fn is_idle(&self) -> bool {
         self.mill.is_idle()
     }
 
-    /// How many bytes the machine has answered that were not taken yet.
+    /// Returns the number of output bytes that have not been read.
     pub fn output_len(&self) -> usize {
         self.mill.unfetched()
     }
 
-    /// How many bytes of the host have not been taken by the controller.
+    /// Returns the number of host bytes that the controller has not yet read.
     pub fn waiting(&self) -> usize {
         self.mill.unread()
     }

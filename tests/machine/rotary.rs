@@ -1,14 +1,14 @@
-//! A fourth axis that turns, on the steps of the machine: it moves evenly with X, Y and Z, comes to its end exactly, and F means
-//! what RS274NGC says (2.1.2.5 and 2.1.2.6).
+//! A rotary fourth axis, checked on the steps of the machine: it moves evenly with X, Y and Z, ends at its exact
+//! position, and F means what RS274NGC says (2.1.2.5 and 2.1.2.6).
 
 use oxmill_simulator::{Options, Simulator, boards};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
 const HZ: f64 = boards::DESK.step_clock_hz as f64;
-/// Steps of a mm of X, Y and Z, and of a degree.
+/// Steps per mm of X, Y and Z, and per degree of A.
 const STEPS: [f64; 4] = [400.0, 320.0, 450.0, 100.0];
-/// Large, so that ramps take next to no time.
+/// mm/s²; large, so that ramps take almost no time.
 const ACCELERATION: f64 = 100_000.0;
 
 fn mill() -> Simulator {
@@ -22,7 +22,7 @@ fn mill() -> Simulator {
     mill
 }
 
-/// All lines, to the end.
+/// Sends all lines and runs them to the end.
 fn run(mill: &mut Simulator, text: &str) {
     mill.send(text);
     assert!(mill.run_until_idle(), "{text}");
@@ -30,7 +30,7 @@ fn run(mill: &mut Simulator, text: &str) {
     assert!(!said.contains("error") && !said.contains("ALARM"), "{text}: {said}");
 }
 
-/// Seconds, and the steps of all axes, of each step event.
+/// Returns the time in seconds and the positions of all axes in steps at each step event.
 fn course(mill: &Simulator) -> Vec<(f64, [f64; 4])> {
     let place = |record: &oxmill_simulator::trace::StepRecord| {
         let ([x, y, z], [a]) = (record.position, record.rotary);
@@ -39,13 +39,13 @@ fn course(mill: &Simulator) -> Vec<(f64, [f64; 4])> {
     mill.trace().kept().iter().map(|record| (record.at as f64 / HZ, place(record))).collect()
 }
 
-/// From the first to the last step.
+/// Returns the seconds from the first to the last step.
 fn seconds(mill: &Simulator) -> f64 {
     let course = course(mill);
     course.last().expect("it moves").0 - course[0].0
 }
 
-/// How long a line takes after this one.
+/// Returns the seconds that a line takes.
 fn time_of(line: &str) -> f64 {
     let mut mill = mill();
     run(&mut mill, &format!("{line}\n"));
@@ -70,7 +70,7 @@ fn f_is_along_x_y_and_z_or_degrees_per_minute() {
     near(time_of("$J=A90 F600"), 9.0);
 }
 
-/// A quarter of a circle of radius 20 at 600 mm/min, and a helix of three turns, 5 mm each, in any plane.
+/// A quarter of a circle of radius 20 mm at 600 mm/min, and a helix of three turns, 5 mm each, in any plane.
 #[test]
 fn an_arc_takes_it_along_and_keeps_its_feed() {
     let quarter = 20.0 * core::f64::consts::FRAC_PI_2 / 10.0;
@@ -84,7 +84,7 @@ fn an_arc_takes_it_along_and_keeps_its_feed() {
     near(time_of("G93 G2 X20 Y-20 J-20 A90 F12"), 5.0);
 }
 
-/// What the axis can do holds whatever F asks for.
+/// The axis' own maximum rate holds whatever F is.
 #[test]
 fn its_own_rate_bounds_the_path() {
     let mut mill = mill();
@@ -93,7 +93,7 @@ fn its_own_rate_bounds_the_path() {
     assert_eq!(mill.machine().motors(), [4000, 0, 0, 12_000]);
 }
 
-/// The evenness of an arc: A turns in proportion to the angle about its centre.
+/// A turns in proportion to the angle about the arc's centre.
 #[test]
 fn it_turns_evenly_along_an_arc() {
     let mut mill = mill();
@@ -101,7 +101,7 @@ fn it_turns_evenly_along_an_arc() {
     for (_, [x, y, _, a]) in course(&mill) {
         let (x, y) = (20.0 - x / STEPS[0], y / STEPS[1]);
         let turned = y.atan2(x) / core::f64::consts::PI;
-        // Two steps of the circle, seen from its centre, and one of A.
+        // Two steps on the circle, as an angle from its centre, and one step of A.
         let slack = 2.0 / STEPS[1] / 20.0 / core::f64::consts::PI + 1.0 / STEPS[3] / 300.0;
         assert!((turned - a / STEPS[3] / 300.0).abs() < slack, "{turned} {a}");
     }
@@ -111,8 +111,8 @@ fn it_turns_evenly_along_an_arc() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, rng_seed: RngSeed::Fixed(930), ..ProptestConfig::default() })]
 
-    /// On a line each axis is within a step of its share of the way, at every step; and the ends are exact however many lines
-    /// there are.
+    /// On a line each axis is within a step of its share of the distance, at every step. The ends are exact whatever
+    /// the number of lines.
     #[test]
     fn it_interpolates_with_the_others(
         ways in prop::collection::vec(prop::array::uniform4(-2000_i32..2000), 1..6), feed in 60_u32..6000,
@@ -133,7 +133,7 @@ proptest! {
             let whole: [f64; 4] = std::array::from_fn(|axis| motors[axis] - from[axis]);
             let dominant = (0..4).max_by(|a, b| whole[*a].abs().total_cmp(&whole[*b].abs())).unwrap_or(0);
             for (_, steps) in course(&mill) {
-                // The dominant axis is up to half a step behind or ahead of the way, too.
+                // The dominant axis is itself up to half a step ahead or behind; so the allowance is a whole step.
                 let part = (steps[dominant] - from[dominant]) / whole[dominant];
                 for axis in 0..4 {
                     let meant = from[axis] + whole[axis] * part;
@@ -147,7 +147,8 @@ proptest! {
     }
 }
 
-/// With three axes in use the machine makes the steps that it makes without a fourth, each at its time, whatever that was told before.
+/// With three axes in use the machine makes the same steps at the same times, whether or not a fourth axis was
+/// configured before.
 #[test]
 fn three_axes_are_as_without_it() {
     let job = "G21 G90\nG1 X3 Y2 F900\nG2 X6 Y5 I3\nG0 Z1\nG1 X0.1 Y0.2 Z0.3\n";
@@ -167,7 +168,7 @@ fn three_axes_are_as_without_it() {
     assert!(without.len() > 1000);
     assert_eq!((without.len(), place), (with.len(), other_place));
     for (one, other) in without.iter().zip(&with) {
-        // What was before may leave a fraction of a tick.
+        // Earlier motion may leave a fraction of a tick.
         assert!(
             one.0.abs_diff(other.0) <= 1 && (one.1, one.2) == (other.1, other.2),
             "{one:?}, with A before: {other:?}"
@@ -175,7 +176,7 @@ fn three_axes_are_as_without_it() {
     }
 }
 
-/// A path tolerance is for X, Y and Z: lines along which A turns stay exact, whatever turns them.
+/// A path tolerance applies to X, Y and Z only: lines along which A turns stay exact, whatever word makes A turn.
 #[test]
 fn a_path_tolerance_leaves_moves_with_it_exact() {
     let digest = |path: &str, a: &str| {
@@ -191,10 +192,10 @@ fn a_path_tolerance_leaves_moves_with_it_exact() {
     assert_eq!(digest("G64 P0.2", "A0.01"), digest("G61", "A0.01"));
 }
 
-/// A move of a chain: ways in 0.1 um and 0.1 millidegree, and F: mm/min, or moves a second with G93.
+/// A move of a chain: distances in 0.1 um and 0.1 millidegree, and F in mm/min, or in moves per second with G93.
 type Link = ([i32; 4], u32);
 
-/// A chain of these moves again and again, and the seconds that it is meant to take.
+/// Returns the program that repeats these moves, and its nominal duration, s.
 fn chain(links: &[Link], inverse_time: bool) -> (String, f64) {
     let (mut text, mut seconds) = (String::from(if inverse_time { "G93\n" } else { "G94\n" }), 0.0);
     for (way, feed) in links.iter().cycle().take(1500) {
@@ -208,15 +209,15 @@ fn chain(links: &[Link], inverse_time: bool) -> (String, f64) {
     (text, seconds)
 }
 
-/// Moves of X, mostly shorter than a step, with A in some of them, and up to so much of Y.
+/// Generates moves of X, mostly shorter than a step, some with A, and some with up to `most_y` of Y.
 fn links(feed: core::ops::Range<u32>, most_y: i32) -> impl Strategy<Value = Vec<Link>> {
     let way = (1..25, 0..=most_y, 0..100, prop_oneof![4 => Just(1), 1 => Just(10)], 0..4);
     let way = way.prop_map(|(x, y, a, far, kind)| [x * far, y * far * (kind & 1), 0, a * far * (kind >> 1)]);
     prop::collection::vec((way, feed), 2..7)
 }
 
-/// The time of a chain in terms of what is meant, and the share of a step of X in it: what is left behind the last step, and
-/// the way to the first one, take no time.
+/// Returns the ratio of a chain's duration to the nominal one, and the share of one step of X in the chain. The
+/// distances before the first and after the last step take no time; this share allows for them.
 fn time_in_terms_of_meant(links: &[Link], inverse_time: bool) -> (f64, f64) {
     let (text, meant) = chain(links, inverse_time);
     let mut mill = mill();
@@ -228,13 +229,15 @@ fn time_in_terms_of_meant(links: &[Link], inverse_time: bool) -> (f64, f64) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, rng_seed: RngSeed::Fixed(931), ..ProptestConfig::default() })]
 
-    /// Moves too short for a step take their time together with the next one that makes a step, whatever A does and however
-    /// long each of them takes. Without Y: lines to and fro are joined to a straight one, which is shorter.
+    /// Moves too short for a step take their time together with the next move that makes a step, whatever A does and
+    /// however long each move takes. Y does not move: lines back and forth would be joined to a straight one, which is
+    /// shorter.
     #[test]
     fn chains_of_moves_shorter_than_a_step_take_their_time(even in links(30..31, 0), odd in links(30..120, 0)) {
         for links in [even, odd] {
             let (ratio, step) = time_in_terms_of_meant(&links, false);
-            // A step needs its time at the feed that makes it: a chain may be slower for that, and not faster.
+            // A step takes its time at the feed of the move that makes it: a chain may take longer for that reason, but
+            // not less time.
             let slowest = links.iter().map(|(_, feed)| *feed).min().unwrap_or(1);
             let all_slow: Vec<Link> = links.iter().map(|(way, _)| (*way, slowest)).collect();
             let most = chain(&all_slow, false).1 / chain(&links, false).1;

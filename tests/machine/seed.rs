@@ -1,5 +1,5 @@
-//! The worked examples of the document that this controller began with (S. Tajima's analysis of Grbl, 2020): the places
-//! that the machine passes through, by the pulses counted. Where the text leaves a feed out, one is added.
+//! The worked examples of the document that this controller started from (S. Tajima's analysis of Grbl, 2020): checks
+//! the positions that the machine passes through, by counted pulses. Where the text omits a feed, one is added.
 
 use super::host::{CARVER, CARVER_STEPS, assert_near};
 use super::oracle::{AXES, Circle};
@@ -8,7 +8,7 @@ use super::rig::Rig;
 /// Half a step of the machine.
 const HALF_STEP: f64 = 0.5 / CARVER_STEPS + 1e-9;
 
-/// Carries out each line and compares the place where the machine then rests; `None`: not looked at.
+/// Carries out each line and compares the position where the machine then rests; `None`: not compared.
 fn walk(rig: &mut Rig, steps: &[(&str, Option<[f64; AXES]>)]) {
     for (line, expected) in steps {
         rig.carry_out(line);
@@ -45,7 +45,7 @@ fn chapter_2_2_1_the_motion_word_stays_in_force() {
     );
 }
 
-/// With and without the motion word that the text recommends behind G55.
+/// With and without the motion word that the text recommends after G55.
 #[test]
 fn chapter_2_2_1_another_system_between_moves() {
     for first in ["X5 Y15", "G1 X5 Y15"] {
@@ -64,7 +64,7 @@ fn chapter_2_2_1_another_system_between_moves() {
     }
 }
 
-/// The command is of its line, its offset stays.
+/// G10 L20 applies to its line only; the offset that it sets stays.
 #[test]
 fn chapter_2_2_1_g10_l20_is_of_its_line() {
     let mut rig = Rig::with(CARVER);
@@ -73,7 +73,7 @@ fn chapter_2_2_1_g10_l20_is_of_its_line() {
     walk(&mut rig, &[("G1 X20 Y5 F600", Some([10.0, 5.0, 0.0])), ("X0 Y0", Some([-10.0, 0.0, 0.0]))]);
 }
 
-/// An arc whose radius is not said again is none: only straight moves go on without their word.
+/// An arc without its radius is an error: only straight moves continue without repeating a word.
 #[test]
 fn chapter_2_2_1_an_arc_needs_its_radius() {
     let mut rig = Rig::with(CARVER);
@@ -88,7 +88,7 @@ fn chapter_2_2_2_words_of_several_groups_share_a_line() {
         let mut rig = Rig::with(CARVER);
         let [first, second] = lines;
         walk(&mut rig, &[("G10 L2 P2 X3 Y4", None), (first, Some([0.0; AXES])), (second, Some([43.0, 14.0, 0.0]))]);
-        // Of a group there is one word; of words that move, too, but by an error of their own.
+        // One word per modal group is allowed; two motion words have an error of their own.
         let told = |pair: &str| format!("[MSG:{pair} in one line: write one of them, or two lines]");
         assert_eq!(rig.ask("G54 G55"), [told("G54 and G55").as_str(), "error:21"]);
         assert_eq!(rig.ask("G0 G1 X1"), [told("G0 and G1").as_str(), "error:24"]);
@@ -123,7 +123,7 @@ fn chapter_2_2_3_example_2_dwell_keeps_g0() {
     let before = rig.seconds();
     walk(&mut rig, &[("N20 G4 P2", Some([30.0, 40.0, 0.0]))]);
     let waited = rig.seconds() - before;
-    // The controller's clock counts whole microseconds.
+    // The controller's clock has a resolution of one microsecond.
     assert!((1.999_99..2.1).contains(&waited), "{waited}");
     walk(&mut rig, &[("N30 X20 Y50", Some([20.0, 50.0, 0.0]))]);
     assert!(rig.ask("$G").iter().any(|line| line.starts_with("[GC:G0 ")));
@@ -140,8 +140,8 @@ fn chapter_2_2_3_example_3_g10_l20_then_incremental() {
     assert_near(work(&mut rig), [40.0, 82.0, 0.0], 0.0);
 }
 
-/// The document takes the second G92 for the opposite of the first. It sets the place to its values, as Grbl does; G92.1
-/// is what undoes both.
+/// The document takes the second G92 for the inverse of the first. In Grbl, and here, it sets the position to its
+/// values; G92.1 undoes both.
 #[test]
 fn chapter_2_2_3_example_4_g92_sets_the_place() {
     let mut rig = Rig::with(CARVER);
@@ -194,7 +194,7 @@ fn chapter_2_7_work_is_machine_less_system_less_g92() {
     let mut rig = Rig::with(CARVER);
     walk(&mut rig, &[("G10 L2 P1 X-100 Y-70", None), ("G53 G0 X-90 Y-60", Some([-90.0, -60.0, 0.0]))]);
     assert_near(work(&mut rig), [10.0, 10.0, 0.0], 0.0);
-    // An offset of (5, 5) on top: the place that reads (10, 10) is to read (5, 5).
+    // An additional offset of (5, 5): the position that reads (10, 10) must read (5, 5).
     rig.carry_out("G92 X5 Y5");
     assert!(rig.ask("$#").contains(&"[G92:5.000,5.000,0.000]".to_string()));
     assert_near(work(&mut rig), [5.0, 5.0, 0.0], 0.0);
@@ -204,14 +204,15 @@ fn chapter_2_7_work_is_machine_less_system_less_g92() {
     walk(&mut rig, &[("G0 X0 Y0", Some([3.5, 17.2, 0.0]))]);
     rig.carry_out("G10 L2 P1 X0 Y0 Z0");
     assert_near(work(&mut rig), [3.5, 17.2, 0.0], 0.0);
-    // System = machine - value - G92: from machine 3.5 with G92 of 2, the value 1.5 leaves nothing.
+    // Offset of the system = machine - value - G92: at machine 3.5 with a G92 of 2, the value 1.5 gives an offset of
+    // zero.
     rig.carry_out("G92 X1.5");
     rig.carry_out("G10 L20 P1 X1.5");
     assert!(rig.ask("$#").contains(&"[G54:0.000,0.000,0.000]".to_string()));
     assert_near(work(&mut rig), [1.5, 17.2, 0.0], 0.0);
 }
 
-/// The document calls G10 L2 void in G91; Grbl and the NIST standard carry it out.
+/// The document says that G10 L2 has no effect in G91; in Grbl and in the NIST standard it has.
 #[test]
 fn chapter_2_7_g10_l2_works_in_g91() {
     let mut rig = Rig::with(CARVER);
@@ -227,7 +228,7 @@ fn chapter_2_3_14_after_g92_the_place_reads_its_values() {
     assert_eq!(rig.ask("G92 G0 X0 Y0 Z0"), [told, "error:24"]);
 }
 
-/// The listing of 2.10.1 as printed, with its remarks in Japanese; the feed is raised from 1 mm/min.
+/// The listing of 2.10.1 as printed, with its comments in Japanese; the feed is raised from 1 mm/min.
 const FIVE_CIRCLES: &str = "G10 L2 P1 X0 Y0 Z0 (座標 G54 の原点をマシン原点に設定)
 G10 L2 P2 X10 (G55 を X=10mm オフセット)
 G10 L2 P3 X-10 (G56 を X= -10mm オフセット)
@@ -240,11 +241,11 @@ G3 X-10.0 Y0 I1.0 J0(座標 (-10, 0) の点に 1mm の深さで円を描画)
 G0 Z0 (Z 軸を Z=0 に移動)
 ";
 
-/// Centres of the five circles: one of 1 mm radius beginning at X-2 of each system.
+/// Centres of the five circles: each has a radius of 1 mm and starts at X-2 of its coordinate system.
 pub const CENTRES: [[f64; 2]; 5] = [[-1.0, 0.0], [9.0, 0.0], [-11.0, 0.0], [-1.0, 10.0], [-1.0, -10.0]];
 
-/// The document's listings are files, so their remarks never meet the realtime commands of a wire: the bytes of UTF-8
-/// beyond ASCII are left out, as the reader of a file does.
+/// The document's listings are files, so their comments are not sent over a serial line, where bytes beyond ASCII could
+/// be realtime commands: these bytes are removed, as a file reader does.
 fn as_file(text: &str) -> String {
     text.chars().filter(char::is_ascii).collect()
 }
@@ -279,7 +280,7 @@ fn chapter_2_10_1_five_circles_as_printed_are_refused_by_the_other_dialects() {
     for dialect in ["$900=0", "$900=1"] {
         let mut rig = Rig::with(CARVER);
         rig.carry_out(dialect);
-        // Without its remarks, which hold parentheses within parentheses.
+        // Without the comments, because they contain nested parentheses.
         let text: String = format!("{FIVE_CIRCLES}G54{ONE_CIRCLE}")
             .lines()
             .map(|line| line.split('(').next().unwrap_or_default().to_string() + "\n")
@@ -311,11 +312,12 @@ fn chapter_2_3_4_an_arc_to_a_point_off_the_circle() {
         .unwrap();
 }
 
-/// Figure 6.2 and the example of 7.1, on the step outputs of a machine with one step to the millimetre. So slow an axis
-/// is smoothed: a step of Y comes at the first sixteenth of a step of X after it is due, in the tick of the figure.
+/// Figure 6.2 and the example of 7.1, on the step outputs of a machine with one step per millimetre. An axis this slow
+/// is smoothed: Y steps at the first sixteenth of a step of X after it is due, in the tick of the figure.
 #[test]
 fn chapters_6_and_7_the_steps_of_the_minor_axis() {
-    // Y is due when X has come (m - 1/2) × X / Y; exactly there it waits for the next place.
+    // Step m of Y is due when X has made (m - 1/2) × X / Y; a step due exactly at a grid position waits for the next
+    // position.
     for (line, ticks, sixteenths) in
         [("G1 X10 Y3 F600", [2, 6, 9], [27, 81, 134]), ("G1 X9 Y3 F600", [2, 5, 8], [25, 73, 121])]
     {

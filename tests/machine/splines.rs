@@ -1,5 +1,5 @@
-//! Splines from the words of a program to the pulses, against the exact curves, which are computed from the words here; with
-//! what scales, rotates and shifts them.
+//! Splines from G-code words to pulses, compared with the exact curves that are computed here from the words; with
+//! scaling, rotation and offsets.
 
 use super::examples::places;
 use super::host::{CARVER, CARVER_STEPS, assert_near};
@@ -12,10 +12,11 @@ use std::fmt::Write;
 
 type Point = [f64; 2];
 
-/// `$12` of a new machine, mm; what the steps may be off (each axis by 1/2 + 1/14); and the polygon of the oracle.
+/// Maximum distance from the curve, mm: `$12` of a new machine, the error of the steps (each axis by 1/2 + 1/14), and
+/// the error of the oracle's polygon.
 const MOST_OFF: f64 = 0.002 + std::f64::consts::SQRT_2 * 4.0 / 7.0 / CARVER_STEPS + 5e-4;
 
-/// A curve by its words, in thousandths; without I and J if it continues the one before.
+/// A curve by its words, in thousandths; it has no I and J if it continues the previous one.
 #[derive(Clone, Debug)]
 struct Words {
     target: [i32; 2],
@@ -24,7 +25,7 @@ struct Words {
     quadratic: bool,
 }
 
-/// What the coordinates of a program go through.
+/// Transformations of a program's coordinates.
 #[derive(Clone, Debug)]
 struct Frame {
     incremental: bool,
@@ -43,13 +44,13 @@ impl Frame {
         [way[0] * self.factors[0], way[1] * self.factors[1]]
     }
 
-    /// A distance as the machine goes it.
+    /// Transforms a distance from program to machine coordinates.
     fn way(&self, way: Point) -> Point {
         let ([x, y], (sine, cosine)) = (self.scale(way), self.angle.to_radians().sin_cos());
         [x * cosine - y * sine, x * sine + y * cosine]
     }
 
-    /// A place of the machine: scaled about the centre, turned about the origin.
+    /// Transforms a position to machine coordinates: scaled about the centre, rotated about the origin.
     fn place(&self, written: Point) -> Point {
         let (centre, origin) = (mm(self.centre), mm(self.origin));
         let (sine, cosine) = self.angle.to_radians().sin_cos();
@@ -68,7 +69,7 @@ impl Frame {
     }
 }
 
-/// The program, and the control points that it means.
+/// Returns the program and the control points that it stands for.
 fn meant(frame: &Frame, curves: &[Words]) -> (String, Vec<[Point; 4]>) {
     let mut text = frame.setup();
     let mut chain: Vec<[Point; 4]> = Vec::new();
@@ -116,7 +117,7 @@ fn from_piece(point: Point, a: Point, b: Point) -> f64 {
     (point[0] - a[0] - way[0] * share).hypot(point[1] - a[1] - way[1] * share)
 }
 
-/// Each place of a trace is near the curve, in the order of the curve.
+/// Checks that each position of a trace is near the curve, in the order of the curve.
 fn follows(places: &[[f64; AXES]], chain: &[[Point; 4]]) -> Result<(), String> {
     const PIECES: u32 = 600;
     let at = |k: u32, curve| exact(curve, f64::from(k) / f64::from(PIECES));
@@ -124,7 +125,7 @@ fn follows(places: &[[f64; AXES]], chain: &[[Point; 4]]) -> Result<(), String> {
     let mut piece = 0;
     for place in places {
         let off = |k: usize| from_piece([place[0], place[1]], points[k], points[k + 1]);
-        // On to where it is near again; never back but for a step.
+        // Search forward to the next piece that is near, starting 20 pieces back (about a step).
         let first = piece - piece.min(20);
         match (first..points.len() - 1).find(|k| off(*k) <= MOST_OFF) {
             Some(found) => piece = piece.max(found),
@@ -152,7 +153,7 @@ fn frame() -> impl Strategy<Value = Frame> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, rng_seed: RngSeed::Fixed(24), ..ProptestConfig::default() })]
 
-    /// With a hold and an override in between.
+    /// With a hold and an override along the way.
     #[test]
     fn the_steps_of_splines_follow_the_exact_curves(
         frame in frame(), curves in prop::collection::vec(words(), 1..5), hold in 0.1_f64..2.0,
@@ -174,21 +175,21 @@ proptest! {
         let end = chain.last().map(|curve| curve[3]).unwrap();
         assert_near(rig.place_mm(CARVER_STEPS), [end[0], end[1], 0.0], 0.5 / CARVER_STEPS + 1e-6);
         let steps = places(&rig.trace, start, [CARVER_STEPS; AXES]);
-        // The places begin at a step that is half a step off at most.
+        // The trace starts at a step, which is at most half a step off.
         if let Err(why) = follows(&steps, &chain) {
             prop_assert!(false, "{why}\n{text}");
         }
     }
 }
 
-/// Virtual seconds of a program's motion.
+/// Returns the virtual seconds from the first to the last step of a program.
 fn seconds(program: &str) -> f64 {
     let mut rig = Rig::with(CARVER);
     rig.run_clean(program);
     (rig.trace[rig.trace.len() - 1].at - rig.trace[0].at) as f64 / HZ as f64
 }
 
-/// A circle of four curves takes the time of the arc, where the feed bounds it and where the curvature does.
+/// A circle of four curves takes the time of the arc, both where the feed limits it and where the curvature does.
 #[test]
 fn a_circle_of_splines_takes_the_time_of_an_arc() {
     for (radius, feed) in [(10.0, 1200), (10.0, 6000), (3.0, 6000), (30.0, 6000)] {
@@ -205,15 +206,15 @@ fn a_circle_of_splines_takes_the_time_of_an_arc() {
     }
 }
 
-/// With G93 the whole takes the time that F says; the ramps come on top.
+/// With G93 the whole curve takes the time given by F; the ramps add to it.
 #[test]
 fn inverse_time() {
     let found = seconds("G93\nG5 X30 Y0 I10 J20 P-10 Q20 F6\n");
     assert!((9.99..10.1).contains(&found), "{found} s");
 }
 
-/// Four quarters of a circle by control points, each with the root of 1/2 as the weight of its corner: the steps are on the
-/// circle, end where it ends, and take the time of the arc, with a hold and an override in between.
+/// Four quarters of a circle by control points, each with the root of 1/2 as the weight of its corner. The steps lie on
+/// the circle, end at its end, and take the time of the arc, also with a hold and an override along the way.
 #[test]
 fn a_circle_of_control_points_is_the_circle() {
     for (radius, feed) in [(10.0, 1200), (3.0, 6000), (30.0, 6000)] {
@@ -236,7 +237,8 @@ fn a_circle_of_control_points_is_the_circle() {
             assert!((x.hypot(y) - r).abs() < MOST_OFF, "{x} {y} on a circle of {r}");
         }
         let arc = seconds(&format!("F{feed}\nG3 I-{r}\n"));
-        // A curve is halved until it is fine enough, so its chords are less even than those of an arc, and a small circle has few.
+        // A curve is halved until it is fine enough, so its chords are less even than those of an arc, and a small
+        // circle has few of them.
         assert!((0.99..1.06).contains(&(found / arc)), "{found} s, the arc {arc} s, radius {r} at F{feed}");
     }
 }

@@ -1,4 +1,4 @@
-//! The step pulse (`$0`) as a board takes, keeps and tells it.
+//! The step pulse (`$0`): which values a board accepts, stores and reports.
 
 use oxmill_controller::messages::Wiring;
 use oxmill_simulator::{Options, Simulator, Store, boards};
@@ -15,7 +15,7 @@ fn ask(mill: &mut Simulator, line: &str) -> String {
     mill.take_output()
 }
 
-/// What the outputs have been told.
+/// Returns the pulse length that was configured in the outputs, in tenths of a microsecond.
 fn pulse_tenths(mill: &Simulator) -> u16 {
     mill.wiring().map_or(0, |Wiring { pulse_tenths, .. }| pulse_tenths)
 }
@@ -51,7 +51,7 @@ fn tenths_are_kept_over_a_power_cycle() {
     let mut mill = power_up(boards::NUCLEO_F446RE, mill.store().power_cycled().unwrap());
     assert!(ask(&mut mill, "$$").starts_with("$0=0.5\r\n"));
     assert_eq!(pulse_tenths(&mill), 5);
-    // A board that does not make such a pulse says so, and does not move.
+    // A board that cannot make this pulse reports it and does not move.
     let mut mill = power_up(boards::BLACKPILL_F411, mill.store().power_cycled().unwrap());
     let refused = "[MSG:Motion is locked until this setting is mended: $0]\r\nerror:9\r\n";
     assert_eq!(ask(&mut mill, "G91 G0 X1"), refused);

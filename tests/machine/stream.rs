@@ -18,7 +18,7 @@ fn number(random: &mut Random) -> String {
     }
 }
 
-/// A line, without its end.
+/// Returns a random line, without its end.
 fn line(random: &mut Random) -> String {
     let mut line = String::new();
     match random.below(20) {
@@ -113,7 +113,7 @@ fn line(random: &mut Random) -> String {
         }
         12 => {
             for _ in 0..random.below(120) {
-                // Printable, without ! ~ ? which act at once.
+                // Printable characters, except ! and ?, which act at once.
                 let byte = b' ' + random.below(94) as u8;
                 line.push(if matches!(byte, b'!' | b'?') { '.' } else { char::from(byte) });
             }
@@ -133,11 +133,11 @@ fn line(random: &mut Random) -> String {
     line
 }
 
-/// Bytes that a host may have on the way: the line queue holds 255, and what does not fit would keep a realtime command
-/// behind it waiting.
+/// Maximum number of bytes in flight: the line queue holds 255, and bytes beyond that would delay a realtime command
+/// sent after them.
 const ON_THE_WAY: usize = 240;
 
-/// The host's book-keeping of one stream.
+/// The host's record of one stream.
 struct Stream {
     rig: Rig,
     /// Lengths of the lines sent and not yet answered.
@@ -160,7 +160,7 @@ impl Stream {
                 self.answered += 1;
                 self.errors += usize::from(line != "ok");
             } else if line.starts_with("Grbl ") {
-                // A greeting: after a reset, the end of $C, or $RST. What was open then is dropped.
+                // A greeting: after a reset, the end of $C, or $RST. The lines that were unanswered are dropped.
                 self.dropped += self.open.len();
                 self.open.clear();
             } else if line.starts_with("ALARM:") {
@@ -169,7 +169,7 @@ impl Stream {
         }
     }
 
-    /// Sends a line when there is room for it.
+    /// Sends a line, after waiting until there is room for it.
     fn send(&mut self, bytes: &[u8]) {
         if self.open.iter().sum::<usize>() + bytes.len() > ON_THE_WAY {
             self.drain();
@@ -179,7 +179,7 @@ impl Stream {
         self.read();
     }
 
-    /// Lets time pass until all lines are answered, freeing a machine that waits.
+    /// Lets time pass until all lines are answered, and resumes a machine that waits.
     fn drain(&mut self) {
         for _ in 0..100 {
             let (unread, open) = (&mut self.unread, self.open.len());
@@ -196,7 +196,7 @@ impl Stream {
             if self.open.is_empty() {
                 return;
             }
-            // A hold or M0.
+            // The machine waits in a hold or M0.
             self.rig.send(b"~");
         }
         panic!("{} lines are never answered: {}", self.open.len(), self.rig.status());
@@ -214,7 +214,7 @@ impl Stream {
         assert!(self.open.is_empty());
     }
 
-    /// The reported position must be the one that the pulses make, whatever happened.
+    /// Checks that the reported position is the one that the pulses make, whatever happened.
     fn account(&mut self) {
         let report = {
             self.rig.send(b"?");
@@ -224,7 +224,7 @@ impl Stream {
         };
         self.read();
         let place = numbers::<3>(&report, "MPos").expect("a machine position");
-        // The report runs ahead by up to the segment being executed while the machine moves.
+        // While the machine moves, the report may be ahead by up to the segment being executed.
         if !report.starts_with("<Run") && !report.starts_with("<Jog") && !report.starts_with("<Hold:1") {
             for (axis, mm) in place.iter().enumerate() {
                 let steps = mm * CARVER_STEPS;
@@ -234,8 +234,8 @@ impl Stream {
     }
 }
 
-/// 100,000 lines, valid and not, with realtime bytes between and within them: no panic, no hang, one answer for each line
-/// that no reset has dropped.
+/// 100,000 lines, valid and invalid, with realtime bytes between and within them: no panic, no hang, one answer to each
+/// line that no reset has dropped.
 #[test]
 fn any_stream_is_answered_line_by_line() {
     const LINES: usize = 100_000;
@@ -248,7 +248,7 @@ fn any_stream_is_answered_line_by_line() {
     for number in 0..LINES {
         let mut bytes = line(&mut random).into_bytes();
         bytes.push(b'\n');
-        // A realtime byte at any place of the line; its end included.
+        // A realtime byte at any position of the line, also after its end.
         if bytes.len() < ON_THE_WAY && random.below(8) == 0 {
             let command = match random.below(16) {
                 0..=3 => b'?',
@@ -290,7 +290,7 @@ fn any_stream_is_answered_line_by_line() {
     assert!(stream.rig.place != [0; 3]);
 }
 
-/// A million increments of a thousandth make exactly a thousand.
+/// A million increments of a thousandth add up to exactly a thousand.
 #[test]
 fn a_million_thousandths_make_a_thousand() {
     let mut rig = Rig::with("$0=5\n$100=80\n$110=60000\n$120=5000\n");
@@ -314,7 +314,7 @@ fn a_million_thousandths_make_a_thousand() {
     assert_eq!(answers, 1_000_001);
     assert_eq!(rig.place, [80_000, 0, 0]);
     assert!(rig.status().starts_with("<Idle|MPos:1000.000,0.000,0.000|"));
-    // Not the nearest step either, but the place itself: the way back is as long.
+    // The position is exact, not only the nearest step: the return move has the same number of steps.
     rig.carry_out("G90 X0");
     assert_eq!(rig.place, [0, 0, 0]);
 }

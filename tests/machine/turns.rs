@@ -1,5 +1,5 @@
-//! Turns that a program makes of short chords: taken no faster than the same turn in one vertex or as an arc, and no slower.
-//! How the speeds of axes are read and what is allowed: [`super::axis_speeds`].
+//! Turns that a program makes of short chords must be taken no faster than the same turn in one vertex or as an arc,
+//! and no slower. [`super::axis_speeds`] explains how axis speeds are read and what is allowed.
 
 use super::axis_speeds::{Change, Course, greatest_change};
 use super::estimator::Limits;
@@ -16,7 +16,7 @@ use std::ops::Range;
 /// Windows in which speeds are compared, s.
 const WINDOWS: [f64; 3] = [0.002, 0.005, 0.020];
 
-/// 100 mm/s and 500 mm/s², `$11` as it is by default.
+/// Returns limits of 100 mm/s and 500 mm/s², with the default `$11`.
 fn limits(steps_per_mm: f64) -> Limits {
     Limits {
         steps_per_mm: [steps_per_mm; AXES],
@@ -39,7 +39,7 @@ pub fn settings(limits: &Limits, jerk: f64) -> String {
     text
 }
 
-/// How a program writes its numbers.
+/// Number format of a program.
 #[derive(Clone, Copy, Debug)]
 pub struct Style {
     inches: bool,
@@ -55,13 +55,13 @@ impl Style {
         Style { inches: true, decimals }
     }
 
-    /// mm.
+    /// Returns the program's unit in mm.
     pub fn unit(self) -> f64 {
         if self.inches { 25.4 } else { 1.0 }
     }
 }
 
-/// A program of straight moves through these points, from the origin, and its course. Feed in mm/s.
+/// Returns a program of straight moves through these points, from the origin, and its course. Feed in mm/s.
 pub fn program(meant: &[[f64; AXES]], style: Style, feed: f64) -> (String, Course) {
     let mut text =
         format!("G{} G90 G94 G17\nG1 F{:.5}\n", if style.inches { 20 } else { 21 }, feed * 60.0 / style.unit());
@@ -91,17 +91,17 @@ pub fn run(settings: &str, program: &str) -> Rig {
     rig
 }
 
-/// From the first to the last step.
+/// Returns the seconds from the first to the last step.
 pub fn seconds(rig: &Rig) -> f64 {
     (rig.trace[rig.trace.len() - 1].at - rig.trace[0].at) as f64 / HZ as f64
 }
 
-/// Seconds of a program of straight moves at 100 mm/s, 250 steps/mm.
+/// Returns the seconds of a program of straight moves at 100 mm/s, 250 steps/mm.
 fn seconds_of(points: &[[f64; AXES]], style: Style) -> f64 {
     seconds(&run(&settings(&limits(250.0), 0.0), &program(points, style, 100.0).0))
 }
 
-/// The greatest change of an axis' speed over any of the windows.
+/// Returns the largest change of an axis' speed over any of the windows.
 fn worst(trace: &[Pulse], course: &Course, limits: &Limits) -> Result<Change, String> {
     let mut worst: Option<Change> = None;
     for window in WINDOWS {
@@ -113,7 +113,7 @@ fn worst(trace: &[Pulse], course: &Course, limits: &Limits) -> Result<Change, St
     worst.ok_or_else(|| "no windows".to_string())
 }
 
-/// Two lines of `leg` mm joined by an arc in so many chords.
+/// Returns the points of two lines of `leg` mm joined by an arc of `chords` chords.
 fn fillet(leg: f64, radius: f64, angle: f64, chords: u32) -> Vec<[f64; AXES]> {
     let mut points = vec![[leg, 0.0, 0.0]];
     for k in 1..=chords {
@@ -125,7 +125,7 @@ fn fillet(leg: f64, radius: f64, angle: f64, chords: u32) -> Vec<[f64; AXES]> {
     points
 }
 
-/// A line of 100 mm at an odd angle, in so many pieces.
+/// Returns the points of a line of 100 mm at an odd angle, in `pieces` pieces.
 fn line(pieces: u32) -> Vec<[f64; AXES]> {
     (1..=pieces)
         .map(|k| {
@@ -135,7 +135,7 @@ fn line(pieces: u32) -> Vec<[f64; AXES]> {
         .collect()
 }
 
-/// A remnant of a move in a right angle makes it two corners of 45 degrees, which changes nothing for the motors.
+/// A remnant of a move in a right angle makes it two corners of 45 degrees; for the motors nothing changes.
 #[test]
 fn a_remnant_in_a_right_angle_makes_it_no_faster() {
     let settings = settings(&limits(1000.0), 0.0);
@@ -145,7 +145,7 @@ fn a_remnant_in_a_right_angle_makes_it_no_faster() {
     assert!((0.99 * plain..1.01 * plain).contains(&remnant), "{remnant} s, {plain} s without the remnant");
 }
 
-/// A half circle of R = 0.05 mm allows 5 mm/s; the two lines have to brake for it.
+/// A half circle of R = 0.05 mm allows 5 mm/s, so the machine must brake at the end of the first line.
 #[test]
 fn a_half_circle_in_chords_is_taken_as_an_arc_is() {
     let arc = "G21 G90 F6000\nG1 X20\nG3 X20 Y0.1 J0.05\nG1 X0\n";
@@ -166,7 +166,7 @@ fn a_half_circle_in_chords_is_taken_as_an_arc_is() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-/// The noise of rounding is no corner, however coarse the digits.
+/// Rounding noise does not count as corners, however coarse the digits.
 #[test]
 fn a_straight_line_in_coarse_digits_keeps_its_time() {
     let whole = seconds_of(&line(1), Style::mm(5));
@@ -181,7 +181,7 @@ fn a_straight_line_in_coarse_digits_keeps_its_time() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-/// Nor does it make a circle tighter.
+/// Rounding noise does not make a circle tighter, either.
 #[test]
 fn a_circle_in_coarse_digits_keeps_its_time() {
     let mut faults = Vec::new();
@@ -202,18 +202,18 @@ fn a_circle_in_coarse_digits_keeps_its_time() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-/// A part of a path in the plane, from where the one before has ended and in its direction.
+/// A part of a path in the plane, from the end of the previous part and in its direction.
 #[derive(Clone, Copy, Debug)]
 enum Part {
-    /// Straight on, in so many pieces.
+    /// A straight line of a length (mm), in a number of pieces.
     Line(f64, u32),
-    /// A bend of this radius by an angle, in chords of about this length.
+    /// A bend of this radius (mm) by an angle (rad), in chords of about this length (mm).
     Arc { radius: f64, angle: f64, chord: f64 },
-    /// A turn in one vertex.
+    /// A turn in one vertex, rad.
     Corner(f64),
 }
 
-/// Points along some parts from the origin, without the origin.
+/// Returns the points along some parts, starting at the origin, without the origin itself.
 fn points(parts: &[Part]) -> Vec<[f64; AXES]> {
     let (mut at, mut heading) = ([0.0_f64; 2], 0.0_f64);
     let mut points = Vec::new();
@@ -244,19 +244,19 @@ fn points(parts: &[Part]) -> Vec<[f64; AXES]> {
     points
 }
 
-/// Chords of one arc at most.
+/// Maximum number of chords of one arc.
 const MOST_CHORDS: f64 = 300.0;
 
-/// What is drawn. Lengths of lines are shares of the way in which a machine comes to its feed.
+/// Shape of a path. Lengths of lines are shares of the distance in which a machine reaches its feed.
 #[derive(Clone, Debug)]
 enum Shape {
     /// Lines joined by bends of these angles.
     Fillets(Vec<(f64, f64)>),
     /// Rows joined by half circles, alternately to both sides.
     Rows(Vec<f64>),
-    /// Tips of two turns each, all alike.
+    /// Tips of two turns each, all equal.
     Star { tips: u32, side: f64, sharp: f64 },
-    /// Half circles that grow by this factor.
+    /// Half circles, each larger than the one before by this factor.
     Spiral { halves: u32, growth: f64 },
     /// Strokes with sharp or round corners.
     Text(Vec<(f64, f64, bool)>),
@@ -264,22 +264,23 @@ enum Shape {
     Contour { corners: u32, side: f64, turns: u32 },
 }
 
-/// A shape in all its sizes.
+/// A shape with its dimensions, orientation and number format.
 #[derive(Clone, Debug)]
 struct Job {
     shape: Shape,
     radius: f64,
     chord: f64,
-    /// Pieces of each line.
+    /// Number of pieces of each line.
     pieces: u32,
-    /// Turns of the plane: within itself, about X and about Z; and rise of Z with the path.
+    /// Rotations of the plane: within itself, about X and about Z.
     tilt: [f64; 3],
+    /// Rise of Z along the path.
     rise: f64,
     style: Style,
 }
 
 impl Job {
-    /// With lines of about `reach` mm.
+    /// Returns the points of the shape with lines of about `reach` mm.
     fn points(&self, reach: f64) -> Vec<[f64; AXES]> {
         let line = |share: f64| Part::Line((share * reach).max(0.01), self.pieces);
         let bend = |angle: f64| Part::Arc { radius: self.radius, angle, chord: self.chord };
@@ -325,7 +326,7 @@ impl Job {
         self.turned(points(&parts))
     }
 
-    /// In a plane in space.
+    /// Rotates the points into the tilted plane and adds the rise.
     fn turned(&self, points: Vec<[f64; AXES]>) -> Vec<[f64; AXES]> {
         let [within, about_x, about_z] = self.tilt.map(f64::sin_cos);
         let rotated = |(sin, cos): (f64, f64), a: f64, b: f64| (a * cos - b * sin, a * sin + b * cos);
@@ -344,7 +345,7 @@ impl Job {
     }
 }
 
-/// Even over the orders of magnitude.
+/// Generates numbers that are evenly distributed over orders of magnitude.
 fn log_uniform(from: f64, to: f64) -> impl Strategy<Value = f64> {
     (from.ln()..to.ln()).prop_map(f64::exp)
 }
@@ -381,7 +382,7 @@ fn jobs() -> impl Strategy<Value = Job> {
         })
 }
 
-/// Steps, rate, accelerations, junction deviation; jerk, and the feed.
+/// Generates machines (steps, rate, accelerations, junction deviation), jerk and feed.
 fn machines() -> impl Strategy<Value = (Limits, f64, f64)> {
     let steps = prop::sample::select(vec![[80.0; AXES], [250.0; AXES], [400.0, 320.0, 800.0], [1000.0; AXES]]);
     let acceleration =
@@ -396,17 +397,17 @@ fn machines() -> impl Strategy<Value = (Limits, f64, f64)> {
     )
 }
 
-/// Lines in which about the feed is reached, and as short as it can be.
+/// Returns the length of lines in which the feed is just about reached, at least 0.5 and at most 12 mm.
 fn reach(limits: &Limits, feed: f64) -> f64 {
     (feed * feed / limits.acceleration[0] / 2.0).clamp(0.5, 12.0)
 }
 
-/// A number from the environment.
+/// Returns a number from the environment.
 fn number(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
 }
 
-/// The same case for the same number.
+/// Draws a case that depends on its number only.
 fn drawn<S: Strategy>(strategy: &S, case: u64) -> S::Value {
     let mut seed = [0; 32];
     seed[..8].copy_from_slice(&case.to_le_bytes());
@@ -414,7 +415,7 @@ fn drawn<S: Strategy>(strategy: &S, case: u64) -> S::Value {
     strategy.new_tree(&mut runner).expect("no filters").current()
 }
 
-/// A random job: the machine, its jerk, settings and program, and the course.
+/// A random job: the machine, its jerk, settings, program and course.
 struct Drawn {
     limits: Limits,
     jerk: f64,
@@ -433,13 +434,13 @@ impl Drawn {
     }
 }
 
-/// The cases of a run: `OXMILL_FUZZ=N` of them instead of a few, from `OXMILL_FUZZ_SEED` on.
+/// Returns the case numbers of a run: `OXMILL_FUZZ=N` cases instead of a few, from `OXMILL_FUZZ_SEED` on.
 fn cases(default: u64) -> Range<u64> {
     let (cases, first) = (number("OXMILL_FUZZ", default), number("OXMILL_FUZZ_SEED", 1));
     first..first + cases
 }
 
-/// Fails if there are faults: how much, what, and a program. Tells the worst and leaves its program in a file.
+/// Fails if there are faults: prints their number and the worst, and writes the program of the worst to a file.
 fn tell(name: &str, mut faults: Vec<(f64, String, String)>) {
     faults.sort_by(|a, b| b.0.total_cmp(&a.0));
     if let Some((_, _, job)) = faults.first() {
@@ -450,8 +451,8 @@ fn tell(name: &str, mut faults: Vec<(f64, String, String)>) {
     }
 }
 
-/// Random shapes on random machines: no axis changes its speed by more than its acceleration, the junction rule for the
-/// whole turn and the digits make of it.
+/// Random shapes on random machines: no axis changes its speed by more than acceleration, the junction rule for the
+/// whole turn and the rounding to digits allow.
 #[test]
 fn no_axis_changes_its_speed_by_more_than_a_whole_turn_is_granted() {
     let mut faults = Vec::new();
@@ -467,10 +468,10 @@ fn no_axis_changes_its_speed_by_more_than_a_whole_turn_is_granted() {
     tell("turn", faults);
 }
 
-/// Vertices of the jobs that are compared with the rule in `f64`, where all spans are looked at.
+/// Maximum number of vertices of jobs that are compared with the rule in `f64`, which examines all spans.
 const MOST_VERTICES: usize = 300;
 
-/// Nor is it slower than that: the noise of digits costs no time.
+/// Turns are not slower than the rule, either: rounding noise costs no time.
 #[test]
 fn no_turn_takes_longer_than_the_rule_needs() {
     let mut faults = Vec::new();
@@ -490,13 +491,15 @@ fn no_turn_takes_longer_than_the_rule_needs() {
     tell("slow_turn", faults);
 }
 
-/// By how much it may take longer: with its look-ahead, its spans and what it knows of the digits; and for the first and
-/// the last step, s.
+/// Allowed ratio to the time by the rule, because of the controller's limited look-ahead, its choice of spans and the
+/// noise of digits.
 const SLOWER: f64 = 1.15;
+/// Allowance for the first and the last step, s.
 const UNSEEN: f64 = 0.01;
 
-/// The measure itself: it accepts motion by the rule, at its limit everywhere and in any shape. A rule that allows half as
-/// much speed again is seen on some jobs, those with fine steps and digits, and twice the speed on most.
+/// Checks the measurement itself: it accepts motion by the rule, at its limit everywhere and in any shape. A rule that
+/// allows 1.5 times the speed is detected on some jobs, those with fine steps and digits, and 2 times the speed on
+/// most.
 #[test]
 fn the_measure_accepts_the_rule_and_sees_a_broken_one() {
     let (mut compared, mut seen) = (0, [0, 0]);

@@ -1,18 +1,19 @@
-//! What a host and an operator do: the actions of a conversation, at random, and how a recorded conversation writes them.
+//! Actions of a host and an operator in a random conversation, and their text in the format of recorded conversations.
 
 use proptest::prelude::*;
 
-/// A line of a host, each of a kind that the protocol answers in its own way.
+/// A line of a host; each variant is answered by the protocol in its own way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Line {
     Empty,
-    /// Beyond the 79 characters of Grbl; otherwise a word that is repeated.
+    /// Longer than the 79 characters of Grbl; in Oxmill's dialect, where longer lines are allowed, an error for the
+    /// repeated word.
     TooLong,
-    /// A straight move in absolute coordinates, mm: axis and target. `true`: at the feed of [`FEED`], else a rapid.
+    /// A straight move in absolute coordinates: axis and target in mm. `true`: at [`FEED`], else a rapid.
     Move(usize, i8, bool),
-    /// To a place that soft limits forbid.
+    /// A move to a position that soft limits forbid.
     Outside,
-    /// Words that G-code does not know or cannot read, and the error that says so.
+    /// Unknown or malformed G-code words, and their error number.
     Wrong(&'static str, u8),
     Dwell,
     Pause,
@@ -21,15 +22,15 @@ pub enum Line {
     Flood(bool),
     /// Selects a tool.
     Select(u8),
-    /// Puts the selected tool into the spindle.
+    /// Loads the selected tool into the spindle.
     Change,
-    /// Selects a tool and puts it into the spindle. `true`: and turns the spindle on.
+    /// Selects a tool and loads it into the spindle. `true`: also turns the spindle on.
     Tool(u8, bool),
-    /// A jog by so many mm of an axis.
+    /// A jog of an axis by a distance in mm.
     Jog(usize, i8),
-    /// A jog to a place that soft limits forbid; a long one without them.
+    /// A jog to a position that soft limits forbid; without them, a long jog.
     JogOutside,
-    /// A jog that is refused for what it says.
+    /// A jog with an invalid text, and its error number.
     WrongJog(&'static str, u8),
     Help,
     Listing,
@@ -51,9 +52,9 @@ pub enum Line {
 pub const FEED: f64 = 600.0;
 /// Time of the dwell, s.
 pub const DWELL: f64 = 0.5;
-/// Where [`Line::Outside`] leads, mm.
+/// Target of [`Line::Outside`], mm.
 pub const OUTSIDE: f64 = 5.0;
-/// How far [`Line::JogOutside`] leads, mm.
+/// Target of [`Line::JogOutside`], mm.
 pub const JOG_OUTSIDE: f64 = 25.0;
 /// Spindle speed of the lines that turn it on, rpm.
 pub const SPINDLE: f64 = 500.0;
@@ -99,7 +100,7 @@ impl Line {
     }
 }
 
-/// An input, by its place in the report of pins.
+/// An input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pin {
     Limit(usize),
@@ -111,7 +112,8 @@ pub enum Pin {
     DriverFault,
 }
 
-/// All inputs in the order in which a report names them, with its letter and the name in the simulator's pin protocol.
+/// All inputs in the order in which a report names them: the letter in the report, and the name in the simulator's pin
+/// protocol.
 pub const PINS: [(Pin, char, &str); 9] = [
     (Pin::Limit(0), 'X', "limit x"),
     (Pin::Limit(1), 'Y', "limit y"),
@@ -125,7 +127,7 @@ pub const PINS: [(Pin, char, &str); 9] = [
 ];
 
 impl Pin {
-    /// Its place in [`PINS`].
+    /// Returns the index in [`PINS`].
     pub fn index(self) -> usize {
         PINS.iter().position(|(pin, ..)| *pin == self).expect("all pins are listed")
     }
@@ -139,9 +141,9 @@ pub enum Action {
     Pin(Pin, bool),
     /// Virtual time, s.
     Pass(f64),
-    /// The host goes, and another comes after this time, s.
+    /// The host disconnects, and another connects after this time, s.
     Absent(f64),
-    /// The spindle falls below its speed for this time, s.
+    /// The spindle is below its speed for this time, s.
     SlowSpindle(f64),
 }
 
@@ -169,7 +171,7 @@ pub const SPINDLE_STOP: u8 = 0x9E;
 pub const FLOOD_TOGGLE: u8 = 0xA0;
 
 impl Action {
-    /// As a line of `tests/conversations/`.
+    /// Returns the action as a line of `tests/conversations/`.
     pub fn text(&self) -> String {
         match self {
             Action::Line(line) => format!("-> {}", line.text()),
@@ -183,7 +185,7 @@ impl Action {
     }
 }
 
-/// The settings that make a difference to what may be done.
+/// The settings that affect which actions are allowed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setup {
     /// `$900=0`.
@@ -192,25 +194,25 @@ pub struct Setup {
     pub hard_limits: bool,
     /// `$22`.
     pub homing: bool,
-    /// `$20`, which needs `homing`; machine coordinates are believed from power-up then (`$902=0`).
+    /// `$20`, which needs `homing`; machine coordinates are then trusted from power-up (`$902=0`).
     pub soft_limits: bool,
     /// `$918=1`.
     pub tool_changes: bool,
     /// `$922` and `$923`.
     pub watch: bool,
-    /// `$915`: the spindle tells that it is up to speed.
+    /// `$915`: the spindle has an at-speed signal.
     pub at_speed: bool,
-    /// `$924` to `$928`; `None`: as they are by default.
+    /// `$924` to `$928`; `None`: the defaults.
     pub reactions: Option<u8>,
 }
 
-/// The alarm of a host that is silent or has gone, where that is one.
+/// Alarm for a silent or disconnected host, where that is a fault.
 pub const HOST: u8 = 3;
-/// The alarm of a spindle that has lost its speed.
+/// Alarm for a spindle that has lost its speed.
 pub const SLOW: u8 = 14;
 
 impl Setup {
-    /// The lines that make it.
+    /// Returns the settings lines of this setup.
     pub fn settings(self) -> Vec<String> {
         let mut lines: Vec<String> = Vec::new();
         for axis in 0..3 {
@@ -246,7 +248,7 @@ impl Setup {
 }
 
 impl Setup {
-    /// How the machine stops for the fault of this alarm.
+    /// Returns the reaction (as in `$924` to `$928`) to the fault of this alarm.
     pub fn reaction(self, alarm: u8) -> u8 {
         match (self.reactions, alarm) {
             (Some(reaction), 101) => reaction % 3,
@@ -258,13 +260,13 @@ impl Setup {
     }
 }
 
-/// How long a host may be silent in mid-job and during a jog, s. No sum of times that pass and of those of a dwell or a
-/// delay.
+/// Host timeout during a job, s. Not a sum of the times that actions, dwells or delays take.
 pub const JOB_SILENCE: f64 = 1.13;
+/// Host timeout during a jog, s; chosen in the same way.
 pub const JOG_SILENCE: f64 = 0.31;
-/// How long a spindle may be below its speed, s.
+/// Time for which a spindle may be below its speed, s.
 pub const SLOW_FOR: f64 = 0.17;
-/// The time that it has after another speed, s.
+/// Time that a spindle has to reach a new speed, s.
 pub const SPIN_UP: f64 = 0.27;
 /// Rate of all axes, mm/min.
 pub const RATE: f64 = 6000.0;
@@ -339,8 +341,8 @@ fn one() -> impl Strategy<Value = Action> {
     ]
 }
 
-/// Times that pass, s. No sum of a few of them is that of a dwell or a delay, so that nothing ends in the very moment of a
-/// report.
+/// Durations of [`Action::Pass`], s. No sum of a few of them equals that of a dwell or a delay, so nothing ends exactly
+/// at a report.
 const PASSES: [f64; 6] = [0.0023, 0.0317, 0.2129, 0.6151, 2.0377, 7.1213];
 
 /// A homing cycle by hand: each switch is touched twice, first Z, then X and Y.
@@ -355,14 +357,14 @@ fn homed_by_hand() -> Vec<Action> {
     actions
 }
 
-/// Actions that follow each other; seldom one of them is left out.
+/// Generates the actions in this order; rarely, one of them is omitted.
 fn sequence(actions: Vec<Action>) -> impl Strategy<Value = Vec<Action>> {
     prop::collection::vec(prop::bool::weighted(0.985), actions.len()).prop_map(move |kept| {
         actions.iter().zip(kept).filter(|(_, kept)| *kept).map(|(action, _)| action.clone()).collect()
     })
 }
 
-/// A jog, or what makes one wait; what ends it, and another jog.
+/// Generates a jog or an activity that delays jogs, then an action that ends jogs, and another jog.
 fn ended_jog() -> impl Strategy<Value = Vec<Action>> {
     let first = prop::sample::select(vec![Line::JogOutside, Line::Jog(1, -3), Line::Dwell, Line::Move(2, -15, true)]);
     let ends = prop::sample::select(vec![HOLD, JOG_CANCEL, JOG_CANCEL, DOOR, STOP, RESET]);
@@ -378,7 +380,7 @@ fn ended_jog() -> impl Strategy<Value = Vec<Action>> {
     })
 }
 
-/// A job that a closed door resumes, and what may come meanwhile.
+/// Generates a job that is resumed after a door closes, and events during that time.
 fn resumed_job() -> impl Strategy<Value = Vec<Action>> {
     let outputs = prop::sample::select(vec![Line::Spindle(true), Line::Flood(true)]);
     let passes = || prop::sample::select(PASSES[1..].to_vec());
@@ -400,7 +402,8 @@ fn resumed_job() -> impl Strategy<Value = Vec<Action>> {
     })
 }
 
-/// A fault of an input in a job, of which the spindle may have been stopped, and what comes while the machine brakes.
+/// Generates a job with an input fault, in which the spindle may have been stopped, and events while the machine
+/// brakes.
 fn job_with_a_fault() -> impl Strategy<Value = Vec<Action>> {
     let before = prop::sample::select(vec![
         vec![],
@@ -437,7 +440,7 @@ fn job_with_a_fault() -> impl Strategy<Value = Vec<Action>> {
     })
 }
 
-/// A job whose spindle loses its speed once and again, and what may give it time to come up.
+/// Generates a job whose spindle loses its speed repeatedly, and events that may give it time to spin up.
 fn job_with_a_slow_spindle() -> impl Strategy<Value = Vec<Action>> {
     let slow =
         || prop::sample::select(vec![0.0317, 0.1601, 0.1799, 0.2601, 0.2901, 2.0377]).prop_map(Action::SlowSpindle);
@@ -455,7 +458,7 @@ fn job_with_a_slow_spindle() -> impl Strategy<Value = Vec<Action>> {
     })
 }
 
-/// Tools that are selected, put in, or not, and what is said of them.
+/// Generates actions that select tools, load them or not, and query them.
 fn tools() -> impl Strategy<Value = Vec<Action>> {
     let tool = || {
         prop_oneof![
@@ -479,7 +482,7 @@ fn some() -> impl Strategy<Value = Vec<Action>> {
         40 => one().prop_map(|action| vec![action]),
         2 => sequence(vec![Action::Byte(RESET), Action::Line(Line::Unlock)]),
         1 => sequence(homed_by_hand()),
-        // Jogs that meet what ends jogs, and lines that wait.
+        // Jogs that meet an action that ends jogs, and lines that wait.
         3 => ended_jog().prop_flat_map(sequence),
         1 => resumed_job().prop_flat_map(sequence),
         1 => job_with_a_fault().prop_flat_map(sequence),
@@ -490,7 +493,7 @@ fn some() -> impl Strategy<Value = Vec<Action>> {
     ]
 }
 
-/// A conversation: how the machine is set up, and what is done with it.
+/// Generates a conversation: the setup of a machine and the actions.
 pub fn conversation() -> impl Strategy<Value = (Setup, Vec<Action>)> {
     let reactions = prop_oneof![3 => Just(None), 4 => (0..6_u8).prop_map(Some)];
     let setup = (any::<[bool; 7]>(), reactions).prop_map(|(switches, reactions)| {

@@ -1,8 +1,8 @@
-//! The protocol's state machine beside a plain reference of it, on conversations at random: what is answered and with
-//! which error, what waits, what the report says, and that no step comes when none may. A disagreement is shrunk to the
+//! Compares the protocol's state machine with a plain reference model, in random conversations: answers and error
+//! numbers, what waits, the status report, and that no step occurs when none may. A disagreement is shrunk to the
 //! shortest conversation and printed in the format of `tests/conversations`.
 //!
-//! `OXMILL_MODEL=N` plays N conversations instead of those of every run; `OXMILL_MODEL_SEED` begins elsewhere.
+//! `OXMILL_MODEL=N` plays N conversations instead of the default number; `OXMILL_MODEL_SEED` sets the first seed.
 
 mod action;
 mod reference;
@@ -13,7 +13,7 @@ use proptest::test_runner::{Config, RngAlgorithm, TestCaseError, TestError, Test
 use std::cell::RefCell;
 use talk::States;
 
-/// Every state that a report knows.
+/// All states that a report can show.
 const STATES: [&str; 13] = [
     "Idle", "Run", "Jog", "Hold:0", "Hold:1", "Door:0", "Door:1", "Door:2", "Door:3", "Home", "Alarm", "Check", "Sleep",
 ];
@@ -22,8 +22,8 @@ fn number(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
 }
 
-/// Plays conversations of a machine and the reference of one that is `told` from its settings. The states that were
-/// passed, or the shortest conversation in which they disagree.
+/// Plays conversations with a machine and with a reference model whose setup is `told` of the machine's setup. Returns
+/// the states that were reported, or the shortest conversation in which the two disagree.
 fn search(count: u64, seed: u64, told: impl Fn(Setup) -> Setup) -> Result<States, String> {
     let config = Config {
         cases: u32::try_from(count).expect("a number of 32 bits"),
@@ -58,7 +58,8 @@ fn the_controller_answers_as_the_reference_does() {
     assert!(count < 1000 || seldom.is_empty(), "hardly ever: {seldom:?}");
 }
 
-/// The shortest conversation with a machine that is set up otherwise than the reference is told.
+/// Returns the shortest conversation that shows a difference between a machine and a reference model with another
+/// setup.
 fn found(told: impl Fn(Setup) -> Setup) -> String {
     let fault = search(1000, 1, told).expect_err("a difference that shows");
     assert!(fault.matches("=> ?").count() <= 8, "not the shortest: {fault}");

@@ -1,4 +1,4 @@
-//! A conversation with the real controller and the reference side by side.
+//! Runs a conversation with the real controller and the reference model side by side.
 
 use super::action::{Action, PINS, Setup};
 use super::reference::{MANY, Model};
@@ -10,7 +10,7 @@ use std::fmt::Write;
 use std::time::Duration;
 
 thread_local! {
-    /// Machines as they are when they have been set up: a copy is cheaper than another start.
+    /// Machines after their setup: copying one is cheaper than starting again.
     static STARTED: RefCell<Vec<(Setup, Talk)>> = const { RefCell::new(Vec::new()) };
 }
 
@@ -21,7 +21,7 @@ struct Talk {
     text: String,
 }
 
-/// What the machine has shown of an action.
+/// Visible effects of an action.
 struct Seen {
     said: Vec<String>,
     report: String,
@@ -101,7 +101,7 @@ impl Seen {
         self.report.trim_matches(['<', '>']).split('|').next().unwrap_or_default()
     }
 
-    /// The reported machine position, mm.
+    /// Returns the reported machine position, mm.
     fn place(&self) -> [f64; 3] {
         numbers(&self.report, "MPos").unwrap_or_else(|| panic!("no MPos in {}", self.report))
     }
@@ -110,7 +110,7 @@ impl Seen {
         self.report.trim_matches(['<', '>']).split('|').find_map(|field| field.strip_prefix(name)?.strip_prefix(':'))
     }
 
-    /// What of it is not as the model says.
+    /// Returns the first difference from the model.
     fn differs(&self, model: &Model) -> Option<String> {
         if !is_said(&model.said, &self.said, !model.setup.grbl) {
             return Some(format!("the answers {:?}", model.said));
@@ -144,8 +144,8 @@ impl Seen {
     }
 }
 
-/// Whether lines are those of a list of patterns in which `*` is any text, and [`MANY`] any lines that are no
-/// answer. `reasons`: an error may have a sentence in front of it, which says what is wrong; the reference does not know it.
+/// Returns whether lines match a list of patterns. `*` stands for any text, and [`MANY`] for any number of lines that
+/// are not answers. `reasons`: an error may be preceded by a message with its reason, which the model does not predict.
 fn is_said(patterns: &[String], lines: &[String], reasons: bool) -> bool {
     let Some((pattern, rest)) = patterns.split_first() else { return lines.is_empty() };
     if pattern == MANY {
@@ -168,11 +168,11 @@ fn is_line(pattern: &str, line: &str) -> bool {
     }
 }
 
-/// How often each state has been reported after an action.
+/// Number of times that each state has been reported after an action.
 pub type States = BTreeMap<String, u64>;
 
-/// Plays a conversation to a machine of `setup` and to the reference of a machine of `told`, which is the same but in a
-/// test of this test. The states that were passed, or how the two disagree.
+/// Plays a conversation with a machine of `setup` and with the model of a machine of `told`. The two differ only in
+/// tests of this test. Returns the states that were reported, or the disagreement.
 pub fn play(setup: Setup, told: Setup, actions: &[Action]) -> Result<States, String> {
     let mut talk = Talk::started(setup);
     let mut models = vec![Model::new(told)];
@@ -206,7 +206,7 @@ pub fn play(setup: Setup, told: Setup, actions: &[Action]) -> Result<States, Str
     Ok(states)
 }
 
-/// The conversation up to where it goes wrong, with what the reference expects there.
+/// Returns the conversation up to the disagreement, with what the model expects there.
 fn disagreement(text: &str, seen: &Seen, faults: &[(String, Model)]) -> String {
     let stepped = if seen.stepped { "steps came" } else { "no step came" };
     let mut text = format!("# The controller and the reference of its protocol disagree.\n{text}");

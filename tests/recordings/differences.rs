@@ -1,16 +1,16 @@
-//! Every recorded exchange that this controller answers otherwise, and why.
+//! All recorded exchanges that this controller answers differently, with the reasons.
 
-/// A record that is answered otherwise.
+/// A record with a different answer.
 pub struct Difference {
     pub group: &'static str,
     pub n: u64,
-    /// What is answered; `None` where that depends on the moment.
+    /// The different answers; `None` if they depend on timing.
     pub answers: Option<&'static [&'static str]>,
     #[allow(dead_code, reason = "for the reader")]
     pub why: &'static str,
 }
 
-/// What `$#` answers when only G92 has been set.
+/// Returns the answers to `$#` when only G92 has been set.
 const fn parameters(g92: &'static str) -> [&'static str; 12] {
     [
         "[G54:0.000,0.000,0.000]",
@@ -53,7 +53,7 @@ const BY_HAND: &str =
 const TRUE_PLACE: &str = "Grbl counts from zero while homing; here the position stays true when homing is broken off";
 const STOPPED: &str = "the machine was stopped by the hand, at a moment that is the recording host's";
 
-/// Records at which the machine stands where the recording host has stopped it in mid-move, at a moment of its own.
+/// Records at which the machine is where the recording host has stopped it during a move, at a time of its own.
 const STANDS_WHERE_STOPPED: &[(&str, u64)] = &[
     ("15_jog", 55),
     ("15_jog", 60),
@@ -76,7 +76,7 @@ const STANDS_WHERE_STOPPED: &[(&str, u64)] = &[
     ("26_pins", 23),
 ];
 
-/// Whether the place of a record depends on the moment of a stop.
+/// Returns whether the position of a record depends on the time of a stop.
 pub fn is_stopped(group: &str, n: u64) -> bool {
     STANDS_WHERE_STOPPED.contains(&(group, n))
 }

@@ -1,8 +1,8 @@
-//! Conversations recorded from Grbl 1.1h, held again with the simulator in Grbl's dialect.
+//! Repeats conversations recorded from Grbl 1.1h with the simulator in Grbl's dialect.
 //!
-//! Each group starts from a fresh machine. Every record must answer equal, byte for byte, or stand in
-//! [`differences::DIFFERENCES`] with the reason, or be equal by one of the rules of [`rules`], which cover what depends on
-//! the wall time of the recording. The test prints how many of each there were.
+//! Each group starts with a fresh machine. Every answer must be equal byte for byte, or be listed in
+//! [`differences::DIFFERENCES`] with the reason, or be equal by one of the rules of [`rules`], which cover what depends
+//! on the wall time of the recording. The test prints the number of each.
 
 mod differences;
 mod record;
@@ -13,16 +13,16 @@ use oxmill_simulator::{Fittings, Options, Simulator};
 use record::{Record, Tally, answers, read};
 use std::time::Duration;
 
-/// How long the recording host listened for an answer before it took silence for one.
+/// Time without output after which the recording host assumed that there was no answer.
 const SILENCE: Duration = Duration::from_millis(300);
-/// Between two looks for an answer.
+/// Interval between checks for an answer.
 const LOOK: Duration = Duration::from_millis(20);
-/// Answers take no longer than a homing cycle.
+/// Maximum number of checks for an answer; a homing cycle takes the longest.
 const PATIENCE: u32 = 20_000;
-/// Between two `?` while waiting for Idle.
+/// Interval between two `?` while waiting for Idle.
 const POLL: Duration = Duration::from_millis(100);
 
-/// The machine of the homing recordings: switches that close at +2 mm on every axis.
+/// Machine of the homing recordings: its switches close at +2 mm on every axis.
 const SWITCHES_AT_2_MM: &str = r#"
     steps_per_mm = [250, 250, 250]
     switch = [
@@ -32,20 +32,20 @@ const SWITCHES_AT_2_MM: &str = r#"
     ]
 "#;
 
-/// A machine as the recordings begin with it, spoken to in Grbl's dialect.
+/// Returns a machine as at the start of the recordings, in Grbl's dialect.
 fn power_up(group: &str) -> Simulator {
     let fittings = if group.starts_with("27") { Fittings::parse(SWITCHES_AT_2_MM) } else { Ok(Fittings::default()) };
     let mut mill = Simulator::new(Options { fittings: fittings.expect("a machine"), ..Options::default() });
     mill.send("$900=0\n");
     mill.run_until_idle();
     assert!(mill.take_output().ends_with("ok\r\n"));
-    // The settings are those of a machine that has been told its dialect, and nothing else has happened to it.
+    // Reset: the machine is then a fresh one with only the dialect set.
     mill.send([0x18]);
     mill.run_until_idle();
     mill
 }
 
-/// Does what the recording host did and gives what came back.
+/// Repeats the actions of the recording host and returns the output.
 fn hold(mill: &mut Simulator, record: &Record) -> String {
     let mut said = mill.take_output();
     let listen = |mill: &mut Simulator, said: &mut String, time| {
@@ -66,7 +66,7 @@ fn hold(mill: &mut Simulator, record: &Record) -> String {
                     }
                     listen(mill, &mut said, LOOK);
                 }
-                // What follows an answer at once belongs to it: the welcome after `$RST`.
+                // Output right after an answer belongs to it: the welcome message after `$RST`.
                 listen(mill, &mut said, LOOK);
             } else {
                 listen(mill, &mut said, SILENCE);

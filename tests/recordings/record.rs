@@ -1,4 +1,4 @@
-//! A recording read, and what a machine answered compared with it. Used by the test of the simulator and by the one of the
+//! Reads recordings and compares them with the answers of a machine. Shared by the tests of the simulator and of the
 //! firmware in QEMU.
 
 use super::{differences, rules};
@@ -15,7 +15,7 @@ pub struct Record {
     pub wait: f64,
 }
 
-/// All records of a file.
+/// Returns all records of a file.
 pub fn read(text: &str) -> Vec<Record> {
     text.lines()
         .map(|line| {
@@ -24,7 +24,7 @@ pub fn read(text: &str) -> Vec<Record> {
             Record {
                 n: value["n"].as_u64().expect("n"),
                 kind: text("kind"),
-                // Bytes above 0x7F were recorded as the characters of the same number.
+                // Bytes above 0x7F were recorded as the characters with these codes.
                 send: text("send").chars().map(|c| c as u32 as u8).collect(),
                 reply: value["reply"]
                     .as_array()
@@ -37,18 +37,18 @@ pub fn read(text: &str) -> Vec<Record> {
         .collect()
 }
 
-/// The lines that are not empty.
+/// Returns the lines that are not empty.
 pub fn lines(text: &str) -> Vec<String> {
     text.split("\r\n").filter(|line| !line.is_empty()).map(str::to_string).collect()
 }
 
-/// How many `ok` and `error` there are.
+/// Returns the number of `ok` and `error` lines.
 #[allow(dead_code, reason = "in QEMU the host inside the machine counts")]
 pub fn answers(text: &str) -> usize {
     lines(text).iter().filter(|line| *line == "ok" || line.starts_with("error:")).count()
 }
 
-/// How many records were answered how.
+/// Numbers of records by kind of answer.
 #[derive(Clone)]
 pub struct Tally {
     pub equal: usize,
@@ -63,7 +63,7 @@ impl Tally {
         Tally { equal: 0, by_rule: 0, listed: 0, other: Vec::new(), used: vec![false; differences::DIFFERENCES.len()] }
     }
 
-    /// Counts what was said to a record.
+    /// Compares the answers to a record and counts the result.
     pub fn judge(&mut self, group: &str, record: &Record, said: &str) {
         let got = lines(said);
         let listed = differences::DIFFERENCES.iter().position(|d| d.group == group && d.n == record.n);
@@ -88,7 +88,7 @@ impl Tally {
         }
     }
 
-    /// Differences that are listed and have not been seen.
+    /// Returns listed differences that have not occurred.
     #[allow(dead_code, reason = "the firmware in QEMU is asked for a part only")]
     pub fn unused(&self) -> Vec<String> {
         let unused = differences::DIFFERENCES.iter().zip(&self.used).filter(|(_, used)| !**used);

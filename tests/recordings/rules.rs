@@ -1,7 +1,8 @@
-//! What may differ because a recording was made in real time, with a host whose pauses are not known to the millisecond.
+//! Allowed differences that are due to wall time: a recording was made in real time, by a host whose pauses are not
+//! known to the millisecond.
 
-/// Whether two answers are equal but for wall time. Each rule is about one record and as narrow as it can be. `stopped`:
-/// the machine stands where the recording host has stopped it in mid-move.
+/// Returns whether two answers are equal apart from timing. Each rule is for one kind of line and as narrow as
+/// possible. `stopped`: the machine is where the recording host has stopped it during a move.
 pub fn equal(stopped: bool, recorded: &[String], answered: &[String]) -> bool {
     if recorded.len() != answered.len() {
         return false;
@@ -9,7 +10,7 @@ pub fn equal(stopped: bool, recorded: &[String], answered: &[String]) -> bool {
     recorded.iter().zip(answered).all(|(a, b)| a == b || build(a, b) || report(stopped, a, b) || touch(a, b))
 }
 
-/// Version and sizes are this controller's own.
+/// Version and sizes differ between the controllers.
 fn build(recorded: &str, answered: &str) -> bool {
     let user_text =
         |line: &str| line.strip_prefix("[VER:1.1h.").and_then(|l| l.split_once(':')).map(|(_, t)| t.to_string());
@@ -19,7 +20,7 @@ fn build(recorded: &str, answered: &str) -> bool {
     }
 }
 
-/// Where a probe touched depends on when the hand moved the pin: within half a millimetre, which is half a second.
+/// The probe position depends on when the pin was moved by hand: within half a millimetre, which is half a second.
 fn touch(recorded: &str, answered: &str) -> bool {
     match (places(recorded, "[PRB:"), places(answered, "[PRB:")) {
         (Some(a), Some(b)) => recorded.ends_with(":1]") == answered.ends_with(":1]") && near(&a, &b, 0.5),
@@ -27,9 +28,9 @@ fn touch(recorded: &str, answered: &str) -> bool {
     }
 }
 
-/// Status reports: state and pins are equal; sizes of buffers are this controller's own; while something moves, or after
-/// a stop whose moment was the host's, places lie within a millimetre and speeds between rest and the recorded machine's
-/// 500 mm/min; the rare fields come when the number of reports so far says, which polling changes.
+/// Status reports: state and pins must be equal; buffer sizes differ between the controllers. During motion, or after a
+/// stop by the host, positions may differ by a millimetre, and speeds may lie between rest and the recorded machine's
+/// 500 mm/min. Fields that appear only in some reports depend on the number of reports so far, which polling changes.
 fn report(stopped: bool, recorded: &str, answered: &str) -> bool {
     let (Some(a), Some(b)) = (Report::read(recorded), Report::read(answered)) else { return false };
     let moving = stopped || matches!(a.state.as_str(), "Run" | "Jog" | "Home" | "Hold:1" | "Door:2" | "Door:3");

@@ -1,14 +1,15 @@
-//! Whatever anybody types, presses and moves: lines of every kind and none, settings, realtime bytes at any place, pins,
-//! pauses. No panic, no hang, every line answered once, the position that of the pulses, and always a way back.
+//! Random sessions of everything a person can type, press and move: lines of every kind and garbage, settings, realtime
+//! bytes at any position, pins, pauses. The machine must not panic or hang, must answer every line once, report the
+//! position that the pulses make, and always have a way back to Idle.
 //!
-//! `OXMILL_FUZZ=N` plays N sessions instead of the few of every run; `OXMILL_FUZZ_SEED` begins elsewhere.
+//! `OXMILL_FUZZ=N` plays N sessions instead of the default few; `OXMILL_FUZZ_SEED` sets the first seed.
 
 use super::bench::Bench;
 use oxmill_fuzz::session::{MACHINE, PINS, SETTINGS, back_to_idle};
 use oxmill_test_support::Random;
 use std::fmt::Write;
 
-/// Actions of a session.
+/// Number of actions per session.
 const ACTIONS: u64 = 60;
 
 fn number(random: &mut Random) -> String {
@@ -114,7 +115,7 @@ fn line(random: &mut Random) -> String {
             .unwrap();
         }
         10 | 11 => {
-            // Resolution stays what the machine has; and rates and accelerations that a session can wait for.
+            // Settings that keep the resolution, and rates and accelerations short enough for a session.
             let setting = random.of(&[
                 "0", "1", "2", "3", "4", "5", "6", "10", "11", "12", "13", "20", "21", "22", "23", "26", "27", "30",
                 "31", "32", "40", "41", "42", "43", "44", "45", "46", "56", "58", "900", "901", "902", "903", "999",
@@ -125,7 +126,7 @@ fn line(random: &mut Random) -> String {
             for _ in 0..random.below(100) {
                 line.push(char::from(b' ' + random.below(95) as u8));
             }
-            // A setting of chance may take days.
+            // A random setting may take days: remove the letters that could make one.
             line.retain(|c| !matches!(c, '$' | 'F' | 'f' | 'P' | 'p' | 'Q'));
         }
         13 => line += &"G1X1".repeat(random.below(90) as usize),
@@ -140,7 +141,7 @@ fn line(random: &mut Random) -> String {
     line
 }
 
-/// One session; `what` names it.
+/// Plays the session with this seed.
 fn session(seed: u64) {
     let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
     let mut bench = Bench::new(MACHINE, SETTINGS);
@@ -159,7 +160,7 @@ fn session(seed: u64) {
                     };
                     bytes.insert(at, byte);
                 }
-                // As a sender that counts: commands do not wait behind lines for which there is no room.
+                // Like a sender that counts characters: so realtime commands never wait for lines that do not fit.
                 if bench.mill.unread() + bytes.len() <= bench.mill.board().received_bytes {
                     write!(history, "{:?} ", String::from_utf8_lossy(&bytes)).unwrap();
                     bench.send(&bytes);

@@ -1,27 +1,27 @@
-//! A machine on the bench: the simulator in process, what it said, and where its pulses have brought it.
+//! Test bench: the simulator in process, with its unread output and the position that its pulses make.
 
 use oxmill_simulator::{Fittings, Options, Simulator, boards};
 use oxmill_test_support::numbers;
 use std::time::Duration;
 
 pub const AXES: usize = oxmill_controller::axes::LINEAR;
-/// Step clock.
+/// Step clock, Hz.
 pub const HZ: u64 = boards::DESK.step_clock_hz as u64;
-/// Steps/mm of all machines here; a step is 0.004 mm, so that a report shows it exactly.
+/// Steps/mm of all machines here; a step is 0.004 mm, so a report shows positions exactly.
 pub const STEPS: f64 = 250.0;
-/// Virtual seconds after which an answer is missed.
+/// Virtual seconds to wait for an answer before the test fails.
 const PATIENCE: f64 = 1000.0;
-/// Between two looks while something is waited for, s.
+/// Interval between checks of a condition, s.
 const LOOK: f64 = 0.005;
 
 #[derive(Clone)]
 pub struct Bench {
     pub mill: Simulator,
-    /// What has been said and not been read.
+    /// Output that has not been read.
     unread: String,
 }
 
-/// The setting that a message names.
+/// Returns the setting that a lock message names.
 #[track_caller]
 pub fn locking(message: &str) -> String {
     let name = message.strip_prefix("[MSG:Motion is locked until this setting is mended: ");
@@ -29,7 +29,7 @@ pub fn locking(message: &str) -> String {
 }
 
 impl Bench {
-    /// A machine fitted so (TOML) with these `$n=v` lines.
+    /// Returns a machine with these fittings (TOML) and these `$n=v` settings, separated by blanks.
     pub fn new(machine: &str, settings: &str) -> Bench {
         let fittings = if machine.is_empty() { Fittings::default() } else { Fittings::parse(machine).unwrap() };
         let mill = Simulator::new(Options { keep_steps: true, fittings, ..Options::default() });
@@ -41,7 +41,7 @@ impl Bench {
         bench
     }
 
-    /// Sends a setting, which may make the set one that cannot be run. The setting that is named then.
+    /// Sends a setting. Returns the setting named by the lock message if the set of settings is then unusable.
     #[track_caller]
     pub fn set(&mut self, line: &str) -> Option<String> {
         let said = self.ask(line);
@@ -52,7 +52,7 @@ impl Bench {
         }
     }
 
-    /// The answer lines that have come.
+    /// Returns the lines received since the last call.
     pub fn read(&mut self) -> Vec<String> {
         self.unread.push_str(&self.mill.take_output());
         let end = self.unread.rfind('\n').map_or(0, |at| at + 1);
@@ -70,13 +70,13 @@ impl Bench {
         self.mill.run_for(Duration::from_secs_f64(seconds));
     }
 
-    /// Sends a line and waits for its `ok` or `error`; everything that came until then.
+    /// Sends a line and waits for its `ok` or `error`; returns all lines received until then.
     pub fn ask(&mut self, line: &str) -> Vec<String> {
         self.send(format!("{line}\n"));
         self.read_until(line, |said| said.iter().any(|l| l == "ok" || l.starts_with("error:")))
     }
 
-    /// Waits until what was said is enough.
+    /// Reads lines until `enough` accepts them.
     #[track_caller]
     pub fn read_until(&mut self, what: &str, enough: impl Fn(&[String]) -> bool) -> Vec<String> {
         let end = self.seconds() + PATIENCE;
@@ -89,14 +89,14 @@ impl Bench {
         said
     }
 
-    /// Sends a line, expects `ok` and waits for the end of what it does.
+    /// Sends a line, expects `ok` and waits until the machine is idle.
     #[track_caller]
     pub fn carry_out(&mut self, line: &str) {
         assert_eq!(self.ask(line), ["ok"], "{line}");
         self.settle();
     }
 
-    /// Waits until nothing moves and nothing is owed.
+    /// Waits until nothing moves and no answer is pending.
     #[track_caller]
     pub fn settle(&mut self) {
         assert!(self.mill.run_until_idle(), "never idle: {}", self.status());
@@ -107,7 +107,7 @@ impl Bench {
         self.mill.clock().now() as f64 / HZ as f64
     }
 
-    /// The status report; other lines that wait stay unread.
+    /// Returns the status report; other lines stay unread.
     pub fn status(&mut self) -> String {
         self.unread.push_str(&self.mill.take_output());
         self.mill.send("?");
@@ -119,7 +119,7 @@ impl Bench {
         line.to_string()
     }
 
-    /// The first field of the status report.
+    /// Returns the first field of the status report.
     pub fn state(&mut self) -> String {
         let status = self.status();
         status.trim_start_matches('<').split(['|', '>']).next().expect("a state").to_string()
@@ -129,19 +129,19 @@ impl Bench {
         assert_eq!(self.mill.pin_line(line), "ok", "{line}");
     }
 
-    /// Where the pulses have brought the machine.
+    /// Returns the position that the pulses make, in steps.
     pub fn place(&self) -> [i32; AXES] {
         self.mill.machine().position()
     }
 
-    /// The machine position as reported, in steps.
+    /// Returns the reported machine position, in steps.
     pub fn reported(&mut self) -> [f64; AXES] {
         let status = self.status();
         numbers::<AXES>(&status, "MPos").unwrap_or_else(|| panic!("no MPos in {status}")).map(|mm| mm * STEPS)
     }
 }
 
-/// Whether places in steps are the same; a report of three decimals shows a step of 0.004 mm exactly.
+/// Asserts that two positions in steps are equal; a report of three decimals shows a step of 0.004 mm exactly.
 #[track_caller]
 pub fn assert_place(reported: [f64; AXES], steps: [i32; AXES], what: &str) {
     for axis in 0..AXES {

@@ -1,8 +1,10 @@
-//! Machines of every build (belts, slack, two motors on an axis, an axis that turns, jerk limits, laser, parking) that are
-//! homed, and disturbed while they home, jog, probe and run programs. Where they say that the tool is, it is; the travel is
-//! kept, what rests does not step, there is a way out of every state, and at the end they home and go where they are told.
+//! Machines of every kind (belts, backlash, two motors on an axis, a rotary axis, jerk limits, laser, parking) that are
+//! homed, and interrupted while they home, jog, probe and run programs. The reported position is the tool's position,
+//! the travel is kept, a machine at rest makes no steps, every state has a way out, and at the end the machine can be
+//! homed and moved.
 //!
-//! `OXMILL_COMBINED=N` plays N sessions on each machine instead of the few of every run; `OXMILL_COMBINED_SEED` begins elsewhere.
+//! `OXMILL_COMBINED=N` plays N sessions on each machine instead of the default few; `OXMILL_COMBINED_SEED` sets the
+//! first seed.
 
 use super::bench::Bench;
 use oxmill_test_support::Random;
@@ -26,7 +28,7 @@ const SWITCHES: &str = r#"
     at_mm = 4
     side = "positive"
 "#;
-/// Where the switches are.
+/// Positions of the switches, mm.
 const AT: [f64; 3] = [2.0, 3.0, 4.0];
 const TRAVEL: f64 = 60.0;
 const BELTS: &str = "kinematics = \"corexy\"\n";
@@ -34,10 +36,10 @@ const SLACK: &str = "backlash_mm = [0.1, 0.06, 0.08, 0]\n";
 const TAKEN_UP: &str = "$160=0.1 $161=0.06 $162=0.08";
 const TURNS: &str = "$930=4 $103=250 $113=9000 $123=900 $133=0";
 const PARKS: &str = "$41=1 $56=0.3 $57=900 $58=-3 $59=2000";
-/// The second motor of X begins ahead of the first, with a switch of its own.
+/// The second motor of X starts ahead of the first, and has its own switch.
 const RACKED: &str = "racked_mm = 0.3\n";
 const SECOND: &str = "[[switch]]\naxis = \"x\"\nat_mm = 2\nside = \"positive\"\nsecond_motor = true\n";
-/// What each machine is made of before and behind [`SWITCHES`], and its settings.
+/// Machines: the TOML text before and after [`SWITCHES`], and the settings.
 const MACHINES: [([&str; 2], &str, [&str; 3]); 10] = [
     (["", ""], "", ["", "", ""]),
     ([SLACK, ""], "", [TAKEN_UP, "$43=2", ""]),
@@ -50,9 +52,9 @@ const MACHINES: [([&str; 2], &str, [&str; 3]); 10] = [
     ([BELTS, ""], "", ["$904=1", "$32=1", "$44=3 $45=4"]),
     ([SLACK, ""], "", [TAKEN_UP, PARKS, "$923=0.05 $924=2"]),
 ];
-/// Actions of a session.
+/// Number of actions per session.
 const ACTIONS: u64 = 60;
-/// Longest way out, s.
+/// Maximum time until the machine is idle again, s.
 const LONGEST: f64 = 200.0;
 
 struct Mill {
@@ -60,9 +62,9 @@ struct Mill {
     turns: bool,
     belts: bool,
     slack: bool,
-    /// State at the last look, step events until then, and whether nothing has been sent since.
+    /// State and number of step events at the last check, and whether nothing has been sent since.
     before: (String, u64, bool),
-    /// What has been sent and said, for who looks for a fault.
+    /// Everything sent and received, for diagnosis.
     log: String,
 }
 
@@ -128,7 +130,7 @@ impl Mill {
         mill
     }
 
-    /// What the machine says of its place.
+    /// Returns the reported position, mm, and the report.
     fn reported(&mut self) -> ([f64; 3], String) {
         let status = self.bench.status();
         let at = status.find("MPos:").expect("a place") + 5;
@@ -136,7 +138,7 @@ impl Mill {
         (std::array::from_fn(|_| places.next().expect("three places")), status)
     }
 
-    /// Where the drives of the motors hold the tool, from the switches.
+    /// Returns the position at which the drives hold the tool, relative to the switches, mm.
     fn tool(&self) -> [f64; 3] {
         let [mut x, mut y, z, ..] = self.bench.mill.fittings().driven_mm();
         if self.belts {
@@ -145,7 +147,8 @@ impl Mill {
         [x - AT[0], y - AT[1], z - AT[2]]
     }
 
-    /// At rest: slack that a stop has left is part of it, and belts home to half a step of both motors.
+    /// Compares the positions at rest. They may differ by backlash that a stop has left, and by half a step of both
+    /// motors that home a belt.
     fn assert_place(&mut self) {
         let ((reported, status), tool) = (self.reported(), self.tool());
         let off = if self.slack { 0.1701 } else { [0.0021, 0.0101][usize::from(self.belts)] };
@@ -154,7 +157,7 @@ impl Mill {
         }
     }
 
-    /// A belt that takes up its slack pulls the other axis along, up to half of it.
+    /// A belt that takes up its backlash moves the other axis along, by up to half of the backlash.
     fn assert_in_travel(&mut self) {
         let drag = if self.belts && self.slack { 0.08 } else { 0.0 } + 0.003;
         let (reported, status) = self.reported();
@@ -182,7 +185,7 @@ impl Mill {
         self.before.2 = false;
     }
 
-    /// Some time passes; and what holds at each moment is looked at.
+    /// Lets time pass, and checks what must hold at any time.
     fn pass(&mut self, milliseconds: u64) -> String {
         self.bench.wait(milliseconds as f64 / 1000.0);
         for said in self.bench.read() {
@@ -237,7 +240,7 @@ impl Mill {
         self.send("$X");
     }
 
-    /// It comes to Idle by itself, by `~`, by a reset with `$X`.
+    /// Brings the machine to Idle: by waiting, by `~`, or by a reset with `$X`.
     fn come_out(&mut self) {
         let end = self.bench.seconds() + LONGEST;
         loop {
@@ -258,7 +261,7 @@ impl Mill {
         self.bench.settle();
     }
 
-    /// With its settings again it is homed, and comes to a place to the step.
+    /// Restores the settings, homes, and checks that the machine reaches a position to the step.
     fn assert_sound(&mut self, settings: [&str; 3]) {
         for line in settings.join(" ").split_whitespace().chain("$N0= $N1= $21=0 $923=0 $902=0 $20=0".split(' ')) {
             self.carry_out(line);

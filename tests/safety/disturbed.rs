@@ -1,7 +1,9 @@
-//! Programs of all kinds of words, each played twice: line for line, and streamed while it is held, overridden, stopped by
-//! the door, stepped block by block. Both end alike: answers, steps, state and offsets; and the tool has kept to the path.
+//! Random programs of all kinds of words, each run twice: line by line, and streamed while it is held, overridden,
+//! stopped by the door and run in single blocks. Both runs must end with the same answers, steps, state and offsets,
+//! and on the same path.
 //!
-//! `OXMILL_DISTURBED=N` plays N programs on each machine instead of the few of every run; `OXMILL_DISTURBED_SEED` begins elsewhere.
+//! `OXMILL_DISTURBED=N` plays N programs on each machine instead of the default few; `OXMILL_DISTURBED_SEED` sets the
+//! first seed.
 
 use super::bench::{AXES, Bench, STEPS};
 use oxmill_test_support::Random;
@@ -20,7 +22,7 @@ const SETTINGS: &str = "$0=1 $22=1 $24=600 $25=3000 $26=1 $110=6000 $111=5000 $1
                         $131=60 $132=60 $20=1 $392=0.05 $393=0.02";
 const BELTS: &str = "$904=1";
 const TURNS: &str = "$930=4";
-/// Of `$160` to `$162` below, steps.
+/// Maximum backlash of `$160` to `$162` below, steps.
 const MOST_SLACK: f64 = 10.0;
 /// Settings of each machine, and whether it parks: then it leaves the path.
 const MACHINES: [(&str, bool); 11] = [
@@ -37,13 +39,14 @@ const MACHINES: [(&str, bool); 11] = [
     ("$930=4 $103=100 $113=9000 $123=900 $133=0 $162=0.04 $223=4000 $41=1 $56=0.3 $57=600 $58=-3 $59=2000", true),
 ];
 const BEGIN: [&str; 4] = ["G10 L2 P1 X-30 Y-30 Z-20", "G10 L2 P2 X-28 Y-31 Z-21", "G0 X0 Y0 Z0", "F1000"];
-/// Lines of a program, at least.
+/// Minimum number of lines of a program.
 const LINES: usize = 40;
-/// Longest time of a line, s.
+/// Maximum duration of a line, s.
 const LONGEST: f64 = 30.0;
-/// Edge of the cells by which paths are compared, steps: a place lies in one that the other path has met, or beside it. Where
-/// a probe comes to rest depends on its speed; and a rounded path is off by 0.1 mm.
+/// Edge of the cells by which paths are compared, steps: each position must lie in a cell of the other path, or in a
+/// neighbour of one. Large enough for the stop of a probe, which depends on its speed.
 const CELL: i32 = 10;
+/// The same for rounded paths, which are off by up to 0.1 mm.
 const ROUNDED_CELL: i32 = 30;
 
 const TOOLS_AND_PLACES: &str =
@@ -56,8 +59,8 @@ fn mm(random: &mut Random, reach: u64) -> f64 {
     (random.below(reach * 2000) as f64 / 1000.0 - reach as f64) * scale
 }
 
-/// The same of tools, kept states, subroutines, inverse time, moves shorter than a step, pins, overrides and NURBS. `a`: a word
-/// of A or nothing.
+/// Returns random lines with tools, saved states, subroutines, inverse time, moves shorter than a step, pins, overrides
+/// and NURBS. `a`: an A word or nothing.
 fn more_lines(r: &mut Random, a: &str, feed: u64) -> Vec<String> {
     let text = match r.below(8) {
         0 => format!("G10 L1 P{} Z{:.3}|T{} G43", 1 + r.below(3), mm(r, 2), 1 + r.below(3)),
@@ -88,7 +91,7 @@ fn more_lines(r: &mut Random, a: &str, feed: u64) -> Vec<String> {
     text.split('|').map(str::to_string).collect()
 }
 
-/// Lines that belong together. Whether the machine can carry them out is seen when it does.
+/// Returns lines that belong together. They may fail on this machine; `program` leaves them out then.
 fn lines(random: &mut Random, turns: bool) -> Vec<String> {
     let r = random;
     let a = if turns && r.below(2) == 0 { format!(" A{:.2}", mm(r, 40)) } else { String::new() };
@@ -147,7 +150,7 @@ fn lines(random: &mut Random, turns: bool) -> Vec<String> {
     }
 }
 
-/// The tool on its motors, in steps.
+/// Returns the tool position according to the motors, in steps.
 fn tool(bench: &Bench, settings: &str) -> [f64; AXES] {
     let [x, y, z] = bench.place().map(f64::from);
     if settings.contains(BELTS) { [0.5 * (x + y), 0.5 * (x - y), z] } else { [x, y, z] }
@@ -157,14 +160,14 @@ fn tool(bench: &Bench, settings: &str) -> [f64; AXES] {
 struct Mill {
     bench: Bench,
     settings: &'static str,
-    /// From the count of steps to machine coordinates, steps.
+    /// Offset from the step count to machine coordinates, steps.
     zero: [f64; AXES],
     answers: Vec<String>,
     sent: usize,
     alarm: bool,
-    /// State at the last look, step events until then, and whether nothing has been sent since.
+    /// State and number of step events at the last check, and whether nothing has been sent since.
     before: (String, u64, bool),
-    /// What has been sent, for who looks for a fault.
+    /// Everything sent, for diagnosis.
     log: String,
 }
 
@@ -189,7 +192,7 @@ impl Mill {
         }
     }
 
-    /// Whether there was room for it.
+    /// Sends a line if there is room for it; returns whether there was.
     fn line(&mut self, line: &str) -> bool {
         let fits = self.bench.mill.unread() + line.len() < self.bench.mill.board().received_bytes;
         if fits {
@@ -217,7 +220,8 @@ impl Mill {
         matches!(self.bench.state().as_str(), "Hold:0" | "Door:0")
     }
 
-    /// Belts come to half steps, and slack is taken up on the way.
+    /// Compares the reported position with the steps. Belts may be at half steps, and backlash may be taken up at this
+    /// time.
     fn assert_place(&mut self) {
         let (reported, place) = (self.bench.reported(), tool(&self.bench, self.settings));
         let half = if self.settings.contains(BELTS) { 0.51 } else { 0.01 };
@@ -228,7 +232,7 @@ impl Mill {
         }
     }
 
-    /// Some time passes; and what holds at each moment is looked at.
+    /// Lets time pass, and checks what must hold at any time.
     fn pass(&mut self, milliseconds: u64) {
         self.bench.wait(milliseconds as f64 / 1000.0);
         self.hear();
@@ -245,7 +249,8 @@ impl Mill {
         self.before = (state, events, true);
     }
 
-    /// All is carried out, and what waits for the operator goes on. False where that takes an alarm or too long.
+    /// Runs until all lines are done, resuming whatever waits for the operator. Returns `false` after an alarm or a
+    /// timeout.
     fn finish(&mut self) -> bool {
         let end = self.bench.seconds() + LONGEST;
         while !self.alarm && (self.answers.len() < self.sent || !self.bench.mill.is_idle()) {
@@ -294,7 +299,7 @@ impl Mill {
         self.byte(b'~');
     }
 
-    /// State and offsets, as the program has left them.
+    /// Returns state and offsets after the program.
     fn left(&mut self) -> Vec<String> {
         [self.bench.ask("$G"), self.bench.ask("$#")].concat()
     }
@@ -310,7 +315,7 @@ impl Mill {
     }
 }
 
-/// A program that the machine can carry out, and how it was when it had, line for line.
+/// Returns a program that the machine can carry out, and the machine after running it line by line.
 fn program(homed: &Mill, random: &mut Random) -> (Vec<String>, Mill) {
     let mut mill = homed.clone();
     let mut program = Vec::new();

@@ -1,4 +1,4 @@
-//! Emergency stop and driver fault at any moment of a job, and what may not happen afterwards.
+//! Emergency stop and driver fault at any time during a job, and what must not happen afterwards.
 
 use super::bench::{Bench, assert_place};
 use oxmill_controller::messages::SpindleDirection;
@@ -14,14 +14,14 @@ fn everything_off(bench: &Bench, drivers: bool, what: &str) {
     assert!(!bench.mill.is_stepping(), "{what}");
 }
 
-/// Presses at a moment of the job and looks at everything that must hold.
+/// Activates the pin at a time in the job and checks the consequences.
 fn press(pin: &str, alarm: u8, error: u8, drivers_off: bool, moment: f64) {
     let mut bench = Bench::new("", SETTINGS);
     assert_eq!(bench.ask(&format!("$913={}", u8::from(drivers_off))), ["ok"]);
     bench.send(JOB);
     bench.wait(moment);
     let what = format!("{pin} at {moment} s, $913={drivers_off}");
-    // At rest the drivers go off after $1 anyway, and an emergency does not switch them on.
+    // At rest, `$1` has switched the drivers off already, and an emergency does not switch them on.
     let (moving, drivers) = (bench.mill.is_stepping(), bench.mill.outputs().is_some_and(|o| o.drivers));
     bench.read();
     bench.pin(&format!("{pin} 1"));
@@ -32,7 +32,7 @@ fn press(pin: &str, alarm: u8, error: u8, drivers_off: bool, moment: f64) {
     assert_place(bench.reported(), place, &what);
     let trusted = !moving && !drivers_off && pin != "fault";
     assert_eq!(bench.mill.controller().is_trusted(), trusted, "{what}");
-    // Nothing that a host or a hand can do brings it back while the input is active.
+    // While the input is active, nothing that a host or an operator does starts the machine again.
     for round in 0..2 {
         for bytes in ["~", "$X\n", "$H\n", "G1 X9 F500\n", "$J=G91 X1 F100\n", "M3 S100\n", "\u{a0}"] {
             bench.send(bytes);
@@ -69,7 +69,7 @@ fn an_emergency_at_any_moment() {
     press("estop", 101, 50, true, 0.2);
 }
 
-/// An armed input is the one that stops, and none that the settings leave out.
+/// Only an armed input stops the machine, not one that the settings disable.
 #[test]
 fn a_limit_switch_stops_only_where_hard_limits_are_on() {
     let mut bench = Bench::new("", "$120=200");
@@ -92,7 +92,8 @@ fn a_limit_switch_stops_only_where_hard_limits_are_on() {
     );
 }
 
-/// A switch pressed in an alarm stops a machine at rest once more: the alarm stays as it is, and the way out is free.
+/// A switch pressed during an alarm stops a machine that is already at rest: the alarm stays the same, and the ways out
+/// of it still work.
 #[test]
 fn a_limit_switch_in_an_alarm_changes_nothing() {
     let mut bench = Bench::new("", "$21=1");
@@ -113,7 +114,7 @@ fn a_limit_switch_in_an_alarm_changes_nothing() {
     assert_eq!(bench.place()[0], before[0] + 100);
 }
 
-/// Two emergencies and a reset button between them: the stops are all answered for, and the machine moves again.
+/// Two emergencies with the reset button between them: every stop is acknowledged, and the machine moves again.
 #[test]
 fn stops_on_top_of_each_other() {
     let mut bench = Bench::new("", "$21=1 $120=200");

@@ -1,17 +1,17 @@
-//! Homing with switches that chatter, that stick and that are missing, and what may happen in the midst of it.
+//! Homing with switches that bounce, stick or are missing, and interruptions during homing.
 
 use super::bench::{AXES, Bench, STEPS, assert_place};
 
-/// Where the switches close, in steps from the place at power-up.
+/// Positions at which the switches close, in steps from the power-up position.
 const AT: [i32; AXES] = [533, 1217, 841];
 /// `$27` in steps.
 const PULL_OFF: i32 = 375;
-/// `$130` and on in mm.
+/// `$130` to `$132`, mm.
 const TRAVEL: f64 = 12.0;
 
 const SETTINGS: &str = "$22=1 $24=60 $25=480 $26=20 $27=1.5 $120=100 $121=100 $122=100 $130=12 $131=12 $132=12";
 
-/// Switches at [`AT`], mirrored for axes of the mask that home to negative.
+/// Returns a machine with switches at [`AT`], mirrored for the axes of the mask, which home in negative direction.
 fn machine(to_negative: u8, bounce_us: u32) -> String {
     let mut text = format!("steps_per_mm = [{STEPS}, {STEPS}, {STEPS}]\n");
     for (axis, letter) in ["x", "y", "z"].into_iter().enumerate() {
@@ -27,7 +27,7 @@ fn home(bench: &mut Bench) -> Vec<String> {
     bench.ask("$H")
 }
 
-/// Asserts that homing has ended where the switches are, by the machine and by the report.
+/// Asserts that homing has ended at the switches, according to the steps and the report.
 #[track_caller]
 fn assert_homed(bench: &mut Bench, to_negative: u8, what: &str) {
     bench.settle();
@@ -45,14 +45,14 @@ fn assert_homed(bench: &mut Bench, to_negative: u8, what: &str) {
 #[test]
 fn a_bouncing_switch_is_found_to_the_step() {
     for to_negative in [0, 7, 2] {
-        // At $24 a step takes 4 ms.
+        // At the rate of `$24` a step takes 4 ms.
         for bounce_us in [0, 50, 300, 1000, 2900] {
             let mut bench = Bench::new(&machine(to_negative, bounce_us), SETTINGS);
             assert_eq!(bench.ask(&format!("$23={to_negative}")), ["ok"]);
             assert_eq!(home(&mut bench), ["ok"]);
             let what = format!("mask {to_negative}, bounce {bounce_us} us");
             assert_homed(&mut bench, to_negative, &what);
-            // Once more from there, and from elsewhere.
+            // Once more from the homed position, and from another one.
             assert_eq!(home(&mut bench), ["ok"]);
             assert_homed(&mut bench, to_negative, &what);
             bench.carry_out("G90 G53 G0 X-5 Y-6 Z-7");
@@ -78,10 +78,10 @@ fn one_axis_alone_is_homed_alone() {
 
 #[test]
 fn homing_begins_on_a_switch_that_is_closed_already() {
-    // The switch of X closes 1 mm behind the place where the machine is switched on: the pull-off opens it.
+    // The switch of X already closes 1 mm before the power-up position: the pull-off opens it.
     let text = machine(0, 700).replace(&format!("at_mm = {}", f64::from(AT[0]) / STEPS), "at_mm = -1.0");
     let mut bench = Bench::new(&text, SETTINGS);
-    // The filter of the inputs takes 0.4 ms.
+    // The input filter delays by 0.4 ms.
     bench.wait(0.01);
     assert!(bench.status().contains("Pn:X"), "{}", bench.status());
     assert_eq!(home(&mut bench), ["ok"]);
@@ -89,7 +89,8 @@ fn homing_begins_on_a_switch_that_is_closed_already() {
     assert_eq!(bench.place()[0], -250 - PULL_OFF);
 }
 
-/// What a homing that failed leaves: announced, answered, locked, at rest, not trusted; and `$X` and `$H` work.
+/// Asserts the state after a failed homing: alarm sent, line answered, machine locked, at rest and not trusted; `$X`
+/// and `$H` work.
 #[track_caller]
 fn assert_failed(bench: &mut Bench, said: &[String], alarm: u8, what: &str) {
     let alarms: Vec<&String> = said.iter().filter(|l| l.starts_with("ALARM")).collect();
@@ -101,7 +102,7 @@ fn assert_failed(bench: &mut Bench, said: &[String], alarm: u8, what: &str) {
     let reported = bench.reported();
     bench.wait(1.0);
     assert_eq!(bench.place(), place, "{what}: it goes on after the alarm");
-    // Counted from where the machine was when it was switched on, or from its switch where the cycle of an axis was over.
+    // The position is counted from the power-up position, or from the switch for an axis whose cycle was complete.
     let place = std::array::from_fn(|axis| {
         let homed = place[axis] - AT[axis];
         if (reported[axis] - f64::from(homed)).abs() < 0.01 { homed } else { place[axis] }
@@ -150,7 +151,7 @@ fn a_switch_that_does_not_open_again_ends_in_an_alarm() {
 
 type Act = fn(&mut Bench);
 
-/// At any moment of the cycle: the right alarm, and everything works afterwards.
+/// At any time of the cycle: the right alarm, and everything works afterwards.
 #[test]
 fn homing_is_broken_off_at_any_moment() {
     let mut whole = Bench::new(&machine(0, 900), SETTINGS);
@@ -167,7 +168,7 @@ fn homing_is_broken_off_at_any_moment() {
         (7, "door pin", |b| b.pin("door 1")),
     ];
     for (number, (alarm, what, act)) in breaks.into_iter().enumerate() {
-        // A prime step, so that all phases are met at different places.
+        // The step is not a fraction of any phase, so all phases are hit at different points.
         let mut moment = 0.003 + number as f64 * 0.017;
         let mut moments = 0;
         while moment < cycle {
@@ -201,7 +202,8 @@ fn homing_is_broken_off_at_any_moment() {
     }
 }
 
-/// Neither where homing waits for a contact to be at rest nor at its end; the program has to switch it on again.
+/// The laser stays off while homing waits for a switch to settle, and after the end of homing, until the program
+/// switches it on again.
 #[test]
 fn no_beam_is_on_while_homing() {
     let mut bench = Bench::new(&machine(0, 900), SETTINGS);
@@ -224,7 +226,7 @@ fn unlocked() -> Vec<&'static str> {
     vec!["[MSG:Caution: Unlocked]", "[MSG:The position may be lost: home before using machine coordinates]", "ok"]
 }
 
-/// Holds, starts, overrides, jog cancels, lines and other switches do not disturb it.
+/// Holds, cycle starts, overrides, jog cancels, lines and other switches have no effect on homing.
 #[test]
 fn nothing_else_disturbs_homing() {
     for bytes in ["!", "~", "\u{85}", "G0 X100\n", "$J=G91X1F100\n", "?????", "$X\n"] {
@@ -238,7 +240,7 @@ fn nothing_else_disturbs_homing() {
                 break;
             }
             bench.send(&bytes);
-            // The lines wait until homing is over; one is enough.
+            // Lines wait until homing is over; one is enough.
             if bytes.ends_with(b"\n") {
                 break;
             }
@@ -252,7 +254,8 @@ fn nothing_else_disturbs_homing() {
     }
 }
 
-/// With `$932` machine zero is where homing ends, clear of the switch, and the travel leads away from it.
+/// With `$932` machine zero is the position where homing ends, clear of the switch, and the travel extends away from
+/// the switch.
 #[test]
 fn with_zero_at_the_pull_off_nothing_that_goes_to_zero_meets_a_switch() {
     for to_negative in 0..8 {
@@ -267,14 +270,15 @@ fn with_zero_at_the_pull_off_nothing_that_goes_to_zero_meets_a_switch() {
         let what = format!("mask {to_negative}");
         assert_eq!(home, std::array::from_fn(|axis| sign[axis] * (AT[axis] - PULL_OFF)), "{what}");
         assert_place(bench.reported(), [0; AXES], &what);
-        // What posts write at the beginning and the end, from elsewhere.
+        // Lines that post-processors write at the beginning and the end, starting from another position.
         for line in ["G28 G91 Z0", "G28 G91 X0 Y0", "G30", "G90 G53 G0 X0 Y0 Z0"] {
             let [x, y, z] = sign.map(|sign| -5 * sign);
             bench.carry_out(&format!("G90 G53 G0 X{x} Y{y} Z{z}"));
             bench.carry_out(line);
         }
         assert_eq!(bench.place(), home, "{what}");
-        // The other end is where it is without the setting: the travel away from where the switch closes.
+        // The other end of travel is the same as without the setting: at the travel's distance from where the switch
+        // closes.
         for axis in 0..AXES {
             let letter = ["X", "Y", "Z"][axis];
             let end = -sign[axis] as f64 * (TRAVEL - 1.5);
@@ -288,7 +292,7 @@ fn with_zero_at_the_pull_off_nothing_that_goes_to_zero_meets_a_switch() {
                 let said = bench.read_until(&what, |said| said.iter().any(|line| line.starts_with("ALARM")));
                 assert!(said.iter().any(|line| line == "ALARM:2"), "{what} {letter}{beyond}: {said:?}");
             }
-            // A jog that is clipped ends there, and one back at zero.
+            // A clipped jog ends there, and a jog back ends at zero.
             let mut bench = bench.clone();
             assert_eq!(bench.ask("$40=1"), ["ok"]);
             for (by, place) in [(-20 * sign[axis], end), (40 * sign[axis], 0.0)] {
@@ -301,7 +305,7 @@ fn with_zero_at_the_pull_off_nothing_that_goes_to_zero_meets_a_switch() {
     }
 }
 
-/// Places have other names then than homing gave them.
+/// After such a change positions no longer match the homed coordinates.
 #[test]
 fn another_machine_zero_has_to_be_homed() {
     for (settings, renames, keeps) in [

@@ -1,5 +1,5 @@
-//! Three jobs, interrupted at every segment that the step task begins: the position is that of the pulses, the state is
-//! what it must be, and what may go on ends at the same place by the same path.
+//! Three jobs, each interrupted in every segment of the step task. The position is the one that the pulses make, the
+//! state is the expected one, and a job that may continue ends at the same position by the same path.
 
 use super::bench::{AXES, Bench, HZ, STEPS, assert_place};
 use oxmill_controller::messages::SpindleDirection;
@@ -11,14 +11,14 @@ struct Job {
     lines: &'static str,
 }
 
-/// Corners of all kinds, a reversal, a step and a half-step move, spindle, coolant, a dwell in the midst.
+/// Corners of all kinds, a reversal, a move of a step and one of half a step, spindle, coolant, and a dwell in between.
 const LINES: Job = Job {
     settings: "$110=6000 $111=5000 $112=3000 $120=1500 $121=1200 $122=900",
     lines: "G21 G90 M3 S600 M8\nG1 X1.5 Y0.4 F3000\nX2 Y1.5 Z-0.3\nX2.004\nX2.006 Y1.502\nX1 Y1.5 Z-0.5\nG4 P0.04\nG0 X0.5 Y0.5 \
             Z0\nX1.5\nG1 X0.5 F2400\nM5\n",
 };
 
-/// Arcs in both senses, a helix, a full circle; a laser whose power follows the speed.
+/// Arcs in both directions, a helix, a full circle; a laser whose power follows the speed.
 const ARCS: Job = Job {
     settings: "$32=1 $110=6000 $111=5000 $112=3000 $120=1500 $121=1200 $122=900",
     lines: "G21 G90 M4 S700\nG1 X0.5 F2400\nG2 X1.5 Y1 I1 J0 S500\nG3 X1.5 Y1 I-0.4 J0 Z0.4\nG18 G2 X1 Z0.2 R0.4\nG0 X0 Y0\nG1 Y0.5 \
@@ -33,12 +33,12 @@ const JOGS: Job = Job {
 
 struct Run {
     bench: Bench,
-    /// Virtual time at which the job was sent, ticks.
+    /// Virtual time when the job was sent, ticks.
     begin: u64,
 }
 
 impl Run {
-    /// A machine with the job on its way; limits are armed.
+    /// Returns a machine that has just been sent the job; hard limits are on.
     fn begin(job: &Job) -> Run {
         let mut bench = Bench::new("", job.settings);
         bench.ask("$21=1");
@@ -59,11 +59,11 @@ impl Run {
     }
 }
 
-/// The job as it runs alone.
+/// The undisturbed run of a job.
 struct Reference {
     path: Vec<Place>,
     digest: u64,
-    /// Moments after the beginning, one within each segment and one every 4 ms, in ticks.
+    /// Times of interruption in ticks from the start: one within each segment, and one every 4 ms.
     moments: Vec<u64>,
 }
 
@@ -75,7 +75,7 @@ fn reference(job: &Job) -> Reference {
     let mut moments: Vec<u64> = (0..end / (HZ / 250)).map(|n| n * (HZ / 250)).collect();
     for (index, begin) in begins.iter().enumerate() {
         let next = begins.get(index + 1).copied().unwrap_or(begin + HZ / 10_000);
-        // At its very begin, or anywhere in it.
+        // At the start of the segment, or anywhere within it.
         let length = (next - begin).min(HZ / 1000);
         moments.push(begin - run.begin + length * (index as u64 * 37 % 100) / 100);
     }
@@ -86,8 +86,8 @@ fn reference(job: &Job) -> Reference {
     Reference { path: run.path(), digest: run.bench.mill.trace().digest().time_hash(), moments }
 }
 
-/// Asserts that a path is that of the reference: each axis takes the same steps in the same order, and the machine is
-/// never more than one step beside the way, as smoothing may put the step of a slow axis between two of the fast one.
+/// Asserts that a path is that of the reference: each axis makes the same steps in the same order, and the machine is
+/// never more than one step off the path. Smoothing may put the step of a slow axis between two steps of the fast one.
 fn assert_same_path(found: &[Place], reference: &[Place], what: &str) {
     for axis in 0..AXES {
         let steps = |path: &[Place]| -> Vec<i32> {
@@ -106,7 +106,7 @@ fn assert_same_path(found: &[Place], reference: &[Place], what: &str) {
     }
 }
 
-/// At rest: what is reported is what the pulses make, and it stays so.
+/// Asserts that the machine is at rest, stays so, and reports the position that the pulses make.
 #[track_caller]
 fn assert_true_and_at_rest(bench: &mut Bench, what: &str) {
     let counted = bench.mill.trace().kept().last().map_or([0; AXES], |record| record.position);
@@ -120,7 +120,7 @@ fn assert_true_and_at_rest(bench: &mut Bench, what: &str) {
     assert_eq!(bench.place(), place, "{what}: it moves");
 }
 
-/// The machine is as good as new: it goes where it is told to.
+/// Asserts that the machine works as after power-up: a move reaches its target.
 #[track_caller]
 fn assert_usable(bench: &mut Bench, what: &str) {
     bench.read();
@@ -142,10 +142,10 @@ fn answers(said: &[String]) -> usize {
     said.iter().filter(|line| *line == "ok" || line.starts_with("error")).count()
 }
 
-/// Asserts that the machine has come to rest by braking: in its last 3 ms it goes no farther than its acceleration allows.
+/// Asserts that the machine has braked to rest: in its last 3 ms it moves no farther than its acceleration allows.
 fn assert_braked(run: &Run, what: &str) {
     const SPAN: f64 = 0.003;
-    // All axes together at most, mm/s², and two steps for what is between the ticks.
+    // All axes together, mm/s²; two steps are allowed for motion between the ticks.
     let greatest = f64::hypot(f64::hypot(1500.0, 1200.0), 900.0);
     let allowed = greatest * SPAN * SPAN / 2.0 + 2.0 * 3.0_f64.sqrt() / STEPS;
     let kept = run.bench.mill.trace().kept();
@@ -155,20 +155,20 @@ fn assert_braked(run: &Run, what: &str) {
     assert!(square.sqrt() <= allowed, "{what}: {} mm in the last {SPAN} s", square.sqrt());
 }
 
-/// Interrupts a job by bytes or a pin at every moment and hands each to a check.
+/// Interrupts a job at every time of the reference by `act` (bytes or a pin) and runs the check.
 fn at_every_moment(job: &Job, what: &str, act: fn(&mut Bench), check: impl Fn(&mut Run, &Reference, bool, &str)) {
     let reference = reference(job);
     for moment in &reference.moments {
         let mut run = Run::at(job, *moment);
         let what = format!("{what} after {:.3} ms", *moment as f64 * 1000.0 / HZ as f64);
-        // Work that has been handed over and not begun is no motion yet.
+        // Queued work that has not started does not count as motion.
         let stepping = run.bench.mill.is_stepping() && !run.bench.mill.trace().segments().is_empty();
         act(&mut run.bench);
         check(&mut run, &reference, stepping, &what);
     }
 }
 
-/// A hold or a door has been gone through: the job goes on to its end.
+/// Asserts that a job continues to its end after a hold or a door.
 fn assert_goes_on(run: &mut Run, job: &Job, reference: &Reference, what: &str) {
     run.bench.send("~");
     run.bench.settle();
@@ -216,7 +216,7 @@ fn door(job: &Job, pin: bool) {
         assert_dark(&run.bench, what);
         assert!(!run.bench.mill.outputs().unwrap().coolant.flood, "{what}");
         if pin {
-            // An open door does not go on.
+            // The machine does not resume while the door is open.
             run.bench.send("~");
             run.bench.wait(0.5);
             assert_eq!(run.bench.state(), "Door:1", "{what}");
@@ -289,7 +289,7 @@ fn stop(job: &Job) {
         assert!(said.iter().all(|line| line == "ok"), "{what}: {said:?}");
         assert_true_and_at_rest(&mut run.bench, what);
         assert!(run.bench.mill.controller().is_trusted(), "{what}");
-        // As far as it came, it came by the same way.
+        // The distance covered was on the same path.
         let path = run.path();
         if let Some(end) = path.last() {
             let same = reference.path.iter().any(|p| p.iter().zip(end).all(|(a, b)| a.abs_diff(*b) <= 1));
@@ -330,7 +330,7 @@ fn limit(job: &Job) {
         assert_eq!(run.bench.mill.controller().is_trusted(), !stepping, "{what}");
         assert_true_and_at_rest(&mut run.bench, what);
         assert!(!run.bench.mill.is_active(), "{what}: something goes on");
-        // Nothing but a reset helps.
+        // Only a reset helps.
         run.bench.send("$X\n~");
         run.bench.wait(0.2);
         assert_eq!(run.bench.state(), "Alarm", "{what}");
@@ -359,7 +359,7 @@ fn a_limit_trips_in_jogs() {
     limit(&JOGS);
 }
 
-/// 0x85 is for jogs alone: a job runs as if it had not been sent.
+/// 0x85 cancels only jogs: a job runs as if the byte had not been sent.
 #[test]
 fn a_jog_cancel_leaves_a_job_alone() {
     let act: fn(&mut Bench) = |bench| bench.send([0x85]);

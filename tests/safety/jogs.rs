@@ -1,5 +1,5 @@
-//! Jogs that wait when something comes that ends jogs, at whatever byte of them it comes: none that had begun to arrive
-//! moves, each is answered, and one that is sent later moves.
+//! An event that ends jogs arrives at each byte of two pending jogs: no jog moves of which a byte was received before
+//! the event, every jog is answered, and a jog sent later moves.
 
 use super::bench::Bench;
 use oxmill_simulator::trace::Csv;
@@ -8,7 +8,7 @@ use std::cell::RefCell;
 use std::io::{self, Write};
 use std::rc::Rc;
 
-/// What the machine is doing when the jogs come, and where that leads X in steps, if it is known.
+/// What the machine does when the jogs arrive: name, lines, and the resulting X in steps, if known.
 const BEFORE: [(&str, &str, Option<i32>); 5] = [
     ("idle", "", Some(0)),
     ("dwell", "G4 P0.3\n", Some(0)),
@@ -21,7 +21,7 @@ const SECOND: &str = "$J=G91 Z-1 F900\n";
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum End {
-    /// In the same packet.
+    /// A byte in the same packet as the jogs.
     Byte(u8),
     Pin(&'static str),
     HostGoes,
@@ -48,7 +48,7 @@ fn send_and_end(bench: &mut Bench, text: &str, end: End) {
     }
 }
 
-/// Whatever a hold or a door has stopped goes on until nothing waits.
+/// Resumes after a hold or a door until nothing waits.
 fn go_on(bench: &mut Bench) {
     for _ in 0..4 {
         bench.wait(0.5);
@@ -69,13 +69,13 @@ fn no_jog_moves_that_was_received_before_what_ends_jogs() {
             bench.wait(0.02);
             let waits = !bench.mill.controller().wants_line() || matches!(end, End::Byte(_));
             if !waits && at >= FIRST.len() {
-                // The first has begun, and may have moved.
+                // The first jog has started and may have moved.
                 continue;
             }
             let (received, rest) = both.split_at(at);
             send_and_end(&mut bench, received, end);
             bench.wait(0.5);
-            // Another host would begin with half a line.
+            // A reconnected host must not start with half a line.
             let rest = if end == End::HostGoes { "" } else { rest };
             bench.send(rest);
             go_on(&mut bench);
@@ -92,7 +92,7 @@ fn no_jog_moves_that_was_received_before_what_ends_jogs() {
     assert!(cases > 500, "{cases}");
 }
 
-/// A file in memory, of which a copy can be read.
+/// A file in memory whose contents can be read through a clone.
 #[derive(Clone, Default)]
 struct File(Rc<RefCell<Vec<u8>>>);
 
@@ -106,7 +106,7 @@ impl Write for File {
     }
 }
 
-/// How many steps along X the laser has burnt in, of a trace; along Y, where nothing moves but jogs, it must not.
+/// Returns the number of X steps with the laser on, from a trace. Along Y only jogs move, and the laser must be off.
 fn burnt(trace: &str, log: &str) -> usize {
     let (mut y, mut power, mut burnt) = ("0".to_string(), 0.0, 0);
     for row in trace.lines().skip(1) {

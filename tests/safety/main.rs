@@ -1,4 +1,4 @@
-//! The machine in danger: homing, probing, stops at any moment, settings that cannot run, and whatever anybody types.
+//! Hazardous situations: homing, probing, stops at any time, unusable settings, and arbitrary input.
 
 mod anything;
 mod bench;

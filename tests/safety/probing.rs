@@ -1,4 +1,4 @@
-//! Probing against a plate of the machine: where it closed is read off the trace, not off what the controller says.
+//! Probing against a simulated plate: the contact position comes from the trace, not from the controller's report.
 
 use super::bench::{AXES, Bench, HZ, STEPS, assert_place};
 use oxmill_test_support::numbers;
@@ -6,11 +6,13 @@ use oxmill_test_support::numbers;
 const SETTINGS: &str = "$110=2000 $111=2000 $112=2000";
 
 struct Case {
-    /// Where the tool goes, mm from 0.
+    /// Target of the probe, mm from 0.
     way: [f64; AXES],
-    /// Axis and place of the plate in steps, and whether it closes towards negative.
+    /// Axis of the plate.
     axis: usize,
+    /// Position of the plate, in steps.
     at: i32,
+    /// Whether the plate closes in negative direction.
     negative: bool,
 }
 
@@ -43,13 +45,13 @@ fn words(place: [f64; AXES]) -> String {
     format!("X{} Y{} Z{}", place[0], place[1], place[2])
 }
 
-/// Length in mm of a way in steps.
+/// Returns the length in mm of a displacement in steps.
 fn length(from: &[i32; AXES], to: &[i32; AXES]) -> f64 {
     let square: f64 = from.iter().zip(to).map(|(a, b)| (f64::from(b - a) / STEPS).powi(2)).sum();
     square.sqrt()
 }
 
-/// Sends a probe line. Gives what was said and the place where the plate changed to `closed`.
+/// Sends a probe line. Returns the answers and the position where the plate's contact changed to `closed`.
 fn probe(bench: &mut Bench, case: &Case, line: &str, closed: bool) -> (Vec<String>, Option<[i32; AXES]>) {
     bench.mill.trace_mut().restart();
     let said = bench.ask(line);
@@ -82,13 +84,13 @@ fn the_step_of_contact_is_latched() {
                 }
                 let (said, contact) = probe(&mut bench, case, &format!("G38.2 {} F{feed}", words(case.way)), true);
                 let contact = assert_latched(&mut bench, &said, contact, &what);
-                // Braking along the path with the axes' own deceleration is at least as hard as this.
+                // Maximum braking distance: the axes' own deceleration along the path is at least `acceleration`.
                 let way = length(&contact, &bench.place());
                 let step = 1.0 / STEPS * f64::from(AXES as u32).sqrt();
                 let allowed = f64::powi(feed / 60.0, 2) / (2.0 * acceleration) + step;
                 assert!(way <= allowed, "{what}: {way} mm beyond the contact, {allowed} allowed");
 
-                // And off it again: the step at which it opens.
+                // Off the plate again: checks the step at which the contact opens.
                 let (said, contact) = probe(&mut bench, case, "G38.4 X0 Y0 Z0", false);
                 assert_latched(&mut bench, &said, contact, &what);
                 bench.carry_out("G0 X1 Y1 Z1");
@@ -105,7 +107,7 @@ fn braking_after_a_contact_is_no_harder_than_the_axis_can() {
     bench.ask("$122=100");
     let (_, contact) = probe(&mut bench, case, "G38.2 Z-9 F1000", true);
     let contact = contact.unwrap();
-    // v²/2a at the contact was needed, all but a step and the truncation of the last.
+    // At least v²/2a after the contact is needed, except for a step and the truncation of the last one.
     let way = length(&contact, &bench.place());
     let needed = (1000.0_f64 / 60.0).powi(2) / 200.0;
     assert!(way >= needed * 0.98 - 1.0 / STEPS, "{way} mm of {needed}");
@@ -114,7 +116,7 @@ fn braking_after_a_contact_is_no_harder_than_the_axis_can() {
     let times: Vec<u64> = records[braking..].iter().map(|r| r.at).collect();
     let speeds: Vec<f64> = times.windows(2).map(|w| HZ as f64 / (w[1] - w[0]) as f64 / STEPS).collect();
     assert!(speeds.len() > 100 && speeds.is_sorted_by(|a, b| a >= &(b * 0.999)), "{speeds:?}");
-    // Over eight steps, as times are whole ticks.
+    // Over eight steps, because times are whole ticks.
     for (index, ends) in speeds.windows(9).enumerate() {
         let deceleration = (ends[0] * ends[0] - ends[8] * ends[8]) / 16.0 * STEPS;
         assert!(deceleration <= 101.0, "step {index}: {deceleration} mm/s2");
@@ -154,7 +156,7 @@ fn the_four_words() {
             assert_eq!(bench.place(), [0; AXES], "{line}");
         }
     }
-    // On the plate.
+    // With the tool on the plate already.
     for (line, said) in [("G38.2 Z-8", "ALARM:4"), ("G38.3 Z-8", "ALARM:4"), ("G38.4 Z-4.2", "ALARM:5")] {
         let mut bench = Bench::new(&machine(case), SETTINGS);
         bench.carry_out("G1 Z-5 F500");
@@ -164,8 +166,8 @@ fn the_four_words() {
     }
 }
 
-/// Stops of all kinds while the probe seeks and while it brakes: the position stays that of the pulses, and it can all
-/// be done again.
+/// Stops of all kinds while the probe seeks and while it brakes: the position stays the one that the pulses make, and
+/// the probe can be repeated.
 #[test]
 fn a_probe_is_broken_off_at_any_moment() {
     let case = &CASES[4];
@@ -220,8 +222,8 @@ fn a_probe_is_broken_off_at_any_moment() {
     }
 }
 
-/// The door opens in mid-probe and the tool is parked ($41). What touches it on the way out, there and on the way back is no
-/// contact: its place would be taken for that of the plate.
+/// The door opens during a probe and the tool is parked ($41). A contact while the tool retracts, is parked or returns
+/// does not count: its position would be taken for that of the plate.
 #[test]
 fn a_parked_tool_makes_no_contact() {
     let switches: String =

@@ -1,9 +1,11 @@
-//! Digital outputs of programs (M62 to M65): when they change, and that they are off wherever the machine is locked.
+//! Digital outputs of programs (M62 to M65): the time at which they change, and that they are off whenever the machine
+//! is locked.
 
 use super::bench::Bench;
 
 const SETTINGS: &str = "$110=3000 $111=3000 $112=3000 $120=200 $121=200 $122=200";
-/// How late an output may be that changes with a motion, s: the time between two looks, and what the simulator takes for one.
+/// Maximum delay of an output that changes with a motion, s: the interval between two checks, and the simulator's time
+/// for one.
 const LATE: f64 = 0.0015;
 
 fn outputs(bench: &Bench) -> u8 {
@@ -14,7 +16,7 @@ fn bench() -> Bench {
     Bench::new("", SETTINGS)
 }
 
-/// Waits until the outputs are these.
+/// Waits until the outputs have this value.
 fn wait_for(bench: &mut Bench, wanted: u8) {
     let begin = bench.seconds();
     while outputs(bench) != wanted {
@@ -82,7 +84,7 @@ fn held_motion_holds_an_output_off() {
 
 #[test]
 fn a_change_rides_with_its_motion() {
-    // Corners and a straight line that would be joined; the place where the output changes is where the block begins.
+    // Corners, and a straight line that would be joined; the output must change where the block starts.
     for (name, lines, at) in [
         ("corner", vec!["G1 X10 F600", "M62 P0", "G1 Y10"], [2500, 0]),
         ("straight", vec!["G1 X10 F600", "M62 P0", "G1 X20"], [2500, 0]),
@@ -163,7 +165,7 @@ fn they_are_off_where_the_machine_is_locked() {
         end.iter().for_each(|bytes| bench.send(bytes));
         bench.wait(3.0);
         assert_eq!(outputs(&bench), 0, "{what}: {}", bench.status());
-        // What waited for a motion has been forgotten.
+        // Changes that were waiting for a motion have been discarded.
         bench.pin("estop 0");
         bench.send("\x18");
         bench.wait(0.1);
@@ -193,7 +195,7 @@ fn what_waits_is_forgotten_with_the_job() {
             assert_eq!(bench.ask(line), ["ok"]);
         }
     }
-    // The end of a program leaves them, but for what still waits.
+    // The end of a program leaves the outputs as they are, and drops changes that are still waiting.
     assert_eq!(bench.ask("M62 P3"), ["ok"]);
     assert_eq!(bench.ask("M2").last().unwrap(), "ok");
     bench.carry_out("G1 X100 F600");

@@ -1,29 +1,32 @@
-//! Remarks in any language, streamed: while the machine moves, lines with characters of UTF-8 come in one piece or byte by byte, and
-//! in some of them a stop byte. No character holds the machine, opens the door or changes an override, every line is answered,
-//! and no stop byte is lost. A `!` in a remark is one if the rest of the line does not come at once.
+//! Comments in any language, streamed: while the machine moves, lines with UTF-8 characters arrive in one piece or byte
+//! by byte, some with a stop byte. No character holds the machine, opens the door or changes an override, every line is
+//! answered, and no stop byte is lost. A `!` in a comment acts as a feed hold if the rest of the line does not follow
+//! at once.
 //!
-//! `OXMILL_REMARKS=N` plays N conversations instead of the few of every run; `OXMILL_REMARKS_SEED` begins elsewhere.
+//! `OXMILL_REMARKS=N` plays N conversations instead of the default few; `OXMILL_REMARKS_SEED` sets the first seed.
 
 use super::bench::{Bench, STEPS};
 use oxmill_test_support::Random;
 
-/// Characters whose bytes have the numbers of realtime commands, and others of two to four bytes.
+/// Characters whose bytes have the values of realtime commands, and others of two to four bytes.
 const TEXT: [&str; 22] = [
     "Ä", "Ö", "Ü", "ä", "ö", "ß", "à", "á", "é", "ñ", "Å", "Ł", "Ж", "切", "削", "原", "点", "、", "😀", "𐀄", "e", " ",
 ];
 const WORDS: [&str; 8] = ["G1 X0.5", "G0 Y1", "G21", "", "G90", "N20 G1 Z-0.1", "F600", "S100"];
-/// Bytes that act wherever they come, but in a remark: there a `~` is text, and a `!` if something comes behind it within 20 ms.
+/// Realtime commands that act anywhere except in a comment: there `~` is text, and `!` is text if another byte follows
+/// within 20 ms.
 const STOPS: [u8; 5] = [0x84, b'!', 0x18, 0x19, b'~'];
 
-/// The bytes of a conversation, how many lines they are, and the stop byte among them.
+/// The bytes of a conversation, the number of its lines, and its stop byte.
 struct Conversation {
     bytes: Vec<u8>,
     lines: usize,
     stop: Option<u8>,
-    /// Where it is, and whether that is in a remark.
+    /// Position of the stop byte.
     at: usize,
+    /// Whether that position is in a comment.
     is_in_remark: bool,
-    /// The stop byte is between those of a character, which is none then: what is left of it may be commands.
+    /// Whether the stop byte splits a character; the remaining bytes may then act as commands.
     breaks: bool,
 }
 
@@ -47,7 +50,7 @@ impl Conversation {
         }
         let stop = (random.below(2) == 0).then(|| STOPS[random.below(STOPS.len() as u64) as usize]);
         let mut at = random.below(text.len() as u64) as usize;
-        // With one that is not of ASCII it might be another character.
+        // A stop byte beyond ASCII within a character could form another character.
         while stop.is_some_and(|stop| !stop.is_ascii() || stop == b'~') && !text.is_char_boundary(at) {
             at -= 1;
         }
@@ -62,7 +65,7 @@ impl Conversation {
         Self { bytes, lines, stop, at, is_in_remark, breaks }
     }
 
-    /// Plays it on a machine that moves for some seconds more.
+    /// Plays the conversation on a machine that moves for some seconds more.
     fn play(&self, mut bench: Bench, sending: Sending, what: &str) {
         let what = format!("{what}, {sending:?}: {:?}", self.bytes.escape_ascii().to_string());
         let (first, rest) = self.bytes.split_at(if sending == Sending::Stops { self.at + 1 } else { self.bytes.len() });
@@ -80,12 +83,12 @@ impl Conversation {
         match self.stop {
             Some(0x84) => is("<Door:"),
             Some(0x19) => {
-                // The move would go on for 10 s; those of lines behind are short.
+                // Without the stop the move would take another 10 s; the moves of the lines after it are short.
                 bench.wait(15.0);
                 assert!(f64::from(bench.place()[0]) < 10.0 * STEPS, "{what}: {status}");
             }
             Some(b'!') if self.is_in_remark && sending != Sending::Stops => {
-                // What is left of a character that it breaks may be a command.
+                // The rest of a character split by the stop byte may be a command.
                 if !self.breaks {
                     is("<Run");
                     assert_eq!(said, vec!["ok"; self.lines], "{what}");
@@ -98,7 +101,7 @@ impl Conversation {
         }
         if self.stop.is_none_or(|stop| stop == b'~') {
             assert_eq!(said, vec!["ok"; self.lines], "{what}");
-            // Overrides are told where they have changed.
+            // The report shows overrides if they have changed.
             let overrides = status.split_once("|Ov:").is_none_or(|(_, told)| told.starts_with("100,100,100"));
             assert!(overrides && status.contains("FS:600,0") && !status.contains("A:"), "{what}: {status}");
         }
@@ -110,7 +113,7 @@ impl Conversation {
 enum Sending {
     InOne,
     Bytes,
-    /// The host pauses behind the stop byte.
+    /// The host pauses after the stop byte.
     Stops,
 }
 
@@ -136,7 +139,7 @@ fn characters_of_remarks_are_no_commands_and_no_stop_is_lost() {
     println!("{conversations} conversations");
 }
 
-/// The 20 ms begin anew with each byte, and no pause starts a machine that is held.
+/// Each byte restarts the 20 ms, and a pause never starts a held machine.
 #[test]
 fn a_pause_is_counted_from_the_last_byte() {
     let mut bench = Bench::new("", "$110=3000 $120=500");

@@ -1,4 +1,5 @@
-//! Settings that cannot be run lock motion and name the one at fault, and a sender may restore a whole set in any order.
+//! Settings that cannot be run lock motion, and a message names the wrong setting. A sender may restore a whole set of
+//! settings in any order.
 
 use super::bench::{Bench, locking};
 use oxmill_controller::settings::{Kind, PER_AXIS, SCALARS};
@@ -13,7 +14,7 @@ fn text(thousandths: i64) -> String {
     format!("{sign}{}.{:03}", thousandths.abs() / 1000, thousandths.abs() % 1000)
 }
 
-/// A value that a kind of setting takes.
+/// Returns a random value that is valid for a kind of setting.
 fn any_value(random: &mut Random, kind: Kind) -> i64 {
     match kind {
         Kind::Whole(least, greatest) => {
@@ -30,11 +31,12 @@ fn any_value(random: &mut Random, kind: Kind) -> i64 {
     }
 }
 
-/// A set in which everything is changed at random. Most can be run.
+/// Returns a set in which every value is random. Most sets are usable.
 fn any_set(random: &mut Random, listed: &Set) -> Set {
     let mut set = listed.clone();
     for entry in SCALARS {
-        // Grbl's dialect takes `$20=1` after `$22=1` only, as Grbl does; the inverted inputs would be active all the time.
+        // Left unchanged: Grbl's dialect accepts `$20=1` only after `$22=1`, as Grbl does, and inverted inputs would be
+        // active all the time.
         if ![14, 900, 903].contains(&entry.number) && set.contains_key(&entry.number) {
             set.insert(entry.number, any_value(random, entry.kind));
         }
@@ -51,11 +53,12 @@ fn any_set(random: &mut Random, listed: &Set) -> Set {
             set.insert(number, value);
         }
     }
-    // A pulse leaves room for the steps, a wire for a switch is not there, limits are where the machine is.
+    // The pulse leaves room for the steps. No limit switches are wired, so neither inverted limit inputs (`$5`) nor
+    // hard limits (`$21`).
     set.insert(0, 100 * (10 + random.below(300) as i64));
     set.insert(5, 0);
     set.insert(21, 0);
-    // More than four axes no machine has.
+    // At most four axes: no machine has more.
     set.insert(930, 1000 * (3 + random.below(2) as i64));
     set
 }
@@ -77,14 +80,14 @@ fn read(listing: &[String]) -> Set {
         .collect()
 }
 
-/// Sends settings one by one. None is named twice but by its own change.
+/// Sends settings one by one. No setting may be named twice in a row, except because it was itself changed.
 fn send_all(bench: &mut Bench, lines: &[String]) {
     let mut named = None;
     for line in lines {
         let locked = bench.set(line);
         let own = locked.as_ref().is_some_and(|name| line.starts_with(&format!("{name}=")));
         assert!(own || locked.is_none() || locked != named, "{line}: {locked:?} again");
-        // What the step rate depends on may have mended it: what breaks it later is told.
+        // A setting that affects the step rate may have corrected the named one; a later fault is reported again.
         let number = line.trim_start_matches('$').split('=').next().and_then(|n| n.parse::<u32>().ok());
         let mends = matches!(number, Some(0 | 29 | 100..=102 | 110..=112 | 904 | 905));
         named = if mends { locked } else { locked.or(named) };
@@ -97,7 +100,7 @@ fn shuffle<T>(random: &mut Random, items: &mut [T]) {
     }
 }
 
-/// Whether motion is locked by the settings; then by which. The reason is given once, and then the error alone.
+/// Returns the setting that locks motion, if any. The reason is reported once, and then only the error.
 fn locked_by(bench: &mut Bench) -> Option<String> {
     let place = bench.place();
     let said = bench.ask("$J=G91 X0 F100");
@@ -120,7 +123,7 @@ fn a_set_is_restored_in_any_order() {
         let listed = read(&listing(&mut Bench::new("", "")));
         let mut target = Bench::new("", "");
         let set = any_set(&mut random, &listed);
-        // In the order of `$$`, but homing before soft limits.
+        // In the order of `$$`.
         let mut lines: Vec<String> = set.iter().map(|(number, value)| format!("${number}={}", text(*value))).collect();
         send_all(&mut target, &lines);
         if locked_by(&mut target).is_some() {
@@ -140,7 +143,7 @@ fn a_set_is_restored_in_any_order() {
         assert_eq!(listing(&mut machine), wanted, "{lines:?} after {before:?}");
         assert_eq!(locked_by(&mut machine), None, "{lines:?} after {before:?}");
         assert_eq!(machine.state(), "Idle");
-        // And it moves, into its travel.
+        // And it moves, within its travel.
         let place = machine.place();
         let sign = if set[&932] != 0 && (set[&23] / 1000) & 1 != 0 { 1 } else { -1 };
         assert_eq!(machine.ask(&format!("$J=G91 G21 X{} F500", 0.9 * f64::from(sign))), ["ok"], "{lines:?}");
@@ -150,7 +153,7 @@ fn a_set_is_restored_in_any_order() {
     assert!(invalid < 3 * valid, "{invalid} sets of {valid} cannot be run");
 }
 
-/// Each of these locks motion under its own name until it is mended, whatever else is sent.
+/// Each of these settings locks motion, and the message names it, until it is corrected, whatever else is sent.
 #[test]
 fn what_cannot_be_run_is_named() {
     let cases: &[(&str, &str, &str)] = &[
@@ -174,7 +177,7 @@ fn what_cannot_be_run_is_named() {
         ("$22=1 $25=0", "$25", "$22=0"),
         ("$22=1 $41=1 $57=0", "$57", "$57=100"),
         ("$22=1 $41=1 $59=0", "$59", "$41=0"),
-        // 500 mm/min and 250 steps/mm are a step in 480 us.
+        // 500 mm/min and 250 steps/mm give a step every 480 us.
         ("$111=5000 $101=1100 $0=10", "$111", "$0=5"),
     ];
     for (wrong, name, mended) in cases {
@@ -189,7 +192,7 @@ fn what_cannot_be_run_is_named() {
         if wrong.contains("$22=1") {
             assert_eq!(bench.ask("$H"), ["error:9"], "{wrong}");
         }
-        // What does not move works, and nothing has been changed behind anybody's back.
+        // Everything other than motion works, and no setting has been changed implicitly.
         assert_eq!(bench.ask("G4 P0.01"), ["ok"], "{wrong}");
         assert_eq!(bench.ask("M3 S100"), ["ok"], "{wrong}");
         assert_eq!(bench.ask("M5"), ["ok"], "{wrong}");
@@ -203,7 +206,7 @@ fn what_cannot_be_run_is_named() {
     }
 }
 
-/// Two faults are named one after the other.
+/// Two wrong settings are named one after the other.
 #[test]
 fn the_next_fault_is_named_when_the_first_is_mended() {
     let mut bench = Bench::new("", "$122=0 $100=0 $111=0");
@@ -218,7 +221,7 @@ fn the_next_fault_is_named_when_the_first_is_mended() {
     assert_eq!(locked_by(&mut bench), None);
 }
 
-/// A startup line that would move is refused in words, and the machine can be mended.
+/// A startup line that would move is rejected with a message, and the settings can be corrected.
 #[test]
 fn a_startup_line_does_not_move_a_locked_machine() {
     let mut bench = Bench::new("", "");
@@ -239,7 +242,7 @@ fn a_startup_line_does_not_move_a_locked_machine() {
     assert_eq!(bench.place()[0], 0);
 }
 
-/// In Grbl's dialect soft limits want homing first, as in Grbl; nothing else depends on the order.
+/// In Grbl's dialect soft limits require homing to be enabled first, as in Grbl; nothing else depends on the order.
 #[test]
 fn grbls_dialect_refuses_soft_limits_before_homing() {
     let mut bench = Bench::new("", "$900=0");

@@ -1,19 +1,20 @@
-//! The state machine, searched: from power-up every event is tried in every state that the search has come to, and each
-//! transition must stand in [`TRANSITIONS`]. From every state there is a way back to Idle, and every event is answered.
+//! Exhaustive search of the state machine: from power-up every event is tried in every state reached, and each
+//! transition must be listed in [`TRANSITIONS`]. Every state has a way back to Idle, and every event is answered.
 //!
-//! States are what `?` calls them, with `Critical` for an Alarm that only a reset ends. States that look alike but go on
-//! differently (moving or not, spindle on, a line waiting, a pin active, the position trusted) are kept apart by the
-//! search ([`Key`]) and share a column of the table.
+//! States have the names of the status report, plus `Critical` for an Alarm that only a reset ends. The search
+//! distinguishes states that have the same name but continue differently (moving or not, spindle on, a line waiting, a
+//! pin active, the position trusted; see [`Key`]). They share a column of the table.
 
 use super::bench::Bench;
 use oxmill_controller::messages::SpindleDirection;
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 
-/// What each event (row) may make of each state (column) at once. `.` is "stays as it is"; `/` separates what depends on
-/// whether the machine moves, parks, or has a pin active. `-` cannot be: an open door does not open.
+/// Immediate effect of each event (row) in each state (column). `.` means unchanged; `/` separates alternatives that
+/// depend on whether the machine moves, parks, or has a pin active. `-` is impossible: an open door cannot open.
 ///
-/// It is Grbl's, with four things more: 0x19 brakes and forgets; a limit switch ends every state but Home and alarms;
-/// an emergency stop and a driver at fault end every state; `?` is answered always. Lines that come while something is held wait, so they change nothing at once.
+/// The table is Grbl's, with four additions: 0x19 brakes and drops the job; a limit switch ends every state except Home
+/// and alarms; an emergency stop and a driver fault end every state; `?` is always answered. Lines sent during a hold
+/// wait, so they have no immediate effect.
 const TRANSITIONS: &str = "
 event        Idle            Run       Jog       Hold:0         Hold:1       Door:0      Door:1     Door:2      Door:3         Home        Alarm   Critical  Check       Sleep
 ?            .               .         .         .              .            .           .          .           .              .           .       .         .           .
@@ -71,19 +72,19 @@ $RST=#       Reset/.         .         .         .              .            .  
 10_s         ./Run/Hold:0    Rests     Idle      .              Braked       .           .          BehindDoor  DoorEnds       Idle/Alarm  .       .         .           .
 ";
 
-/// Names for sets that occur more than once.
+/// Named sets of states that occur more than once in the table.
 const SETS: [(&str, &[&str]); 7] = [
-    // What a door took away comes back, in steps; where nothing was, at once.
+    // Outputs that a door has switched off are restored in stages; if none was on, the job continues at once.
     ("DoorGoesOn", &["Door:3", "Idle", "Run"]),
     ("DoorEnds", &[".", "Idle", "Run"]),
     ("BehindDoor", &[".", "Door:0", "Door:1", "Sleep"]),
-    // Locked if the machine was moving or stands on a limit switch.
+    // Alarm (locked) if the machine was moving or is on a limit switch.
     ("Reset", &["Idle", "Alarm"]),
-    // The same, where the door may be seen to be open afterwards.
+    // The same, where afterwards the open door may be detected.
     ("ResetDoor", &["Idle", "Alarm", "Door:1", "Door:2"]),
-    // A hold has come to rest, or a stop has and the line behind it begins.
+    // A hold has come to rest; or a stop has come to rest, and the line after it starts.
     ("Braked", &[".", "Hold:0", "Idle", "Run"]),
-    // The end of a program's motion, a pause, a probe or a target that may not be.
+    // The end of a program's motion, a pause, a probe, or a forbidden target.
     ("Rests", &[".", "Idle", "Hold:0", "Alarm", "Critical"]),
 ];
 
@@ -184,7 +185,7 @@ const EVENTS: &[Event] = &[
     Event { row: "10_s", act: Act::Pass(10.0) },
 ];
 
-/// Bytes from 0x80 that are no command.
+/// Bytes from 0x80 that are not commands.
 const NO_COMMANDS: &[u8] = &{
     let mut bytes = [0; 128];
     let mut n = 0;
@@ -200,21 +201,21 @@ const TOO_LONG: &str = "X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1
                         X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1\
                         X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1";
 
-/// What tells two situations apart.
+/// Everything that distinguishes two situations.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 struct Key {
     state: String,
     moving: bool,
-    /// door, hold, start, reset, limit, probe, emergency stop, driver fault
+    /// In this order: door, hold, start, reset, limit, probe, emergency stop, driver fault.
     pins: [bool; 8],
     trusted: bool,
     spindle: bool,
-    /// The program has it on.
+    /// Whether the program has switched the spindle on.
     turned_on: bool,
     flood: bool,
     waiting: bool,
     busy: bool,
-    /// A stop, a sleep or a pause whose end is still to come.
+    /// A stop, a sleep or a pause that has not yet taken effect.
     mark: &'static str,
 }
 
@@ -223,13 +224,13 @@ struct Machine {
     bench: Bench,
     turned_on: bool,
     mark: &'static str,
-    /// Lines that must be answered.
+    /// Number of lines that must still be answered.
     lines: usize,
-    /// Something has happened that drops lines.
+    /// Whether an event has occurred that drops lines.
     dropped: bool,
 }
 
-/// A machine without anything, and one with homing, limits and parking.
+/// A machine without options, and one with homing, limits and parking.
 const MACHINES: [(&str, &str); 2] = [
     ("", "$21=1 $120=50 $121=50 $122=50"),
     (
@@ -257,7 +258,7 @@ impl Machine {
         let status = self.bench.status();
         let mut state = status.trim_start_matches('<').split(['|', '>']).next().expect("a state").to_string();
         let mill = &self.bench.mill;
-        // It leaves lines unread; any other alarm refuses them.
+        // `Critical` leaves lines unread; any other alarm rejects them.
         if state == "Alarm" && !mill.controller().wants_line() {
             state = "Critical".into();
         }
@@ -315,8 +316,8 @@ impl Machine {
         }
     }
 
-    /// By what an operator would do: pins released, `~`; then `$X` or `$C`; and a reset only where the table knows no
-    /// other way.
+    /// Returns to Idle as an operator would: releases pins, sends `~`, then `$X` or `$C`; and a reset only where the
+    /// table has no other way.
     fn way_to_idle(&mut self, what: &str) {
         for text in ["door 0", "hold 0", "start 0", "reset 0", "limit x 0", "probe 0", "estop 0", "fault 0"] {
             self.bench.pin(text);
@@ -382,7 +383,7 @@ fn table() -> Table {
     table
 }
 
-/// Whether an event is a change: a pin is not pressed twice, and at most one besides the door at a time.
+/// Returns whether an event makes sense: no pin is activated twice, and at most one pin besides the door is active.
 fn sensible(key: &Key, event: &Event) -> bool {
     let Act::Pin(text) = event.act else { return true };
     let names = ["door", "hold", "start", "reset", "limit", "probe", "estop", "fault"];
@@ -392,11 +393,11 @@ fn sensible(key: &Key, event: &Event) -> bool {
     key.pins[index] != press && !(press && index > 0 && others)
 }
 
-/// What a search has found; transitions by (state, event).
+/// Results of a search; transitions by (state, event).
 #[derive(Default)]
 struct Found {
     reached: BTreeMap<(String, String), BTreeSet<String>>,
-    /// Transitions that the table does not know, and a way to each.
+    /// Transitions missing from the table, each with a path to it.
     faults: BTreeMap<(String, String, String), String>,
     situations: u32,
     transitions: u32,
@@ -436,7 +437,7 @@ fn every_transition_is_one_of_the_table() {
     assert!(missed.is_empty(), "never tried, or cannot be: {missed:?}");
 }
 
-/// Every event in every situation of this machine.
+/// Tries every event in every situation of this machine.
 fn search(kind: usize, table: &Table) -> Found {
     let mut found = Found::default();
     let mut known: BTreeSet<Key> = BTreeSet::new();
@@ -473,8 +474,8 @@ fn search(kind: usize, table: &Table) -> Found {
                     .or_insert_with(|| names(event.row));
             }
             if is_line && !read {
-                // It waits for what is under way; a move is enough to see what it does then. Where nothing but a reset helps it is
-                // dropped.
+                // The line waits for the current activity; testing the move is enough. Where only a reset helps, the
+                // line is dropped.
                 let is_dropped = machine.bench.mill.unread() == 0;
                 assert!(!is_dropped || ["Critical", "Sleep"].contains(&to.state.as_str()), "{}", names(event.row));
                 if is_dropped || event.row != "move" {

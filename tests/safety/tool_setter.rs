@@ -1,28 +1,31 @@
-//! Tool changes with a tool setter (`$918=2`), and what may happen in the midst of one: wherever it comes, nothing but a probing
-//! move goes down away from the work, the spindle is off, and no tool is taken for one that was measured.
+//! Tool changes with a tool setter (`$918=2`), and interruptions at any time. Away from the work only a probing move
+//! goes down, the spindle is off there, and no unmeasured tool counts as measured.
 
 use super::bench::{AXES, Bench, STEPS, assert_place};
 
 const SETTINGS: &str = "$22=1 $24=300 $25=1500 $26=10 $20=1 $110=3000 $111=3000 $112=3000 $120=500 $121=500 $122=500 \
                         $130=60 $131=60 $132=60 $342=30 $343=60 $344=600 $394=0.2 $918=2";
-/// Where tools are changed, where the setter is, and where the work is, mm.
+/// Position for tool changes, mm.
 const CHANGE: [f64; AXES] = [-5.0, -6.0, -5.0];
+/// X and Y of the setter, mm.
 const SETTER: [f64; 2] = [-10.0, -20.0];
+/// Position of the work, mm.
 const WORK: [f64; AXES] = [-30.0, -31.0, -20.0];
-/// Where the setter closes for the first tool, and how much longer the second one is.
+/// Z at which the setter closes for the first tool, mm.
 const TOUCHED: f64 = -25.0;
+/// Length of the second tool minus that of the first, mm.
 const LONGER: f64 = 5.0;
-/// Between two looks, s.
+/// Interval between checks, s.
 const LOOK: f64 = 0.002;
-/// A way of two looks at the probe in the slow pass, mm.
+/// Position tolerance, mm: the distance covered between two checks of the probe in the slow pass.
 const EXACT: f64 = 0.02;
 
 #[derive(Clone)]
 struct Mill {
     bench: Bench,
-    /// From the count of steps to machine coordinates, mm.
+    /// Offset from the step count to machine coordinates, mm.
     zero: [f64; AXES],
-    /// Where the setter closes for the tool in the spindle.
+    /// Z at which the setter closes for the current tool, mm.
     closes: f64,
     closed: bool,
     said: Vec<String>,
@@ -41,7 +44,7 @@ fn words(place: [f64; AXES]) -> String {
 }
 
 impl Mill {
-    /// Homed over the work, with all places stored.
+    /// Returns a homed machine above the work, with all positions stored.
     fn homed() -> Mill {
         let mut bench = Bench::new(&machine(), SETTINGS);
         assert_eq!(bench.ask("$H"), ["ok"]);
@@ -55,7 +58,7 @@ impl Mill {
         Mill { bench, zero, closes: TOUCHED, closed: false, said: Vec::new() }
     }
 
-    /// The same with the first tool measured and its tip on the work at 0, spindle and coolant on.
+    /// Returns the same machine with the first tool measured, its tip on the work at 0, and spindle and coolant on.
     fn new() -> Mill {
         let mut mill = Mill::homed();
         mill.bench.send("T1 M6\n");
@@ -73,7 +76,8 @@ impl Mill {
         std::array::from_fn(|axis| f64::from(place[axis]) / STEPS + self.zero[axis])
     }
 
-    /// A moment passes; the setter closes and opens with the tool, and what must hold at each moment is looked at.
+    /// Lets a short time pass, opens and closes the setter according to the tool's position, and checks what must hold
+    /// at any time.
     fn look(&mut self) {
         self.bench.wait(LOOK);
         let place = self.place();
@@ -96,7 +100,7 @@ impl Mill {
         self.said.extend(self.bench.read());
     }
 
-    /// The change goes on to its end, whoever it waits for.
+    /// Runs the change to its end, resuming whatever waits for the operator.
     fn go_on(&mut self) {
         let end = self.bench.seconds() + 120.0;
         while !self.said.iter().any(|line| line == "ok" || line.starts_with("error:")) {
@@ -113,7 +117,7 @@ impl Mill {
         }
     }
 
-    /// While somebody is asked for the drivers are on, also after the idle delay (`$1`).
+    /// While the operator is asked for a tool the drivers are on, even after the idle delay (`$1`).
     fn assert_held(&mut self) {
         self.bench.wait(0.1);
         let asks = |text: &str| self.said.last().is_some_and(|line| line.starts_with(text));
@@ -124,7 +128,7 @@ impl Mill {
         }
     }
 
-    /// The spindle's speed as it is reported.
+    /// Returns the reported spindle speed.
     fn spindle(&mut self) -> String {
         let status = self.bench.status();
         let fields = status.trim_end_matches('>').split('|');
@@ -154,13 +158,13 @@ impl Mill {
         assert_place(reported, place, what);
     }
 
-    /// Whatever has ended the change: the machine knows where it is or says that it does not, and no tool is taken for one that was
-    /// measured.
+    /// Checks the state after an interrupted change: the position is right or not trusted, and no unmeasured tool
+    /// counts as measured.
     fn assert_safe(&mut self, what: &str) {
         self.bench.wait(2.0);
         self.said.extend(self.bench.read());
         let place = self.place();
-        // 0x19 leaves the spindle as it is, which is off until the tool is back over the work.
+        // 0x19 leaves the spindle unchanged: off until the tool is back over the work.
         let is_back = what.starts_with("soft") && (place[0] - WORK[0]).abs() < EXACT && self.tool_length() > 1.0;
         assert!(is_back || self.spindle() == "0", "{what}: {}", self.bench.status());
         let trusted = self.bench.mill.controller().is_trusted();
@@ -177,7 +181,7 @@ impl Mill {
         if !trusted {
             let said = self.bench.ask("T2 M6");
             assert!(said.iter().any(|line| line == "ok" || line == "error:130"), "{what}: {said:?}");
-            // That it has ended the job may be told behind the error.
+            // The message that the job was ended may follow the error.
             self.bench.wait(0.1);
             self.bench.read();
             assert_eq!(self.bench.ask("$H"), ["ok"], "{what}");
@@ -197,7 +201,8 @@ impl Mill {
     }
 }
 
-/// The machine at moments all over a change. The change is under way and has not been answered at any of them.
+/// Returns copies of the machine at times throughout a change. At all of them the change is in progress and its line is
+/// unanswered.
 fn moments(mill: &Mill) -> Vec<Mill> {
     let mut mill = mill.clone();
     mill.bench.send("T2 M6\n");
@@ -224,7 +229,7 @@ fn the_work_zero_stays_true_for_a_longer_tool() {
     mill.bench.send("T2 M6\n");
     mill.go_on();
     mill.assert_changed("undisturbed");
-    // And back, for a shorter one.
+    // Back to the first, shorter tool.
     mill.said.clear();
     mill.closes = TOUCHED;
     mill.bench.send("T1 M6\n");

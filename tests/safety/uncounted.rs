@@ -1,13 +1,13 @@
-//! Hosts that send lines without counting characters, more than the machine has room for. Where it waits for nothing but a reset,
-//! that reset acts however many lines stand before it.
+//! Hosts that send lines without counting characters, more than the machine has room for. Where only a reset ends the
+//! machine's wait, the reset acts however many lines precede it.
 
 use super::bench::Bench;
 use oxmill_fuzz::session::{MACHINE, SETTINGS};
 
-/// More than the queue and the link hold.
+/// More than queue and link hold when sent repeatedly.
 const LINES: &str = "G1 X1 F100\nG4 P0.1\nM3 S100\n(a remark that is rather long) $X\n";
 
-/// Ways to a state that only a reset ends: the settings for it, what leads there, and what tells that it has been reached.
+/// Ways to a state that only a reset ends: name, settings, and lines that lead there.
 const WAYS: [(&str, &str, &str); 5] = [
     ("soft limit", "$20=1 $22=1 $H", "G53 G0 X-500\n"),
     ("hard limit", "$21=1", "G91 G1 X-1000 F3000\n"),
@@ -28,7 +28,7 @@ fn locked(way: usize) -> (Bench, String) {
     match name {
         "hard limit" => bench.pin("limit x 1"),
         "hard limit, lines in work" => {
-            // The dwell is in work, and will not go on.
+            // The dwell is in progress and will never end.
             bench.send("G91 G1 X-1 F600\nG4 P60\nG1 X1\n");
             bench.wait(0.05);
             bench.pin("limit x 1");
@@ -78,7 +78,7 @@ fn a_reset_acts_behind_any_number_of_lines_where_it_is_all_that_helps() {
                 .unwrap_or_else(|| panic!("{name}: {said:?}"));
             let answers: Vec<_> =
                 said[greeting..].iter().filter(|line| *line == "ok" || line.starts_with("error")).collect();
-            // `2` is a line of its own.
+            // The line `2` is answered by `error:9`.
             assert_eq!(answers, ["error:9", "ok", "ok"], "{name}: {said:?}");
             assert_eq!(bench.state(), "Idle", "{name}");
             assert_eq!(bench.place(), count, "{name}");
@@ -86,7 +86,8 @@ fn a_reset_acts_behind_any_number_of_lines_where_it_is_all_that_helps() {
     }
 }
 
-/// Where lines wait for an operator or for the end of a motion, closing the port helps: it holds what moves and drops what is unread.
+/// Where lines wait for an operator or for the end of a motion, closing the port helps: the machine holds its motion
+/// and drops unread lines.
 #[test]
 fn closing_the_port_makes_room_for_a_reset() {
     for (name, lines, byte) in [("moving", "", 0), ("held", "", b'!'), ("door open", "", 0x84), ("homing", "$H\n", 0)] {

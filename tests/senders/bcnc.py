@@ -5,9 +5,9 @@
     bash tests/senders/install
     target/tools/senders/python/bin/python tests/senders/bcnc.py [--program target/release/oxmill] [--dialect grbl]
 
-The program that runs is bCNC's own, from its `main` on: window, buttons, the thread that counts characters, the reading of answers and
-reports. The window is on a display in memory (Xvfb), and what a user would do is done within the program, by the same events as
-those of its buttons. A box that the program shows is a fault. Needs Linux, Xvfb, and Python with tkinter.
+This runs the real bCNC from its `main`: window, buttons, the thread that counts characters, the reading of answers and reports.
+The window is on a display in memory (Xvfb). The user's actions are triggered within the program by the same events as those of
+its buttons. Any message box that the program shows is a fault. Needs Linux, Xvfb, and Python with tkinter.
 """
 
 import importlib.util
@@ -27,15 +27,15 @@ found = importlib.util.find_spec("bCNC")
 if found is None or found.origin is None:
     sys.exit("bCNC is missing: bash tests/senders/install")
 sys.path.append(str(Path(found.origin).parent))
-# bCNC reads and writes its settings in the user's folder; a test has one of its own.
+# bCNC keeps its settings in the home folder; the test uses its own.
 HOME = tempfile.mkdtemp()
 os.environ["HOME"] = HOME
-# No box that asks whether to look for updates, and no server for a phone.
+# Disable the message box about updates, and the server for phones.
 (Path(HOME) / ".bCNC").write_text("[bCNC]\ncheckinterval = 0\nlastcheck = 1\n[Connection]\npendant = 0\nopenserial = 0\n")
 
 
 def display():
-    """A display in memory, which ends with its last window; its name."""
+    """Starts a display in memory, which ends with its last window; returns its name."""
     reading, writing = os.pipe()
     command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1280x1024x24", "-nolisten", "tcp", "-terminate"]
     subprocess.Popen(command, pass_fds=[writing], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -45,17 +45,17 @@ def display():
 
 
 class Window:
-    """bCNC's window; all that is done in it is done by its own thread."""
+    """bCNC's window; all actions in it run in its own thread."""
 
     def __init__(self):
         self.application = None
         self.boxes = []
-        # Jobs that were started, and those that bCNC has cleaned up after: by a hold, a reset and `$X`, beside the window.
+        # Number of jobs started, and of jobs after which bCNC has cleaned up (hold, reset and `$X`, in another thread).
         self.started = self.cleaned = 0
         self.to_do = queue.Queue()
 
     def look(self):
-        """Called by the window's timer: does what the scenario asks for."""
+        """Called by the window's timer: runs the scenario's actions."""
         while not self.to_do.empty():
             action, done = self.to_do.get()
             try:
@@ -95,7 +95,7 @@ class Window:
         self.event("<<Run>>")
 
     def is_answered(self):
-        """Whether the greeting after the last reset has come: bCNC would drop a job that is begun before it."""
+        """Returns whether the greeting after the last reset has arrived: bCNC would drop a job that is started before it."""
         CNC.vars["G"] = []
         self.do(self.application.viewState)
         time.sleep(0.3)
@@ -109,7 +109,7 @@ class Window:
         self.event("<<Resume>>")
 
     def override(self):
-        """The slider of the feed override."""
+        """Moves the slider of the feed override."""
         state = bmain.Page.frames["State"]
 
         def slide():
@@ -125,7 +125,7 @@ class Window:
 
     def reset(self):
         self.do(self.application.softReset)
-        # To bCNC the job is running until it is stopped, which resets the machine once more.
+        # bCNC considers the job running until it is stopped, which resets the machine again.
         self.event("<<Stop>>")
 
     def unlock(self):
@@ -143,7 +143,7 @@ class Window:
         return [CNC.vars[name] for name in ("mx", "my", "mz")]
 
     def show(self, options):
-        """Runs bCNC in this thread, and the scenario beside it."""
+        """Runs bCNC in this thread, and the scenario in another one."""
 
         class Application(bmain.Application):
             def mainloop(self, *_):
@@ -167,12 +167,12 @@ if __name__ == "__main__":
     os.environ["DISPLAY"] = display()
     from bCNC import __main__ as start
 
-    # It has to come first: it installs the translation that the rest is written with.
+    # Must be imported first: it installs the translation function that the other modules use.
     import Helpers  # noqa: F401
     import bmain
     from CNC import CNC
 
     options = machine.arguments()
-    # What is left is bCNC's own to read.
+    # bCNC parses the remaining arguments itself.
     del sys.argv[1:]
     Window().show(options)

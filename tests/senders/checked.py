@@ -1,22 +1,22 @@
 #!/usr/bin/env python3
-"""Streams jobs in checked lines to the simulator over a link that damages bytes, and compares what is carried out.
+"""Streams jobs in checked lines to the simulator over a link that damages bytes, and compares the steps with a clean run.
 
     cargo build --release
     python3 tests/senders/checked.py [--rate N] [--plain] [--seed N] [JOB.nc ...]
 
-Between the sender (`examples/checked_sender.py`) and the machine one byte in N (1,000), both ways, has one bit flipped, is
-dropped, is doubled or comes late. A job passes if
+Between the sender (`examples/checked_sender.py`) and the machine one byte in N (default 1,000), in both directions, has one bit
+flipped, is dropped, is doubled or arrives late. A job passes if
 
- * the machine has taken each line once and in its order, by the answers that it gave,
- * each motor makes the steps that it makes over a clean link, in their order, forwards and backwards; and whenever a motor makes
-   one, each other motor has come as far as over the clean link, or is one step off,
- * spindle, coolant and the outputs of the program are the same at each step (not behind the last one).
+ * according to its answers, the machine has accepted each line once and in order,
+ * each motor makes the same steps as over a clean link, in the same order and directions; and at each step of a motor, every
+   other motor is where it is over the clean link, or one step off,
+ * spindle, coolant and the outputs of the program are the same at each step (not after the last one).
 
-Steps are those of a recording (`serve --record`, `replay --trace`), which has to play to the steps of the run. Each line gets an
-N word if it has none: lines with different ones are not joined to one move, so the machine makes the same moves however long it has
-to wait for a line. One step off is what the speed of a move changes in the order of two motors (`motion::dda`).
+Steps come from a recording (`serve --record`, `replay --trace`), whose replay must make the steps of the run. Each line gets an N
+word if it has none: lines with different N words are not joined to one move, so the machine makes the same moves however long it
+waits for a line. The order of steps of two motors depends on the speed, by one step at most (`motion::dda`).
 
-`--plain` also sends each job a line at a time without checks, to show what is lost then; that cannot fail.
+`--plain` also sends each job line by line without checks, to show the resulting errors; this part cannot fail.
 """
 
 import argparse
@@ -39,24 +39,24 @@ import machine  # noqa: E402
 
 JOBS = [f"tests/jobs/{name}.nc" for name in ["chords", "helix", "increments", "jerk", "lines", "relief"]]
 JOBS += [f"examples/{name}.nc" for name in ["pcb_isolation", "pocket_inch", "pocket_mm", "relief"]]
-# Letters of the session of each run.
+# Session letters of each run.
 SESSION = "QKNP"
-# Long enough that a late byte is seen, short enough that nobody waits.
+# Delay of a late byte, s: long enough to have an effect, short enough not to cause a timeout.
 LATE = 0.02
-# Answers in a row that a sender without checks waits for in vain, 2 s each.
+# Number of consecutive timeouts, 2 s each, after which a sender without checks gives up.
 GIVEN_UP = 20
-# Steps by which the order of two motors may differ.
+# Maximum difference, in steps, in the order of two motors.
 ORDER = 1
 
 
 class Line:
-    """A link that damages bytes, between a port of its own and the machine's."""
+    """A link that damages bytes, between its own port and the machine's."""
 
     def __init__(self, address, rate, seed):
         self.rate = rate
         self.faults = {"flipped": 0, "dropped": 0, "doubled": 0, "late": 0}
         host, port = address.rsplit(":", 1)
-        # What the machine has said, before anything is damaged.
+        # Output of the machine before any damage.
         self.said = bytearray()
         self.listener = socket.create_server(("127.0.0.1", 0))
         self.address = "127.0.0.1:%d" % self.listener.getsockname()[1]
@@ -99,14 +99,14 @@ class Line:
 
 
 def checked(link, lines):
-    """Sends a job in checked lines; what it says of it."""
+    """Sends a job in checked lines; returns the sender's counts."""
     sender = checked_sender.Sender(link, lines, tell=lambda text: None, session=SESSION)
     sender.run()
     return ", ".join(f"{count} {name}" for name, count in sender.counts.items())
 
 
 def plain(link, lines):
-    """Sends a job as a patient sender without checks does: a line, its answer, the next line."""
+    """Sends a job as a patient sender without checks does: a line, its answer, the next line. Returns a summary."""
     received, late = b"", 0
     errors = 0
     unanswered = 0
@@ -123,23 +123,23 @@ def plain(link, lines):
             late += 1
             unanswered += 1
             if unanswered == GIVEN_UP:
-                # A damaged byte has become a hold, say.
+                # For instance because a damaged byte has become a feed hold.
                 return f"{errors} errors, {late} answers lost; no answers any more at line {number}"
     return f"{errors} errors, {late} answers lost"
 
 
 def numbered(lines):
-    """The lines, each with an N word if it may have one and does not begin with it."""
+    """Returns the lines with an N word added where it is allowed and missing."""
     return [(n, text if text[0] in "N%/$" else f"N{n}{text}") for n, text in lines]
 
 
 def taken_once(said, count):
-    """What is wrong with the answers of the machine if not each line was taken once and in its order; else nothing."""
+    """Returns None if the machine's answers show that each line was accepted once and in order; else the fault."""
     taken = None
     for line in said.decode("ascii", "replace").split("\n"):
         answer = checked_sender.answer_in(line.strip("\r"), SESSION, taken or 0)
         if answer == (0, "ok") and not taken:
-            # $LC=ON, perhaps again.
+            # The answer to $LC=ON, which may have been sent again.
             taken = 0
         elif answer and answer[1] == "ok":
             if taken is None or answer[0] != taken + 1:
@@ -151,18 +151,18 @@ def taken_once(said, count):
 
 
 def alike(one, other):
-    """How many of the first elements of two sequences are the same."""
+    """Returns the length of the common start of two sequences."""
     pairs = enumerate(zip(one, other, strict=False))
     return next((n for n, (a, b) in pairs if a != b), min(len(one), len(other)))
 
 
 class StepTrace:
-    """What motors and outputs have done, from a trace."""
+    """Steps and outputs from a trace."""
 
     def __init__(self, file):
         names = file.readline().strip().split(",")
         motors = range(len(names) - 5)
-        # Of each motor: the direction of each step, and how many steps each motor has made by then.
+        # For each motor: the direction of each step, and the number of steps of each motor at that time.
         self.steps = [array("b") for _ in motors]
         self.others = [[array("l") for _ in motors] for _ in motors]
         self.outputs = []
@@ -183,7 +183,7 @@ class StepTrace:
         self.ends_at = place
 
     def differs(self, wanted):
-        """How it differs from another one; nothing if not, but for the order of steps within `ORDER`."""
+        """Returns the first difference from another trace, or None; the order of steps may differ by `ORDER`."""
         for motor, (steps, wanted_steps) in enumerate(zip(self.steps, wanted.steps, strict=True)):
             if steps != wanted_steps:
                 same = alike(steps, wanted_steps)
@@ -196,16 +196,16 @@ class StepTrace:
         return None
 
     def order(self, wanted):
-        """Steps by which the order of two motors differs from that of another one with the same steps."""
+        """Returns the maximum difference, in steps, in the order of two motors from another trace with the same steps."""
         pairs = [pair for mine, its in zip(self.others, wanted.others, strict=True) for pair in zip(mine, its, strict=True)]
         return max((max(map(abs, map(int.__sub__, mine, its)), default=0) for mine, its in pairs), default=0)
 
 
 def read_trace(program, recording):
-    """What a recording makes; it has to play to the steps of the run."""
+    """Returns the trace of a recording, whose replay must make the steps of the run."""
     trace = f"{recording}.csv"
     played = subprocess.run([program, "replay", recording, "--trace", trace], capture_output=True, text=True, check=False)
-    # 1: lines of the job that are refused.
+    # Status 1: lines of the job are rejected.
     if played.returncode not in (0, 1):
         raise machine.Failed(f"the recording does not play to the steps of the run: {played.stderr}")
     with open(trace) as file:
@@ -213,7 +213,7 @@ def read_trace(program, recording):
 
 
 class Run:
-    """A job that has been sent: what its sender says, what is wrong with the answers, the faults of the link, and the steps."""
+    """A job that has been sent: the sender's summary, faults in the answers, faults of the link, and the steps."""
 
     def __init__(self, options, lines, send, rate, seed):
         with tempfile.TemporaryDirectory() as folder:
@@ -249,7 +249,7 @@ class Run:
 
 
 def plain_outcome(run, clean):
-    """What a job without checks has lost: how far each motor is from its place, and its steps from those that it should make."""
+    """Returns the effect of sending without checks: for each motor, the errors in its position and in its number of steps."""
     off = [a - b for a, b in zip(run.motor_positions(), clean.motor_positions(), strict=True)]
     pulses = [len(a) - len(b) for a, b in zip(run.trace.steps, clean.trace.steps, strict=True)]
     if run.trace.differs(clean.trace) is None:
@@ -258,7 +258,7 @@ def plain_outcome(run, clean):
 
 
 def left_at_the_end(program):
-    """What is wrong if the sender, as a program, goes before the last move is made: the machine holds then. Else nothing."""
+    """Returns a fault if the sender program exits before the end of the last move, which makes the machine hold; else None."""
     with tempfile.TemporaryDirectory() as folder:
         job = f"{folder}/job.nc"
         Path(job).write_text("G1 X5 F1000\nX1\nX7\n")
@@ -274,7 +274,7 @@ def left_at_the_end(program):
 
 
 def dead(until):
-    """What is wrong if the sender waits for a machine that is silent, behind an answer to `$LC=ON` or so many lines. Else nothing."""
+    """Returns a fault if the sender waits too long for a machine that is silent after the answers `until`; else None."""
     near, far = socket.socketpair()
     link = checked_sender.Tcp.__new__(checked_sender.Tcp)
     link.socket = near
@@ -297,7 +297,7 @@ def dead(until):
 
 
 def held(program):
-    """What is wrong if the sender does not say that the machine holds, as after a host that went in mid-job. Else nothing."""
+    """Returns a fault if the sender does not report that the machine holds, as after a host that left during a job; else None."""
     told = []
     with machine.Machine(program, "--tcp", "127.0.0.1:0") as mill:
         host, _, port = mill.address.rpartition(":")
@@ -321,7 +321,7 @@ def held(program):
 
 
 def answer(number):
-    """The checked answer `ok` behind which line `number` is wanted."""
+    """Returns the checked answer `ok` with a line number."""
     return checked_sender.checked(SESSION, number, "ok")
 
 

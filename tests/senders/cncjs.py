@@ -5,8 +5,8 @@
     bash tests/senders/install
     target/tools/senders/python/bin/python tests/senders/cncjs.py [--program target/release/oxmill] [--dialect grbl]
 
-The server is the one that the package installs, and opens the port by its own serial library; what its page does is done by the
-same means: a token by HTTP, then commands and events over socket.io. Needs Node.js, from version 18.
+This runs the server that the package installs, which opens the port with its own serial library. The test takes the place of its
+page and uses the same interface: a token by HTTP, then commands and events over socket.io. Needs Node.js 18 or later.
 """
 
 import os
@@ -23,21 +23,21 @@ SERVER = machine.ROOT / "target/tools/senders/cncjs/node_modules/cncjs/bin/cncjs
 
 
 def start_server():
-    """A server on a free port of the loopback; its process and its address."""
+    """Starts a server on a free port of the loopback; returns its process and its address."""
     home = tempfile.mkdtemp()
     command = ["node", SERVER, "--host", "127.0.0.1", "--port", "0", "--config", f"{home}/cncrc", "--controller", "Grbl", "-v"]
     process = subprocess.Popen(command, env={**os.environ, "HOME": home}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     for line in process.stdout:
         told = re.search(r"Starting the server at .*(http://127\.0\.0\.1:\d+)", line)
         if told:
-            # It would wait once a pipe that is not read is full.
+            # If the pipe were not read, the server would block when it is full.
             threading.Thread(target=process.stdout.read, daemon=True).start()
             return process, told[1]
     raise machine.Failed("the server of cncjs does not start")
 
 
 class Page:
-    """What the page of cncjs says to its server, and hears from it."""
+    """Stands in for the page of cncjs: sends its commands to the server and receives its events."""
 
     def __init__(self):
         self.process, address = start_server()

@@ -1,7 +1,8 @@
-"""A simulated machine for the tests of senders, the wire between both, and the scenario that each sender has to pass.
+"""A simulated machine for the tests of senders, a recording wire between both, and the scenario that each sender must pass.
 
-A test has a class with what a sender's buttons do (`open`, `start`, `hold`, ...) and calls `main`. The wire records all that the
-sender says and is answered; where the motors are is asked of the simulator, on its pin port. Needs Linux, and Python 3.10.
+A test defines a class with the actions of a sender's buttons (`open`, `start`, `hold`, ...) and calls `main`. The wire records
+everything sent in both directions; the positions of the motors are read from the simulator's pin port. Needs Linux and
+Python 3.10.
 """
 
 import argparse
@@ -18,23 +19,23 @@ import tty
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-# 1,745 lines: three times what the machine looks ahead, so that a job that is held has lines to come.
+# 1,745 lines: three times the machine's look-ahead, so that a held job still has lines to send.
 JOB = ROOT / "examples/pcb_isolation.nc"
-# Times faster than life; the job takes half an hour at 1.
+# Speed relative to real time; at 1 the job takes half an hour.
 SPEED = "200"
-# Seconds after which something that has to happen counts as missed. No check depends on how long anything takes.
+# Maximum wait, s, for something that must happen. No check depends on how long it takes.
 PATIENCE = 120
-# Resets in the middle of a job of which one has to come in motion.
+# Maximum number of attempts to reset during a job, of which one must occur during motion.
 RESETS = 5
 REALTIME = set(b"!?~\x18\x19") | set(range(0x80, 0x100))
 
 
-# What has to be ended with the program.
+# Functions to call when the program ends.
 END = []
 
 
 class Failed(Exception):
-    """What a sender or the machine did wrong."""
+    """A fault of the sender or the machine."""
 
 
 def wait(what, condition):
@@ -47,7 +48,7 @@ def wait(what, condition):
 
 
 class Machine:
-    """A simulator, and the port on which it tells what its step outputs have done."""
+    """A running simulator, with a connection to its pin port, which reports the step outputs."""
 
     def __init__(self, program, *link):
         command = [program, "serve", *link, "--pins", "127.0.0.1:0"]
@@ -56,7 +57,7 @@ class Machine:
         pins = self.process.stderr.readline().split()[-1].rsplit(":", 1)
         self.pins = socket.create_connection((pins[0], int(pins[1])), timeout=PATIENCE)
         self.answers = self.pins.makefile()
-        # One that says nothing for a minute is turned away.
+        # The server closes a connection that sends nothing for a minute.
         self.steps()
 
     def __enter__(self):
@@ -68,7 +69,7 @@ class Machine:
         self.process.communicate()
 
     def steps(self):
-        """Motor positions and pulses, and the order of all steps, as the simulator tells them."""
+        """Returns the simulator's report of motor positions, pulses, and the order of all steps."""
         self.pins.sendall(b"steps\n")
         told = self.answers.readline().strip()
         if not told.startswith("steps "):
@@ -76,12 +77,12 @@ class Machine:
         return told
 
     def motors(self):
-        """Net steps of each motor since the start, and pulses of all motors."""
+        """Returns the net steps of each motor since the start, and the sum of pulses of all motors."""
         words = self.steps().split()
         return [int(word) for word in words[1:4]], sum(int(word) for word in words[5:8])
 
     def rest(self):
-        """What `steps` tells once nothing moves any more."""
+        """Waits until nothing moves and returns the result of `steps`."""
         before, same, until = None, 0, time.monotonic() + PATIENCE
         while time.monotonic() < until:
             now = self.steps()
@@ -94,14 +95,14 @@ class Machine:
 
 
 class Wire:
-    """A serial port for a sender, joined to the machine's; notes lines, answers and realtime commands on their way."""
+    """A serial port for a sender, connected to the machine's; records lines, answers and realtime commands."""
 
     def __init__(self, address):
         self.address = address
         self.master, end = os.openpty()
         tty.setraw(end)
         self.port = os.ttyname(end)
-        # The machine's port is open while the sender has this one open.
+        # The machine's port is open only while the sender has this port open.
         os.close(end)
         self.lock = threading.Lock()
         self.is_open = False
@@ -137,7 +138,7 @@ class Wire:
                 self.pass_on(machine, self.master, self.received)
 
     def begin(self):
-        """A sender has opened the port: what it is owed begins at nothing."""
+        """Called when a sender has opened the port: no answers are pending yet."""
         with self.lock:
             self.partial = {"sent": b"", "received": b""}
             self.owed = self.resets = 0
@@ -159,7 +160,7 @@ class Wire:
             if byte in REALTIME:
                 self.realtime.append(byte)
                 if byte == 0x18:
-                    # What had been sent before is not answered any more, nor what was begun.
+                    # Lines sent before are not answered any more, nor is the line that was started.
                     self.resets += 1
                     self.owed = 0
                     self.partial["sent"] = b""
@@ -186,25 +187,25 @@ class Wire:
                 self.told.append(line)
 
     def mark(self):
-        """Where the notes are now; for `since`."""
+        """Returns the current lengths of all records, for `since`."""
         with self.lock:
             return len(self.lines), len(self.answers), len(self.realtime), len(self.reports), len(self.told)
 
     def show(self):
-        """Prints the last of all notes."""
+        """Prints the last entries of all records."""
         print(f"  {self.owed} answers owed, {self.resets} greetings", flush=True)
         for kind in ("lines", "answers", "realtime", "reports", "told"):
             print(f"  last {kind}: {list(getattr(self, kind)[-8:])}", flush=True)
 
     def since(self, mark):
-        """Lines, answers, realtime commands, reports and other answers after a mark."""
+        """Returns lines, answers, realtime commands, reports and other output recorded after a mark."""
         with self.lock:
             notes = (self.lines, self.answers, self.realtime, self.reports, self.told)
             return [list(note[begin:]) if note is not self.realtime else bytes(note[begin:]) for note, begin in zip(notes, mark, strict=True)]
 
 
 def forecast(program, job):
-    """What `oxmill run` says of a job."""
+    """Returns the summary of `oxmill run` for a job."""
     said = subprocess.run([program, "run", job, "--json"], capture_output=True, text=True, check=False)
     summary = json.loads(said.stdout)
     if not summary["complete"] or summary["errors"]:
@@ -213,13 +214,13 @@ def forecast(program, job):
 
 
 class Scenario:
-    """A sender that runs a job held and resumed, one reset in the middle, and one after a new connection."""
+    """Runs three jobs with a sender: one held and resumed, one reset in the middle, and one after a reconnection."""
 
     def __init__(self, sender, machine, wire, expected):
         self.sender, self.machine, self.wire, self.expected = sender, machine, wire, expected
 
     def begin(self, what):
-        """Starts the job and waits until a third of it has been carried out."""
+        """Starts the job and waits until a third of its steps have been made."""
         wait("for all answers", lambda: self.wire.owed == 0)
         self.what, self.begun = what, self.wire.mark()
         pulses = self.machine.motors()[1]
@@ -228,12 +229,12 @@ class Scenario:
         wait(f"for a third of the job ({what})", lambda: self.machine.motors()[1] > self.third)
 
     def hold(self):
-        """Holds in the middle, changes the feed while all is at rest, and goes on."""
+        """Holds the job, changes the feed override at rest, and resumes."""
         self.sender.hold()
         held = self.machine.rest()
         if self.wire.since(self.begun)[1].count("ok") >= self.expected["lines"]:
             raise Failed("the job was over before it was held")
-        # Not one step in a time in which a job that goes on makes thousands.
+        # No step may occur in a time in which a running job makes thousands.
         time.sleep(0.5)
         if self.machine.steps() != held:
             raise Failed("the machine moves in a hold")
@@ -242,7 +243,7 @@ class Scenario:
         wait("for the machine to go on after a hold", lambda: self.machine.steps() != held)
 
     def end(self):
-        """Waits for the end of the job, and compares what the sender believes with what the motors have done."""
+        """Waits for the end of the job, and compares the position that the sender shows with that of the motors."""
         wait(f"for the sender to be done ({self.what})", self.sender.is_done)
         self.machine.rest()
         wait("for all answers", lambda: self.wire.owed == 0)
@@ -261,9 +262,9 @@ class Scenario:
         return place is None or all(abs(a - b) < 0.0006 for a, b in zip(place, self.expected["position_mm"], strict=True))
 
     def reset(self):
-        """Resets in the middle of a job, with the machine reported as running; whether it was moving. The machine has to be ready for
-        the next job. A sender that is slow on a busy host lets the machine wait for lines, and a reset between two moves raises no
-        alarm."""
+        """Resets during a job, with the machine reported as running; returns whether it was moving. Afterwards the machine must be
+        ready for the next job. A slow sender on a busy host may let the machine wait for lines, and a reset between two moves
+        raises no alarm."""
         before = self.wire.mark()
         self.sender.reset()
         self.machine.rest()
@@ -284,13 +285,13 @@ class Scenario:
         return was_moving
 
     def runs(self):
-        """Whether a report has told that the machine runs the job. A sender that asks for none by itself has a `look` that does."""
+        """Returns whether a report has shown the job running. A sender that does not request reports by itself has a method `look`."""
         if hasattr(self.sender, "look"):
             self.sender.look()
         return any(report.startswith("<Run|") for report in self.wire.since(self.begun)[3])
 
     def reset_in_motion(self):
-        """Starts the job and resets it, again until a reset has come while the machine moved."""
+        """Starts the job and resets it; repeats this until a reset has occurred during motion."""
         for _ in range(RESETS):
             self.begin("reset in the middle")
             wait("for the machine to be reported as running", self.runs)
@@ -327,7 +328,7 @@ class Scenario:
 
 
 def checks_feed_override(notes):
-    """An override of the machine was sent, taken and reported."""
+    """Checks that a feed override was sent and reported."""
     if b"\x91" not in notes[2] or not any("Ov:110,100,100" in report for report in notes[3]):
         raise Failed("no report tells the feed override")
 
@@ -340,7 +341,7 @@ def arguments():
 
 
 def run_scenario(options, name, make):
-    """Runs the scenario with the sender that `make` makes."""
+    """Runs the scenario with the sender that `make` returns."""
     print(f"{name}, in the dialect {options.dialect}:", flush=True)
     with tempfile.TemporaryDirectory() as folder:
         link = ["--pty", f"{folder}/mill", "--speed", SPEED, "--dialect", options.dialect]
@@ -354,7 +355,7 @@ def run_scenario(options, name, make):
 
 
 def main(senders, options=None):
-    """Runs the scenario with each of the senders, by name, and ends the program: with 1 if one of them failed."""
+    """Runs the scenario with each of the senders, given by name, and exits: with status 1 if one of them failed."""
     options = options or arguments()
     try:
         for name, make in senders.items():
@@ -371,5 +372,5 @@ def main(senders, options=None):
 def leave(code):
     for end in END:
         end()
-    # Threads of a sender may still wait for the port.
+    # Threads of a sender may still be waiting for the port, so do not wait for them.
     os._exit(code)

@@ -5,10 +5,10 @@ job of 50,000 lines a second takes the time of its motion.
     cargo build --release
     python3 tests/senders/rate.py [--program target/release/oxmill] [--lines 100000]
 
-The lines are chords of 0.02 mm on a large circle, at 1000 mm/s. `--speed max` is without a clock: what the server can. With the
-clock of the host the job cannot be faster than its motion, and is slower if the server limits it. What is checked is that each line
-is answered with `ok`, and that the motors end where the same lines end in `oxmill run`; times are printed and not judged. This program
-works on the same processors as the server. No dependencies.
+The lines are chords of 0.02 mm on a large circle, at 1000 mm/s. `--speed max` runs without a clock and shows the server's maximum
+rate. With the clock of the host the job cannot be faster than its motion, and is slower if the server limits it. The test checks
+that each line is answered with `ok`, and that the final position is that of `oxmill run`; times are printed, not checked. This
+program shares the processors with the server. No dependencies.
 """
 
 import argparse
@@ -22,13 +22,13 @@ import tempfile
 import time
 from collections import deque
 
-# Tooth belts rather than ball screws: steps at such a speed are not what is looked at.
+# A machine with belts, because ball screws would need too many steps at this speed.
 MACHINE = {100: 80, 101: 80, 110: 60000, 111: 60000, 120: 5000, 121: 5000}
 RADIUS_MM, CHORD_MM, FEED = 200, 0.02, 60000
 
 
 def program_lines(count):
-    """A circle in so many chords, and back to where it began."""
+    """Yields a circle of `count` chords, then the way back to its start."""
     yield f"G90 G1 F{FEED}\n"
     for k in range(count):
         angle = k * CHORD_MM / RADIUS_MM
@@ -40,7 +40,7 @@ def settings():
 
 
 def motion(program, lines):
-    """How long the motion of the lines takes, and where it ends: the job in simulated time."""
+    """Returns duration and end position of the lines' motion, from a run in simulated time."""
     with tempfile.NamedTemporaryFile("w", suffix=".nc") as job:
         job.writelines(lines)
         job.flush()
@@ -50,7 +50,7 @@ def motion(program, lines):
 
 
 def stream(port, lines, window):
-    """Sends the lines as the answers to those before leave room; all have been answered at the end."""
+    """Sends lines while they fit into the window; returns when all have been answered."""
     under_way, used, unread, waiting = deque(), 0, b"", deque(line.encode() for line in lines)
     while waiting or under_way:
         ready = []
@@ -71,7 +71,7 @@ def stream(port, lines, window):
 
 
 def rest(port):
-    """Waits for the end of the motion: where it is."""
+    """Waits for the end of the motion; returns the position."""
     said = b""
     while True:
         port.sendall(b"?")
@@ -82,7 +82,7 @@ def rest(port):
 
 
 def serve(program, speed, lines, window):
-    """Seconds from the first line to the last answer, and to rest; and where that is."""
+    """Returns the seconds from the first line to the last answer and to rest, and the end position."""
     command = [program, "serve", "--tcp", "0", "--speed", speed, *settings()]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
         try:

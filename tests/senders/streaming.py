@@ -5,8 +5,8 @@ bytes, and a line at a time.
     cargo build --release
     python3 tests/senders/streaming.py [--program target/release/oxmill] [--dialect grbl]
 
-What is tested is the machine: it has to answer every line, in order, act on realtime commands at once, and never need more
-than Grbl's buffer. No dependencies.
+This tests the machine: it must answer every line, in order, act on realtime commands at once, and work with Grbl's buffer size.
+No dependencies.
 """
 
 import os
@@ -23,7 +23,7 @@ BUFFER = 128
 
 
 class Streamer:
-    """Sends while the bytes that are not answered yet fit the buffer; with a window of one line, a line at a time."""
+    """Sends lines while the unanswered bytes fit into the buffer; `window` limits the number of unanswered lines."""
 
     def __init__(self, window):
         self.window = window
@@ -47,7 +47,7 @@ class Streamer:
         os.close(port)
 
     def serve(self, port):
-        """Reads answers, asks for a report ten times a second, and fills the buffer."""
+        """Reads answers, requests a report ten times a second, and fills the buffer."""
         asked = 0
         while self.port is not None:
             if select.select([port], [], [], 0.05)[0]:
@@ -72,7 +72,7 @@ class Streamer:
     def hear(self, line):
         if line == "ok" or line.startswith("error"):
             with self.lock:
-                # An answer that is not owed is one too many.
+                # Fails if no answer is pending: that would be one answer too many.
                 self.under_way.popleft()
                 self.answered += 1
         elif line.startswith("<"):

@@ -5,7 +5,7 @@
     bash tests/senders/install
     target/tools/senders/python/bin/python tests/senders/with_grbl_streamer.py [--program target/release/oxmill] [--dialect grbl]
 
-The library counts characters, asks `?` five times a second beside a job, and overrides the feed by other F words.
+The library counts characters, sends `?` five times a second during a job, and overrides the feed by changing F words.
 """
 
 import time
@@ -13,7 +13,7 @@ import time
 import machine
 from grbl_streamer import GrblStreamer
 
-# Between two feeds of the job, so that it cannot be one of its own.
+# Lies between two feeds of the job, so it is not one of the job's own F words.
 FEED = "F123.0"
 
 
@@ -26,7 +26,7 @@ class Library:
         self.streamer.setup_logging()
 
     def event(self, name, *data):
-        """What the library tells its program, from its threads."""
+        """Handles events of the library, in its threads."""
         if name == "on_job_completed":
             self.completed += 1
         elif name == "on_boot":
@@ -38,13 +38,13 @@ class Library:
         elif name == "on_read" and data[0].startswith("$N1="):
             self.is_next_ok_the_last = self.starts
         elif name == "on_rx_buffer_percent" and self.is_next_ok_the_last:
-            # An `ok` has been handled, and no other is to come.
+            # The last `ok` has been handled.
             self.starts = self.is_next_ok_the_last = False
             self.streamer.job_run()
 
     def open(self, port):
-        # The library resets the machine. A machine greets when its port is opened, too, and the library forgets a job at each
-        # greeting: both come before the answer to what is sent now.
+        # The library resets the machine. The machine also sends a greeting when its port is opened, and the library drops its job
+        # at each greeting: so wait until both greetings have arrived, which is before the answer to a line sent now.
         self.states = 0
         self.streamer.cnect(port)
         machine.wait("for the library to be answered", self.is_answered)
@@ -52,7 +52,7 @@ class Library:
         self.wait_for("Idle")
 
     def is_answered(self):
-        # At a greeting it throws away one line of what has been received, so it may have to ask again.
+        # At a greeting the library drops one received line, so the request may have to be repeated.
         self.streamer.get_gcode_parser_state()
         time.sleep(0.3)
         return self.states > 0
@@ -64,9 +64,9 @@ class Library:
         self.streamer.disconnect()
 
     def start(self):
-        # It sends lines both in the thread that starts a job and in the one that receives, from the first `ok` on, without a lock,
-        # and takes an answer to what it asks for by itself for one to the job. So the job is started by the receiving thread, with
-        # all else answered: what `$N` lists ends with `$N1=`, and then comes its `ok`.
+        # The library sends lines without a lock, both in the thread that starts a job and, from the first `ok` on, in the receiving
+        # thread. It also takes an answer to its own requests for an answer to the job. So the job is started in the receiving
+        # thread when everything else has been answered: after the `ok` that follows `$N1=`, the last line of the listing of `$N`.
         self.streamer.poll_stop()
         self.streamer.job_new()
         self.streamer.set_feed_override(False)
@@ -94,7 +94,7 @@ class Library:
 
     def reset(self):
         booted = self.booted
-        # Else it sends lines behind the reset until it sees the greeting, and they are refused.
+        # Otherwise the library sends lines after the reset until it sees the greeting, and they are rejected.
         self.streamer.job_halt()
         self.streamer.softreset()
         machine.wait("for the library to see the greeting", lambda: self.booted > booted)

@@ -5,8 +5,8 @@
     bash tests/senders/install
     target/tools/senders/python/bin/python tests/senders/with_pygrbl_streamer.py [--program target/release/oxmill] [--dialect grbl]
 
-The library counts characters, asks for no report while a job is sent, and has no override of its own: the byte of Grbl is sent by
-its `realtime`.
+The library counts characters, requests no report while it sends a job, and has no overrides: Grbl's override byte is sent by its
+method `realtime`.
 """
 
 import re

@@ -1,5 +1,4 @@
-//! What several suites of tests share: random numbers that can be had again, the numbers of a report, folders that go
-//! away.
+//! Shared by several test suites: reproducible random numbers, the numbers of a report, and temporary folders.
 
 pub mod program;
 
@@ -7,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::{env, fs, process};
 
-/// A generator of pseudo-random numbers (xorshift, Marsaglia 2003): a seed other than 0 always gives the same ones.
+/// A generator of pseudorandom numbers (xorshift, Marsaglia 2003): each seed other than 0 gives a fixed sequence.
 pub struct Random(pub u64);
 
 impl Random {
@@ -18,21 +17,21 @@ impl Random {
         self.0
     }
 
-    /// 0 to `end` - 1.
+    /// Returns a number from 0 to `end` - 1.
     pub fn below(&mut self, end: u64) -> u64 {
         (self.bits() >> 11) % end
     }
 
-    /// One of them.
+    /// Returns one of the choices.
     pub fn of<'a>(&mut self, choices: &[&'a str]) -> &'a str {
         choices[self.below(choices.len() as u64) as usize]
     }
 }
 
-/// The numbers behind `name:` in a report, one for each axis; `None` if there is no such field.
+/// Returns the `N` numbers after `name:` in a report; `None` if there is no such field.
 ///
 /// # Panics
-/// On anything but numbers there, and if there are fewer.
+/// If the field has anything but numbers, or too few of them.
 pub fn numbers<const N: usize>(report: &str, name: &str) -> Option<[f64; N]> {
     let field =
         report.split(['<', '>', '[', ']', '|']).find_map(|field| field.strip_prefix(name)?.strip_prefix(':'))?;
@@ -40,17 +39,17 @@ pub fn numbers<const N: usize>(report: &str, name: &str) -> Option<[f64; N]> {
     Some(std::array::from_fn(|_| values.next().expect("a number for each axis")))
 }
 
-/// The inputs of a corpus: a line of a file for each, escaped as [`u8::escape_ascii`] does.
+/// Returns the inputs of a corpus: one per line, escaped as by [`u8::escape_ascii`].
 ///
 /// # Panics
-/// On an escape that is none.
+/// On an invalid escape.
 pub fn unpack(text: &str) -> Vec<Vec<u8>> {
     text.lines()
         .map(|line| unescape(line).unwrap_or_else(|| panic!("{line:?} is not escaped as it should be")))
         .collect()
 }
 
-/// The reverse of [`unpack`].
+/// The inverse of [`unpack`].
 pub fn pack(inputs: &[Vec<u8>]) -> String {
     inputs.iter().map(|input| format!("{}\n", input.escape_ascii())).collect()
 }
@@ -77,11 +76,11 @@ fn unescape(line: &str) -> Option<Vec<u8>> {
     Some(input)
 }
 
-/// An empty folder of a test's own, which goes away with all that is in it.
+/// An empty temporary folder, deleted with its contents on drop.
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// Makes one.
+    /// Makes a folder.
     ///
     /// # Panics
     /// If it cannot be made.
@@ -90,13 +89,13 @@ impl Folder {
         static MADE: AtomicU32 = AtomicU32::new(0);
         let number = MADE.fetch_add(1, Ordering::Relaxed);
         let path = env::temp_dir().join(format!("oxmill-test-{}-{number}", process::id()));
-        // What a process of the same number has left behind.
+        // Left behind by an earlier process with the same ID.
         let _ = fs::remove_dir_all(&path);
         fs::create_dir_all(&path).expect("a folder");
         Self(path)
     }
 
-    /// Where it is.
+    /// Returns its path.
     pub fn path(&self) -> &Path {
         &self.0
     }

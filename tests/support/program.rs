@@ -1,12 +1,12 @@
-//! A program of any length for long runs: lines of every kind, and the place in steps that they lead to.
+//! Generates programs of any length for long runs: lines of every kind, and the position in steps after them.
 
 use crate::Random;
 use std::collections::VecDeque;
 use std::fmt::Write;
 
-/// Axes of the machine.
+/// Number of axes of the machine.
 pub const AXES: usize = 3;
-/// A step is 0.004 mm: a program of three decimals can name each.
+/// Settings of the machine. A step is 0.004 mm, so three decimals can specify every step.
 pub const SETTINGS: [&str; 11] = [
     "$100=250",
     "$101=250",
@@ -20,22 +20,22 @@ pub const SETTINGS: [&str; 11] = [
     "$24=300",
     "$25=2000",
 ];
-/// Steps in a millimetre of each axis after [`SETTINGS`].
+/// Steps/mm of each axis after [`SETTINGS`].
 pub const STEPS_PER_MM: f64 = 250.0;
-/// Places lie within so many steps of the origin.
+/// Maximum distance of positions from the origin, in steps.
 const REACH: i64 = 2_500;
 
-/// What the lines have asked for: the place in steps, and what of the modal state the next line depends on.
+/// State of a program: the position in steps, and the modal state that the next line depends on.
 #[derive(Clone)]
 pub struct Program {
-    /// Steps of the axes from the origin.
+    /// Position in steps from the origin.
     pub place: [i64; AXES],
-    /// G91 is in force.
+    /// Whether G91 is active.
     pub relative: bool,
 }
 
 impl Program {
-    /// A target and the words for it.
+    /// Chooses a target and returns the words for it.
     fn target(&mut self, random: &mut Random, axes: u64) -> String {
         let mut words = String::new();
         for (axis, letter) in ['X', 'Y', 'Z'].into_iter().enumerate() {
@@ -47,13 +47,13 @@ impl Program {
             let to = (self.place[axis] + by).clamp(-REACH, REACH);
             let steps = if self.relative { to - self.place[axis] } else { to };
             self.place[axis] = to;
-            // To the third decimal, exactly.
+            // Exact to the third decimal.
             let _ = write!(words, "{letter}{}{}.{:03}", sign(steps), steps.abs() * 4 / 1000, steps.abs() * 4 % 1000);
         }
         words
     }
 
-    /// The next lines.
+    /// Appends the next lines.
     pub fn lines(&mut self, random: &mut Random, lines: &mut VecDeque<String>) {
         let axes = 1 + random.below(7);
         match random.below(20) {
@@ -67,7 +67,7 @@ impl Program {
                 lines.push_back(format!("G1 {} F{feed}", self.target(random, axes)));
             }
             12 | 13 => {
-                // Ends where it began.
+                // Ends at its start.
                 let sense = 2 + random.below(2);
                 lines.push_back(format!("G17 G{sense} I0.{} J-0.{} F3000", 1 + random.below(9), random.below(9)));
             }
@@ -81,7 +81,7 @@ impl Program {
                 }
             }
             16 => {
-                // A loop: as far as so many of its turns.
+                // A loop; its step is chosen so that all passes stay within the range.
                 let turns = 1 + random.below(4);
                 let by = random.below(9) as i64 - 4;
                 let mode = if self.relative { "G91" } else { "G90" };
@@ -97,7 +97,7 @@ impl Program {
                 }
             }
             17 => {
-                // There and back, by a cycle that ends where it began but for X and Y.
+                // A cycle, which changes only X and Y.
                 if self.relative {
                     return;
                 }

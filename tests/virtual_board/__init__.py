@@ -1,1 +1,1 @@
-"""The unmodified STM32 images on an emulated STM32F4. README.md has the manual."""
+"""Runs the unmodified STM32 images on an emulated STM32F4; for use, see README.md."""

@@ -1,7 +1,7 @@
 """Runs the cases on one board: `python -m virtual_board BOARD ELF OXMILL [CASE ...]`, as `cargo xtask virtual` does.
 
-All of them if none is named; without those that are named behind a `-`. `--profile` among the names: where their cycles went;
-`--reading NAME`: with the second reading of a fact that the manuals leave open (models/readings.py).
+Runs all cases if none is named; `-CASE` excludes a case. Options: `--profile` also prints where the cycles went;
+`--reading NAME` uses the second reading of a fact that the manuals leave open (models/readings.py).
 """
 
 import sys
@@ -17,7 +17,7 @@ from .parts import BOARDS
 
 
 def chosen(cases, names):
-    """The cases that are named, or all; without those behind a `-`."""
+    """Returns the named cases, or all if none is named, without those that have a `-` before their name."""
     known = {name for name, _ in cases}
     if unknown := {name.removeprefix("-") for name in names} - known:
         sys.exit(f"there are no such cases: {', '.join(sorted(unknown))}")

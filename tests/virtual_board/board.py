@@ -1,13 +1,13 @@
-"""A board that runs an unmodified image: processor, memory, peripherals, pins, time.
+"""A board that runs an unmodified image: processor, memory, peripherals, pins and time.
 
-Promises that every access to something without a model fails with the place in the program, and that each change of an
-output is kept with its time in core cycles. Leaves the registers to models/, the cost of instructions to core.py, and
-what hangs on the pins to host.py and to the cases.
+Every access to something that is not modelled fails with the position in the program. Every change of an output is
+recorded with its time in core cycles. The registers are in models/, the cost of instructions is in core.py; the cases
+and host.py emulate the devices at the pins.
 
 Exceptions take 12 cycles to enter, 12 to leave, 6 from one to the next. Flash wait states multiply the cost of
-instructions: by 1.1 in the step interrupt, whose code is hot, by 1.3 elsewhere. A read of a register on an APB bus makes
-the processor wait for two clocks of that bus (the two phases of an APB transfer), a write for none; AHB registers cost
-nothing beyond the instruction.
+instructions: by 1.1 in the step interrupt, whose code is usually cached, by 1.3 elsewhere. Reading a register on an APB
+bus stalls the processor for two clocks of that bus (the two phases of an APB transfer); a write stalls it for none. AHB
+registers cost nothing beyond the instruction.
 """
 
 import bisect
@@ -35,26 +35,26 @@ from .models.usart import Usart
 
 ENTRY_CYCLES, RETURN_CYCLES, CHAIN_CYCLES = 12, 12, 6
 WAIT_STATES_FROM_V = 2.7
-"""The limits of `parts.py` for wait states hold from this supply on."""
+"""Minimum supply for which the wait states of `parts.py` are valid."""
 HOT, COLD = round(1.1 * 256), round(1.3 * 256)
 FILL = b"\xa5"
-"""What RAM holds at power-up."""
+"""Contents of RAM at power-up."""
 PAINTS = (4 * FILL, (0xA5C3_5A3C).to_bytes(4, "little"))
-"""Words that mean an unused piece of stack: the emulation's, and the firmware's own."""
+"""Words of unused stack: the emulation's and the firmware's own."""
 
 
 WORD = struct.Struct("<I")
 
 BREAKPOINT = 7
-"""What unicorn calls a BKPT instruction."""
+"""Unicorn's exception number for a BKPT instruction."""
 
 
 class Failure(Exception):
-    """The emulation cannot go on, or a case does not hold."""
+    """The emulation cannot continue, or a case does not hold."""
 
 
 class Image:
-    """An ELF file: what to put into flash, and names for addresses."""
+    """An ELF file: the contents for flash, and the names of addresses."""
 
     def __init__(self, path):
         with open(path, "rb") as file:
@@ -72,14 +72,14 @@ class Image:
         self.starts = [start for start, _, _ in self.functions]
 
     def place(self, address):
-        """Function and offset of an address."""
+        """Returns function and offset of an address."""
         if found := self._find(address):
             start, _, name = found
             return f"{name}+{address - start:#x}"
         return f"{address:#010x}"
 
     def function(self, address):
-        """The symbol of the function at an address."""
+        """Returns the symbol of the function at an address."""
         found = self._find(address)
         return found[2] if found else "elsewhere"
 
@@ -90,10 +90,10 @@ class Image:
         return None
 
 
-# Of this file: base addresses by RM0383 and RM0390, "Memory map", register boundary addresses; numbers of interrupts by their vector tables; bits
-# of the enable registers by RCC_AHB1ENR, RCC_APB1ENR and RCC_APB2ENR.
+# Sources for this file: base addresses from RM0383 and RM0390, "Memory map", register boundary addresses; interrupt
+# numbers from their vector tables; bits of the enable registers from RCC_AHB1ENR, RCC_APB1ENR and RCC_APB2ENR.
 UNIQUE_ID = bytes.fromhex("3300210007504b4b38373320")
-"""A part's number, as one of them had it."""
+"""A unique number, taken from a real part."""
 
 
 def _due(peripheral):
@@ -101,7 +101,7 @@ def _due(peripheral):
 
 
 class Board:
-    """One board. Time is `now`, in core cycles since power-up; `seconds` makes seconds of it."""
+    """One board. Its time is `now`, in core cycles since power-up; `seconds` converts it to seconds."""
 
     def __init__(self, wiring, image):
         self.wiring, self.part, self.image = wiring, wiring.part, image
@@ -112,28 +112,29 @@ class Board:
         self.faults = []
         self.resets = []
         self.edges = []
-        """(cycle, port, pin, level) of every change of an output; level 0, 1, None (let go) or "AF"."""
+        """(cycle, port, pin, level) of every change of an output; level is 0, 1, None (not driven) or "AF" (alternate
+        function)."""
         self.watchers = []
         self.operations_left = None
         self.clocks = [(0, 0.0, 16_000_000)]
-        """(cycle, seconds, core clock from there on)."""
+        """(cycle, seconds, core clock from that cycle on)."""
         self.powered = True
         self.supply_v = 3.3
         self._reset_asked = None
         self._fixes = []
         self._vectors = {}
         self.has_debugger = False
-        """A probe is there, which hears a program that ends itself by semihosting."""
+        """A debug probe is connected; it notices when the program ends itself by semihosting."""
         self.ended = None
-        """The status that it has ended with."""
+        """The status with which the program has ended itself."""
         self.step_runs = []
         """(cycle of entry, cycle after the return) of each run of the step interrupt."""
         self.serial = 16 + wiring.serial_irq
-        """The exception that the serial task is bound to."""
+        """Number of the exception that runs the serial task."""
         self.begins = {SYSTICK: [], self.serial: []}
-        """Cycles of entry: of the samples of the inputs, and of the runs of the serial task."""
+        """Cycles of entry into the samples of the inputs and into the runs of the serial task."""
         self.held = False
-        """No interrupt is taken, as if some code masked them; the program's own masks come and go beneath."""
+        """No interrupt is taken, as if code had masked all of them. Independent of the program's own masks."""
         self._asleep = False
         self._next_due = None
         self._map()
@@ -145,7 +146,7 @@ class Board:
     def _map(self):
         uc, part = self.core.uc, self.part
         uc.mem_map(part.flash_start, part.flash_kib * 1024, UC_PROT_ALL)
-        # Memory of our own: DMA reads and writes it without a call of unicorn.
+        # Own memory, not unicorn's: DMA accesses it without calling unicorn.
         self.ram = (ctypes.c_char * (part.ram_kib * 1024))()
         uc.mem_map_ptr(part.ram_start, part.ram_kib * 1024, UC_PROT_ALL, ctypes.addressof(self.ram))
         self.write_memory(part.flash_start, b"\xff" * part.flash_kib * 1024)
@@ -200,7 +201,8 @@ class Board:
         self.iwdg = fit(0x4000_3000, Iwdg("IWDG", self))
         self.usart = self.peripherals[self.wiring.usart]
         self._timed = [p for p in self.peripherals.values() if type(p).advance is not Peripheral.advance]
-        # DWT_CTRL, DWT_CYCCNT; DBGMCU_IDCODE, CR and the two freeze registers: plain words, as no debugger halts this processor.
+        # DWT_CTRL, DWT_CYCCNT; DBGMCU_IDCODE, CR and the two freeze registers: plain words, as no debugger halts this
+        # processor.
         self.plain = {0x1000: 0x4000_0001, 0x1004: 0, 0x4_2000: 0x1000_0431, 0x4_2004: 0, 0x4_2008: 0, 0x4_200C: 0}
 
     def _add(self, base, peripheral):
@@ -211,7 +213,7 @@ class Board:
     # Power and reset.
 
     def power_on(self):
-        """Starts at the reset vector. RAM keeps what it holds."""
+        """Starts at the reset vector. RAM keeps its contents."""
         for peripheral in self.peripherals.values():
             peripheral.reset()
         self.change_clock(16_000_000)
@@ -228,8 +230,8 @@ class Board:
         self._next_due = None
 
     def jump_from_loader(self, resets_clocks):
-        """In the place of a reset the chip's boot loader jumps into the program: system memory is at address 0, and VTOR says that the
-        vectors are there; the clocks are those of the loader, if it does not reset them."""
+        """Starts the program as the chip's boot loader does, by a jump instead of a reset: system memory is at address
+        0, and VTOR points to the vectors there. Unless the loader resets the clocks, they stay as it set them."""
         self.power_on()
         self.syscfg.values[0] = SYSTEM_MEMORY
         self.nvic.vectors = 0x1FFF_0000
@@ -241,7 +243,7 @@ class Board:
             self.rcc.write(0x08, 2 | 0b100 << 10)
 
     def request_reset(self, flags, why):
-        """Called by models: the chip resets as soon as the instruction is done. `flags` are for RCC_CSR."""
+        """Called by models: the chip resets after the current instruction. `flags` are the reset flags for RCC_CSR."""
         self._reset_asked = (flags, why)
         self.state.deadline = 0
 
@@ -268,12 +270,12 @@ class Board:
             self.clocks.append((self.now, seconds + (self.now - last) / before, hz))
 
     def slow_down(self, hz):
-        """The core's clock changes while models run, of which the watchdog follows."""
+        """Changes the core's clock while models run; of these, only the watchdog adapts."""
         self.iwdg.slowed_down(hz / self.clocks[-1][2])
         self.clocks.append((self.now, self.seconds(), hz))
 
     def seconds(self, cycle=None):
-        """Time since power-up of a cycle."""
+        """Returns the time of a cycle in seconds since power-up; default: now."""
         cycle = self.now if cycle is None else cycle
         since, seconds, hz = next(entry for entry in reversed(self.clocks) if entry[0] <= cycle)
         return seconds + (cycle - since) / hz
@@ -282,26 +284,27 @@ class Board:
         return round(seconds * self.clocks[-1][2])
 
     def stall(self, seconds):
-        """The processor stands still; the rest goes on."""
+        """Stalls the processor while everything else continues."""
         self.state.now += self.cycles(seconds)
         self.state.deadline = 0
 
     def stand(self, seconds):
-        """The processor stands still in the middle of an access to a register, which comes behind all else of that time."""
+        """Stalls the processor in the middle of a register access: all other events of that time come before the
+        access."""
         self.stall(seconds)
         self._advance()
 
     def replan(self):
-        """A model has changed when it wants to be called."""
+        """Called by a model that has changed its `due` time."""
         self._next_due = None
         self.state.deadline = 0
 
     def look(self):
-        """An interrupt may have become pending."""
+        """Called when an interrupt may have become pending."""
         self.state.deadline = 0
 
     def mask(self, seconds):
-        """Runs for a time in which no interrupt is taken, as if some code had masked them."""
+        """Runs for a time without taking interrupts, as if code had masked them."""
         self.held = True
         self.look()
         self.run(seconds=seconds)
@@ -317,7 +320,8 @@ class Board:
         self.flash.check(hclk)
 
     def power_left(self, _):
-        """Counts a flash operation against a power cut that a case has asked for."""
+        """Counts a flash operation towards a power cut that a case has requested. Returns whether there is still
+        power."""
         if self.operations_left is None:
             return True
         self.operations_left -= 1
@@ -328,7 +332,7 @@ class Board:
         return True
 
     def set_supply(self, volts):
-        """The supply sinks or recovers. Below 1.7 V the chip would be reset, which is left to the case."""
+        """Changes the supply voltage. Below 1.7 V the chip would be reset; that is left to the case."""
         self.supply_v = volts
         self.peripherals["PWR"].supply_changed()
 
@@ -341,7 +345,7 @@ class Board:
         self.core.uc.mem_write(address, data)
 
     def dma_load(self, address):
-        """A DMA stream reads a word of RAM."""
+        """Reads a word of RAM for a DMA stream."""
         return WORD.unpack_from(self.ram, self._ram_at(address))[0]
 
     def _ram_at(self, address):
@@ -351,12 +355,12 @@ class Board:
         return at
 
     def word(self, symbol):
-        """A word of RAM or flash by name or address."""
+        """Returns a word of RAM or flash, by symbol or address."""
         address = self.image.symbols[symbol] if isinstance(symbol, str) else symbol
         return struct.unpack("<I", self.read_memory(address, 4))[0]
 
     def _guarded(self, function):
-        """Nothing may be thrown through unicorn: it is kept and thrown from `run`."""
+        """Wraps a callback: no exception may pass through unicorn, so it is stored and raised by `run`."""
 
         def call(*arguments):
             try:
@@ -400,18 +404,18 @@ class Board:
         self._at(address).write(address & 0x3FC, value)
 
     def puts_out_steps(self):
-        """TIM1 listens to its trigger: DMA2 may write to a port at any moment."""
+        """Returns whether TIM1 listens to its trigger, so that DMA2 may write to a port at any time."""
         return bool(self.peripherals["TIM1"].values[SMCR] & 7)
 
     def store_by_dma(self, address, value, at):
-        """A DMA stream writes a word, at a cycle that may be an instruction ago."""
+        """Writes a word for a DMA stream, at cycle `at`, which may be one instruction ago."""
         if address >> 28 == 2:
             WORD.pack_into(self.ram, self._ram_at(address), value)
         else:
             self._at(address).store_by_dma(address & 0x3FC, value, at)
 
     def _read_otg(self, uc, offset, size, _):
-        # AHB2: no wait for a slower bus. The FIFO of the receiver is read at endpoint 0's.
+        # AHB2: no wait for a slower bus. The receive FIFO is read at endpoint 0's address.
         return self._otg_on().read(offset)
 
     def _write_otg(self, uc, offset, size, value, _):
@@ -452,7 +456,8 @@ class Board:
             raise Unmodelled(f"store of {size} bytes to {0xE000_0000 + offset:#010x}")
 
     def _store_to_flash(self, uc, access, address, size, value, _):
-        # The hook comes before the store and cannot prevent it: what the flash makes of it is put there right after.
+        # Unicorn calls the hook before the store, which it cannot prevent: the resulting contents of flash are written
+        # right after it.
         self.flash.program(address, size, value & (1 << 8 * size) - 1)
         self._fixes.append((address, self.read_memory(address, size)))
         self.state.deadline = 0
@@ -466,7 +471,7 @@ class Board:
             watcher(edge)
 
     def pin(self, name):
-        """The port's model and the number of a pin such as "A10"."""
+        """Returns the port's model and the number of a pin such as "A10"."""
         return self.peripherals["GPIO" + name[0]], int(name[1:])
 
     def level(self, name):
@@ -488,7 +493,8 @@ class Board:
     # Running.
 
     def run(self, cycles=None, seconds=None, until=None, limit=None):
-        """Runs for a time, or until `until()` is true, which is asked after each event; `limit` in seconds then bounds it."""
+        """Runs for a time, or until `until()` is true, which is checked after each event; then `limit` bounds the time
+        in seconds. Returns whether the run ended as wanted."""
         state = self.state
         seconds = limit if seconds is None else seconds
         stop = None if seconds is None else self.seconds() + seconds
@@ -606,7 +612,7 @@ class Board:
         state.margin = HOT if running == 16 + self.wiring.step_irq else COLD
 
     def _end(self):
-        """A breakpoint with a probe: the end by SYS_EXIT_EXTENDED of Arm's semihosting, and nothing else."""
+        """Handles a breakpoint with a probe: only SYS_EXIT_EXTENDED of Arm's semihosting is allowed."""
         code, = struct.unpack("<H", self.read_memory(self.state.at, 2))
         operation, block = self.core.read("r0"), self.core.read("r1")
         if code != 0xBEAB or operation != 0x20:
@@ -630,7 +636,8 @@ class Board:
     # What remains in memory.
 
     def stack_used(self):
-        """Bytes of the stack that have been in use, and its size. What the firmware itself paints there does not count."""
+        """Returns the number of stack bytes that have been in use, and the stack's size. The firmware's own paint does
+        not count as use."""
         bottom, top = self.image.symbols["_stack_end"], self.image.symbols["_stack_start"]
         stack = self.read_memory(bottom, top - bottom)
         free = 0
@@ -639,7 +646,7 @@ class Board:
         return len(stack) - free, len(stack)
 
     def refill_stack(self):
-        """Forgets what the stack has held below where it is now."""
+        """Marks the stack below the present stack pointer as unused."""
         bottom = self.image.symbols["_stack_end"]
         self.write_memory(bottom, FILL * (self.core.read("sp") - bottom))
 

@@ -1,16 +1,16 @@
-/* The part of the emulated processor that runs for every instruction: time, masked stretches, stacking.
+/* The part of the emulated processor that runs for every instruction: time, periods with masked interrupts, stacking.
  *
- * Promises: `core.now` is the time in core cycles at the instruction (its own cost included when it touches a register);
- * emulation stops before the first instruction at or after `core.deadline`. Leaves to board.py which exception is taken,
- * and to the models what a register does.
+ * `core.now` is the time in core cycles at the present instruction (including its own cost when it accesses a
+ * register). Emulation stops before the first instruction at or after `core.deadline`. board.py selects the exception
+ * to take; the models implement the registers.
  *
- * Cost of an instruction: see core.py. What depends on the instruction before is added here: a taken branch refills the
+ * Cost of an instruction: see core.py. Effects of the instruction before are added here: a taken branch refills the
  * pipeline (2 cycles), a load right after another load or store is pipelined with it. The sum is multiplied by
  * `core.margin`/256 for the flash's wait states.
  *
- * Not modelled: an instruction that is abandoned half-way (LDM, STM, divisions) for an interrupt, interrupts within an IT
- * block (they wait for its end, four instructions at most), lazy stacking of the FPU (its registers are stored at
- * entry, at no cost), clearing of the exclusive monitor at entry (a STREX still fails if the word has changed). */
+ * Not modelled: an instruction that is abandoned half-way (LDM, STM, divisions) for an interrupt; interrupts within an
+ * IT block (they wait for its end, at most four instructions); lazy stacking of the FPU (its registers are stored at
+ * entry, at no cost); clearing of the exclusive monitor at entry (a STREX still fails if the word has changed). */
 #include <stdint.h>
 #include <string.h>
 
@@ -27,19 +27,19 @@ typedef struct {
     uint64_t masked_since, masked_longest; /* PRIMASK, in cycles */
     uint64_t masked_longest_began;
     uint32_t margin, fraction;
-    uint32_t at, next, after_memory, loaded; /* the instruction, where it should go on, what it followed */
+    uint32_t at, next, after_memory, loaded; /* this instruction, the next address without a branch, what it followed */
     uint32_t reason, fault;
     uint32_t primask, basepri, look_at_masks;
     uint32_t masked_from;
     uint32_t fpu_used;
-    uint32_t pending; /* something waits for a mask to go */
+    uint32_t pending; /* an exception waits until a mask is removed */
     uint32_t invalid, invalid_address;
     uint32_t slowest_from, slowest_to;
     uint32_t wait; /* cycles that a register access adds */
 } state;
 
 state core;
-/* Where a profile is wanted: cycles at each half-word of flash, and in each exception (0: in none), without entries and returns. */
+/* For a profile: cycles at each half-word of flash, and in each exception (0: in none), without entries and returns. */
 uint32_t is_profiled;
 uint64_t spent_at[1 << 18], spent_in[512];
 static uint32_t exception;
@@ -131,7 +131,7 @@ void on_exception(void *uc, uint32_t number, void *data) {
     stop(uc, number == 8 ? EXCEPTION_RETURN : FAULT);
 }
 
-/* Returning false lets unicorn end emulation with an error. */
+/* Returns false: unicorn ends the emulation with an error. */
 int on_invalid(void *uc, int type, uint64_t address, int size, int64_t value, void *data) {
     (void)uc; (void)size; (void)value; (void)data;
     core.invalid = type;
@@ -139,13 +139,13 @@ int on_invalid(void *uc, int type, uint64_t address, int size, int64_t value, vo
     return 0;
 }
 
-/* Runs on from where the processor is; unicorn's error. */
+/* Continues the emulation. Returns unicorn's error. */
 int run(void *uc) {
     core.reason = 0;
     return emu_start(uc, get(uc, PC) | 1, 0xFFFFFFFF, 0, 0);
 }
 
-/* The program counter. */
+/* Returns the program counter. */
 uint32_t counter(void *uc) { return get(uc, PC); }
 
 /* Exception entry (ARMv7-M, B1.5.6 to B1.5.8): frame of 8 words, or 26 with the FPU in use, on an 8-byte boundary. */
@@ -171,7 +171,8 @@ uint32_t enter(void *uc, uint32_t number, uint32_t vector, uint32_t thread) {
     return error ? 0 : sp;
 }
 
-/* Exception return: `code` is what was branched to. Gives the exception number that goes on, or a huge one. */
+/* Exception return; `code` is the value that was branched to. Returns the number of the exception that continues, or
+ * 0xFFFF on an error. */
 uint32_t leave(void *uc, uint32_t code) {
     uint32_t frame[26], fpu = !(code & 0x10), words = fpu ? 26 : 8, sp = get(uc, SP);
     if (mem_read(uc, sp, frame, 4 * words)) return 0xFFFF;
@@ -190,7 +191,7 @@ uint32_t leave(void *uc, uint32_t code) {
     return exception;
 }
 
-/* What a new processor knows. */
+/* Resets the state to that of a new processor; time continues. */
 void reset(void) {
     uint64_t now = core.now;
     memset(&core, 0, sizeof core);

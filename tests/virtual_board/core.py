@@ -1,11 +1,12 @@
 """The processor: unicorn's Cortex-M4F, with time and exceptions added.
 
-Promises the cost of each instruction (below) and access to the state that core.c keeps. Leaves to core.c what happens
-for every instruction, and to board.py when to stop and what to do then.
+Computes the cost of each instruction (below) and gives access to the state in core.c. core.c does the work that each
+executed instruction needs; board.py decides when to stop and what to do then.
 
-Cost in core cycles at zero wait states, after ARM DDI 0439 (Cortex-M4 TRM), table 3-1, an estimate: 1 for most; load 2;
-store 1, with a register offset 2; load or store of n registers 1+n; division 7 (2 to 12 in truth, by its operands); VDIV, VSQRT 14;
-multiply-accumulate of floats 3; barriers 3; TBB, TBH 2. Branches that are taken add 2 in core.c (1 to 3 in truth).
+Cost in core cycles at zero wait states, an estimate after ARM DDI 0439 (Cortex-M4 TRM), table 3-1: 1 for most; load 2;
+store 1, with a register offset 2; load or store of n registers 1+n; division 7 (really 2 to 12, depending on its
+operands); VDIV, VSQRT 14; multiply-accumulate of floats 3; barriers 3; TBB, TBH 2. core.c adds 2 for a taken branch
+(really 1 to 3).
 """
 
 import ctypes
@@ -34,7 +35,7 @@ class Instruction(ctypes.Structure):
 
 
 class State(ctypes.Structure):
-    """As `state` in core.c."""
+    """The same layout as `state` in core.c."""
 
     _fields_ = [
         (name, ctypes.c_uint64)
@@ -55,7 +56,7 @@ REGISTERS = {f"r{n}": n for n in range(16)} | {"sb": 9, "sl": 10, "fp": 11, "ip"
 
 
 def registers_of(instruction):
-    """How many words a load or store of several registers moves."""
+    """Returns the number of words that a load or store of several registers moves."""
     count = 0
     for place, operand in enumerate(instruction.operands):
         if operand.type == ARM_OP_REG and not (place == 0 and "push" not in instruction.mnemonic and "pop" not in instruction.mnemonic):
@@ -64,7 +65,7 @@ def registers_of(instruction):
 
 
 def cost_of(instruction):
-    """Cycles, flags, register loaded, base register of one instruction."""
+    """Returns cycles, flags, loaded register and base register of an instruction; 255 for no register."""
     name = instruction.mnemonic.split(".")[0]
     operands = instruction.operands
     if MULTIPLE.match(name):
@@ -102,7 +103,7 @@ def cost_of(instruction):
 
 @functools.cache
 def compiled():
-    """core.c, once for a process; what it has learnt of an image outlives a Core."""
+    """Compiles and loads core.c, once per process. Its decoded instructions of an image outlive a Core."""
     source = Path(__file__).with_name("core.c")
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "core.so"
@@ -111,10 +112,10 @@ def compiled():
 
 
 class Core:
-    """One processor. There is one state in core.c, so only the newest of these works in a process."""
+    """One processor. core.c has a single state, so only the newest Core in a process works."""
 
     image = None
-    """What the costs of instructions in core.c belong to."""
+    """The image whose decoded instructions core.c holds."""
 
     def __init__(self, image):
         self.library = compiled()
@@ -163,7 +164,7 @@ class Core:
         code = bytes(self.uc.mem_read(address, 4))
         instruction = next(self.disassembler.disasm(code, address, 1), None)
         if instruction is None:
-            # Unknown to the disassembler: unicorn will say what it thinks of it.
+            # Unknown to the disassembler: unicorn decides what to do.
             entry.cost, entry.flags, entry.target, entry.base = 1, 0, 255, 255
             return
         cost, flags, target, base = cost_of(instruction)
@@ -171,7 +172,7 @@ class Core:
         entry.flags = flags | (IN_IT if self._is_in_it(address) else 0)
 
     def _is_in_it(self, address):
-        # IT is 0xBFxy with y not 0; its block has 1 to 4 instructions, the lowest set bit of y says how many.
+        # IT is 0xBFxy with y not 0; the lowest set bit of y encodes the length of its block, 1 to 4 instructions.
         for back in range(1, 9):
             word = int.from_bytes(self.uc.mem_read(address - 2 * back, 2), "little")
             if word >> 8 == 0xBF and word & 15:
@@ -181,14 +182,14 @@ class Core:
                     half = int.from_bytes(self.uc.mem_read(at, 2), "little")
                     at += 4 if half >> 11 in (0x1D, 0x1E, 0x1F) else 2
                     seen += 1
-                # The second half of a wide instruction may look like an IT; then this only delays an interrupt.
+                # The second half of a wide instruction may look like an IT; the mistake only delays an interrupt.
                 if at == address and seen < length:
                     return True
         return False
 
     @staticmethod
     def forget_decoded():
-        """After the contents of flash have changed."""
+        """Discards the decoded instructions. Call after the contents of flash have changed."""
         for name, words in (("flash", 1 << 18), ("ram", 1 << 17)):
             ctypes.memset((Instruction * words).in_dll(compiled(), name), 0, words * 4)
 
@@ -197,7 +198,7 @@ class Core:
 
     def map_registers(self, address, size, read, write):
         """Calls `read(_, offset, size, _)` and `write(_, offset, size, value, _)` for accesses to a range."""
-        # Not through unicorn's own wrapper, which takes twice the time; the callbacks must outlive the call.
+        # Not through unicorn's own wrapper, which takes twice as long. `callbacks` keeps the callbacks alive.
         calls = self.READ(read), self.WRITE(write)
         self.callbacks.append(calls)
         error = unicorn_library.uclib.uc_mmio_map(

@@ -3,15 +3,15 @@
 from collections import deque
 
 WINDOW = 127
-"""Bytes that a sender keeps on their way: Grbl's receive buffer, which every sender knows."""
+"""Bytes that a sender keeps in flight: the size of Grbl's receive buffer, which every sender assumes."""
 
 
 FRAMES = 8
-"""Bytes whose levels are kept behind them."""
+"""Number of past bytes whose levels on the line are kept."""
 
 
 class Host:
-    """Bytes with their times, both ways."""
+    """A sender at a UART; it exchanges bytes with their times in both directions."""
 
     def __init__(self, board, baud=115_200):
         self.board, self.baud = board, baud
@@ -20,9 +20,9 @@ class Host:
         self.free_at = 0
         """Core cycle at which the line can take the next byte."""
         self.text = bytearray()
-        """All that came from the board."""
+        """All bytes received from the board."""
         self.lines = []
-        """(core cycle of its end, text) of each complete line."""
+        """(core cycle of its end, text) of each complete line from the board."""
         self._line = bytearray()
         self._job, self._pending = deque(), deque()
         self.answers = []
@@ -31,7 +31,7 @@ class Host:
         """(core cycle of its start, cycles of a bit, byte) of the last bytes on the line."""
         board.usart.wire = self
 
-    # The model of the USART calls these.
+    # Called by the model of the USART.
 
     def next_byte(self):
         return self.outgoing[0] if self.outgoing else None
@@ -40,7 +40,7 @@ class Host:
         self.outgoing.popleft()
 
     def level(self, cycle):
-        """Of the line towards the board."""
+        """Returns the level of the line to the board at a cycle."""
         for start, bit, byte in self.frames:
             if start <= cycle < start + 10 * bit:
                 place = int((cycle - start) / bit)
@@ -48,7 +48,7 @@ class Host:
         return 1
 
     def next_fall(self, cycle):
-        """When it goes low next, from a cycle on; None if that is not known yet."""
+        """Returns the cycle of the line's next falling edge, from a cycle on; None if that is not known yet."""
         for start, bit, byte in self.frames:
             word = byte << 1 | 1 << 9
             for place in range(10):
@@ -73,7 +73,7 @@ class Host:
     # For the cases.
 
     def send(self, data, at=None):
-        """Puts bytes on the line behind those already there. Gives the cycle at which the last one can be read."""
+        """Queues bytes after those already on the line. Returns the cycle at which the board can read the last one."""
         board = self.board
         bit = board.clocks[-1][2] / self.baud
         for byte in data if isinstance(data, bytes) else data.encode():
@@ -88,7 +88,7 @@ class Host:
         return self.outgoing[-1][0] if self.outgoing else board.now
 
     def stream(self, text, end="\n"):
-        """Begins to send a job by character counting."""
+        """Starts sending a job by character counting."""
         self._job.extend((line + end).encode() for line in text.splitlines())
         self._feed()
 

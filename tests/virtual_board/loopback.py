@@ -1,8 +1,9 @@
-"""The suite `loopback` of tests/on_target on an emulated board: `python -m virtual_board.loopback BOARD ELF`, as
+"""Runs the suite `loopback` of tests/on_target on an emulated board: `python -m virtual_board.loopback BOARD ELF`, as
 `cargo xtask virtual` does.
 
-With its wires in place it must pass. It must also be able to fail, for the right reason: with a wire left out, wires swapped,
-and wires that lose, delay or stretch pulses. Its log is read from the RTT buffer, as a probe does; needs `defmt-print`.
+With correct wiring the suite must pass. It must also fail, for the right reason, with a missing wire, with swapped
+wires, and with wires that lose, delay or stretch pulses. The suite's log is read from the RTT buffer, as a debug probe
+does, and printed by `defmt-print`.
 """
 
 import subprocess
@@ -13,20 +14,20 @@ from .board import Board, Failure, Image
 from .parts import BOARDS
 
 LONGEST_S = 3.0
-"""More time than the suite needs, emulated."""
+"""Upper bound of the suite's emulated time."""
 CONTROL_BLOCK = "_SEGGER_RTT"
 BUFFER, SIZE, WRITTEN, READ = 28, 32, 36, 40
 """Offsets of the first up-channel's words (defmt-rtt, `Header` and `Channel`)."""
 
 
 def wires(wiring):
-    """Output and input of each wire, written down independently of the suite: STEP X, DIR X, STEP Y."""
+    """Returns the input of each output's wire (STEP X, DIR X, STEP Y), independently of the suite's own table."""
     return {wiring.step[0]: "B6", wiring.direction[0]: "B7", wiring.step[1]: "B8"}
 
 
 class Wires:
-    """Carries each change of an output to its input. `late(output, pulse, level)` may hold an edge back, by so many seconds, or
-    lose it (None); pulses count from 1."""
+    """Carries each change of an output to its input. `late(output, pulse, level)` returns the seconds by which an edge
+    is delayed, or None to lose it; pulses count from 1."""
 
     def __init__(self, board, wires, late):
         self.board, self.wires, self.late = board, wires, late
@@ -47,14 +48,14 @@ class Wires:
             self.board.drive(self.wires[output], level)
 
     def deliver(self):
-        """What has been held back and is due."""
+        """Delivers the delayed edges that are due."""
         for entry in [entry for entry in self.under_way if entry[0] <= self.board.now]:
             self.under_way.remove(entry)
             self.board.drive(*entry[1:])
 
 
 def run(wiring, image, elf, wires, late=None):
-    """The suite on a board that was just switched on: its status, its log."""
+    """Runs the suite on a board that was just switched on. Returns its status and its log."""
     board = Board(wiring, image)
     board.has_debugger = True
     connected = Wires(board, wires, late)
@@ -69,14 +70,14 @@ def run(wiring, image, elf, wires, late=None):
         log.extend(data[read:written] if read <= written else data[read:] + data[:written])
         board.write_memory(block + READ, written.to_bytes(4, "little"))
 
-    # The emulated processor's clock goes on from board to board.
+    # The emulated processor's clock continues from one board to the next.
     start = board.seconds()
     while board.ended is None and board.seconds() - start < LONGEST_S:
         end = board.now + board.cycles(0.001)
         while board.now < end and board.ended is None:
             due = min([entry[0] for entry in connected.under_way], default=end)
             if late:
-                # An edge that begins its way meanwhile is looked at in time.
+                # Short steps: an edge that starts meanwhile must not be delivered too late.
                 due = min(due, board.now + board.cycles(1e-6))
             board.run(cycles=max(1, min(due, end) - board.now))
             connected.deliver()
@@ -88,7 +89,8 @@ def run(wiring, image, elf, wires, late=None):
 
 
 def cases(wiring):
-    """Name, wires, what the wires do to edges, status, and words of a line that the log must have."""
+    """Yields name, wires, function that delays edges, expected status, and words that one line of the log must
+    contain."""
     right = wires(wiring)
     step_x, direction_x, step_y = right
     yield "wired", right, None, 0, ("all tests passed!",)
@@ -98,7 +100,7 @@ def cases(wiring):
     swapped = {**right, step_x: right[step_y], step_y: right[step_x]}
     yield "wires of STEP X and STEP Y swapped", swapped, None, 101, ("edges of STEP X come at",)
 
-    # The check of the wires takes 12 pulses of X and 4 of Y; pulse 40 is one of the train at 1 kHz.
+    # The check of the wires takes 12 pulses of X and 4 of Y, so pulse 40 belongs to the train at 1 kHz.
     def lost(output, pulse, level):
         return None if output == step_y and pulse == 40 else 0
 

@@ -1,5 +1,5 @@
-"""What the parts and the boards are, written down a second time from data sheets and from the drawings in boards/: the
-emulation must not learn its pins from the code that it checks."""
+"""Properties of the parts and boards, written independently from data sheets and from the drawings in boards/: the
+emulation must not take its pins from the code that it checks."""
 
 import re
 from dataclasses import dataclass, replace
@@ -18,27 +18,28 @@ class Part:
     apb1_hz: int
     apb2_hz: int
     wait_states: tuple
-    """Greatest core clock for 0, 1, 2, ... wait states at 2.7 to 3.6 V (RM0383, RM0390, RM0368, "Number of wait states according to CPU clock")."""
+    """Maximum core clock for 0, 1, 2, ... wait states at 2.7 to 3.6 V (RM0383, RM0390, RM0368, "Number of wait states
+    according to CPU clock")."""
     scale_hz: dict
-    """Greatest core clock by VOS (PWR_CR; data sheet, general operating conditions)."""
+    """Maximum core clock by VOS (PWR_CR; data sheet, general operating conditions)."""
     over_drive_hz: int
-    """Greatest core clock with over-drive; 0 where there is none (RM0390, "Voltage regulator")."""
+    """Maximum core clock with over-drive; 0 without over-drive (RM0390, "Voltage regulator")."""
     pwr_cr_reset: int
-    """PWR_CR."""
+    """Value of PWR_CR after a reset."""
     interrupts: int
-    """Rows of the vector table."""
+    """Number of interrupt vectors."""
     asleep: tuple
-    """RCC_AHB1LPENR, AHB2LPENR, APB1LPENR and APB2LPENR after a reset, as the manuals have them: whose clocks go on while the processor sleeps.
-    On the F401 and F411 that of TIM1 does not, nor those of GPIOE and GPIOH."""
+    """RCC_AHB1LPENR, AHB2LPENR, APB1LPENR and APB2LPENR after a reset, from the manuals: whose clocks run while the
+    processor sleeps. On the F401 and F411 the clocks of TIM1, GPIOE and GPIOH stop."""
     vco_hz: int = 100 * MHZ
-    """Least frequency of the PLL's oscillator (RCC_PLLCFGR; 192 MHz in RM0368)."""
+    """Minimum frequency of the PLL's oscillator (RCC_PLLCFGR; 192 MHz in RM0368)."""
     flash_kib: int = 512
     ram_kib: int = 128
     flash_start: int = 0x0800_0000
     ram_start: int = 0x2000_0000
 
     def sector(self, number):
-        """Address and size of a flash sector: 4 of 16 KiB, one of 64, the rest of 128."""
+        """Returns address and size of a flash sector: 4 sectors of 16 KiB, one of 64, the rest of 128."""
         sizes = [16] * 4 + [64] + [128] * ((self.flash_kib - 128) // 128)
         return self.flash_start + 1024 * sum(sizes[:number]), 1024 * sizes[number]
 
@@ -66,7 +67,7 @@ STM32F446 = Part(
 
 @dataclass(frozen=True)
 class Wiring:
-    """A board: its crystal, and which pin does what."""
+    """A board: its crystal, and the function of each pin."""
 
     name: str
     part: Part
@@ -97,19 +98,19 @@ class Wiring:
     program_inputs: tuple = ()
     step_irq: int = 50
     serial_irq: int = 17
-    """The vector of the stream that sends; on a Black Pill that of SPI2."""
+    """Interrupt that runs the serial task: that of the stream which sends; on a Black Pill that of SPI2."""
     uart_irq: int | None = None
-    """The UART's own, where DMA does not serve it."""
+    """The UART's interrupt, if DMA does not serve the UART."""
     usb: bool = False
     """OTG_FS is the first link to the host."""
     left_out: tuple = ()
-    """What the image of this board has no room for; all others have it."""
+    """Features that this board's image lacks for want of space; all other boards have them."""
 
     def promised(self, number):
-        """A number of the board's row in `profiles.rs`: what is tried is what is promised."""
+        """Returns a number of the board's entry in `profiles.rs`, so that the cases test what the firmware promises."""
         text, begin = PROFILES.read_text(), f'name: "{self.name}"'
         while True:
-            # What a row does not have is that of the one after its two dots.
+            # A number that an entry lacks is that of the entry after its two dots.
             row, _, rest = text.split(begin, 1)[1].split("}", 1)[0].partition("..")
             if found := re.search(rf"\b{number}: ([0-9_]+)", row):
                 return int(found[1])
@@ -121,7 +122,7 @@ class Wiring:
 
     @property
     def axes(self):
-        """Most boards have three; one row says that its board has as many as the simulator."""
+        """Number of axes: three, or four if the board's entry says `AXES`, as many as the simulator."""
         row = PROFILES.read_text().split(f'name: "{self.name}"', 1)[1].split("};", 1)[0]
         return 4 if "axes: AXES," in row else 3
 
@@ -134,7 +135,8 @@ class Wiring:
         return self.promised("least_pulse_tenths") / 10
 
     def greatest_hz(self, pulse_us):
-        """The step rate that the settings allow with pulses of this length (`StepRates` of the controller), a little less."""
+        """Returns slightly less than the maximum step rate for pulses of this length (`StepRates` of the
+        controller)."""
         pause = pulse_us - 0.04 if pulse_us < 1 else min(pulse_us, 2.5)
         period = pulse_us + pause + 0.04
         return min(1e6 / period * 0.998, self.safe_step_hz)

@@ -1,7 +1,8 @@
-"""Where the cycles of a case go: by exception, and by function.
+"""Profiles the cycles of a case, by exception and by function.
 
-Promises the cycles of each instruction, with waits for registers, from the call of `begin`. Leaves out entries into exceptions, returns, and
-sleep. An exception has the name of its vector (src/firmware/main.rs says which task that is; handlers of the same code share a name). Functions that the compiler has inlined belong to those around them.
+Counts the cycles of each instruction, including waits for registers, from the call of `begin`. Excludes entries into
+exceptions, returns, and sleep. An exception has the name of its vector (src/firmware/main.rs has the task of each
+vector; handlers with the same code share a name). Inlined functions count for the function around them.
 """
 
 import collections
@@ -12,7 +13,7 @@ from .core import compiled
 
 FLASH = 0x08000000
 MOST = 40
-"""How many functions are shown."""
+"""Maximum number of functions shown."""
 ESCAPES = {"$LT$": "<", "$GT$": ">", "$C$": ",", "$RF$": "&", "$BP$": "*", "$LP$": "(", "$RP$": ")"}
 
 
@@ -25,7 +26,7 @@ def begin():
 
 
 def readable(symbol):
-    """A name as the source has it, of what rustc made of it; without generics' arguments where it has none."""
+    """Returns the source name for a symbol mangled by rustc; without generic arguments if the symbol has none."""
     if not (match := re.fullmatch(r"_ZN(.*)17h[0-9a-f]{16}E", symbol)):
         return symbol
     left, parts = match[1], []
@@ -42,7 +43,7 @@ def readable(symbol):
 
 
 def table(image):
-    """Lines of the profile, what costs most first."""
+    """Yields the lines of the profile, highest cost first."""
     spent_at, spent_in = _counts("spent_at", 1 << 18), _counts("spent_in", 512)
     total = sum(spent_in)
     vectors = next(data for at, data in image.segments if at == FLASH)

@@ -1,4 +1,5 @@
-"""Reads the step outputs from the recorded edges: pulses, steps, and what the data sheets of drivers ask of them."""
+"""Evaluates the recorded edges of the step outputs: pulses, steps, and the times that the data sheets of drivers
+specify."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -6,24 +7,24 @@ from itertools import pairwise
 
 @dataclass
 class Step:
-    """Edges of the step outputs that belong to one step event: two ports are written one after the other."""
+    """A step event: its edges may differ in time, because two ports are written one after the other."""
 
     at: int
     """Core cycle of the first rising edge."""
     axes: int
     """Bit 0 for X."""
     negative: int
-    """Direction outputs of these axes at the rising edge."""
+    """Direction outputs of the stepped axes at the rising edge, bit 0 for X."""
 
 
 class Scope:
-    """Follows the step and direction outputs of a board from now on."""
+    """Records the step and direction outputs of a board from its creation on."""
 
     TOGETHER_S = 0.5e-6
     """Rising edges closer than this are one step event."""
 
     def __init__(self, board, second=False):
-        """`second`: the second motor of an axis counts as a fourth one."""
+        """With `second`, the second motor of an axis is recorded as a fourth axis."""
         self.board = board
         wiring = board.wiring
         steps, directions = wiring.step, wiring.direction
@@ -34,10 +35,11 @@ class Scope:
         self.direction_pins = {(name[0], int(name[1:])): axis for axis, name in enumerate(directions)}
         self.first = len(board.edges)
         self.levels = [board.shown(name) == 1 for name in directions]
-        """Direction outputs where the record begins."""
+        """Direction outputs at the beginning of the record."""
 
     def read(self):
-        """Everything since the scope was made: steps, pulse widths in s, direction set-up times in s, hold times in s."""
+        """Returns steps, pulse widths, direction set-up times and hold times since the scope was created; times in
+        s."""
         board = self.board
         hz = board.clocks[-1][2]
         together = self.TOGETHER_S * hz
@@ -80,8 +82,9 @@ class Scope:
 
 
 def steady(steps, hz, period_s, ramp):
-    """Steps at a nominal period, those of the two ramps left out: how far periods are off at most, and how far the last
-    step is from where it would be if no error added up, in s."""
+    """For steps at a constant nominal period, excluding `ramp` steps at each end: returns the maximum error of a
+    period, and the error of the last step's time, which shows accumulated errors; both in s. None if there are too few
+    steps."""
     times = [step.at / hz for step in steps[ramp : len(steps) - ramp]]
     periods = [b - a for a, b in pairwise(times)]
     if len(periods) < 20:

@@ -1,8 +1,9 @@
-"""A long job on one board: `python -m virtual_board.soak BOARD ELF SCRIPT ANSWERS REPORT [WALL]`, as `cargo xtask soak BOARD` does.
+"""Runs a long job on one board: `python -m virtual_board.soak BOARD ELF SCRIPT ANSWERS REPORT [WALL]`, as `cargo xtask
+soak BOARD` does.
 
-Follows the codes of a script (`xtask/src/script.rs`). What the board has said goes to ANSWERS; at the end of each record a line
-with the time, the steps that were counted at the step outputs, and the stack goes to REPORT. The one who has written the script
-judges them. After WALL seconds it ends at the next of these lines.
+Executes the codes of a script (`xtask/src/script.rs`). Writes the board's output to ANSWERS and, at the end of each
+record (code `N`), a line with the time, the steps counted at the step outputs and the stack to REPORT. xtask, which
+wrote the script, judges both. After WALL seconds it ends at the next line of REPORT.
 """
 
 import struct
@@ -34,7 +35,7 @@ class Player:
     def count(self):
         board = self.bench.board
         self.net = [a + b for a, b in zip(self.net, self.scope.counts(), strict=True)]
-        # Hours of edges are not kept.
+        # Discard the edges: a job may take hours.
         del board.edges[:], board.step_runs[:]
         self.scope = Scope(board)
 

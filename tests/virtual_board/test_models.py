@@ -1,6 +1,7 @@
-"""Each model against register traces worked out by hand from the reference manuals; no image, no processor.
+"""Tests each model against register traces worked out by hand from the reference manuals, without an image or a
+processor.
 
-Run by `cargo xtask virtual` before the boards.
+`cargo xtask virtual` runs these tests before the boards.
 """
 
 import unittest
@@ -15,7 +16,7 @@ from .usb import SHORT_S, UsbHost
 
 
 class Bench:
-    """As much of a board as a model sees; time is set by hand."""
+    """Replaces the board for a model; the tests set the time."""
 
     def __init__(self, wiring=BLACKPILL_F411, hclk=96_000_000, pclk1=48_000_000):
         self.wiring, self.part = wiring, wiring.part
@@ -75,7 +76,7 @@ class Bench:
         self.resets.append((self.now, flags, why))
 
     def until(self, model, cycle):
-        """Lets time pass as the board does."""
+        """Advances time, calling the model as the board does."""
         while model.due <= cycle:
             self.now = model.due
             model.advance(self.now)
@@ -83,7 +84,7 @@ class Bench:
 
 
 def advance_until(bench, models, cycle):
-    """Advances models in the order of time."""
+    """Advances several models in the order of their events."""
     while (due := min(model.due for model in models)) <= cycle:
         bench.now = max(bench.now, due)
         next(model for model in models if model.due == due).advance(bench.now)
@@ -94,7 +95,7 @@ class GpioTraces(unittest.TestCase):
     def test_output_by_bsrr_and_odr(self):
         bench = Bench()
         port = gpio.Gpio("GPIOA", bench)
-        # After reset PA13 to PA15 belong to the debug port (MODER 0xA800_0000), all else are inputs.
+        # After a reset PA13 to PA15 belong to the debug port (MODER 0xA800_0000), all others are inputs.
         self.assertEqual(bench.edges, [(0, "A", 13, "AF"), (0, "A", 14, "AF"), (0, "A", 15, "AF")])
         bench.edges.clear()
         bench.now = 5
@@ -102,7 +103,7 @@ class GpioTraces(unittest.TestCase):
         self.assertEqual(bench.edges, [], "an input does not show ODR")
         port.write(gpio.MODER, 0xA800_0000 | 1 << 6)
         bench.now = 7
-        # Bit 3 both set and reset: setting wins, so nothing changes; then bit 19 resets it.
+        # Bit 3 both set and reset: setting takes precedence, so nothing changes; then bit 19 resets it.
         port.write(gpio.BSRR, 1 << 3 | 1 << 19)
         bench.now = 9
         self.assertEqual(port.read(gpio.IDR) & 8, 8)
@@ -121,13 +122,13 @@ class GpioTraces(unittest.TestCase):
         port.drive(3, 0)
         self.assertEqual(port.read(gpio.IDR) & 0b1011, 0b0001)
         self.assertEqual(port.level(2), None)
-        # Open drain: a 1 lets go, the pull-up decides; a 0 drives.
+        # Open drain: with a 1 the pull-up determines the level; a 0 drives.
         port.write(gpio.OTYPER, 1)
         port.write(gpio.MODER, 1)
         self.assertEqual(port.level(0), 0)
         port.write(gpio.BSRR, 1)
         self.assertEqual((port.shown[0], port.level(0)), (None, 1))
-        # AFRL holds four bits a pin: function 7 on PC1.
+        # AFRL holds four bits per pin: function 7 on PC1.
         port.write(gpio.MODER, 0b10_00)
         port.write(gpio.AFRL, 7 << 4)
         self.assertEqual((port.function(1), port.function(0)), (7, None))
@@ -174,7 +175,7 @@ class RccTraces(unittest.TestCase):
                 model.check_clock(peripheral)
             bench.now += 1
             model.check_clock(peripheral)
-        # What has been on before is not touched by another one.
+        # A clock that is already on is not affected by another one.
         model.write(rcc.APB1ENR, 1 << 28 | 1)
         model.check_clock(SimpleNamespace(name="it", CLOCK=(rcc.APB1ENR, 28)))
 
@@ -201,7 +202,7 @@ class RccTraces(unittest.TestCase):
         self.assertFalse(model.read(rcc.CR) >> 17 & 1)
         model.write(rcc.CR, model.read(rcc.CR) | 1 << 18)
         self.assertTrue(model.read(rcc.CR) >> 17 & 1)
-        # 8 MHz / 4 * 180 / 2 = 180 MHz, but APB1 undivided is beyond its 45 MHz.
+        # 8 MHz / 4 * 180 / 2 = 180 MHz, but undivided APB1 would exceed its 45 MHz.
         model.write(rcc.PLLCFGR, 4 | 180 << 6 | 1 << 22 | 8 << 24 | 2 << 28)
         model.write(rcc.CR, model.read(rcc.CR) | 1 << 24)
         with self.assertRaises(Misuse):
@@ -225,11 +226,11 @@ class RccTraces(unittest.TestCase):
         model.write(rcc.PLLCFGR, 25 | 192 << 6 | 1 << 22 | 4 << 24 | 2 << 28)
         model.write(rcc.CR, model.read(rcc.CR) | 1 << 24)
         model.write(rcc.CFGR, 0b100 << 10 | 2)
-        # Without CSSON (bit 19) the core has no clock any more.
+        # Without CSSON (bit 19) the core has no clock afterwards.
         model.lose_hse()
         self.assertIn("no clock", bench.failure)
         bench.failure, model.hse_stands = None, False
-        # With it HSE and PLL go off and HSI is the system clock; the NMI is taken, whatever masks.
+        # With CSSON, HSE and PLL go off and HSI becomes the system clock; the NMI is taken despite any mask.
         model.write(rcc.CR, model.read(rcc.CR) | 1 << 19)
         model.lose_hse()
         self.assertIsNone(bench.failure)
@@ -286,7 +287,7 @@ class ExtiTraces(unittest.TestCase):
         bench.supply_v = 2.85
         model.supply_changed()
         self.assertEqual((model.read(pwr.CSR) >> 2 & 1, bench.exti.read(exti.PR), bench.lines[1]), (1, 1 << 16, True))
-        # A 1 clears the pending bit; the falling edge is not asked for.
+        # A 1 clears the pending bit; the falling edge is not enabled.
         bench.exti.write(exti.PR, 1 << 16)
         bench.supply_v = 3.3
         model.supply_changed()
@@ -297,7 +298,7 @@ class ExtiTraces(unittest.TestCase):
         model = exti.Exti("EXTI", bench)
         model.write(exti.FTSR, 1 << 16)
         model.edge(1 << 16, rising=False)
-        # Pending is noted although the interrupt is masked, and comes as soon as it is not.
+        # The pending bit is set although the interrupt is masked, and takes effect as soon as it is unmasked.
         self.assertEqual((model.read(exti.PR), bench.lines[1]), (1 << 16, False))
         model.write(exti.IMR, 1 << 16)
         self.assertTrue(bench.lines[1])
@@ -325,7 +326,7 @@ class FlashTraces(unittest.TestCase):
         model.write(flash.CR, 1 | 2 << 8)
         model.program(0x0800_4000, 4, 0xFFFF_00F0)
         model.program(0x0800_4000, 4, 0x1234_FFFF)
-        # Bits only go from 1 to 0.
+        # Programming only changes bits from 1 to 0.
         self.assertEqual(bench.read_memory(0x0800_4000, 4), (0x1234_00F0).to_bytes(4, "little"))
         self.assertAlmostEqual(bench.stalled, 32e-6)
         self.assertEqual(model.read(flash.SR), 1)
@@ -342,7 +343,7 @@ class FlashTraces(unittest.TestCase):
         bench = Bench()
         model = self.unlocked(bench)
         bench.write_memory(0x0800_7FFC, b"\0" * 8)
-        # SER, sector 1, x32, then STRT: 0x0800_4000 to 0x0800_7FFF, 250 ms.
+        # SER, sector 1, x32, then STRT: erases 0x0800_4000 to 0x0800_7FFF in 250 ms.
         model.write(flash.CR, 1 << 1 | 1 << 3 | 2 << 8)
         model.write(flash.CR, 1 << 1 | 1 << 3 | 2 << 8 | 1 << 16)
         self.assertEqual(bench.read_memory(0x0800_7FFC, 8), b"\xff\xff\xff\xff\0\0\0\0")
@@ -376,10 +377,10 @@ class TimerTraces(unittest.TestCase):
         self.assertEqual((model.read(timer.CNT), model.read(timer.SR) & 2, bench.lines.get(28)), (99, 0, False))
         bench.until(model, 200)
         self.assertEqual((model.read(timer.CNT), model.read(timer.SR) & 2, bench.lines[28]), (100, 2, True))
-        # Flags are cleared by 0; ones leave them. Channel 2 was at 0 all the time and matches at a wrap only.
+        # Writing 0 clears flags; 1 leaves them. CCR2 is 0, which the counter reaches only when it wraps.
         model.write(timer.SR, 0xFFFF_FFFD)
         self.assertEqual((model.read(timer.SR), bench.lines[28]), (0, False))
-        # Written to where the counter is: no match before it comes round again; EGR sets the flag instead.
+        # CCR1 written with the present count: no match before the counter wraps; EGR sets the flag instead.
         model.write(timer.CCR1, 100)
         bench.until(model, 1000)
         self.assertEqual(model.read(timer.SR) & 2, 0)
@@ -397,12 +398,12 @@ class TimerTraces(unittest.TestCase):
         model.write(timer.EGR, 1)
         self.assertEqual((model.read(timer.CNT), model.read(timer.SR) & 1), (0, 1))
         model.write(timer.SR, 0)
-        # 96 cycles a count, ten counts a round: UIF at 5 + 960.
+        # 96 cycles per count, ten counts per period: UIF at 5 + 960.
         bench.until(model, 5 + 959)
         self.assertEqual((model.read(timer.CNT), model.read(timer.SR) & 1), (9, 0))
         bench.until(model, 5 + 960)
         self.assertEqual((model.read(timer.CNT), model.read(timer.SR) & 1), (0, 1))
-        # Stopped, it keeps its count.
+        # A stopped timer keeps its count.
         bench.until(model, 5 + 960 + 3 * 96)
         model.write(timer.CR1, 0)
         bench.until(model, 5000)
@@ -422,7 +423,7 @@ class TimerTraces(unittest.TestCase):
         model = timer.Timer("TIM4", bench, 2, 30, False, 0x4000_0800)
 
         def flags():
-            # Of channel 2; the others have compared meanwhile.
+            # Flags of channel 2 only; the other channels have had compare events meanwhile.
             return model.read(timer.SR) & (4 | 1 << 10)
 
         model.write(timer.CCMR1, 0x2121)
@@ -432,13 +433,13 @@ class TimerTraces(unittest.TestCase):
         self.assertEqual((flags(), controller.read(stream + dma.NDTR)), (0, 2), "the channel is off")
         model.write(timer.CCER, 0x00B0)
         model.write(timer.DIER, 1 << 10)
-        # A count is two cycles; the second edge comes after the counter has come round.
+        # A count takes two cycles; the second edge comes after the counter has wrapped.
         for cycles in (2000, 2 * (0x1_0000 + 7) + 1):
             bench.until(model, cycles)
             model.edge(2)
         self.assertEqual(bench.read_memory(0x2000_0100, 4), bytes([0xE8, 3, 7, 0]))
         self.assertEqual((flags(), controller.read(dma.LISR)), (0, 1 << 27))
-        # Nobody fetches any more: CC2IF, and with the next edge CC2OF. Reading the count clears the first only.
+        # DMA no longer fetches: CC2IF, and with the next edge CC2OF. Reading the count clears only CC2IF.
         model.edge(2)
         self.assertEqual(flags(), 4)
         model.edge(2)
@@ -446,11 +447,11 @@ class TimerTraces(unittest.TestCase):
         model.read(timer.CCR2)
         self.assertEqual(flags(), 1 << 10)
         with self.assertRaises(Unmodelled):
-            # One edge only.
+            # Capture of one edge only.
             model.write(timer.CCER, 0x0010)
             model.edge(2)
         with self.assertRaises(Unmodelled):
-            # The DMA request of a compare event of channel 2 or 4.
+            # DMA request of a compare event of channel 2 or 4.
             model.write(timer.DIER, 1 << 12)
 
     def test_pwm_duty(self):
@@ -468,7 +469,7 @@ class TimerTraces(unittest.TestCase):
 
 
 class Wire:
-    """Bytes with their times for a USART."""
+    """Replaces the sender and receiver at a USART: bytes with their times."""
 
     def __init__(self, arriving=(), baud=115_200):
         self.arriving, self.baud, self.heard = list(arriving), baud, []
@@ -493,7 +494,7 @@ class UsartTraces(unittest.TestCase):
     def fresh(self, bench, wire):
         model = usart.Usart("USART1", bench, 0x4001_1000, (0x44, 4), 37, "pclk2")
         model.wire = wire
-        # 96 MHz / 833 = 115246 baud: 833 cycles a bit.
+        # 96 MHz / 833 = 115246 baud: 833 cycles per bit.
         model.write(usart.BRR, 833)
         return model
 
@@ -504,11 +505,11 @@ class UsartTraces(unittest.TestCase):
         model.write(usart.CR1, self.ON | usart.RXNEIE)
         bench.until(model, 9000)
         self.assertEqual((model.read(usart.SR), bench.lines[37]), (0xE0, True))
-        # Not read in time: the second byte is lost, the first is still there, ORE is set.
+        # Not read in time: the second byte is lost, the first is kept, ORE is set.
         bench.until(model, 17_330)
         self.assertEqual(model.read(usart.SR), 0xE8)
         self.assertEqual(model.read(usart.DR), 0x41)
-        # SR was read before DR: ORE and RXNE are gone.
+        # SR was read before DR: ORE and RXNE are cleared.
         self.assertEqual((model.read(usart.SR), bench.lines[37], model.overruns), (0xC0, False, 1))
         bench.until(model, 25_660)
         self.assertEqual(model.read(usart.DR), 0x43)
@@ -519,7 +520,7 @@ class UsartTraces(unittest.TestCase):
         model = self.fresh(bench, wire)
         model.write(usart.CR1, self.ON)
         model.write(usart.DR, 0x55)
-        # It goes on into the shift register at once: TXE again, TC not.
+        # The byte moves to the shift register at once: TXE is set again, TC is not.
         self.assertEqual(model.read(usart.SR), usart.TXE)
         model.write(usart.DR, 0xAA)
         self.assertEqual(model.read(usart.SR), 0)
@@ -531,7 +532,8 @@ class UsartTraces(unittest.TestCase):
         self.assertEqual((wire.heard[-1], model.read(usart.SR)), ((16_660, 0xAA), usart.TXE | usart.TC))
 
     def heard(self, baud, brr, text):
-        """What a receiver with this divider makes of bytes at another rate: each with its framing error."""
+        """Returns the bytes that a receiver with this divider decodes from bytes at another rate, each with its framing
+        error."""
         bench, bit = Bench(), 96e6 / baud
         wire = Wire([(2_000 + round(10 * bit * k + 9.5 * bit), byte) for k, byte in enumerate(text)], baud)
         model = usart.Usart("USART1", bench, 0x4001_1000, (0x44, 4), 37, "pclk2")
@@ -547,19 +549,20 @@ class UsartTraces(unittest.TestCase):
 
     def test_other_baud_rates(self):
         self.assertEqual(self.heard(115_200, 833, b"$?"), [(0x24, False), (0x3F, False)])
-        # Each run of zeros, the start bit with it, is a byte of zeros; one of more than nine of the receiver's bits has no stop bit.
+        # Each run of zeros, including the start bit, is read as a byte of zeros; if it is longer than nine of the
+        # receiver's bits, the stop bit is missing.
         self.assertEqual(self.heard(115_200, 96, b"?"), [(0, False), (0, True)])
         self.assertEqual(self.heard(115_200, 96, b"\n"), [(0, True), (0, False), (0, True)])
-        # At twice the rate each bit is two.
+        # At twice the rate each bit is read as two.
         self.assertEqual(self.heard(115_200, 417, b"?"), [(0xFE, False), (0xF8, False)])
         self.assertEqual(self.heard(115_200, 417, b"$"), [(0x60, True), (0xF8, False)])
-        # What is faster is too short for a start bit, or one and little else.
+        # Faster bytes are too short for a start bit, or give a start bit and little else.
         self.assertEqual(self.heard(1_000_000, 833, b"\x18"), [])
         self.assertEqual(self.heard(1_000_000, 833, b"\0"), [(0xFF, False)])
 
 
 class DmaTraces(unittest.TestCase):
-    """A USART by DMA: USART1 on an APB as fast as the core, USART2 on one of half its clock."""
+    """A USART with DMA: USART1 on an APB as fast as the core, USART2 on an APB with half the core's clock."""
 
     BYTES, HALF_WORDS, ROUND, SEND = 4 << 25 | 1 << 10, 4 << 25 | 1 << 10 | 1 << 11 | 1 << 13, 1 << 8, 4 << 25 | 1 << 10 | 1 << 6 | 1 << 4
 
@@ -571,7 +574,7 @@ class DmaTraces(unittest.TestCase):
         base, bus, clock = (0x4001_1000, "pclk2", (0x44, 4)) if number == 1 else (0x4000_4400, "pclk1", (0x40, 17))
         self.port = bench.peripherals[f"USART{number}"] = usart.Usart(f"USART{number}", bench, base, clock, 36 + number, bus)
         self.port.wire = Wire()
-        # 115246 baud: 833 cycles a bit, on the slower bus 834.
+        # 115246 baud: 833 cycles per bit, 834 on the slower bus.
         self.port.write(usart.BRR, 833 if number == 1 else 417)
 
     def stream(self, number, count, how, data):
@@ -598,7 +601,7 @@ class DmaTraces(unittest.TestCase):
         base = self.receiving(8)
         self.until(9011)
         self.assertEqual((self.bench.read_memory(0x2000_0100, 1), self.model.read(base + dma.NDTR)), (b"\xff", 8))
-        # Twelve cycles behind the request: eight, and four of a bus that is as fast.
+        # Twelve cycles after the request: eight, plus four of a bus as fast as the core.
         self.until(9012)
         self.assertEqual((self.bench.read_memory(0x2000_0100, 1), self.model.read(base + dma.NDTR)), (b"0", 7))
         self.until(38_000)
@@ -611,7 +614,7 @@ class DmaTraces(unittest.TestCase):
     def test_the_end_of_a_transfer(self):
         base, model = self.receiving(2), self.model
         self.until(38_000)
-        # Stream 2: its flags stand at bit 16, TCIF is the sixth. The third byte stays in the USART.
+        # The flags of stream 2 begin at bit 16, TCIF is the sixth. The third byte stays in the USART.
         self.assertEqual((model.read(dma.LISR), model.read(base + dma.CR) & 1), (1 << 21, 0))
         self.assertEqual((self.bench.read_memory(0x2000_0100, 3), self.port.read(usart.DR)), (b"01\xff", 0x32))
         with self.assertRaises(Misuse):
@@ -635,7 +638,7 @@ class DmaTraces(unittest.TestCase):
                 readings.choose("flags-by-dma")
             self.until(17_300)
             self.assertFalse(self.bench.lines[37])
-            # The line rises with the byte, before DMA fetches it.
+            # The interrupt line rises with the byte, before DMA fetches it.
             self.until(17_335)
             self.assertTrue(self.bench.lines[37])
             self.until(20_000)
@@ -645,7 +648,7 @@ class DmaTraces(unittest.TestCase):
 
     def test_a_processor_that_stands_loses_no_byte(self):
         self.receiving(8)
-        # All of it is seen afterwards, and in its order: each byte has been fetched before the next one came.
+        # All events are handled later, in order: each byte is fetched before the next one arrives.
         self.bench.now = 60_000
         while min(model.due for model in (self.port, self.model)) <= self.bench.now:
             min((self.port, self.model), key=lambda model: model.due).advance(self.bench.now)
@@ -659,7 +662,8 @@ class DmaTraces(unittest.TestCase):
         port.write(usart.CR3, usart.DMAT)
         base = self.stream(6, 3, self.SEND, 0x4000_4404)
         self.until(100)
-        # Sixteen cycles each, on a bus of half the clock: the first goes on into the shift register, the second waits behind it.
+        # Sixteen cycles each, on a bus with half the clock: the first byte moves on to the shift register, the second
+        # waits in the data register.
         self.assertEqual((model.read(base + dma.NDTR), port.shift_ends, port.read(usart.SR)), (1, 16 + 8340, 0))
         self.assertFalse(self.bench.lines.get(17))
         self.until(8400)
@@ -676,14 +680,14 @@ class DmaTraces(unittest.TestCase):
         self.port.write(usart.CR3, usart.DMAT)
         base = self.stream(6, 1, self.SEND, 0x4000_4404)
         self.until(30_000)
-        # It is free again at once, but the stream is at its end.
+        # The data register is free again at once, but the stream has ended.
         self.assertEqual((self.model.read(base + dma.NDTR), [byte for _, byte in self.port.wire.heard]), (0, list(b"a")))
 
     def test_what_parts_punish(self):
         self.receiving(8)
         self.bench.puts_out_steps = lambda: True
         with self.assertRaises(Misuse):
-            # DMA2 serves a USART of APB2 while it may write to a port.
+            # DMA2 serves a USART on APB2 while it may write to a port.
             self.until(9000)
         self.fresh(2)
         with self.assertRaises(Misuse):
@@ -691,7 +695,8 @@ class DmaTraces(unittest.TestCase):
 
 
 class ChainTraces(unittest.TestCase):
-    """TIM5's moments by DMA1, TIM1's pulses, DMA2's words, as an image sets them up: at 96 MHz all of them count cycles."""
+    """Event times of TIM5 by DMA1, pulses of TIM1, words of DMA2, set up as by an image; at 96 MHz all of them count
+    cycles."""
 
     MOMENTS, RING, OFF = 0x2000_0100, 0x2000_0200, 0x2000_0300
     BSRR, CCR1 = 0x4002_0018, 0x4000_0C34
@@ -723,7 +728,7 @@ class ChainTraces(unittest.TestCase):
             self.bench.write_memory(address + 4 * k, value.to_bytes(4, "little"))
 
     def until(self, cycle):
-        """All models, in the order of time."""
+        """Advances all models in the order of their events."""
         models = (self.tim5, self.dma1, self.dma2)
         while (due := min(model.due for model in models)) <= cycle:
             self.bench.now = max(self.bench.now, due)
@@ -757,16 +762,18 @@ class ChainTraces(unittest.TestCase):
         self.begin([1000, 1200, 1500, 999, 0, 0], [2, 0, 2, 2, 2, 2])
         self.assertEqual(self.tim5.read(timer.CCR1), 1000, "the first moment comes by DMA, asked for by hand")
         self.until(5000)
-        # From the match: 4 to the first count, 1 to the compare event, 12 to the store. The second word sets nothing.
+        # Cycles from the match: 4 to the first count, 1 to the compare event, 12 to the store. The second word changes
+        # nothing.
         self.assertEqual(self.bench.edges, [(1017, "A", 1, 1), (1113, "A", 1, 0), (1517, "A", 1, 1), (1613, "A", 1, 0)])
-        # Three events of six are out, and four moments written: the last one is past, and the chain stands.
+        # Three of six events have been output, and four times written to CCR1: the last one is past, so the output has
+        # stopped.
         self.assertEqual((self.dma2.read(0x10 + 0x18 + dma.NDTR), self.dma1.read(0x10 + 0x18 * 2 + dma.NDTR)), (3, 2))
         self.assertEqual(self.tim5.read(timer.CCR1), 999)
 
     def test_the_ring_goes_round(self):
         self.begin([1000, 1200, 1400], [2, 2, 2])
         self.until(1300)
-        # The first moment of the next round is fetched with the event at 1200: it has been written in time.
+        # The first slot was fetched again with the event at 1200, so this value has no effect.
         self.words(self.MOMENTS, [1600])
         self.until(1450)
         self.assertEqual((self.dma2.read(0x10 + 0x18 + dma.NDTR), self.dma2.read(dma.LISR) & 1 << 11), (3, 1 << 11))
@@ -776,12 +783,12 @@ class ChainTraces(unittest.TestCase):
     def test_a_moment_that_comes_too_late(self):
         self.begin([1000, 1200, 1400, 1399], [2, 2, 2, 2])
         self.until(1300)
-        # The fourth place was fetched with the event at 1200; what is written there now is not seen.
+        # The fourth slot was fetched with the event at 1200, so the new value has no effect.
         self.words(self.MOMENTS + 12, [1600])
         self.until(3000)
         self.assertEqual(self.tim5.read(timer.CCR1), 1399)
         self.until(3010)
-        # The stream now holds the first place. Changed, it says so when it is switched off.
+        # The stream has fetched the first slot: changing it is detected when the stream is switched off.
         self.words(self.MOMENTS, [2000])
         with self.assertRaises(Misuse):
             self.dma1.write(0x10 + 0x18 * 2 + dma.CR, 0)
@@ -794,7 +801,7 @@ class ChainTraces(unittest.TestCase):
     def test_a_stop(self):
         self.begin([1000, 1200, 1400, 1600], [2, 2, 2, 2])
         self.until(1203)
-        # The second pulse has its trigger: it comes whole, and the third does not.
+        # The second pulse has been triggered and is complete; the third does not come.
         self.tim1.write(pulse.SMCR, 0x00)
         self.until(3000)
         self.assertEqual([at for at, _, _, _ in self.bench.edges], [1017, 1113, 1217, 1313])
@@ -818,16 +825,17 @@ class ChainTraces(unittest.TestCase):
         self.until(999)
         self.assertTrue(self.dma1.ask_for_usart("USART2", 0x4000_4404, "pclk1", 999, lambda _, at: 0x41))
         self.until(5000)
-        # The first moment would be fetched 16 cycles behind the match: the byte has the controller up to 15 of them, and 8 more pass.
+        # The first time would be written 16 cycles after the match: the byte occupies the controller for 15 of them,
+        # and 8 more pass.
         self.assertEqual(stores[:2], [(1023, 1200), (1216, 1500)])
-        # The edges are DMA2's, and wait for nothing.
+        # DMA2 writes the edges, and has nothing to wait for.
         self.assertEqual([at for at, _, _, level in self.bench.edges if level], [1017, 1517])
 
     def test_a_stream_that_is_switched_off_ends_its_transfer(self):
         self.begin([1000, 1200, 1400, 1600], [2, 2, 2, 2])
         self.until(1208)
         base = 0x10 + 0x18
-        # The second word is on its way to the port.
+        # The transfer of the second word to the port is in progress.
         self.dma2.write(base + dma.CR, 0)
         self.assertEqual(self.dma2.read(base + dma.CR), 1)
         with self.assertRaises(Misuse):
@@ -851,10 +859,10 @@ class ChainTraces(unittest.TestCase):
         base = 0x10 + 0x18
         self.words(self.RING, [2, 2])
         with self.assertRaises(Misuse):
-            # GPIO as a peripheral.
+            # GPIO at the peripheral port.
             self.stream(self.dma2, 1, self.BSRR, self.RING, 2, 6 << 25 | 1 << 6 | 1 << 10 | self.WORDS)
         with self.assertRaises(Misuse):
-            # DMA1 does not reach it at all.
+            # DMA1 does not reach GPIO at all.
             self.stream(self.dma1, 2, self.BSRR, self.RING, 2, self.CHAIN)
         self.stream(self.dma2, 1, self.RING, self.BSRR, 2, self.ON)
         with self.assertRaises(Misuse):
@@ -865,11 +873,11 @@ class ChainTraces(unittest.TestCase):
         with self.assertRaises(Misuse):
             self.dma2.read(base + dma.CR)
         with self.assertRaises(Misuse):
-            # Right after another one.
+            # Switched on right after another stream.
             self.stream(self.dma2, 4, self.OFF, self.BSRR, 2, self.LOW)
         self.until(self.bench.now + 20)
         self.assertEqual(self.dma2.read(base + dma.CR) & 1, 1)
-        # A request that nobody serves waits for a stream, until its timer is reset.
+        # A request that no stream serves stays pending until its timer is reset.
         self.dma2.ask("TIM1_CH4", self.bench.now + 5)
         self.until(self.bench.now + 20)
         with self.assertRaises(Misuse):
@@ -895,10 +903,10 @@ class ChainTraces(unittest.TestCase):
         readings.choose("counted-at-fetch")
         base = 0x10 + 0x18 * 2
         self.begin([1000, 1200, 1500, 1499], [2, 2, 2, 2])
-        # One is written, the next is fetched.
+        # One word has been written, the next one fetched.
         self.assertEqual(self.dma1.read(base + dma.NDTR), 2)
         self.until(1300)
-        # The fourth is fetched, with which the ring begins again.
+        # The fourth word is fetched, and the count restarts.
         self.assertEqual((self.dma1.read(base + dma.NDTR), self.dma2.read(0x10 + 0x18 + dma.NDTR)), (4, 3 - 1))
 
     def test_a_trigger_sooner_and_later(self):
@@ -912,7 +920,8 @@ class ChainTraces(unittest.TestCase):
 
 
 class BeamTraces(unittest.TestCase):
-    """TIM5's channel 3 has DMA1 write TIM3's compare value, as an image sets them up: at 96 MHz all of them count cycles."""
+    """TIM5's channel 3 makes DMA1 write TIM3's compare value, set up as by an image; at 96 MHz all of them count
+    cycles."""
 
     POWER, COMPARE = 0x2000_0100, 0x4000_0438
     HOW = 6 << 25 | 1 << 6 | 2 << 11 | 2 << 13 | 1 << 8
@@ -953,7 +962,7 @@ class BeamTraces(unittest.TestCase):
         self.until(999)
         self.assertEqual((self.stores, self.bench.lines.get(50)), ([], False))
         self.until(1050)
-        # 16 cycles from the match to the store on the APB, and the interrupt right at it.
+        # 16 cycles from the match to the store on the APB; the interrupt comes with the match.
         self.assertEqual((self.stores, self.bench.lines[50]), ([(1016, 700)], True))
         self.assertEqual(self.tim3.read(timer.CCR2), 700)
         self.until(100_000)
@@ -962,7 +971,7 @@ class BeamTraces(unittest.TestCase):
     def test_an_event_by_hand(self):
         self.until(2000)
         self.arm(300, 1000)
-        # It has passed: nothing comes by itself, and the flag says so.
+        # The time has passed: no event occurs, and the flag stays clear.
         self.until(2100)
         self.assertEqual((self.stores, self.tim5.read(timer.SR) & 8), ([], 0))
         self.tim5.write(timer.EGR, 8)
@@ -992,20 +1001,20 @@ class BeamTraces(unittest.TestCase):
             # The request is under way.
             self.tim5.write(timer.DIER, 8)
         with self.assertRaises(Misuse):
-            # Whether it stays without its flag nobody says.
+            # The manuals do not say whether the request stays without its flag.
             self.tim5.write(timer.SR, ~8 & 0x1E1F)
         self.until(1050)
         self.bench.write_memory(self.POWER, (100).to_bytes(4, "little"))
         with self.assertRaises(Misuse):
-            # The word has been fetched for the next request.
+            # The changed word had been fetched for the next request.
             self.dma1.write(self.STREAM + dma.CR, 0)
         self.bench.write_memory(self.POWER, (700).to_bytes(4, "little"))
         self.dma1.write(self.STREAM + dma.CR, 0)
         self.tim5.write(timer.DIER, 8)
         with self.assertRaises(Misuse):
-            # Whether a part asks at once, as the flag is set, nobody says.
+            # The manuals do not say whether a set flag causes a request at once.
             self.tim5.write(timer.DIER, 1 << 11 | 8)
-        # A stream that has been switched off leaves its request to the next power, which would come at once.
+        # If the stream is switched off, its request stays pending and would output the next power at once.
         self.arm(200, 2000)
         self.until(1990)
         self.dma1.write(self.STREAM + dma.CR, 0)
@@ -1026,7 +1035,7 @@ class IwdgTraces(unittest.TestCase):
         model = iwdg.Iwdg("IWDG", bench)
         self.assertEqual(model.due, NEVER)
         model.write(iwdg.KR, 0x5555)
-        # Divided by 32 (PR = 3) and 1000 counts: one second.
+        # Prescaler 32 (PR = 3) and 1000 counts: one second.
         model.write(iwdg.PR, 3)
         model.write(iwdg.RLR, 999)
         model.write(iwdg.KR, 0xCCCC)
@@ -1040,7 +1049,7 @@ class IwdgTraces(unittest.TestCase):
         model = iwdg.Iwdg("IWDG", bench)
         with self.assertRaises(Misuse):
             model.write(iwdg.RLR, 10)
-        # After reset: divided by 4, 4096 counts: 512 ms.
+        # After a reset: prescaler 4, 4096 counts: 512 ms.
         model.write(iwdg.KR, 0xCCCC)
         self.assertEqual(model.due, 49_152_000)
         bench.now = 40_000_000
@@ -1048,20 +1057,20 @@ class IwdgTraces(unittest.TestCase):
         self.assertEqual(model.due, 89_152_000)
         with self.assertRaises(Misuse):
             model.write(iwdg.KR, 0x1234)
-        # Half of the time has gone; the rest takes a sixth of the cycles at a sixth of the clock.
+        # Half of the time has passed; the rest takes a sixth of the cycles at a sixth of the clock.
         bench.now += 24_576_000
         model.slowed_down(1 / 6)
         self.assertEqual(model.due, bench.now + 4_096_000)
 
 
 class OtgTraces(unittest.TestCase):
-    """RM0383, 22.16: GRXSTSR and GRXSTSP hold EPNUM in bits 3:0, BCNT in 14:4, PKTSTS in 20:17 (2 data received, 3 transfer
-    completed, 4 SETUP completed, 6 SETUP received)."""
+    """RM0383, 22.16: GRXSTSR and GRXSTSP hold EPNUM in bits 3:0, BCNT in 14:4, PKTSTS in 20:17 (2 data received, 3
+    transfer completed, 4 SETUP completed, 6 SETUP received)."""
 
     def fresh(self):
         bench = Bench()
         model = otg.OtgFs("OTG_FS", bench)
-        # The global interrupt on, and that of the receive FIFO and of IN endpoints.
+        # Enables the global interrupt and those of the receive FIFO and of IN endpoints.
         model.write(0x008, 1)
         model.write(0x018, 1 << 4 | 1 << 18)
         return bench, model
@@ -1080,7 +1089,7 @@ class OtgTraces(unittest.TestCase):
         with self.assertRaises(Misuse):
             model.read(0x020)
         self.assertEqual([model.read(0x1000), model.read(0x1000)], [0x0100_0680, 0x0040_0000])
-        # Its end comes half a microsecond later.
+        # The entry for its end follows half a microsecond later.
         self.assertEqual(model.read(0x014) & 1 << 4, 0)
         bench.now += 48
         model.call()
@@ -1116,7 +1125,7 @@ class OtgTraces(unittest.TestCase):
         for offset, value in ((0x010, flush), (0x920, snak | disabled)):
             with self.assertRaises(Misuse):
                 model.write(offset, value)
-        # CNAK ends what was in force.
+        # CNAK cancels a NAK in force.
         model.write(0x920, enabled)
         self.assertEqual(model.read(0x928), 0)
         model.write(0x920, 1 << 15 | snak)
@@ -1142,7 +1151,7 @@ class OtgTraces(unittest.TestCase):
         self.assertEqual(model.read(0x020), 0x0006_0001)
         model.write(0xB20, 1 << 31 | 1 << 26 | 1 << 15)
         self.assertIs(model.out(1, b"?"), True)
-        # STALL answers for itself.
+        # STALL overrides NAK and ACK.
         model.write(0xB20, 1 << 21 | 1 << 15)
         self.assertIsNone(model.out(1, b"?"))
 
@@ -1151,7 +1160,7 @@ class OtgTraces(unittest.TestCase):
         model.write(0x810, 1)
         model.write(0x81C, 1 << 1)
         self.assertIs(model.in_(1), False)
-        # One packet of three bytes; the FIFO has room for 16 words.
+        # One packet of three bytes; the FIFO has space for 16 words.
         model.write(0x930, 1 << 19 | 3)
         model.write(0x920, 1 << 31 | 1 << 26 | 1 << 15)
         self.assertEqual(model.read(0x938), 16)
@@ -1191,7 +1200,7 @@ class NvicTraces(unittest.TestCase):
         model.begin(16 + 28)
         model.level(28, False)
         self.assertEqual(model.end(), 16 + 28)
-        # Its line has fallen: done. The other's line is still up at its end: it pends again.
+        # The line of 28 has fallen: it is done. The line of 37 is still high at its end: it pends again.
         self.assertEqual(model.takeable(0, 0), (None, False))
         self.assertEqual(model.end(), 16 + 37)
         self.assertEqual(model.takeable(0, 0), (16 + 37, False))
@@ -1200,7 +1209,7 @@ class NvicTraces(unittest.TestCase):
         _, model = self.fresh()
         model.write(nvic.ISER, 1 << 29 | 1 << 28)
         model.write(nvic.ISPR, 1 << 29 | 1 << 28)
-        # Equal priority: the lower number first, and no preemption among them.
+        # Equal priority: the lower number comes first, and neither preempts the other.
         self.assertEqual(model.takeable(0, 0)[0], 16 + 28)
         model.begin(16 + 28)
         self.assertEqual(model.takeable(0, 0), (None, False))

@@ -1,8 +1,9 @@
-"""A host at the USB port: enumerates the device as a CDC-ACM serial port does it, and moves bytes.
+"""A host at the USB port: enumerates the device as a CDC-ACM serial port and exchanges bytes.
 
-Transactions follow each other like on a real bus with nothing else on it: 60 us for one of 64 bytes or a NAK of one, 10 us for a short one. The
-host polls the IN endpoint all the time while the port is open; polls that can only be answered by NAK, as nothing has changed since the last one,
-are not played. Packets of the control endpoint are taken to have up to 64 bytes, as the device says.
+Transactions follow each other as on a real bus without other devices: 60 us for one of 64 bytes or a NAK of one, 10 us
+for a short one. While the port is open, the host polls the IN endpoint continuously; polls that would only be answered
+by NAK, because nothing has changed since the last one, are not emulated. Packets of the control endpoint are assumed to
+have up to 64 bytes, as the device declares.
 """
 
 from collections import deque
@@ -13,13 +14,14 @@ from .models.otg import ENUMDNE, IN, NEVER, USBRST, USBSUSP, WKUPINT
 
 SHORT_S, LONG_S = 10e-6, 60e-6
 DATA_OUT, DATA_IN = 1, 2
-"""Numbers of the endpoints with data."""
+"""Numbers of the data endpoints."""
 WAITING = 8
-"""NAKs in a row, half a millisecond: the device is not busy with the packet before, but has no room."""
+"""After this many NAKs in a row (half a millisecond), the device has no space, and is not just busy with the packet
+before."""
 
 
 class UsbHost(Host):
-    """Like the sender at the UART, with the cable plugged in from the beginning."""
+    """A host like the sender at the UART; the cable is plugged in from the beginning."""
 
     def __init__(self, board):
         self.otg = board.otg
@@ -32,20 +34,21 @@ class UsbHost(Host):
         self.packets = deque()
         self.open = self.is_set_up = False
         self.reads = True
-        """A program at the open port fetches what comes."""
+        """The program at the open port fetches received bytes."""
         self._toggle_out = self._toggle_in = 0
-        """Of the next data packet: 0 for DATA0."""
+        """Toggle of the next data packet: 0 for DATA0."""
         self.waits = self._naks = 0
-        """How often the device has put off a packet for longer than it takes to fetch one; NAKs in a row."""
+        """`waits`: how often the device has refused a packet for longer than it takes to fetch one. `_naks`: NAKs in a
+        row."""
         self._work = None
         self._orders = deque()
         self._idle_since = None
-        """Cycle of the last poll, while each would be answered like it."""
+        """Cycle of the last emulated poll, while all further ones would have the same answer."""
 
     # The bus.
 
     def look(self):
-        """The device may have connected."""
+        """Starts the host's side if the device has connected."""
         if self.otg.connected and self._work is None:
             self._work = self._life()
             self.due = self.board.now + self.board.cycles(1e-3)
@@ -62,7 +65,8 @@ class UsbHost(Host):
         return self.due
 
     def wake(self):
-        """The device or the host may have something to say: at the next of the polls that were not played."""
+        """Resumes polling, at the next of the polls that were not emulated: the device or the host may have something
+        to send."""
         if self._idle_since is not None:
             period = self.board.cycles(SHORT_S)
             self.due = self._idle_since + ((self.board.now - self._idle_since) // period + 1) * period
@@ -77,7 +81,8 @@ class UsbHost(Host):
         return self.board.now
 
     def order(self, what):
-        """`open`, `close`, `unplug`, `plug`, `reset`, `configure`, `unconfigure`, `clear halts`: done when what runs now is done."""
+        """Queues an order, executed after the present one: `open`, `close`, `unplug`, `plug`, `reset`, `configure`,
+        `unconfigure` or `clear halts`."""
         self._orders.append(what)
         self.wake()
 
@@ -90,7 +95,7 @@ class UsbHost(Host):
         raise Failure(f"the device answers {transaction.__name__}{arguments} with NAK for ever")
 
     def _control(self, request, length=0, data=None):
-        """One control transfer; gives the answer, or None for STALL."""
+        """Performs a control transfer. Returns the answer, or None for STALL."""
         self.otg.setup(bytes(request))
         yield SHORT_S
         answer = b""
@@ -132,13 +137,13 @@ class UsbHost(Host):
         yield from self._configure(1)
 
     def _configure(self, value):
-        """Both sides begin with DATA0 again (USB 2.0, 9.1.1.5)."""
+        """Sets the configuration. Both sides restart with DATA0 (USB 2.0, 9.1.1.5)."""
         yield from self._control([0, 9, value, 0, 0, 0, 0, 0])
         self._toggle_out = self._toggle_in = 0
         self.is_set_up = value == 1
 
     def _clear_halts(self):
-        """The same for each endpoint (USB 2.0, 9.4.5), whether it was halted or not."""
+        """Clears the halts of both data endpoints, which restart with DATA0, whether halted or not (USB 2.0, 9.4.5)."""
         yield from self._control([2, 1, 0, 0, DATA_OUT, 0, 0, 0])
         self._toggle_out = 0
         yield from self._control([2, 1, 0, 0, 0x80 | DATA_IN, 0, 0, 0])
@@ -164,7 +169,7 @@ class UsbHost(Host):
                     self.otg.flag(WKUPINT)
                     yield from self._enumerate()
                 elif order == "reset":
-                    # Of the bus, while the cable is plugged in: there is no suspend before.
+                    # A bus reset with the cable plugged in, so without a suspend before.
                     self.open = self.is_set_up = False
                     yield from self._enumerate()
                 elif order in ("configure", "unconfigure"):
@@ -176,7 +181,7 @@ class UsbHost(Host):
                 toggle = self.otg.toggle[IN, DATA_IN]
                 data = self.otg.in_(DATA_IN)
                 if data:
-                    # With the other toggle it is taken for a packet that was sent again.
+                    # A packet with the wrong toggle is taken for a repetition and dropped.
                     if toggle == self._toggle_in:
                         self._toggle_in ^= 1
                         for byte in data:

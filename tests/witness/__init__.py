@@ -1,1 +1,2 @@
-"""The firmware on an emulator whose authors have never seen it: what it believes of the hardware is confirmed, or not, by others."""
+"""Runs the firmware on an independent emulator, labwired: its models confirm or refute the firmware's beliefs about the
+hardware."""

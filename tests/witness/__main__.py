@@ -1,6 +1,8 @@
-"""Runs the firmware in labwired and prints what came of each belief: `python -m witness BOARD ELF FOLDER`, as `cargo xtask witness` does.
+"""Runs the firmware in labwired and prints the result for each belief: `python -m witness BOARD ELF FOLDER`, as `cargo
+xtask witness` does.
 
-With `--faults` behind it: the image with a wrong clock, a wrong flash key and wrong channels of DMA, for steps and for the UART, each of which has to be seen.
+With `--faults` as the last argument it runs images with faults instead: a wrong clock, a wrong flash key, and wrong DMA
+channels for steps and for the UART. Each fault must be detected.
 """
 
 import sys
@@ -16,12 +18,12 @@ from .machine import Broken, Machine
 UARTS = {"nucleo_f411re": "usart2", "blackpill_f411": "usart1"}
 KEY, CHANNEL_6, CHANNEL_5 = 0x4567_0123, 0x0C03_5100, 0x0A03_5100
 STREAMS = {"usart2": 0x0800_0450, "usart1": 0x0800_2C00}
-"""CR of the stream that sends by DMA, or receives while flash is written: channel 4."""
+"""By UART: CR of the stream that sends by DMA, or that receives while flash is written; channel 4."""
 CRYSTALS = {8_000_000: 25_000_000, 25_000_000: 8_000_000}
 
 
 def faults(place):
-    """(name, constant of the image, what it becomes, the belief that must not hold, what is tried up to there)."""
+    """Yields (name, constant in the image, replacement, belief that must fail, beliefs to check up to that one)."""
     crystal, stream = place.board.hse_hz, STREAMS[place.uart]
     yield "a crystal of another board", crystal, CRYSTALS[crystal], clock, (greets, clock)
     yield "a wrong flash key", KEY, KEY ^ 1, keys, (keys,)
@@ -30,7 +32,7 @@ def faults(place):
 
 
 class Place:
-    """Where the files of a board are, and how its chip is made."""
+    """Files and chip description of a board."""
 
     def __init__(self, name, elf, folder):
         self.board, self.uart, self.elf, self.folder = BOARDS[name], UARTS[name], elf, folder
@@ -44,17 +46,17 @@ class Place:
         }
 
     def fit(self, fault=None):
-        """Puts the image down, with a fault or without: what was replaced in it."""
+        """Writes the image, optionally with a fault. Returns the numbers of replacements."""
         return image.fitted(self.elf, self.folder / "firmware.elf", fault)
 
     def machine(self, check):
-        """A chip for this belief that has not been started yet."""
+        """Returns a chip, not started yet, that suits this check."""
         system = self.systems["keys" if check is keys else "whole"]
         return Machine(self.folder / "firmware.elf", self.chip, system, self.uart)
 
 
 def witness(place):
-    """Tries each belief. Returns how many do not hold."""
+    """Checks each belief. Returns how many do not hold."""
     pairs, _ = place.fit()
     broken = 0
     print(f"\n{place.board.name} in labwired; {pairs} pairs of LDREXH and STREXH replaced\n\n| belief | source | by | seen |\n|---|---|---|---|")
@@ -76,7 +78,7 @@ def witness(place):
 
 
 def try_faults(place):
-    """Tries each fault. Returns how many are not seen."""
+    """Tries each fault. Returns how many are not detected."""
     titles = {check: title for title, _, _, check in BELIEFS}
     missed = 0
     for name, old, new, wanted, checks in faults(place):

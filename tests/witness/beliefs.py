@@ -1,9 +1,10 @@
-"""What the firmware believes of the hardware, each belief with its source, and what labwired makes of it.
+"""The firmware's beliefs about the hardware, each with its source and a check in labwired.
 
-`ACTS`: labwired's own model decides: with a wrong belief the firmware would not have come so far. `FIELDS`: a value that the firmware has written is
-read back and taken apart by ST's names for its bits; what the value means is the manual's word. `NOT_MODELLED` is what nobody has witnessed.
+`ACTS`: labwired's own model decides, because with a wrong belief the firmware would not get this far. `FIELDS`: a value
+that the firmware wrote is read back and split by ST's names for its bits; its meaning is taken from the manual.
+`NOT_MODELLED`: beliefs that labwired cannot check.
 
-Manuals: RM0383 is that of the STM32F411, PM0214 that of its processor.
+Manuals: RM0383 for the STM32F411, PM0214 for its processor.
 """
 
 import re
@@ -16,7 +17,7 @@ BAUD = 115_200
 GREETING = b"Grbl 1.1h ['$' for help]\r\n"
 SAMPLE_HZ, DWELL_S = 20_000, 0.003
 DRAWN = {"$100": "80.000", "$101": "81.000"}
-"""Settings that are stored, and how they are listed."""
+"""Settings that the checks store, and their values in the list of settings."""
 BELIEFS = []
 NOT_MODELLED = (
     ("flash refuses what comes without its keys, and words at a wrong parallelism", "the lock holds nothing; the keys are compared with the manual's"),
@@ -39,7 +40,7 @@ NOT_MODELLED = (
     ("DSP and floating-point instructions", "not in the target of this image"),
     ("STM32F446: over-drive, two ports at 180 MHz; STM32F401", "no F446 in the package; its F401 is not tried here"),
 )
-"""(belief, what labwired has instead)."""
+"""(belief, what labwired does instead)."""
 
 
 def belief(title, how, source):
@@ -92,7 +93,8 @@ def clock(machine, board):
 
 @belief("wait states and voltage scale fit that clock", FIELDS, "RM0383 3.4.1 table 5, PWR_CR")
 def wait_states(machine, board):
-    # 30, 64, 90 and 100 MHz for 0 to 3 wait states from 2.7 V on; scale 1 (VOS = 3) above 84 MHz.
+    # From 2.7 V on, 0 to 3 wait states are for up to 30, 64, 90 and 100 MHz; above 84 MHz voltage scale 1 (VOS = 3) is
+    # required.
     states = sum(board.core_hz > limit * 1_000_000 for limit in (30, 64, 90))
     return machine.expect("flash_ctrl", "ACR", LATENCY=states) + ", " + machine.expect("pwr", "CR", VOS=3)
 
@@ -198,7 +200,7 @@ def answers(machine, _):
         raise Broken(f"`$$` has other lines than settings, or lacks some: {lines}")
     if any(f"{name}={value}" in lines for name, value in DRAWN.items()):
         raise Broken("a setting that is to be stored has that value already")
-    # 320 slots.
+    # More than the 320 slots of the UART's buffer.
     for _ in range(5):
         machine.ask(f"({'-' * 64})")
     return f"{len(lines)} settings"
@@ -208,7 +210,7 @@ def answers(machine, _):
 def inputs(machine, board):
     for name, letter in (("probe", "P"), ("limit_x", "X")):
         machine.sim.set_pin(name, True)
-        # Eight samples and one more.
+        # Nine samples or more: the filter needs eight.
         machine.run(0.0006)
         said = machine.status()
         machine.sim.set_pin(name, False)
@@ -258,7 +260,7 @@ def dwells(machine, _):
     begin = machine.sim.time
     machine.until(b"ok\r\n", 0.02)
     took = machine.sim.time - begin
-    # Looked at five times in a millisecond; the line is read and planned before.
+    # The output is checked five times per millisecond; the time includes reading and planning the line.
     if not DWELL_S - 0.0002 <= took <= DWELL_S + 0.0006:
         raise Broken(f"it took {took * 1000:.2f} ms")
     return f"{took * 1000:.2f} ms"
@@ -266,7 +268,7 @@ def dwells(machine, _):
 
 @belief("realtime bytes in the middle of a line act and leave it whole", ACTS, "docs/senders.md")
 def realtime(machine, _):
-    # A report, and ten per cent more feed.
+    # A status report and a feed override of +10 %.
     machine.send(b"$10?1=8\x911\n")
     said = machine.until(b"ok\r\n", 0.05)
     if not re.match(r"<Idle\|.*>\r\nok\r\n$", said):
@@ -291,9 +293,10 @@ def stores(machine, _):
 
 @belief("flash is unlocked by these two keys in this order", FIELDS, "RM0383 3.5.1")
 def keys(machine, _):
-    # Registers of the flash interface are memory in this machine, as labwired asks for no key: what is written to KEYR stays there to be read.
+    # The registers of the flash interface are plain memory in this machine, as labwired requires no key: a value
+    # written to KEYR can be read back.
     register = machine.address("flash_ctrl", "KEYR")
-    # The first start writes: up to the last moment before the keys, and from there in small steps.
+    # The first start writes to flash. Runs to just before the first key, then in small steps.
     while True:
         before = machine.sim.snapshot()
         machine.run(0.000_02)
@@ -302,7 +305,7 @@ def keys(machine, _):
         if machine.sim.time > 0.04:
             raise Broken("no key is written")
     machine.sim.restore(before)
-    # This memory is not part of what is restored.
+    # `restore` does not restore this memory.
     machine.sim.write_u32(register, 0)
     written = [0]
     for _ in range(2000):
@@ -324,7 +327,7 @@ def keeps(machine, _):
     for name, value in DRAWN.items():
         if f"{name}={value}" not in lines:
             raise Broken(f"{name} is {[line for line in lines if line.startswith(name + '=')]} and not {value}")
-    # A failure on the way would be an alarm.
+    # A failure meanwhile would raise an alarm.
     if not (status := machine.status()).startswith("<Idle|"):
         raise Broken(f"the state is {status!r}")
     return ", ".join(f"{name}={value}" for name, value in DRAWN.items())
@@ -343,7 +346,7 @@ def moments(machine, board):
     if to != machine.address("tim5", "CCR1"):
         raise Broken(f"its peripheral is at {to:#x}")
     first, second = (machine.sim.read_u32(ring + offset) for offset in (0, 4))
-    # Steps of this move are some milliseconds apart, the first two of a start more.
+    # Steps of this move are a few milliseconds apart, the first two more.
     apart = (second - first & 0xFFFF_FFFF) / board.core_hz
     if not 0.0001 < apart < 0.1:
         raise Broken(f"the ring has moments {apart * 1000:.3f} ms apart")
@@ -362,7 +365,8 @@ def chain_is_watched(machine, _):
 @belief("the streams of the edges read memory as a peripheral that counts up and write BSRR; channel 6 is TIM1's", FIELDS, "RM0383 chapter 9, DMA2 request mapping, GPIOx_BSRR")
 def edges(machine, board):
     ports = sorted({pin[0] for pin in board.step + board.direction + (board.second_step, board.second_direction)})
-    # Streams of the rising edge and of the end of the pulse by port: TIM1_CH1 (1), CH2 (2), CH3 (6), CH4 (4).
+    # Streams of the rising edge (True) and of the end of the pulse (False), by number of ports: TIM1_CH1 (1), CH2 (2),
+    # CH3 (6), CH4 (4).
     streams = {1: {1: True, 4: False}, 2: {1: True, 2: False, 6: True, 4: False}}[len(ports)]
     told = []
     for stream, counts in streams.items():

@@ -1,14 +1,16 @@
-"""The chip that labwired is given: the package's own STM32F411, with what the package knows of it and does not use.
+"""Description of the chip for labwired: the package's own STM32F411, changed with other facts from the same package.
 
-* RCC gates: the package's STM32F411 is clocked whatever RCC says, but for four peripherals. Each peripheral gets the enable bit that the SVD of ST
-  names after it (`GPIOAEN`, `TIM5EN`): one that the firmware does not switch on takes no write.
-* DMA1 and DMA2 are stubs there. The package's STM32F401 has its model of a stream controller in their place, and so has this one.
-* In labwired only an "advanced" timer has the bits CC1G to CC4G of EGR. By RM0383 TIM2 to TIM5 have them (TIMx_EGR), so TIM5 is called advanced, and
-  TIM1, which is one, too.
-* OTG_FS is a stub there. The package's STM32L476 has a model of the registers of the same core, at the same address and with the same interrupt.
-* A stream of that model counts an item when it is switched on, though nothing has asked for one. While flash is written, the UART without DMA takes
-  the count of its stream for bytes that have come; so where DMA2 serves it, DMA2 is plain memory: registers that keep what is written.
-* System memory at 0x1FFF7000, in which the part's number lies, is plain memory.
+* RCC gates: in the package's STM32F411 only four peripherals need a clock from RCC. Here each peripheral needs the
+  enable bit that ST's SVD names after it (`GPIOAEN`, `TIM5EN`): without it the peripheral ignores writes.
+* DMA1 and DMA2 are stubs in that STM32F411. This chip uses the stream controller model of the package's STM32F401.
+* In labwired only an "advanced" timer has the bits CC1G to CC4G of EGR. According to RM0383 TIM2 to TIM5 have them
+  (TIMx_EGR), so TIM5 is declared advanced; so is TIM1, which really is.
+* OTG_FS is a stub in that STM32F411. This chip uses the package's STM32L476 model of the same core's registers, at the
+  same address and with the same interrupt.
+* A stream of the DMA model counts an item when it is switched on, although none was requested. On a board whose UART is
+  served by an interrupt, the firmware takes the count of that UART's DMA2 stream as received bytes after it has written
+  flash. On such a board DMA2 is therefore plain memory: registers that keep written values.
+* System memory at 0x1FFF7000, which holds the part's number, is plain memory.
 """
 
 from pathlib import Path
@@ -27,7 +29,7 @@ def _load(path):
 
 
 def fields(peripheral):
-    """Offset and fields (name: (lowest bit, mask)) of each register, by ST's names."""
+    """Returns offset and fields (name: (lowest bit, mask)) of each register, by ST's names."""
     registers = {}
     for register in _load(SCHEMAS / f"{peripheral}.yaml")["registers"]:
         bits = {f["name"]: (f["bit_range"][1], (2 << f["bit_range"][0] - f["bit_range"][1]) - 1) for f in register["fields"]}
@@ -36,12 +38,12 @@ def fields(peripheral):
 
 
 def bases(chip):
-    """Address of each peripheral."""
+    """Returns the address of each peripheral."""
     return {peripheral["id"]: peripheral["base_address"] for peripheral in chip["peripherals"]}
 
 
 def derived(core_hz):
-    """The chip's description."""
+    """Returns the chip's description."""
     chip = _load(CHIPS / "stm32f411ceu6.yaml")
     streams = {p["id"]: p for p in _load(CHIPS / "stm32f401.yaml")["peripherals"] if p["id"].startswith("dma")}
     rcc = fields("rcc")
@@ -67,7 +69,7 @@ def derived(core_hz):
 
 
 def with_plain_registers(chip, name):
-    """The same chip with plain memory for the registers of a peripheral."""
+    """Returns the same chip with plain memory in place of a peripheral's registers."""
     peripheral = next(p for p in chip["peripherals"] if p["id"] == name)
     memory = {"name": name, "base": peripheral["base_address"], "size": peripheral["size"]}
     others = [p for p in chip["peripherals"] if p is not peripheral]
@@ -75,7 +77,8 @@ def with_plain_registers(chip, name):
 
 
 def write(folder, name, chip, buttons):
-    """Writes chip and system; `buttons` are inputs (name, pin such as "C7") that a test presses. Returns the path of the system."""
+    """Writes the files of chip and system; `buttons` are inputs (name: pin such as "C7") that a test presses. Returns
+    the path of the system."""
     (folder / f"{name}-chip.yaml").write_text(yaml.safe_dump(chip, sort_keys=False))
     system = {
         "name": "witness",

@@ -1,7 +1,8 @@
-"""The image of the firmware as labwired can run it, and the same with a fault put in.
+"""Adapts the firmware's image to labwired, and can insert a fault.
 
-labwired 0.25.0 has no LDREXH and STREXH. Their pairs become a plain load and a store that reports success: that is right where
-nothing interrupts between the two, and nothing of the kind is witnessed here. All else of the image stays as the linker left it.
+labwired 0.25.0 lacks LDREXH and STREXH. Each pair becomes a plain load and a store that reports success. That is
+correct if nothing interrupts between the two; exclusive access itself is not tested here. The rest of the image does
+not change.
 """
 
 import struct
@@ -10,11 +11,11 @@ from elftools.elf.elffile import ELFFile
 
 
 class Unfit(Exception):
-    """The image is not what this program was made for."""
+    """The image does not have the form that this program expects."""
 
 
 def code(path):
-    """Bytes of an ELF file, and the offsets (begin, end) of its executable sections."""
+    """Returns the bytes of an ELF file and the offsets (begin, end) of its executable sections."""
     with open(path, "rb") as file:
         data = bytearray(file.read())
         file.seek(0)
@@ -23,14 +24,15 @@ def code(path):
 
 
 def _halves(data, ranges):
-    """(offset, this half-word, the next one) of all half-words of code."""
+    """Yields (offset, this half-word, the next one) for all half-words of code."""
     for begin, end in ranges:
         for at in range(begin, end - 3, 2):
             yield at, *struct.unpack_from("<HH", data, at)
 
 
 def replace_half_word_exclusives(data, ranges):
-    """LDREXH Rt, [Rn] becomes LDRH.W; STREXH Rd, Rt, [Rn] becomes STRH Rt, [Rn] and MOVS Rd, #0 (ARM DDI 0403, A7.7). Returns the number of pairs."""
+    """Replaces LDREXH Rt, [Rn] by LDRH.W, and STREXH Rd, Rt, [Rn] by STRH Rt, [Rn] and MOVS Rd, #0 (ARM DDI 0403,
+    A7.7). Returns the number of pairs."""
     loads, stores = [], []
     for at, first, second in _halves(data, ranges):
         if first & 0xFFF0 == 0xE8D0 and second & 0x0FFF == 0x0F5F:
@@ -48,7 +50,7 @@ def replace_half_word_exclusives(data, ranges):
 
 
 def _move(first, second):
-    """(is MOVT, register, 16-bit immediate) of a MOVW or MOVT; None of anything else."""
+    """Decodes a MOVW or MOVT to (is MOVT, register, 16-bit immediate); returns None for any other instruction."""
     if first & 0xFB70 != 0xF240 or second & 0x8000:
         return None
     value = (first & 15) << 12 | (first >> 10 & 1) << 11 | (second >> 12 & 7) << 8 | second & 0xFF
@@ -61,7 +63,8 @@ def _with_immediate(first, second, value):
 
 
 def replace_constant(data, ranges, old, new):
-    """Puts another number wherever a pair of MOVW and MOVT loads `old`. Returns how often; none is a failure."""
+    """Replaces the number `old` by `new` wherever a pair of MOVW and MOVT loads it. Returns the number of replacements;
+    raises Unfit if there are none."""
     low, found = {}, 0
     for at, first, second in _halves(data, ranges):
         move = _move(first, second)
@@ -82,7 +85,8 @@ def replace_constant(data, ranges, old, new):
 
 
 def fitted(path, to, fault=None):
-    """Writes the image for labwired, with a fault (old constant, new one) if there is one. Returns what was replaced."""
+    """Writes the image for labwired, optionally with a fault (old constant, new constant). Returns the numbers of
+    replaced pairs and constants."""
     data, ranges = code(path)
     pairs = replace_half_word_exclusives(data, ranges)
     sites = replace_constant(data, ranges, *fault) if fault else 0

@@ -1,12 +1,13 @@
-"""A chip of labwired with the firmware in it, and a host at its UART.
+"""A labwired chip that runs the firmware, and a host at its UART.
 
-Promises that registers are found by the names that ST's SVD gives them, from the package, and stands in for what labwired 0.25.0 lacks at a UART:
+Finds registers by the names of ST's SVD, which the package includes. Emulates what labwired 0.25.0 lacks at a UART:
 
-* without DMA: it has no interrupt of a received byte (RXNEIE), so this pends it for each;
-* with DMA: its UART asks for nothing, and a stream moves one item when it is switched on: it counts it, and where it sends, puts a 0 into the data
-  register in place of the byte in memory. So this carries a received byte from the data register to memory and counts it. That 0 tells that the
-  firmware has switched on the stream that sends: this takes the bytes out of memory and leaves the last one to labwired, which ends the transfer
-  with its flag and its interrupt.
+* Without DMA, labwired raises no interrupt for a received byte (RXNEIE): this module makes it pending for each byte.
+* With DMA, labwired's UART raises no requests. Its streams move one item when switched on: a receiving stream only
+  counts it, a sending stream also writes a 0 into the data register instead of the byte in memory.
+  - Receiving: this module copies each byte from the data register to memory and counts it.
+  - Sending: a 0 from the UART shows that the firmware has switched on the stream. This module reads the bytes from
+    memory, and leaves the last one to labwired, which ends the transfer with its flag and interrupt.
 """
 
 import math
@@ -16,15 +17,15 @@ from labwired import Sim
 from . import chip as chips
 
 BYTE_S = 0.000_087
-"""Of 115200 baud."""
+"""Duration of a byte at 115200 baud."""
 SYST_CSR, ICER, ISPR, ICPR = 0xE000_E010, 0xE000_E180, 0xE000_E200, 0xE000_E280
 AIRCR, RESET = 0xE000_ED0C, 0x05FA_0004
 STEP_S = 0.0002
-"""How often the answers are looked at."""
+"""Interval at which `until` checks the output."""
 STREAMS = {"usart2": ("dma1", 5, 6)}
-"""By UART with DMA: the controller, the stream that receives, the one that sends."""
+"""For a UART with DMA: controller, receiving stream, sending stream."""
 LOOK_S = 0.000_02
-"""How often these are looked at: the firmware does not send twice in between."""
+"""Interval at which the sending stream is checked: the firmware does not start it twice within this time."""
 
 
 class Broken(Exception):
@@ -42,7 +43,7 @@ class Machine:
         self.forget()
 
     def forget(self):
-        """Nothing has been said or received since the start of the chip."""
+        """Clears the record of received and sent bytes, for a new start of the chip."""
         self.sim.read_uart_bytes()
         self.said, self.slots, self.ends = b"", None, 0
 
@@ -56,7 +57,7 @@ class Machine:
 
     def schema(self, peripheral):
         if peripheral not in self.schemas:
-            # The package calls the flash interface otherwise than the file of its registers.
+            # The package's name of the flash interface differs from that of the file with its registers.
             self.schemas[peripheral] = chips.fields(peripheral.removesuffix("_ctrl"))
         return self.schemas[peripheral]
 
@@ -75,7 +76,7 @@ class Machine:
         return self.value(peripheral, register) >> lowest & mask
 
     def expect(self, peripheral, register, **wanted):
-        """Compares fields. Returns them as text."""
+        """Checks that fields have the wanted values; raises Broken otherwise. Returns the fields as text."""
         told = []
         for name, value in wanted.items():
             found = self.field(peripheral, register, name)
@@ -99,7 +100,8 @@ class Machine:
                 self.fetch(len(out))
 
     def fetch(self, starts):
-        """What DMA sends. `starts`: how often labwired has begun since the last look, with what this began itself."""
+        """Reads the bytes that DMA sends. `starts`: how often labwired's stream has started since the last check,
+        including the starts that the last `fetch` itself caused (`ends`)."""
         starts, self.ends = starts - self.ends, 0
         if starts == 0:
             return
@@ -116,11 +118,11 @@ class Machine:
             self.ends = 1
 
     def store(self):
-        """DMA puts the byte of the data register into the circular buffer."""
+        """Emulates DMA: stores the byte of the data register in the circular buffer."""
         stream = f"S{self.receiver}"
         left = self.value(self.dma, f"{stream}NDTR")
         if self.slots is None:
-            # One of them was counted when the stream was switched on.
+            # labwired counted one item when the stream was switched on.
             self.slots = left = left + 1
         address = self.value(self.dma, f"{stream}M0AR") + 2 * (self.slots - left)
         shift = address % 4 * 8
@@ -129,7 +131,7 @@ class Machine:
         self.set(self.dma, f"{stream}NDTR", left - 1 or self.slots)
 
     def until(self, mark, limit):
-        """What the board says up to a mark."""
+        """Runs until the board has sent `mark`, for at most `limit` seconds. Returns the output up to then."""
         said, end = b"", self.sim.time + limit
         while mark not in said:
             if self.sim.time >= end:
@@ -139,7 +141,7 @@ class Machine:
         return said.decode("latin1")
 
     def put(self, byte):
-        """A byte arrives now."""
+        """Makes a byte arrive at the UART now."""
         self.sim.send_bytes(bytes([byte]))
         if self.dma:
             self.store()
@@ -152,7 +154,7 @@ class Machine:
             self.run(BYTE_S)
 
     def ask(self, line, limit=0.05):
-        """Sends a line; what is said up to its answer, which has to be `ok`."""
+        """Sends a line. Returns the output up to its answer, which must be `ok`."""
         self.send(line.encode("latin1") + b"\n")
         said = self.until(b"\r\n", limit)
         while not said.endswith(("ok\r\n",)) and "error" not in said:
@@ -166,10 +168,12 @@ class Machine:
         return self.until(b">\r\n", 0.01)
 
     def reset(self):
-        """The reset that software may ask for (AIRCR, SYSRESETREQ). Flash and what is outside of the chip stay.
+        """Performs the reset that software may request (AIRCR, SYSRESETREQ). Flash and the environment of the chip keep
+        their state.
 
-        labwired resets the processor alone. So this ends what would act before the firmware sets it up again, SysTick and interrupts. And it resets
-        twice: after a reset at some moments labwired skips the loop that clears memory, in the middle of an IT block as it seems.
+        labwired resets only the processor. So this method disables SysTick and the interrupts, which would act before
+        the firmware sets them up again. It resets twice because labwired, after a reset at some moments, skips the loop
+        that clears memory (apparently when the reset hits an IT block).
         """
         for _ in range(2):
             self.sim.write_u32(AIRCR, RESET)

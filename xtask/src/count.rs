@@ -1,9 +1,9 @@
-//! `cargo xtask count`: what each unit of work costs on a Cortex-M4F, in instructions and estimated cycles.
+//! `cargo xtask count`: the cost of each unit of work on a Cortex-M4F, in instructions and estimated cycles.
 //!
-//! QEMU executes the program `count` of `tests/on_target` and writes down the address of every instruction; from the
-//! addresses follow the counts, and from the instructions at them the cycles (`thumb.rs` says how they are estimated).
-//! Nothing is timed, so the figures are the same on every machine. A row that costs more than its limit fails: the
-//! limits are what was reached, and a little more for what a compiler may change.
+//! QEMU executes the program `count` of `tests/on_target` and logs the address of every instruction. The addresses give
+//! the instruction counts; the instructions at these addresses give the cycles (`thumb.rs` explains the estimate).
+//! Nothing is timed, so the figures are the same on every machine. A row that costs more than its limit fails. Limits
+//! are the costs reached, plus a small margin for changes of the compiler.
 
 use crate::elf::Elf;
 use crate::paths::cargo_for_boards;
@@ -16,20 +16,20 @@ use std::io::{BufRead, BufReader, Read};
 /// Instructions and cycles.
 type Cost = (u64, u64);
 
-/// How the calls of a row become one figure.
+/// How the costs of a row's calls are reduced to one figure.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Figure {
-    /// Of one call on the average.
+    /// Mean of all calls.
     Mean,
-    /// Of the worst call.
+    /// Maximum of all calls.
     Worst,
-    /// This row less another one, for each of so many units by which they differ.
+    /// The difference between this row and the named one, divided by this number of units.
     Per(u64, &'static str),
-    /// Nothing by itself: what another row is compared with.
+    /// Not printed by itself: another row is compared with this one.
     Base,
 }
 
-/// The costs of all calls of each row, and what each instruction of one row has cost, by its address.
+/// The costs of all calls of each row, and the cost of each instruction of one row, by its address.
 type Traced = (HashMap<String, Vec<Cost>>, HashMap<u32, Cost>);
 
 /// A row of the table.
@@ -40,7 +40,7 @@ struct Row {
     grbl: &'static str,
     grbl_hal: &'static str,
     target: Option<Cost>,
-    /// What may not be exceeded.
+    /// Maximum allowed cost.
     limit: Cost,
 }
 
@@ -54,16 +54,16 @@ impl Row {
     }
 }
 
-/// No limit: a row that is only printed, or not at all.
+/// No limit, for rows that are only printed or only compared with.
 const UNBOUNDED: Cost = (u64::MAX, u64::MAX);
 
-/// The rows. Peers: Grbl 1.1h and grblHAL, their own code compiled with `arm-none-eabi-gcc -O2` for the same core and
-/// counted in the same way.
+/// The rows. Figures of other firmwares: Grbl 1.1h and grblHAL, their own code compiled with `arm-none-eabi-gcc -O2`
+/// for the same core and counted in the same way.
 const ROWS: [Row; 20] = [
     row("batch_3", "32 events, 3 axes stepping", Figure::Mean, None, (1_125, 1_460))
         .beside("3360 / 4416", "4384 / 6240"),
     row("batch_1", "32 events, 1 axis stepping", Figure::Mean, None, (765, 1_070)).beside("2656 / 3808", "3520 / 5440"),
-    // Times 1.1 for the flash at most `run_cycles` of the boards (boards/profiles.rs).
+    // Limit: at most `run_cycles` of the boards (boards/profiles.rs) after a factor of 1.1 for the flash.
     row("segment", "longest run: another direction, other power, both messages", Figure::Worst, None, (2_500, 3_590)),
     row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (505, 810)),
     row("stop", "stop with a full ring, 96 events undone, with its report", Figure::Worst, None, (4_615, 5_985)),
@@ -88,11 +88,12 @@ const ROWS: [Row; 20] = [
     row("walk_near", "", Figure::Base, None, UNBOUNDED),
 ];
 
-/// What is compiled for speed whatever the profile, as a package of its own; not so in the program that counts.
+/// Rows of the step task. Its package is compiled for speed in every profile of the firmware, but not in the program
+/// that counts.
 const OF_THE_STEP_TASK: [&str; 5] = ["batch_3", "batch_1", "segment", "single", "stop"];
 
-/// Builds the program, runs it and judges the figures. With the profile of the small boards they are only printed, but for those
-/// of the step task, which is the same there.
+/// Builds the program, runs it and checks the figures. With the profile of the small boards the figures are printed
+/// without a check, and without the rows of the step task, which the firmware compiles alike in both profiles.
 pub fn count(profile: &str) -> Result<(), Failure> {
     let (calls, _) = traced(profile, "")?;
     let (table, faults) = table(&calls, profile != boards::FAST)?;
@@ -100,8 +101,8 @@ pub fn count(profile: &str) -> Result<(), Failure> {
     if faults.is_empty() || profile != boards::FAST { Ok(()) } else { Err(faults.join("\n")) }
 }
 
-/// Where the instructions and cycles of a row are spent: by function, those of one call on the average. The addresses
-/// themselves are left in `target/count.addresses`, for a tool that knows which lines were inlined there.
+/// Prints where the instructions and cycles of a row are spent: by function, as the mean per call. Writes the addresses
+/// to `target/count.addresses`, for tools that know which source lines were inlined there.
 pub fn profile(row: &str) -> Result<(), Failure> {
     let (calls, spent) = traced(boards::FAST, row)?;
     let calls = calls.get(row).ok_or_else(|| format!("there is no row {row}"))?.len() as u64;
@@ -128,7 +129,7 @@ pub fn profile(row: &str) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Builds the program, runs it, and measures: all calls, and what each instruction of one row has cost.
+/// Builds the program, runs it, and returns the costs of all calls, and of each instruction of one row.
 fn traced(profile: &str, row: &str) -> Result<Traced, Failure> {
     qemu::require()?;
     let mut build = cargo_for_boards("build", profile)?;
@@ -147,13 +148,13 @@ fn traced(profile: &str, row: &str) -> Result<Traced, Failure> {
     qemu::trace(&elf, |log| measure(&bytes, log, row))
 }
 
-/// The address in a line of QEMU's log: `Trace 0: host address [flags/address/more] name`.
+/// Returns the address in a line of QEMU's log: `Trace 0: host address [flags/address/more] name`.
 fn address(line: &str) -> Option<u32> {
     let inside = line.strip_prefix("Trace ")?.split_once('[')?.1;
     u32::from_str_radix(inside.split('/').nth(1)?, 16).ok()
 }
 
-/// The costs of all calls of each row, and those of each instruction of the row `profiled`.
+/// Returns the costs of all calls of each row, and of each instruction of the row `profiled`.
 fn measure(bytes: &[u8], log: impl Read, profiled: &str) -> Result<Traced, Failure> {
     let mut spent: HashMap<u32, Cost> = HashMap::new();
     let elf = Elf { bytes };
@@ -226,7 +227,7 @@ fn measure(bytes: &[u8], log: impl Read, profiled: &str) -> Result<Traced, Failu
                 (instruction.size, instruction.kind)
             }
         };
-        // From `cpsid i` to `msr primask`, which puts back what was before.
+        // From `cpsid i` to `msr primask`, which restores the previous state.
         match (half(at).unwrap_or(0), half(at + 2)) {
             (0xB672, _) if masked.is_none() => masked = Some(Meter::default()),
             (0xF380..=0xF38F, Some(0x8810)) if let Some(meter) = masked.take() => {
@@ -239,7 +240,7 @@ fn measure(bytes: &[u8], log: impl Read, profiled: &str) -> Result<Traced, Failu
     Ok((calls, spent))
 }
 
-/// The table as it stands in the book, and what exceeds its limit.
+/// Returns the table in the format of the book, and the figures that exceed their limits.
 fn table(calls: &HashMap<String, Vec<Cost>>, is_small: bool) -> Result<(String, Vec<String>), Failure> {
     let of =
         |key: &str| calls.get(key).filter(|all| !all.is_empty()).ok_or_else(|| format!("row {key} was not counted"));

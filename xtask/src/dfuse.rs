@@ -1,21 +1,22 @@
-//! DfuSe files (`.dfu`, ST's UM0391): what the boot loader in an STM32's ROM takes over USB, with the address of each stretch
-//! of flash, so that one command writes them all in the order of the file.
+//! DfuSe files (`.dfu`, ST's UM0391): the input of the USB boot loader in an STM32's ROM. They contain the address of
+//! each stretch of flash, so one command writes all stretches in the order of the file.
 
 use crate::Failure;
 use crate::flashable::Stretch;
 
-/// Bytes in front of the first target.
+/// Number of bytes before the first target.
 const PREFIX: usize = 11;
-/// Bytes in front of the first element of a target.
+/// Number of bytes before the first element of a target.
 const TARGET_PREFIX: usize = 274;
-/// Room for the name of a target.
+/// Size of a target's name field, bytes.
 const NAME: usize = 255;
-/// What every DFU file ends with, before the checksum: any version of the device, ST's boot loader (0483:DF11), version 1.1a
-/// of the format, the signature, and the length of the suffix.
+/// End of every DFU file, before the checksum: any device version, ST's boot loader (0483:DF11), version 1.1a of the
+/// format, the signature, and the length of the suffix.
 const SUFFIX: [u8; 12] = [0xFF, 0xFF, 0x11, 0xDF, 0x83, 0x04, 0x1A, 0x01, b'U', b'F', b'D', 16];
 
-/// A file with one target, whose elements are the stretches with the lowest address, that of the vector table, last. A tool
-/// writes elements in their order, so a blank chip that has no vector table yet cannot start half a program.
+/// Returns a file with one target. Its elements are the stretches in the order of falling addresses, so the stretch
+/// with the vector table is last. Tools write elements in file order, so a blank chip without a vector table cannot
+/// start a half-written program.
 pub fn file(name: &str, stretches: &[Stretch]) -> Vec<u8> {
     let mut ordered: Vec<&Stretch> = stretches.iter().collect();
     ordered.sort_by_key(|stretch| std::cmp::Reverse(stretch.address));
@@ -28,7 +29,7 @@ pub fn file(name: &str, stretches: &[Stretch]) -> Vec<u8> {
     let mut file = b"DfuSe\x01".to_vec();
     file.extend(((PREFIX + TARGET_PREFIX + elements.len()) as u32).to_le_bytes());
     file.push(1);
-    // The alternate setting 0 is the flash; the name is said to be there.
+    // Alternate setting 0 is the flash; the following flag says that the target has a name.
     file.extend(b"Target\x00\x01\x00\x00\x00");
     let mut field = name.as_bytes().to_vec();
     field.resize(NAME, 0);
@@ -42,12 +43,12 @@ pub fn file(name: &str, stretches: &[Stretch]) -> Vec<u8> {
     file
 }
 
-/// CRC-32 as DFU has it: without the inversion at the end.
+/// Returns the CRC-32 of DFU, which lacks the final inversion.
 fn checksum(bytes: &[u8]) -> u32 {
     !crc32fast::hash(bytes)
 }
 
-/// Reads a file with one target: its elements in their order.
+/// Reads a file with one target; returns its elements in file order.
 pub fn parse(file: &[u8]) -> Result<Vec<Stretch>, Failure> {
     let fail = |why: &str| format!("the .dfu file {why}");
     let (body, sum) = file.split_last_chunk::<4>().ok_or_else(|| fail("is cut off"))?;
@@ -73,7 +74,7 @@ pub fn parse(file: &[u8]) -> Result<Vec<Stretch>, Failure> {
     if rest.is_empty() { Ok(elements) } else { Err(fail("has something behind its elements")) }
 }
 
-/// What is behind the parts that have to come first.
+/// Returns the bytes after `parts`, which must come first.
 fn strip<'a>(bytes: &'a [u8], parts: &[&[u8]]) -> Option<&'a [u8]> {
     parts.iter().try_fold(bytes, |rest, part| rest.strip_prefix(*part))
 }
@@ -90,7 +91,8 @@ fn element(bytes: &[u8]) -> Option<(Stretch, &[u8])> {
     Some((Stretch { address, bytes: bytes.to_vec() }, rest))
 }
 
-/// Whether a file has exactly the stretches, that of the vector table, at `vectors`, as the last of two.
+/// Checks that a file has exactly these stretches, and that of two stretches the one with the vector table, at
+/// `vectors`, is last.
 pub fn check(file: &[u8], stretches: &[Stretch], vectors: u32) -> Result<(), Failure> {
     let elements = parse(file)?;
     let mut sorted = elements.clone();
@@ -114,7 +116,7 @@ mod tests {
         [Stretch { address: VECTORS, bytes: bytes(404) }, Stretch { address: 0x0801_0000, bytes: bytes(70_001) }]
     }
 
-    /// Offsets from the tables of UM0391, and not from the writer.
+    /// The offsets are from the tables of UM0391, not from the writer.
     #[test]
     fn the_file_is_laid_out_as_the_format_says() {
         let file = file("a board", &image());

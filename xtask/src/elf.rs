@@ -1,68 +1,68 @@
-//! Reads ELF files: sections, where they are stored, and symbols. What they mean for the firmware is judged elsewhere.
+//! Reads sections, load addresses and symbols of ELF files. Other modules interpret them for the firmware.
 
-/// What a tool that flashes the image writes.
+/// A segment that flashing tools write.
 pub struct Segment {
-    /// Where to.
+    /// Load address.
     pub stored: u32,
-    /// How many bytes.
+    /// Size in bytes.
     pub size: u32,
-    /// Where they lie in the file.
+    /// Offset of its bytes in the file.
     pub offset: u32,
 }
 
-/// A part of the file.
+/// A section of the file.
 pub struct Section {
     /// Its name.
     pub name: String,
-    /// Where it lies when the program runs.
+    /// Address at run time.
     pub address: u32,
-    /// Where its bytes lie in flash; for what is copied to RAM at the start this is not the address.
+    /// Load address in flash; differs from `address` for data that is copied to RAM at start-up.
     pub stored: u32,
-    /// Where its bytes lie in the file.
+    /// Offset of its bytes in the file.
     pub offset: u32,
-    /// Bytes.
+    /// Size in bytes.
     pub size: u32,
-    /// It takes room in the target's memory.
+    /// Whether it occupies memory of the target.
     pub allocated: bool,
-    /// It has bytes in the file.
+    /// Whether it has bytes in the file.
     pub loaded: bool,
     kind: u32,
     link: u32,
 }
 
-/// A name for an address.
+/// A named address.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Symbol {
-    /// As the compiler wrote it.
+    /// Mangled name.
     pub name: String,
-    /// Without the mark of Thumb code.
+    /// Address without the Thumb bit.
     pub address: u32,
-    /// Bytes, 0 if unknown.
+    /// Size in bytes, 0 if unknown.
     pub size: u32,
-    /// It names code.
+    /// Whether it is a function.
     pub function: bool,
 }
 
-/// As much of ELF as is needed: section headers, load addresses and symbols of a 32-bit little-endian file.
+/// Reader of a 32-bit little-endian ELF file, limited to section headers, load addresses and symbols.
 pub struct Elf<'a> {
     /// The file.
     pub bytes: &'a [u8],
 }
 
 impl Elf<'_> {
-    /// The word at a place of the file.
+    /// Returns the word at an offset in the file.
     pub fn word(&self, at: u32) -> Option<u32> {
         let at = at as usize;
         Some(u32::from_le_bytes(self.bytes.get(at..at + 4)?.try_into().ok()?))
     }
 
-    /// The half word at a place of the file.
+    /// Returns the half word at an offset in the file.
     pub fn half(&self, at: u32) -> Option<u32> {
         let at = at as usize;
         Some(u32::from(u16::from_le_bytes(self.bytes.get(at..at + 2)?.try_into().ok()?)))
     }
 
-    /// The segments that have bytes to be loaded.
+    /// Returns the loadable segments that are not empty.
     pub fn segments(&self) -> Option<Vec<Segment>> {
         let (programs, entry, count) = (self.word(28)?, self.half(42)?, self.half(44)?);
         let mut segments = Vec::new();
@@ -77,7 +77,7 @@ impl Elf<'_> {
         Some(segments)
     }
 
-    /// All sections; `None` if this is no 32-bit little-endian ELF file.
+    /// Returns all sections; `None` if this is not a 32-bit little-endian ELF file.
     pub fn sections(&self) -> Option<Vec<Section>> {
         if self.bytes.get(..6)? != b"\x7FELF\x01\x01" {
             return None;
@@ -116,10 +116,11 @@ impl Elf<'_> {
         Some(sections)
     }
 
-    /// The symbol table; empty without one.
+    /// Returns the symbol table; empty if the file has none.
     pub fn symbols(&self) -> Option<Vec<Symbol>> {
-        /// Section type of the symbol table, and the size of an entry.
+        /// Section type of the symbol table.
         const SYMBOLS: u32 = 2;
+        /// Size of a symbol table entry, bytes.
         const ENTRY: u32 = 16;
         let sections = self.sections()?;
         let mut symbols = Vec::new();

@@ -1,5 +1,6 @@
-//! What a flashing tool writes, and Intel HEX, which most of them take. The settings sectors lie between the two stretches of
-//! an image, and no file has a byte for them: a new firmware keeps the settings.
+//! Splits an image into the stretches of flash that a flashing tool writes, and writes them as Intel HEX, which most
+//! tools accept. The settings sectors lie between the two stretches of an image, and no file has a byte for them: new
+//! firmware keeps the settings.
 //!
 //! ```text
 //!  sector 0   vector table      ┐
@@ -13,21 +14,21 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::ops::Range;
 
-/// Bytes in a row of Intel HEX.
+/// Number of data bytes per row of Intel HEX.
 const ROW: usize = 16;
-/// What erased flash reads as, for the gaps within a stretch.
+/// Value of erased flash, used for gaps within a stretch.
 const ERASED: u8 = 0xFF;
 
-/// Some flash from one address on, without a gap.
+/// A contiguous stretch of flash.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Stretch {
-    /// Where it begins.
+    /// Start address.
     pub address: u32,
-    /// What is to be there.
+    /// Contents.
     pub bytes: Vec<u8>,
 }
 
-/// What an image puts before the settings sectors, and what behind them.
+/// Returns the image's stretches before and after the settings sectors.
 pub fn stretches(elf: &Elf<'_>, settings: &Range<u32>) -> Option<Vec<Stretch>> {
     let mut segments: Vec<_> = elf.segments()?.into_iter().collect();
     segments.sort_by_key(|segment| segment.stored);
@@ -53,7 +54,7 @@ pub fn stretches(elf: &Elf<'_>, settings: &Range<u32>) -> Option<Vec<Stretch>> {
     Some(found)
 }
 
-/// The text of an Intel HEX file (records of the types 00, 01 and 04).
+/// Returns the text of an Intel HEX file (records of the types 00, 01 and 04).
 pub fn hex(stretches: &[Stretch]) -> String {
     let mut text = String::new();
     let mut row = |address: u16, kind: u8, bytes: &[u8]| {
@@ -76,7 +77,7 @@ pub fn hex(stretches: &[Stretch]) -> String {
                 upper = Some(address >> 16);
                 row(0, 4, &((address >> 16) as u16).to_be_bytes());
             }
-            // A row does not cross into the next 64 KiB.
+            // A row must not cross a boundary of 64 KiB.
             let length = rest.len().min(ROW).min(0x1_0000 - (address & 0xFFFF) as usize);
             row(address as u16, 0, &rest[..length]);
             rest = &rest[length..];
@@ -87,7 +88,7 @@ pub fn hex(stretches: &[Stretch]) -> String {
     text
 }
 
-/// Reads Intel HEX: each byte by its address.
+/// Reads Intel HEX; returns each byte by its address.
 pub fn parse(text: &str) -> Result<BTreeMap<u32, u8>, Failure> {
     let mut memory = BTreeMap::new();
     let (mut upper, mut ended) = (0_u32, false);
@@ -121,7 +122,7 @@ pub fn parse(text: &str) -> Result<BTreeMap<u32, u8>, Failure> {
     if ended { Ok(memory) } else { Err("the hex file has no end".into()) }
 }
 
-/// Whether a hex file says exactly what the stretches say, and nothing about the settings sectors.
+/// Checks that a hex file has exactly the bytes of the stretches, and none in the settings sectors.
 pub fn check(text: &str, stretches: &[Stretch], settings: &Range<u32>) -> Result<(), Failure> {
     let memory = parse(text)?;
     if let Some((address, _)) = memory.range(settings.clone()).next() {
@@ -168,7 +169,7 @@ mod tests {
         check(&hex(&image), &image, &SETTINGS).unwrap();
     }
 
-    /// A file whose program headers load the given bytes.
+    /// Returns an ELF file whose program headers load the given bytes.
     fn elf(segments: &[(u32, &[u8])]) -> Vec<u8> {
         let mut file = vec![0_u8; 52 + 32 * segments.len()];
         file[..6].copy_from_slice(b"\x7FELF\x01\x01");

@@ -1,6 +1,7 @@
-//! Coverage-guided fuzzing with libFuzzer: `tests/fuzz` built with the compiler's coverage counters, which any compiler has.
+//! Coverage-guided fuzzing with libFuzzer: builds `tests/fuzz` with the compiler's coverage counters, which every Rust
+//! compiler has.
 //!
-//! Inputs that reach something new are kept in `target/fuzz/corpus`, those that break a promise in `target/fuzz/found`.
+//! Inputs with new coverage are kept in `target/fuzz/corpus`, those that violate an invariant in `target/fuzz/found`.
 
 use crate::{Failure, cargo, root, run};
 use oxmill_test_support::{pack, unpack};
@@ -9,19 +10,20 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Mutex;
 
-/// What libFuzzer needs of the compiler: a pass that counts edges; and a call at each, by which a target counts its work.
+/// Compiler flags that libFuzzer needs: a pass that counts edges, and a call at each edge, by which a target counts its
+/// work.
 const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
     -Cllvm-args=-sanitizer-coverage-trace-pc -Clink-arg=-Wl,--wrap=__sanitizer_cov_trace_pc -Ccodegen-units=1";
-/// What it can use besides: the two sides of each comparison. They show it values that chance does not find, and take two
-/// thirds of the time.
+/// Optional flags: record both sides of each comparison. They let libFuzzer find values that random inputs would not,
+/// and take two thirds of the time.
 const COMPARISONS: &str = " -Cllvm-args=-sanitizer-coverage-trace-compares";
-/// A target that reaches fewer does not do its work.
+/// Minimum number of edges of a working target.
 const LEAST_EDGES: u64 = 100;
-/// Bytes of the longest input of a search by time.
+/// Maximum input length of a search by time, bytes.
 const LONGEST: u64 = 2048;
-/// Of a thousand executions those of each target, about as fast as it is, and the bytes of its longest input then: of many
-/// executions most are short.
+/// For each target: its share of all executions in per mille, roughly by its speed, and its maximum input length in
+/// bytes in a search by number of executions. Short inputs allow many executions.
 const SHARES: [(&str, u64, u64); 9] = [
     ("hosts", 320, 96),
     ("lines", 240, 128),
@@ -34,19 +36,19 @@ const SHARES: [(&str, u64, u64); 9] = [
     ("session", 2, 192),
 ];
 
-/// How much is to be done.
+/// Amount of fuzzing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Amount {
-    /// For so long, with the comparisons.
+    /// This many seconds, with the comparisons.
     Seconds(u64),
-    /// So many executions, without them.
+    /// This many executions, without the comparisons.
     Executions(u64),
-    /// As many from a seed and the corpora of the tree alone: the same on any machine.
+    /// This many executions from a seed and only the corpora of the tree: the same on every machine.
     Repeated(u64, u64),
 }
 
 impl Amount {
-    /// How libFuzzer is told the part of one of the targets.
+    /// Returns libFuzzer's options for one target's part of the amount.
     fn options(self, target: &str, targets: &[&str], workers: u64) -> Vec<String> {
         match self {
             Amount::Seconds(seconds) => {
@@ -67,7 +69,7 @@ impl Amount {
     }
 }
 
-/// How much is asked for, and on which targets; none named: on all.
+/// Parses the amount and the targets; no targets means all.
 fn wanted<'a>(arguments: &'a [&'a str]) -> Result<(Amount, &'a [&'a str]), Failure> {
     let time = |count: &str, seconds: u64| number(count).map(|count| Amount::Seconds(count.saturating_mul(seconds)));
     Ok(match arguments {
@@ -118,8 +120,8 @@ pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
     report(rows.into_inner().expect("no thread panics"))
 }
 
-/// The inputs of the tree, whole, with their work counted: a search cuts the long ones. Then what was found before: it is still
-/// there until it is mended.
+/// Runs the complete inputs of the tree and counts their work, because a search truncates long ones. Also runs earlier
+/// finds: they still fail until the fault is corrected.
 fn replay(program: &Path, target: &str) -> Result<(), Failure> {
     let mut inputs = files(&seeds(target)?)?;
     inputs.extend(files(&finds(target)?)?);
@@ -148,14 +150,15 @@ fn number(text: &str) -> Result<u64, Failure> {
     text.parse().map_err(|_| format!("`{text}` is not a whole number"))
 }
 
-/// What came of a target.
+/// Results of a target.
 struct Row {
     executions: u64,
-    /// libFuzzer's counts of edges and of features.
+    /// Edges, as counted by libFuzzer.
     edges: u64,
+    /// Features, as counted by libFuzzer.
     features: u64,
     found: Vec<PathBuf>,
-    /// The end of what it said.
+    /// End of its output.
     said: String,
 }
 
@@ -189,7 +192,7 @@ fn folder(name: &str, target: &str) -> Result<PathBuf, Failure> {
     Ok(path)
 }
 
-/// The folder, without what an earlier run has left in it.
+/// Returns the folder after deleting the files of earlier runs.
 fn emptied(name: &str, target: &str) -> Result<PathBuf, Failure> {
     let folder = folder(name, target)?;
     for path in files(&folder)? {
@@ -198,7 +201,7 @@ fn emptied(name: &str, target: &str) -> Result<PathBuf, Failure> {
     Ok(folder)
 }
 
-/// The targets' names: each has a corpus in the tree.
+/// Returns the names of all targets: each has a corpus in the tree.
 fn all_targets() -> Result<Vec<String>, Failure> {
     let corpora = files(&root().join("tests/fuzz/corpus"))?;
     let mut names: Vec<String> =
@@ -211,7 +214,7 @@ fn kept(target: &str) -> PathBuf {
     root().join("tests/fuzz/corpus").join(format!("{target}.txt"))
 }
 
-/// The program with all targets.
+/// Builds the program with all targets; returns its path.
 fn build(with_comparisons: bool) -> Result<PathBuf, Failure> {
     let folder = root().join(if with_comparisons { "target/fuzz/build" } else { "target/fuzz/fast" });
     let host = host()?;
@@ -235,7 +238,7 @@ fn build(with_comparisons: bool) -> Result<PathBuf, Failure> {
     Ok(folder.join(host).join("release/fuzz"))
 }
 
-/// The target that the compiler builds for by itself. It is named, so that build scripts go without the counters.
+/// Returns the compiler's default target. Passing it to cargo explicitly keeps the counters out of build scripts.
 fn host() -> Result<String, Failure> {
     let output = Command::new("rustc").arg("-vV").output().map_err(|error| format!("rustc: {error}"))?;
     let text = String::from_utf8_lossy(&output.stdout);
@@ -243,13 +246,13 @@ fn host() -> Result<String, Failure> {
     host.map(str::to_string).ok_or_else(|| format!("rustc names no host: {text}"))
 }
 
-/// The corpus of the tree as files.
+/// Unpacks the corpus of the tree into files.
 fn seeds(target: &str) -> Result<PathBuf, Failure> {
     let text = fs::read_to_string(kept(target)).map_err(|error| format!("{}: {error}", kept(target).display()))?;
     unpacked("seeds", target, &text)
 }
 
-/// What has shown a fault that was mended, as files: none of most targets. `minimise` leaves it alone.
+/// Unpacks inputs that once showed a fault, since corrected; most targets have none. `minimise` does not touch them.
 fn finds(target: &str) -> Result<PathBuf, Failure> {
     let path = root().join("tests/fuzz/finds").join(format!("{target}.txt"));
     let text = if path.exists() { fs::read_to_string(&path) } else { Ok(String::new()) };
@@ -275,7 +278,7 @@ fn one(program: &Path, target: &str, amount: Amount, options: &[String]) -> Resu
     }
     let seeds = seeds(target)?;
     if matches!(amount, Amount::Repeated(..)) {
-        // In the order of their names: that of a folder is another on each machine.
+        // Sorted by name: the order of directory entries differs between machines.
         let mut paths = files(&seeds)?;
         paths.sort();
         let names: Vec<String> = paths.iter().map(|path| path.display().to_string()).collect();
@@ -302,7 +305,7 @@ fn one(program: &Path, target: &str, amount: Amount, options: &[String]) -> Resu
     })
 }
 
-/// The last number behind a word of libFuzzer's progress.
+/// Returns the last number after a word in libFuzzer's progress output.
 fn last_of(text: &str, word: &str) -> u64 {
     let words: Vec<&str> = text.split_whitespace().collect();
     words.windows(2).rev().find(|pair| pair[0] == word).and_then(|pair| pair[1].parse().ok()).unwrap_or(0)
@@ -313,7 +316,7 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     Ok(entries.filter_map(|entry| Some(entry.ok()?.path())).collect())
 }
 
-/// Writes the smallest set that reaches as much as all that has been kept into the tree.
+/// Writes to the tree the smallest set of inputs with the coverage of all inputs kept so far.
 fn minimise() -> Result<(), Failure> {
     let program = build(false)?;
     for target in &all_targets()? {

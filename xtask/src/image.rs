@@ -1,4 +1,4 @@
-//! Builds an image and looks into it: an image without a vector table or without code links just as well.
+//! Builds an image and checks it: the linker also accepts an image without a vector table or without code.
 
 use crate::elf::{Elf, Section, Segment, Symbol};
 use crate::paths::cargo_for_boards;
@@ -9,26 +9,27 @@ use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Less code than this is no controller.
+/// Minimum code size of a complete controller, bytes.
 const LEAST_CODE: u32 = 16 * 1024;
 
-/// Memory that begins with something else than 0: more than this is a part of the controller that should be lent.
+/// Maximum size of memory initialised with values other than 0, bytes. A larger size means that memory lent to the
+/// controller is not all zero, so its contents would fill flash.
 const MOST_DATA: u32 = 2 * 1024;
-/// A function makes room for its variables within so many bytes of code.
+/// Maximum number of code bytes within which a function allocates its stack frame.
 const PROLOGUE: u32 = 32;
 
-/// The interrupt that the step task is bound to, as in `firmware!` of `src/firmware/main.rs`.
+/// Returns the interrupt handler of the step task, as in `firmware!` of `src/firmware/main.rs`.
 fn step_handler(board: &str) -> &'static str {
     if board == QEMU_BOARD { "TIMER0" } else { "TIM5" }
 }
 
-/// Calls through registers that the step interrupt may make: a queue or signal wakes `control`, which is to pend its
-/// dispatcher's interrupt.
+/// Calls through registers that the step interrupt may make: a queue or signal wakes `control`, and the waker pends the
+/// interrupt of its dispatcher.
 const STEP_CALLS: [Allowed; 6] = [
     Allowed { function: "step_timer::", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "channel::Receiver<", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "executor::waker_wake", targets: &["FnOnce"] },
-    // The same in images built for size, where they are not inlined.
+    // The same in images built for size, where these functions are not inlined.
     Allowed { function: "wait_queue::DoublyLinkedList<", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "signal::SignalWriter<", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed {
@@ -46,9 +47,9 @@ pub struct Image {
     stack: u32,
     /// Files for flashing tools.
     pub files: Vec<PathBuf>,
-    /// What there is to say about its size.
+    /// Message about its size.
     remark: Option<String>,
-    /// Functions that the step interrupt can reach.
+    /// Number of functions that the step interrupt can reach.
     reached: usize,
 }
 
@@ -73,13 +74,13 @@ impl fmt::Display for Image {
     }
 }
 
-/// Release build of the firmware for a board.
+/// Builds the release firmware for a board.
 pub fn build(board: &str) -> Result<Image, Failure> {
     let profile = crate::boards::profile(board);
     let mut build = cargo_for_boards("build", profile)?;
     run(build.args(["--locked", "--package", "oxmill-firmware", "--features", board]))?;
     let built = root().join("target").join(TARGET).join(profile).join("oxmill-firmware");
-    // Every board links to the same name; a copy of its own survives the next board.
+    // Every board links to the same file name; this copy survives the build for the next board.
     let folder = root().join("target/boards");
     let path = folder.join(format!("{board}.elf"));
     let copy = fs::create_dir_all(&folder).and_then(|()| fs::copy(&built, &path));
@@ -93,7 +94,7 @@ pub fn build(board: &str) -> Result<Image, Failure> {
     Ok(image)
 }
 
-/// Writes what flashing tools take, and reads it again.
+/// Writes the files for flashing tools and reads them back.
 fn write(board: &str, bytes: &[u8], folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let chip = Chip::read(board)?;
     let stretches = flashable::stretches(&Elf { bytes }, &chip.settings_sectors())
@@ -147,10 +148,11 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     if let Some((name, frame)) = largest_frame(&elf, &sections).filter(|(_, frame)| *frame > stack / 8 * 5) {
         return fail(&format!("has a function that takes {frame} of the {stack} bytes of stack: {name}"));
     }
-    // What is left is behind the last section: the rest of the vectors' sector takes only what the linker script names.
+    // Free flash starts after the last section; the rest of the vector table's sector is available only to sections
+    // that the linker script names.
     let top = sections.iter().filter(in_flash).map(|s| s.stored + s.size).max().unwrap_or(chip.code);
     let in_ram = |s: &&Section| s.allocated && (chip.ram..chip.ram + chip.ram_size).contains(&s.address);
-    // The stack grows down out of RAM, not into the data: nothing may lie below where it starts.
+    // The stack grows down out of RAM, not into the data: nothing may lie below its start.
     if sections.iter().filter(in_ram).any(|s| s.size > 0 && s.address < stack_pointer) {
         return fail("has data below its stack, where an overflow would eat it");
     }
@@ -161,8 +163,8 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     Ok(Image { path, flash, ram, stack, files: Vec::new(), remark: None, reached })
 }
 
-/// The function with the largest stack frame, and its bytes. Read from the first instructions of each function, where the
-/// compiler makes room for its variables.
+/// Returns the function with the largest stack frame, and its bytes, according to the first instructions of each
+/// function, where the compiler allocates the frame.
 fn largest_frame(elf: &Elf, sections: &[Section]) -> Option<(String, u32)> {
     let frame = |function: &Symbol| {
         let start = function.address & !1;
@@ -175,7 +177,7 @@ fn largest_frame(elf: &Elf, sections: &[Section]) -> Option<(String, u32)> {
     frames.filter_map(|function| Some((function.name.clone(), frame(&function)?))).max_by_key(|(_, frame)| *frame)
 }
 
-/// The numbers of a board's chip, as the linker has them.
+/// Memory map of a board's chip, as given to the linker.
 struct Chip {
     flash: u32,
     flash_size: u32,
@@ -206,18 +208,18 @@ impl Chip {
 }
 
 impl Chip {
-    /// The two settings sectors, and what else lies before the program.
+    /// Returns the range of the two settings sectors and everything else before the program.
     fn settings_sectors(&self) -> Range<u32> {
         self.settings..self.code
     }
 
-    /// Whether a tool that loads a segment writes to the settings sectors.
+    /// Returns whether loading a segment would write to the settings sectors.
     fn is_in_settings(&self, segment: &Segment) -> bool {
         segment.stored < self.code && segment.stored + segment.size > self.settings
     }
 }
 
-/// A number as the linker takes it.
+/// Parses a number in the linker's syntax.
 fn number(text: &str) -> Option<u32> {
     if let Some(hex) = text.strip_prefix("0x") {
         u32::from_str_radix(hex, 16).ok()
@@ -250,7 +252,7 @@ mod tests {
         }
     }
 
-    /// A file with one program header, of the kind that is loaded.
+    /// Returns a file with one loadable program header.
     fn elf_with_segment(stored: u32, size: u32) -> Vec<u8> {
         let mut bytes = vec![0_u8; 52 + 32];
         bytes[..6].copy_from_slice(b"\x7FELF\x01\x01");

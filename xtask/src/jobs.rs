@@ -1,11 +1,11 @@
-//! Runs jobs through the firmware in QEMU and through the simulator, and compares what the motors would have done.
+//! Runs jobs on the firmware in QEMU and in the simulator, and compares the motion of the motors.
 //!
-//! * preloaded: the job lies in RAM, so its bytes are never late; the digest over times, step and direction bits must
-//!   be the simulator's, and the time that the motors were busy its forecast, to the tick.
-//! * streamed: the job comes over a TCP port, with character counting as a sender does it; how fast the machine moves
-//!   at a moment then depends on when lines arrive, so answers and the final position must be the simulator's. The order of
-//!   steps must be the simulator's where one axis moves at a time, and is elsewhere but for places where one run is slow enough for a finer smoothing and the other is not:
-//!   whether it is, is said and not demanded.
+//! * preloaded: the job lies in RAM, so its bytes are never late. The digest over times, step and direction bits must
+//!   equal the simulator's, and the time that the motors were busy must equal its forecast, to the tick.
+//! * streamed: the job is sent over a TCP port, with character counting as a sender does it. The speed at a moment then
+//!   depends on when lines arrive, so only answers and final position must equal the simulator's. The order of steps
+//!   must be the same where one axis moves at a time. Elsewhere it can differ where one run is slow enough for a finer
+//!   smoothing and the other is not: the result is printed, not required.
 
 use crate::qemu::{self, Preload};
 use crate::{Failure, QEMU_BOARD, cargo, image, root};
@@ -17,28 +17,28 @@ use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Bytes that a sender keeps on their way: Grbl's receive buffer, which every sender knows.
+/// Maximum number of bytes that a sender keeps in flight: Grbl's receive buffer, which every sender assumes.
 const WINDOW: usize = 127;
-/// Longest run of one job.
+/// Maximum duration of one job.
 const LIMIT: Duration = Duration::from_secs(300);
 
-/// Bytes of the largest example that runs in QEMU.
+/// Maximum size of an example that runs in QEMU, bytes.
 const LARGEST_EXAMPLE: u64 = 1024;
 
-/// The job whose order of steps a streamed run must have.
+/// The job whose streamed run must have the simulator's order of steps.
 const ONE_AXIS_AT_A_TIME: &str = "axes";
 
-/// What the step outputs did.
+/// Result of the step outputs.
 #[derive(Debug, PartialEq, Eq)]
 struct Steps {
     time: String,
     order: String,
     net: [i64; 3],
-    /// Step-clock ticks that it took; of the simulator: what it forecasts.
+    /// Duration in ticks of the step clock; for the simulator: its forecast.
     busy: u64,
 }
 
-/// The jobs of a folder below a size, in order.
+/// Returns the jobs of a folder below a size in bytes, sorted.
 fn job_files(folder: &str, below: u64) -> Vec<PathBuf> {
     let mut files: Vec<PathBuf> = fs::read_dir(root().join(folder))
         .into_iter()
@@ -51,13 +51,14 @@ fn job_files(folder: &str, below: u64) -> Vec<PathBuf> {
     files
 }
 
-/// `cargo test-target`, the part that compares.
+/// The part of `cargo test-target` that compares with the simulator.
 pub fn compare_all() -> Result<(), Failure> {
     let image = image::build(QEMU_BOARD)?;
-    // Made for this test: both ways. Examples, the small ones: preloaded only, as they take minutes of machine time.
+    // The jobs of tests/jobs are run preloaded and streamed. Of the examples only the small ones are run, and only
+    // preloaded, because they take minutes of machine time.
     let made = job_files("tests/jobs", u64::MAX);
     let mut examples = job_files("examples", LARGEST_EXAMPLE);
-    // Written for the dialect of `$900=2`; jobs here run with the default settings.
+    // Needs the dialect of `$900=2`; jobs here run with the default settings.
     examples.retain(|file| !file.ends_with("drilling.nc"));
     let files: Vec<(&PathBuf, bool)> =
         made.iter().map(|f| (f, true)).chain(examples.iter().map(|f| (f, false))).collect();
@@ -111,7 +112,7 @@ fn compare_streamed(elf: &Path, file: &Path, expected: &Steps) -> Result<(), Fai
     stand.write_all(b"r").map_err(|error| error.to_string())?;
     let report = read_until(&mut stand, Duration::from_secs(60), |text| text.ends_with('\n'))?;
     let steps = parse_report(&report)?;
-    // Where one axis moves at a time no smoothing can change the order.
+    // Where one axis moves at a time, smoothing cannot change the order.
     if file.file_stem().is_some_and(|stem| stem == ONE_AXIS_AT_A_TIME) && steps.order != expected.order {
         return Err(format!("streamed: QEMU {steps:?}, simulator {expected:?}: another order of steps"));
     }
@@ -124,8 +125,8 @@ fn compare_streamed(elf: &Path, file: &Path, expected: &Steps) -> Result<(), Fai
     }
 }
 
-/// The text of a job as the controller gets it in the simulator: lines that begin with `%` are marks of a tape, and a
-/// byte that is not ASCII is a point.
+/// Returns the text of a job as the simulator's controller gets it: lines that start with `%` (tape marks) are removed,
+/// and bytes that are not ASCII are replaced by points.
 fn job_text(file: &Path) -> Result<Vec<u8>, Failure> {
     let bytes = fs::read(file).map_err(|error| format!("{}: {error}", file.display()))?;
     let text = String::from_utf8_lossy(&bytes);
@@ -153,7 +154,7 @@ fn refuse_errors(answers: &str) -> Result<(), Failure> {
     }
 }
 
-/// The line of the test stand: `time=... order=... steps=x,y,z busy=n`.
+/// Parses the line of the test stand: `time=... order=... steps=x,y,z busy=n`.
 fn parse_report(report: &str) -> Result<Steps, Failure> {
     let field = |name: &str| report.split_whitespace().find_map(|word| word.strip_prefix(name));
     let parse = || {
@@ -165,7 +166,7 @@ fn parse_report(report: &str) -> Result<Steps, Failure> {
     parse().ok_or_else(|| format!("the test stand reports `{report}`"))
 }
 
-/// What the simulator makes of a job on the same board profile.
+/// Runs a job in the simulator with the same board profile.
 fn simulate(file: &Path) -> Result<Steps, Failure> {
     let output = cargo()
         .args(["run", "--quiet", "--locked", "--release", "--package", "oxmill", "--", "run"])
@@ -219,8 +220,8 @@ fn stream(host: &mut TcpStream, text: &[u8]) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Asks until the machine says twice in a row that it is idle: a line that has just been answered may start its motion
-/// after the first question.
+/// Polls until the machine reports Idle twice in a row: a line that has just been answered may start its motion after
+/// the first report.
 pub(crate) fn wait_until_idle(host: &mut TcpStream) -> Result<String, Failure> {
     let begin = Instant::now();
     let mut idle_before = false;
@@ -235,7 +236,7 @@ pub(crate) fn wait_until_idle(host: &mut TcpStream) -> Result<String, Failure> {
         if status.contains("<Alarm|") {
             return Err(format!("streamed: an alarm instead of rest: {status}"));
         }
-        // Every question costs the board work.
+        // Every report costs the board work.
         thread::sleep(Duration::from_millis(50));
         if begin.elapsed() > LIMIT {
             return Err(format!("streamed: not idle after {LIMIT:?}: {status}"));

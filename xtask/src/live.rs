@@ -1,4 +1,4 @@
-//! Conversations with the firmware in QEMU that need its tasks and interrupts: what the simulator has no part in.
+//! Conversations with the firmware in QEMU that need its tasks and interrupts, which the simulator does not have.
 
 use crate::jobs::{read_until, wait_until_idle};
 use crate::{Failure, QEMU_BOARD, cargo, image, qemu, root};
@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 const LIMIT: Duration = Duration::from_secs(1200);
 
-/// The host's line and the test stand's.
+/// Connections to the board's host port and to the test stand.
 struct Lines {
     host: TcpStream,
     stand: TcpStream,
@@ -19,7 +19,7 @@ struct Lines {
 
 type Test = fn(&mut Lines) -> Result<(), Failure>;
 
-/// All of them, each with a machine that was just switched on.
+/// Runs all conversations, each with a machine that has just been powered up.
 pub fn all() -> Result<(), Failure> {
     let image = image::build(QEMU_BOARD)?;
     let tests: [(&str, Test); 13] = [
@@ -59,11 +59,11 @@ pub fn all() -> Result<(), Failure> {
     if failed > 0 {
         return Err(format!("{failed} conversations failed"));
     }
-    // What no conversation has come upon needs room as well.
+    // Paths that no conversation has taken need stack, too.
     hold_on(deepest.used <= deepest.size / 4 * 3, || "more than three quarters of the stack are used".into())
 }
 
-/// How deep the stack has been.
+/// Maximum stack use, bytes.
 struct Stack {
     used: u32,
     size: u32,
@@ -81,7 +81,7 @@ impl Lines {
         self.host.write_all(bytes).map_err(|error| error.to_string())
     }
 
-    /// Reads until a text has come.
+    /// Reads until a text has arrived.
     fn expect(&mut self, wanted: &str) -> Result<String, Failure> {
         read_until(&mut self.host, LIMIT, |text| text.contains(wanted))
     }
@@ -91,7 +91,7 @@ impl Lines {
         self.expect(">\r\n")
     }
 
-    /// Asks until the status begins so.
+    /// Requests the status until it starts with `state`.
     fn wait_for(&mut self, state: &str) -> Result<String, Failure> {
         let begin = Instant::now();
         while begin.elapsed() < LIMIT {
@@ -106,7 +106,7 @@ impl Lines {
         Err(format!("the state never became {state}"))
     }
 
-    /// Lets a motion that has begun go on until X is at least here.
+    /// Waits until a motion in progress has passed this X position, mm.
     fn wait_until_beyond(&mut self, millimetres: f64) -> Result<(), Failure> {
         let begin = Instant::now();
         while begin.elapsed() < LIMIT {
@@ -137,14 +137,14 @@ impl Lines {
     }
 }
 
-/// Lets the firmware fail while it moves, and asks it about that afterwards.
+/// Makes the firmware fail during motion, and checks its report afterwards.
 fn failure(lines: &mut Lines, way: &[u8], message: &str, record: &[&str]) -> Result<(), Failure> {
     lines.send(b"G21G91G1X50F600\n")?;
     lines.wait_until_beyond(1.0)?;
     lines.stand.write_all(way).map_err(|error| error.to_string())?;
     let welcome = lines.expect("to unlock]\r\n")?;
     hold_on(welcome.contains("Grbl 1.1h") && welcome.contains(message), || format!("after the failure: {welcome}"))?;
-    // A host that has noticed nothing goes on with its job.
+    // A host that has not noticed the failure continues its job.
     lines.send(b"G1X-5\n")?;
     lines.expect("error:9\r\n")?;
     let report = lines.report()?;
@@ -152,7 +152,7 @@ fn failure(lines: &mut Lines, way: &[u8], message: &str, record: &[&str]) -> Res
     lines.send(b"$RC\n")?;
     let told = lines.expect("ok\r\n")?;
     hold_on(record.iter().all(|part| told.contains(part)), || format!("the record: {told}"))?;
-    // Asked for, it is not told again; and the machine goes on.
+    // After `$RC` the failure is not reported again, and the machine works.
     lines.send(b"\x18")?;
     let welcome = lines.expect("to unlock]\r\n")?;
     hold_on(!welcome.contains("failure"), || format!("told again: {welcome}"))?;
@@ -163,13 +163,13 @@ fn failure(lines: &mut Lines, way: &[u8], message: &str, record: &[&str]) -> Res
     hold_on(report.contains("steps=250,0,0"), || report)
 }
 
-/// What the machine has recorded, as a terminal would log it.
+/// Returns the machine's recording, as a terminal would log it.
 fn listing(lines: &mut Lines) -> Result<String, Failure> {
     lines.send(b"$REC\n")?;
     read_until(&mut lines.host, LIMIT, |text| text.ends_with("[REC:end]\r\nok\r\n"))
 }
 
-/// Plays a log in the simulator; what that says of it.
+/// Replays a log in the simulator; returns the output.
 fn played(name: &str, log: &str) -> Result<String, Failure> {
     let folder = root().join("target/recordings");
     let file = folder.join(name);
@@ -178,21 +178,21 @@ fn played(name: &str, log: &str) -> Result<String, Failure> {
     let mut replay = cargo();
     replay.args(["run", "--quiet", "--locked", "--package", "oxmill", "--", "replay"]).arg(&file);
     let output = replay.output().map_err(|error| error.to_string())?;
-    // 1: an alarm that the board had, too.
+    // Exit status 1: an alarm that the board also had.
     hold_on(matches!(output.status.code(), Some(0 | 1)), || {
         format!("the replay parts: {}", String::from_utf8_lossy(&output.stderr))
     })?;
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// A failure in mid-job: the recording leads the simulator to the same line and place.
+/// A failure during a job: the recording leads the simulator to the same line and position.
 fn recorded_failure(lines: &mut Lines) -> Result<(), Failure> {
     lines.send(b"G21G91\nN10G1X4F600\nN20Y3\nN30G2X2Y2I2\nN40G1X4Y-1F900\nN50X30\nN60Y-4\n")?;
     lines.wait_until_beyond(14.0)?;
     lines.stand.write_all(b"P").map_err(|error| error.to_string())?;
     let welcome = lines.expect("to unlock]\r\n")?;
     hold_on(welcome.contains("line 50") && welcome.contains("$REC what came in"), || welcome.clone())?;
-    // A host that has noticed nothing, and one that looks round and jogs, leave the recording alone.
+    // A host that has not noticed the failure, and one that queries and jogs, do not change the recording.
     lines.send(b"X5\n$RC\n$X\n")?;
     let unlocked = |text: &str| text.contains("Caution: Unlocked") && text.ends_with("ok\r\n");
     let told = read_until(&mut lines.host, LIMIT, unlocked)?;
@@ -206,7 +206,7 @@ fn recorded_failure(lines: &mut Lines) -> Result<(), Failure> {
     hold_on(log.contains(&format!("ended {end}]")), || format!("no {end} in {log}"))?;
     let said = played("panic_in_mid_job.log", &log)?;
     hold_on(said.contains(&format!("arrives at the place and line of the failure ({end})")), || said)?;
-    // A program takes its place.
+    // A program overwrites the recording.
     lines.send(b"N1G0Y1\n")?;
     lines.expect("ok\r\n")?;
     wait_until_idle(&mut lines.host)?;
@@ -215,7 +215,7 @@ fn recorded_failure(lines: &mut Lines) -> Result<(), Failure> {
     played("after_panic.log", &log).map(|_| ())
 }
 
-/// Nothing fails, but motion is held, overridden, and cut off by a reset.
+/// No failure, but motion is held, overridden, and interrupted by a reset.
 fn recorded_stops(lines: &mut Lines) -> Result<(), Failure> {
     hold_and_resume(lines)?;
     lines.send(b"\x91G90G1X0Y0F900\n")?;
@@ -249,7 +249,7 @@ fn everything_hangs(lines: &mut Lines) -> Result<(), Failure> {
     failure(lines, b"H", "(watchdog)", &["[RESET:watchdog]\r\nok"])
 }
 
-/// Each kind of line goes another way through the controller, and some ways are deep.
+/// Each kind of line takes another path through the controller, and some paths need much stack.
 fn every_kind(lines: &mut Lines) -> Result<(), Failure> {
     let kinds = [
         ("$$", "ok"),
@@ -313,7 +313,7 @@ fn hold_on(condition: bool, why: impl FnOnce() -> String) -> Result<(), Failure>
 }
 
 fn flood(lines: &mut Lines) -> Result<(), Failure> {
-    // Ten times what the line queue holds.
+    // Ten times the capacity of the line queue.
     let mut text = b"G4P1\n".to_vec();
     text.extend(b"(comment)\n".repeat(250));
     lines.send(&text)?;
@@ -321,7 +321,7 @@ fn flood(lines: &mut Lines) -> Result<(), Failure> {
     hold_on(!answers.contains("error") && !answers.contains("lost"), || format!("answers: {answers}"))
 }
 
-/// More records than the two sectors hold together, so that the log has moved from one to the other and back.
+/// More records than both sectors hold together, so the log has moved from one sector to the other and back.
 fn settings(lines: &mut Lines) -> Result<(), Failure> {
     const RECORDS: usize = 3_000;
     let mut text = b"$N1=G17\n$I=mill 7\nG10L2P2X1.5Y-2\n$100=123.5\n".to_vec();
@@ -360,7 +360,7 @@ fn hold_and_resume(lines: &mut Lines) -> Result<(), Failure> {
     hold_on(report.contains("steps=2000,500,0"), || report)
 }
 
-/// Any byte is a sign of life, even one that means nothing.
+/// Any byte restarts the host timeout, even a meaningless one.
 fn silence(lines: &mut Lines) -> Result<(), Failure> {
     lines.send(b"$922=2\n")?;
     lines.expect("ok\r\n")?;
@@ -395,7 +395,7 @@ fn reset_in_motion(lines: &mut Lines) -> Result<(), Failure> {
     hold_on(answers.contains("ALARM:3"), || format!("answers: {answers}"))?;
     let (first, status, second) = (lines.report()?, lines.wait_for("<Alarm|")?, lines.report()?);
     hold_on(first == second, || format!("steps after a reset: {first} {second}"))?;
-    // The position reported is the position of the pulses: 250 steps/mm.
+    // The reported position is that of the pulses: 250 steps/mm.
     let steps: f64 = second
         .split("steps=")
         .nth(1)
@@ -406,7 +406,7 @@ fn reset_in_motion(lines: &mut Lines) -> Result<(), Failure> {
     lines.expect("ok\r\nok")?;
     wait_until_idle(&mut lines.host)?;
     let report = lines.report()?;
-    // The reset has brought G90 back: an absolute place is reached from wherever the machine was stopped.
+    // The reset has restored G90: the absolute target is reached from any position.
     hold_on(report.contains("steps=-250,0,0"), || format!("{second} {report}"))
 }
 
@@ -415,7 +415,7 @@ fn reset_between_lines(lines: &mut Lines) -> Result<(), Failure> {
     lines.expect("ok")?;
     wait_until_idle(&mut lines.host)?;
     lines.send(b"G91G1X5F600\x18G91G1X1F600\n")?;
-    // The welcome and the answer behind it may come in one piece.
+    // The welcome message and the answer after it may arrive together.
     read_until(&mut lines.host, LIMIT, |text| {
         text.split_once("Grbl").is_some_and(|(_, rest)| rest.contains("ok\r\n"))
     })?;

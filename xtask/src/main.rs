@@ -1,6 +1,6 @@
-//! Commands around the firmware: build it, flash it, run it in QEMU, test it, count instructions.
+//! Commands for the firmware: build it, flash it, run it in QEMU, test it, count instructions.
 //!
-//! The aliases `cargo fw`, `cargo flash-board`, `cargo qemu` and `cargo test-target` end here.
+//! The aliases `cargo fw`, `cargo flash-board`, `cargo qemu` and `cargo test-target` call this program.
 
 mod count;
 mod dfuse;
@@ -35,9 +35,9 @@ use std::process::{Command, ExitCode};
 
 use oxmill_images as boards;
 
-/// The target of every board.
+/// Rust target of every board.
 const TARGET: &str = "thumbv7em-none-eabihf";
-/// The board that needs no board.
+/// The emulated board, which needs no hardware.
 const QEMU_BOARD: &str = "qemu_mps2";
 
 const USAGE: &str = "\
@@ -77,7 +77,7 @@ usage:
   cargo xtask count profile ROW  in which functions a row of it (`line`, `text`, ...) spends them
 boards: ";
 
-/// What went wrong, for people.
+/// Error message for the user.
 type Failure = String;
 
 fn main() -> ExitCode {
@@ -133,7 +133,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// All that runs on QEMU.
+/// Runs all tests that need QEMU.
 fn on_qemu() -> Result<(), Failure> {
     suites::on_qemu()?;
     live::all()?;
@@ -141,7 +141,7 @@ fn on_qemu() -> Result<(), Failure> {
     jobs::compare_all()
 }
 
-/// The board, if there is one of this name.
+/// Returns the name if there is such a board.
 fn known(board: &str) -> Result<&str, Failure> {
     if boards::BOARDS.contains(&board) {
         Ok(board)
@@ -150,7 +150,7 @@ fn known(board: &str) -> Result<&str, Failure> {
     }
 }
 
-/// The benchmark. It runs in the workspace, wherever these files are named.
+/// Runs the benchmark in the workspace; `files` are relative to the current folder.
 fn bench(files: &[&str]) -> Result<(), Failure> {
     let files: Result<Vec<PathBuf>, _> = files.iter().map(std::path::absolute).collect();
     let files = files.map_err(|error| error.to_string())?;
@@ -172,7 +172,7 @@ fn generate(name: &str) -> Result<(), Failure> {
 /// Environment variable: another copy of the tree to work in.
 const TREE: &str = "OXMILL_TREE";
 
-/// The workspace.
+/// Returns the folder of the workspace.
 fn root() -> PathBuf {
     if let Some(tree) = std::env::var_os(TREE) {
         return tree.into();
@@ -180,15 +180,15 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in the workspace").to_owned()
 }
 
-/// Cargo, in the workspace. It builds where the files are looked for afterwards, whatever the environment says: what an earlier
-/// build has left there would be taken for the new one.
+/// Returns a cargo command that runs in the workspace. It always builds into `target`, whatever the environment says,
+/// because the results are looked up there: otherwise the results of an earlier build would be taken for new ones.
 fn cargo() -> Command {
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     cargo.current_dir(root()).env("CARGO_TARGET_DIR", root().join("target")).env_remove("CARGO_BUILD_TARGET");
     cargo
 }
 
-/// Runs a command to its end; its failure is ours.
+/// Runs a command to its end; returns an error if it fails.
 fn run(command: &mut Command) -> Result<(), Failure> {
     let name = command.get_program().to_string_lossy().into_owned();
     match command.status() {
@@ -198,7 +198,7 @@ fn run(command: &mut Command) -> Result<(), Failure> {
     }
 }
 
-/// Whether a program can be started.
+/// Returns whether a program can be started.
 fn exists(program: &str) -> bool {
     Command::new(program).arg("--version").output().is_ok()
 }

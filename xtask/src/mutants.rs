@@ -1,14 +1,15 @@
-//! Named faults that the tests must see: each is put into a copy of the tree, and the tests have to fail there. Faults of
-//! motion have to be seen by the tests of motion; faults of the link to the host and of the input filter by the
-//! conversations with the simulator, which runs the boards' own. A fault that leaves them green is a hole in the tests; a text that is not found any more, a fault to be written
-//! anew. Some minutes long, so it is run by hand: `cargo xtask mutants [NAME..]`.
+//! Mutation tests: puts each of a list of named faults into a copy of the tree, where the tests must fail. Faults of
+//! motion must be detected by the tests of motion; faults of the host link and of the input filter by the conversations
+//! with the simulator, which runs the boards' own code for these. A fault that no test detects is a gap in the tests. A
+//! fault whose text is not found any more must be rewritten. It takes some minutes, so it is run by hand:
+//! `cargo xtask mutants [NAME..]`.
 
 use crate::{Failure, root, tree};
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// Where a fault goes: file, what stands there, what it becomes.
+/// A replacement of text in a file.
 struct Edit {
     file: &'static str,
     find: &'static str,
@@ -16,7 +17,7 @@ struct Edit {
 }
 
 impl Edit {
-    /// The file with the fault in it.
+    /// Returns the file's text with the fault.
     fn applied(&self, path: &Path) -> Result<String, Failure> {
         let text = fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
         if text.matches(self.find).count() != 1 {
@@ -28,7 +29,7 @@ impl Edit {
 
 struct Mutant {
     name: &'static str,
-    /// All of these are made.
+    /// Edits that together make the fault.
     edits: &'static [Edit],
 }
 
@@ -245,7 +246,7 @@ const MUTANTS: &[Mutant] = &[
 const LINK: &str = "src/controller/protocol/link.rs";
 const SIGNALS: &str = "src/controller/machine/signals.rs";
 
-/// Faults of what is between the controller and a host or a switch.
+/// Faults in the code between the controller and a host or a switch.
 const OUTSIDE: &[Mutant] = &[
     Mutant {
         name: "no-epochs",
@@ -289,7 +290,7 @@ const OUTSIDE: &[Mutant] = &[
     },
 ];
 
-/// What is copied: everything that the tests of motion are built from.
+/// Files and folders copied: everything that the tests are built from.
 const COPIED: [&str; 9] =
     ["Cargo.toml", "Cargo.lock", "rust-toolchain.toml", "src", "boards", "tests", "xtask", "examples", ".cargo"];
 
@@ -318,7 +319,7 @@ pub fn run(names: &[&str]) -> Result<(), Failure> {
             let text = edit.applied(&path).map_err(|why| format!("{}: {why}", mutant.name))?;
             fs::write(&path, text).map_err(|error| error.to_string())?;
         }
-        // A fault that does not compile is no fault.
+        // A fault that does not compile is invalid.
         if !tests(&tree, &["--no-run"])? {
             return Err(format!("{} does not compile", mutant.name));
         }
@@ -331,16 +332,16 @@ pub fn run(names: &[&str]) -> Result<(), Failure> {
     if survivors.is_empty() { Ok(()) } else { Err(format!("the tests do not see {}", survivors.join(", "))) }
 }
 
-/// Brings the copy into line, and touches only what differs: the rest need not be built again.
+/// Updates the copy, touching only files that differ, so that the rest is not rebuilt.
 fn copy_all(tree: &Path) -> Result<(), Failure> {
     fs::create_dir_all(tree).map_err(|error| error.to_string())?;
     COPIED.iter().try_for_each(|name| tree::copy(&root().join(name), &tree.join(name)))
 }
 
-/// Whether the tests that have to see a fault pass in the copy.
+/// Runs tests in the copy; returns whether they pass.
 type Suite = fn(&Path) -> Result<bool, Failure>;
 
-/// All faults, each with the tests that have to see it.
+/// Returns all faults, each with the tests that must detect it.
 fn all() -> impl Iterator<Item = (&'static Mutant, Suite)> {
     let (motion, conversations): (Suite, Suite) = (motion, conversations);
     MUTANTS.iter().map(move |mutant| (mutant, motion)).chain(OUTSIDE.iter().map(move |mutant| (mutant, conversations)))
@@ -350,7 +351,7 @@ fn conversations(tree: &Path) -> Result<bool, Failure> {
     tests(tree, &["--test", "machine", "--", "conversations"])
 }
 
-/// The tests of motion; the step traces of whole jobs first.
+/// Runs the tests of motion, starting with the step traces of whole jobs.
 fn motion(tree: &Path) -> Result<bool, Failure> {
     Ok(tests(tree, &["--test", "machine", "--", "motion_properties", "jerk", "turns::", "curves::"])?
         && tests(

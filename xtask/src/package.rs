@@ -1,24 +1,25 @@
-//! `cargo xtask package`: the crates as `cargo package` makes them. None of them may need what is outside of its folder.
+//! `cargo xtask package`: the crates as `cargo package` packs them. No crate may need files from outside its folder.
 
 use crate::{Failure, TARGET, cargo, root, run, web};
 use flate2::read::GzDecoder;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Packages of the workspace that are for the workspace only.
+/// Packages that are used only within the workspace.
 const OWN: [&str; 4] = ["xtask", "oxmill-fuzz", "oxmill-test-support", "oxmill-on-target"];
 
 /// The board whose image is built from the packages.
 const BOARD: &str = "blackpill_f411";
 
-/// What no package has in it.
+/// Paths that no package may contain.
 const UNWANTED: [&str; 5] = ["target/", "node_modules/", "docs/", ".ci/", ".github/"];
 
-/// The manifest of a workspace of the packages alone: what they need of each other is taken from beside them.
+/// Manifest of a workspace that consists of the packages alone; dependencies between them are taken from this
+/// workspace.
 const MANIFEST: &str = "[workspace]\nmembers = [\"*\"]\nresolver = \"3\"\n\n\
                         [profile.release]\nopt-level = \"s\"\nlto = \"fat\"\ncodegen-units = 1\n\n[patch.crates-io]\n";
 
-/// Packs all crates and says what is in them.
+/// Packs all crates and prints their numbers of files.
 pub fn list() -> Result<(), Failure> {
     for (package, files) in packed()? {
         println!("{}: {} files", package.display(), files.len());
@@ -26,10 +27,11 @@ pub fn list() -> Result<(), Failure> {
     Ok(())
 }
 
-/// Packs all crates, unpacks them into a workspace of their own, and builds the program, the module and an image of an STM32 from them.
+/// Packs all crates, unpacks them into a workspace of their own, and there builds the program, the module and an STM32
+/// image.
 pub fn build() -> Result<(), Failure> {
     let folder = root().join("target/packaged");
-    // What has been built there may stay, and the lock file is the one of the tree.
+    // Earlier build results may stay; the lock file is the one of the tree.
     let failed = |error: std::io::Error| format!("{}: {error}", folder.display());
     let packages = folder.join("packages");
     if packages.exists() {
@@ -53,14 +55,14 @@ pub fn build() -> Result<(), Failure> {
     cargo(&["build", "--release", "--package", "oxmill-firmware", "--target", TARGET, "--features", BOARD])
 }
 
-/// Packs all crates: each archive with the names of its files.
+/// Packs all crates; returns each archive with the names of its files.
 fn packed() -> Result<Vec<(PathBuf, Vec<String>)>, Failure> {
     let folder = root().join("target/package");
     if folder.exists() {
         fs::remove_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     }
     let mut package = cargo();
-    // The crates are in no registry, so what one needs of another cannot be found there.
+    // The crates are not in a registry, so their dependencies on each other cannot be resolved there.
     package.args(["package", "--quiet", "--workspace", "--no-verify", "--exclude-lockfile", "--allow-dirty"]);
     run(package.args(OWN.iter().flat_map(|name| ["--exclude", name])))?;
     let entries = fs::read_dir(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
@@ -70,7 +72,7 @@ fn packed() -> Result<Vec<(PathBuf, Vec<String>)>, Failure> {
     packages.into_iter().map(|package| names(&package).map(|names| (package, names))).collect()
 }
 
-/// The files of a package, if it has what it should.
+/// Returns the file names of a package after checking them.
 fn names(package: &Path) -> Result<Vec<String>, Failure> {
     let failed = |error: std::io::Error| format!("{}: {error}", package.display());
     let mut names = Vec::new();
@@ -85,7 +87,7 @@ fn names(package: &Path) -> Result<Vec<String>, Failure> {
     }
 }
 
-/// What is wrong with the files of a package.
+/// Returns what is wrong with the files of a package.
 fn fault(names: &[String]) -> Option<String> {
     let has = |end: &str| names.iter().any(|name| name.ends_with(end));
     if !has("Cargo.toml") || !has(".rs") {

@@ -1,33 +1,33 @@
-//! How cargo builds what is released: without the paths of the machine, so that the same sources give the same bytes
-//! wherever they lie, and what runs on boards with the flags of its profile.
+//! Configures cargo for releases: builds do not depend on the paths of the machine, so the same sources give the same
+//! bytes in any folder. Builds for boards also get the flags of their profile.
 //!
-//! rustc is told to write a fixed name instead of each folder that differs from machine to machine: the workspace, cargo's
-//! copies of dependencies, and the sources of the standard library.
+//! rustc replaces each machine-dependent folder by a fixed name: the workspace, cargo's copies of dependencies, and the
+//! sources of the standard library.
 
 use crate::{Failure, TARGET, boards, cargo, root};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// What images that are built for speed are compiled with besides: instructions in the order that is best for the processor
-/// of all boards, and a limit of how costly a function may be, by LLVM's measure, to be inlined without `#[inline]`. Its own
-/// limit is about twice that: it makes images larger and hardly any path faster (docs/cost.md, "Small parts").
+/// Extra compiler flags for images built for speed: schedule instructions for the processor of all boards, and limit
+/// the cost (by LLVM's measure) of functions that are inlined without `#[inline]`. LLVM's default limit is about twice
+/// as high: it makes images larger and hardly any path faster (docs/cost.md, "Small parts").
 const FOR_SPEED: [&str; 2] = ["-Ctarget-cpu=cortex-m4", "-Cllvm-args=-inline-threshold=120"];
 
-/// The same limit for images that are built for size, below the compiler's own for those, too.
+/// The inlining limit for images built for size, also below the compiler's default for these.
 const FOR_SIZE: [&str; 1] = ["-Cllvm-args=-inline-threshold=30"];
 
-/// Cargo, in the workspace, for what is released. `RUSTFLAGS` of the environment do not reach such a build.
+/// Returns a cargo command for release files, in the workspace. `RUSTFLAGS` of the environment do not affect it.
 pub fn cargo_without_paths() -> Result<Command, Failure> {
     cargo_with(&[])
 }
 
-/// A command of cargo on what runs on boards, with a profile of theirs.
+/// Returns a cargo command for code that runs on boards, with one of their profiles.
 pub fn cargo_for_boards(command: &str, profile: &str) -> Result<Command, Failure> {
     cargo_for(command, profile, TARGET)
 }
 
-/// The same for another target, whose processor is its own.
+/// The same for another target, without the flags for the boards' processor.
 pub fn cargo_for(command: &str, profile: &str, target: &str) -> Result<Command, Failure> {
     let flags: &[&str] = if profile == boards::FAST { &FOR_SPEED } else { &FOR_SIZE };
     let flags: Vec<&str> =
@@ -42,7 +42,7 @@ fn cargo_with(more: &[&str]) -> Result<Command, Failure> {
     let flags: Vec<String> =
         names.map(|(from, to)| flag(&from, &to)).chain(more.iter().map(ToString::to_string)).collect();
     let mut cargo = cargo();
-    // What separates flags there.
+    // The separator of this variable.
     cargo.env("CARGO_ENCODED_RUSTFLAGS", flags.join("\x1f"));
     Ok(cargo)
 }
@@ -51,7 +51,7 @@ fn cargo_with(more: &[&str]) -> Result<Command, Failure> {
 pub struct Compiler {
     /// Its version.
     pub version: String,
-    /// The target that it builds for unless it is told another one.
+    /// Its default target.
     pub host: String,
     /// The commit of its sources.
     commit: String,
@@ -59,7 +59,7 @@ pub struct Compiler {
 }
 
 impl Compiler {
-    /// Asks the compiler.
+    /// Queries the compiler.
     pub fn found() -> Result<Compiler, Failure> {
         let about = ask(&["--version", "--verbose"])?;
         let value = |name: &str| {
@@ -71,7 +71,7 @@ impl Compiler {
     }
 }
 
-/// What rustc answers.
+/// Returns the output of rustc.
 fn ask(arguments: &[&str]) -> Result<String, Failure> {
     let mut rustc = Command::new(std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into()));
     let output = rustc.current_dir(root()).args(arguments).output();
@@ -82,20 +82,20 @@ fn ask(arguments: &[&str]) -> Result<String, Failure> {
     String::from_utf8(output.stdout).map_err(|error| format!("rustc: {error}"))
 }
 
-/// Cargo's own folder.
+/// Returns cargo's own folder.
 pub fn cargo_home() -> Result<PathBuf, Failure> {
     let home = || Some(std::env::home_dir()?.join(".cargo"));
     std::env::var_os("CARGO_HOME").map(PathBuf::from).or_else(home).ok_or_else(|| "no CARGO_HOME and no HOME".into())
 }
 
-/// The folders that rustc may meet, each with the name that is written instead.
+/// Returns the folders that may occur in a build, each with its replacement name.
 fn names(
     workspace: &Path,
     cargo_home: &Path,
     compiler: &Compiler,
 ) -> Result<impl Iterator<Item = (PathBuf, String)> + use<>, Failure> {
-    // One folder for each registry, by a name that depends on how it is reached. Xtask has dependencies of its own, so what
-    // it needs is there.
+    // There is one folder per registry, whose name depends on how the registry is accessed. Xtask itself has
+    // dependencies, so the registries in use are there.
     let registries = cargo_home.join("registry/src");
     let entries = fs::read_dir(&registries).map_err(|error| format!("{}: {error}", registries.display()))?;
     let mut sources: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
@@ -103,14 +103,14 @@ fn names(
     let library = (compiler.sysroot.join("lib/rustlib/src/rust"), format!("/rustc/{}", compiler.commit));
     let registries = sources.into_iter().map(|source| (source, "/registry".to_owned()));
     let all = [(workspace.to_owned(), "/oxmill".to_owned()), library].into_iter().chain(registries);
-    // A folder behind a symbolic link is met under both of its names: compilers run in it by its real one.
+    // A folder behind a symbolic link occurs under both names, because compilers run in it by its real name.
     Ok(all.flat_map(|(from, to)| {
         let real = from.canonicalize().ok().filter(|real| *real != from);
         [Some((from, to.clone())), real.map(|real| (real, to))].into_iter().flatten()
     }))
 }
 
-/// The argument for rustc.
+/// Returns the argument for rustc.
 fn flag(from: &Path, to: &str) -> String {
     format!("--remap-path-prefix={}={to}", from.display())
 }

@@ -1,18 +1,20 @@
-//! Python programs of `tests`, each in an environment of its own under `target/tools`, with the packages that it names.
+//! Runs Python programs of `tests`, each in its own virtual environment under `target/tools`, with the packages that it
+//! requires.
 
 use crate::{Failure, root, run};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Runs a module of `tests`.
+/// Returns a command that runs a module of `tests`.
 pub fn module(python: &Path, name: &str) -> Command {
     let mut command = Command::new(python);
     command.current_dir(root().join("tests")).env("PYTHONDONTWRITEBYTECODE", "1").args(["-m", name]);
     command
 }
 
-/// Python with the packages of `tests/PACKAGE/requirements.txt`; made anew when that file has changed.
+/// Returns a Python with the packages of `tests/PACKAGE/requirements.txt`; recreates the environment when that file has
+/// changed.
 pub fn environment(name: &str, package: &str) -> Result<PathBuf, Failure> {
     let folder = root().join("target/tools").join(name);
     let python = folder.join("bin/python");

@@ -1,4 +1,4 @@
-//! Starts QEMU and ends it again.
+//! Starts and stops QEMU.
 
 use crate::{Failure, QEMU_BOARD, image};
 use std::io::Read;
@@ -9,21 +9,21 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 const PROGRAM: &str = "qemu-system-arm";
-/// Where a preloaded job lies: boards/qemu_mps2 has the same number.
+/// Address of a preloaded job, as in boards/qemu_mps2.
 const JOB: u32 = 0x2100_0000;
 
-/// A virtual board. It ends when it is dropped.
+/// A running QEMU; it is killed on drop.
 pub struct Qemu(Child);
 
 impl Drop for Qemu {
     fn drop(&mut self) {
-        // Fails if it has ended by itself.
+        // Fails if QEMU has ended by itself.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
-/// Says what to do if QEMU is missing.
+/// Returns an error with advice if QEMU is missing.
 pub fn require() -> Result<(), Failure> {
     if crate::exists(PROGRAM) {
         Ok(())
@@ -32,8 +32,8 @@ pub fn require() -> Result<(), Failure> {
     }
 }
 
-/// QEMU on one processor, if that can be asked for. With counted instructions its threads take turns at every timer, and
-/// handing over within a processor takes half the time that it takes between two.
+/// Returns a QEMU command bound to one processor, if possible. With counted instructions QEMU's threads alternate at
+/// every timer, and switching within one processor takes half the time of switching between two.
 fn on_one_processor() -> Command {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let allowed = status.lines().find_map(|line| line.strip_prefix("Cpus_allowed_list:"));
@@ -48,7 +48,8 @@ fn on_one_processor() -> Command {
     }
 }
 
-/// The command line that all runs share. An instruction takes 8 ns, so virtual time is a function of what is executed.
+/// Returns the command line that all runs share. An instruction takes 8 ns, so virtual time depends only on the
+/// instructions executed.
 fn machine(elf: &Path, rest_is_skipped: bool) -> Command {
     let mut qemu = on_one_processor();
     let sleep = if rest_is_skipped { "shift=3,sleep=off" } else { "shift=3,sleep=on" };
@@ -58,12 +59,13 @@ fn machine(elf: &Path, rest_is_skipped: bool) -> Command {
     qemu
 }
 
-/// Runs a program that ends by itself. `read` gets the log with the address of each instruction: gigabytes, which no disk sees.
+/// Runs a program that ends by itself. `read` gets the log with the address of each instruction through a pipe, because
+/// it has gigabytes.
 pub fn trace<T>(elf: &Path, read: impl FnOnce(ChildStdout) -> Result<T, Failure>) -> Result<T, Failure> {
     require()?;
     let mut qemu = Command::new(PROGRAM);
     qemu.args(["-M", "mps2-an386", "-display", "none", "-monitor", "none", "-serial", "null"]);
-    // One instruction for each translated piece; the option got another name in version 8.1.
+    // One instruction per translation block; this option was renamed in version 8.1.
     let help = Command::new(PROGRAM).arg("-help").output().map_err(|error| error.to_string())?;
     if String::from_utf8_lossy(&help.stdout).contains("one-insn-per-tb") {
         qemu.args(["-accel", "tcg,one-insn-per-tb=on"]);
@@ -79,7 +81,7 @@ pub fn trace<T>(elf: &Path, read: impl FnOnce(ChildStdout) -> Result<T, Failure>
     if status.success() { Ok(found) } else { Err(format!("{PROGRAM}: {status}")) }
 }
 
-/// Two TCP ports that were free a moment ago.
+/// Returns two TCP ports that were free a moment ago.
 fn free_ports() -> Result<(u16, u16), Failure> {
     let listen = || TcpListener::bind("127.0.0.1:0").map_err(|error| format!("no free TCP port: {error}"));
     let (a, b) = (listen()?, listen()?);
@@ -104,14 +106,14 @@ fn connect(port: u16) -> Result<TcpStream, Failure> {
     }
 }
 
-/// A running firmware with its two lines. Time without work is skipped, so the machine finishes what it has while the
-/// host's next bytes are on their way: a link that starves the look-ahead at every turn.
+/// Starts the firmware with its two connections. Idle time is skipped, so the machine finishes all its work before the
+/// host's next bytes arrive: a link that starves the look-ahead every time.
 pub fn streamed(elf: &Path) -> Result<Running, Failure> {
     running(machine(elf, true))
 }
 
-/// The same with a processor that never sleeps, so that a host can intervene in a motion: time goes by with the
-/// instructions executed, about as on a wall clock, and stands still while the host has no time for QEMU.
+/// The same with a processor that never sleeps, so that a host can intervene during a motion: virtual time follows the
+/// instructions executed, about as fast as real time, and stands still while QEMU does not get processor time.
 pub fn live(elf: &Path) -> Result<Running, Failure> {
     let mut qemu = machine(elf, true);
     let mark = u32::from_le_bytes(*b"BUSY");
@@ -119,7 +121,7 @@ pub fn live(elf: &Path) -> Result<Running, Failure> {
     running(qemu)
 }
 
-/// The board, the host's line, the test stand's line.
+/// The board, the host's connection, the test stand's connection.
 pub type Running = (Qemu, TcpStream, TcpStream);
 
 fn running(mut qemu: Command) -> Result<Running, Failure> {
@@ -131,7 +133,7 @@ fn running(mut qemu: Command) -> Result<Running, Failure> {
     Ok((qemu, connect(host)?, connect(stand)?))
 }
 
-/// What lies in RAM when the machine is switched on; boards/qemu_mps2 has the same marks.
+/// Contents of RAM at power-up; boards/qemu_mps2 has the same marks.
 #[derive(Clone, Copy)]
 pub enum Preload {
     /// A job.
@@ -140,7 +142,7 @@ pub enum Preload {
     Script,
 }
 
-/// Runs a job or a script from RAM to its end: what the firmware said, and the test stand's report.
+/// Runs a job or a script from RAM to its end; returns the firmware's output and the test stand's report.
 pub fn preloaded(elf: &Path, what: Preload, job: &Path, limit: Duration) -> Result<(String, String), Failure> {
     require()?;
     let (host, stand) = (job.with_extension("answers"), job.with_extension("report"));
@@ -179,7 +181,7 @@ pub fn preloaded(elf: &Path, what: Preload, job: &Path, limit: Duration) -> Resu
     Ok((read(&host)?, read(&stand)?))
 }
 
-/// `cargo qemu`: the firmware with its serial line on a TCP port, until it is interrupted.
+/// `cargo qemu`: runs the firmware with its serial line on a TCP port until it is interrupted.
 pub fn serve() -> Result<(), Failure> {
     require()?;
     let image = image::build(QEMU_BOARD)?;

@@ -1,16 +1,15 @@
-//! What the step interrupt can reach, read from the image itself: no panic, no floating point in software, no division in
-//! software. A compiler that cannot see that an index is in range, or a careless `u64` division, shows up here and nowhere
-//! else.
+//! Checks on the linked image that the step interrupt cannot reach a panic, software floating point or software
+//! division. Only this check reveals a compiler that cannot prove an index in range, or a careless `u64` division.
 //!
-//! The walk follows every branch and call from the vector's handler. A call of an address in a register has no target that
-//! can be read; each place that makes one must be known by name here, with all that it may lead to.
+//! The walk follows every branch and call from the vector's handler. The target of a call through a register cannot be
+//! read from the code; each function that makes such calls must be listed by name, with all possible targets.
 
 use crate::Failure;
 use crate::elf::{Elf, Section, Symbol};
 use crate::thumb::{Instruction, Kind, decode};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Parts of names of what must not be reachable, and what they are.
+/// Parts of forbidden names, each with its meaning.
 const FORBIDDEN: [(&str, &str); 18] = [
     ("panic", "a panic"),
     ("unwrap_failed", "a panic"),
@@ -32,7 +31,7 @@ const FORBIDDEN: [(&str, &str); 18] = [
     ("div_rem", "a division in software"),
 ];
 
-/// A function that calls addresses in registers: part of its name, how often it may, and what that may lead to.
+/// A function that may call addresses in registers, and the possible targets.
 pub struct Allowed {
     /// Part of the name of the function, demangled.
     pub function: &'static str,
@@ -45,7 +44,7 @@ struct Program<'a> {
     sections: Vec<Section>,
     /// Functions by address.
     functions: BTreeMap<u32, Symbol>,
-    /// Where code (`true`) or data begins.
+    /// Addresses where code (`true`) or data starts.
     marks: BTreeMap<u32, bool>,
 }
 
@@ -74,7 +73,7 @@ impl Program<'_> {
         Some(decode(address, self.half(address)?, self.half(address + 2).unwrap_or(0)))
     }
 
-    /// The function that an address lies in, and where it ends.
+    /// Returns the function that contains an address, and its end address.
     fn function(&self, address: u32) -> Option<(&Symbol, u32)> {
         let (start, symbol) = self.functions.range(..=address).next_back()?;
         let next = self.functions.range(start + 1..).next().map_or(u32::MAX, |(next, _)| *next);
@@ -87,7 +86,8 @@ impl Program<'_> {
     }
 }
 
-/// Names all functions that `handler` can reach; fails if one of them is forbidden or a call is not known.
+/// Returns the names of all functions that `handler` can reach; fails if one is forbidden or a call through a register
+/// is not listed.
 pub fn check(bytes: &[u8], handler: &str, allowed: &[Allowed]) -> Result<Vec<String>, Failure> {
     let program = Program::new(bytes).ok_or("the image is no 32-bit ELF file")?;
     let root = program.functions.values().find(|f| f.name == handler);
@@ -156,7 +156,8 @@ pub fn check(bytes: &[u8], handler: &str, allowed: &[Allowed]) -> Result<Vec<Str
     }
 }
 
-/// Runtime routines are plain names: what forbids them must not match a part of a Rust path.
+/// Returns whether a name matches a forbidden part. Names of runtime routines are plain: their parts must not match
+/// within a Rust path.
 fn forbids(part: &str, name: &str) -> bool {
     let routine = !name.contains("::");
     match part {
@@ -171,7 +172,7 @@ fn name_at(program: &Program<'_>, address: u32) -> String {
     program.function(address).map_or_else(|| format!("{address:#010x}"), |(symbol, _)| demangled(&symbol.name))
 }
 
-/// A readable name.
+/// Returns the demangled name.
 pub fn demangled(name: &str) -> String {
     format!("{:#}", rustc_demangle::demangle(name))
 }
@@ -180,14 +181,14 @@ pub fn demangled(name: &str) -> String {
 mod tests {
     use super::*;
 
-    /// A function: name and half words of code; calls are put in by [`call`].
+    /// A function: its name and its code in half words; [`call`] makes the code of calls.
     type Function = (&'static str, Vec<u16>);
 
     const ORIGIN: u32 = 0x1000;
     /// `bx lr`.
     const RETURN: u16 = 0x4770;
 
-    /// A `bl` from the `from`th half word of the program to the `to`th.
+    /// Returns a `bl` from half word `from` of the program to half word `to`.
     fn call(from: usize, to: usize) -> [u16; 2] {
         let offset = (to as i32 - from as i32 - 2) * 2;
         let bits = offset as u32;
@@ -195,7 +196,7 @@ mod tests {
         [0xF000 | (bits >> 31 << 10 | bits >> 12 & 0x3FF) as u16, 0xF800 | (bits >> 1 & 0x7FF) as u16]
     }
 
-    /// An ELF file with these functions one after the other in `.text`, and a symbol for each.
+    /// Returns an ELF file with these functions in sequence in `.text`, and a symbol for each.
     fn elf(functions: &[Function]) -> Vec<u8> {
         const HEADER: u32 = 52;
         let words = |values: &[u32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
@@ -230,7 +231,7 @@ mod tests {
         file
     }
 
-    /// A handler that calls a helper, which calls something.
+    /// Returns a handler that calls a helper, which calls `last`.
     fn chain(last: &'static str) -> Vec<u8> {
         let [a, b] = call(0, 3);
         let [c, d] = call(3, 6);
@@ -267,7 +268,7 @@ mod tests {
 
     #[test]
     fn jumps_out_of_a_function_count_as_calls() {
-        // b.w to the second function: a call in last place.
+        // b.w to the second function: a tail call.
         let file = elf(&[("TIM5", vec![0xF000, 0xB800]), ("__aeabi_ddiv", vec![RETURN])]);
         assert!(check(&file, "TIM5", &[]).unwrap_err().contains("__aeabi_ddiv"));
     }

@@ -1,8 +1,9 @@
-//! The recorded conversations with Grbl 1.1h held with the firmware in QEMU: all groups that move no input pin, each from
-//! a fresh start, judged by the same rules and the same list of differences as the simulator (`tests/recordings`).
+//! Repeats the recorded conversations with Grbl 1.1h on the firmware in QEMU: all groups that change no input pin, each
+//! from a fresh start, with the rules and the list of differences that also apply to the simulator
+//! (`tests/recordings`).
 //!
-//! The host that sends and waits is a script inside the machine (`boards/qemu_mps2/script.rs`), so where the machine is
-//! when a byte arrives does not depend on how busy this host is.
+//! A script inside the machine (`boards/qemu_mps2/script.rs`) plays the host, so the state of the machine when a byte
+//! arrives does not depend on the load of this computer.
 
 #[path = "../../tests/recordings/differences.rs"]
 mod differences;
@@ -19,16 +20,16 @@ use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
-/// How long the recording host listened for an answer before it took silence for one, in ms.
+/// Time without output after which the recording host assumed that there was no answer, ms.
 const SILENCE: u32 = 300;
-/// How long after an answer what follows still belongs to it, in ms.
+/// Time after an answer during which further output still belongs to it, ms.
 const LOOK: u32 = 20;
-/// Between two `?` while waiting for Idle, in ms.
+/// Interval between two `?` while waiting for Idle, ms.
 const POLL: u32 = 100;
-/// Longest run of a group.
+/// Maximum duration of a group.
 const LIMIT: Duration = Duration::from_secs(600);
 
-/// All groups without pins, or those of them that are named.
+/// Runs all groups without pins, or the named ones of them.
 pub fn replay_all(only: &[&str]) -> Result<(), Failure> {
     let folder = root().join("tests/transcripts");
     let mut files: Vec<_> = fs::read_dir(&folder)
@@ -48,7 +49,7 @@ pub fn replay_all(only: &[&str]) -> Result<(), Failure> {
         let text = fs::read_to_string(&file).map_err(|error| format!("{}: {error}", file.display()))?;
         let records = read(&text);
         let wanted = only.is_empty() || only.iter().any(|name| group.starts_with(name));
-        // Group 27 has switches at known places.
+        // Group 27 needs switches at known positions.
         if !wanted || records.iter().any(|record| record.kind == "pin") || group.starts_with("27") {
             left_out.push(group);
             continue;
@@ -65,10 +66,10 @@ pub fn replay_all(only: &[&str]) -> Result<(), Failure> {
     if tally.other.is_empty() { Ok(()) } else { Err(tally.other.join("\n")) }
 }
 
-/// Holds a group with a machine that was just switched on.
+/// Runs a group on a machine that has just been powered up.
 fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Result<(), Failure> {
     let mut script = Script::default();
-    // What comes before the first record: the greeting, the dialect, and a reset, whose greeting belongs to the recording.
+    // Before the first record: the greeting, the dialect, and a reset, whose greeting belongs to the recording.
     script.wait(SILENCE);
     script.send(b"$900=0\n");
     script.answers(1);
@@ -77,7 +78,7 @@ fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Res
     script.send(&[0x18]);
     script.wait(SILENCE);
     for record in records {
-        // Where a listed difference is silence there is no answer to wait for.
+        // Where a listed difference is that nothing is answered, do not wait for an answer.
         let listed = differences::DIFFERENCES.iter().find(|d| d.group == group && d.n == record.n);
         let silent = listed.is_some_and(|d| d.answers.is_some_and(|answers| answers.is_empty()));
         hold(&mut script, record, silent)?;
@@ -95,14 +96,14 @@ fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Res
     }
     for (record, ends) in records.iter().zip(marks.windows(2)) {
         let said = said.get(ends[0]..ends[1]).ok_or_else(|| format!("{group} {}: nothing was said", record.n))?;
-        // Of the reports of a wait the last one counts.
+        // Of several reports while waiting, the last one counts.
         let from = if record.kind == "idle" { said.rfind('<').unwrap_or(0) } else { 0 };
         tally.judge(group, record, &said[from..]);
     }
     Ok(())
 }
 
-/// What the recording host did.
+/// Adds the actions of the recording host to the script.
 fn hold(script: &mut Script, record: &Record, silent: bool) -> Result<(), Failure> {
     match record.kind.as_str() {
         "boot" => {}

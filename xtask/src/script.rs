@@ -1,4 +1,4 @@
-//! What a host inside a machine does, as its codes: `boards/qemu_mps2/script.rs` follows them in QEMU, and
+//! Script of a host inside a machine, as byte codes: `boards/qemu_mps2/script.rs` executes them in QEMU, and
 //! `tests/virtual_board/soak.py` beside a virtual board.
 
 /// A script.
@@ -11,7 +11,7 @@ impl Script {
         self.0.extend(number.to_le_bytes());
     }
 
-    /// All of it.
+    /// Returns all codes.
     pub fn codes(&self) -> &[u8] {
         &self.0
     }
@@ -23,37 +23,37 @@ impl Script {
         self.0.extend(bytes);
     }
 
-    /// Waits for so many answers since the last record.
+    /// Waits until this many answers have arrived since the last record.
     pub fn answers(&mut self, count: u32) {
         self.code(b'A', count);
     }
 
-    /// Waits.
+    /// Waits for a time in ms.
     pub fn wait(&mut self, ms: u32) {
         self.code(b'W', ms);
     }
 
-    /// Asks with such pauses until the machine is idle.
+    /// Polls at this interval in ms until the machine is idle.
     pub fn wait_for_idle(&mut self, pause_ms: u32) {
         self.code(b'I', pause_ms);
     }
 
-    /// A record ends.
+    /// Ends a record.
     pub fn end_record(&mut self) {
         self.0.push(b'R');
     }
 
-    /// A record ends, and the test stand says all that it knows.
+    /// Ends a record, with a full report of the test stand.
     pub fn note(&mut self) {
         self.0.push(b'N');
     }
 
-    /// The script ends here if the machine has run for so long.
+    /// Ends the script here if the machine has run for this many ms.
     pub fn end_after(&mut self, ms: u32) {
         self.code(b'E', ms);
     }
 
-    /// The host closes its port, is away for so long, and opens it again. Only where there is one to be closed.
+    /// Closes the host's port for a time in ms and reopens it. Only for boards whose port can be closed.
     pub fn reopen(&mut self, away_ms: u32) {
         self.code(b'H', away_ms);
     }

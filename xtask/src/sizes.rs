@@ -1,15 +1,15 @@
-//! What each board's image is known to need of flash and RAM, in `boards/sizes.txt`: growth is to be noticed when it
-//! happens and not when the flash is full.
+//! Expected flash and RAM sizes of each board's image, in `boards/sizes.txt`: growth shall be noticed when it happens,
+//! not when the flash is full.
 
 use crate::{Failure, root};
 use std::fs;
 
-/// How much more than expected is let pass, in percent.
+/// Tolerated growth, percent.
 const TOLERANCE: u64 = 2;
-/// Environment variable: `check` refuses images that have grown, `accept` writes the sizes down.
+/// Environment variable: `check` rejects images that have grown, `accept` records the new sizes.
 const MODE: &str = "OXMILL_SIZES";
 
-/// Compares the bytes of flash and RAM that a board's image needs with what is expected; gives a remark for people.
+/// Compares the flash and RAM bytes of a board's image with the expected ones; returns a message for the user.
 pub fn judge(board: &str, flash: u32, ram: u32) -> Result<Option<String>, Failure> {
     let path = root().join("boards/sizes.txt");
     let text = fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
@@ -25,13 +25,13 @@ pub fn judge(board: &str, flash: u32, ram: u32) -> Result<Option<String>, Failur
     }
 }
 
-/// The expected flash and RAM of a board.
+/// Returns the expected flash and RAM of a board.
 fn expected(text: &str, board: &str) -> Option<(u32, u32)> {
     let mut words = text.lines().find(|line| line.split_whitespace().next() == Some(board))?.split_whitespace().skip(1);
     Some((words.next()?.parse().ok()?, words.next()?.parse().ok()?))
 }
 
-/// What has grown too much.
+/// Returns a message if flash or RAM have grown too much.
 fn compare(text: &str, board: &str, flash: u32, ram: u32) -> Option<String> {
     let accept = format!("if that is right: {MODE}=accept cargo fw {board}");
     let Some((flash_before, ram_before)) = expected(text, board) else {
@@ -46,7 +46,7 @@ fn compare(text: &str, board: &str, flash: u32, ram: u32) -> Option<String> {
     (!grown.is_empty()).then(|| format!("{board}: {}, by more than {TOLERANCE} %; {accept}", grown.join(", ")))
 }
 
-/// The file with a board's sizes in it.
+/// Returns the text of the file with the new sizes of a board.
 fn accepted(text: &str, board: &str, flash: u32, ram: u32) -> String {
     let row = format!("{board:<16} {flash:>7} {ram:>6}");
     let mut rows: Vec<String> = text.lines().map(str::to_owned).collect();

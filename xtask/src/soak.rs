@@ -1,9 +1,9 @@
-//! Long runs of the firmware: a job of any length with holds, doors, overrides, reports, stops, resets and hosts that close
-//! their port, on QEMU or on a virtual board. `tests/soak.rs` is the same on the simulator.
+//! Long runs of the firmware: a job of any length with holds, doors, overrides, reports, stops, resets and hosts that
+//! close their port, on QEMU or on a virtual board. `tests/soak.rs` does the same with the simulator.
 //!
-//! At each rest every line has been answered once, the motors have made the steps that the program asked for and no other,
-//! and the reported position is theirs. How deep the stack has been is told at the start, in the middle and at the end: the
-//! firmware allocates nothing else.
+//! At each rest every line must have been answered once, the motors must have made exactly the steps of the program,
+//! and the reported position must match them. The maximum stack use is printed at the start, in the middle and at the
+//! end; the firmware allocates no other memory.
 
 use crate::qemu::{self, Preload};
 use crate::script::Script;
@@ -14,20 +14,20 @@ use std::collections::VecDeque;
 use std::fs;
 use std::time::{Duration, Instant};
 
-/// Lines that may be unanswered while the next is sent: shorter than the receive queue together.
+/// Maximum number of unanswered lines when the next one is sent: together they fit into the receive queue.
 const ON_THEIR_WAY: usize = 4;
-/// More lines than a machine carries out in a second.
+/// Number of lines per second; higher than a machine can carry out.
 const LINES_PER_SECOND: u64 = 25;
-/// Wall time for a second of machine time in QEMU, at most, s.
+/// Maximum wall time per second of machine time in QEMU, s.
 const SLOWEST: u64 = 10;
 
-/// What has been sent in a record beside lines, and what holds at its end.
+/// Events of a record other than lines, and its expected end.
 struct Record {
     sent: Sent,
     end: End,
 }
 
-/// Of what is no line.
+/// Numbers of events other than lines.
 #[derive(Clone, Copy, Default)]
 struct Sent {
     holds: u64,
@@ -36,18 +36,18 @@ struct Sent {
 }
 
 enum End {
-    /// So many lines have been answered, and the motors are so many steps from where they were when the program began anew.
+    /// Number of lines answered, and net steps of the motors since the program was last restarted.
     Rest { lines: u64, place: [i64; AXES] },
-    /// Motion was ended: the program begins anew from here.
+    /// Motion was interrupted: the program restarts from this position.
     Stopped,
 }
 
-/// Seconds of the longest run: a script counts milliseconds in 32 bits.
+/// Maximum duration of a run, s: a script counts milliseconds in 32 bits.
 const LONGEST: u64 = u32::MAX as u64 / 1_000;
-/// In so long all that is random happens.
+/// Duration of a run, ms, in which every random event should occur.
 const LONG_MS: u64 = 600_000;
 
-/// What happens to the job.
+/// Numbers of events of the job.
 #[derive(Default, Debug)]
 struct Counts {
     lines: u64,
@@ -60,7 +60,7 @@ struct Counts {
     hosts: u64,
 }
 
-/// A job as a script, and what holds at the end of each of its records.
+/// A job as a script, with the expected end of each record.
 struct Job {
     script: Script,
     random: Random,
@@ -86,7 +86,7 @@ impl Job {
         job.note(End::Stopped);
         let mut lines = 0;
         while lines < LINES_PER_SECOND * seconds {
-            // A virtual board is slow: it rests more often.
+            // A virtual board is slow, so it rests more often.
             for _ in 0..1 + job.random.below(if has_port { 12 } else { 60 }) {
                 job.program.lines(&mut job.random, &mut job.waiting);
             }
@@ -102,7 +102,7 @@ impl Job {
         self.records.push(Record { sent, end });
     }
 
-    /// Sends all that waits, and what happens meanwhile; the lines of it.
+    /// Sends all waiting lines, with events in between; returns the number of lines.
     fn chunk(&mut self) -> u64 {
         let mut sent = 0;
         while let Some(line) = self.waiting.pop_front() {
@@ -121,7 +121,8 @@ impl Job {
         }
         self.script.answers(sent as u32);
         if self.has_port && self.random.below(4) == 0 {
-            // The host goes while the machine may still move, which brakes then and resumes when it is told to.
+            // The host may close its port while the machine still moves; the machine then brakes, and resumes on
+            // command.
             self.script.reopen(self.random.below(100) as u32);
             self.sent.hosts += 1;
             self.resume();
@@ -132,7 +133,7 @@ impl Job {
         sent as u64
     }
 
-    /// One `~` may come while the machine still brakes.
+    /// Resumes twice, because the first `~` may arrive while the machine still brakes.
     fn resume(&mut self) {
         self.script.send(b"~");
         self.script.wait(600);
@@ -148,7 +149,7 @@ impl Job {
                 self.resume();
                 self.sent.holds += 1;
             }
-            // Jog cancel: there is no jog.
+            // Jog cancel; without a jog it has no effect.
             6 => self.script.send(&[0x85]),
             _ => {
                 let bytes = [0x90, 0x91, 0x92, 0x93, 0x94, 0x95, 0x96, 0x97, 0x99, 0x9A, 0x9B];
@@ -159,7 +160,7 @@ impl Job {
         self.script.wait(self.random.below(60) as u32);
     }
 
-    /// Ends what is under way, and goes on from where it ended.
+    /// Interrupts the motion, and continues from where it ended.
     fn interrupt(&mut self) {
         self.script.wait(self.random.below(200) as u32);
         if self.random.below(3) == 0 {
@@ -178,7 +179,7 @@ impl Job {
     }
 }
 
-/// What the test stand says at the end of a record.
+/// Report of the test stand at the end of a record.
 #[derive(Clone, Copy)]
 struct Note {
     bytes: usize,
@@ -201,7 +202,8 @@ impl Note {
     }
 }
 
-/// `cargo xtask soak qemu|BOARD [--minutes N|--seconds N] [--wall N] [--seed N]`. A virtual board ends at the first rest after `--wall` seconds.
+/// `cargo xtask soak qemu|BOARD [--minutes N|--seconds N] [--wall N] [--seed N]`. On a virtual board the run ends at
+/// the first rest after `--wall` seconds.
 pub fn run(arguments: &[&str]) -> Result<(), Failure> {
     let (board, rest) = arguments.split_first().ok_or("soak on what? `qemu`, or a board")?;
     let (mut seconds, mut seed, mut wall) = (60, 1, None);
@@ -265,7 +267,7 @@ pub fn run(arguments: &[&str]) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Compares what was said and done with what the job asked for, a record after the other.
+/// Compares the results with the expectations of the job, record by record.
 fn account(records: &[Record], notes: &[Note], said: &str) -> Result<Counts, Failure> {
     let mut counts = Counts::default();
     let (mut base, mut from) = ([0; AXES], 0);

@@ -1,4 +1,5 @@
-//! The defmt-test suites of `tests/on_target`, on QEMU or on a board, and the bench with its loop-back wires.
+//! Runs the defmt-test suites of `tests/on_target`, on QEMU or on a board, and the loop-back bench, whose pins are
+//! wired together.
 
 use crate::paths::cargo_for_boards;
 use crate::{Failure, QEMU_BOARD, boards, exists, qemu, run};
@@ -6,26 +7,27 @@ use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-/// Where a runner for the ARM target is configured.
+/// Environment variable with the runner for the ARM target.
 const RUNNER: &str = "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_RUNNER";
-/// The one for QEMU, from the workspace on: cargo splits the variable at blanks, which the path of the workspace may have.
+/// Runner for QEMU, relative to the workspace: cargo splits the variable at blanks, which the path of the workspace may
+/// contain.
 const QEMU_RUNNER: &str = ".cargo/qemu-runner.sh";
-/// The suites that need nothing but the processor, memory and flash.
+/// Suites that need only the processor, memory and flash.
 const SUITES: [&str; 4] = ["controller", "settings", "copies", "queues"];
-/// The suite that needs wires on a board: docs/bench.md.
+/// Suite that needs wires on a board: docs/bench.md.
 const LOOPBACK: &str = "loopback";
 
-/// Whether a board has room for the stack of one of them (tests/on_target/build.rs).
+/// Returns whether a board has enough RAM for the stack of a suite (tests/on_target/build.rs).
 fn has_room(board: &str, suite: &str) -> bool {
     !board.contains("f401") || suite != "controller"
 }
 
-/// Those of them that a board has room for.
+/// Returns the suites that fit on a board.
 fn suites(board: &str) -> Vec<&'static str> {
     SUITES.into_iter().filter(|suite| has_room(board, suite)).collect()
 }
 
-/// Says what a board has no room for.
+/// Prints the suites that do not fit on a board.
 fn tell_left_out(board: &str) {
     for suite in SUITES.iter().filter(|suite| !has_room(board, suite)) {
         println!("suite `{suite}` needs a stack of 88 KiB, for which {board} has no room: it is not run there");
@@ -39,7 +41,7 @@ fn cargo_test(board: &str, suites: &[&str]) -> Result<Command, Failure> {
     Ok(cargo)
 }
 
-/// All suites on QEMU.
+/// Runs all suites on QEMU.
 pub fn on_qemu() -> Result<(), Failure> {
     require_qemu_tools()?;
     run(cargo_test(QEMU_BOARD, &SUITES)?.env(RUNNER, QEMU_RUNNER))?;
@@ -47,7 +49,7 @@ pub fn on_qemu() -> Result<(), Failure> {
     Ok(())
 }
 
-/// Builds all suites of a board, so that they are known to link.
+/// Builds all suites of a board, to check that they link.
 pub fn build(board: &str) -> Result<(), Failure> {
     if board == QEMU_BOARD {
         return run(cargo_test(board, &SUITES)?.arg("--no-run"));
@@ -57,7 +59,7 @@ pub fn build(board: &str) -> Result<(), Failure> {
     run(cargo_test(board, &suites(board))?.args(["--test", LOOPBACK, "--no-run"]))
 }
 
-/// The suites on a board, without the one that needs wires.
+/// Runs the suites on a board, except the one that needs wires.
 pub fn on_board(board: &str) -> Result<(), Failure> {
     require_probe()?;
     run(cargo_test(board, &suites(board))?.env(RUNNER, runner(board)?))?;
@@ -66,7 +68,7 @@ pub fn on_board(board: &str) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The suites on a board, then what its wires bring back; prints the table of what was measured, also after a failure.
+/// Runs the suites on a board, then the loop-back suite; prints the table of measured figures, also after a failure.
 pub fn bench(board: &str) -> Result<(), Failure> {
     let runner = runner(board)?;
     require_probe()?;
@@ -92,13 +94,13 @@ pub fn bench(board: &str) -> Result<(), Failure> {
     if status.success() { Ok(()) } else { Err("the loop-back has failed, see above".into()) }
 }
 
-/// A row of the table of measured figures, without what the log puts around it.
+/// Returns a row of the table of measured figures, without the text that the log adds.
 fn row(line: &str) -> Option<&str> {
     let row = line.get(line.find('|')?..=line.rfind('|')?)?;
     (row.matches('|').count() == 6).then_some(row)
 }
 
-/// The loop-back suite of a board, built.
+/// Builds the loop-back suite of a board; returns its path.
 pub fn loopback(board: &str) -> Result<PathBuf, Failure> {
     let mut cargo = cargo_test(board, &[LOOPBACK])?;
     cargo.args(["--no-run", "--message-format=json-render-diagnostics"]).stderr(Stdio::inherit());
@@ -114,12 +116,12 @@ pub fn loopback(board: &str) -> Result<PathBuf, Failure> {
         .ok_or_else(|| format!("cargo does not say where the suite `{LOOPBACK}` of {board} is"))
 }
 
-/// The command that flashes a suite and runs it.
+/// Returns the command that flashes a suite and runs it.
 fn runner(board: &str) -> Result<String, Failure> {
     Ok(format!("probe-rs run --chip {}", chip(board)?))
 }
 
-/// What probe-rs calls the chip of a board.
+/// Returns probe-rs' name of a board's chip.
 fn chip(board: &str) -> Result<&'static str, Failure> {
     match board {
         "blackpill_f411" => Ok("STM32F411CEUx"),
@@ -144,7 +146,7 @@ fn require_probe() -> Result<(), Failure> {
     Ok(())
 }
 
-/// What the log of a program on the target needs to be read.
+/// Checks that the tool for reading the target's log is installed.
 pub fn require_defmt_print() -> Result<(), Failure> {
     if exists("defmt-print") {
         Ok(())

@@ -1,25 +1,26 @@
-//! Thumb-2 instructions as far as they matter here: how long they are, where they lead to, and how many cycles a
-//! Cortex-M4F takes for them. What they compute is left to those who execute them.
+//! Decodes Thumb-2 instructions as far as needed here: their length, their branch targets, and their cycles on a
+//! Cortex-M4F. Results of arithmetic are not computed.
 //!
-//! Cycles after the table of ARM DDI 0439 (3.3.1) at memory without wait states; what the table leaves open is chosen as
-//! follows: a taken branch costs 2 beside its own cycle, a division 7 of its 2 to 12, a load that follows another access
-//! whose result is not its address 1 instead of 2, and a floating-point result that the next instruction reads 1 more.
+//! Cycles follow the table of ARM DDI 0439 (3.3.1) for memory without wait states. Where the table leaves a range,
+//! these values are used: a taken branch costs 2 on top of its own cycle; a division 7 (of 2 to 12); a load after
+//! another access whose result is not its address costs 1 instead of 2; reading a floating-point result in the next
+//! instruction costs 1 more.
 
-/// What an instruction does to the flow of the program and to memory.
+/// Effect of an instruction on control flow and memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Integer arithmetic and everything else of one cycle.
     Plain,
     /// Loads one register.
     Load {
-        /// Register of the address.
+        /// Register that holds the address.
         base: u8,
         /// Register that is loaded.
         to: u8,
     },
-    /// Stores one register; with the address the sum of two registers.
+    /// Stores one register.
     Store {
-        /// Whether it is.
+        /// Whether the address is the sum of two registers.
         indexed: bool,
     },
     /// Loads or stores this many words.
@@ -30,26 +31,26 @@ pub enum Kind {
     Divide,
     /// Floating-point arithmetic.
     Float(Float),
-    /// To a fixed place; `always` or under a condition.
+    /// A branch to a fixed address.
     Branch {
-        /// Where to.
+        /// Target address.
         target: u32,
-        /// Not conditional by itself (it may stand in an IT block all the same).
+        /// Whether the instruction itself is unconditional (it may still be in an IT block).
         always: bool,
     },
-    /// A call of a fixed place.
+    /// A call of a fixed address.
     Call(u32),
     /// A call of an address in a register.
     CallRegister,
     /// A jump to an address in a register or in memory.
     JumpRegister,
-    /// A jump by a table that follows.
+    /// A jump by a table that follows the instruction.
     Table,
-    /// Back to the caller, after loading this many words from the stack.
+    /// A return to the caller, after loading this many words from the stack.
     Return(u32),
     /// IT: the next instructions are conditional.
     If,
-    /// Never meant to be executed.
+    /// An instruction that is not meant to be executed.
     Undefined,
 }
 
@@ -77,7 +78,7 @@ const PC: u8 = 15;
 const SP: u8 = 13;
 const LR: u8 = 14;
 
-/// The lowest bits of `value` as a signed number.
+/// Returns the lowest `bits` bits of `value` as a signed number.
 fn signed(value: u32, bits: u32) -> i32 {
     let unused = 32 - bits;
     (value << unused) as i32 >> unused
@@ -87,8 +88,8 @@ fn field(half: u32, lowest: u32, bits: u32) -> u32 {
     half >> lowest & ((1 << bits) - 1)
 }
 
-/// Bytes that an instruction takes off the stack pointer for the variables of a function: SUB (SP minus immediate), encodings
-/// T1 to T3 of the ARMv7-M Architecture Reference Manual, A7.7.176.
+/// Returns the number of bytes by which an instruction lowers the stack pointer for a function's variables: SUB (SP
+/// minus immediate), encodings T1 to T3 of the ARMv7-M Architecture Reference Manual, A7.7.176.
 pub fn frame(first: u16, second: u16) -> Option<u32> {
     let (one, two) = (u32::from(first), u32::from(second));
     let imm12 = field(one, 10, 1) << 11 | field(two, 12, 3) << 8 | field(two, 0, 8);
@@ -101,7 +102,7 @@ pub fn frame(first: u16, second: u16) -> Option<u32> {
     }
 }
 
-/// Decodes the instruction at `address` from its first half word and the one behind it.
+/// Decodes the instruction at `address` from its first half word and the next one.
 pub fn decode(address: u32, first: u16, second: u16) -> Instruction {
     let (a, b) = (u32::from(first), u32::from(second));
     if a >> 11 < 0b11101 {
@@ -172,7 +173,7 @@ fn wide(address: u32, a: u32, b: u32) -> Kind {
         return match (rt, a & 0x60 == 0x40, rn) {
             (PC, true, SP) if b & 0xFFF == 0xB04 => Kind::Return(1),
             (PC, true, _) => Kind::JumpRegister,
-            // Hints to load memory ahead.
+            // Prefetch hints.
             (PC, false, _) => Kind::Plain,
             _ => Kind::Load { base: rn, to: rt },
         };
@@ -219,7 +220,7 @@ fn coprocessor(a: u32, b: u32) -> Kind {
     if a & 0xFE00 == 0xEC00 {
         let words = if double { 2 } else { 1 };
         return match (a & 0x1A0, load) {
-            // Two registers at once between the core and the unit.
+            // Transfers of two registers between core and floating-point unit.
             (0x000 | 0x040, _) if a & 0x1E0 == 0x040 => Kind::Plain,
             (0x100 | 0x180, true) if words == 1 => Kind::Load { base: field(a, 0, 4) as u8, to: u8::MAX },
             (0x100 | 0x180, false) if words == 1 => Kind::Store { indexed: false },
@@ -228,7 +229,7 @@ fn coprocessor(a: u32, b: u32) -> Kind {
         };
     }
     if b & 0x10 != 0 {
-        // Moves between core and unit; of the status register nobody waits.
+        // Transfers between core and floating-point unit; transfers of the status register cause no delay.
         let moved = if a & 0xFFE0 == 0xEE00 { n } else { None };
         let (reads, writes) = if load { (moved, None) } else { (None, moved) };
         return Kind::Float(Float { cycles: 1, reads: [reads, None], writes });
@@ -245,7 +246,7 @@ fn coprocessor(a: u32, b: u32) -> Kind {
     Kind::Float(Float { cycles, reads, writes })
 }
 
-/// Counts instructions and cycles along a way through a program.
+/// Counts instructions and cycles along an execution path.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Meter {
     before: Option<Kind>,
@@ -256,7 +257,7 @@ pub struct Meter {
 }
 
 impl Meter {
-    /// Adds an instruction; `taken`: the next one is not the one behind it.
+    /// Adds an instruction; `taken`: a branch was taken, so the next instruction is not the following one in memory.
     pub fn add(&mut self, kind: Kind, taken: bool) {
         let mut cycles = match kind {
             Kind::Load { base, .. } => match self.before {
@@ -294,7 +295,7 @@ mod tests {
         decode(0x1000, first, second).kind
     }
 
-    /// Encodings as an assembler makes them.
+    /// Encodings as produced by an assembler.
     #[test]
     fn branches_lead_where_the_assembler_says() {
         let branch = |target, always| Kind::Branch { target, always };

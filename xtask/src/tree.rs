@@ -1,10 +1,10 @@
-//! Copies of the tree, for builds in which something differs.
+//! Copies of the source tree, for builds with modified files.
 
 use crate::Failure;
 use std::fs;
 use std::path::Path;
 
-/// Brings a copy into line, and touches only what differs: the rest need not be built again.
+/// Updates a copy, touching only files that differ, so that the rest is not rebuilt.
 pub fn copy(from: &Path, to: &Path) -> Result<(), Failure> {
     let failure = |error: std::io::Error| format!("{}: {error}", from.display());
     if from.is_dir() {

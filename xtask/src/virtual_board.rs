@@ -1,5 +1,5 @@
-//! Runs the unmodified STM32 images on the virtual board of `tests/virtual_board`, a Python program in an environment of its
-//! own under `target/tools`.
+//! Runs the unmodified STM32 images on the virtual board of `tests/virtual_board`, a Python program in its own virtual
+//! environment under `target/tools`.
 
 use crate::python::{environment, module};
 use crate::{Failure, cargo, image, root, run, suites};
@@ -9,7 +9,8 @@ use std::process::{Command, Stdio};
 use std::sync::Mutex;
 use std::thread;
 
-/// Boards whose parts are modelled, and the cases that are tried on them; none named: all, but for those behind a `-`.
+/// Boards whose chips are modelled, each with its test cases. An empty list means all cases; a case with `-` is
+/// excluded.
 const BOARDS: [(&str, &[&str]); 5] = [
     ("blackpill_f411", &[]),
     ("nucleo_f446re", LONGEST),
@@ -18,11 +19,12 @@ const BOARDS: [(&str, &[&str]); 5] = [
     ("nucleo_f401re", SIBLING),
 ];
 
-/// Cases that take longest are left out where the part has the same chain of timers as that of another board: `.ci/nightly` has them.
+/// The cases that take longest, excluded where another board with the same chain of timers runs them: `.ci/nightly`
+/// runs them.
 const LONGEST: &[&str] = &["-bursts of overrides", "-late starts", "-lines at stops", "-tight pulses"];
 
-/// What may differ between boards whose parts and pins have been tried already on others: clocks, rates, memory. A board that is
-/// named has all cases.
+/// Cases for a board whose chip and pins have been tested on other boards: they cover what may still differ, namely
+/// clocks, rates and memory. A board named on the command line runs all cases.
 const SIBLING: &[&str] = &[
     "boot",
     "tasks",
@@ -40,11 +42,11 @@ const SIBLING: &[&str] = &[
     "lost clock",
 ];
 
-/// Boards of these that are tried with the wires of the loop-back suite: one of each part.
+/// Boards that also run the loop-back suite with its wires: one per chip.
 const LOOPBACK: [&str; 3] = ["blackpill_f411", "nucleo_f446re", "blackpill_f401"];
 
-/// Second readings of facts that the manuals leave open (`tests/virtual_board/models/readings.py`), each with a board and cases that depend on the
-/// fact. `.ci/nightly` has all cases of two boards under each.
+/// Alternative readings of facts that the manuals leave open (`tests/virtual_board/models/readings.py`), each with a
+/// board and the cases that depend on the fact. `.ci/nightly` runs all cases of two boards under each reading.
 const READINGS: [(&str, &str, &[&str]); 5] = [
     ("counted-at-fetch", "blackpill_f411", &["hold", "turns"]),
     ("compare-on-count", "nucleo_f446re", &["probe"]),
@@ -53,7 +55,8 @@ const READINGS: [(&str, &str, &[&str]); 5] = [
     ("flags-by-dma", "nucleo_f446re", &["disturbed line"]),
 ];
 
-/// The cases of one board, or of all of them, two at a time, some under second readings, and the loop-back suite; or the cases named.
+/// Runs the cases of one board or of all boards, two at a time, some cases under alternative readings, and the
+/// loop-back suite; or only the named cases.
 pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
     let boards: Vec<(&str, &[&str])> =
         BOARDS.into_iter().filter(|(name, _)| board.is_none_or(|board| board == *name)).collect();
@@ -89,8 +92,8 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
     if failed.is_empty() { Ok(()) } else { Err(format!("the virtual board failed:\n{}", failed.join("\n"))) }
 }
 
-/// Plays a script beside one board, to the first rest after so many seconds if they are given: what it said, and the notes of
-/// its test stand.
+/// Runs a script on one board, with `wall` up to the first rest after this many seconds. Returns the board's output and
+/// the notes of its test stand.
 pub fn soak(board: &str, elf: &Path, script: &Path, wall: Option<u64>) -> Result<(String, String), Failure> {
     if !BOARDS.iter().any(|(name, _)| *name == board) {
         return Err(format!("there is no such virtual board: {board}"));
@@ -106,8 +109,8 @@ pub fn soak(board: &str, elf: &Path, script: &Path, wall: Option<u64>) -> Result
     Ok((read(&answers)?, read(&report)?))
 }
 
-/// Runs the commands, a new one as soon as one of two has ended, and prints what each says at its end. Those that failed, and
-/// what in them: it is said once more behind all the reports, where the end of a long log shows it.
+/// Runs the commands, two at a time, and prints the output of each when it ends. Returns the commands that failed with
+/// their failures, which are printed again at the end of the log.
 fn two_at_a_time(runs: Vec<(&str, Command)>) -> Vec<String> {
     let waiting = Mutex::new(runs.into_iter());
     let failed = Mutex::new(Vec::new());
@@ -139,7 +142,8 @@ fn two_at_a_time(runs: Vec<(&str, Command)>) -> Vec<String> {
     failed.into_inner().expect("no worker panics with the lock")
 }
 
-/// The cases that a report says failed, each with the line behind it, which says why; and the last line of an exception.
+/// Returns the failed cases of a report, each with the following line, which has the reason; and the last line of an
+/// exception.
 fn failures(report: &str, errors: &str) -> String {
     let mut lines = report.lines();
     let mut found = Vec::new();

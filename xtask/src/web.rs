@@ -1,4 +1,4 @@
-//! The page: the module is built, the page is made around it, and both are tried in a browser.
+//! Builds the WebAssembly module and the web page that contains it, and tests both in a browser.
 
 use crate::paths::cargo_without_paths;
 use crate::{Failure, cargo, exists, root, run};
@@ -6,10 +6,10 @@ use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
 
-/// npm as it is started: on Windows it is a script.
+/// Name of the npm program: a script on Windows.
 const NPM: &str = if cfg!(windows) { "npm.cmd" } else { "npm" };
 
-/// The target of the module.
+/// Rust target of the module.
 pub const MODULE: &str = "wasm32-unknown-unknown";
 
 /// Builds the module and the page into `target/web`.
@@ -22,8 +22,7 @@ pub fn build() -> Result<(), Failure> {
     Ok(())
 }
 
-/// Tries the page in a browser, with the program of this host beside it; `names` are the tests to run, all if there are
-/// none.
+/// Tests the page in a browser, together with the program of this host. `names` are the tests to run; all if empty.
 pub fn test(names: &[&str]) -> Result<(), Failure> {
     build()?;
     run(cargo().args(["build", "--quiet", "--locked", "--release", "--package", "oxmill"]))?;
@@ -58,7 +57,7 @@ fn module() -> Result<(), Failure> {
     Ok(())
 }
 
-/// Installs the tools of the page as the lock file names them, unless they are there.
+/// Installs the page's tools in the versions of the lock file, unless they are installed.
 fn tools() -> Result<(), Failure> {
     if !exists(NPM) {
         return Err("Node.js with npm is missing: the page is written in TypeScript".into());
@@ -71,7 +70,7 @@ fn tools() -> Result<(), Failure> {
     run(in_page(NPM).args(["ci", "--silent", "--ignore-scripts"]))
 }
 
-/// The folder of the page.
+/// Returns the folder of the page.
 pub fn page() -> PathBuf {
     root().join("src/web/page")
 }
@@ -91,7 +90,7 @@ mod tests {
         serde_json::from_str(&fs::read_to_string(page().join(name)).unwrap()).unwrap()
     }
 
-    /// The newest version that a range such as `>=18` or `6.* || >= 10.*` begins with.
+    /// Returns the newest version that a range such as `>=18` or `6.* || >= 10.*` starts with.
     fn newest_of(range: &str) -> u32 {
         let last = range.rsplit("||").next().unwrap_or_default();
         let last = last.trim_start_matches(|c: char| !c.is_ascii_digit());

@@ -1,6 +1,6 @@
-//! Runs the firmware on labwired, an emulator whose authors have never seen it (`tests/witness`), and says belief by belief what was
-//! witnessed. The image differs from the one that is shipped in its target: labwired has neither the DSP instructions nor all of the
-//! floating-point ones of a Cortex-M4F, so it is built for a Cortex-M3.
+//! Runs the firmware on labwired, an independent emulator (`tests/witness`), and prints for each belief whether it was
+//! confirmed. The image is the shipped one built for a Cortex-M3, because labwired lacks the DSP instructions and some
+//! of the floating-point instructions of a Cortex-M4F.
 
 use crate::paths::cargo_for;
 use crate::python::{environment, module};
@@ -10,10 +10,10 @@ use std::path::PathBuf;
 use std::process::Command;
 
 const TARGET: &str = "thumbv7m-none-eabi";
-/// A Nucleo, whose host is at `USART2`, and a Black Pill, whose host is at `USART1` here.
+/// A Nucleo, whose host is on `USART2`, and a Black Pill, whose host is on `USART1` here.
 const BOARDS: [&str; 2] = ["nucleo_f411re", "blackpill_f411"];
 
-/// Every belief on both boards; or the faults, each of which has to be seen.
+/// Checks every belief on both boards; or, by option, the faults, each of which must be detected.
 pub fn witness(options: &[&str]) -> Result<(), Failure> {
     require_target()?;
     let python = environment("witness", "witness")?;
@@ -28,12 +28,12 @@ pub fn witness(options: &[&str]) -> Result<(), Failure> {
     if failed.is_empty() { Ok(()) } else { Err(format!("see above:\n{}", failed.join("\n"))) }
 }
 
-/// The firmware for a processor without those instructions.
+/// Builds the firmware for a Cortex-M3; returns the path of the ELF file.
 fn build(board: &str) -> Result<PathBuf, Failure> {
     let profile = boards::FAST;
     run(cargo_for("build", profile, TARGET)?.args(["--locked", "--package", "oxmill-firmware", "--features", board]))?;
     let built = root().join("target").join(TARGET).join(profile).join("oxmill-firmware");
-    // Every board links to the same name.
+    // Every board links to the same file name.
     let folder = root().join("target/witness");
     let path = folder.join(format!("{board}.elf"));
     let copy = fs::create_dir_all(&folder).and_then(|()| fs::copy(&built, &path));
@@ -41,7 +41,7 @@ fn build(board: &str) -> Result<PathBuf, Failure> {
     Ok(path)
 }
 
-/// Sees to the standard library of the target.
+/// Checks that the target's standard library is installed.
 fn require_target() -> Result<(), Failure> {
     let asked =
         Command::new("rustc").current_dir(root()).args(["--print", "target-libdir", "--target", TARGET]).output();

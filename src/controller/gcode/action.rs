@@ -1,6 +1,6 @@
-//! [`Action`] is the result of checking a line: what to do, as plain data. The controller carries it out (spindle,
-//! coolant, tool, dwell, outputs, and the [`MotionCommand`] in machine coordinates), and the interpreter takes the new
-//! modal state over when the line is committed. Checking has no other effect.
+//! [`Action`] is the result of checking a line: its effects, as plain data. The controller executes them (spindle,
+//! coolant, tool, dwell, outputs, and the [`MotionCommand`] in machine coordinates), and the interpreter adopts the new
+//! modal state when the line is committed. Checking has no other effect.
 
 use super::REASONS;
 use super::control_points::Addition;
@@ -16,36 +16,37 @@ use crate::image::FULL_IMAGE;
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::{Coordinate, Decimal, Duration};
 
-/// What a line asks for, in the order in which it is carried out. The last of it is the state afterwards, which
-/// `Interpreter::commit` takes over.
+/// Effects of a line, in the order of execution. The private fields are the state afterwards, which
+/// `Interpreter::commit` applies.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Action<const N: usize> {
-    /// N; 0 if there is none.
+    /// The line number (N); 0 if there is none.
     pub line_number: u32,
     /// The spindle's new state, if it changes before the motion. (At the program's end it stops: see [`Flow::End`].)
     pub spindle: Option<SpindleDirection>,
-    /// Whether S differs from what was in force.
+    /// Whether S differs from the speed that was in force.
     pub speed_changed: bool,
-    /// S in revolutions per minute, in force from here on.
+    /// S in revolutions per minute, in force from this line on.
     pub speed: f32,
     /// The coolant's new state, if it changes before the motion.
     pub coolant: Option<Coolant>,
-    /// M6 asks for another tool than the spindle holds.
+    /// M6 selects a tool other than the one in the spindle.
     pub tool_change: bool,
-    /// How long to wait before the motion.
+    /// Duration of a dwell before the motion.
     pub dwell: Option<Duration>,
-    /// Machine and work positions relate otherwise afterwards, or another coordinate system is active.
+    /// The offset between machine and work positions changes, or another coordinate system becomes active.
     pub work_offset_changed: bool,
-    /// The line goes to a place of the machine or keeps one (G53, G28, G30, G28.1, G30.1), so it needs a machine position
-    /// that is true.
+    /// The line goes to a machine position or stores one (G53, G28, G30, G28.1, G30.1), so it needs a valid machine
+    /// position.
     pub uses_machine_place: bool,
-    /// The stored place that gets a new value at the commit, or the tool that loses its own.
+    /// The stored position that gets a new value at the commit, or the tool that is removed from the table.
     pub store: Option<StoredOffset>,
     /// The motion.
     pub motion: MotionCommand<N>,
-    /// The last digit of its words, mm: 0.01 mm or 0.001 inch at most, for trailing zeros are often left out.
+    /// Value of the last digit of the axis words, in mm, and at most 0.01 mm or 0.001 inch, because programs often omit
+    /// trailing zeros; 0 if the words are exact.
     pub digit: f32,
-    /// What follows the motion.
+    /// What the program does after the motion.
     pub flow: Flow,
     pub(super) modal: Modal,
     pub(super) g92: PerAxis<Coordinate, N>,
@@ -54,45 +55,45 @@ pub struct Action<const N: usize> {
     pub(super) stored: Option<PerAxis<Coordinate, N>>,
     pub(super) position: PerAxis<Coordinate, N>,
     pub(super) rotated: RotationChange,
-    /// Of a line that is refused for them: its words that nothing uses.
+    /// If the line was refused for unused words: their letters.
     pub(super) unused: [Letters; REASONS as usize],
 }
 
-/// What a line leaves behind that Grbl does not know.
+/// Effects of a line that Grbl does not have.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Afterwards {
     pub(super) spindle_tool: u32,
     /// The line has M3, M4 or M5.
     pub(super) spindle_word: bool,
-    /// M6 is without axis words and tool offsets.
+    /// M6 is on a line without axis words, tool length words, G28.1 and G30.1.
     pub(super) tool_alone: bool,
     /// See [`Action::moves_only`].
     pub(super) moves_only: bool,
-    /// What G92.3 brings back is the G92 of this line.
+    /// The G92 of this line is the one that G92.3 restores.
     pub(super) keeps_g92: bool,
     pub(super) g92_acts: bool,
     pub(super) keeping: Keeping,
-    /// Outputs and inputs of the program.
+    /// Outputs and inputs that the line uses.
     pub(super) pins: Option<ProgramPins>,
     pub(super) notice: Option<Notice>,
 }
 
-/// What a program is told once about a word of it.
+/// Message about a word of a program, sent once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Notice {
     /// G43 of a tool while the table has no entry.
     NoTools,
-    /// G187, G8 P, G5.1 Q, G5 P.
+    /// G187, G8 P, G5.1 Q or G5 P, which have no effect.
     LookAhead,
-    /// M29.
+    /// M29, which has no effect.
     RigidTapping,
-    /// A remark has parentheses in it.
+    /// A comment contains parentheses.
     NestedRemark,
 }
 
 impl Notice {
-    /// Its text, for people.
+    /// The text of the message, for people.
     pub const fn text(self) -> &'static str {
         match self {
             Notice::NoTools => "No tool is in the table: G43 has length 0. G10 L1 P5 Z0 enters tool 5",
@@ -104,8 +105,8 @@ impl Notice {
 }
 
 impl<const N: usize> Action<N> {
-    /// Whether the line is a motion, a change of how motions are meant, or nothing: neither outputs nor offsets nor records change by
-    /// it, and nothing waits for it. Nearly all lines are like that.
+    /// Whether the line is only a motion, a change of modes that affect motions, or nothing: it changes no outputs,
+    /// offsets or stored records, and does not wait. Nearly all lines are like this.
     #[inline]
     pub fn moves_only(&self) -> bool {
         self.after.moves_only
@@ -116,7 +117,7 @@ impl<const N: usize> Action<N> {
         &self.modal
     }
 
-    /// Whether something other than a motion follows from the line: outputs, or a record to be stored.
+    /// Whether the line changes outputs or stores a record.
     pub fn changes_outputs(&self) -> bool {
         self.spindle.is_some()
             || self.coolant.is_some()
@@ -125,7 +126,8 @@ impl<const N: usize> Action<N> {
             || self.pins().is_some()
     }
 
-    /// The spindle has been stopped for another tool: it turns again only if the line says so.
+    /// Adapts the action to a spindle that was stopped for a tool change: the spindle restarts only if the line has M3
+    /// or M4.
     pub fn spindle_stopped_for_tool(&mut self) {
         if !self.after.spindle_word {
             self.modal.spindle = SpindleDirection::Off;
@@ -143,8 +145,9 @@ impl<const N: usize> Action<N> {
         self.after.tool_alone
     }
 
-    /// The tool has been changed and measured, with spindle and coolant off: they come back as the line or those before it have
-    /// them, and then the tool goes to `target`, by a rapid to `via`.
+    /// Adapts the action after the tool has been changed and measured with spindle and coolant off: they are switched
+    /// on again if the modal state has them on, and the tool moves to `target` by a rapid to `via`. `length` is the
+    /// tool length offset afterwards.
     pub fn return_with_tool(
         &mut self,
         [via, target]: [PerAxis<Coordinate, N>; 2],
@@ -159,7 +162,7 @@ impl<const N: usize> Action<N> {
         self.tool_length = length;
     }
 
-    /// The tool that is taken out of the table.
+    /// Returns the tool that is removed from the table.
     pub fn removes_tool(&self) -> Option<u32> {
         match (self.store, &self.stored) {
             (Some(StoredOffset::Tool(number)), None) => Some(number),
@@ -167,18 +170,18 @@ impl<const N: usize> Action<N> {
         }
     }
 
-    /// What it does with the outputs and inputs of programs (M62 to M68).
+    /// Returns what the line does with the outputs and inputs of programs (M62 to M68).
     #[inline]
     pub fn pins(&self) -> Option<ProgramPins> {
         if FULL_IMAGE { self.after.pins } else { None }
     }
 
-    /// What is to be told about the line.
+    /// Returns the message to send about the line.
     pub fn notice(&self) -> Option<Notice> {
         self.after.notice
     }
 
-    /// Whether the machine may have something against the line that programs cannot know.
+    /// Whether the line may be refused for reasons that only the machine knows: it changes the tool, or uses pins.
     #[inline]
     pub fn needs_machine(&self) -> bool {
         self.tool_change || self.pins().is_some()
@@ -189,7 +192,7 @@ impl<const N: usize> Action<N> {
         self.after.spindle_tool
     }
 
-    /// S of the motion, in revolutions per minute; 0 while the spindle is off.
+    /// The spindle speed during the motion, in revolutions per minute; 0 while the spindle is off.
     pub fn turning_speed(&self) -> f32 {
         if self.modal.spindle == SpindleDirection::Off { 0.0 } else { self.speed }
     }
@@ -199,7 +202,7 @@ impl<const N: usize> Action<N> {
         &self.position
     }
 
-    /// A straight move that ends elsewhere: a jog cut short at the end of the travel.
+    /// Lets a straight move end at `place` instead: for a jog that is shortened to the end of the travel.
     pub fn redirect(&mut self, place: PerAxis<Coordinate, N>) {
         if let MotionCommand::Line { target, .. } = &mut self.motion {
             *target = place;
@@ -207,7 +210,7 @@ impl<const N: usize> Action<N> {
         }
     }
 
-    /// What asks for nothing and knows no state.
+    /// An action without effects, which holds no state of an interpreter.
     pub const NOTHING: Self = Self {
         line_number: 0,
         spindle: None,
@@ -242,7 +245,8 @@ impl<const N: usize> Action<N> {
         unused: [Letters::of(b""); REASONS as usize],
     };
 
-    /// Becomes what leaves everything as it is. In its place: a new one would be copied there with room for an arc.
+    /// Resets this action to one that changes nothing of `state`. Done in place, because a new action would be copied
+    /// there with room for an arc.
     pub(super) fn begin(&mut self, state: &Interpreter<N>) {
         self.line_number = 0;
         self.uses_machine_place = false;
@@ -254,7 +258,7 @@ impl<const N: usize> Action<N> {
         self.only_moves(state);
     }
 
-    /// Of the state nothing but the position is changed.
+    /// Discards all changes of the state except that of the position.
     pub(super) fn only_moves(&mut self, state: &Interpreter<N>) {
         self.spindle = None;
         self.speed_changed = false;
@@ -281,7 +285,7 @@ impl<const N: usize> Action<N> {
     }
 }
 
-/// What a line does with the outputs and inputs of programs.
+/// Use of a program's outputs and inputs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ProgramPins {
     /// M62 to M65.
@@ -319,29 +323,30 @@ pub enum ProgramPins {
 }
 
 impl ProgramPins {
-    /// Whether they wait for the motion before them: M64 and M65 switch where the program has come to, M66 looks there.
+    /// Whether these wait until the motion before them has ended. M64 and M65 switch at the position that the program
+    /// has reached, and M66 reads the input there.
     pub fn act_at_rest(self) -> bool {
         matches!(self, ProgramPins::Wait { .. } | ProgramPins::Digital { with_motion: false, .. })
     }
 }
 
-/// What M66 waits for, by its L.
+/// Condition that M66 waits for, selected by L.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InputWait {
     /// L0: nothing.
     Nothing,
     /// L1: the input becomes active.
     Rise,
-    /// L2: it ceases to be.
+    /// L2: the input becomes inactive.
     Fall,
-    /// L3: it is active.
+    /// L3: the input is active.
     High,
-    /// L4: it is not.
+    /// L4: the input is inactive.
     Low,
 }
 
 impl InputWait {
-    /// Whether an input is as it should be that was `before` when it was looked at last.
+    /// Whether the wait ends: the input was `before` at the previous look and is `now`.
     pub fn is_over(self, before: bool, now: bool) -> bool {
         match self {
             InputWait::Nothing => true,
@@ -360,7 +365,7 @@ pub enum MotionCommand<const N: usize> {
     None,
     /// A straight move.
     Line {
-        /// Where G28 and G30 pass through, with a rapid.
+        /// The point that G28 and G30 pass through, by a rapid.
         via: Option<PerAxis<Coordinate, N>>,
         /// Where it ends.
         target: PerAxis<Coordinate, N>,
@@ -373,15 +378,15 @@ pub enum MotionCommand<const N: usize> {
     Spline(SplineMove<N>),
     /// A rational B-spline in X and Y.
     Nurbs(NurbsMove<N>),
-    /// A straight move until the probe changes.
+    /// A straight move until the probe makes contact, or loses it.
     Probe {
-        /// Where it ends if the probe does not change.
+        /// The end position if the probe does not change.
         target: PerAxis<Coordinate, N>,
         /// How fast.
         feed: Feed,
-        /// Waits for the loss of contact instead of contact.
+        /// The move waits for the loss of contact instead of contact.
         away: bool,
-        /// No change is an alarm.
+        /// If the probe does not change, an alarm follows.
         alarm: bool,
     },
     /// A canned cycle.
@@ -389,7 +394,8 @@ pub enum MotionCommand<const N: usize> {
 }
 
 /// An arc from `start` to `target` round a centre. The axes outside its plane move evenly meanwhile. Start and target
-/// are as far from the centre within the tolerance of the check (0.005 mm or, below 0.5 mm, 0.1 % of the radius).
+/// are equally far from the centre, within the tolerance of the check: 0.005 mm, or 0.1 % of the radius up to 0.5 mm,
+/// or the rounding of the words (see `arc`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArcMove<const N: usize> {
     /// Where it begins.
@@ -398,19 +404,19 @@ pub struct ArcMove<const N: usize> {
     pub target: PerAxis<Coordinate, N>,
     /// The plane.
     pub axes: PlaneAxes,
-    /// The centre along the first axis of the plane, from the start.
+    /// Distance from the start to the centre, along the first axis of the plane.
     pub i: Coordinate,
-    /// The centre along the second axis of the plane, from the start.
+    /// Distance from the start to the centre, along the second axis of the plane.
     pub j: Coordinate,
-    /// G2 instead of G3.
+    /// Whether the arc is clockwise: G2 instead of G3.
     pub clockwise: bool,
-    /// Full turns before the arc.
+    /// Number of full turns before the arc.
     pub turns: u32,
     /// How fast.
     pub feed: Feed,
 }
 
-/// A Bezier curve of third degree in X and Y; the other axes stay where they are. All its control points are within
+/// A cubic Bezier curve in X and Y; the other axes stay at their positions. All its control points are within
 /// [`Coordinate::LIMIT`], and so is the curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SplineMove<const N: usize> {
@@ -418,16 +424,16 @@ pub struct SplineMove<const N: usize> {
     pub start: PerAxis<Coordinate, N>,
     /// Where it ends.
     pub target: PerAxis<Coordinate, N>,
-    /// In X and Y from the start to the control point that the curve heads for.
+    /// Vector in X and Y from the start to the first control point.
     pub leaving: [Coordinate; 2],
-    /// In X and Y from the target to the control point that the curve comes from.
+    /// Vector in X and Y from the target to the last control point.
     pub arriving: [Coordinate; 2],
     /// How fast.
     pub feed: Feed,
 }
 
 impl<const N: usize> SplineMove<N> {
-    /// The control points: the curve lies within the polygon that they span.
+    /// Returns the control points, including the ends. The curve lies within the polygon that they span.
     #[inline(never)]
     pub fn corners(&self) -> [PerAxis<Coordinate, N>; 4] {
         let beside = |place: &PerAxis<Coordinate, N>, way: [Coordinate; 2]| {
@@ -442,15 +448,15 @@ impl<const N: usize> SplineMove<N> {
     }
 }
 
-/// A rational B-spline in X and Y, whose control points the interpreter keeps until the next G5.2. The other axes stay where
-/// they are.
+/// A rational B-spline in X and Y; the other axes stay at their positions. The interpreter keeps the control points
+/// until the next G5.2.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NurbsMove<const N: usize> {
     /// Where it begins.
     pub start: PerAxis<Coordinate, N>,
     /// Where it ends.
     pub target: PerAxis<Coordinate, N>,
-    /// The degree and one more.
+    /// Order of the curve: its degree plus one.
     pub order: u8,
     /// How fast.
     pub feed: Feed,
@@ -461,28 +467,28 @@ pub struct NurbsMove<const N: usize> {
 pub enum Feed {
     /// As fast as the machine allows.
     Rapid,
-    /// G94: in mm/s. Of straight moves along the path of all axes, in which a degree counts as a millimetre; of arcs and
-    /// cycles along that of X, Y and Z.
+    /// G94: speed in mm/s. For straight moves, along the path of all axes, where a degree counts as a millimetre; for
+    /// arcs and cycles, along the path of X, Y and Z.
     PerMinute(f32),
-    /// G93: seconds for the whole motion.
+    /// G93: duration of the whole motion, in seconds.
     InverseTime(f32),
 }
 
-/// What follows a line's motion.
+/// What the program does after the motion of a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Flow {
-    /// The next line.
+    /// Continue with the next line.
     #[default]
     None,
     /// M0.
     Pause,
     /// M1.
     OptionalPause,
-    /// M2, M30: spindle and coolant stop, overrides go back to 100 %.
+    /// M2, M30: spindle and coolant stop, overrides return to 100 %.
     End,
 }
 
-/// What a line does with the states that M70 and M73 keep, or with the control points of G5.2.
+/// Use of the states that M70 and M73 save, or of the control points of G5.2.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Keeping {
     /// Nothing.

@@ -1,6 +1,6 @@
-//! The shape of an arc in its plane: finds the centre of an arc with R, and checks that the radii at both ends agree
-//! for an arc with I, J, K. All of it is integer arithmetic in units of 0.1 nm. Called while a line is checked; chords
-//! are computed later, by `motion::arc`.
+//! Shape of an arc in its plane: finds the centre of an arc with R, and checks that the radii at both ends of an arc
+//! with I, J, K agree. All of this is integer arithmetic in units of 0.1 nm, done while a line is checked;
+//! `motion::arc` computes the chords later.
 //!
 //! ```text
 //!        second                     chord: start to target
@@ -10,20 +10,20 @@
 //!          │ ╱  ╲ h │               G2 with R > 0 has its centre to the right of the chord, G3 to the left;
 //!        start ── centre ── first   R < 0 swaps the sides and so takes the longer way round
 //! ```
-//! Lengths stay below 2^42 (twice [`Coordinate::LIMIT`] in each direction), so squares fit `u128` with 40 bits to spare;
-//! square roots are taken with those bits as fraction. The error is far below a unit for all arcs whose chord is not
-//! absurdly short for their radius.
+//! Lengths stay below 2^42 (twice [`Coordinate::LIMIT`] in each direction), so squares fit `u128` with 40 bits to
+//! spare. Square roots use those bits as fraction. The error is far below a unit for all arcs whose chord is not
+//! extremely short relative to their radius.
 
 use crate::error::Error;
 use crate::units::{Coordinate, DECIMAL_ONE, integer_root};
 
-/// Radii at start and end may always differ by this: 0.005 mm.
+/// Difference of the radii at start and end that is always allowed: 0.005 mm.
 pub(super) const RADIUS_TOLERANCE: Coordinate = Coordinate(DECIMAL_ONE / 200);
-/// They may never differ by more than this: 0.5 mm.
+/// Maximum of the tolerance that grows with the radius: 0.5 mm.
 const RADIUS_TOLERANCE_MAX: i64 = DECIMAL_ONE / 2;
-/// In between they may differ by this part of the radius: 0.1 %.
+/// Divisor of the radius that gives the tolerance that grows with it: 0.1 %.
 const RADIUS_TOLERANCE_PART: i64 = 1000;
-/// A chord may always exceed twice the radius by this, 0.4 nm: converting inches rounds each of them.
+/// Excess of a chord over twice the radius that is always allowed, 0.4 nm: converting inches rounds each value.
 pub(super) const DIAMETER_TOLERANCE: Coordinate = Coordinate(4);
 
 /// A vector in the plane of an arc, in units of 0.1 nm.
@@ -38,7 +38,7 @@ impl Vector {
         Vector { first: first.0, second: second.0 }
     }
 
-    /// An error unless both parts are such that the vector may be computed with.
+    /// Returns an error unless both parts are within the range of the computations below.
     pub fn checked(self) -> Result<Vector, Error> {
         const MAX: u64 = 2 * Coordinate::LIMIT.0.unsigned_abs();
         if self.first.unsigned_abs() > MAX || self.second.unsigned_abs() > MAX {
@@ -64,22 +64,22 @@ fn square(value: u64) -> u128 {
     u128::from(value) * u128::from(value)
 }
 
-/// Square roots of both values, times a common power of two that keeps about 62 bits of the greater one.
+/// Returns the square roots of both values, times a common power of two that keeps about 62 bits of the greater root.
 fn roots(a: u128, b: u128) -> (i128, i128) {
-    // The greater square has two bits to spare afterwards, so its root stays below 2^63.
+    // The greater square keeps two leading zero bits, so its root stays below 2^63.
     let shift = (a.max(b).leading_zeros().saturating_sub(2)) & !1;
     (integer_root(a << shift) as i128, integer_root(b << shift) as i128)
 }
 
-/// `numerator / denominator` to the nearest integer.
+/// Returns `numerator / denominator`, rounded to the nearest integer.
 fn divided(numerator: i128, denominator: i128) -> i64 {
     let half = denominator / 2;
     let rounded = if numerator < 0 { numerator - half } else { numerator + half };
     (rounded / denominator) as i64
 }
 
-/// The centre of an arc of a given radius; a negative radius asks for the arc of more than half a turn. Where the chord
-/// exceeds twice the radius, by `tolerance` at most, it is a half circle.
+/// Returns the centre of an arc of a given radius; with a negative radius, of the arc of more than half a turn. If the
+/// chord exceeds twice the radius, by at most `tolerance`, the arc is a half circle.
 pub(super) fn centre_by_radius(
     chord: Vector,
     radius: Coordinate,
@@ -105,19 +105,19 @@ pub(super) fn centre_by_radius(
     Ok(Vector { first: divided(x * along + y * across, 2 * along), second: divided(y * along - x * across, 2 * along) })
 }
 
-/// How far a chord may exceed twice the radius if all words of the arc are rounded to a last digit: R is half of it off, and
-/// each end of the chord along two axes.
+/// Returns by how much a chord may exceed twice the radius if all words of the arc are rounded to `digit`: R is off by
+/// up to half a digit, and each end of the chord along two axes.
 pub(super) fn rounding_of_diameter(digit: Coordinate) -> Coordinate {
     Coordinate(digit.0 * 12 / 5)
 }
 
-/// How far the radii at start and end may differ for the same reason: two ends and the centre are off along two axes, and
-/// the centre counts for both.
+/// Returns by how much the radii at start and end may differ if all words of the arc are rounded to `digit`: both ends
+/// and the centre are off along two axes, and the centre affects both radii.
 pub(super) fn rounding_of_radii(digit: Coordinate) -> Coordinate {
     Coordinate(digit.0 * 14 / 5)
 }
 
-/// Whether the arc radius at the start agrees with that at the end, by `tolerance` at least.
+/// Whether the radii at start and end agree: within `tolerance`, or within the tolerance that grows with the radius.
 pub(super) fn radii_agree(chord: Vector, centre: Vector, tolerance: Coordinate) -> Result<bool, Error> {
     let radius = centre.checked()?.length();
     let difference = (chord.checked()?.minus(centre).length() - radius).abs();
@@ -125,7 +125,8 @@ pub(super) fn radii_agree(chord: Vector, centre: Vector, tolerance: Coordinate) 
         || (difference <= RADIUS_TOLERANCE_MAX && difference.saturating_mul(RADIUS_TOLERANCE_PART) <= radius))
 }
 
-/// Where the ray from the centre to the programmed end point crosses the circle, as a chord from the start.
+/// Returns the point where the ray from the centre to the programmed end point crosses the circle, relative to the
+/// start.
 pub(super) fn ray_crossing(chord: Vector, centre: Vector) -> Result<Vector, Error> {
     let ray = chord.checked()?.minus(centre.checked()?);
     if ray.square() == 0 || centre.square() == 0 {
@@ -138,7 +139,7 @@ pub(super) fn ray_crossing(chord: Vector, centre: Vector) -> Result<Vector, Erro
     })
 }
 
-/// Whether start and centre are one point: there is nothing to turn round.
+/// Whether start and centre are the same point: the radius is 0, so there is no arc.
 pub(super) fn is_point(centre: Vector) -> bool {
     centre.square() == 0
 }
@@ -177,7 +178,7 @@ mod tests {
     fn half_circles() {
         assert_eq!(centre_by_radius(mm(5.0, 0.0), radius(2.5), true), Ok(mm(2.5, 0.0)));
         assert_eq!(centre_by_radius(mm(5.0, 0.0), radius(2.4999), true), Err(Error::ImpossibleRadius));
-        // One unit short, as rounding of inches makes it.
+        // R is one unit short, as after rounding from inches.
         assert_eq!(
             centre_by_radius(Vector { first: 50_000_001, second: 0 }, Coordinate(25_000_000), true),
             Ok(Vector { first: 25_000_001, second: 0 })

@@ -2,12 +2,12 @@
 
 use crate::units::{DECIMAL_ONE, Decimal, ones};
 
-/// The number of a G or M word, in the two parts by which it is looked up: `G38.2` is 38 and 20.
+/// The number of a G or M word, split into the two parts used for the lookup: `G38.2` is 38 and 20.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Code {
-    /// The whole part, reduced to a byte.
+    /// The whole part, modulo 256.
     pub whole: u8,
-    /// The fraction in hundredths, rounded; [`Code::NO_CODE`] if the whole part was not that of a byte.
+    /// The fraction in hundredths, rounded; [`Code::NO_CODE`] if the number is negative or its whole part exceeds 255.
     pub hundredths: u16,
 }
 
@@ -17,8 +17,9 @@ impl Code {
     /// Units of a [`Decimal`] in a hundredth.
     const HUNDREDTH: u32 = (DECIMAL_ONE / 100) as u32;
 
-    /// The code of a number. Grbl keeps one byte of the whole part and measures the fraction from it, so `G256` is a G0
-    /// with an impossible fraction and `G999` an unknown command; hosts see the two error numbers.
+    /// Returns the code of a number. Grbl keeps one byte of the whole part and measures the fraction from it, so `G256`
+    /// is a G0 with an impossible fraction and `G999` an unknown command; hosts see the different error numbers of
+    /// these two.
     pub fn of(value: Decimal) -> Code {
         let ones = ones(value.0.unsigned_abs());
         // Less than 10^7.

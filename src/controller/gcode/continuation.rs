@@ -1,6 +1,6 @@
-//! Compares two interpreters: whether the lines that follow would mean the same to both. Returns the first part of the
-//! state that a program could tell apart. Used by `oxmill resume` to prove that a rest of a job is complete. Also whether
-//! an interpreter is in the plain state from which a recording can be replayed.
+//! Compares two interpreters: whether all following lines would mean the same to both. Returns the name of the first
+//! part of the state that a program could distinguish. `oxmill resume` uses this to prove that the rest of a job is
+//! complete. Also checks whether an interpreter is in the plain state from which a recording can be replayed.
 
 use super::control_points::ControlPoints;
 use super::modal::{FeedMode, Modal, MotionMode, SplineKind};
@@ -11,8 +11,8 @@ use crate::axes::PerAxis;
 use crate::units::{Coordinate, Decimal};
 
 impl<const N: usize> Interpreter<N> {
-    /// What another interpreter has otherwise, so that lines that follow could mean something else there; `None` if they
-    /// cannot. Of canned cycles and curves what stays in force counts while such a mode does.
+    /// Returns the first part of the state by which following lines could mean something else to the other interpreter;
+    /// `None` if there is no such part. The words of canned cycles and curves count only while their mode is in force.
     pub fn differs_from(&self, other: &Self) -> Option<&'static str> {
         let in_cycle = matches!(self.modal.motion, MotionMode::Cycle(_));
         let are_blank = [self, other].into_iter().all(|state| state.computed.is_blank() && !state.is_within_block());
@@ -34,7 +34,7 @@ impl<const N: usize> Interpreter<N> {
         parts.into_iter().find_map(|(differs, part)| differs.then_some(part))
     }
 
-    /// Whether nothing holds but what is modal and what is stored, and the program believes to be there.
+    /// Whether only modal and stored state is set, and the program is at `place`.
     pub fn is_plain(&self, place: &PerAxis<Coordinate, N>) -> bool {
         let offsets = [&self.offsets.g92, &self.offsets.g92_kept, &self.offsets.tool_length];
         self.position == *place
@@ -50,21 +50,21 @@ impl<const N: usize> Interpreter<N> {
             && self.modal.tool == self.spindle_tool
     }
 
-    /// The control points, with their order, that wait for a G5.3.
+    /// Returns the control points, with their order, that wait for a G5.3.
     fn waiting_points(&self) -> Option<&ControlPoints> {
         let waits = self.modal.motion == MotionMode::Spline(SplineKind::Nurbs);
         self.control_points.first().filter(|points| waits && points.begin_at(in_xy(&self.position)))
     }
 
-    /// How a G5 without I and J would leave from here.
+    /// Returns the vector by which a G5 without I and J would leave the present position.
     fn next_way(&self) -> Option<[Coordinate; 2]> {
         let last = self.tangent.iter().flatten().find(|tangent| tangent.place == in_xy(&self.position));
         last.map(|tangent| tangent.way)
     }
 }
 
-/// Without what no line can notice: with G93 the last F of G94 does not count, for G94 wants another, and until it comes neither
-/// does it there.
+/// Returns the modal state without the parts that no line can notice: the last F of G94 has no effect with G93, nor
+/// with G94 before a new F.
 fn meant(modal: &Modal) -> Modal {
     let is_speed = modal.feed_mode == FeedMode::PerMinute && modal.feed > Decimal::ZERO;
     let feed_per_second = if is_speed { modal.feed_per_second } else { 0.0 };

@@ -4,26 +4,27 @@ use crate::image::FULL_IMAGE;
 use crate::lent::Lent;
 use crate::units::{Coordinate, WeightedPoint};
 
-/// So many control points may wait, the start among them: each takes 24 bytes.
+/// Maximum number of control points of a curve, including the start; each takes 24 bytes.
 const MOST: usize = if FULL_IMAGE { 32 } else { 0 };
-/// Orders that L may name; the degree is one less.
+/// Orders that L may select; the degree is one less.
 pub(super) const ORDERS: core::ops::RangeInclusive<u32> = 3..=8;
-/// Without L.
+/// The order without L.
 pub(super) const ORDER: u8 = 3;
 
-/// What a line adds to the control points.
+/// The change that a line makes to the control points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Addition {
-    /// Those that there are are forgotten; this is the first one.
+    /// If present, all previous control points are dropped, and this is the first one.
     pub start: Option<WeightedPoint>,
     pub point: Option<WeightedPoint>,
     pub order: u8,
 }
 
-/// Room for control points.
+/// List of control points.
 pub(super) type PointList = heapless::Vec<WeightedPoint, MOST>;
 
-/// The control points, in X and Y of the machine. The first is where the curve begins.
+/// The control points, in X and Y of the machine, with the order of the curve. The first point is the start of the
+/// curve.
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[derive(Debug, PartialEq)]
 pub(super) struct ControlPoints {
@@ -36,7 +37,7 @@ impl ControlPoints {
         Self { points, order: ORDER }
     }
 
-    /// Whether they begin at a place.
+    /// Whether the first control point is at `place`.
     pub fn begin_at(&self, place: [Coordinate; 2]) -> bool {
         self.points.first().is_some_and(|first| first.place == place)
     }
@@ -53,7 +54,7 @@ impl ControlPoints {
         self.order
     }
 
-    /// Adds what there is room for.
+    /// Applies a change; points beyond the capacity are dropped.
     pub fn add(&mut self, addition: &Addition) {
         if let Some(start) = addition.start {
             self.points.clear();

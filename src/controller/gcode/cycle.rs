@@ -1,5 +1,5 @@
-//! Canned cycles as a sequence of simple steps: rapids, feeds, dwells and spindle stops. The controller asks for one
-//! step at a time, so a hold or a reset acts between any two of them.
+//! Canned cycles as a sequence of simple steps: rapids, feeds, dwells and spindle stops. The controller requests one
+//! step at a time, so a hold or a reset acts between any two steps.
 //!
 //! ```text
 //!  clear  ───▶ (in the plane, rapid) ──┐                        ▲
@@ -9,9 +9,9 @@
 //!                                      │ in pecks of Q          │
 //!  bottom                              ▼ dwell, spindle stop ───┘
 //! ```
-//! All levels lie along the axis across the selected plane. Where the tool is below R at the start, it first rises to R
-//! above the point where it is. The clear level is R with G99, and with G98 the level at which the series of cycles
-//! began, if that is above R. Order and levels are those of RS274NGC.
+//! All levels are coordinates of the axis normal to the selected plane. If the tool starts below R, it first rises to R
+//! without moving in the plane. The clear level is R with G99; with G98 it is the level at which the series of cycles
+//! began, or R if that is higher. Order and levels are those of RS274NGC.
 
 use super::modal::{CycleKind, Plane, PlaneAxes};
 use super::values::along;
@@ -19,25 +19,26 @@ use crate::axes::PerAxis;
 use crate::messages::SpindleDirection;
 use crate::units::{Coordinate, Duration};
 
-/// The words that stay in force while the same cycle word does, and the level that G98 goes back to.
+/// Words that stay in force as long as the cycle's mode, and the level to which G98 returns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CycleWords {
-    /// Across it the holes are drilled.
+    /// The holes are drilled normal to this plane.
     pub plane: Plane,
-    /// R as it was written, in mm.
+    /// R as written, in mm.
     pub r: Coordinate,
-    /// The word of the axis across the plane, as it was written, in mm.
+    /// The word of the axis normal to the plane, as written, in mm.
     pub depth: Coordinate,
-    /// Q, as it was written, in mm.
+    /// Q as written, in mm.
     pub peck: Coordinate,
-    /// P.
+    /// P: dwell at the bottom.
     pub dwell: Duration,
-    /// Machine coordinate at which the series of cycles began, less the tool offset: a longer tool goes back to a higher one.
+    /// Machine coordinate at which the series of cycles began, minus the tool length offset: a longer tool returns to a
+    /// higher machine coordinate.
     pub level: Coordinate,
 }
 
 impl CycleWords {
-    /// Before the first cycle.
+    /// No words: the state before the first cycle.
     pub const NONE: CycleWords = CycleWords {
         plane: Plane::Xy,
         r: Coordinate::ZERO,
@@ -48,7 +49,7 @@ impl CycleWords {
     };
 }
 
-/// What follows when the bottom is reached.
+/// Step of a cycle after its bottom has been reached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum After {
     Dwell,
@@ -89,14 +90,14 @@ impl CycleKind {
     }
 }
 
-/// One thing that a cycle does.
+/// Single step of a cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CycleStep<const N: usize> {
-    /// A rapid, which may be of no length.
+    /// Rapid to this machine position; the length may be 0.
     Rapid(PerAxis<Coordinate, N>),
-    /// A feed move at so many mm/s, which may be of no length.
+    /// Feed move to this machine position at this speed in mm/s; the length may be 0.
     Feed(PerAxis<Coordinate, N>, f32),
-    /// At the bottom.
+    /// Dwell at the bottom.
     Dwell(Duration),
     /// The spindle stops.
     SpindleOff,
@@ -106,38 +107,38 @@ pub enum CycleStep<const N: usize> {
     SpindleOn(SpindleDirection),
 }
 
-/// Which step is next.
+/// The next step of a cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum CyclePhase {
-    /// Up to R where the tool is.
+    /// Rise to R, without moving in the plane.
     Rise,
-    /// To the next hole, in the plane.
+    /// Rapid to the next hole, in the plane.
     Plane,
-    /// Down to R.
+    /// Rapid down to R.
     Approach,
-    /// To the bottom, or a peck towards it.
+    /// Feed to the bottom, or one peck towards it.
     Cut,
-    /// Out of the hole to R.
+    /// Rapid out of the hole to R.
     Out,
-    /// Down again, or back from the ground, to where the next peck begins.
+    /// Rapid to where the next peck begins: down from R, or back from the bottom of the last peck.
     Return,
-    /// So many of [`CycleKind::after_bottom`] are done.
+    /// Steps after the bottom; the number counts the completed entries of [`CycleKind::after_bottom`].
     After(u8),
 }
 
-/// A cycle line: its holes, and how far it has come.
+/// Cycle of one line: its holes and its progress.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cycle<const N: usize> {
     /// Which cycle.
     pub kind: CycleKind,
     pub(super) axes: PlaneAxes,
-    /// Where the tool is after the step before.
+    /// Position of the tool after the previous step.
     pub(super) place: PerAxis<Coordinate, N>,
-    /// The next hole; its coordinate along the depth does not count.
+    /// Position of the next hole; its coordinate along the depth is ignored.
     pub(super) hole: PerAxis<Coordinate, N>,
-    /// From a hole to the next one.
+    /// Vector from one hole to the next.
     pub(super) pitch: [Coordinate; 2],
-    /// Holes that have not been begun.
+    /// Number of holes that have not been finished.
     pub(super) left: u32,
     pub(super) r: Coordinate,
     pub(super) bottom: Coordinate,
@@ -159,7 +160,7 @@ impl<const N: usize> Cycle<N> {
         place
     }
 
-    /// The hole that is so many after the next one.
+    /// Returns the hole that is `count` holes after the next one.
     pub(super) fn hole_after(&self, count: u32) -> PerAxis<Coordinate, N> {
         let mut hole = self.hole;
         for (axis, pitch) in [self.axes.first, self.axes.second].into_iter().zip(self.pitch) {
@@ -169,8 +170,8 @@ impl<const N: usize> Cycle<N> {
         hole
     }
 
-    /// The corners of all that is to come: every move leads from one of these points, or from a point between two of
-    /// them, to another. Before the first step only.
+    /// Returns points that enclose the whole cycle: every move leads from one of these points, or from a point between
+    /// two of them, to another. Valid only before the first step.
     pub fn corners(&self) -> [PerAxis<Coordinate, N>; 6] {
         let high = along(&self.place, self.axes.linear).max(self.r);
         let last = self.hole_after(self.left.saturating_sub(1));
@@ -184,7 +185,7 @@ impl<const N: usize> Cycle<N> {
         ]
     }
 
-    /// Whether motion has to be at rest before the next step.
+    /// Whether the machine must be at rest before the next step.
     pub fn next_rests(&self) -> bool {
         let CyclePhase::After(done) = self.next else { return false };
         matches!(
@@ -193,8 +194,9 @@ impl<const N: usize> Cycle<N> {
         )
     }
 
-    /// The next step. `clearance`: how far the tool backs off after a peck, and above the ground of a hole it rapids
-    /// down to; never above R.
+    /// Returns the next step, or `None` at the end of the cycle. `clearance` is the distance by which the tool backs
+    /// off after a peck, and the height above the bottom of the last peck to which it rapids down; neither leads above
+    /// R.
     pub fn step(&mut self, clearance: Coordinate) -> Option<CycleStep<N>> {
         let r = self.r;
         let (next, depth, is_feed) = match self.next {

@@ -1,27 +1,27 @@
-//! The two answers that O words give: what to do with a line of the host, and what comes next of held text.
+//! Results of processing O words: what to do with a line of the host, and what comes next in held text.
 
-/// What a line of the host is.
+/// What to do with a line of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
-    /// To be checked and carried out.
+    /// Check and execute the line.
     Check,
-    /// Done with: a condition.
+    /// Nothing: the line was a condition and has been evaluated.
     Done,
-    /// Skipped, or held: its message is not to be told now.
+    /// Nothing: the line was skipped or held. Its message is not sent.
     LeftOut,
-    /// Done with, and what it calls is to be run: [`Interpreter::next_held`](super::Interpreter::next_held).
+    /// Run what the line calls: [`Interpreter::next_held`](super::Interpreter::next_held).
     Call,
-    /// Held, and a loop is to be run of which it is the last line.
+    /// Run the loop of which this line is the last; the line has been held.
     Run,
 }
 
-/// What comes next of held text.
+/// Next item of held text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Held {
-    /// This line is to be checked and carried out.
+    /// Check and execute this line.
     Line,
-    /// An O word of the held text, which has been dealt with; ask for the next line.
+    /// An O word of the held text has been processed; request the next line.
     Again,
-    /// It has come to its end.
+    /// The held text has ended.
     End,
 }

@@ -1,5 +1,5 @@
-//! Checks and commits lines. `check` turns a line into an [`Action`] and changes nothing; `commit` takes over what the
-//! line changes: modal state, offsets, rotation, saved states. Also resets, check mode, and a change of dialect.
+//! Checks and commits lines. `check` turns a line into an [`Action`] and changes nothing; `commit` applies the changes
+//! of the line: modal state, offsets, rotation, saved states. Also resets, check mode, and switching the dialect.
 
 use super::action::{Action, Flow, Keeping, MotionCommand};
 use super::check::{self, Purpose};
@@ -16,8 +16,9 @@ use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
 impl<const N: usize> Interpreter<N> {
-    /// What a reset forgets: modal state, G92, tool length offset and parameters. Stored offsets, the tool in the spindle with
-    /// the length that was measured, and the position stay; that tool is the selected one, so that M6 without T changes nothing.
+    /// Resets modal state, G92, tool length offset and parameters. Keeps the stored offsets, the position, and the tool
+    /// in the spindle with its measured length. That tool becomes the selected one, so that M6 without T changes
+    /// nothing.
     pub fn reset(&mut self) {
         self.modal = Modal::INITIAL;
         if let Some(before) = self.before_check.take() {
@@ -43,8 +44,9 @@ impl<const N: usize> Interpreter<N> {
         self.computed.reset();
     }
 
-    /// From here on programs are only checked: a tool that M6 calls for does not come into the spindle, and what they set of
-    /// tools, coordinate systems, stored places and offsets is forgotten at the end. In Grbl's dialect all but the tools stays.
+    /// Starts check mode: programs are checked and not executed. M6 does not put a tool into the spindle, and the
+    /// changes that programs make to tools, coordinate systems, stored positions and offsets are undone at the end of
+    /// check mode. In Grbl's dialect, and in a build without expressions, only the changes to tools are undone.
     pub fn begin_check_mode(&mut self, dialect: Dialect) {
         self.before_check = Some(BeforeCheck {
             spindle_tool: self.spindle_tool,
@@ -53,14 +55,14 @@ impl<const N: usize> Interpreter<N> {
         });
     }
 
-    /// The end of a check, which is a reset that leaves G92 and the tool length offset as they were before the check.
+    /// Ends check mode by a reset that restores G92 and the tool length offset from before check mode.
     pub fn end_check_mode(&mut self) {
         let before = self.before_check.as_ref().and_then(BeforeCheck::offsets);
         self.reset();
         self.offsets = before.unwrap_or(self.offsets);
     }
 
-    /// Another dialect: what stays in force by words that it may not have, and so could not end, is ended.
+    /// Ends every modal state that the new dialect may lack the word to end.
     pub fn change_dialect(&mut self) {
         self.end_cycles();
         if matches!(self.modal.motion, MotionMode::Spline(_)) {
@@ -75,8 +77,8 @@ impl<const N: usize> Interpreter<N> {
         self.begin_program();
     }
 
-    /// Checks a line of a program. `line` is filtered: capital letters, no blanks, no comments. Parameters that the line
-    /// sets are read, and not kept for a commit.
+    /// Checks a line of a program. `line` is filtered: capital letters, no blanks, no comments. Parameters that the
+    /// line sets are evaluated and then discarded, so a commit does not set them.
     #[cfg(feature = "alloc")]
     pub fn check(&self, line: &[u8], dialect: Dialect) -> Result<Action<N>, Error> {
         let mut action = Action::NOTHING;
@@ -84,8 +86,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(action)
     }
 
-    /// The same, with the result in its place; it is worth nothing after an error. Parameters that the line sets wait for
-    /// its commit, or for the next check, which forgets them.
+    /// Checks a line like `check`, and writes the result to `action`, which is not valid after an error. Parameters
+    /// that the line sets are kept until its commit sets them; the next check discards them.
     #[inline]
     pub fn check_into(&mut self, line: &[u8], dialect: Dialect, action: &mut Action<N>) -> Result<(), Error> {
         let mut parsed = Parsed::empty();
@@ -94,8 +96,7 @@ impl<const N: usize> Interpreter<N> {
         check::check(self, &parsed, dialect, Purpose::Program, action)
     }
 
-    /// Checks what follows `$J=`. The motion of the result is a jog; of the state its commit changes the position
-    /// only.
+    /// Checks a jog: the text after `$J=`. The motion of the result is a jog, whose commit changes only the position.
     #[cfg(feature = "alloc")]
     pub fn check_jog(&self, line: &[u8], dialect: Dialect) -> Result<Action<N>, Error> {
         let mut action = Action::NOTHING;
@@ -103,13 +104,13 @@ impl<const N: usize> Interpreter<N> {
         Ok(action)
     }
 
-    /// The same, with the result in its place; it is worth nothing after an error.
+    /// Checks a jog like `check_jog`, and writes the result to `action`, which is not valid after an error.
     pub fn check_jog_into(&mut self, line: &[u8], dialect: Dialect, action: &mut Action<N>) -> Result<(), Error> {
         jog::check(self, line, dialect, action)
     }
 
-    /// Takes over what a line has changed. The position becomes the end of the line's motion; a probing move that ends
-    /// elsewhere is followed by [`Interpreter::set_position`].
+    /// Applies the changes of a checked line. The position becomes the end of the line's motion; if a probing move ends
+    /// elsewhere, call [`Interpreter::set_position`] afterwards.
     pub fn commit(&mut self, action: &Action<N>) {
         // The operator may have switched the coolant since the line was checked.
         let coolant = self.modal.coolant;
@@ -135,7 +136,7 @@ impl<const N: usize> Interpreter<N> {
         self.remember_motion(action);
     }
 
-    /// What a line changes beside the motion mode and the position.
+    /// Applies all changes of a line except to modal state and position.
     #[inline(never)]
     fn commit_beside_motion(&mut self, action: &Action<N>) {
         self.offsets.g92 = action.g92;
@@ -168,7 +169,7 @@ impl<const N: usize> Interpreter<N> {
         self.spindle_tool = action.after.spindle_tool;
     }
 
-    /// M70 to M73, G5.2.
+    /// Executes M70 to M73, and adds the control points of G5.2.
     #[inline(never)]
     fn keep_state(&mut self, action: &Action<N>) {
         let level = self.computed.level();
@@ -192,7 +193,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// What a spline or cycle leaves for the line behind it.
+    /// Remembers what the next line may need of a spline or cycle: the tangent at its end, or the words of the cycle.
     #[inline]
     fn remember_motion(&mut self, action: &Action<N>) {
         match &action.motion {

@@ -1,6 +1,6 @@
-//! M words in a line that is not read word by word, because it is held or skipped.
+//! Finds M words in a line whose words are not evaluated, because the line is held or skipped.
 
-/// Whether a line has one of some M words, written with a plain number.
+/// Whether a line has an M word with one of these numbers, written as a plain integer.
 pub(super) fn has_m_word(line: &[u8], numbers: &[&[u8]]) -> bool {
     let mut in_name = false;
     let mut rest = line;

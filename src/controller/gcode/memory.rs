@@ -1,4 +1,4 @@
-//! Memory that is lent to the interpreter: see `crate::memory`.
+//! Memory lent to the interpreter: see `crate::memory`.
 
 use super::computed::ComputedMemory;
 #[cfg(not(feature = "alloc"))]
@@ -9,7 +9,7 @@ use super::tools::ToolTable;
 use crate::image::FULL_IMAGE;
 use crate::lent::Lent;
 
-/// What is lent to one interpreter.
+/// Memory lent to one interpreter.
 #[derive(Debug)]
 pub struct ProgramMemory<const N: usize> {
     pub(super) computed: ComputedMemory,
@@ -18,7 +18,7 @@ pub struct ProgramMemory<const N: usize> {
     pub(super) control_points: [Lent<PointList>; FULL_IMAGE as usize],
 }
 
-/// Owns that memory on a board.
+/// Owner of the interpreter's memory on a board.
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
 pub struct ProgramStorage<const N: usize> {
@@ -30,7 +30,7 @@ pub struct ProgramStorage<const N: usize> {
 
 #[cfg(not(feature = "alloc"))]
 impl<const N: usize> ProgramStorage<N> {
-    /// All bytes are 0.
+    /// Empty memory; all bytes are 0.
     pub const EMPTY: Self = Self {
         computed: ComputedStorage::EMPTY,
         tools: ToolTable::EMPTY,
@@ -38,7 +38,7 @@ impl<const N: usize> ProgramStorage<N> {
         control_points: [const { PointList::new() }; FULL_IMAGE as usize],
     };
 
-    /// Lends it for good.
+    /// Lends the memory to an interpreter, permanently.
     pub fn lend(&'static mut self) -> ProgramMemory<N> {
         ProgramMemory {
             computed: self.computed.lend(),
@@ -51,7 +51,7 @@ impl<const N: usize> ProgramStorage<N> {
 
 #[cfg(feature = "alloc")]
 impl<const N: usize> ProgramMemory<N> {
-    /// Memory from the heap.
+    /// Allocates the memory on the heap.
     pub fn on_heap() -> Self {
         Self {
             computed: ComputedMemory::on_heap(),

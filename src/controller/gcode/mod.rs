@@ -1,15 +1,15 @@
-//! G-code: the text of one line becomes one [`Action`], or an error and nothing at all. The list of the room's
-//! modules, and the `Dialect` (Grbl, Oxmill, seed) in which words are meant.
+//! G-code: turns the text of one line into one [`Action`], or into an error and nothing else. This file lists the
+//! modules and defines [`Dialect`]: whose meaning (Grbl, Oxmill, seed) the words have.
 //!
 //! ```text
 //!  bytes ──parse──▶ Parsed ──check──▶ Action ──commit──▶ modal state, offsets, program position
 //!         (words,            (meaning, in the             (only when the caller
 //!          groups)            order of Grbl)               carries the line out)
 //! ```
-//! Promises: a refused line changes nothing, and checking changes nothing either; every byte sequence gets an answer
-//! without panic or overflow; places are exact integers, so nothing drifts. Leaves to others: filtering and the line's
-//! length (`protocol`), carrying out what a line means (`controller`), the shape of arcs and speeds (`motion`), travel
-//! limits.
+//! Guarantees: a refused line changes nothing, and checking changes nothing either; every byte sequence gets an answer
+//! without panic or overflow; positions are exact integers, so nothing drifts. Done elsewhere: filtering of bytes and
+//! limiting of the line length (`protocol`), executing actions (`controller`), shape of arcs and speeds (`motion`),
+//! travel limits.
 
 mod action;
 mod arc;
@@ -65,22 +65,24 @@ pub use state::Interpreter;
 pub use tools::{TOOLS, Tool, ToolTable, asks_for_tool};
 pub use word::{Group, group_of};
 
-/// Whether this build says what is wrong with a refused line.
+/// Whether this build explains what is wrong with a refused line.
 pub const REASONS: bool = cfg!(feature = "reasons");
 
-/// What is wrong with a refused line; no memory where nothing is said.
+/// Explanation of what is wrong with a refused line; takes no memory in a build without reasons.
 pub type Reason = heapless::Vec<u8, { if REASONS { 128 } else { 0 } }>;
 
-/// Whose meaning a program's words have.
+/// The control whose meaning the words of a program have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Dialect {
-    /// As Grbl 1.1h, even where more is known: eight digits, six coordinate systems, T forgotten after its line, axis
-    /// words refused under a modal G80, and no M7, M56, G90.1 or turns of an arc.
+    /// As Grbl 1.1h, without the extensions: eight digits count in a number, there are six coordinate systems, T is
+    /// forgotten after its line, axis words are refused under a modal G80, and M7, M56, G90.1 and turns of an arc do
+    /// not exist.
     Grbl,
-    /// Grbl's meaning of all that Grbl knows, and more words.
+    /// All words of Grbl with Grbl's meaning, and further words.
     #[default]
     Oxmill,
-    /// As Oxmill, but G80 beside a motion word only cancels, axis words after G80 move by the last G0 or G1, and an
-    /// arc whose end point lies off its circle ends where the ray from the centre to that point crosses the circle.
+    /// As Oxmill, with three differences: G80 beside a motion word only cancels; axis words after G80 move by the last
+    /// G0 or G1; an arc whose end point is off its circle ends where the ray from the centre to that point crosses the
+    /// circle.
     Seed,
 }

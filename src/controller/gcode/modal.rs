@@ -48,12 +48,12 @@ impl MotionMode {
     }
 }
 
-/// Curves by control points.
+/// Curve given by control points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SplineKind {
     /// G5: two control points between the ends.
     Cubic,
-    /// G5.1: one.
+    /// G5.1: one control point.
     Quadratic,
     /// G5.2: a rational B-spline, with a control point in each line up to G5.3.
     Nurbs,
@@ -70,9 +70,9 @@ pub enum CycleKind {
     DrillDwell,
     /// G83: pecks, the tool leaves the hole after each.
     Peck,
-    /// G85: out at the feed rate.
+    /// G85: retracts at the feed rate.
     Bore,
-    /// G86: out with the spindle stopped.
+    /// G86: retracts with the spindle stopped.
     BoreStop,
     /// G88: the program pauses with the spindle stopped.
     BoreManual,
@@ -96,7 +96,7 @@ impl CycleKind {
     }
 }
 
-/// What a probing move waits for, and what it is if that does not come.
+/// Condition that ends a probing move, and the consequence if it is not met.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProbeMode {
     /// Ends at the loss of contact (G38.4, G38.5) instead of at contact.
@@ -117,7 +117,7 @@ pub enum Plane {
     Yz,
 }
 
-/// The axes of a plane, in the order that makes G3 turn from the first to the second.
+/// The axes of a plane, in the order in which G3 turns from the first to the second.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlaneAxes {
     /// First axis of the plane.
@@ -184,7 +184,7 @@ pub enum FeedMode {
     /// G94: F is a speed.
     #[default]
     PerMinute,
-    /// G93: F says how often the move fits into a minute.
+    /// G93: F is the number of such moves per minute.
     InverseTime,
 }
 
@@ -221,26 +221,27 @@ impl Units {
 /// Path control, modal group 13.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PathControl {
-    /// G61: through all points. So is G64 without a tolerance.
+    /// G61: through all points. G64 without a tolerance is the same.
     #[default]
     ExactPath,
-    /// G61.1, exact stop: and to rest at each.
+    /// G61.1, exact stop: through all points, with a stop at each.
     ExactStop,
     /// G64 P: near all points.
     Within(PathTolerance),
 }
 
-/// How far the tool may be from the programmed path, in units of 0.1 nm. More than fits is not made use of.
+/// Maximum distance of the tool from the programmed path, in units of 0.1 nm. Larger values are limited to the range of
+/// the type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PathTolerance {
-    /// P of G64, above 0: in all.
+    /// P of G64, above 0: the total.
     pub path: u32,
-    /// Q of G64: where moves are merged.
+    /// Q of G64: the part for merging moves.
     pub merging: u32,
 }
 
 impl PathControl {
-    /// How far the tool may be from the path, if it is not exact.
+    /// Returns the tolerance; `None` if the path is exact.
     pub fn tolerance(self) -> Option<PathTolerance> {
         match self {
             PathControl::Within(tolerance) => Some(tolerance),
@@ -249,12 +250,12 @@ impl PathControl {
     }
 }
 
-/// Overrides of the operator that the program holds off, modal group 9.
+/// Overrides of the operator that the program has disabled, modal group 9.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OverridesHeld {
-    /// M49, M50 P0.
+    /// The feed override is disabled (M49, M50 P0).
     pub feed: bool,
-    /// M49, M51 P0.
+    /// The spindle override is disabled (M49, M51 P0).
     pub spindle: bool,
 }
 
@@ -288,7 +289,7 @@ impl CoordinateSystem {
         CoordinateSystem::G59_2,
         CoordinateSystem::G59_3,
     ];
-    /// How many of them Grbl has.
+    /// Number of systems in Grbl.
     pub const OF_GRBL: usize = 6;
 
     /// The word that selects the system.
@@ -307,13 +308,13 @@ impl CoordinateSystem {
     }
 }
 
-/// All that stays in force.
+/// The modal state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Modal {
     /// Motion mode.
     pub motion: MotionMode,
-    /// The mode of the latest straight move, [`MotionMode::Rapid`] or [`MotionMode::Linear`]: what axis words fall back
-    /// to after G80 where the dialect says so.
+    /// The mode of the latest straight move, [`MotionMode::Rapid`] or [`MotionMode::Linear`]. In the dialects that
+    /// allow axis words after G80, they move in this mode.
     pub straight: MotionMode,
     /// Work coordinate system.
     pub coordinate_system: CoordinateSystem,
@@ -321,7 +322,8 @@ pub struct Modal {
     pub plane: Plane,
     /// Unit of lengths.
     pub units: Units,
-    /// G99: canned cycles end at R. G98: where their series began, if that is above R.
+    /// G99: canned cycles end at R. With G98 (`false`) they end at the level where their series began, or at R if that
+    /// is higher.
     pub retract_to_r: bool,
     /// Distance mode.
     pub distance: Distance,
@@ -333,19 +335,20 @@ pub struct Modal {
     pub spindle: SpindleDirection,
     /// Coolant.
     pub coolant: Coolant,
-    /// M56 P0: the tool does not park.
+    /// M56 P0: parking is disabled.
     pub no_parking: bool,
     /// Path control.
     pub path: PathControl,
     /// M48 to M51.
     pub overrides_held: OverridesHeld,
-    /// T.
+    /// T: the number of the selected tool.
     pub tool: u32,
     /// F, exact: mm/min with G94, moves per minute with G93; 0 while undefined.
     pub feed: Decimal,
-    /// F of G94 in mm/s, as moves take it: most lines keep the F that is in force, and need not convert it.
+    /// F of G94 in mm/s, as moves use it. Stored, because most lines keep the F in force and need not convert it again.
     pub feed_per_second: f32,
-    /// It was written in inches: to rotary axes it is degrees per minute as it was written.
+    /// F was written in inches per minute. For a move of rotary axes alone the number as written counts as degrees per
+    /// minute.
     pub feed_in_inches: bool,
     /// S, in revolutions per minute.
     pub speed: f32,
@@ -377,13 +380,13 @@ impl Modal {
 }
 
 impl Modal {
-    /// F of a move of rotary axes alone, degrees per minute.
+    /// Returns F for a move of rotary axes alone, in degrees per minute.
     pub(super) fn rotary_feed(&self) -> f32 {
         let feed = if self.feed_in_inches { Decimal(self.feed.0.saturating_mul(10) / 254) } else { self.feed };
         feed.to_f32()
     }
 
-    /// What words that Grbl does not have have set is as after a reset.
+    /// Resets the modes that words beyond Grbl have set.
     pub(super) fn forget_extended(&mut self) {
         self.retract_to_r = false;
         self.arc_distance = ArcDistance::default();
@@ -394,7 +397,7 @@ impl Modal {
         }
     }
 
-    /// What M2 and M30 set back. G98 and G99 are not among it, as in LinuxCNC.
+    /// Resets the modes that M2 and M30 reset. G98 and G99 stay in force, as in LinuxCNC.
     pub(super) fn end_program(&mut self) {
         self.motion = MotionMode::Linear;
         self.straight = MotionMode::Linear;
@@ -403,7 +406,7 @@ impl Modal {
         self.distance = Distance::default();
         self.arc_distance = ArcDistance::default();
         if self.feed_mode == FeedMode::InverseTime {
-            // Moves per minute are no speed.
+            // F was in moves per minute and is not a speed.
             self.feed = Decimal::ZERO;
         }
         self.feed_mode = FeedMode::default();

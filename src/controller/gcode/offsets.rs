@@ -1,5 +1,5 @@
-//! All offsets of the interpreter. Machine position minus coordinate system, G92 and tool length gives the work
-//! position; a rotation acts in between (see `rotation`). Coordinate systems, G28 and G30 are stored, G92 is not.
+//! All offsets of the interpreter. Work position = machine position - coordinate system - G92 - tool length offset; a
+//! rotation acts in between (see `rotation`). Coordinate systems, G28 and G30 are stored, G92 is not.
 
 use super::modal::{CoordinateSystem, Plane};
 use super::rotation::{Angle, RotatedPlane, Rotation, difference, sum};
@@ -11,21 +11,21 @@ use crate::units::Coordinate;
 /// The axis that the tool length offset acts along in Grbl.
 pub(super) const TOOL_AXIS: Axis = Axis::Z;
 
-/// A place that is kept over power-off.
+/// Position or offset that is kept over power-off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StoredOffset {
     /// Origin of a work coordinate system (G10).
     System(CoordinateSystem),
-    /// Where G28 goes (G28.1).
+    /// Target of G28 (set by G28.1).
     G28,
-    /// Where G30 goes (G30.1).
+    /// Target of G30 (set by G30.1).
     G30,
     /// Offset of a tool of the table (G10 L1).
     Tool(u32),
 }
 
 impl StoredOffset {
-    /// All stored places but those of tools: the coordinate systems, then G28 and G30.
+    /// Returns all stored positions except the offsets of tools: the coordinate systems, then G28 and G30.
     pub fn all() -> impl Iterator<Item = StoredOffset> {
         CoordinateSystem::ALL.into_iter().map(StoredOffset::System).chain([StoredOffset::G28, StoredOffset::G30])
     }
@@ -35,15 +35,15 @@ impl StoredOffset {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Offsets<const N: usize> {
     systems: [PerAxis<Coordinate, N>; CoordinateSystem::ALL.len()],
-    /// By how much each system is turned about its origin.
+    /// Angle by which each system is rotated about its origin.
     angles: [Angle; CoordinateSystem::ALL.len()],
     g28: PerAxis<Coordinate, N>,
     g30: PerAxis<Coordinate, N>,
     /// G92, forgotten at reset.
     pub g92: PerAxis<Coordinate, N>,
-    /// What G92.3 brings back after a G92.2.
+    /// The offset that G92.3 restores after a G92.2.
     pub(super) g92_kept: PerAxis<Coordinate, N>,
-    /// G92 or G52, of whatever value, neither cleared nor suspended.
+    /// Whether a G92 or G52, even one of value 0, is in force: it has been neither cleared nor suspended.
     pub g92_acts: bool,
     /// Tool length offset, forgotten at reset.
     pub tool_length: PerAxis<Coordinate, N>,
@@ -56,7 +56,7 @@ impl<const N: usize> Default for Offsets<N> {
 }
 
 impl<const N: usize> Offsets<N> {
-    /// Those of a new machine.
+    /// The offsets of a new machine.
     pub const fn new() -> Self {
         let zero = PerAxis::all(Coordinate::ZERO);
         Self {
@@ -71,7 +71,7 @@ impl<const N: usize> Offsets<N> {
         }
     }
 
-    /// The value of a stored place that is no tool's.
+    /// Returns a stored position; zero for the offset of a tool, which the tool table holds.
     pub fn stored(&self, which: StoredOffset) -> PerAxis<Coordinate, N> {
         match which {
             StoredOffset::System(system) => self.system(system),
@@ -81,7 +81,7 @@ impl<const N: usize> Offsets<N> {
         }
     }
 
-    /// Replaces a stored place that is no tool's.
+    /// Replaces a stored position; ignores the offset of a tool, which the tool table holds.
     pub fn set_stored(&mut self, which: StoredOffset, value: PerAxis<Coordinate, N>) {
         match which {
             StoredOffset::System(system) => {
@@ -100,7 +100,7 @@ impl<const N: usize> Offsets<N> {
         self.systems.get(system as usize).copied().unwrap_or(PerAxis::all(Coordinate::ZERO))
     }
 
-    /// By how much a coordinate system is turned about its origin.
+    /// Returns the angle by which a coordinate system is rotated about its origin.
     pub fn angle(&self, system: CoordinateSystem) -> Angle {
         self.angles.get(system as usize).copied().unwrap_or(Angle::ZERO)
     }
@@ -111,7 +111,7 @@ impl<const N: usize> Offsets<N> {
         }
     }
 
-    /// Sets every stored place to zero.
+    /// Sets all stored positions and angles to zero.
     pub fn clear_stored(&mut self) {
         *self = Offsets {
             g92: self.g92,
@@ -122,19 +122,20 @@ impl<const N: usize> Offsets<N> {
         };
     }
 
-    /// G92 and tool length offset together.
+    /// Returns the sum of G92 and tool length offset.
     fn g92_and_tool_length(&self) -> PerAxis<Coordinate, N> {
         self.g92.zip(&self.tool_length, |g92, tool| g92 + tool)
     }
 
-    /// What lies between machine and work position while `system` is active.
+    /// Returns machine position minus work position while `system` is active.
     pub fn total(&self, system: CoordinateSystem) -> PerAxis<Coordinate, N> {
         self.system(system).zip(&self.g92_and_tool_length(), |origin, offset| origin + offset)
     }
 }
 
 impl<const N: usize> Offsets<N> {
-    /// How a coordinate system is rotated with a G92, a tool and a G68; `None` if it is not. The two rotations have one plane.
+    /// Returns the rotated plane of `system` with the given G92, tool length offset and G68; `None` without a rotation.
+    /// The angle of the system and G68 must rotate the same plane (X, Y), otherwise an error is returned.
     #[inline]
     pub(super) fn rotated_plane(
         &self,
@@ -174,7 +175,7 @@ impl<const N: usize> Offsets<N> {
         Ok(plane)
     }
 
-    /// The place of the machine where the coordinates of a system are zero: G92 turns with the system.
+    /// Returns the machine position where the coordinates of a system are zero. G92 is rotated with the system.
     pub(super) fn zero_of(&self, system: CoordinateSystem) -> PerAxis<Coordinate, N> {
         let mut zero = self.total(system);
         if let Ok(Some(rotated)) = self.rotated_plane(system, &self.g92, &self.tool_length, None) {

@@ -14,31 +14,32 @@ use crate::image::FULL_IMAGE;
 use crate::messages::SpindleDirection;
 use crate::units::Decimal;
 
-/// Greatest tool number in Grbl.
+/// Maximum tool number in Grbl.
 pub(super) const TOOL_MAX_OF_GRBL: i32 = 255;
-/// The same in the other dialects.
+/// Maximum tool number in the other dialects.
 pub(super) const TOOL_MAX: i32 = 99_999;
-/// Letters of values other than axes, as Grbl has them and as the other dialects do.
+/// Letters of words other than axis, G and M words, in Grbl.
 const VALUES_OF_GRBL: Letters = Letters::of(b"FIJKLNPRST");
+/// Letters of words other than axis, G and M words, in the other dialects.
 const VALUES: Letters = Letters::of(if FULL_IMAGE { b"DEFHIJKLNOPQRST".as_slice() } else { b"EFHIJKLNOPQRST" });
-/// Letters of a rotation's centre, as Mach writes it.
+/// Letters of a rotation's centre, as Mach has them.
 const CENTRE_OF_MACH: Letters = Letters::of(if FULL_IMAGE { b"AB".as_slice() } else { b"" });
 /// Words whose value must not be negative.
 const NOT_NEGATIVE: Letters = Letters::of(b"DEFHNPTS");
 
-/// Words that Grbl does not have.
+/// Words of a line that Grbl does not have.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Extended {
-    /// There is any of them but M6.
+    /// The line has any of these words, other than G50, G51, G68, G69 and M6.
     pub any: bool,
     pub path: Option<PathControl>,
-    /// G64.
+    /// The path control word is G64.
     pub is_path_tolerance: bool,
     /// G68 (`true`), G69.
     pub rotation: Option<bool>,
     /// G51 (`true`), G50.
     pub scaling: Option<bool>,
-    /// P has a sign, which that of G5 may have.
+    /// P is negative, which only P of G5 may be.
     pub is_p_negative: bool,
     /// G5.3.
     pub ends_control_points: bool,
@@ -67,14 +68,14 @@ pub(super) struct Extended {
 /// The words of a line.
 #[derive(Clone, Debug)]
 pub(super) struct Parsed<const N: usize> {
-    /// Modal groups of which there is a word.
+    /// Modal groups of which the line has a word.
     pub groups: Groups,
-    /// Who asks for the axis words.
+    /// Command that uses the axis words.
     pub claim: Claim,
     pub non_modal: Option<NonModal>,
     pub modal: ModalWords,
     pub tool_length: Option<ToolLength>,
-    /// M0 to M2.
+    /// M0, M1, M2, M30 or M60.
     pub flow: Option<MWord>,
     pub spindle: Option<SpindleDirection>,
     /// M7 to M9.
@@ -82,17 +83,17 @@ pub(super) struct Parsed<const N: usize> {
     /// M56.
     pub parking_override: bool,
     pub extended: Extended,
-    /// Letters that carry a value.
+    /// Letters that have a value, without G and M.
     pub values: Letters,
-    /// Axes that carry one.
+    /// Axes that have a word.
     pub axes: AxisMask,
     pub axis: PerAxis<Decimal, N>,
-    /// The most digits behind the point of an axis word.
+    /// Maximum number of decimal places of an axis word.
     pub places: u8,
     value_words: ValueWords,
 }
 
-/// The words that set modes which stay in force.
+/// Words that set modes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ModalWords {
     pub motion: Option<MotionMode>,
@@ -107,7 +108,7 @@ pub(super) struct ModalWords {
 }
 
 impl ModalWords {
-    /// Sets what they set, but for the motion mode.
+    /// Sets the modes in `modal`, except the motion mode.
     #[inline(never)]
     pub fn set_modes(&self, modal: &mut Modal) {
         modal.plane = self.plane.unwrap_or(modal.plane);
@@ -120,8 +121,8 @@ impl ModalWords {
     }
 }
 
-/// The letters that are no axes, with their values, in the order in which the line has them. A list, and not a place for
-/// each letter: most lines have one or none, and all places would be cleared for each line.
+/// Words other than axis, G and M words, in the order of the line. A list, and not an array indexed by letter, which
+/// would have to be cleared for each line: most lines have one such word or none.
 type ValueWords = heapless::Vec<(u8, Decimal), { VALUES.count() + CENTRE_OF_MACH.count() }>;
 
 impl<const N: usize> Parsed<N> {
@@ -146,7 +147,7 @@ impl<const N: usize> Parsed<N> {
         }
     }
 
-    /// Adds the words of a line. What it sets waits in the state for the commit.
+    /// Adds the words of a line. Assignments of the line wait in `state` for the commit.
     pub fn read(&mut self, line: &[u8], dialect: Dialect, state: &mut Interpreter<N>) -> Result<(), Error> {
         let axes = state.axes();
         for word in Words::of(line, dialect, state) {
@@ -158,7 +159,7 @@ impl<const N: usize> Parsed<N> {
                     if axes > LINEAR {
                         return Err(Error::OneRotaryAxis);
                     }
-                    // It may be of the centre of a rotation.
+                    // The letter may give the centre of a rotation.
                     self.take_value(letter, value, dialect)?;
                 }
                 b'M' => self.take_m(Code::of(value), dialect)?,
@@ -171,20 +172,20 @@ impl<const N: usize> Parsed<N> {
         Ok(())
     }
 
-    /// The same where time does not matter: once in the image, and not in each of those that read a line.
+    /// Like `read`, for callers that are not time-critical: not inlined, so its code is in the image once.
     #[inline(never)]
     pub fn read_apart(&mut self, line: &[u8], dialect: Dialect, state: &mut Interpreter<N>) -> Result<(), Error> {
         self.read(line, dialect, state)
     }
 
-    /// Whether it has no words but those that say where a line leads and how: the steps of the check that have nothing to look at
-    /// then are left out, for nearly all lines of a program are like that.
+    /// Whether all words only determine where and how the line moves. Nearly all lines of a program are like this, and
+    /// skip the steps of the check that other words need.
     #[inline]
     pub fn is_move(&self) -> bool {
         !self.extended.any && self.groups.within(Groups::OF_MOVES) && !self.values.has_any(Letters::of(b"ST"))
     }
 
-    /// The value of a letter that is no axis; 0 if the line has no such word ([`Parsed::values`]).
+    /// Returns the value of a letter other than an axis, G or M; 0 if the line has no such word ([`Parsed::values`]).
     pub fn value(&self, letter: u8) -> Decimal {
         let found = self.value_words.iter().find(|(of, _)| *of == letter);
         found.map_or(Decimal::ZERO, |(_, value)| *value)
@@ -245,7 +246,8 @@ impl<const N: usize> Parsed<N> {
         }
     }
 
-    /// Where G80 and another motion word meet, the other one holds; in either order.
+    /// Handles G80 and another motion word on one line: in either order, the other word applies. Returns whether `word`
+    /// needs no further processing.
     fn cancels_only(&mut self, word: GWord) -> bool {
         match (word, self.modal.motion) {
             (GWord::Motion(MotionMode::Cancelled), Some(other)) => other != MotionMode::Cancelled,
@@ -298,7 +300,7 @@ impl<const N: usize> Parsed<N> {
         if !values.has(letter) {
             return match letter {
                 ASSIGNMENT => Ok(()),
-                // Grbl's dialect has no rotations.
+                // The dialect need not be checked: Grbl's has no rotations.
                 b'A' | b'B' if FULL_IMAGE && self.extended.rotation == Some(true) => {
                     if self.values.has(letter) {
                         return Err(Error::WordRepeated);
@@ -330,7 +332,7 @@ impl<const N: usize> Parsed<N> {
             if !FULL_IMAGE || letter != b'P' || dialect == Dialect::Grbl {
                 return Err(Error::NegativeValue);
             }
-            // The check looks whether it is that of G5.
+            // The check (`sign_of_p`) decides whether this P belongs to a G5.
             self.extended = Extended { any: true, is_p_negative: true, ..self.extended };
         }
         self.values.add(letter);

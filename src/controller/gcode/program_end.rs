@@ -1,25 +1,26 @@
-//! What may come behind the end of a program (M2, M30): the next program, or subprograms that the end was to keep from being
-//! run, as controls with M98 have them (`O1001` .. `M99`). The interpreter cannot call these, and refuses their lines, so that no
-//! machine falls into them. The number of a program stands behind a tape mark, a reset, or a rest (`O1001` .. `M30`).
+//! Decides on lines after the end of a program (M2, M30): they belong to the next program, or to subprograms, which
+//! controls with M98 have there (`O1001` .. `M99`). The interpreter cannot call such subprograms and refuses their
+//! lines, so that the machine does not execute them one after another. An O number (`O1001` .. `M30`) begins the next
+//! program only if it follows a tape mark, a reset, or a rest of the machine.
 
 use super::m_words::has_m_word;
 use super::state::{Interpreter, ProgramPlace};
 use crate::error::Error;
 
 impl<const N: usize> Interpreter<N> {
-    /// Whether a program has ended, and nothing has told yet that another one begins.
+    /// Whether a program has ended, and no other program has begun.
     #[inline]
     pub fn is_behind_end(&self) -> bool {
         self.place != ProgramPlace::Program
     }
 
-    /// What comes next is another program.
+    /// Marks the next line as the start of a program.
     pub fn begin_program(&mut self) {
         self.place = ProgramPlace::Program;
     }
 
-    /// Looks at a line behind the end. `rested`: the machine has had nothing to do for a while, so a number is that of the next
-    /// program.
+    /// Examines a line after the end of a program. `rested`: the machine has been idle for a while, so an O number is
+    /// that of the next program.
     ///
     /// # Errors
     /// [`Error::BehindEnd`] for the lines of a subprogram.
@@ -46,7 +47,7 @@ impl<const N: usize> Interpreter<N> {
     }
 }
 
-/// Whether a line is the number of a program, perhaps behind that of a line.
+/// Whether a line consists of a program number (O), which may follow a line number (N).
 fn is_program_number(line: &[u8]) -> bool {
     let numbered = line.strip_prefix(b"N").unwrap_or_default();
     let digits = numbered.iter().take_while(|byte| byte.is_ascii_digit()).count();
@@ -59,7 +60,7 @@ mod tests {
     use super::*;
     use crate::gcode::Dialect;
 
-    /// Which of these lines are taken, on a machine that never rests.
+    /// Returns which of these lines are accepted, on a machine that never rests.
     fn taken(lines: &[&str]) -> std::vec::Vec<bool> {
         let mut interpreter = Interpreter::<3>::default();
         let take = |line: &&str| {
@@ -97,7 +98,7 @@ mod tests {
             assert_eq!(interpreter.look_behind_end(b"O1", true), Ok(()));
             assert!(!interpreter.is_behind_end());
         }
-        // In a subprogram a rest ends nothing: somebody may have been asked whether to go on.
+        // A rest does not end a subprogram: the sender may have paused to ask the operator whether to continue.
         interpreter.place = ProgramPlace::End;
         assert_eq!(interpreter.look_behind_end(b"O1", false), Err(Error::BehindEnd));
         assert_eq!(interpreter.look_behind_end(b"G0X1", true), Err(Error::BehindEnd));

@@ -1,14 +1,15 @@
-//! Messages of programs, as they are kept behind the words of a line: `(MSG, ...)`, `(PRINT, ...)`, `(DEBUG, ...)`.
-//! `split_remark` parts them at the mark: as written, or with the values of parameters.
+//! Message comments of programs, as they are stored after the words of a line: `(MSG, ...)`, `(PRINT, ...)`, `(DEBUG,
+//! ...)`.
 //!
-//! A mark is in front of the text. Neither of the marks can be among the words, which have no remarks.
+//! A mark precedes the text of the message: as written, or with the values of parameters. [`split_remark`] splits a
+//! line at the mark. Neither mark can occur among the words, from which all comments have been removed.
 
-/// Mark of a message that is told as it is written.
+/// Mark of a message that is sent as it is written.
 pub const AS_WRITTEN: u8 = b'(';
-/// Mark of one in which parameters are replaced by their values.
+/// Mark of a message in which parameters are replaced by their values.
 pub const WITH_VALUES: u8 = b';';
 
-/// The words of a line, and the message behind them with its mark; nothing if there is none.
+/// Splits a line into its words and its message with the mark. Without a message the second part is empty.
 pub fn split_remark(line: &[u8]) -> (&[u8], &[u8]) {
     let end = line.iter().position(|byte| matches!(*byte, AS_WRITTEN | WITH_VALUES));
     line.split_at_checked(end.unwrap_or(line.len())).unwrap_or((line, &[]))

@@ -9,9 +9,9 @@
 //!             │            ⟍ first of the program
 //!             └──────────────── first
 //! ```
-//! G92 and G52 lie along the axes of the system, and so turn with it; its origin and the tool length offset are the
-//! machine's. A turn by a multiple of 90 degrees is exact, any other one to the nearest 0.1 nm. Which place a program has
-//! reached is kept as the program wrote it, so that roundings do not add up over a million increments.
+//! G92 and G52 are along the rotated axes of the system. The origin of the system and the tool length offset are along
+//! the machine's axes. Rotations by multiples of 90 degrees are exact, others are rounded to 0.1 nm. The last position
+//! is kept as the program wrote it, so that roundings do not add up over a million increments.
 
 use super::modal::{Plane, PlaneAxes};
 use super::scaling::ScalingChange;
@@ -23,7 +23,7 @@ use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Angle(pub i32);
 
-/// 1 in the fixed point of sines: products of it fit `i128` with a coordinate, quotients `i64`.
+/// 1 in the fixed-point format of sines. Its product with a coordinate fits `i128`; shifted back, `i64`.
 const ONE: i64 = 1 << FRACTION;
 const FRACTION: u32 = 62;
 
@@ -32,13 +32,13 @@ impl Angle {
     pub const ZERO: Angle = Angle(0);
     const HALF_TURN: i64 = 180 * DECIMAL_ONE;
 
-    /// The angle of so many degrees.
+    /// Converts degrees to an angle, modulo 360 degrees.
     pub const fn of(degrees: Decimal) -> Angle {
         let angle = degrees.0.rem_euclid(2 * Self::HALF_TURN);
         Angle((if angle > Self::HALF_TURN { angle - 2 * Self::HALF_TURN } else { angle }) as i32)
     }
 
-    /// In degrees.
+    /// Returns the angle in degrees.
     pub const fn degrees(self) -> Decimal {
         Decimal(self.0 as i64)
     }
@@ -51,7 +51,8 @@ impl Angle {
         Angle::of(Decimal(-self.degrees().0))
     }
 
-    /// Cosine and sine, within a few units of 2^-62: the power series on both sides of the next multiple of 90 degrees.
+    /// Returns cosine and sine, with an error of a few units of 2^-62: power series in the difference from the nearest
+    /// multiple of 90 degrees.
     fn cosine_and_sine(self) -> (i64, i64) {
         const QUARTER: i64 = Angle::HALF_TURN / 2;
         /// Radians in a unit, times 2^96.
@@ -60,7 +61,7 @@ impl Angle {
         let rest = self.degrees().0 - quarters * QUARTER;
         let x = ((i128::from(rest) * RADIANS) >> (96 - FRACTION)) as i64;
         let square = product(x, x);
-        // 1 - x²/(a·b) · (1 - x²/(c·d) · ...), with terms until they are below 2^-62.
+        // 1 - x²/(a·b) · (1 - x²/(c·d) · ...), until the terms are below 2^-62.
         let series = |first: i64| {
             (0..10).rev().fold(ONE, |sum, term| {
                 let factor = 2 * term + first;
@@ -76,7 +77,7 @@ impl Angle {
         }
     }
 
-    /// A vector turned by the angle.
+    /// Rotates a vector by the angle.
     pub(super) fn turn(self, [first, second]: [Coordinate; 2]) -> [Coordinate; 2] {
         if self == Angle::ZERO {
             return [first, second];
@@ -94,7 +95,7 @@ fn product(a: i64, b: i64) -> i64 {
     ((i128::from(a) * i128::from(b)) >> FRACTION) as i64
 }
 
-/// G68: what a program writes is turned about a point of the active coordinate system.
+/// G68: rotation of the program's coordinates about a point of the active coordinate system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rotation {
     pub(super) plane: Plane,
@@ -102,12 +103,12 @@ pub struct Rotation {
     pub(super) centre: [Coordinate; 2],
 }
 
-/// How the coordinates of a program lie in the machine, in the plane in which they are rotated.
+/// Relation between program coordinates and machine coordinates in the plane of a rotation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct RotatedPlane {
     pub(super) axes: PlaneAxes,
     pub(super) angle: Angle,
-    /// Where the program's zero is in the machine.
+    /// The machine position of the program's zero.
     pub(super) zero: [Coordinate; 2],
 }
 
@@ -120,12 +121,12 @@ impl RotatedPlane {
         self.angle.minus().turn(difference(machine, self.zero))
     }
 
-    /// The coordinates of a place in the plane.
+    /// Returns the two coordinates of a position in the plane.
     pub(super) fn part_of<const N: usize>(self, place: &PerAxis<Coordinate, N>) -> [Coordinate; 2] {
         [along(place, self.axes.first), along(place, self.axes.second)]
     }
 
-    /// Replaces the coordinates of a place in the plane.
+    /// Replaces the two coordinates of a position in the plane.
     pub(super) fn put<const N: usize>(self, place: &mut PerAxis<Coordinate, N>, [first, second]: [Coordinate; 2]) {
         place.set(self.axes.first, first);
         place.set(self.axes.second, second);
@@ -142,24 +143,24 @@ pub(super) fn difference(a: [Coordinate; 2], b: [Coordinate; 2]) -> [Coordinate;
     [a - c, b - d]
 }
 
-/// What a line changes of it.
+/// Changes that a line makes to rotation and scaling.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct RotationChange {
-    /// The angle of the coordinate system that is stored.
+    /// New angle of the coordinate system that the line stores.
     pub(super) angle: Option<Angle>,
-    /// G68 or G69.
+    /// The new rotation of G68, or `Some(None)` for G69.
     pub(super) rotation: Option<Option<Rotation>>,
     pub(super) reached: Option<Reached>,
     pub(super) scaled: ScalingChange,
 }
 
 impl RotationChange {
-    /// Nothing.
+    /// No changes.
     pub(super) const NONE: RotationChange =
         RotationChange { angle: None, rotation: None, reached: None, scaled: ScalingChange::NONE };
 }
 
-/// A place that a program has reached, as it wrote it and as it is in the machine.
+/// A position that a program has reached, in program and in machine coordinates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Reached {
     pub(super) rotated: RotatedPlane,
@@ -199,7 +200,7 @@ mod tests {
             let (wanted_sine, wanted_cosine) = (f64::from(units) / 1e7).to_radians().sin_cos();
             prop_assert!((cosine as f64 / ONE as f64 - wanted_cosine).abs() < 1e-15);
             prop_assert!((sine as f64 / ONE as f64 - wanted_sine).abs() < 1e-15);
-            // What f64 cannot tell: they lie on the circle.
+            // A check beyond the precision of f64: the points lie on the circle.
             let square = |v: i64| i128::from(v) * i128::from(v);
             prop_assert!((square(cosine) + square(sine) - square(ONE)).abs() < 64 * i128::from(ONE));
         }

@@ -7,9 +7,9 @@ use crate::image::FULL_IMAGE;
 use crate::lent::Lent;
 use crate::units::Coordinate;
 
-/// So many states are saved at once: without subroutines one.
+/// Maximum number of saved states; without subroutines one.
 const MOST: usize = if FULL_IMAGE { 8 } else { 1 };
-/// The call of a state that is to be restored has returned already.
+/// Level of a state that is still to be restored although its call has returned.
 const RETURNED: u8 = u8::MAX;
 
 /// A saved state.
@@ -18,22 +18,22 @@ pub(super) struct Saved<const N: usize> {
     pub modal: Modal,
     pub tool_length: PerAxis<Coordinate, N>,
     pub g92_acts: bool,
-    /// What the spindle held. Of another tool the length is not restored.
+    /// The tool in the spindle at that time. With another tool in the spindle, the saved length is not restored.
     pub spindle_tool: u32,
-    /// The length of the tool has been measured since, so that what was saved of it is no longer true.
+    /// The tool has been measured since the state was saved, so the saved length is outdated.
     pub is_measured_anew: bool,
-    /// Calls under way when it was saved.
+    /// Number of active subroutine calls when the state was saved.
     pub level: u8,
-    /// M73: it is restored at the end of its call.
+    /// M73: the state is restored at the end of its call.
     pub until_return: bool,
-    /// M71: not unless another takes its place.
+    /// M71: the state is not restored any more, until another state is saved in its place.
     pub is_forgotten: bool,
 }
 
-/// Room for them.
+/// List of saved states.
 pub(super) type SavedList<const N: usize> = heapless::Vec<Saved<N>, MOST>;
 
-/// All saved states, at most one of each level of calls.
+/// All saved states, at most one per level of subroutine calls.
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[derive(Debug, PartialEq)]
 pub(super) struct SavedStates<const N: usize>(Lent<SavedList<N>>);
@@ -48,7 +48,8 @@ impl<const N: usize> SavedStates<N> {
         self.0.iter().all(|saved| saved.is_forgotten)
     }
 
-    /// What M72 restores at a level of calls; of a call that has returned its own.
+    /// Returns the state that M72 restores at a level of calls. The state of a call that has just returned takes
+    /// precedence.
     pub fn of(&self, level: u8) -> Option<&Saved<N>> {
         let at = |level| self.saved_at(level).filter(|saved| !saved.is_forgotten);
         at(RETURNED).or_else(|| at(level))
@@ -63,26 +64,27 @@ impl<const N: usize> SavedStates<N> {
         !self.0.is_full() || self.saved_at(level).is_some()
     }
 
-    /// Takes the place of what was saved at the same level; M73 stays in force.
+    /// Replaces the state that was saved at the same level. If M73 saved that state, the end of the call restores the
+    /// new one.
     pub fn save(&mut self, mut saved: Saved<N>) {
         saved.until_return |= self.saved_at(saved.level).is_some_and(|before| before.until_return);
         self.0.retain(|before| before.level != saved.level);
         let _ = self.0.push(saved);
     }
 
-    /// The tool in the spindle has been measured.
+    /// Marks the tool length of all saved states as outdated, because the tool in the spindle has been measured.
     pub fn tool_measured(&mut self) {
         self.0.iter_mut().for_each(|saved| saved.is_measured_anew = true);
     }
 
-    /// M71.
+    /// Executes M71: forgets the state of a level.
     pub fn forget(&mut self, level: u8) {
         if let Some(saved) = self.0.iter_mut().find(|saved| saved.level == level) {
             saved.is_forgotten = true;
         }
     }
 
-    /// Calls have ended, back to this level. Whether M73 wants a state restored.
+    /// Ends all calls above `level`. Returns whether one of their states must be restored because of M73.
     #[cfg_attr(not(feature = "full"), allow(dead_code, reason = "there are no calls"))]
     pub fn leave(&mut self, level: u8) -> bool {
         let mut restores = false;
@@ -98,12 +100,13 @@ impl<const N: usize> SavedStates<N> {
         restores
     }
 
-    /// Calls are given up, or have returned with what they wanted restored.
+    /// Drops the states of all calls above `level`: the calls were aborted, or have returned and their state was
+    /// restored.
     pub fn abandon(&mut self, level: u8) {
         self.0.retain(|saved| saved.level <= level);
     }
 
-    /// Forgets all.
+    /// Forgets all states.
     pub fn clear(&mut self) {
         self.0.clear();
     }

@@ -1,31 +1,31 @@
-//! Scaled coordinates: G51 multiplies what a program writes along X, Y and Z by factors, seen from a centre. The result
+//! Scaled coordinates: G51 multiplies the X, Y and Z values of a program by factors, relative to a centre. The result
 //! is rotated (`rotation`) and offset afterwards.
 //!
 //! ```text
 //!                       scaled = centre + factor · (written - centre)         a distance: factor · written
 //! ```
-//! Products of a coordinate and a factor are exact integers of 10^-7 units. Of the place that a program has reached what the
-//! rounding to 0.1 nm has left is kept, so roundings do not add up over a million increments.
+//! Products of a coordinate and a factor are exact integers in units of 10^-7 of 0.1 nm. The remainder from rounding
+//! the reached position to 0.1 nm is kept, so roundings do not add up over a million increments.
 
 use super::values::nearest;
 use crate::axes::{Axis, PerAxis};
 use crate::image::FULL_IMAGE;
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 
-/// X, Y and Z. Where scaling is left out nothing of it takes any memory.
+/// Number of scaled axes: X, Y and Z. Without scaling (0) the types below take no memory.
 const AXES: usize = if FULL_IMAGE { 3 } else { 0 };
 
-/// G51.
+/// Scaling by G51.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Scaling {
-    /// None is 0.
+    /// No factor is 0.
     factors: [Decimal; AXES],
     centre: [Coordinate; AXES],
 }
 
-/// What rounding has left of each axis, in units of 10^-7 of 0.1 nm.
+/// Remainder from rounding, for each axis, in units of 10^-7 of 0.1 nm.
 pub(super) type Rest = [i32; AXES];
-/// Nothing.
+/// No remainders.
 pub(super) const NO_REST: Rest = [0; AXES];
 
 /// A length in units of 10^-7 of 0.1 nm.
@@ -35,8 +35,8 @@ fn fine(coordinate: Coordinate) -> Fine {
     i128::from(coordinate.0) * i128::from(DECIMAL_ONE)
 }
 
-/// `numerator / denominator`, to the nearest.
-// Once in the image: the division is long.
+/// Returns `numerator / denominator`, rounded to the nearest integer.
+// Not inlined, to have the long code of the division once in the image.
 #[inline(never)]
 fn divided(numerator: Fine, denominator: i64) -> Coordinate {
     let denominator = i128::from(denominator);
@@ -44,16 +44,16 @@ fn divided(numerator: Fine, denominator: i64) -> Coordinate {
     nearest((numerator * denominator.signum() + half).div_euclid(denominator.abs()))
 }
 
-/// As a coordinate, and what is left.
+/// Rounds a length to a coordinate. Returns the remainder, too.
 #[inline(never)]
 fn rounded(length: Fine) -> (Coordinate, i32) {
     let coordinate = divided(length, DECIMAL_ONE);
-    // Less than half of 10^7, but where the coordinate is at its bound.
+    // The remainder is at most half of 10^7, except where the coordinate is limited to the range of its type.
     (coordinate, i32::try_from(length - fine(coordinate)).unwrap_or(0))
 }
 
 impl Scaling {
-    /// By factors of X, Y and Z.
+    /// Creates a scaling from the factors and the centre of X, Y and Z.
     pub(super) fn new(factors: [Decimal; 3], centre: [Coordinate; 3]) -> Self {
         Self {
             factors: core::array::from_fn(|axis| factors.get(axis).copied().unwrap_or(Decimal::ZERO)),
@@ -61,12 +61,12 @@ impl Scaling {
         }
     }
 
-    /// By what an axis is multiplied.
+    /// Returns the factor of an axis; 1 for rotary axes.
     pub(super) fn factor(&self, axis: Axis) -> Decimal {
         self.factors.get(axis.index()).copied().unwrap_or(Decimal::from_int(1))
     }
 
-    /// Whether it is multiplied at all.
+    /// Whether the factor of an axis is other than 1.
     pub(super) fn scales(&self, axis: Axis) -> bool {
         self.factor(axis) != Decimal::from_int(1)
     }
@@ -75,33 +75,34 @@ impl Scaling {
         fine(self.centre.get(axis.index()).copied().unwrap_or(Coordinate::ZERO))
     }
 
-    /// Where a coordinate of the program is.
+    /// Scales a coordinate of the program. Returns the remainder, too.
     #[inline(never)]
     pub(super) fn place(&self, axis: Axis, written: Coordinate) -> (Coordinate, i32) {
         let centre = self.centre(axis);
-        // Both are whole: nothing is cut off.
+        // Both operands are multiples of `DECIMAL_ONE`: the division is exact.
         let from_centre = nearest((fine(written) - centre) / i128::from(DECIMAL_ONE));
         rounded(centre + i128::from(from_centre.0) * i128::from(self.factor(axis).0))
     }
 
-    /// How long a distance of the program is, with a rest from before.
+    /// Scales a distance of the program and adds the remainder `rest` of earlier roundings. Returns the new remainder,
+    /// too.
     #[inline(never)]
     pub(super) fn way(&self, axis: Axis, written: Coordinate, rest: i32) -> (Coordinate, i32) {
         rounded(i128::from(written.0) * i128::from(self.factor(axis).0) + i128::from(rest))
     }
 
-    /// How long a distance is that has no direction.
+    /// Scales a distance that has no direction: by the absolute value of the factor.
     pub(super) fn size(&self, axis: Axis, written: Coordinate) -> Coordinate {
         let length = i128::from(written.0) * i128::from(self.factor(axis).0.unsigned_abs());
         rounded(length).0
     }
 
-    /// What the program writes for a distance.
+    /// Converts a scaled distance back to that of the program.
     pub(super) fn written_way(&self, axis: Axis, scaled: i64) -> i64 {
         divided(fine(Coordinate(scaled)), self.factor(axis).0).0
     }
 
-    /// What the program writes for a place.
+    /// Converts a scaled position back to that of the program.
     #[inline(never)]
     pub(super) fn written<const N: usize>(&self, place: &mut PerAxis<Coordinate, N>, rest: &Rest) {
         for (axis, rest) in [Axis::X, Axis::Y, Axis::Z].into_iter().zip(rest) {
@@ -115,23 +116,23 @@ impl Scaling {
         }
     }
 
-    /// By what the last digit of a program is multiplied at least.
+    /// Returns the smallest absolute factor: at least by this factor the last digit of a program's words is multiplied.
     #[inline(never)]
     pub(super) fn least(&self) -> f32 {
         self.factors.iter().map(|factor| Decimal(factor.0.saturating_abs()).to_f32()).fold(f32::INFINITY, f32::min)
     }
 }
 
-/// What a line changes of it.
+/// Changes that a line makes to the scaling.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct ScalingChange {
-    /// G51 or G50.
+    /// The new scaling of G51, or `Some(None)` for G50.
     pub(super) scaling: Option<Option<Scaling>>,
     pub(super) rest: Option<Rest>,
 }
 
 impl ScalingChange {
-    /// Nothing.
+    /// No changes.
     pub(super) const NONE: ScalingChange = ScalingChange { scaling: None, rest: None };
 }
 
@@ -157,7 +158,7 @@ mod tests {
             prop_assert_eq!(back.0[1].0, written);
         }
 
-        /// However a way is cut into increments, its end is the same.
+        /// The end position does not depend on how a distance is split into increments.
         #[test]
         fn increments_add_up(ways in prop::collection::vec(-30_000_i64..30_000, 1..50), factor in 1_i64..100_000_000) {
             let scaling = Scaling::new([Decimal(factor); 3], [Coordinate::ZERO; 3]);

@@ -1,6 +1,5 @@
 //! The state of the [`Interpreter`]: modal state, offsets, tools, saved states and the position at the end of all
-//! committed lines. Here are the ways in which the controller reads it and corrects it, for example after a stop or a
-//! probe.
+//! committed lines. The controller reads it and corrects it here, for example after a stop or a probe.
 
 use super::Dialect;
 use super::computed::Computed;
@@ -27,75 +26,76 @@ pub struct Interpreter<const N: usize> {
     pub(super) modal: Modal,
     pub(super) offsets: Offsets<N>,
     pub(super) position: PerAxis<Coordinate, N>,
-    /// How many axes the machine has; `N` at most.
+    /// Number of axes of the machine; at most `N`.
     axes: u8,
-    /// Of the latest canned cycle.
+    /// Words of the latest canned cycle.
     pub(super) cycle: CycleWords,
     pub(super) tools: Lent<ToolTable<N>>,
-    /// What M6 has put there; 0 for none.
+    /// Number of the tool in the spindle; 0 if none is known.
     pub(super) spindle_tool: u32,
-    /// While a program is only checked: what the machine has meanwhile.
+    /// In check mode: the state of the machine, from before check mode.
     pub(super) before_check: Option<BeforeCheck<N>>,
     pub(super) computed: Computed<N>,
     pub(super) measured: Measured,
-    /// M70, M73.
+    /// States saved by M70 and M73.
     pub(super) saved: SavedStates<N>,
-    /// G68.
+    /// Rotation by G68.
     pub(super) rotation: Option<Rotation>,
-    /// The last place that was given in rotated coordinates.
+    /// The last position that a program gave in rotated coordinates.
     pub(super) reached: Option<Reached>,
-    /// G51.
+    /// Scaling by G51.
     pub(super) scaling: Option<Scaling>,
-    /// What the roundings of scaled coordinates have left of the position.
+    /// Remainders from rounding the position in scaled coordinates.
     pub(super) rest: Rest,
-    /// G5.2; no memory where there are no splines.
+    /// Control points of G5.2; takes no memory in a build without splines.
     pub(super) control_points: [ControlPoints; FULL_IMAGE as usize],
-    /// Of the last G5; no memory where there are no splines.
+    /// Tangent at the end of the last G5; takes no memory in a build without splines.
     pub(super) tangent: [Option<Tangent>; FULL_IMAGE as usize],
-    /// Whether lines are behind M2 or M30.
+    /// Where the next line is relative to the end of a program (M2, M30).
     pub(super) place: ProgramPlace,
 }
 
-/// Where lines are.
+/// Position of a line relative to the end of a program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ProgramPlace {
     /// In a program.
     Program,
-    /// Behind its end.
+    /// After the end of a program.
     End,
-    /// Behind its end, in a subprogram.
+    /// After the end of a program, in a subprogram.
     Subprogram,
 }
 
-/// How another G5 continues smoothly where the last one has ended, in X and Y of the machine.
+/// End of the last G5, from which another G5 can continue smoothly; in X and Y of the machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Tangent {
     pub(super) place: [Coordinate; 2],
-    /// To its first control point.
+    /// Vector from `place` to the first control point of the next curve.
     pub(super) way: [Coordinate; 2],
 }
 
 impl Tangent {
-    /// The last control point mirrored.
+    /// Mirrors the last control point of a curve about its end: `arriving` leads from the end to that control point.
     pub(super) fn behind<const N: usize>(end: &PerAxis<Coordinate, N>, arriving: [Coordinate; 2]) -> Self {
         Self { place: in_xy(end), way: arriving.map(|part| -part) }
     }
 }
 
-/// Before the first G5.
+/// No G5 has ended yet.
 pub(super) const NO_TANGENT: [Option<Tangent>; FULL_IMAGE as usize] = [None; FULL_IMAGE as usize];
 
-/// What check mode leaves to the machine.
+/// State of the machine from before check mode, which stays in force for the machine.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct BeforeCheck<const N: usize> {
     pub(super) spindle_tool: u32,
     pub(super) modal: Modal,
-    /// In Grbl's dialect, and on a board without room for it, what is checked sets them.
+    /// Empty in Grbl's dialect and in a build without expressions: there the checked programs change the offsets for
+    /// good.
     pub(super) offsets: [Option<Offsets<N>>; FULL_IMAGE as usize],
 }
 
 impl<const N: usize> BeforeCheck<N> {
-    /// The offsets that come back at its end.
+    /// Returns the offsets to restore at the end of check mode.
     pub(super) fn offsets(&self) -> Option<Offsets<N>> {
         self.offsets.first().copied().flatten()
     }
@@ -133,31 +133,31 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// How many axes the machine has: words of the others are unknown.
+    /// Returns the number of axes of the machine. Words of other axes are unknown words.
     #[inline]
     pub(super) fn axes(&self) -> usize {
         if N <= LINEAR { N } else { usize::from(self.axes) }
     }
 
-    /// The machine has so many axes, X, Y, Z and so on.
+    /// Sets the number of axes, in the order X, Y, Z, A, B, C; at most `N`.
     pub fn set_axes(&mut self, axes: usize) {
         self.axes = axes.min(N) as u8;
     }
 
-    /// Whether programs are only checked.
+    /// Returns whether check mode is active.
     pub(super) fn is_checking(&self) -> bool {
         self.before_check.is_some()
     }
 
-    /// Ends a series of canned cycles as G80 does: the machine has another position for the same place, and the level that
-    /// G98 leads back to would be a wrong one.
+    /// Ends a series of canned cycles, as G80 does. Call this after homing or another change of the machine
+    /// coordinates, which makes the level that G98 returns to wrong.
     pub fn end_cycles(&mut self) {
         if matches!(self.modal.motion, MotionMode::Cycle(_)) {
             self.modal.motion = MotionMode::Cancelled;
         }
     }
 
-    /// A stored place or tool gets a value.
+    /// Sets a stored position, or the offset of a tool.
     pub fn set_stored(&mut self, which: StoredOffset, value: PerAxis<Coordinate, N>) {
         match which {
             StoredOffset::Tool(number) => {
@@ -170,25 +170,26 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Sets every stored place to zero, and forgets the tools.
+    /// Sets all stored positions to zero, and empties the tool table.
     pub fn clear_stored(&mut self) {
         self.offsets.clear_stored();
         *self.tools = ToolTable::EMPTY;
     }
 
-    /// The tool that the spindle holds; 0 for none that M6 named.
+    /// Returns the number of the tool in the spindle; 0 if none is known.
     pub fn spindle_tool(&self) -> u32 {
         self.spindle_tool
     }
 
-    /// Whoever changes tools may have taken it out: what is in the spindle is not known, and the next M6 asks for it.
+    /// Marks the tool in the spindle as unknown, because the operator may have removed it during a tool change. The
+    /// next M6 asks for its tool again.
     pub fn tool_removed(&mut self) {
         self.spindle_tool = 0;
         self.measured.forget_tool();
     }
 
-    /// With this tool in the spindle the setter was touched at this place of the machine: its offset acts from here on.
-    /// Whether it is the first tool that was measured.
+    /// Records that tool `number`, in the spindle, touched the setter at the machine coordinate `place`, and applies
+    /// the resulting tool length offset. Returns whether this is the first measured tool.
     pub fn tool_measured(&mut self, number: u32, place: Coordinate) -> bool {
         let before = self.offsets.tool_length.get(TOOL_AXIS).unwrap_or(Coordinate::ZERO);
         let (offset, is_first) = self.measured.touched(place, before);
@@ -198,8 +199,8 @@ impl<const N: usize> Interpreter<N> {
         is_first
     }
 
-    /// In a program that is only checked: the tool would have been measured. The first one stays at the height of G30, if it is not
-    /// above it.
+    /// Assumes, in check mode, that the tool was measured. The first measured tool leaves Z at the height of G30, or
+    /// higher if Z is above it already.
     pub fn assume_measured(&mut self) {
         if !self.measured.assumed && self.measured.is_first() {
             let height = self.offsets.stored(StoredOffset::G30).get(TOOL_AXIS);
@@ -208,7 +209,7 @@ impl<const N: usize> Interpreter<N> {
         self.measured.assumed = true;
     }
 
-    /// Of the tool in the spindle, the offset that was measured, with what the table has for the other axes.
+    /// Returns the measured offset of tool `number` if it is in the spindle; its other axes come from the table.
     pub(super) fn measured_offset(&self, number: u32) -> Option<PerAxis<Coordinate, N>> {
         let active = self.offsets.tool_length.get(TOOL_AXIS).filter(|_| self.measured.assumed);
         let length = active.or(self.measured.offset()).filter(|_| number == self.spindle_tool && number != 0)?;
@@ -224,22 +225,22 @@ impl<const N: usize> Interpreter<N> {
             && self.offsets.tool_length == PerAxis::all(Coordinate::ZERO)
     }
 
-    /// The table of tools.
+    /// The tool table.
     pub fn tools(&self) -> &ToolTable<N> {
         &self.tools
     }
 
-    /// The table of tools, to restore it.
+    /// The tool table, for restoring its entries.
     pub fn tools_mut(&mut self) -> &mut ToolTable<N> {
         &mut self.tools
     }
 
-    /// The machine position the program believes in.
+    /// The machine position at the end of all committed lines.
     pub fn position(&self) -> &PerAxis<Coordinate, N> {
         &self.position
     }
 
-    /// For a replay: the tool is in the spindle.
+    /// Puts a tool into the spindle and selects it; for a replay.
     pub fn hold_tool(&mut self, tool: u32) {
         (self.spindle_tool, self.modal.tool) = (tool, tool);
     }
@@ -249,32 +250,32 @@ impl<const N: usize> Interpreter<N> {
         self.position = position;
     }
 
-    /// The control points of G5.2, up to the last G5.3 or beyond it.
+    /// The control points of the latest G5.2, including those of a curve that G5.3 has ended.
     pub fn control_points(&self) -> &[WeightedPoint] {
         self.control_points.first().map_or(&[], ControlPoints::all)
     }
 
-    /// Of the latest canned cycle, what stays in force while its word does.
+    /// The words of the latest canned cycle, which stay in force as long as its mode.
     pub fn cycle_words(&self) -> &CycleWords {
         &self.cycle
     }
 
-    /// Machine coordinate that G98 leads back to in the series of canned cycles in force.
+    /// The machine coordinate to which G98 returns in the current series of canned cycles.
     pub fn cycle_level(&self) -> Coordinate {
         self.cycle.level + along(&self.offsets.tool_length, self.cycle.plane.axes().linear)
     }
 
-    /// What stays in force.
+    /// The modal state.
     pub fn modal(&self) -> &Modal {
         &self.modal
     }
 
-    /// What is in force for the machine: while programs are only checked, what was in force before.
+    /// The modal state of the machine: in check mode, the one from before check mode.
     pub fn acting_modal(&self) -> &Modal {
         self.before_check.as_ref().map_or(&self.modal, |before| &before.modal)
     }
 
-    /// Spindle and coolant as the machine has them, where not the program but the operator or a stop has switched them.
+    /// Sets spindle and coolant to the machine's state after the operator or a stop has switched them.
     pub fn set_accessories(&mut self, spindle: SpindleDirection, coolant: Coolant) {
         self.modal.spindle = spindle;
         self.modal.coolant = coolant;
@@ -285,15 +286,16 @@ impl<const N: usize> Interpreter<N> {
         &self.offsets
     }
 
-    /// What lies between machine and work position now: active coordinate system + G92 + tool length offset.
+    /// Returns machine position minus work position: active coordinate system + G92 + tool length offset.
     pub fn work_offset(&self) -> PerAxis<Coordinate, N> {
         self.offsets.total(self.modal.coordinate_system)
     }
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// What reports take for the offset of the work coordinates: where their zero is in the machine, but for G68. A distance
-    /// from there is along the axes of the machine. Rotations do not act in the dialect of Grbl.
+    /// Returns the machine position of the work zero, which reports use as the work offset: a reported work position is
+    /// its distance from this zero along the machine's axes. Includes the angle of the coordinate system but not G68.
+    /// In Grbl's dialect there are no rotations.
     pub fn work_zero(&self, dialect: Dialect) -> PerAxis<Coordinate, N> {
         match dialect {
             Dialect::Grbl => self.work_offset(),
@@ -301,22 +303,22 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// The rotation by G68.
+    /// The rotation by G68, if one acts.
     pub fn rotation(&self) -> Option<&Rotation> {
         self.rotation.as_ref()
     }
 
-    /// The scaling by G51.
+    /// The scaling by G51, if one acts.
     pub fn scaling(&self) -> Option<&Scaling> {
         self.scaling.as_ref()
     }
 
-    /// A coordinate system is rotated.
+    /// Sets the angle of a coordinate system.
     pub fn set_angle(&mut self, system: CoordinateSystem, angle: Angle) {
         self.offsets.set_angle(system, angle);
     }
 
-    /// The coordinates that a program has for a place of the machine.
+    /// Converts a machine position to the program's coordinates.
     pub fn to_program(&self, place: &PerAxis<Coordinate, N>) -> PerAxis<Coordinate, N> {
         let offsets = &self.offsets;
         let mut program = place.zip(&self.work_offset(), |place, offset| place - offset);
@@ -331,7 +333,8 @@ impl<const N: usize> Interpreter<N> {
         program
     }
 
-    /// The same in a rotated plane: as the program wrote it, if it is the place that it has reached.
+    /// Converts machine coordinates in a rotated plane to program coordinates. For the last position that the program
+    /// gave, returns the coordinates as the program wrote them.
     pub(super) fn in_program(&self, rotated: RotatedPlane, machine: [Coordinate; 2]) -> [Coordinate; 2] {
         match self.reached {
             Some(reached) if reached.rotated == rotated && reached.machine == machine => reached.program,

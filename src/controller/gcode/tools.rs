@@ -1,28 +1,29 @@
-//! The tool table: numbers and length offsets of tools. Also what a tool setter has measured (`$918=2`): the first tool
-//! is the reference, and later ones get an offset against it.
+//! The tool table: numbers and length offsets of tools. Also the measurements of a tool setter (`$918=2`): the first
+//! measured tool is the reference, and later tools get an offset relative to it.
 
 use super::code::Code;
 use crate::axes::PerAxis;
 use crate::number::{self, Digits};
 use crate::units::Coordinate;
 
-/// How many tools the table holds.
+/// Capacity of the tool table.
 pub const TOOLS: usize = 32;
 
-/// Bit of the number of an entry that a program has set which is only checked. It hides the one without the bit.
+/// Bit in the number of an entry that a program has set in check mode. Such an entry hides the entry of the same tool
+/// without the bit.
 const CHECKED: u32 = 1 << 31;
 
-/// A tool of the table.
+/// Entry of the tool table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tool<const N: usize> {
-    /// Its number, from 1 on; 0 for a free entry.
+    /// Number of the tool, from 1; 0 for a free entry.
     pub number: u32,
-    /// How far its tip is from the point that the spindle alone would have, by axis.
+    /// Offset of the tool's tip from the reference point of the spindle, by axis.
     pub offset: PerAxis<Coordinate, N>,
 }
 
 impl<const N: usize> Tool<N> {
-    /// Whether this is no free entry, nor one of a program that is only checked.
+    /// Whether the entry is used, and was not set in check mode.
     pub fn is_stored(&self) -> bool {
         self.number != 0 && self.number & CHECKED == 0
     }
@@ -33,7 +34,7 @@ impl<const N: usize> Tool<N> {
 pub struct ToolTable<const N: usize>([Tool<N>; TOOLS]);
 
 impl<const N: usize> ToolTable<N> {
-    /// No tools.
+    /// The empty table.
     pub const EMPTY: Self = Self([Tool { number: 0, offset: PerAxis::all(Coordinate::ZERO) }; TOOLS]);
 
     /// All entries, the free ones included.
@@ -41,24 +42,24 @@ impl<const N: usize> ToolTable<N> {
         &self.0
     }
 
-    /// Whether it has no entry of any tool.
+    /// Whether all entries are free.
     pub(super) fn is_empty(&self) -> bool {
         self.0.iter().all(|tool| tool.number == 0)
     }
 
-    /// The entry of a tool, or the first free one.
+    /// Returns the index of a tool's entry, or of the first free entry.
     pub fn slot(&self, number: u32) -> Option<usize> {
         self.find(number).or_else(|| self.find(0))
     }
 
-    /// What an entry holds from now on.
+    /// Replaces an entry.
     pub fn put(&mut self, slot: usize, tool: Tool<N>) {
         if let Some(entry) = self.0.get_mut(slot) {
             *entry = tool;
         }
     }
 
-    /// The offset of a tool; nothing for an unknown one. No tool at all (0) has no offset.
+    /// Returns the offset of a tool; `None` for an unknown tool. Tool 0 (no tool) has the offset 0.
     pub fn offset(&self, number: u32) -> Option<PerAxis<Coordinate, N>> {
         if number == 0 {
             return Some(PerAxis::all(Coordinate::ZERO));
@@ -67,7 +68,7 @@ impl<const N: usize> ToolTable<N> {
         find(number | CHECKED).or_else(|| find(number)).map(|tool| tool.offset)
     }
 
-    /// The entry of a tool that is in the table.
+    /// Returns the index of a tool's entry, if the tool is in the table.
     pub fn find(&self, number: u32) -> Option<usize> {
         self.0.iter().position(|tool| tool.number == number)
     }
@@ -79,7 +80,7 @@ impl<const N: usize> ToolTable<N> {
         }
     }
 
-    /// Forgets what a program has set that was only checked.
+    /// Removes the entries that programs have set in check mode.
     pub(super) fn end_check(&mut self) {
         for tool in self.0.iter_mut().filter(|tool| tool.number & CHECKED != 0) {
             tool.number = 0;
@@ -87,39 +88,39 @@ impl<const N: usize> ToolTable<N> {
     }
 }
 
-/// What has been measured of the tool in the spindle (`$918=2`).
+/// Measurements of the tool in the spindle (`$918=2`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Measured {
-    /// Where a tool without offset touches the setter, from the first tool that was measured.
+    /// The machine coordinate at which a tool with offset 0 touches the setter, derived from the first measured tool.
     reference: Option<Coordinate>,
-    /// The offset of the tool in the spindle.
+    /// The measured offset of the tool in the spindle.
     offset: Option<Coordinate>,
-    /// In a program that is only checked M6 is taken to have measured the tool.
+    /// In check mode: M6 is assumed to have measured the tool.
     pub(super) assumed: bool,
 }
 
 impl Measured {
-    /// Nothing.
+    /// No measurements.
     pub(super) const NOTHING: Self = Self { reference: None, offset: None, assumed: false };
 
-    /// The offset of the tool in the spindle, if it was measured.
+    /// Returns the offset of the tool in the spindle, if it has been measured.
     pub(super) fn offset(&self) -> Option<Coordinate> {
         self.offset
     }
 
-    /// Whether the next tool to be measured is the first one.
+    /// Whether no tool has been measured yet.
     pub(super) fn is_first(&self) -> bool {
         self.reference.is_none()
     }
 
-    /// The tool is taken out.
+    /// Forgets the offset of the tool in the spindle; the reference remains.
     pub(super) fn forget_tool(&mut self) {
         self.offset = None;
     }
 
-    /// A tool has touched the setter at this place of the machine while `active` was in force. Its offset is such that the
-    /// tips of all tools that were measured have the same coordinates at the same place; the first one keeps what is in force.
-    /// Whether it is the first.
+    /// Records that a tool touched the setter at the machine coordinate `place` while the offset `active` was in force.
+    /// Returns the offset of the tool, and whether it is the first measured tool. The offset gives the tips of all
+    /// measured tools the same coordinates at the same place; the first tool keeps the offset in force.
     pub(super) fn touched(&mut self, place: Coordinate, active: Coordinate) -> (Coordinate, bool) {
         let is_first = self.is_first();
         let reference = *self.reference.get_or_insert(place - active);
@@ -129,7 +130,7 @@ impl Measured {
     }
 }
 
-/// Whether a line that has been refused asks for another tool (M6), as far as its words can be told.
+/// Whether a refused line asks for another tool (M6), as far as its words can be read.
 #[inline(never)]
 pub fn asks_for_tool(line: &[u8]) -> bool {
     line.split(|byte| *byte == b'M').skip(1).any(|number| {
@@ -137,7 +138,7 @@ pub fn asks_for_tool(line: &[u8]) -> bool {
     })
 }
 
-/// The number of the entry that a program sets for a tool, which may be only checked.
+/// Returns the number for the entry that a program sets for a tool; in check mode it has the bit [`CHECKED`].
 pub(super) fn entry_number(number: u32, is_checking: bool) -> u32 {
     if is_checking { number | CHECKED } else { number }
 }

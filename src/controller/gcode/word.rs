@@ -1,5 +1,5 @@
-//! Words of a line: reads letter and number one by one, and translates G and M numbers into their meaning, by dialect
-//! and by the features of this build. Each word has a modal group.
+//! Words of a line: reads letters and numbers one by one, and translates G and M numbers into their meaning, which
+//! depends on the dialect and on the features of this build. Each word has a modal group.
 
 use super::Dialect;
 use super::code::Code;
@@ -20,18 +20,18 @@ use crate::units::Decimal;
 pub(super) struct Word {
     pub letter: u8,
     pub value: Decimal,
-    /// Digits behind the point; of a computed value those that it has, for it has none that were left out.
+    /// Number of decimal places as written; for a computed value, the number of places that the value has.
     pub places: u8,
 }
 
-/// The letter of a parameter that is set, which is a word without meaning to the line.
+/// The letter of an assignment to a parameter, a word that does not affect the line itself.
 pub(super) const ASSIGNMENT: u8 = b'#';
 
-/// The words of a line, up to the first fault.
+/// Iterator over the words of a line; ends at the first error.
 pub(super) struct Words<'a, const N: usize> {
     rest: &'a [u8],
     digits: Digits,
-    /// Where computed values come from and parameters go; Grbl's dialect has neither.
+    /// Source of computed values and target of assignments; `None` in Grbl's dialect, which has neither.
     state: Option<&'a mut Interpreter<N>>,
 }
 
@@ -58,7 +58,7 @@ impl<'a, const N: usize> Words<'a, N> {
 
     fn assign(&mut self, letter: u8, text: &'a [u8]) -> Result<(Word, &'a [u8]), Error> {
         match &mut self.state {
-            // ISO's letter of a program's number.
+            // A colon is the letter of a program number in ISO code.
             Some(_) if FULL_IMAGE && letter == b':' && text.first().is_some_and(u8::is_ascii_digit) => {
                 self.read(b'O', text)
             }
@@ -135,7 +135,7 @@ impl Letters {
     }
 }
 
-/// A modal group: of its words a line may have one.
+/// Modal group; a line may have one word of each group.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Group {
@@ -189,10 +189,10 @@ pub enum Group {
     LookAhead,
 }
 
-/// The modal group of the word `G` or `M` with a number, as a line of a dialect is read.
+/// Returns the modal group of the word `G` or `M` with a number, in a dialect.
 ///
 /// # Errors
-/// With which error such a line is refused.
+/// The error with which a line with this word is refused.
 pub fn group_of(letter: u8, number: Decimal, dialect: Dialect) -> Result<Group, Error> {
     let code = Code::of(number);
     match letter {
@@ -214,7 +214,7 @@ impl Groups {
     /// The group of motion words.
     pub const OF_MOTION: Groups = Groups(1 << Group::Motion as u32);
 
-    /// The groups whose words say how a line moves and no more.
+    /// The groups whose words affect only the motion of a line.
     pub const OF_MOVES: Groups = Groups(
         1 << Group::Motion as u32
             | 1 << Group::Plane as u32
@@ -247,10 +247,10 @@ impl Groups {
     }
 }
 
-/// What a command does with the axis words of its line. Only one command may have them.
+/// Command that uses the axis words of a line; a line may have only one such command.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Claim {
-    /// Nothing asks for axis words.
+    /// No command uses axis words.
     #[default]
     Nobody,
     /// G10, G28, G30, G92.
@@ -309,32 +309,32 @@ pub(super) enum GWord {
     ArcDistance(ArcDistance),
     FeedMode(FeedMode),
     Units(Units),
-    /// G98, G99: whether cycles retract to R.
+    /// G98 (`false`), G99 (`true`): whether cycles retract to R.
     Retract(bool),
-    /// G40, the only cutter compensation there is.
+    /// G40. Other words of cutter compensation are not supported.
     NoCutterCompensation,
     ToolLength(ToolLength),
     CoordinateSystem(CoordinateSystem),
     /// G61, G61.1, G64.
     Path(PathControl),
-    /// G68, or G69 without a rotation.
+    /// G68 (`true`), G69 (`false`).
     Rotation(bool),
-    /// G51, or G50 without a scaling.
+    /// G51 (`true`), G50 (`false`).
     Scaling(bool),
     /// G5.3.
     EndOfControlPoints,
     /// G31, a probing move whose word does not stay in force.
     ProbeOnce,
-    /// G54.1, G154: a coordinate system by its P.
+    /// G54.1, G154: selects a coordinate system by P.
     SystemByNumber,
     /// G8, G187: a switch of the look-ahead, with its number.
     LookAhead(u8),
-    /// Says what is so in any case: G97 (S in revolutions per minute).
+    /// Selects the only mode that exists: G97 (S in revolutions per minute).
     AsItIs(Group),
 }
 
 impl GWord {
-    /// The claim that a code lays on axis words. It is looked at before the code is known to be valid.
+    /// Returns how a code uses axis words. Called before the code is known to be valid.
     pub fn claim(code: Code, dialect: Dialect) -> Claim {
         match (code.whole, code.hundredths) {
             // G43, G43.2 and G49 need no axis word, so a line may change the offset and move: `G0 G49 ...` opens many
@@ -373,7 +373,7 @@ impl GWord {
         })
     }
 
-    /// Words of other controls that CAM programs write out of habit.
+    /// Returns the words of other controls that CAM programs commonly contain.
     fn of_cam(code: Code) -> Option<GWord> {
         Some(match (code.whole, code.hundredths) {
             (31, 0) => GWord::ProbeOnce,
@@ -386,7 +386,8 @@ impl GWord {
         })
     }
 
-    /// What Grbl's dialect does not have, as far as it needs no more of the code; an error for numbers that are no code.
+    /// Looks up a code among the words that Grbl's dialect lacks (see `of_cam` and `extended`). Returns an error for a
+    /// number that is not a code, for cutter compensation, and for words that this build lacks.
     fn beyond_grbl(code: Code) -> Option<Result<GWord, Error>> {
         match (code.whole, code.hundredths) {
             (_, Code::NO_CODE) => return Some(Err(Error::UnsupportedCommand)),
@@ -399,8 +400,8 @@ impl GWord {
         Self::extended(code).map(Ok)
     }
 
-    /// The word of a code. A fraction that a command does not have is "not a whole number" where the command has none
-    /// at all, and "unsupported" where it has others.
+    /// Returns the word of a code. A wrong fraction is [`Error::IntegerRequired`] if no word with this whole part has a
+    /// fraction, and [`Error::UnsupportedCommand`] if some do.
     pub fn of(code: Code, dialect: Dialect) -> Result<GWord, Error> {
         let more = dialect != Dialect::Grbl;
         if more && let Some(word) = Self::beyond_grbl(code) {
@@ -463,8 +464,8 @@ impl GWord {
         })
     }
 
-    /// Splines, rotations and scaling, with an error of its own for each that is left out. Without a rotation G69 says what is
-    /// so, without a scaling G50.
+    /// Returns the words of splines, rotation and scaling. Each feature that this build lacks has its own error. G50
+    /// and G69 are accepted in every build.
     fn by_feature(code: Code) -> Result<GWord, Error> {
         match (code.whole, code.hundredths) {
             (5, _) if !FULL_IMAGE => Err(Error::SplinesLeftOut),
@@ -538,7 +539,7 @@ pub(super) enum MWord {
 }
 
 impl MWord {
-    /// The word of a code.
+    /// Returns the word of a code.
     pub fn of(code: Code, dialect: Dialect) -> Result<MWord, Error> {
         let more = dialect != Dialect::Grbl;
         match code.hundredths {

@@ -1,6 +1,6 @@
-//! Everything the host is told: `ok` and errors, alarms, messages, the welcome line and the status report. Replies to
-//! checked lines get their number and checksum here. Texts come from `protocol::report`; this file fills in the values
-//! and puts the result into the queue of replies.
+//! Everything that is sent to the host: `ok` and errors, alarms, messages, the welcome line and the status report.
+//! Replies to checked lines get their number and checksum here. `protocol::report` makes the texts; this file supplies
+//! the values and queues the result.
 
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};
@@ -19,19 +19,19 @@ use crate::work::task::{Job, Stage, Task};
 use crate::work::tool_change::plan::ToolWait;
 
 impl<const N: usize> Controller<N> {
-    /// Makes a piece of answer.
+    /// Makes a text and queues it for the host.
     pub(crate) fn say(&mut self, make: impl FnOnce(&mut Text)) {
         let mut text = Text::new();
         make(&mut text);
         self.queue_text(&text);
     }
 
-    /// The answer to a line that is carried out.
+    /// Sends the answer to a line that is executed.
     pub(crate) fn say_ok(&mut self) {
         self.queue_text(report::OK);
     }
 
-    // Once, and not in each of the forty calls that say something.
+    // Not inlined: forty callers share this code.
     #[inline(never)]
     fn queue_text(&mut self, text: &[u8]) {
         if self.m.lines.is_checking() && report::is_answer(text) && !self.m.replies.is_echoing() {
@@ -40,8 +40,8 @@ impl<const N: usize> Controller<N> {
         self.m.replies.push(text, self.m.lines.hosts_cut());
     }
 
-    /// The answer to a checked line.
-    // By itself: a text has 320 bytes of stack.
+    /// Sends the answer to a checked line, with its number and checksum.
+    // Not inlined: the text takes 320 bytes of stack.
     #[inline(never)]
     fn answer_checked(&mut self, text: &[u8]) {
         if let Some(checked) = self.m.lines.checked_answer(text) {
@@ -49,8 +49,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// The message of a line that is carried out, with its mark; one that would leave the travel is not. What was queued
-    /// before it may still move.
+    /// Sends the message of a line that is executed; `remark` is the message with its mark. The message of a line that
+    /// would leave the travel is not sent. Moves queued before the line may still be running.
     #[inline]
     pub(crate) fn tell_remark(&mut self, remark: &[u8]) {
         if let Some((mark, written)) = remark.split_first() {
@@ -58,7 +58,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    // By itself: few lines have a message, and it takes much stack.
+    // Not inlined: it takes much stack, and few lines have a message.
     #[inline(never)]
     fn tell_message(&mut self, mark: u8, written: &[u8]) {
         if self.state.is_alarm() || matches!(self.task, Task::SoftLimit(_)) {
@@ -74,7 +74,7 @@ impl<const N: usize> Controller<N> {
         self.line.keep_message(text);
     }
 
-    /// Tells a program what it has not been told yet.
+    /// Sends a notice, once for each program.
     #[inline(never)]
     pub(crate) fn tell_notice(&mut self, notice: Notice) {
         if self.line.is_new(notice) {
@@ -82,9 +82,9 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// The answer to a line that is not carried out, or not to its end.
+    /// Sends the error of a line that is not executed, or not completely.
     pub(crate) fn refuse(&mut self, error: Error) {
-        // Not that to a startup line, which no host has sent.
+        // The error of a startup line is not one of a line that the host has sent.
         if !self.m.replies.is_echoing() {
             self.m.lines.fail(error);
         }
@@ -94,7 +94,8 @@ impl<const N: usize> Controller<N> {
         self.say(|out| report::error(out, error.code()));
     }
 
-    /// What is wrong with the line, in front of its error, for the host that gets that; Grbl says nothing there, and a startup line has no room for it.
+    /// Sends the explanation of an error before the error itself. Omitted in Grbl's dialect, which sends nothing there,
+    /// for a startup line, whose answer has no room for it, and if the host has disconnected.
     #[cold]
     #[inline(never)]
     fn tell_reason(&mut self, error: Error) {
@@ -107,7 +108,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// `$E`
+    /// Answers `$E`: the explanation of the last refused line.
     pub(crate) fn tell_refusal(&mut self) {
         let mut text = Text::new();
         match self.line.refusal() {
@@ -128,14 +129,15 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Another dialect: a host that checks its lines is told that it is no longer asked for.
+    /// Ends the checking of lines when the dialect changes, and reports that to the host.
     pub(crate) fn end_check(&mut self) {
         if self.m.lines.end_check() {
             self.tell_unchecked();
         }
     }
 
-    /// A reset or a stop, at which the rest of a line may be under way.
+    /// Ends the checking of lines after a reset or a stop, which may have cut a line in transit, and reports that to
+    /// the host.
     pub(crate) fn lapse_check(&mut self) {
         if self.m.lines.lapse_check() {
             self.tell_unchecked();
@@ -146,7 +148,7 @@ impl<const N: usize> Controller<N> {
         self.say(|out| report::message(out, "Lines are not checked any more"));
     }
 
-    /// Which inputs caused the alarm, where, and at which line, if that has not been told yet.
+    /// Reports, once, which inputs caused the alarm, at which position, and at which line.
     pub(crate) fn tell_trip(&mut self, line: u32) {
         if let Some(tripped) = self.m.inputs.take_tripped()
             && self.dialect() != Dialect::Grbl
@@ -163,7 +165,7 @@ impl<const N: usize> Controller<N> {
         self.say(|out| report::message(out, text));
     }
 
-    /// What a host has to do to unlock the machine.
+    /// Tells the host how to unlock the machine.
     pub(crate) fn tell_lock(&mut self) {
         match self.state {
             State::Alarm(_) if self.m.records.are_damaged() => self.tell_damage(),
@@ -173,7 +175,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// The welcome line. What a host is told once, it may not have heard before.
+    /// Sends the welcome line. Messages that are sent only once may then be sent again, because a new host may have
+    /// missed them.
     pub(crate) fn greet(&mut self) {
         self.m.records.host_greeted();
         self.say(report::welcome);
@@ -184,11 +187,12 @@ impl<const N: usize> Controller<N> {
         self.m.settings_lock.host_greeted();
     }
 
-    /// What a host that takes over inherits and no report shows, by the messages that the one before got: Grbl has no other
-    /// hosts. A wait that was told to nobody has a message of its own.
+    /// Informs a host that takes over about conditions that no report shows, with the messages that the host before it
+    /// got. A wait that was never reported has a message of its own. Not in Grbl's dialect: Grbl does not know of
+    /// several hosts.
     #[inline(never)]
     pub(crate) fn tell_inherited(&mut self) {
-        // The texts are for boards that have room for them.
+        // Only boards with room for descriptions have these texts.
         if !FULL_IMAGE || self.dialect() == Dialect::Grbl {
             return;
         }
@@ -211,7 +215,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// What a line waits for.
+    /// Reports what the current line waits for.
     fn tell_wait(&mut self, job: &Job) {
         let seconds = job.left(self.m.now).to_micros().div_ceil(1_000_000) as u32;
         match (job.stage, self.line.action.pins()) {
@@ -244,7 +248,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// The last message of the program may say what a pause or a tool change is for.
+    /// Repeats the last message of the program, which may say what a pause or tool change is for.
     fn repeat_message(&mut self) {
         let text = self.line.message();
         if !text.is_empty() {
@@ -252,31 +256,31 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// The tool that is waited for.
+    /// Reports the tool that the machine waits for.
     pub(crate) fn tell_tool(&mut self) {
         let tool = self.line.action.spindle_tool();
         self.say(|out| report::message_number(out, "Tool change T", tool));
     }
 
-    /// A question that the operator answers by `~`.
+    /// Asks a question that the operator answers by `~`.
     pub(crate) fn tell_first_tool(&mut self) {
         self.say(|out| report::message(out, "First tool measured: is the work zero set with it?"));
     }
 
-    /// Whether single block is on.
+    /// Reports whether single block is on.
     pub(crate) fn tell_single_block(&mut self) {
         let message = if self.line.is_single_block() { "Single block on" } else { "Single block off" };
         self.say(|out| report::message(out, message));
     }
 
-    /// The report that a `?` has asked for, if there is room for it.
+    /// Sends the report requested by `?`, if there is room for it.
     pub(crate) fn answer_status(&mut self) {
         if self.m.replies.take_status() {
             self.report_status();
         }
     }
 
-    // Cold: asked for a few times in a second, and looked for before each output.
+    // Cold: reports are requested a few times per second, but the request is checked before each output.
     #[cold]
     #[inline(never)]
     fn report_status(&mut self) {
@@ -316,12 +320,12 @@ impl<const N: usize> Controller<N> {
         self.say(|out| report::status(out, &status, form));
     }
 
-    /// How the host is told of places.
+    /// Returns the form in which positions are reported.
     pub(crate) fn place_form(&self) -> PlaceForm {
         PlaceForm { axes: self.m.settings.axes_in_use(), inches: self.m.settings.is_on(Key::ReportInches) }
     }
 
-    /// The inputs as a report shows them.
+    /// Returns the inputs as a report shows them.
     fn shown_signals(&self) -> Signals {
         let signals = *self.m.inputs.signals();
         Signals { limits: levels::axes_of_switches(signals.limits, &self.m.settings), ..signals }

@@ -1,4 +1,4 @@
-//! Carries out `$` commands: settings, unlock, homing, check mode, sleep, defaults, startup lines and macros, and the
+//! Executes `$` commands: settings, unlock, homing, check mode, sleep, defaults, startup lines and macros, and the
 //! start of a listing. A command that the present state forbids is refused before anything changes.
 
 use crate::axes::{Axis, AxisMask};
@@ -13,7 +13,7 @@ use crate::states::{Homing, State};
 use crate::units::{DECIMAL_ONE, Decimal};
 use crate::work::task::{Answer, Ask, Caller, Listing, Task};
 
-/// Numbers of settings that are more than values.
+/// Numbers of settings whose change has further effects.
 const DIRECTION_INVERT: u16 = Key::DirectionInvert.number();
 const DOOR_FITTED: u16 = Key::DoorFitted.number();
 const AXES: u16 = Key::Axes.number();
@@ -31,7 +31,7 @@ const STEP_PULSE: u16 = Key::StepPulse.number();
 const ZERO_AT_PULL_OFF: u16 = Key::ZeroAtPullOff.number();
 
 impl<const N: usize> Controller<N> {
-    /// A line that begins with `$`.
+    /// Executes a line that begins with `$`.
     pub(crate) fn system(&mut self, line: &[u8]) -> Result<(), Error> {
         let resting = matches!(self.state, State::Normal) && !self.m.step_supply.is_running();
         let idle = resting && self.m.motion.is_idle();
@@ -95,7 +95,7 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// The answer has the form that lines have from now on.
+    /// Switches the checking of lines on or off. The answer to this command already has the new form.
     fn check_lines(&mut self, session: Option<&[u8]>) {
         if let Some(session) = session {
             self.m.lines.begin_check(session);
@@ -167,7 +167,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn set_setting(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
-        // What the table of settings has is the least of all boards, and the most.
+        // The table of settings has the widest limits of all boards; those of this board are checked here.
         let least_pulse = i64::from(self.m.settings_lock.least_pulse_tenths()) * (DECIMAL_ONE / 10);
         if number == STEP_PULSE && (0..least_pulse).contains(&value.0) {
             return Err(Error::StepPulseTooShort);
@@ -183,7 +183,7 @@ impl<const N: usize> Controller<N> {
         if accepted? != 0.0 {
             match number {
                 DOOR_FITTED if self.m.inputs.pins().door => return Err(Error::DoorOpen),
-                // As with the door: it would not be seen to become active.
+                // As for the door: an input that is active already would not become active.
                 RESET_IS_EMERGENCY_STOP if self.m.inputs.pins().reset => return Err(Error::EmergencyStop),
                 _ => {}
             }
@@ -192,7 +192,7 @@ impl<const N: usize> Controller<N> {
         let (soft_limits, dialect) = (self.m.settings.is_on(Key::SoftLimits), self.dialect());
         self.m.settings.set(number, value)?;
         let is_other = self.m.settings.by_number(number) != before;
-        // The same S is another power now.
+        // The same S would be another power from here on.
         if is_other && matches!(number, SPINDLE_MAXIMUM | SPINDLE_MINIMUM | LASER) {
             self.m.stop_spindle();
         }
@@ -203,7 +203,7 @@ impl<const N: usize> Controller<N> {
         if self.dialect() != dialect {
             self.m.interpreter.change_dialect();
             self.end_check();
-            // Rotations act in one dialect only, and G92 with them.
+            // Rotations do not act in Grbl's dialect, not on G92 either, so the work offset differs.
             self.m.replies.offset_changed();
             self.apply_overrides();
         }
@@ -211,10 +211,11 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// A setting has been set: derived numbers follow, and it is stored. `soft_limits`: they were on before.
+    /// Updates the values that depend on a changed setting, and stores the setting. `soft_limits`: whether they were on
+    /// before.
     fn follow_setting(&mut self, number: u16, soft_limits: bool) {
         self.reconfigure();
-        // Another resolution is another position for the same steps.
+        // With another resolution, the same steps are another position.
         self.m.interpreter.set_position(self.m.motion.machine_position());
         if matches!(number, REPORT_INCHES | AXES) {
             self.m.replies.offset_changed();
@@ -225,8 +226,8 @@ impl<const N: usize> Controller<N> {
         self.m.records.save_setting(number, &self.m.settings);
     }
 
-    /// A setting has another value: where that gives places other names than homing gave them, the machine is to be homed
-    /// again. Homing that is switched on has not been done.
+    /// Ends the trust in the position if the changed setting gives positions other coordinates than homing did: the
+    /// machine must be homed again. Switching homing on also requires homing.
     fn rename_places(&mut self, number: u16) {
         let to_negative = AxisMask(self.m.settings.whole(Key::HomingDirection) as u8);
         let moves_places = AxisKey::Resolution.axis(number).is_some() || number == KINEMATICS;

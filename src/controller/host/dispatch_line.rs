@@ -1,6 +1,6 @@
-//! Where a received line goes. Bytes are collected by the intake; a complete line is a `$` command, a jog or a line of
-//! a program, and each is passed on or refused with an error. A jog that arrives while another one brakes waits until
-//! that is at rest.
+//! Dispatches received lines. The intake collects bytes; a complete line is a `$` command, a jog or a line of a
+//! program, and each is passed on or refused with an error. A jog that arrives while another jog brakes waits until the
+//! machine is at rest.
 
 use crate::dispatch::Controller;
 use crate::error::Error;
@@ -17,11 +17,11 @@ use crate::units::{Duration, Instant};
 use crate::view::dialect;
 use crate::work::task::{Answer, Caller, Task};
 
-/// A number that comes so long after the last line of a program has been answered is that of the next one. A sender that goes on
-/// with its file is quicker.
+/// If a line arrives at least this long after the last answer, an O number in it begins the next program. A sender that
+/// continues its file is faster.
 const REST: Duration = Duration::from_ticks(5_000_000);
 
-/// The message of a line, with its mark.
+/// Message of a line, with its mark.
 type Remark = heapless::Vec<u8, { line_filter::MESSAGE_LENGTH + 1 }>;
 
 impl<const N: usize> Controller<N> {
@@ -31,21 +31,22 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether a byte that comes next would be dropped, as it was received before a reset or a stop, or before the reset that is
-    /// all that the machine waits for.
+    /// Returns whether the next byte is to be dropped: it was received before a reset or a stop, or the machine waits
+    /// only for a reset, which comes after the byte.
     pub fn is_old(&self, byte: LineByte) -> bool {
         if self.state.waits_for_reset() {
             return !self.m.stops.is_awaited() && !self.m.lines.is_ahead(byte);
         }
         if byte.byte == HOST_CHANGED {
-            // It comes before such bytes, and where nothing of the host before is in work it may be taken like them.
+            // This mark precedes bytes of the next host. It can be processed early if nothing of the previous host is
+            // in progress.
             let waits = matches!(self.state, State::Door(_)) && !self.m.lines.holds();
             return waits && matches!(self.task, Task::None | Task::Startup(_, None));
         }
         self.m.lines.is_old(byte)
     }
 
-    /// Drops such a byte, also while no line is wanted.
+    /// Drops a byte for which [`Controller::is_old`] holds, even while no line is wanted.
     pub fn drop_old(&mut self, byte: LineByte) {
         if self.state.waits_for_reset() {
             self.m.lines.drop_next();
@@ -62,7 +63,7 @@ impl<const N: usize> Controller<N> {
         self.other_byte(byte);
     }
 
-    /// A line has come to its end in which nothing has happened but its text.
+    /// Processes a complete line that the intake has passed on without any special event.
     #[inline]
     fn line_ended(&mut self) {
         self.answer_status();
@@ -82,7 +83,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// A line of the host's program without a message is read where it was received: nothing is copied.
+    /// Processes a line of the host's program that has no message, in the buffer in which it was received: nothing is
+    /// copied.
     fn line_of_program(&mut self) {
         let (text, dialect) = (self.m.lines.text(), dialect(&self.m.settings));
         let checked = match self.m.interpreter.direct(text, &[], self.m.lines.lines_read()) {
@@ -111,7 +113,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// All other bytes.
+    /// Processes every byte that does not simply end a line.
     #[inline(never)]
     fn other_byte(&mut self, byte: LineByte) {
         let taken = self.m.lines.take(byte, || line_rules(&self.m.settings));
@@ -120,15 +122,16 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// A byte has brought something about.
+    /// Reacts to a byte that had an effect.
     #[inline(never)]
     fn taken(&mut self, taken: Taken) {
         if taken.cut && self.state.waits_for_reset() {
-            // Its line in work will not go on, and nobody waits for the answer.
+            // The line in progress will not continue, and nobody waits for its answer.
             self.task.abandon();
         }
         if taken.cut {
-            // What the host before has begun and not ended is not this one's; its last lines have been carried out by now.
+            // Blocks that the previous host has left open do not concern the next host. The previous host's last lines
+            // have been executed by now.
             self.m.interpreter.abandon_program();
             self.m.interpreter.begin_program();
         }
@@ -136,7 +139,8 @@ impl<const N: usize> Controller<N> {
             self.say(|out| report::message(out, "Received bytes lost"));
         }
         if taken.pushed != Pushed::More {
-            // Realtime commands come before the lines received after them: so the report of a `?` comes before the answer.
+            // Realtime commands take effect before the lines received after them, so the report of a `?` precedes the
+            // answer.
             self.answer_status();
         }
         match taken.pushed {
@@ -151,16 +155,16 @@ impl<const N: usize> Controller<N> {
             }
             Pushed::Complete => self.complete(),
         }
-        // A line that is yet to be carried out has changed nothing.
+        // A line that is still to be executed has changed nothing.
         if !matches!(self.task, Task::Job(_)) {
             self.m.pins.disturb();
         }
     }
 
-    /// The line that has been read is carried out.
+    /// Executes the line that has been read.
     #[inline(never)]
     fn complete(&mut self) {
-        // Filled where they are: a returned value would be copied with its whole capacity.
+        // Filled in place: a returned value would be copied with its whole capacity.
         let (mut text, mut remark) = (heapless::Vec::<u8, { line_filter::LENGTH }>::new(), Remark::new());
         let _ = text.extend_from_slice(self.m.lines.text());
         self.read_remark(&mut remark);
@@ -175,7 +179,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// A line that the check has not let through is answered; the host sends it again if it has to.
+    /// Answers a line that failed the line check; the host sends it again if necessary.
     fn answer_invalid(&mut self, verdict: Verdict) {
         self.m.lines.clear();
         match self.m.lines.failed() {
@@ -185,7 +189,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// The message of the line that has been read, with its mark; nothing if it has none.
+    /// Reads the message of the line, with its mark, into `remark`; leaves that empty without a message, and in Grbl's
+    /// dialect.
     fn read_remark(&self, remark: &mut Remark) {
         if let Some((has_values, text)) = self.m.lines.message()
             && self.dialect() != Dialect::Grbl
@@ -195,14 +200,16 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// A jog behind a jog cancel begins once the machine has stopped, from the position where it is then.
+    /// Returns whether a jog must wait: if it was sent after a jog cancel, it starts when the machine has stopped, from
+    /// the position reached.
     fn must_wait(&self, line: &[u8]) -> bool {
         line.starts_with(b"$J=")
             && matches!(self.state, State::Jog { cancelling: true })
             && self.m.lines.is_jog_behind_cancel()
     }
 
-    /// The jog that waits for the end of the one before it ([`Task::JogWaits`]). Whether it has begun.
+    /// Starts the jog that waits for the end of the jog before it ([`Task::JogWaits`]), if possible. Returns whether it
+    /// has been dispatched.
     #[inline(never)]
     pub(crate) fn begin_waiting_jog(&mut self) -> bool {
         if matches!(self.state, State::Jog { cancelling: true })
@@ -226,9 +233,9 @@ impl<const N: usize> Controller<N> {
                 self.say_ok();
                 Ok(())
             }
-            // A tape mark; Grbl's dialect has none.
+            // A tape mark, which Grbl's dialect does not have.
             Some(b'%') if self.dialect() != Dialect::Grbl => self.tape_mark(line, remark),
-            // It would be told now, and not when the line is carried out.
+            // The message would be sent now, and not when the stored line is executed.
             Some(b'$') if !remark.is_empty() && keeps_line(line) => Err(Error::InvalidStatement),
             Some(b'$') => self.system(line).map(|()| self.tell_remark(remark)),
             Some(_) if self.state.is_alarm() || matches!(self.state, State::Jog { .. }) => Err(Error::Locked),
@@ -244,7 +251,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Finds out what is wrong with words in a line that is refused: those of a program, a jog or a startup line.
+    /// Explains the words of a refused line: those of a program, a jog or a startup line.
     #[cold]
     fn explain(&mut self, line: &[u8], error: Error) {
         let (words, is_jog) = match line {
@@ -257,14 +264,16 @@ impl<const N: usize> Controller<N> {
         self.line.explain(&mut self.m.interpreter, words, dialect, error, is_jog);
     }
 
-    /// What is kept of a subroutine or loop lacks the line, and what it would have set is not set.
+    /// Refuses a line of a program: reports the error, refuses the block being recorded, which lacks this line, and
+    /// stops at the error if the settings require it.
     fn refuse_program_line(&mut self, error: Error, asks_for_tool: bool) {
         self.refuse(error);
         self.m.interpreter.line_refused(error);
         self.stop_at_error(asks_for_tool);
     }
 
-    /// Between two programs nothing may be open. A word on the line would be lost.
+    /// Handles a tape mark between two programs: no block may be open. Further words on the line would be lost and are
+    /// an error.
     fn tape_mark(&mut self, line: &[u8], remark: &[u8]) -> Result<(), Error> {
         if line.len() > 1 {
             return Err(Error::ExpectedLetter);
@@ -275,7 +284,7 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// A line of the host's program: O words first, which Grbl's dialect has not.
+    /// Handles a line of the host's program: first its O words, which Grbl's dialect does not have.
     #[inline]
     fn program_line(&mut self, line: &[u8], remark: &[u8]) -> Result<(), Error> {
         let direction = match self.dialect() {
@@ -295,7 +304,7 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// A line in which there is nothing to be carried out now.
+    /// Answers a line that is not executed as G-code now, as O words have directed.
     #[inline(never)]
     fn directed(&mut self, direction: Direction, remark: &[u8]) {
         match direction {
@@ -318,7 +327,7 @@ fn keeps_line(line: &[u8]) -> bool {
     matches!(line, [b'$', b'N' | b'M', b'0'..=b'9', ..])
 }
 
-/// How lines are read.
+/// Returns the rules for reading lines.
 fn line_rules<const N: usize>(settings: &Settings<N>) -> line_filter::LineRules {
     match dialect(settings) {
         Dialect::Grbl => line_filter::LineRules {

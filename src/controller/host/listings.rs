@@ -1,5 +1,5 @@
-//! Answers of many lines or many fields, one line per call: settings `$$`, parameters `$#`, startup lines `$N`, macros
-//! `$M`, pins `$PINS`, descriptions `$ES`, build info `$I`, and the parser state `$G`.
+//! Answers of many lines or many fields, output one line per call: settings `$$`, parameters `$#`, startup lines `$N`,
+//! macros `$M`, pins `$PINS`, descriptions `$ES`, build info `$I`, and the parser state `$G`.
 
 use crate::axes::{Axis, LINEAR};
 use crate::dispatch::Controller;
@@ -110,7 +110,8 @@ impl<const N: usize> Controller<N> {
     }
 
     fn list_pin(&mut self, view: &PinView, bit: usize) -> bool {
-        // The switch of an axis that is not in use is none, and beside A there is no second motor.
+        // The switch of an unused axis is not listed; nor is the second motor's switch on a machine with more than
+        // three axes.
         let axes = self.m.settings.axes_in_use();
         let counts =
             if bit < Axis::ALL.len() { bit < axes } else { axes <= LINEAR || 1 << bit != SECOND_SWITCH as usize };
@@ -132,7 +133,7 @@ impl<const N: usize> Controller<N> {
         is_there
     }
 
-    /// What may be written for a setting that has not taken its value.
+    /// Sends the values that a setting accepts, after another value was refused.
     #[inline(never)]
     pub(crate) fn tell_values(&mut self, number: u16) {
         let axes = self.m.settings.axes_in_use();
@@ -143,13 +144,13 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// `$I`, or `$I+` with what a sender may ask for.
+    /// Answers `$I`, or `$I+` with the options that a sender may query.
     pub(crate) fn report_build_info(&mut self, with_options: bool) {
         const OPTIONS: &[&str] = if FULL_IMAGE { &["ENUMS", "EXPR"] } else { &[] };
         let info = self.m.records.build_info().clone();
         let (letters, blocks) = (self.option_letters(), self.m.motion.blocks());
         self.say(|out| report::build_info(out, &info, &letters, blocks, LINES_DEPTH));
-        // Grbl has two lines, and strict senders count on it.
+        // In Grbl the answer has two lines, and strict senders rely on that.
         if self.dialect() != Dialect::Grbl {
             self.say(report::firmware);
         }
@@ -160,7 +161,7 @@ impl<const N: usize> Controller<N> {
         self.say_ok();
     }
 
-    /// What `$I` says is switched on, in Grbl's letters and their order.
+    /// Returns the options that `$I` shows as enabled, in Grbl's letters and order.
     fn option_letters(&self) -> heapless::Vec<u8, 12> {
         let own = self.dialect() != Dialect::Grbl;
         let on = |key| self.m.settings.is_on(key);

@@ -1,4 +1,5 @@
-//! What the host sends and what it is told: lines, `$` commands, realtime commands; answers, listings, and what is stored.
+//! Communication with the host: received lines, `$` commands and realtime commands; answers and listings; stored
+//! records.
 
 mod answers;
 mod commands;

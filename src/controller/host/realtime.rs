@@ -1,6 +1,6 @@
-//! Carries out realtime commands (reset, stop, status, hold, start, jog cancel, overrides and toggles). They act at
-//! once, whatever line is being executed. Also reacts to a host that has disconnected or has been silent for too long
-//! (`$914`, `$922`, `$923`).
+//! Executes realtime commands (reset, stop, status, hold, start, jog cancel, overrides and toggles). They act
+//! immediately, regardless of the line being executed. Also reacts to a host that has disconnected or has been silent
+//! for too long (`$914`, `$922`, `$923`).
 
 use crate::dispatch::Controller;
 use crate::gcode::Dialect;
@@ -22,7 +22,7 @@ impl<const N: usize> Controller<N> {
                 self.finish_stop();
                 self.release_held();
             }
-            // Grbl knows no such byte and drops it.
+            // Grbl drops this byte.
             Realtime::Stop if self.dialect() == Dialect::Grbl => {
                 self.m.lines.open_epoch();
                 self.release_held();
@@ -42,12 +42,12 @@ impl<const N: usize> Controller<N> {
                 if matches!(self.state, State::Jog { cancelling: false }) {
                     self.cancel_jog();
                 }
-                // One that has been read and not queued yet has no mode of its own.
+                // A jog that has been read and not queued yet has not set `State::Jog`.
                 self.task.forget_jog();
                 self.release_held();
             }
             Realtime::SpindleStop => {
-                // A beam is off in a hold, and does not come back before motion does.
+                // A laser is off in a hold, and comes back only with motion.
                 if matches!(self.state, State::Hold(_))
                     && self.m.accessories.is_on()
                     && !self.m.settings.is_on(Key::Laser)
@@ -94,16 +94,16 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// No operator can stop what moves or see where it goes: it is held if `$914` says so, by `$928`. In any case a jog ends, as
-    /// the key that would end it has no wire any more.
+    /// Reacts to a disconnected host, without which no operator can stop or watch the motion: a job is held if `$914`
+    /// is set, as `$928` says. A jog always ends, because the key release that would end it cannot arrive any more.
     pub(crate) fn host_left(&mut self) {
-        // One that has been read and has not begun.
+        // A jog that has been read and has not started.
         self.task.forget_jog();
         match self.state {
             State::Jog { .. } => self.end_jog_of_no_host(self.m.settings.is_on(Key::HoldWithoutHost)),
             _ if !self.m.settings.is_on(Key::HoldWithoutHost) => {}
             State::Normal if self.is_at_work() => self.host_fault(),
-            // The fault acts where the job would go on.
+            // The fault takes effect when the job would resume.
             State::Hold(hold) if hold.ends_with_spindle().is_some() => self.m.lines.heartbeat_mut().set_gone(true),
             _ if self.state.is_resuming() => {
                 self.m.lines.heartbeat_mut().set_gone(true);
@@ -112,7 +112,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// A host that has said nothing for too long (`$922`, `$923`) may have gone: not every link tells that.
+    /// Reacts to a host that has been silent for too long (`$922`, `$923`): it may have disconnected, which not every
+    /// link reports.
     pub(crate) fn look_for_host(&mut self) {
         if matches!(self.state, State::Normal) {
             let left_jog = self.m.lines.heartbeat_mut().take_left_jog();
@@ -134,7 +135,7 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     fn look_for_silence(&mut self, longest: Duration) {
         let is_at_work = match self.state {
-            // Too short to be told from none.
+            // Too short to distinguish from 0.
             _ if longest == Duration::from_ticks(0) => false,
             State::Jog { cancelling } => !cancelling,
             State::Normal => self.is_at_work(),
@@ -152,7 +153,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// With `is_fault` a beam that would burn at rest behind the jog does not.
+    /// Ends the jog of a host that has disconnected. With `is_fault`, a laser that would burn at rest after the jog is
+    /// switched off.
     fn end_jog_of_no_host(&mut self, is_fault: bool) {
         self.m.lines.heartbeat_mut().set_left_jog(is_fault);
         self.cancel_jog();

@@ -1,10 +1,10 @@
-//! Settings that make motion impossible on this board, such as a rate beyond its step rate. Looks for one after each
-//! change of a setting and tells the host which one it is.
+//! Settings that make motion impossible on this board, such as a rate beyond its step rate. Searches for one after each
+//! change of a setting, and names it to the host.
 //!
-//! A set that cannot be run locks motion by its first setting at fault ([`Settings::unrunnable`]). The host is told which
-//! one: after the `ok` to the change that brought it about, and before the first `error:9` to a line that would move.
-//! Neither is repeated for what follows: a sender that restores one setting after the other would read it at each line,
-//! and so would one that streams a job into a locked machine.
+//! If the settings cannot be run, motion is locked, and the first setting at fault ([`Settings::unrunnable`]) is the
+//! one to name. It is named after the `ok` to the change that caused the lock, and before the first `error:9` to a line
+//! that would move. It is not repeated after that: a sender that restores one setting after the other, or that streams
+//! a job into a locked machine, would get it at each line.
 
 use crate::dispatch::Profile;
 use crate::settings::{Key, Settings};
@@ -13,46 +13,46 @@ use crate::step_rates::StepRates;
 /// The setting that locks motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SettingsLock {
-    /// What the board can do.
+    /// Step rates of the board.
     rates: StepRates,
     has_second_motor: bool,
     has_at_speed: bool,
     program_pins: [u8; 2],
     most_baud: u32,
-    /// Revision of the settings that were looked at last.
+    /// Revision of the settings that were examined last.
     revision: Option<u32>,
-    /// The setting that locks them.
+    /// The setting that locks motion in this revision.
     setting: Option<u16>,
-    /// The one that was named last after a change.
+    /// The setting at fault at the last change.
     named: Option<u16>,
-    /// A line has been refused with the reason.
+    /// The setting has been named before the error of a refused line.
     refused: bool,
 }
 
 impl SettingsLock {
-    /// For a board. Nothing has been looked at.
+    /// Creates the lock for a board; no settings have been examined.
     pub(crate) const fn new(profile: &Profile) -> Self {
         let Profile { rates, has_second_motor, has_at_speed, program_pins, most_baud, .. } = *profile;
         let (revision, setting, named, refused) = (None, None, None, false);
         Self { rates, has_second_motor, has_at_speed, program_pins, most_baud, revision, setting, named, refused }
     }
 
-    /// How many outputs and inputs the board has for programs.
+    /// Returns the number of outputs and inputs that the board has for programs.
     pub(crate) fn program_pins(&self) -> [u8; 2] {
         self.program_pins
     }
 
-    /// The greatest rate of the UART (`$931`), baud.
+    /// Returns the maximum rate of the UART (`$931`), in baud.
     pub(crate) fn most_baud(&self) -> u32 {
         self.most_baud
     }
 
-    /// The shortest step pulse (`$0`) that the board makes, tenths of a microsecond.
+    /// Returns the shortest step pulse (`$0`) of the board, in tenths of a microsecond.
     pub(crate) fn least_pulse_tenths(&self) -> u16 {
         self.rates.least_pulse_tenths
     }
 
-    /// The setting that locks motion.
+    /// Returns the setting that locks motion, if any.
     #[inline]
     pub(crate) fn setting<const N: usize>(&mut self, settings: &Settings<N>) -> Option<u16> {
         let (rates, has_second_motor, has_at_speed) = (self.rates, self.has_second_motor, self.has_at_speed);
@@ -62,7 +62,7 @@ impl SettingsLock {
         })
     }
 
-    /// `unrunnable` looks for the setting, once for each revision.
+    /// Calls `unrunnable`, which searches for the setting, once for each revision.
     #[inline]
     fn look(&mut self, revision: u32, unrunnable: impl FnOnce() -> Option<u16>) -> Option<u16> {
         if self.revision != Some(revision) {
@@ -74,20 +74,20 @@ impl SettingsLock {
         self.setting
     }
 
-    /// The setting `changed` has a new value, and `Self::setting` knows of it: the setting to be named. That is the one that
-    /// locks motion, if it has just been changed or was not named yet.
+    /// Returns the setting to name after `changed` got a new value; call `Self::setting` first. It is the setting that
+    /// locks motion, if it has just been changed or was not at fault at the last change.
     pub(crate) fn name_after_change(&mut self, changed: u16) -> Option<u16> {
         let named = core::mem::replace(&mut self.named, self.setting);
         self.setting.filter(|setting| *setting == changed || named != Some(*setting))
     }
 
-    /// A line is refused: the setting to be named before its error.
+    /// Returns the setting to name before the error of a refused line; only once for each lock.
     pub(crate) fn name_at_line(&mut self) -> Option<u16> {
         let refused = core::mem::replace(&mut self.refused, true);
         self.setting.filter(|_| !refused)
     }
 
-    /// A host has been greeted, which may not have heard it.
+    /// Lets the next refused line name the setting again: a new host was greeted and may have missed the message.
     pub(crate) fn host_greeted(&mut self) {
         self.refused = false;
     }
@@ -97,7 +97,7 @@ impl SettingsLock {
 mod tests {
     use super::*;
 
-    /// A lock after these revisions, each of which locks by a setting or not.
+    /// Returns a lock after these revisions of the settings, each with the setting that locks motion, if any.
     fn after(settings: &[Option<u16>]) -> SettingsLock {
         let rates = StepRates { safe_hz: 0, least_pulse_tenths: 5 };
         let (name, step_clock_hz, axes, program_pins) = ("", 0, 3, [0; 2]);

@@ -1,6 +1,6 @@
-//! Where a replay of a recording can begin: a machine at rest with nothing switched on and no override. Reads this
-//! state from a controller, and puts another controller into it. Also passes on the pieces of a recording while `$REC`
-//! lists it.
+//! State from which a replay of a recording can begin: a machine at rest with nothing switched on and no override.
+//! Reads this state from a controller, and puts another controller into it. Also sends the pieces of a recording while
+//! `$REC` lists it.
 
 use crate::axes::{Axis, PerAxis};
 use crate::dispatch::Controller;
@@ -14,18 +14,18 @@ use crate::units::Coordinate;
 use crate::work::task::{Ask, Listing, Task};
 
 impl<const N: usize> Controller<N> {
-    /// Step counters, net steps of each motor since power-up, as the step task counts them; at rest.
+    /// Returns the step counters, at rest: net steps of each motor since power-up, as the step task counts them.
     pub fn step_counters(&self) -> PerAxis<i32, N> {
         self.m.motion.step_counters()
     }
 
-    /// Whether lines of a program are refused.
+    /// Whether the machine is locked, so that lines of a program are refused.
     pub fn is_locked(&self) -> bool {
         self.state.is_alarm()
     }
 
-    /// The state at rest, if it is one that [`Controller::stand`] brings about in a machine with the same stored records:
-    /// no offset but the stored ones, nothing open, nothing on, no override, no switch or button active.
+    /// Returns the state at rest if [`Controller::stand`] can restore it on a machine with the same stored records: no
+    /// offsets except the stored ones, no open block, all outputs off, no override, no switch or button active.
     pub fn standing(&self) -> Option<Standing> {
         let locked = match self.state {
             State::Normal => false,
@@ -38,7 +38,7 @@ impl<const N: usize> Controller<N> {
             && self.task.is_none()
             && self.m.stops.is_idle();
         let plain = self.m.interpreter.is_plain(&place) && !self.line.is_single_block() && !self.m.lines.is_checking();
-        // Whatever else is active has done something when it became so.
+        // Any other active input has already caused a reaction.
         let active = self.m.inputs.pins().word();
         let quiet = active & !(1 << input::PROBE | 1 << input::AT_SPEED) == 0;
         let outputs_off = !self.m.accessories.is_on() && self.m.accessories.digital().levels() == 0;
@@ -56,8 +56,8 @@ impl<const N: usize> Controller<N> {
         })
     }
 
-    /// For a replay: the machine, at rest and unlocked, takes this state, but for the words, which it is then sent; and it is locked
-    /// only with `lock`.
+    /// Puts a machine that is at rest and unlocked into this state, for a replay. The words of the state are sent to it
+    /// afterwards. It is locked only if `lock` is set.
     pub fn stand(&mut self, standing: &Standing, lock: bool) {
         let place =
             PerAxis::from_axis(|axis: Axis| standing.place.get(axis.index()).copied().unwrap_or(Coordinate::ZERO));
@@ -69,7 +69,7 @@ impl<const N: usize> Controller<N> {
         self.m.pins.disturb();
     }
 
-    /// The next piece of a recording that is listed.
+    /// Sends the next piece of a recording that is listed.
     pub fn recorded(&mut self, piece: &Recorded) {
         let Task::Listing(Listing::Recording(Ask::Asked), line) = self.task else { return };
         let hz = self.m.motion.settings().step_clock_hz;
@@ -83,7 +83,7 @@ impl<const N: usize> Controller<N> {
         self.m.pins.disturb();
     }
 
-    /// Whether a piece is due, and whether it is the first.
+    /// Returns whether the next piece of the recording must be requested (`Some`), and whether it is the first one.
     pub(crate) fn take_ask(&mut self) -> Option<bool> {
         let Task::Listing(Listing::Recording(ask @ Ask::Due), line) = &mut self.task else { return None };
         *ask = Ask::Asked;
@@ -91,7 +91,7 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// What stays in force, in mm, if it can be said in a few words.
+/// Returns the modal state as a few words, in mm; `None` if such words cannot express it.
 fn words(modal: &Modal) -> Option<heapless::Vec<u8, 64>> {
     let said = Modal {
         motion: modal.motion,

@@ -1,6 +1,6 @@
-//! What outlives a power cycle: settings, offsets, tools, startup lines, macros and the build info text. Restores
-//! records at power-up, turns changes into records for the store, and keeps count of those not yet stored. If records
-//! were damaged, the machine stays locked until the operator confirms the settings with `$X`.
+//! State that survives a power cycle: settings, offsets, tools, startup lines, macros and the build info text. Restores
+//! records at power-up, turns changes into records for the store, and counts those not yet stored. If records were
+//! damaged, the machine stays locked until the operator confirms the settings with `$X`.
 
 use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::gcode::{Angle, Interpreter, StoredOffset, Tool};
@@ -9,13 +9,13 @@ use crate::protocol::system::Restore;
 use crate::settings::{Key, Settings};
 use crate::units::{Coordinate, Duration, Instant};
 
-/// Longest startup line and build info that is stored.
+/// Maximum length of a stored startup line or build info.
 pub(crate) const STORED_TEXT: usize = 80;
 /// A stored text.
 pub(crate) type StoredText = heapless::Vec<u8, STORED_TEXT>;
 
-/// Keys of stored records: a setting has its own number (0 to 999). What `$RST` forgets is one range, so that a power cut
-/// finds all of it or nothing.
+/// Keys of stored records: a setting has its own number (0 to 999). Everything that one `$RST` forgets is one range, so
+/// that after a power cut either all or nothing of it is forgotten.
 const KEY_OFFSETS: u16 = 1000;
 /// Entries of the tool table.
 const KEY_TOOLS: u16 = 1040;
@@ -23,50 +23,51 @@ const KEY_STARTUP: u16 = 1100;
 const KEY_BUILD_INFO: u16 = 1200;
 /// Lines of macros.
 const KEY_MACROS: u16 = 1300;
-/// The dialect is above what `$RST` forgets: it is how this host is spoken to.
+/// The dialect is outside the ranges that `$RST` forgets: the connected host relies on it.
 const KEY_DIALECT: u16 = 2000;
 const DIALECT: u16 = Key::Dialect.number();
 const SOFT_LIMITS: u16 = Key::SoftLimits.number();
 
-/// A person needs longer than this to read the settings: a program that lists and unlocks in one go has not looked.
+/// Minimum time between listing the settings and confirming them. A person needs longer to read them; a program that
+/// lists and unlocks in one go has not read them.
 const LOOKING: Duration = Duration::secs(2);
 
-/// What has become of damage: the store has told of it ([`STORE_DAMAGED`]), or a setting cannot have its stored value.
-/// Settings may be lost, and with them what keeps the machine from harm, so it is locked until somebody has looked at them
-/// and confirms it.
+/// State of damaged records: the store has reported damage ([`STORE_DAMAGED`]), or a stored value is not valid for its
+/// setting. Settings that protect the machine may be lost, so the machine is locked until somebody has read and
+/// confirmed the settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Damage {
-    /// There is none.
+    /// No damage.
     None,
     /// The settings have not been listed since the last welcome line.
     Untold,
-    /// `$$` has been answered at this moment.
+    /// `$$` was answered at this time.
     Listed(Instant),
 }
 
-/// Stored texts, and changes on their way to the store. Settings and offsets belong to others.
-// Small things first: see `Controller`.
+/// Stored texts, and changes on their way to the store. Other modules own the settings and offsets.
+// Small fields first: see `Controller`.
 #[derive(Clone, Debug)]
 #[repr(C)]
 pub(crate) struct Records {
-    /// Without a settings flash no record is handed over to be written.
+    /// Whether the board has a settings flash; without it, no records go to the store.
     has_store: bool,
-    /// Changes that have not been answered yet.
+    /// Number of changes that the store has not answered.
     unstored: u8,
-    /// One of them could not be stored.
+    /// At least one of these changes could not be stored.
     failed: bool,
     damage: Damage,
-    /// Keys of settings that cannot have what is stored: with one more change they fill `stores`.
+    /// Keys of settings whose stored value is invalid. The changes that correct them, and one more, fill `stores`.
     refused: heapless::Vec<u16, 3>,
     stores: heapless::Deque<Store, 4>,
     startup_lines: [StoredText; 2],
-    /// A startup line that is run before it is stored.
+    /// A startup line that is executed before it is stored.
     validated: StoredText,
     build_info: StoredText,
 }
 
 impl Records {
-    /// Nothing is stored.
+    /// No stored texts, and no changes.
     pub(crate) const fn new(has_store: bool) -> Self {
         Self {
             has_store,
@@ -81,7 +82,7 @@ impl Records {
         }
     }
 
-    /// Takes a stored record at power-up. Records that make no sense are ignored.
+    /// Restores a record at power-up. Invalid records are ignored.
     pub(crate) fn restore<const N: usize>(
         &mut self,
         record: &Record,
@@ -114,7 +115,7 @@ impl Records {
                 }
             }
             KEY_BUILD_INFO => self.build_info = heapless::Vec::from_slice(&record.value).unwrap_or_default(),
-            // Numbers that there are none of are refused.
+            // Numbers beyond the last macro line are refused.
             KEY_MACROS..KEY_DIALECT => {
                 let _ = interpreter.set_macro_line(usize::from(record.key - KEY_MACROS), &record.value);
             }
@@ -123,32 +124,34 @@ impl Records {
         }
     }
 
-    /// Takes a stored setting. One that cannot have its value keeps its default, which is told as other damage is.
+    /// Restores a setting. If the stored value is invalid, the setting keeps its default, and this is reported like
+    /// other damage.
     fn restore_setting<const N: usize>(&mut self, record: &Record, settings: &mut Settings<N>) {
-        // Of another length it is no number, which no setting can be.
+        // A value of another length becomes NaN, which is invalid for every setting.
         let value = record.value.as_slice().try_into().map_or(f32::NAN, f32::from_le_bytes);
         if !settings.restore(setting_of(record.key), value) {
             self.damage = Damage::Untold;
-            // What finds no room is told again at the next power-up.
+            // Keys beyond the capacity are reported again at the next power-up.
             let _ = self.refused.push(record.key);
         }
     }
 
     // Changes
 
-    /// Whether a change has to be handed to the store.
+    /// Whether a change waits to be handed to the store.
     #[inline]
     pub(crate) fn has_next(&self) -> bool {
         !self.stores.is_empty()
     }
 
-    /// The next change that has to be handed to the store.
+    /// Returns the next change for the store.
     #[inline]
     pub(crate) fn next_store(&mut self) -> Option<Store> {
         self.stores.pop_front()
     }
 
-    /// The store has answered a change. Whether that was the last one of a command, and one of them could not be stored.
+    /// Counts an answer of the store. Returns whether it was the last one of a command, and any of the changes could
+    /// not be stored.
     pub(crate) fn answered(&mut self, stored: bool) -> bool {
         self.unstored = self.unstored.saturating_sub(1);
         self.failed |= !stored;
@@ -160,8 +163,9 @@ impl Records {
         self.unstored == 0
     }
 
-    /// At most four of these come from one command, and the next is read when they are answered: there is room. Behind a reset
-    /// the next may be read before; what finds no room then is told as what could not be stored.
+    /// Queues a change. One command makes at most four changes, and the next command is read after they have been
+    /// answered, so there is room. After a reset the next command may be read earlier; a change without room then
+    /// counts as one that could not be stored.
     fn hand_over(&mut self, store: Store) {
         if self.has_store {
             match self.stores.push_back(store) {
@@ -181,7 +185,7 @@ impl Records {
         self.hand_over(Store::Remove { from: keys.start, until: keys.end });
     }
 
-    /// A setting has a new value.
+    /// Stores the new value of a setting.
     pub(crate) fn save_setting<const N: usize>(&mut self, number: u16, settings: &Settings<N>) {
         self.save_setting_as(if number == DIALECT { KEY_DIALECT } else { number }, settings);
     }
@@ -192,14 +196,15 @@ impl Records {
         }
     }
 
-    /// What is stored of `$20` before a new `$22`. `were_on`: soft limits, before that change.
+    /// Stores the value of `$20` that must precede a new `$22`. `were_on`: whether soft limits were on before the
+    /// change.
     pub(crate) fn save_soft_limits_before_homing<const N: usize>(&mut self, settings: &Settings<N>, were_on: bool) {
         if let Some(value) = settings.soft_limits_before_homing(were_on) {
             self.save(SOFT_LIMITS, &value.to_le_bytes());
         }
     }
 
-    /// A coordinate system, G28, G30 or an entry of the tool table has changed.
+    /// Stores a coordinate system, G28, G30 or an entry of the tool table after a change.
     #[inline(never)]
     pub(crate) fn save_offset<const N: usize>(&mut self, offset: StoredOffset, interpreter: &Interpreter<N>) {
         let mut bytes: heapless::Vec<u8, 52> = heapless::Vec::new();
@@ -211,13 +216,14 @@ impl Records {
         } else {
             StoredOffset::all().position(|o| o == offset).map(|index| KEY_OFFSETS + index as u16)
         };
-        // A, B and C only if they have a place: what a machine with three axes writes is the same whatever it was compiled for.
+        // A, B and C are written only if they are not 0, so that a machine with three axes writes the same records in
+        // every build.
         let places = position.0.iter().rposition(|value| *value != Coordinate::ZERO).map_or(0, |last| last + 1);
         for value in position.iter().take(places.max(LINEAR)) {
             let _ = bytes.extend_from_slice(&value.0.to_le_bytes());
         }
         if let StoredOffset::System(system) = offset {
-            // Behind the places, and shorter than one: whoever does not know it takes it for none.
+            // After the positions, and shorter than a position: firmware without rotations ignores it.
             let angle = interpreter.offsets().angle(system);
             if angle != Angle::ZERO {
                 let _ = bytes.extend_from_slice(&angle.0.to_le_bytes());
@@ -228,13 +234,13 @@ impl Records {
         }
     }
 
-    /// An entry of the tool table has become free.
+    /// Removes the record of a tool table entry that has become free.
     pub(crate) fn remove_tool(&mut self, slot: usize) {
         let key = KEY_TOOLS + slot as u16;
         self.remove(key..key + 1);
     }
 
-    /// `$RST`
+    /// Forgets the records that a `$RST` resets.
     pub(crate) fn forget(&mut self, what: Restore) {
         if what == Restore::All {
             self.startup_lines = [heapless::Vec::new(), heapless::Vec::new()];
@@ -249,12 +255,12 @@ impl Records {
 
     // Texts
 
-    /// A startup line, if there is one of this number.
+    /// Returns a startup line, if the number exists.
     pub(crate) fn startup_line(&self, index: usize) -> Option<&StoredText> {
         self.startup_lines.get(index)
     }
 
-    /// `$N=`
+    /// Stores a startup line (`$N=`).
     pub(crate) fn save_startup_line(&mut self, index: usize, line: StoredText) {
         self.save(KEY_STARTUP + index as u16, &line);
         if let Some(slot) = self.startup_lines.get_mut(index) {
@@ -262,18 +268,18 @@ impl Records {
         }
     }
 
-    /// A startup line is run first; [`Records::save_validated`] follows if it is good.
+    /// Keeps a startup line while it is executed; [`Records::save_validated`] follows if it is valid.
     pub(crate) fn validate(&mut self, line: StoredText) {
         self.validated = line;
     }
 
-    /// The line that was run becomes the startup line of this number.
+    /// Stores the executed line as the startup line of this number.
     pub(crate) fn save_validated(&mut self, index: usize) {
         let line = self.validated.clone();
         self.save_startup_line(index, line);
     }
 
-    /// `$M=`
+    /// Stores a macro line (`$M=`).
     pub(crate) fn save_macro(&mut self, index: usize, line: &StoredText) {
         let key = KEY_MACROS + index as u16;
         if line.is_empty() {
@@ -283,12 +289,12 @@ impl Records {
         }
     }
 
-    /// `$I`
+    /// Returns the build info text (`$I`).
     pub(crate) fn build_info(&self) -> &StoredText {
         &self.build_info
     }
 
-    /// `$I=`
+    /// Stores the build info text (`$I=`).
     pub(crate) fn save_build_info(&mut self, text: StoredText) {
         self.save(KEY_BUILD_INFO, &text);
         self.build_info = text;
@@ -301,14 +307,14 @@ impl Records {
         self.damage != Damage::None
     }
 
-    /// A welcome line: the settings have to be listed again.
+    /// Requires the settings to be listed again, because a new host was greeted.
     pub(crate) fn host_greeted(&mut self) {
         if self.are_damaged() {
             self.damage = Damage::Untold;
         }
     }
 
-    /// `$$` has been answered. Whether that was about damaged ones.
+    /// Notes that `$$` has been answered. Returns whether settings were damaged.
     pub(crate) fn listed(&mut self, now: Instant) -> bool {
         let damaged = self.are_damaged();
         if damaged {
@@ -317,8 +323,8 @@ impl Records {
         damaged
     }
 
-    /// The settings are right as they are, says somebody who has had time to look at them: the store forgets its damage,
-    /// and has them in place of values that they cannot have. Whether there was time.
+    /// Confirms the settings as they are, if somebody has had time to read them: clears the damage in the store, and
+    /// replaces the invalid stored values. Returns whether there was enough time.
     pub(crate) fn confirm<const N: usize>(&mut self, now: Instant, settings: &Settings<N>) -> bool {
         let looked = matches!(self.damage, Damage::Listed(at) if now >= at + LOOKING);
         if looked {
@@ -332,12 +338,12 @@ impl Records {
     }
 }
 
-/// The number of the setting with this key.
+/// Returns the number of the setting with this key.
 const fn setting_of(key: u16) -> u16 {
     if key == KEY_DIALECT { DIALECT } else { key }
 }
 
-/// The position of a record; nothing if it makes no sense.
+/// Returns the position in a record; `None` if it is invalid.
 fn position_of<const N: usize>(bytes: &[u8]) -> Option<PerAxis<Coordinate, N>> {
     let mut position = PerAxis::default();
     for (axis, bytes) in Axis::of_machine::<N>().zip(bytes.chunks_exact(8)) {
@@ -346,7 +352,7 @@ fn position_of<const N: usize>(bytes: &[u8]) -> Option<PerAxis<Coordinate, N>> {
     position.iter().all(|c| c.in_range()).then_some(position)
 }
 
-/// The angle of a record; none if there is none, or if it makes no sense.
+/// Returns the angle in a record; zero if there is none or if it is invalid.
 fn angle_of(bytes: &[u8]) -> Angle {
     let angle =
         bytes.chunks_exact(8).remainder().try_into().map_or(Angle::ZERO, |bytes| Angle(i32::from_le_bytes(bytes)));
@@ -363,7 +369,7 @@ mod tests {
         Instant::from_ticks(0) + Duration::secs(seconds)
     }
 
-    /// Records, and what a restart makes of what they handed to the store.
+    /// Returns the state after a restart with the changes that `records` has handed to the store.
     fn restarted(records: &mut Records) -> (Records, Settings<3>, Interpreter<3>) {
         let mut after = (Records::new(true), Settings::default(), Interpreter::default());
         while let Some(store) = records.next_store() {
@@ -392,7 +398,7 @@ mod tests {
         assert!(after.startup_line(0).unwrap().is_empty() && after.startup_line(2).is_none());
     }
 
-    /// A reset in the confirmation of three values, and a setting behind it that takes two changes.
+    /// A reset during the confirmation of three values, followed by a setting that makes two changes.
     #[test]
     fn a_change_that_finds_no_room_is_told() {
         let mut records = Records::new(true);
@@ -425,7 +431,7 @@ mod tests {
         assert_eq!(interpreter.offsets().stored(StoredOffset::all().next().unwrap()), PerAxis::default());
     }
 
-    /// Older records have no angle, and whoever wrote those takes newer ones for records without.
+    /// Older records have no angle, and older firmware reads newer records as if they had none.
     #[test]
     fn rotations_come_back() {
         let mut records = Records::new(true);
@@ -444,14 +450,15 @@ mod tests {
             let (_, _, after) = restarted(&mut records);
             assert_eq!((after.offsets().stored(which), after.offsets().angle(system)), (position, set));
         }
-        // What makes no sense is none.
+        // An invalid angle is ignored.
         let mut value = heapless::Vec::from_slice(&[0; 24]).unwrap();
         value.extend_from_slice(&i32::MAX.to_le_bytes()).unwrap();
         records.restore(&Record { key: KEY_OFFSETS + 1, value }, &mut settings, &mut interpreter);
         assert_eq!(interpreter.offsets().angle(system), Angle::ZERO);
     }
 
-    /// Images of three axes are read with four, and what those write is as long as it was where A has no place.
+    /// Records written by a three-axis build are valid for four axes, and a four-axis build writes the same length if A
+    /// is 0.
     #[test]
     fn records_of_three_axes_and_of_four() {
         let places = [Coordinate::mm(1), Coordinate::mm(-2), Coordinate::mm(3)];
@@ -514,7 +521,7 @@ mod tests {
             records.restore(&Record { key, value }, &mut settings, &mut interpreter);
             records.are_damaged()
         };
-        // There is no such setting here, and there may be elsewhere.
+        // These settings do not exist here, but may exist in other builds.
         assert!(!restore(&mut records, 999, &[1]) && !restore(&mut records, 103, &(-1_f32).to_le_bytes()));
         assert!(restore(&mut records, 100, &[0; 5]));
         for key in [KEY_DIALECT, DIALECT, 21] {

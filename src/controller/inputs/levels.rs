@@ -1,6 +1,6 @@
-//! The inputs as the controller sees them. Takes the levels from the inputs task, ignores inputs that the settings say
-//! are not fitted, and keeps which input has tripped for the alarm's message. Also decides which inputs are armed to
-//! stop the step task by themselves. Polarity and filter come earlier, in `machine::signals`.
+//! The inputs as the controller uses them. Receives the levels from the inputs task, ignores inputs that are not fitted
+//! according to the settings, and records which input has tripped, for the alarm's message. Also decides which inputs
+//! are armed to stop the step task directly. Polarity and filter are applied earlier, in `machine::signals`.
 //!
 //! ```text
 //!  Sensed ──▶ levels ──▶ [fitted? reset button = emergency stop?] ──▶ signals
@@ -13,38 +13,39 @@ use crate::messages::{InputWiring, PinView, SECOND_SWITCH, Sensed, Signals, inpu
 use crate::settings::{AxisKey, Key, Settings};
 use crate::states::stops::reaction::Reaction;
 
-/// Levels of the inputs, and what has to be asked of them.
+/// Levels of the inputs, and pending requests to the inputs task.
 #[derive(Clone, Copy, Debug)]
 pub struct InputLevels {
-    /// Levels as the pins have them.
+    /// Levels of all pins.
     pins: Signals,
-    /// Those that count.
+    /// Levels of the fitted inputs; all others are inactive.
     signals: Signals,
-    /// They have been told: startup lines wait for it.
+    /// Levels have been received; startup lines wait for this.
     known: bool,
-    /// Inputs that cause an alarm and have not been told yet.
+    /// Inputs that have caused an alarm and have not been reported yet.
     tripped: Signals,
-    /// Stops that inputs have asked for (wrapping).
+    /// Number of stops by armed inputs, as last received (wrapping).
     trips: u8,
-    /// Polarity and resistors by the settings.
+    /// Polarity and resistors according to the settings.
     wiring: InputWiring,
-    /// The pins have to be looked at (`$PINS`); `Some(true)`: their counts of noise are cleared instead.
+    /// Pending request to the inputs task: `Some(false)` views the pins (`$PINS`), `Some(true)` clears their noise
+    /// counts.
     look: Option<bool>,
-    /// What was seen, until it has been listed.
+    /// Last view of the pins; cleared by the next request for a view.
     view: Option<PinView>,
 }
 
-/// What a message of the inputs changes.
+/// Changes in a message of the inputs task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InputChange {
-    /// How often armed inputs have stopped the step task, before this message.
+    /// Number of times that armed inputs have stopped the step task since the previous message.
     pub stops: u8,
-    /// Inputs that have become active, or were active in between.
+    /// Inputs that have become active, or were active for a moment, since the previous message.
     pub came: Signals,
 }
 
 impl InputLevels {
-    /// Nothing is known of them.
+    /// No levels have been received.
     pub const UNKNOWN: InputLevels = InputLevels {
         pins: Signals::NONE,
         signals: Signals::NONE,
@@ -56,13 +57,13 @@ impl InputLevels {
         view: None,
     };
 
-    /// The settings have changed.
+    /// Applies changed settings.
     pub fn configure<const N: usize>(&mut self, settings: &Settings<N>) {
         self.signals = fitted(self.pins, settings);
         self.wiring = wiring_by(settings);
     }
 
-    /// Takes new levels.
+    /// Receives new levels. Returns what has changed.
     pub fn take<const N: usize>(&mut self, sensed: &Sensed, settings: &Settings<N>) -> InputChange {
         let stops = sensed.trips.wrapping_sub(self.trips);
         self.trips = sensed.trips;
@@ -70,36 +71,36 @@ impl InputLevels {
         self.pins = sensed.signals;
         let signals = fitted(self.pins, settings);
         let before = core::mem::replace(&mut self.signals, signals);
-        // What tripped may be inactive again.
+        // An input that has tripped may be inactive again.
         let tripped = fitted(Signals::of_word(sensed.tripped), settings);
         let came = Signals::of_word(signals.word() & !before.word() | tripped.word());
-        // Only armed inputs trip: what others did in between is not seen.
+        // Only armed inputs trip: short activity of other inputs between two messages is not visible.
         InputChange { stops, came }
     }
 
-    /// Those that count.
+    /// Returns the levels of the fitted inputs.
     #[inline]
     pub fn signals(&self) -> &Signals {
         &self.signals
     }
 
-    /// Levels as the pins have them.
+    /// Returns the levels of all pins.
     pub fn pins(&self) -> &Signals {
         &self.pins
     }
 
-    /// Whether the levels have been told.
+    /// Whether levels have been received.
     pub fn are_known(&self) -> bool {
         self.known
     }
 
-    /// Polarity and resistors by the settings.
+    /// Returns polarity and resistors according to the settings.
     #[inline]
     pub fn wiring(&self) -> InputWiring {
         self.wiring
     }
 
-    /// The emergency that is active now.
+    /// Returns the emergency that is active now.
     pub fn emergency(&self) -> Option<(Alarm, Error)> {
         if self.signals.emergency_stop {
             Some((Alarm::EmergencyStop, Error::EmergencyStop))
@@ -110,24 +111,25 @@ impl InputLevels {
         }
     }
 
-    /// Inputs that cause an alarm and have not been told yet.
+    /// Returns the inputs that have caused an alarm and have not been reported yet, and marks them as reported.
     pub fn take_tripped(&mut self) -> Option<Signals> {
         let tripped = core::mem::replace(&mut self.tripped, Signals::NONE);
         (tripped != Signals::NONE).then_some(tripped)
     }
 
-    /// An emergency is the cause of the alarm that follows.
+    /// Records an emergency as the cause of the alarm that follows.
     pub fn trip_emergency(&mut self, stop: bool, fault: bool) {
         self.tripped = Signals { emergency_stop: stop, driver_fault: fault, ..Signals::NONE };
     }
 
-    /// Limit switches are the cause of the alarm that follows, together with those before if it is `awaited` already.
+    /// Records limit switches as the cause of the alarm that follows; if such an alarm is `awaited` already, in
+    /// addition to the switches before.
     pub fn trip_limits(&mut self, switches: u8, awaited: bool) {
         let limits = if awaited { self.tripped.limits | switches } else { switches };
         self.tripped = Signals { limits, ..Signals::NONE };
     }
 
-    /// The pins are to be looked at, or their counts of noise cleared.
+    /// Requests a view of the pins, or the clearing of their noise counts.
     pub fn ask_view(&mut self, clear_noise: bool) {
         if !clear_noise {
             self.view = None;
@@ -135,29 +137,30 @@ impl InputLevels {
         self.look = Some(clear_noise);
     }
 
-    /// What has to be asked for now; `Some(true)`: clear the counts of noise.
+    /// Returns the pending request and clears it; `Some(true)`: clear the noise counts.
     #[inline]
     pub fn take_look(&mut self) -> Option<bool> {
         self.look.take()
     }
 
-    /// The answer.
+    /// Stores the requested view of the pins.
     pub fn viewed(&mut self, view: PinView) {
         self.view = Some(view);
     }
 
-    /// See [`InputLevels::viewed`].
+    /// Returns the view of the pins, once it has been received.
     pub fn view(&self) -> Option<PinView> {
         self.view
     }
 }
 
-/// Bits of the limit switches of the axes in use, without that of a second motor.
+/// Returns the bits of the limit switches of the axes in use, without the switch of a second motor.
 fn limits_of<const N: usize>(settings: &Settings<N>) -> u8 {
     (1 << settings.axes_in_use()) - 1
 }
 
-/// Bits of the switches that are limits (`$21`): not that of an axis that turns without end, which passes it in each turn.
+/// Returns the bits of the switches that act as limits (`$21`); without the switch of an axis that rotates without end,
+/// which passes its switch in each turn.
 pub fn hard_limits<const N: usize>(settings: &Settings<N>) -> u8 {
     if !settings.is_on(Key::HardLimits) {
         return 0;
@@ -168,7 +171,8 @@ pub fn hard_limits<const N: usize>(settings: &Settings<N>) -> u8 {
     limits_of(settings) & with_ends.0 | second_switch(settings)
 }
 
-/// Inputs that stop the step task themselves: not the switches that homing looks for, and none for which motion brakes.
+/// Returns the inputs that stop the step task directly; without limit switches during homing, and without inputs for
+/// which motion brakes.
 pub fn armed<const N: usize>(settings: &Settings<N>, homing: bool) -> u32 {
     let at_once = |alarm| homing || Reaction::to(alarm, settings).is_at_once();
     let switches = if !homing && at_once(Alarm::HardLimit) { u32::from(hard_limits(settings)) } else { 0 };
@@ -181,7 +185,7 @@ pub fn armed<const N: usize>(settings: &Settings<N>, homing: bool) -> u32 {
         | u32::from(fault) << input::DRIVER_FAULT
 }
 
-/// Axes of these limit switches: a switch at a second motor is one of its axis.
+/// Returns the axes of these limit switches; the switch of a second motor belongs to the axis of that motor.
 pub fn axes_of_switches<const N: usize>(switches: u8, settings: &Settings<N>) -> u8 {
     match settings.ganged_axis() {
         Some(axis) if switches & SECOND_SWITCH != 0 => switches & !SECOND_SWITCH | AxisMask::NONE.with(axis).0,
@@ -189,12 +193,12 @@ pub fn axes_of_switches<const N: usize>(switches: u8, settings: &Settings<N>) ->
     }
 }
 
-/// The bit of the switch at a second motor, if there are both (`$905`, `$907`).
+/// Returns the bit of the second motor's switch, if there are both motor and switch (`$905`, `$907`).
 fn second_switch<const N: usize>(settings: &Settings<N>) -> u8 {
     if settings.is_on(Key::GangedSwitch) && settings.ganged_axis().is_some() { SECOND_SWITCH } else { 0 }
 }
 
-/// The inputs as the settings want them understood: without those that are not fitted, and the reset button as an
+/// Returns the inputs as the settings define them: without those that are not fitted, and the reset button as an
 /// emergency stop (`$912`).
 fn fitted<const N: usize>(pins: Signals, settings: &Settings<N>) -> Signals {
     let reset_stops = settings.is_on(Key::ResetIsEmergencyStop);
@@ -207,7 +211,7 @@ fn fitted<const N: usize>(pins: Signals, settings: &Settings<N>) -> Signals {
     }
 }
 
-/// Polarity and resistors of the inputs.
+/// Returns polarity and resistors of the inputs.
 fn wiring_by<const N: usize>(s: &Settings<N>) -> InputWiring {
     let probe = |key| u32::from(s.is_on(key)) << input::PROBE;
     let all = u32::from(limits_of(s) | SECOND_SWITCH);
@@ -221,7 +225,7 @@ fn wiring_by<const N: usize>(s: &Settings<N>) -> InputWiring {
     }
 }
 
-/// The control inputs of a mask in grblHAL's order as a word of [`input`].
+/// Converts a mask of control inputs from grblHAL's order to a word of [`input`].
 fn control_word(mask: u32) -> u32 {
     let bit = |from: u32, to: u32| (mask >> from & 1) << to;
     bit(0, input::RESET)
@@ -266,7 +270,7 @@ mod tests {
         let change = inputs.take(&sensed(word, 0, 0), &settings(&[(Key::DoorFitted, 0.0)]));
         assert_eq!(change.came, Signals { reset: true, ..Signals::NONE });
         assert_eq!(inputs.pins().word(), word);
-        // Fitted by other settings, without a new level.
+        // Fitted by a change of the settings, without a new level.
         inputs.configure(&settings(&[(Key::DoorFitted, 1.0), (Key::ResetIsEmergencyStop, 1.0)]));
         assert_eq!(*inputs.signals(), Signals { door: true, emergency_stop: true, ..Signals::NONE });
         assert_eq!(inputs.emergency().map(|(alarm, _)| alarm), Some(Alarm::EmergencyStop));

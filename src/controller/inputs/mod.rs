@@ -1,5 +1,5 @@
-//! Reacts to a change of the input pins: emergency stop, driver fault, reset button, limit switches, door, hold and
-//! start. The step task may have stopped by itself already; then the reason for that stop is found here.
+//! Reacts to changes of the input pins: emergency stop, driver fault, reset button, limit switches, door, hold and
+//! start. If the step task has already stopped by itself, the reason for that stop is determined here.
 
 pub(crate) mod levels;
 
@@ -19,7 +19,7 @@ impl<const N: usize> Controller<N> {
         let mut stopped = Stopped { already: stops != 0, answered: false };
         self.emergency(&came, &mut stopped);
         if came.reset {
-            // The button does what 0x18 does, but it opens no epoch: what has been received is dropped all the same.
+            // The button acts like 0x18, but opens no epoch: everything received so far is dropped all the same.
             self.m.lines.drop_received(self.m.step_supply.observed().received);
             self.lapse_check();
             self.stop_for(StopReason::Reset, &mut stopped);
@@ -54,8 +54,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Emergency stop and driver fault, if they have become active. Spindle and coolant do not wait for the step task, and in
-    /// an emergency stop for no braking either.
+    /// Reacts to emergency stop and driver fault, if they have become active. Spindle and coolant are switched off
+    /// without waiting for the step task, and in an emergency stop also without waiting for motion to brake.
     fn emergency(&mut self, came: &Signals, stopped: &mut Stopped) {
         if came.driver_fault {
             // The driver may have lost steps.

@@ -19,13 +19,13 @@ use crate::units::{Duration, Instant};
 #[derive(Clone, Copy, Debug)]
 pub struct Accessories {
     overrides: Overrides,
-    /// They have changed, and motion does not follow them yet.
+    /// The overrides have changed, and motion does not use them yet.
     overrides_due: bool,
     direction: SpindleDirection,
     coolant: Coolant,
     /// The spindle is stopped although the program has it on.
     suspended: bool,
-    /// The operator has asked for that in a hold that still brakes.
+    /// The operator has requested a spindle stop in a hold that is still braking.
     stops_at_rest: bool,
     /// S of the last line, rpm.
     speed: f32,
@@ -33,16 +33,16 @@ pub struct Accessories {
     digital: DigitalOutputs,
 }
 
-/// Watches a spindle in mid-job that tells its speed.
+/// Monitors the at-speed input of the spindle during a job.
 #[derive(Clone, Copy, Debug)]
 struct SpeedWatch {
-    /// What the spindle was given last; `None`: it was off, or is not known.
+    /// Direction and power last set; `None`: the spindle was off, or they are unknown.
     given: Option<(SpindleDirection, u16)>,
-    /// Until then another speed may take, if the input does not tell earlier that it is reached.
+    /// Until then the spindle may take to reach a new speed, unless the input reports it earlier.
     settled_at: Instant,
-    /// The input has told since then that it is not reached.
+    /// The input has reported that the new speed is not reached yet.
     has_changed: bool,
-    /// The speed is lost; at this moment it is for too long.
+    /// When the loss of speed becomes a fault; `None`: the speed is not lost.
     fault_at: Option<Instant>,
 }
 
@@ -51,19 +51,19 @@ impl SpeedWatch {
         SpeedWatch { given: None, settled_at: Instant::from_ticks(0), has_changed: false, fault_at: None };
 }
 
-/// Whether a spindle that was switched on turns as fast as it should.
+/// Progress of a spindle that was switched on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SpinUp {
-    /// Not yet.
+    /// Not up to speed yet.
     Waits,
-    /// It does.
+    /// Up to speed.
     UpToSpeed,
-    /// It should have by now (`$916`).
+    /// Not up to speed within the time of `$916`.
     Late,
 }
 
 impl Accessories {
-    /// Off, and everything as programmed.
+    /// Spindle, coolant and outputs off, no overrides.
     pub const OFF: Accessories = Accessories {
         overrides: Overrides::NONE,
         overrides_due: false,
@@ -76,20 +76,20 @@ impl Accessories {
         digital: DigitalOutputs::OFF,
     };
 
-    /// As after power-up. `mark`: see [`DigitalOutputs::switch_off`].
+    /// Restores the state after power-up. `mark`: see [`DigitalOutputs::switch_off`].
     pub fn reset(&mut self, mark: u8) {
         let mut digital = self.digital;
         digital.switch_off(mark);
         *self = Accessories { digital, ..Accessories::OFF };
     }
 
-    /// The outputs of the program.
+    /// The digital outputs of the program.
     #[inline]
     pub fn digital(&self) -> &DigitalOutputs {
         &self.digital
     }
 
-    /// The same, to change them.
+    /// The digital outputs of the program, mutable.
     #[inline]
     pub fn digital_mut(&mut self) -> &mut DigitalOutputs {
         &mut self.digital
@@ -100,7 +100,7 @@ impl Accessories {
         self.overrides
     }
 
-    /// Other overrides. Whether they differ.
+    /// Sets the overrides. Returns whether they have changed.
     pub fn set_overrides(&mut self, overrides: Overrides) -> bool {
         let differ = overrides != self.overrides;
         self.overrides = overrides;
@@ -108,8 +108,9 @@ impl Accessories {
         differ
     }
 
-    /// Whether motion has to follow other overrides from here on. All presses since the last call are one change: each
-    /// plans the whole look-ahead again, which takes about a millisecond, so a burst of them would starve the step queue.
+    /// Returns whether the overrides have changed since the last call, so that motion must apply them. All presses
+    /// since then are one change: applying one plans the whole look-ahead again, which takes about a millisecond, so
+    /// applying a burst of presses one by one would starve the step queue.
     #[inline]
     pub fn take_overrides_due(&mut self) -> bool {
         core::mem::take(&mut self.overrides_due)
@@ -138,7 +139,7 @@ impl Accessories {
         self.suspended
     }
 
-    /// Direction as the output has it.
+    /// Direction of the spindle output: off while the spindle is suspended.
     #[inline]
     pub fn spindle_output(&self) -> SpindleDirection {
         if self.suspended { SpindleDirection::Off } else { self.direction }
@@ -150,12 +151,13 @@ impl Accessories {
         self.coolant
     }
 
-    /// S of a line.
+    /// Sets the speed (S of a line), rpm.
     pub fn set_speed(&mut self, rpm: f32) {
         self.speed = rpm;
     }
 
-    /// M3, M4, M5: how long a spindle then takes to turn or to come to rest. A laser takes no time.
+    /// Sets the direction (M3, M4, M5). Returns how long the spindle then takes to spin up or down: 0 for a laser, and
+    /// if the direction is the same.
     pub fn set_spindle<const N: usize>(&mut self, direction: SpindleDirection, settings: &Settings<N>) -> Duration {
         let changed = direction != self.direction;
         self.direction = direction;
@@ -165,40 +167,41 @@ impl Accessories {
         settings.seconds(if direction == SpindleDirection::Off { Key::SpinDown } else { Key::SpinUp })
     }
 
-    /// M7, M8, M9.
+    /// Sets the coolant (M7, M8, M9).
     pub fn set_coolant(&mut self, coolant: Coolant) {
         self.coolant = coolant;
     }
 
-    /// M5.
+    /// Switches the spindle off (M5).
     pub fn stop_spindle(&mut self) {
         self.direction = SpindleDirection::Off;
     }
 
-    /// M5 and M9.
+    /// Switches spindle and coolant off (M5 and M9).
     pub fn switch_off(&mut self) {
         self.stop_spindle();
         self.coolant = Coolant::default();
     }
 
-    /// The spindle is stopped until [`Accessories::restore`]; the program keeps it on.
+    /// Stops the spindle until [`Accessories::restore`]; for the program it stays on.
     pub fn suspend(&mut self) {
         self.suspended = true;
     }
 
-    /// The same, once the machine is at rest.
+    /// Stops the spindle likewise, but only once the machine is at rest.
     pub fn stop_at_rest(&mut self) {
         self.stops_at_rest = true;
     }
 
-    /// The machine is at rest. Whether the spindle is stopped by that.
+    /// Reports that the machine is at rest. Returns whether this stops the spindle.
     pub fn rests(&mut self) -> bool {
         let stops = core::mem::take(&mut self.stops_at_rest);
         self.suspended |= stops;
         stops
     }
 
-    /// Ends [`Accessories::suspend`], also one that is still to come. Whether it was suspended.
+    /// Ends [`Accessories::suspend`], or cancels [`Accessories::stop_at_rest`]. Returns whether the spindle was
+    /// suspended.
     pub fn restore(&mut self) -> bool {
         self.stops_at_rest = false;
         if self.suspended {
@@ -207,17 +210,17 @@ impl Accessories {
         core::mem::take(&mut self.suspended)
     }
 
-    /// Whether a cut has to wait for the input that tells of the spindle's speed (`$915`).
+    /// Whether a cut has to wait for the spindle's at-speed input (`$915`).
     pub fn must_tell_speed<const N: usize>(&self, settings: &Settings<N>) -> bool {
         settings.whole(Key::AtSpeed) != 0 && !settings.is_on(Key::Laser) && self.is_on()
     }
 
-    /// Whether the spindle turns as it should, as far as can be known. `input`: the level of the input for it.
+    /// Whether the spindle is up to speed, as far as can be known. `input`: level of the at-speed input.
     pub fn is_at_speed<const N: usize>(&self, input: bool, settings: &Settings<N>) -> bool {
         !self.must_tell_speed(settings) || input == (settings.whole(Key::AtSpeed) == 1)
     }
 
-    /// Whether a spindle that should have turned long enough at the moment `until` has, and is up to speed.
+    /// Returns whether the spindle is up to speed. `until`: when its spin-up time ends.
     pub fn spun_up<const N: usize>(&self, until: Instant, now: Instant, input: bool, settings: &Settings<N>) -> SpinUp {
         if now < until {
             SpinUp::Waits
@@ -230,12 +233,12 @@ impl Accessories {
         }
     }
 
-    /// When [`Accessories::spun_up`] has to be asked again, if no input changes.
+    /// Returns when [`Accessories::spun_up`] must be called again, if no input changes before.
     pub fn next_look<const N: usize>(until: Instant, now: Instant, settings: &Settings<N>) -> Instant {
         if now < until { until } else { until + settings.seconds(Key::AtSpeedWithin) }
     }
 
-    /// Whether the spindle's speed is watched in mid-job (`$915`, `$929`).
+    /// Whether the spindle's speed is monitored during a job (`$915`, `$929`). If not, forgets what was observed.
     #[inline]
     pub fn watches_speed<const N: usize>(&mut self, settings: &Settings<N>) -> bool {
         let watches = self.must_tell_speed(settings) && settings.is_on(Key::SpeedLoss) && !self.suspended;
@@ -245,13 +248,13 @@ impl Accessories {
         watches
     }
 
-    /// The spindle has been off, or was not looked at.
+    /// Forgets what was observed of the speed: the spindle has been off, or was not monitored.
     fn forget_speed(&mut self) {
         self.watch = SpeedWatch::NONE;
     }
 
-    /// Whether the spindle has not been up to speed for longer than `$929` while a job is `at_work`. After another direction or
-    /// `power` it has the time of `$916`.
+    /// Whether the spindle has been below speed for longer than `$929` while a job is `at_work`. After a change of
+    /// direction or `power`, the spindle first has the time of `$916` to reach its speed.
     pub fn has_lost_speed<const N: usize>(
         &mut self,
         at_work: bool,
@@ -261,7 +264,7 @@ impl Accessories {
         settings: &Settings<N>,
     ) -> bool {
         let given = self.watch.given.filter(|(direction, _)| *direction == self.direction);
-        // The power of a block and of a line differ in their rounding.
+        // A block and a line may round the same power differently, by 1.
         if given.is_none_or(|(_, before)| before.abs_diff(power) > 1) {
             let lost = self.watch.fault_at.filter(|_| given.is_some() && self.watch.settled_at <= now);
             let settled_at = now + settings.seconds(Key::AtSpeedWithin);
@@ -280,15 +283,15 @@ impl Accessories {
         now >= *self.watch.fault_at.get_or_insert(fault_at) && at_work
     }
 
-    /// When the spindle's speed will have been lost for too long, if it stays lost.
+    /// When the loss of the spindle's speed becomes a fault, if it lasts.
     #[inline]
     pub fn speed_lost_at(&self) -> Option<Instant> {
         self.watch.fault_at
     }
 
-    /// Power of a spindle that is on while nothing moves. A laser with constant power (M3) stays on between feed motions
-    /// (`burns_at_rest`); one with scaled power (M4) is off at no speed. `running`: power of the move under way. `percent`: the
-    /// override.
+    /// Power of a spindle that is on while nothing moves. A laser with constant power (M3) stays on between feed
+    /// motions (`burns_at_rest`); with scaled power (M4) it is off at zero speed. `running`: power of the move in
+    /// execution. `percent`: the override.
     pub fn resting_power<const N: usize>(
         &self,
         settings: &Settings<N>,
@@ -301,10 +304,10 @@ impl Accessories {
             if self.direction != SpindleDirection::Clockwise || !burns_at_rest() {
                 return 0;
             }
-            // The segments carry the power of its moves.
+            // During a move the segments carry the laser's power.
             self.speed
         } else {
-            // S of the move under way. Without one that of the last line.
+            // S of the move in execution; without a move, S of the last line.
             match running() {
                 Some(power) if power != range.output(self.speed, 100).0 => range.speed_of(power),
                 _ => self.speed,
@@ -367,12 +370,12 @@ mod tests {
         on.set_spindle(SpindleDirection::Clockwise, &settings);
         assert!(on.watches_speed(&settings));
         let mut lost = |at_work, power, input, now| on.has_lost_speed(at_work, power, input, at(now), &settings);
-        // It has come up, and has no more need of its time.
+        // It has reached its speed early, so the rest of its spin-up time is void.
         assert!(!lost(false, 100, false, 6) && !lost(false, 100, true, 7));
         assert!(!lost(true, 100, false, 8) && !lost(true, 100, false, 9) && lost(true, 100, false, 10));
         assert!(!lost(true, 100, true, 11) && !lost(true, 100, false, 12), "it had come back");
         assert!(!lost(false, 100, false, 14) && lost(true, 100, false, 15), "a job that begins meets it as it is");
-        // Another speed takes its time, whether it is asked for at work or before.
+        // A new speed has the spin-up time, whether it is set during a job or before one.
         assert!(!lost(false, 200, true, 20) && !lost(true, 200, false, 21) && !lost(true, 200, false, 24));
         assert!(lost(true, 200, false, 25));
         assert!(

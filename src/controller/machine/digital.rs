@@ -1,12 +1,12 @@
 //! Digital outputs of programs (M62 to M65). Changes that wait for the next motion are kept in groups, and each group
 //! acts when a block with its mark begins.
 //!
-//! Each block of motion carries a mark: how many groups of changes come before it. When a block begins, the groups up to its mark
-//! are due. A group gathers all that is asked for between two motions.
+//! Each block of motion carries a mark: how many groups of changes come before it. When a block begins, the groups up
+//! to its mark are due. A group collects the changes that were requested between two motions.
 
-/// Groups that can wait. One more waits in front of its line until motion has come so far.
+/// Number of groups that can wait. A change that needs one more holds its line up until a motion has completed a group.
 const GROUPS: usize = 8;
-/// Marks are counted with so many bits: more than twice as many as there are groups.
+/// Bits of a mark, a wrapping counter: its range is more than twice the number of groups.
 const MARK_BITS: u32 = 5;
 const MARKS: u8 = (1 << MARK_BITS) - 1;
 
@@ -15,7 +15,7 @@ const MARKS: u8 = (1 << MARK_BITS) - 1;
 struct DueTogether {
     /// Outputs that change.
     mask: u8,
-    /// Those of them that go on.
+    /// Outputs of `mask` that switch on; the others of `mask` switch off.
     on: u8,
 }
 
@@ -23,33 +23,33 @@ struct DueTogether {
 #[derive(Clone, Copy, Debug)]
 pub struct DigitalOutputs {
     levels: u8,
-    /// The mark up to which all is done.
+    /// Mark up to which all changes are done.
     done: u8,
-    /// What waits, in its order.
+    /// Waiting groups, in order.
     waiting: [DueTogether; GROUPS],
     count: u8,
-    /// No motion has come since the last group was begun.
+    /// The last group may still grow: no motion has been queued since it was started.
     open: bool,
 }
 
 impl DigitalOutputs {
-    /// All off.
+    /// All outputs off.
     pub const OFF: Self =
         Self { levels: 0, done: 0, waiting: [DueTogether { mask: 0, on: 0 }; GROUPS], count: 0, open: false };
 
-    /// Bit 0 for P0.
+    /// Levels of the outputs, bit 0 for P0.
     #[inline]
     pub fn levels(&self) -> u8 {
         self.levels
     }
 
-    /// Whether something is to change with a motion.
+    /// Whether a change waits for a motion.
     #[inline]
     pub fn is_waiting(&self) -> bool {
         self.count > 0
     }
 
-    /// An output changes now.
+    /// Changes an output now.
     pub fn set(&mut self, number: u32, on: bool) {
         self.apply(DueTogether::of(number, on));
     }
@@ -59,7 +59,8 @@ impl DigitalOutputs {
         self.open || idle || usize::from(self.count) < GROUPS
     }
 
-    /// An output changes with the next motion. The mark of blocks from here on.
+    /// Changes an output with the next motion. Returns the mark of the blocks from here on. `idle`: no motion is
+    /// queued.
     pub fn set_with_motion(&mut self, number: u32, on: bool, idle: bool) -> u8 {
         let change = DueTogether::of(number, on);
         // With nothing queued all groups wait for the same motion.
@@ -86,13 +87,13 @@ impl DigitalOutputs {
         (self.done + self.count) & MARKS
     }
 
-    /// A motion has been queued.
+    /// Reports that a motion has been queued: the last group is complete.
     #[inline]
     pub fn motion_follows(&mut self) {
         self.open = false;
     }
 
-    /// A block with this mark has begun: what waits for it is due.
+    /// Reports that a block with this mark has begun: makes the changes that are due.
     pub fn begun(&mut self, mark: u8) {
         let due = mark.wrapping_sub(self.done) & MARKS;
         if due > self.count {
@@ -111,8 +112,8 @@ impl DigitalOutputs {
         self.levels = self.levels & !group.mask | group.on;
     }
 
-    /// The motion that was queued has been forgotten, and with it what waits. `mark` is that of the block begun last, and the mark of
-    /// blocks from here on.
+    /// Makes the changes that are due up to `mark` and drops the others, because the queued motion was dropped. `mark`
+    /// is that of the last block that has begun; blocks from here on have it, too.
     pub fn forget_waiting(&mut self, mark: u8) {
         self.begun(mark);
         self.count = 0;
@@ -120,7 +121,7 @@ impl DigitalOutputs {
         self.done = mark & MARKS;
     }
 
-    /// The same, and all off.
+    /// As [`DigitalOutputs::forget_waiting`], and switches all outputs off.
     pub fn switch_off(&mut self, mark: u8) {
         self.forget_waiting(mark);
         self.levels = 0;

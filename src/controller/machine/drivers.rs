@@ -10,25 +10,25 @@ const ALWAYS_ON: u32 = 255;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Drivers {
     on: bool,
-    /// When they go off after the last motion.
+    /// When the current goes off after the last motion.
     off_at: Option<Instant>,
 }
 
 impl Drivers {
-    /// Nothing has moved yet.
+    /// Off: nothing has moved yet.
     pub const OFF: Drivers = Drivers { on: false, off_at: None };
 
-    /// Whether they are on, with this `$1` (ms).
+    /// Whether the drivers have current, with this `$1` (ms).
     pub fn are_on(&self, idle_delay: u32) -> bool {
         self.on || idle_delay == ALWAYS_ON
     }
 
-    /// When they go off, if nothing moves before.
+    /// When the current goes off, if nothing moves before.
     pub fn off_at(&self) -> Option<Instant> {
         self.off_at
     }
 
-    /// Something moves. Whether that changes anything.
+    /// Switches the current on for a motion. Returns whether that changes anything.
     #[inline]
     pub fn switch_on(&mut self) -> bool {
         let changes = !self.on || self.off_at.is_some();
@@ -36,24 +36,24 @@ impl Drivers {
         changes
     }
 
-    /// Sleep, or an emergency that wants the current off.
+    /// Switches the current off, for sleep or an emergency stop.
     pub fn switch_off(&mut self) {
         *self = Drivers::OFF;
     }
 
-    /// They stay as they are until something moves: an axis may drop without current.
+    /// Cancels the delayed switch-off, because an axis may drop without current.
     pub fn stay(&mut self) {
         self.off_at = None;
     }
 
-    /// The last motion has ended: the delay `$1` (ms) begins.
+    /// Starts the delay `$1` (ms) after the last motion.
     pub fn motion_ended(&mut self, now: Instant, idle_delay: u32) {
         if idle_delay != ALWAYS_ON {
             self.off_at = Some(now + Duration::millis(u64::from(idle_delay)));
         }
     }
 
-    /// Time has passed.
+    /// Switches the current off once the delay is over.
     #[inline]
     pub fn look(&mut self, now: Instant) {
         if self.off_at.is_some_and(|at| now >= at) {

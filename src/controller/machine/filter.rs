@@ -1,11 +1,11 @@
 //! Debounces 32 inputs at once. A level changes after eight samples in a row that differ from it; a shorter change is
 //! rejected. Used by the inputs task.
 
-/// Samples in a second that the inputs task takes: a change passes after 0.4 ms.
+/// Samples per second that the inputs task takes: a change passes the filter after 8 samples, 0.4 ms.
 pub const SAMPLE_HZ: u32 = 20_000;
 
-/// Up to 32 inputs, each with a counter of the samples that contradict its level. The counters stand upright: bit n of
-/// `count[k]` is bit k of the counter of input n, so all are counted at once in a dozen instructions.
+/// Up to 32 inputs, each with a counter of the samples that contradict its level. The counters are stored bit-sliced:
+/// bit n of `count[k]` is bit k of the counter of input n, so a dozen instructions count for all inputs at once.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Filter {
     level: u32,
@@ -19,7 +19,7 @@ impl Filter {
         Filter { level: 0, count: [0; 3], rejected: 0 }
     }
 
-    /// Takes a sample and gives the filtered levels.
+    /// Takes a sample and returns the filtered levels.
     pub fn sample(&mut self, raw: u32) -> u32 {
         let differs = raw ^ self.level;
         let [a, b, c] = self.count;
@@ -32,7 +32,7 @@ impl Filter {
         self.level
     }
 
-    /// Inputs whose change has just ended before it had lasted long enough: noise, or the bounce of a contact.
+    /// Inputs whose change was too short and ended with the last sample: noise, or the bounce of a contact.
     pub fn rejected(&self) -> u32 {
         self.rejected
     }
@@ -71,7 +71,7 @@ mod tests {
         }
     }
 
-    /// The upright counters against one plain counter for each input.
+    /// Compares the bit-sliced counters with one plain counter for each input.
     #[test]
     fn agrees_with_plain_counters() {
         let mut filter = Filter::new();

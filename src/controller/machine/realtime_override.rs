@@ -31,7 +31,7 @@ impl Overrides {
     /// Everything as programmed.
     pub const NONE: Overrides = Overrides { feed: 100, rapid: 100, spindle: 100 };
 
-    /// Those that act while the program holds some of them off (M49, M50, M51).
+    /// Returns the overrides in force: 100 % for those that the program has disabled (M49, M50, M51).
     #[must_use]
     pub fn acting(mut self, feed_held: bool, spindle_held: bool) -> Overrides {
         if feed_held {

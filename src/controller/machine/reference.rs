@@ -2,17 +2,18 @@
 
 use crate::axes::AxisMask;
 
-/// The reference of the position. It is lost with a stop at speed, with sleep, with another resolution, direction or end of
-/// homing, and comes back with homing. Without homing there is no better knowledge: a lost reference is then a warning and locks nothing.
+/// The reference of the position. It is lost by a stop at speed, by sleep, and by a change of resolution, direction or
+/// homing end; homing restores it. With homing disabled nothing can restore it, so its loss is only a warning and locks
+/// nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reference {
     trusted: bool,
-    /// Axes homed since it was lost.
+    /// Axes homed since the reference was lost.
     homed: AxisMask,
 }
 
 impl Reference {
-    /// The machine is where it was switched on.
+    /// Trusted although nothing has been homed: the machine is assumed to be at its power-up position.
     pub const ASSUMED: Reference = Reference { trusted: true, homed: AxisMask::NONE };
 
     /// Whether the position is true, as far as can be known.
@@ -20,18 +21,19 @@ impl Reference {
         self.trusted
     }
 
-    /// The position is not known any more.
+    /// Marks the position as unknown.
     pub fn lose(&mut self) {
         *self = Reference { trusted: false, homed: AxisMask::NONE };
     }
 
-    /// For a replay: as it was in the recording. Axes that were homed one by one are not known.
+    /// Sets the reference to that of a recording, for a replay. Axes that were homed one by one are not in the
+    /// recording.
     pub fn assume(&mut self, trusted: bool) {
         *self = Reference { trusted, homed: AxisMask::NONE };
     }
 
-    /// Axes have been homed. With those of all `cycles` (masks of axes) the position is true; those homed one by one count
-    /// together, and an axis that no cycle has counts as homed.
+    /// Marks `axes` as homed. The position is trusted once the axes of all `cycles` (masks of axes) are homed. Axes
+    /// homed one by one count together; an axis that is in no cycle counts as homed.
     pub fn homed(&mut self, axes: AxisMask, mut cycles: impl Iterator<Item = u8>) {
         self.homed = AxisMask(self.homed.0 | axes.0);
         self.trusted |= !axes.is_empty() && cycles.all(|cycle| cycle & !self.homed.0 == 0);

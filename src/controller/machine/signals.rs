@@ -10,21 +10,21 @@
 use super::filter::Filter;
 use crate::messages::{InputWiring, Sensed, Signals, Wiring};
 
-/// Samples that the filter takes to know a level.
+/// Samples after which the filter's levels are valid.
 pub const SETTLING: u8 = 8;
 
-/// The inputs, sample by sample.
+/// Polarity, filter and trips of the inputs.
 #[derive(Clone, Debug)]
 pub struct Inputs {
     filter: Filter,
-    /// Unknown until `control` has sent it: no level means anything before.
+    /// `None` until `control` has sent it: before that, levels mean nothing.
     wiring: Option<InputWiring>,
-    /// Samples until the filter has seen the levels.
+    /// Samples still to take until the filter's levels are valid.
     settling: u8,
     armed: u32,
     sensed: Sensed,
     active: u32,
-    /// `sensed` may be another since it was told.
+    /// `sensed` may have changed since it was last sent to `control`.
     untold: bool,
 }
 
@@ -35,7 +35,7 @@ impl Default for Inputs {
 }
 
 impl Inputs {
-    /// Nothing is known, and nothing trips, before polarity and arming are: see [`Inputs::wire`].
+    /// Levels are unknown and nothing trips until polarity and arming are set by [`Inputs::wire`].
     pub const fn new() -> Self {
         Inputs {
             filter: Filter::new(),
@@ -48,13 +48,13 @@ impl Inputs {
         }
     }
 
-    /// Takes over polarity and arming.
+    /// Sets polarity and arming.
     pub fn wire(&mut self, wiring: &Wiring) {
         self.wiring = Some(wiring.inputs);
         self.armed = wiring.armed;
     }
 
-    /// Takes a sample of the pins (bit set = low). Whether the step task has to be stopped.
+    /// Takes a sample of the pins (bit set = low). Returns whether the step task must be stopped.
     pub fn sample(&mut self, low: u32) -> bool {
         let Some(wiring) = self.wiring else { return false };
         self.settling = self.settling.saturating_sub(1);
@@ -62,7 +62,8 @@ impl Inputs {
         self.take_levels(active)
     }
 
-    /// Whether an armed input (hard limit, emergency stop) has become active, which stops the step task at once.
+    /// Takes filtered levels. Returns whether an armed input (hard limit, emergency stop) has become active, which
+    /// stops the step task at once.
     fn take_levels(&mut self, active: u32) -> bool {
         let changed = active ^ self.active;
         if changed == 0 {
@@ -84,18 +85,19 @@ impl Inputs {
         self.filter.rejected()
     }
 
-    /// What `control` has to know; nothing before the levels are known.
+    /// Returns the state of the inputs for `control`; `None` until the levels are known.
     pub fn sensed(&self) -> Option<Sensed> {
         (self.settling == 0).then_some(self.sensed)
     }
 
-    /// Whether [`Inputs::sensed`] may be another than it knows: asked at each sample, and seldom so.
+    /// Whether [`Inputs::sensed`] may have changed since the last [`Inputs::told`]. Called for each sample; usually
+    /// false.
     #[inline]
     pub fn is_untold(&self) -> bool {
         self.untold
     }
 
-    /// It knows [`Inputs::sensed`].
+    /// Marks [`Inputs::sensed`] as sent to `control`, and clears its `tripped`.
     pub fn told(&mut self) {
         self.sensed.tripped = 0;
         self.untold = false;

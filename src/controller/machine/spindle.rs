@@ -11,18 +11,18 @@ const FULL_POWER: f32 = 65_535.0;
 pub struct SpindleRange {
     /// Speed at full power, rpm.
     pub maximum: f32,
-    /// Speed at least power, rpm.
+    /// Speed at minimum power, rpm.
     pub minimum: f32,
 }
 
 impl SpindleRange {
-    /// As the settings have them.
+    /// Reads the range from the settings.
     pub fn of<const N: usize>(settings: &Settings<N>) -> SpindleRange {
         SpindleRange { maximum: settings.value(Key::SpindleMaximum), minimum: settings.value(Key::SpindleMinimum) }
     }
 
-    /// Power (0 to 65535) and real speed (rpm) for a programmed speed under an override in percent. Speeds outside the
-    /// range run at its ends; 0 is off.
+    /// Returns power (0 to 65535) and actual speed (rpm) for a programmed speed under an override in percent. A speed
+    /// outside the range becomes its nearer end; 0 is off.
     pub fn output(&self, programmed: f32, percent: u8) -> (u16, f32) {
         let speed = programmed * f32::from(percent) / 100.0;
         if speed <= 0.0 {
@@ -37,12 +37,12 @@ impl SpindleRange {
         }
     }
 
-    /// A power under another override, in percent.
+    /// Returns a power under an override, in percent.
     pub fn overridden(&self, power: u16, percent: u8) -> u16 {
         self.output(self.speed_of(power), percent).0
     }
 
-    /// The speed (rpm) of a power: the inverse of [`SpindleRange::output`].
+    /// Returns the speed (rpm) of a power: the inverse of [`SpindleRange::output`].
     pub fn speed_of(&self, power: u16) -> f32 {
         if power == 0 {
             0.0

@@ -1,5 +1,5 @@
-//! Keeps the step queue filled. Says when segments have to come before planning, whether motion has been started, and
-//! when the controller has to be called again to refill the queue.
+//! Keeps the step queue filled. Decides when segments have to come before planning, whether motion has been started,
+//! and when the controller has to be called again to refill the queue.
 //!
 //! ```text
 //!  step time queued
@@ -7,26 +7,27 @@
 //!   6 ms ── low water ──── segments come first again
 //!   0     ── at a start
 //! ```
-//! The step queue never runs dry while something moves: at a start it is filled first, and then topped up. With a control
-//! task that is not late it is never so low again after that.
+//! The step queue never runs dry while something moves: at a start it is filled first, and then topped up. Unless the
+//! control task is late, it does not run low again.
 
 use crate::messages::{LINES_DEPTH, Observed};
 use crate::units::Duration;
 
-/// How often the controller wants to be called while something moves, to refill the step queue.
+/// Interval of the controller's calls while something moves, to refill the step queue.
 const MOVING_WAKEUP: Duration = Duration::from_ticks(2_000);
-/// The same when the queue is full of very short pieces or runs out at the end of a motion.
+/// Minimum interval: for a queue full of very short segments, or running out at the end of a motion.
 const LEAST_WAKEUP: Duration = Duration::from_ticks(100);
-/// Step time that counts as a well filled queue, and below which planning waits for refilling it.
+/// Queued step time from which the queue counts as well filled, microseconds.
 const WELL_FILLED_US: u32 = 12_000;
+/// Queued step time below which segments come before planning again, microseconds.
 const LOW_WATER_US: u32 = 6_000;
 
-/// How the step queue is fed.
+/// State of the supply of the step queue.
 #[derive(Clone, Debug)]
 pub(crate) struct StepSupply {
     /// The step queue has held [`WELL_FILLED_US`] since motion began.
     well_filled: bool,
-    /// Motion has been started and not come to its end.
+    /// Motion has been started and has not ended.
     running: bool,
     /// No more lines will come.
     input_ended: bool,
@@ -42,44 +43,44 @@ impl StepSupply {
         observed: Observed { segments_begun: 0, step_idle: true, rx_free: LINES_DEPTH as u16, received: 0, heard: 0 },
     };
 
-    /// What the pump sees.
+    /// Takes what the pump has observed.
     pub(crate) fn observe(&mut self, observed: Observed) {
         self.observed = observed;
     }
 
-    /// See [`StepSupply::observe`].
+    /// What the pump has observed last.
     #[inline]
     pub(crate) fn observed(&self) -> &Observed {
         &self.observed
     }
 
-    /// No more bytes will come.
+    /// Reports that no more bytes will come.
     pub(crate) fn end_input(&mut self) {
         self.input_ended = true;
     }
 
-    /// Whether no line can join those that are queued.
+    /// Whether no further line can join the queued ones.
     pub(crate) fn has_no_more(&self) -> bool {
         self.input_ended || self.observed.received == 0
     }
 
-    /// Whether motion has been started and not come to its end.
+    /// Whether motion has been started and has not ended.
     #[inline]
     pub(crate) fn is_running(&self) -> bool {
         self.running
     }
 
-    /// Motion has been started.
+    /// Reports that motion has been started.
     pub(crate) fn start(&mut self) {
         self.running = true;
     }
 
-    /// Motion has come to its end: an empty step queue is no underrun from here on.
+    /// Reports that motion has ended: from here on an empty step queue is not an underrun.
     pub(crate) fn end(&mut self) {
         self.running = false;
     }
 
-    /// Whether segments come before planning. `holds`: whether the step queue holds so many microseconds.
+    /// Whether segments come before planning. `holds`: whether the step queue holds at least that many microseconds.
     #[inline]
     pub(crate) fn is_short(&mut self, holds: impl Fn(u32) -> bool) -> bool {
         self.well_filled = (self.well_filled || holds(WELL_FILLED_US)) && self.running;
@@ -87,8 +88,9 @@ impl StepSupply {
     }
 }
 
-/// How long the step task can do without more. The depth of its queue counts messages, and blocks of a single step
-/// fill it with a millisecond or two of motion: half of that must not be slept through. `queued`: step time of each motion.
+/// Returns how long the controller may wait before it refills the step queue: half of what is queued, within limits.
+/// The depth of the queue counts messages, and blocks of a single step fill it with only a millisecond or two of
+/// motion. `queued`: step time of each motion, microseconds.
 pub(crate) fn refill_delay(queued: [u32; 2]) -> Duration {
     let queued = match queued {
         [0, 0] => return MOVING_WAKEUP,

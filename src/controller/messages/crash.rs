@@ -1,41 +1,41 @@
-//! Why the controller started: the cause of the reset and, after a failure, what the program before it reported.
+//! Why the controller started: the cause of the reset and, after a failure, the report of the previous run.
 
 /// Why the processor was reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResetCause {
-    /// Power came on.
+    /// Power was switched on.
     Power,
     /// The reset pin.
     Pin,
-    /// The program asked for it.
+    /// The program requested it.
     Software,
-    /// The supply sank and rose again.
+    /// The supply voltage dropped and recovered.
     BrownOut,
-    /// The watchdog was not fed: a task stood still.
+    /// The watchdog was not fed: a task was stuck.
     Watchdog,
-    /// None of these.
+    /// Any other cause.
     Other,
 }
 
-/// What brought the program before the reset to its end.
+/// How the program failed before the reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CrashKind {
-    /// A check in the program failed.
+    /// A check in the program failed (Rust panic).
     Panic,
-    /// The processor refused an instruction or an address.
+    /// The processor rejected an instruction or an address.
     Fault,
-    /// The stack ran out of its memory.
+    /// The stack exceeded its memory.
     StackOverflow,
-    /// A task stood still.
+    /// A task was stuck.
     Stuck,
-    /// The supply sank.
+    /// The supply voltage dropped.
     Voltage,
     /// The external clock failed.
     Clock,
 }
 
 impl CrashKind {
-    /// All of them, in the order of their numbers in RAM that outlives a reset.
+    /// All kinds, in the order of their numbers in RAM that survives a reset.
     pub const ALL: [CrashKind; 6] = [
         CrashKind::Panic,
         CrashKind::Fault,
@@ -46,37 +46,37 @@ impl CrashKind {
     ];
 }
 
-/// The last words of the program before the reset.
+/// Report of the failure before the reset.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Crash {
-    /// What happened.
+    /// Kind of failure.
     pub kind: CrashKind,
-    /// Where, or which task; printable ASCII.
+    /// Location in the program, or the name of the task; printable ASCII.
     pub text: heapless::Vec<u8, 120>,
-    /// Machine position, micrometres, and N word (0 = none) of what was running, as the control task saw them last.
+    /// Machine position in micrometres, as last recorded by the control task.
     pub place: [i32; 3],
-    /// See `place`.
+    /// N word of the running line (0 = none), as last recorded by the control task.
     pub line: u32,
-    /// When that was: microseconds since power-up (wrapping).
+    /// Time of the record of `place` and `line`: microseconds since power-up (wrapping).
     pub moment: u32,
 }
 
-/// How this start came about.
+/// Information about the reset before this start.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Restart {
-    /// What the processor says.
+    /// Cause reported by the processor.
     pub cause: ResetCause,
-    /// What the program before it has left, if it came to a bad end.
+    /// Report of the failure, if the program failed.
     pub crash: Option<Crash>,
-    /// There is a recording of what came in before it.
+    /// There is a recording from before the reset.
     pub is_recorded: bool,
 }
 
 impl Restart {
-    /// Power came on, and nothing is known of before.
+    /// Power was switched on, and nothing is known about the previous run.
     pub const POWER: Restart = Restart { cause: ResetCause::Power, crash: None, is_recorded: false };
 
-    /// Whether the machine was stopped by a failure and not by somebody.
+    /// Returns whether a failure, and not a person, stopped the machine.
     pub fn is_failure(&self) -> bool {
         self.crash.is_some() || matches!(self.cause, ResetCause::Watchdog | ResetCause::BrownOut)
     }

@@ -1,13 +1,13 @@
 //! Messages between the serial task and the control task: realtime commands, bytes of lines with their epoch, and
 //! pieces of replies.
 
-/// A command that acts at once, even in the middle of a line; one byte on the wire.
+/// A command that acts immediately, even in the middle of a line; one byte on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs, reason = "Grbl's own names; bytes in protocol::realtime")]
 pub enum Realtime {
-    /// 0x18. The sender has also raised the sticky stop of the step task.
+    /// 0x18. The serial task has also set the sticky stop of the step task.
     Reset,
-    /// 0x19, as in grblHAL: brake, forget what is queued, keep position and modal state.
+    /// 0x19, as in grblHAL: brakes and discards the queue, but keeps position and modal state.
     Stop,
     Status,
     CycleStart,
@@ -30,65 +30,65 @@ pub enum Realtime {
     SpindleStop,
     FloodToggle,
     MistToggle,
-    /// 0x89, as in grblHAL: the program pauses behind each line that moves, or no longer.
+    /// 0x89, as in grblHAL: toggles single-block mode, in which the program pauses after each line that moves.
     SingleBlock,
 }
 
 impl Realtime {
-    /// Whether it begins another epoch of line bytes: see [`LineByte`].
+    /// Returns whether the command starts a new epoch of line bytes: see [`LineByte`].
     pub fn opens_epoch(self) -> bool {
         matches!(self, Realtime::Reset | Realtime::Stop | Realtime::JogCancel)
     }
 }
 
-/// In place of a byte of a line: what has come of the line is void, for its host has gone or lost the floor. No host can
-/// send it, as 0x18 is a command. In place of the epoch it has the number (wrapping) of hosts that have gone before it, as
+/// Marks a change of hosts, in place of a byte of a line: the unfinished line is void, because its host has
+/// disconnected or lost the floor. No host can send this byte in a line, as 0x18 is a command. The mark's `epoch` is
+/// the number (wrapping) of hosts that have disconnected so far, as in
 /// [`Event::Disconnected`](super::Event::Disconnected).
 pub const HOST_CHANGED: u8 = 0x18;
 
-/// A byte of a line and the epoch it came in: the number (wrapping) of resets, stops and jog cancels that had been handed
-/// to `control` before it. So a byte sent before a reset is dropped and one sent after it never is, although the two queues to
-/// `control` keep no order between them.
+/// A byte of a line and its epoch: the number (wrapping) of resets, stops and jog cancels passed to `control` before
+/// it. The two queues to `control` have no mutual order; the epoch shows whether a byte was sent before a reset and
+/// must be dropped, or after it and must be kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LineByte {
     /// The byte.
     pub byte: u8,
-    /// The epoch when it came.
+    /// The epoch in which the byte was received.
     pub epoch: u16,
-    /// Bytes before this one were lost: the line it belongs to is refused.
+    /// Bytes before this byte were lost: its line is refused.
     pub damaged: bool,
 }
 
-/// serial -> control: bytes of lines that were received one after the other, all of one epoch. A message for each of them
-/// would cost more than to read it.
+/// serial -> control: consecutive line bytes of one epoch. One message per byte would cost more than reading the byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LineBytes {
     epoch: u16,
-    /// A bit for each byte: [`LineByte::damaged`].
+    /// [`LineByte::damaged`] of each byte, as bits.
     damaged: u16,
     len: u8,
     bytes: [u8; LineBytes::MOST],
 }
 
 impl LineBytes {
-    /// How many bytes fit.
+    /// Maximum number of bytes.
     pub const MOST: usize = 15;
-    /// None.
+    /// A message without bytes.
     pub const EMPTY: LineBytes = LineBytes { epoch: 0, damaged: 0, len: 0, bytes: [0; LineBytes::MOST] };
 
-    /// How many there are.
+    /// Returns the number of bytes.
     #[inline]
     pub fn len(&self) -> usize {
         self.len.into()
     }
 
-    /// Whether there are none.
+    /// Returns whether there are no bytes.
     #[inline]
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// Adds one. `false`: there is no room, or it is of another epoch.
+    /// Appends a byte. Returns `false` if there is no room or the byte is of another epoch.
     #[inline]
     pub fn push(&mut self, byte: LineByte) -> bool {
         if self.len == 0 {
@@ -102,7 +102,7 @@ impl LineBytes {
         true
     }
 
-    /// Adds as many of some undamaged bytes as there is room for; none if they are of another epoch. Gives how many.
+    /// Appends undamaged bytes as far as there is room, or none if they are of another epoch. Returns how many.
     #[inline]
     pub fn extend(&mut self, epoch: u16, bytes: &[u8]) -> usize {
         if self.len == 0 {
@@ -117,14 +117,14 @@ impl LineBytes {
         count
     }
 
-    /// Their epoch and the bytes from a place on, if none of all is damaged.
+    /// Returns the epoch, and the bytes from index `from` on; no bytes if any byte of the message is damaged.
     #[inline]
     pub fn undamaged(&self, from: usize) -> (u16, &[u8]) {
         let bytes = if self.damaged == 0 { self.bytes.get(from..self.len()) } else { None };
         (self.epoch, bytes.unwrap_or_default())
     }
 
-    /// The byte at a place, from 0.
+    /// Returns the byte at an index.
     #[inline]
     pub fn get(&self, place: usize) -> Option<LineByte> {
         let byte = *self.bytes.get(place).filter(|_| place < self.len())?;
@@ -132,17 +132,17 @@ impl LineBytes {
     }
 }
 
-/// A few bytes of answer.
+/// A piece of the text sent to the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Chunk {
-    /// How many of `bytes` count, 1..=15.
+    /// Number of valid bytes, 1..=15.
     pub len: u8,
     /// The text.
     pub bytes: [u8; 15],
 }
 
 impl Chunk {
-    /// The bytes that count.
+    /// Returns the valid bytes.
     pub fn as_bytes(&self) -> &[u8] {
         self.bytes.get(..usize::from(self.len)).unwrap_or(&[])
     }

@@ -1,10 +1,10 @@
-//! Messages of the inputs task: the bit of each input, the levels of all of them, and which of them have stopped the
+//! Messages of the inputs task: the bit of each input, the levels of all inputs, and which of them have stopped the
 //! step task.
 
 /// Bit of [`Signals::limits`] for the switch at the second motor of an axis that has two.
 pub const SECOND_SWITCH: u8 = 1 << 6;
 
-/// Bits of a word of inputs; limit switches have those of [`Signals::limits`], from 0 on.
+/// Bits of a word of inputs; limit switches use the bits of [`Signals::limits`], from 0 up.
 pub mod input {
     /// First input of the program (M66 P0).
     pub const PROGRAM: u32 = 7;
@@ -26,7 +26,7 @@ pub mod input {
     pub const AT_SPEED: u32 = 15;
     /// Second input of the program (M66 P1).
     pub const SECOND_PROGRAM: u32 = 16;
-    /// How many bits are in use.
+    /// Number of bits in use.
     pub const COUNT: usize = 17;
 }
 
@@ -35,7 +35,7 @@ pub mod input {
 pub struct Signals {
     /// Limit switches, bit 0 for X; [`SECOND_SWITCH`] for the second motor of a ganged axis.
     pub limits: u8,
-    /// Probe touches.
+    /// Probe contact.
     pub probe: bool,
     /// Safety door open.
     pub door: bool,
@@ -49,14 +49,14 @@ pub struct Signals {
     pub emergency_stop: bool,
     /// A motor driver reports a fault.
     pub driver_fault: bool,
-    /// The input for a spindle that tells its speed (`$915`).
+    /// At-speed input of the spindle (`$915`).
     pub at_speed: bool,
     /// Inputs of the program (M66), bit 0 for P0.
     pub program: u8,
 }
 
 impl Signals {
-    /// Nothing is active.
+    /// No input is active.
     pub const NONE: Signals = Signals {
         limits: 0,
         probe: false,
@@ -70,7 +70,7 @@ impl Signals {
         program: 0,
     };
 
-    /// The inputs of a word, see [`input`].
+    /// Returns the inputs of a word, see [`input`].
     pub fn of_word(word: u32) -> Signals {
         let bit = |n: u32| word >> n & 1 != 0;
         Signals {
@@ -87,7 +87,7 @@ impl Signals {
         }
     }
 
-    /// The word of these inputs, see [`input`].
+    /// Returns the word of these inputs, see [`input`].
     pub fn word(&self) -> u32 {
         let bit = |on: bool, n: u32| u32::from(on) << n;
         u32::from(self.limits)
@@ -104,18 +104,19 @@ impl Signals {
     }
 }
 
-/// inputs -> control.
+/// inputs -> control: levels, and stops caused by armed inputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sensed {
-    /// The levels now.
+    /// The current levels.
     pub signals: Signals,
-    /// How often armed inputs ([`Wiring::armed`](super::Wiring::armed)) have stopped the step task since power-up (wrapping).
+    /// Number of stops of the step task by armed inputs ([`Wiring::armed`](super::Wiring::armed)) since power-up
+    /// (wrapping).
     pub trips: u8,
-    /// Which inputs did so since the message before: they may be inactive again.
+    /// Inputs that caused such stops since the previous message; they may be inactive again.
     pub tripped: u32,
 }
 
-/// The inputs as they are at this moment, for `$PINS`; bits as in [`input`].
+/// The state of the input pins now, for `$PINS`; bits as in [`input`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PinView {
     /// Inputs that have a pin.

@@ -1,11 +1,11 @@
-//! All types that cross between tasks, one file for each pair of tasks, and the depths of the queues between them.
+//! All message types between tasks, one file per pair of tasks, and the depths of their queues.
 //!
 //! ```text
-//!  serial ──realtime──▶ control ──segments──▶ step        stops: a sticky mark that `step` looks at first
+//!  serial ──realtime──▶ control ──segments──▶ step        stops: a sticky mark that `step` checks first
 //!  serial ──lines─────▶ control ◀──events──── step
-//!  inputs ──signals───▶ control ──replies───▶ serial      (armed inputs raise it, too)
+//!  inputs ──signals───▶ control ──replies───▶ serial      (armed inputs set the mark, too)
 //! ```
-//! What happens when a queue is full is written at its depth.
+//! The comment at each depth says what happens when the queue is full.
 
 mod controller;
 mod crash;
@@ -25,26 +25,29 @@ pub use recording::{Noted, Recorded, Standing, Stopping};
 pub use step::{AxisSteps, INTERVAL_FRACTION_BITS, Segment, StepEvent, ToStep, UNITS_PER_STEP};
 pub use store::{Record, STORE_DAMAGED, Store};
 
-/// Depth of serial -> control, realtime commands. `control` drains it in each turn, and 5 ms of nothing but commands at
-/// 115200 baud fit. Full: the link waits where it can; on a plain UART resets, holds and the door are kept as marks
-/// (`protocol::owed::Owed`), other commands are reported as lost.
+/// Depth of serial -> control, realtime commands. `control` empties it in each turn; 5 ms of commands alone at 115,200
+/// baud fit. Full: the link waits if it can. On a plain UART, resets, holds and the door are kept as marks
+/// (`protocol::owed::Owed`), and other commands are reported as lost.
 pub const REALTIME_DEPTH: usize = 64;
-/// Bytes of lines that fit between serial and control; what `Bf:` counts. Full: receive is paused where the link has
-/// back-pressure (USB, QEMU; see `protocol::link`); on a plain UART the byte is dropped and the next one says so ([`LineByte::damaged`]).
+/// Bytes of lines that fit between serial and control; this is the number that `Bf:` reports. Full: reception is paused
+/// if the link has back-pressure (USB, QEMU; see `protocol::link`). On a plain UART the byte is dropped, and the next
+/// byte is marked ([`LineByte::damaged`]).
 pub const LINES_DEPTH: usize = 255;
-/// Depth of serial -> control, in messages of such bytes. They fit however they arrive (see `protocol::byte_channel`), also with a
-/// jog cancel behind each line: the shortest jog, `$J=X1F9` with its end, has 8 bytes. One more may be on its way out.
+/// Depth of serial -> control, in messages of line bytes. [`LINES_DEPTH`] bytes fit however they arrive (see
+/// `protocol::byte_channel`), even with a jog cancel after each line: the shortest jog, `$J=X1F9` with its end, has 8
+/// bytes. One further message may be about to be sent.
 pub const LINE_MESSAGES: usize = LINES_DEPTH.div_ceil(8) + MOST_PARTIAL + 1;
-/// So many messages are sent before they are full, since the queue was last seen empty, besides those that an epoch ends.
+/// Maximum number of messages sent before they are full, since the queue was last empty. Messages that end because of a
+/// new epoch do not count.
 pub const MOST_PARTIAL: usize = 4;
-/// Depth of control -> step. Full: `control` keeps the message for its next turn. Time, not this depth, is what
-/// normally bounds it (see `QUEUED_TIME_MS` in `motion`).
+/// Depth of control -> step. Full: `control` keeps the message for its next turn. Normally the queued time, not this
+/// depth, is the limit (see `QUEUED_TIME_MS` in `motion`).
 pub const SEGMENTS_DEPTH: usize = 64;
-/// Depth of step -> control. One entry for each stop, underrun or probe contact; `control` drains it in each turn. Full:
-/// the step task keeps the event and sends it at its next entry.
+/// Depth of step -> control. One entry for each stop, underrun or probe contact; `control` empties it in each turn.
+/// Full: the step task keeps the event and sends it at its next entry.
 pub const EVENTS_DEPTH: usize = 4;
-/// Depth of control -> serial, in chunks. Full: `control` keeps its text; a slow host slows its own answers only.
+/// Depth of control -> serial, in chunks. Full: `control` keeps its text; a slow host delays only its own answers.
 pub const REPLIES_DEPTH: usize = 32;
-/// Depth of inputs -> control. Full: the newest state replaces what could not be sent, as levels and not edges cross; the
-/// stops that inputs have asked for are counted ([`Sensed::trips`]), so none of them is forgotten.
+/// Depth of inputs -> control. Full: a newer state replaces the unsent one, because messages contain levels, not edges.
+/// The stops caused by inputs are counted ([`Sensed::trips`]), so none is lost.
 pub const SIGNALS_DEPTH: usize = 8;

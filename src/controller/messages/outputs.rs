@@ -1,7 +1,7 @@
 //! Messages to the tasks that own output pins: levels of spindle, coolant and drivers, and the wiring (polarity, pulse
 //! length, pull-ups, ganged motors) that follows from settings.
 
-/// Which way the spindle turns.
+/// Direction of the spindle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SpindleDirection {
     /// M5.
@@ -29,7 +29,8 @@ pub struct SlowOutputs {
     pub spindle: SpindleDirection,
     /// Spindle power, 0 (off) to 65535 (full).
     pub power: u16,
-    /// Laser: while the step task is busy the power of its segments ([`Segment::power`](super::Segment::power)) holds instead of `power`.
+    /// Laser: while the step task is busy, the power of its segments ([`Segment::power`](super::Segment::power)) is
+    /// used instead of `power`.
     pub power_from_segments: bool,
     /// Coolant.
     pub coolant: Coolant,
@@ -39,7 +40,7 @@ pub struct SlowOutputs {
     pub digital: u8,
 }
 
-/// Wiring facts that the pump's own tasks need, from the settings; sent at start and after each change.
+/// Wiring data for the tasks of the pump, from the settings; sent at start and after each change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Wiring {
     /// `$0`, length of a step pulse in tenths of a microsecond.
@@ -54,44 +55,45 @@ pub struct Wiring {
     pub enable_invert: bool,
     /// `$33`, frequency of the PWM for spindle or laser, 1 to 100,000 Hz.
     pub pwm_hz: u32,
-    /// `$6`, probe input inverted: for the step task, which looks at the pin itself.
+    /// `$6`, probe input inverted; for the step task, which reads the pin itself.
     pub probe_invert: bool,
     /// Polarity and pull resistors of the inputs.
     pub inputs: InputWiring,
-    /// Inputs ([`input`](super::input)) that stop the step task as soon as they become active, before `control` hears of it.
+    /// Inputs ([`input`](super::input)) that stop the step task as soon as they become active, before `control` gets a
+    /// message.
     pub armed: u32,
-    /// `$905`, the axis whose steps the second motor takes too, bit 0 for X; 0 = none.
+    /// `$905`, the axis whose steps also go to the second motor, bit 0 for X; 0 = none.
     pub ganged: u8,
-    /// `$906`, the second motor turns the other way.
+    /// `$906`, direction of the second motor inverted.
     pub ganged_invert: bool,
-    /// Which of the two motors take their steps. Changes at rest only.
+    /// Which of the two motors make steps. Changes only at rest.
     pub ganged_motors: GangedMotors,
 }
 
 /// Polarity and pull resistors of the inputs, words as in [`input`](super::input).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct InputWiring {
-    /// Active while the pin is high (else while it is low, as with a switch to ground and a pull-up).
+    /// Active while the pin is high; otherwise active while it is low, as with a switch to ground and a pull-up.
     pub inverted: u32,
     /// No pull-up.
     pub no_pull_up: u32,
-    /// A pull-down instead.
+    /// A pull-down instead of a pull-up.
     pub pull_down: u32,
 }
 
 impl InputWiring {
-    /// Pull-ups, and active low.
+    /// All inputs with pull-ups and active low.
     pub const PULL_UPS: InputWiring = InputWiring { inverted: 0, no_pull_up: 0, pull_down: 0 };
 }
 
-/// The motors of a ganged axis that take part in a move.
+/// The motors of a ganged axis that make steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum GangedMotors {
-    /// Both, as always but in squaring.
+    /// Both motors: always, except during squaring.
     #[default]
     Both,
-    /// The one on the axis' own pins.
+    /// The motor on the axis' own pins.
     First,
-    /// The other one.
+    /// The second motor.
     Second,
 }

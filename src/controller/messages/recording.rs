@@ -1,37 +1,37 @@
-//! The entries of a recording, the state from which it can be replayed, and the pieces in which `$REC` lists it.
+//! Entries of a recording, the state from which it can be replayed, and the pieces in which `$REC` lists it.
 
 use super::crash::CrashKind;
 use super::store::Record;
 use crate::units::Coordinate;
 
-/// The state of a machine at rest from which what follows can be played again: nothing is open in the program, nothing is
-/// switched on, no offset holds but those that are stored, and no override.
+/// State of a machine at rest from which a replay can begin: no program is in progress, all outputs are off, and only
+/// stored offsets and no overrides are active.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Standing {
     /// Step counter of each axis: net steps since power-up (wrapping).
     pub counters: heapless::Vec<i32, { Standing::AXES }>,
-    /// The machine position, as programmed.
+    /// Machine position, as programmed.
     pub place: heapless::Vec<Coordinate, { Standing::AXES }>,
-    /// Whether that is true, as far as can be known.
+    /// Whether the position is trusted.
     pub trusted: bool,
     /// Locked without an alarm, as after power-up with homing.
     pub locked: bool,
-    /// G20; the words are in millimetres.
+    /// G20 is active; `words` are in millimetres.
     pub inches: bool,
     /// The tool in the spindle.
     pub tool: u32,
     /// Inputs that are active, as in [`input`](super::input).
     pub active: u32,
-    /// What stays in force, as a line of G-code.
+    /// Modal state as a line of G-code.
     pub words: heapless::Vec<u8, 64>,
 }
 
 impl Standing {
-    /// Axes that a machine can have.
+    /// Maximum number of axes of a machine.
     pub const AXES: usize = 6;
 }
 
-/// What the step task has reported, as it is recorded.
+/// A report of the step task, as recorded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs, reason = "see `StepEvent`")]
 pub enum Stopping {
@@ -43,7 +43,7 @@ pub enum Stopping {
 }
 
 impl Stopping {
-    /// All of them, in the order of their numbers.
+    /// All reports, in the order of their numbers.
     pub const ALL: [Stopping; 5] =
         [Stopping::AtRest, Stopping::Moving, Stopping::Probed, Stopping::Underrun, Stopping::Miscounted];
 }
@@ -52,32 +52,33 @@ impl Stopping {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[allow(clippy::large_enum_variant, reason = "one at a time, on the stack")]
 pub enum Noted {
-    /// Power came on.
+    /// Power was switched on.
     PowerUp,
-    /// Bytes of lines, at the end of the last of them.
+    /// Bytes of a line; the entry has the time of the line end.
     Host(heapless::Vec<u8, { Noted::HOST_BYTES }>),
-    /// More bytes waited behind the line before.
+    /// More bytes waited after the previous line.
     More,
     /// A realtime command, by its byte.
     Command(u8),
-    /// Inputs that are active, and those that have stopped motion meanwhile; words as in [`input`](super::input).
+    /// Active inputs, and inputs that have stopped motion since the previous entry; words as in
+    /// [`input`](super::input).
     Inputs {
-        /// Active.
+        /// Active inputs.
         active: u32,
-        /// Were active for a moment at least.
+        /// Inputs that have stopped motion; they may be inactive again.
         tripped: u32,
     },
     /// The step task has reported, with its counters.
     Step(Stopping, heapless::Vec<i32, { Standing::AXES }>),
-    /// The store has answered.
+    /// The store has reported success or failure.
     Stored(bool),
     /// A host has opened the port.
     Connected,
-    /// A host has gone.
+    /// A host has disconnected.
     Disconnected,
-    /// Bytes were lost here.
+    /// Bytes were lost at this point.
     Damaged,
-    /// The rest of a line is void: see [`HOST_CHANGED`](super::HOST_CHANGED).
+    /// The unfinished line is void: see [`HOST_CHANGED`](super::HOST_CHANGED).
     Cut,
     /// The machine has come to rest.
     Rest {
@@ -95,39 +96,39 @@ pub enum Noted {
     },
     /// The program has ended.
     Ended {
-        /// How; nothing if that is not known.
+        /// Kind of failure, if known.
         crash: Option<CrashKind>,
         /// See [`Crash::place`](super::Crash::place).
         place: [i32; 3],
-        /// See [`Crash::place`](super::Crash::place).
+        /// See [`Crash::line`](super::Crash::line).
         line: u32,
     },
 }
 
 impl Noted {
-    /// Bytes of the host in an entry. A longer line has several.
+    /// Maximum bytes of the host in an entry. A longer line has several entries.
     pub const HOST_BYTES: usize = 60;
-    /// In place of the number of a [`CrashKind`].
+    /// Stands for the number of a [`CrashKind`] if there is none.
     pub const NO_CRASH: u8 = u8::MAX;
 }
 
-/// A piece of a recording that is listed.
+/// A piece of a recording, as `$REC` lists it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[allow(clippy::large_enum_variant, reason = "one at a time, on the stack")]
 pub enum Recorded {
-    /// What comes first.
+    /// The first piece.
     Board {
         /// Name.
         name: &'static str,
-        /// Ticks of the step clock in a second.
+        /// Ticks of the step clock per second.
         step_clock_hz: u32,
     },
     /// A stored record.
     Record(Record),
-    /// Where it begins, microseconds since power-up.
+    /// Start time of the recording, in microseconds since power-up.
     Begin(u64),
     /// An entry and its time.
     Noted(u64, Noted),
-    /// There is no more.
+    /// End of the recording.
     End,
 }

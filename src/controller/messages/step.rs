@@ -1,5 +1,5 @@
-//! Messages between the control task and the step task: blocks and segments in one direction, stops, contacts and
-//! underruns in the other.
+//! Messages between the control task and the step task: blocks and segments to the step task; stops, probe contacts and
+//! underruns back.
 
 use crate::axes::PerAxis;
 
@@ -8,34 +8,35 @@ use crate::axes::PerAxis;
 pub enum ToStep {
     /// Steps of the axes A, B and C of the next block; sent before its [`ToStep::Block`] if any of them moves.
     BlockRest {
-        /// The parts of A, B, C.
+        /// Steps of A, B, C.
         steps_by_axis: [AxisSteps; 3],
     },
-    /// The straight move that the following segments are pieces of. Takes effect with the first of them.
+    /// A straight move. The following segments are pieces of it; it takes effect with the first of them.
     Block {
-        /// The parts of X, Y, Z.
+        /// Steps of X, Y, Z.
         steps_by_axis: [AxisSteps; 3],
-        /// Bit set = axis moves to negative; bit 0 is X.
+        /// Bit set = axis moves in negative direction; bit 0 is X.
         directions: u8,
     },
-    /// The block just sent is entered at this many units and not at its start: it was left for a detour.
+    /// The block just sent starts after this many units instead of at its start, because it was left for a detour.
     Reenter {
-        /// Units of the block that have been done.
+        /// Units of the block that are already done.
         units: u32,
     },
     /// A piece of the current block.
     Segment(Segment),
-    /// Looks for the probe at each tick from here on. Once it is active (`Some(true)`) or no longer active
-    /// (`Some(false)`) the place is latched and reported with [`StepEvent::Probed`], what is queued is thrown away, and
-    /// the step task brakes by itself; it takes nothing more until it has been stopped and resumed. `None` ends the watch.
+    /// Checks the probe at each tick from now on. When the probe becomes active (`Some(true)`) or inactive
+    /// (`Some(false)`), the position is latched and reported with [`StepEvent::Probed`], the queue is discarded, and
+    /// the step task brakes by itself. It then takes no message until it has been stopped and resumed. `None` ends the
+    /// watch.
     Watch {
         /// The awaited state of the probe.
         probe: Option<bool>,
-        /// How hard to brake: the deceleration in units per square of a step-clock tick.
+        /// Deceleration for braking, in units per square of a step-clock tick.
         braking: f32,
     },
-    /// Opens the step task after a stop: everything queued before it is thrown away. `stops` is the count of stops that
-    /// `control` knew of; the gate stays shut when there has been another one since.
+    /// Lets the step task run again after a stop: everything queued before this is discarded. `stops` is the number of
+    /// stops known to `control`; if there has been another stop since, the step task stays stopped.
     Resume {
         /// Value of [`StepEvent::Stopped::stops`] that this answers.
         stops: u16,
@@ -43,90 +44,90 @@ pub enum ToStep {
 }
 
 impl ToStep {
-    /// Whether it says what a block is, of which a segment is to follow.
+    /// Returns whether the message describes a block, so that a segment must follow.
     #[inline]
     pub fn announces_block(&self) -> bool {
         matches!(self, ToStep::BlockRest { .. } | ToStep::Block { .. } | ToStep::Reenter { .. })
     }
 }
 
-/// The part of one axis in a block: its steps, and how far the true ends of the move are from the steps they are rounded
-/// to.
+/// The part of one axis in a block: its number of steps, and the distance of the move's true ends from the rounded
+/// ends.
 ///
-/// A line begins and ends on steps. A chord of an arc does not, or rounding would bend the arc: it is stepped along its true
-/// ends. How far they are is told in sevenths of a step, positive in the direction of motion (of an axis without steps: to
-/// positive).
+/// A line begins and ends on whole steps. A chord of an arc does not, because rounding would bend the arc: it is
+/// stepped along its true ends. Their distances from the rounded ends are in sevenths of a step, positive in the
+/// direction of motion (for an axis without steps: in positive direction).
 ///
-/// One word: steps in the lower 26 bits, then three bits of each end.
+/// Packed into one word: steps in the lower 26 bits, then three bits for each end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(transparent)]
 pub struct AxisSteps(u32);
 
 impl AxisSteps {
-    /// Less than 2 to the power of this are the steps of an axis in a block.
+    /// The number of steps of an axis in a block is less than 2 to this power.
     pub const STEP_BITS: u32 = 26;
-    /// Parts of a step in which the ends are told. Odd, so that there are as many on either side of zero.
+    /// Units per step in which the ends are given. Odd, so that there are equally many on both sides of zero.
     pub const PARTS: u32 = 7;
-    /// The ends are this many parts from a step at most.
+    /// Maximum distance of an end from a whole step, in these units.
     pub const FARTHEST: i32 = 3;
     const STEPS: u32 = (1 << Self::STEP_BITS) - 1;
 
-    /// From step to step.
+    /// A move between whole steps.
     #[inline]
     pub const fn on_steps(steps: u32) -> AxisSteps {
         AxisSteps(steps & Self::STEPS)
     }
 
-    /// With true ends, each within [`AxisSteps::FARTHEST`].
+    /// A move with true ends, each within [`AxisSteps::FARTHEST`].
     #[inline]
     pub const fn with_ends(steps: u32, start: i32, end: i32) -> AxisSteps {
         AxisSteps(steps & Self::STEPS | (start as u32 & 7) << Self::STEP_BITS | (end as u32) << (Self::STEP_BITS + 3))
     }
 
-    /// Unsigned steps.
+    /// Returns the number of steps.
     #[inline]
     pub const fn steps(self) -> u32 {
         self.0 & Self::STEPS
     }
 
-    /// True start less rounded start, in sevenths of a step.
+    /// Returns true start minus rounded start, in sevenths of a step.
     #[inline]
     pub const fn start(self) -> i32 {
         (self.0 << 3) as i32 >> (Self::STEP_BITS + 3)
     }
 
-    /// True end less rounded end, in sevenths of a step.
+    /// Returns true end minus rounded end, in sevenths of a step.
     #[inline]
     pub const fn end(self) -> i32 {
         self.0 as i32 >> (Self::STEP_BITS + 3)
     }
 
-    /// All of it.
+    /// Returns the packed word.
     #[inline]
     pub const fn word(self) -> u32 {
         self.0
     }
 
-    /// Whether both ends are on steps.
+    /// Returns whether both ends are on whole steps.
     #[inline]
     pub const fn is_on_steps(self) -> bool {
         self.0 <= Self::STEPS
     }
 }
 
-/// Some ticks with evenly changing intervals. The unit of progress within a block is 1/16 of a step of its dominant axis
-/// ([`UNITS_PER_STEP`]); a tick advances `UNITS_PER_STEP >> level` of them.
+/// A sequence of ticks with evenly changing intervals. The unit of progress within a block is 1/16 of a step of its
+/// dominant axis ([`UNITS_PER_STEP`]); a tick advances `UNITS_PER_STEP >> level` units.
 ///
 /// Packed, because padding to four bytes would make a [`ToStep`] of 20 bytes; the CPU loads unaligned words as fast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(C, packed(2))]
 pub struct Segment {
-    /// Step-clock ticks before the first tick of the segment, in fixed point with [`INTERVAL_FRACTION_BITS`]; each
-    /// further tick follows after `ramp` more.
+    /// Step-clock ticks before the first tick of the segment, in fixed point with [`INTERVAL_FRACTION_BITS`]. Each
+    /// further interval is longer by `ramp`.
     pub interval: u32,
-    /// Change of the interval from tick to tick, same fixed point.
+    /// Change of the interval from tick to tick, in the same fixed point.
     pub ramp: i32,
-    /// How many ticks, at least 1.
+    /// Number of ticks, at least 1.
     pub ticks: u16,
     /// Spindle or laser power from the first tick on, 0 (off) to 65535 (full).
     pub power: u16,
@@ -139,11 +140,11 @@ pub struct Segment {
 impl Segment {
     /// The segment begins the block sent last.
     pub const FLAG_NEW_BLOCK: u8 = 1;
-    /// Motion is at rest after this segment: an empty queue is no fault.
+    /// Motion is at rest after this segment, so an empty queue is not an underrun.
     pub const FLAG_LAST: u8 = 2;
-    /// Time passes and nothing moves: the ticks advance no units (feeds slower than the timer's reach).
+    /// Time passes without motion: the ticks advance no units (for feeds too slow for the timer).
     pub const FLAG_WAIT: u8 = 4;
-    /// The move is a rapid. The step task does not care; those who draw what it did do.
+    /// The move is a rapid. Ignored by the step task; used by programs that draw its output.
     pub const FLAG_RAPID: u8 = 8;
 }
 
@@ -155,18 +156,18 @@ pub const UNITS_PER_STEP: u32 = 16;
 /// step -> control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StepEvent<const N: usize> {
-    /// Pulses have stopped because someone asked (reset, limit).
+    /// Pulses have stopped on request (reset, limit).
     Stopped {
-        /// How often this has happened since power-up (wrapping).
+        /// Number of stops since power-up (wrapping).
         stops: u16,
-        /// Whether the machine was stepping when the stop came.
+        /// Whether the machine was stepping at the stop.
         moving: bool,
         /// Step counter of each axis: net steps since power-up (wrapping).
         position: PerAxis<i32, N>,
     },
     /// The probe has reached the awaited state; the step task brakes.
     Probed {
-        /// Step counter of each axis at the tick that saw it.
+        /// Step counter of each axis at the tick that detected it.
         position: PerAxis<i32, N>,
     },
     /// The queue ran dry at speed. Pulses have stopped; counts as a stop.
@@ -176,7 +177,7 @@ pub enum StepEvent<const N: usize> {
         /// As in [`StepEvent::Stopped`].
         position: PerAxis<i32, N>,
     },
-    /// The outputs have not put out what they were told to: the position is not what the count says. Pulses have stopped;
+    /// The outputs did not make the commanded pulses, so the position differs from the counters. Pulses have stopped;
     /// counts as a stop.
     Miscounted {
         /// As in [`StepEvent::Stopped`].

@@ -1,6 +1,6 @@
-//! An arc or helix as a chain of chords, computed one at a time. Centre, radius and sweep come from exact integers. A
-//! direction vector in 2^-30 fixed point is turned from chord to chord and kept at length 1, so the error does not grow
-//! over many turns.
+//! An arc or helix as a chain of chords, computed one at a time. Centre, radius and sweep are computed from exact
+//! integers. A direction vector in 2^-30 fixed point is rotated from chord to chord and kept at length 1, so the error
+//! does not grow over many turns.
 
 use super::trapezoid::square_root;
 use crate::axes::{Axis, PerAxis};
@@ -9,43 +9,43 @@ use crate::units::{Coordinate, integer_root, wide_to_f32};
 /// Fraction bits of the direction vector.
 pub(super) const UNIT_BITS: u32 = 30;
 pub(super) const UNIT: i64 = 1 << UNIT_BITS;
-/// Angles within this of zero are full circles, as in Grbl.
+/// Angles within this range of zero are full circles, as in Grbl, rad.
 const FULL_CIRCLE: f32 = 5.0e-7;
 const TURN: f32 = core::f32::consts::TAU;
-/// Widest half angle of a chord (45 degrees), whatever the tolerance allows: tiny circles stay round.
+/// Maximum half angle of a chord (45 degrees), even if the tolerance allows more, so that tiny circles stay round.
 const WIDEST: f32 = core::f32::consts::FRAC_PI_4;
-/// Least tolerance, in mm: below it chords would be shorter than what machines can follow.
+/// Minimum tolerance, mm: below it, chords would be shorter than machines can follow.
 pub(super) const LEAST_TOLERANCE: f32 = 0.0001;
-/// Most chords of a turn: an f32 counts so far exactly.
+/// Maximum number of chords in a turn: an f32 can count that far exactly.
 const MOST_CHORDS: f32 = 16_000_000.0;
 
-/// How a curve bends.
+/// Curvature of a curve along a chord.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Curvature {
-    /// Radius of the curve in space, mm; infinite where it is straight or nothing is known.
+    /// Radius of the curve in space, mm; infinite if it is straight or unknown.
     pub radius: f32,
-    /// The axes that take part in the turn.
+    /// The axes of the plane in which the curve turns.
     pub axes: [Axis; 2],
 }
 
-/// An arc in a plane, with the other axes moving evenly along.
+/// An arc in a plane. Other axes move proportionally to the arc's length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ArcGeometry<const N: usize> {
-    /// Where it begins, machine coordinates.
+    /// Start, machine coordinates.
     pub start: PerAxis<Coordinate, N>,
-    /// Where it ends.
+    /// End, machine coordinates.
     pub target: PerAxis<Coordinate, N>,
-    /// First axis of the plane; counter-clockwise turns from it towards `axis_1`.
+    /// First axis of the plane; counter-clockwise is from `axis_0` towards `axis_1`.
     pub axis_0: Axis,
     /// Second axis of the plane.
     pub axis_1: Axis,
-    /// From the start to the centre along `axis_0`.
+    /// Distance from the start to the centre along `axis_0`.
     pub offset_0: Coordinate,
-    /// From the start to the centre along `axis_1`.
+    /// Distance from the start to the centre along `axis_1`.
     pub offset_1: Coordinate,
-    /// Direction of turn.
+    /// Whether the arc is clockwise.
     pub clockwise: bool,
-    /// Full turns to be added to the plain arc.
+    /// Number of full turns before the plain arc.
     pub turns: u32,
 }
 
@@ -58,9 +58,10 @@ pub struct Arc<const N: usize> {
     first: [i32; 2],
     /// Direction from the centre to the last point.
     unit: [i32; 2],
-    /// Sine of a chord's angle (signed) and 1 - its cosine, in fixed point with as many bits as 2^31 allows, so that
-    /// thousands of tiny angles add up right.
+    /// Sine of a chord's angle (signed), in fixed point with `turn_bits` fraction bits: as many as fit 31 bits, so that
+    /// thousands of tiny angles add up correctly.
     sine: i32,
+    /// 1 - cosine of a chord's angle, in the same fixed point.
     versine: i32,
     turn_bits: u32,
     start_radius: i64,
@@ -68,39 +69,43 @@ pub struct Arc<const N: usize> {
     length: f32,
     /// Radius of the curve in space, mm: on a helix more than that of its circle. Infinite for a single chord.
     curve_radius: f32,
-    /// Chords of each full turn that comes before, and of the plain arc.
+    /// Number of chords in each full turn before the plain arc.
     chords_of_turn: u32,
+    /// Number of chords in the plain arc.
     chords: u32,
-    /// Full turns still to come, the present one included.
+    /// Full turns left, the present one included.
     turns_left: u32,
-    /// Share of a full turn in the whole way.
+    /// Share of a full turn in the whole arc.
     turn_share: f32,
-    /// Angle of the plain arc.
+    /// Angle of the plain arc, rad.
     sweep: f32,
-    /// Chords of the present turn, or of the plain arc; how many of them are done; and the share of the whole way before them.
+    /// Number of chords in the present turn, or in the plain arc.
     present: u32,
+    /// Number of chords completed in the present turn, or in the plain arc.
     done: u32,
+    /// Share of the whole arc before the present turn.
     share_before: f32,
-    /// Share of one of them.
+    /// Share of a present chord in the whole arc.
     share: f32,
 }
 
-/// Length of an integer vector, exact before rounding down.
+/// Returns the length of an integer vector, rounded down from the exact value.
 #[inline(never)]
 pub(super) fn integer_length(x: i64, y: i64) -> i64 {
     let square = u128::from(x.unsigned_abs()).pow(2) + u128::from(y.unsigned_abs()).pow(2);
     integer_root(square) as i64
 }
 
-/// `value` × `unit`, rounded to nearest.
+/// Returns `value` × `unit` (2^-30 fixed point), rounded to nearest.
 #[inline]
 pub(super) fn scale(value: i64, unit: i32) -> i64 {
-    // The upper half of the value by itself: 2^32 of it are whole multiples of what is cut off, and no product is wide.
+    // Both halves of the value are multiplied separately, so no product exceeds 64 bits. The upper one needs no
+    // rounding.
     let (upper, lower) = ((value >> 32) as i32, value as u32);
     (product(upper, unit) << (32 - UNIT_BITS)) + ((i64::from(lower) * i64::from(unit) + UNIT / 2) >> UNIT_BITS)
 }
 
-/// Cut towards zero. The machine converts to 32 bits in one instruction.
+/// Truncates towards zero. Most values take the 32-bit conversion, which is one instruction.
 #[inline]
 fn whole(value: f32) -> i64 {
     #[inline(never)]
@@ -110,7 +115,7 @@ fn whole(value: f32) -> i64 {
     if value.abs() < 2.0e9 { i64::from(value as i32) } else { far(value) }
 }
 
-/// In 64 bits: one instruction.
+/// Returns the 64-bit product, which is one instruction.
 #[inline]
 fn product(a: i32, b: i32) -> i64 {
     i64::from(a) * i64::from(b)
@@ -125,8 +130,7 @@ fn direction(x: i64, y: i64, length: i64) -> [i32; 2] {
     [part(x), part(y)]
 }
 
-/// The plain arc without its full turns: signed angle, and whether that is a whole turn; and directions and radii of its
-/// ends.
+/// The plain arc without its full turns: centre, direction to the start, radii at both ends, and signed angle.
 struct Plain {
     centre: [Coordinate; 2],
     first: [i32; 2],
@@ -162,15 +166,15 @@ impl<const N: usize> ArcGeometry<N> {
         Plain { centre, first, start_radius, end_radius, sweep }
     }
 
-    /// The angle of the arc without its full turns, above 0 and up to a turn.
+    /// Returns the angle of the arc without its full turns, above 0 and up to a turn, rad.
     pub(super) fn sweep(&self) -> f32 {
         self.plain().sweep.abs()
     }
 }
 
 impl<const N: usize> Arc<N> {
-    /// Prepares the chords (Grbl: arc segments), as many as the arc tolerance (`$12`, mm) asks for: none leaves the arc by more than
-    /// `tolerance`.
+    /// Prepares the chords (Grbl: arc segments), as many as the arc tolerance (`$12`, mm) requires: no chord deviates
+    /// from the arc by more than `tolerance`.
     pub fn new(geometry: &ArcGeometry<N>, tolerance: f32) -> Self {
         let of = |place: &PerAxis<Coordinate, N>, axis| place.get(axis).unwrap_or(Coordinate::ZERO);
         let Plain { centre, first, start_radius, end_radius, sweep } = geometry.plain();
@@ -203,7 +207,7 @@ impl<const N: usize> Arc<N> {
         let mean_radius = 0.5 * Coordinate(start_radius.saturating_add(end_radius)).to_mm();
         let along = mean_radius * angle;
         let length = square_root(square + along * along);
-        // A helix of radius r bends as a circle of r·(length / way in the plane)².
+        // A helix of radius r bends like a circle of radius r·(length / length in the plane)².
         let stretch = if along == 0.0 { 1.0 } else { length / along };
         let single = chords == 1 && geometry.turns == 0;
         let mut arc = Self {
@@ -232,7 +236,7 @@ impl<const N: usize> Arc<N> {
         arc
     }
 
-    /// A turn comes now, or the plain arc.
+    /// Begins the next full turn, or the plain arc.
     #[inline(never)]
     fn begin_turn(&mut self) {
         self.unit = self.first;
@@ -258,7 +262,7 @@ impl<const N: usize> Arc<N> {
         self.turn_bits = turn_bits;
     }
 
-    /// Where the next chord ends; `None` after the last.
+    /// Returns the end of the next chord; `None` after the last one.
     pub fn next_chord(&mut self) -> Option<PerAxis<Coordinate, N>> {
         if self.done >= self.present {
             return None;
@@ -270,18 +274,19 @@ impl<const N: usize> Arc<N> {
         } else if self.turns_left == 0 {
             return Some(self.geometry.target);
         } else {
-            // No error of the angle goes from one turn to the next.
+            // Each turn restarts at the exact direction, so errors of the angle do not add up.
             self.turns_left -= 1;
             self.begin_turn();
         }
         Some(self.point(share))
     }
 
-    /// To the end of the next chord.
+    /// Rotates the direction to the end of the next chord.
     #[inline(always)]
     fn turn(&mut self) {
         let [x, y] = self.unit;
-        // A chord is 2^30 × √2 long at most, times 2^30: with a half below 2^61, so the upper bits are 32.
+        // A chord is at most 2^30 × √2 long, times 2^30. With the half added that is below 2^61, so the result fits 32
+        // bits.
         let beyond = self.turn_bits - UNIT_BITS;
         let half = i64::from(1_u32 << beyond) << (UNIT_BITS - 1);
         let rounded = |sum: i64| ((sum + half) >> UNIT_BITS) as i32 >> beyond;
@@ -294,7 +299,7 @@ impl<const N: usize> Arc<N> {
         self.unit = [x_turned - share(x_turned), y_turned - share(y_turned)];
     }
 
-    /// The place in the present direction from the centre, after this share of the way.
+    /// Returns the point in the present direction from the centre, after this share of the whole arc.
     #[inline(always)]
     fn point(&self, share: f32) -> PerAxis<Coordinate, N> {
         let [x, y] = self.unit;
@@ -314,12 +319,12 @@ impl<const N: usize> Arc<N> {
         point
     }
 
-    /// Length of the way, in mm.
+    /// Returns the length of the whole arc, mm.
     pub fn length(&self) -> f32 {
         self.length
     }
 
-    /// How many times as long the way of all axes is as that of X, Y and Z, a degree counted as a millimetre.
+    /// Returns the ratio of the path length of all axes (a degree counts as a millimetre) to that of X, Y and Z.
     pub fn rotary_stretch(&self) -> f32 {
         let (mut linear, mut rotary) = (0.0, 0.0);
         let ways = self.geometry.target.zip(&self.geometry.start, |to, from| (to - from).to_mm());
@@ -339,18 +344,18 @@ impl<const N: usize> Arc<N> {
         square_root(1.0 + rotary / (linear + along * along))
     }
 
-    /// Chords still to come.
+    /// Returns the number of chords left.
     pub fn chords_left(&self) -> u64 {
         u64::from(self.turns_left) * u64::from(self.chords_of_turn) + u64::from(self.chords) - u64::from(self.done)
     }
 
-    /// Radius of the curve in space: on a helix more than that of its circle, on a spiral the mean one. Infinite if a single
-    /// chord is all there is.
+    /// Returns the curvature in space: on a helix the radius is more than that of its circle, on a spiral it is the
+    /// mean one. Infinite if there is only one chord.
     pub fn curvature(&self) -> Curvature {
         Curvature { radius: self.curve_radius, axes: [self.geometry.axis_0, self.geometry.axis_1] }
     }
 
-    /// Radius at the start, in mm.
+    /// Returns the radius at the start, mm.
     pub fn radius(&self) -> f32 {
         Coordinate(self.start_radius).to_mm()
     }

@@ -1,38 +1,44 @@
-//! The limits of the axes (rate, acceleration, jerk), and what they allow along a direction: the greatest speed,
-//! acceleration and jerk at which no axis exceeds its own limit.
+//! The limits of the axes (rate, acceleration, jerk), and the limits along a direction that follow from them: the
+//! maximum speed, acceleration and jerk at which no axis exceeds its own limit.
 
 use super::MotionSettings;
 use super::junction::TurnRule;
 use super::trapezoid::{lesser, quotient};
 use crate::axes::PerAxis;
 
-/// Least speed, mm/s: a step per minute with 40,000 steps/mm.
+/// Minimum speed, mm/s: one step per minute with 40,000 steps/mm.
 const LEAST_SPEED: f32 = 4.0e-7;
-/// Greatest speed and acceleration, far beyond any machine: squares stay within `f32`.
+/// Maximum speed, mm/s, far beyond any machine's; its square fits an `f32`.
 const GREATEST_SPEED: f32 = 1.0e5;
+/// Minimum acceleration, mm/s².
 const LEAST_ACCELERATION: f32 = 1.0e-3;
+/// Maximum acceleration, mm/s², far beyond any machine's.
 pub(super) const GREATEST_ACCELERATION: f32 = 1.0e7;
-/// Shares of the acceleration that curves may take.
+/// Minimum share of the acceleration that curves may take.
 const LEAST_CURVE_SHARE: f32 = 0.01;
+/// Maximum share of the acceleration that curves may take.
 const GREATEST_CURVE_SHARE: f32 = 100.0;
+/// Maximum junction deviation, mm.
 const GREATEST_DEVIATION: f32 = 1.0e3;
-/// Jerk within what the settings allow, and the value for none.
+/// Minimum jerk limit, mm/s³.
 const LEAST_JERK: f32 = 1.0;
+/// Maximum jerk limit, mm/s³; also stands for no limit.
 const GREATEST_JERK: f32 = 1.0e10;
-/// Time in which the greatest acceleration is built up at least, s: some segments, for within one it is even.
+/// Minimum time in which the maximum acceleration is built up, s: several segments, because the acceleration is
+/// constant within each.
 const LEAST_EASE: f32 = 0.004;
 
-/// `value` within bounds, the least one for a NaN.
+/// Limits `value` to a range; NaN becomes `least`.
 pub(super) fn bounded(value: f32, least: f32, greatest: f32) -> f32 {
     if value > least { lesser(value, greatest) } else { least }
 }
 
-/// A speed that can be computed with, mm/s.
+/// Limits a speed to the valid range, mm/s.
 fn bounded_speed(speed: f32) -> f32 {
     bounded(speed, LEAST_SPEED, GREATEST_SPEED)
 }
 
-/// How much of a way of this length each axis takes.
+/// Returns the displacement of each axis as a share of the path's length.
 #[inline]
 pub(super) fn shares<const N: usize>(way: &PerAxis<f32, N>, length: f32) -> [f32; N] {
     way.0.map(|part| part.abs() / length)
@@ -41,19 +47,20 @@ pub(super) fn shares<const N: usize>(way: &PerAxis<f32, N>, length: f32) -> [f32
 /// The limits of all axes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AxisLimits<const N: usize> {
-    /// Acceleration of each axis, and how much of it turns may take.
+    /// Acceleration of each axis, and the share of it that turns may take.
     pub turns: TurnRule<N>,
-    /// mm/s.
+    /// Maximum speed of each axis, mm/s.
     max_rate: [f32; N],
+    /// Minimum feed, mm/s.
     least_feed: f32,
-    /// mm/s³.
+    /// Maximum jerk of each axis, mm/s³.
     jerk: [f32; N],
     /// Whether any axis has a jerk limit.
     jerk_limited: bool,
 }
 
 impl<const N: usize> AxisLimits<N> {
-    /// Before there are settings.
+    /// Limits before settings are applied.
     pub(super) const ONE: Self = Self {
         turns: TurnRule { acceleration: [1.0; N], deviation: 0.0, curve_share: 1.0 },
         max_rate: [1.0; N],
@@ -82,23 +89,23 @@ impl<const N: usize> AxisLimits<N> {
         self.jerk_limited
     }
 
-    /// The speed that a move is to have, mm/s.
+    /// Returns the programmed speed limited to the valid range, with the minimum feed, mm/s.
     #[inline]
     pub(super) fn feed(&self, programmed: f32) -> f32 {
         bounded(programmed, self.least_feed, GREATEST_SPEED)
     }
 
-    /// Greatest acceleration and speed along a way of this length.
+    /// Returns the maximum acceleration and speed along a straight path with displacement `way`.
     pub(super) fn along(&self, way: &PerAxis<f32, N>, length: f32) -> (f32, f32) {
         self.along_shares(&shares(way, length))
     }
 
-    /// The same with the share of each axis in the way.
+    /// Like [`AxisLimits::along`], from the [`shares`] of the axes.
     #[inline]
     pub(super) fn along_shares(&self, shares: &[f32; N]) -> (f32, f32) {
         let mut acceleration = GREATEST_ACCELERATION;
         let mut limit = GREATEST_SPEED;
-        // An axis without a share is never beyond its own.
+        // An axis without a share never exceeds its limit, so there is no division by 0.
         for ((share, most), rate) in shares.iter().zip(&self.turns.acceleration).zip(&self.max_rate) {
             if share * acceleration > *most {
                 acceleration = quotient(*most, *share);
@@ -110,7 +117,7 @@ impl<const N: usize> AxisLimits<N> {
         (acceleration, limit)
     }
 
-    /// Greatest jerk along a way with these shares of the axes, which has this acceleration.
+    /// Returns the maximum jerk along a straight path with these shares of the axes and this acceleration.
     #[inline]
     pub(super) fn jerk_along(&self, shares: &[f32; N], acceleration: f32) -> f32 {
         let mut jerk = acceleration / LEAST_EASE;
@@ -124,7 +131,7 @@ impl<const N: usize> AxisLimits<N> {
         jerk
     }
 
-    /// The acceleration that all axes with a share in a way take, whatever its direction.
+    /// Returns the acceleration that all axes with a share can take in any direction.
     #[inline(never)]
     pub(super) fn least_acceleration(&self, shares: &[f32; N]) -> f32 {
         let moving = shares.iter().zip(self.turns.acceleration).filter(|(part, _)| **part != 0.0);

@@ -1,41 +1,43 @@
-//! Backlash compensation: the slack that a motor must turn through after a reversal before the tool follows. Keeps how
-//! far each motor leads the tool, and adds the missing steps to the moves that follow.
+//! Backlash compensation. After a reversal a motor must turn through the slack of its drive before the tool follows.
+//! Tracks how far each motor leads the tool, and adds the missing steps to the moves after the reversal.
 //!
 //! ```text
 //!   motor ──┐ slack ┌── tool        moving to positive: the slack is open on the motor's leading side, motor = tool + slack
 //!           └───────┘               moving to negative: motor = tool
 //! ```
-//! The motor's extra steps ride with the moves after the reversal, spread over as much of the path as keeps the bend that
-//! they make in the motors' path within what the corner rule takes at full speed. It promises that at rest all of them
-//! have been taken, and that the place of the tool is known at any moment: the tool follows its motor as a carriage with
-//! play does. Steps here are steps of motors.
+//! The extra steps bend the motors' path. They are spread over enough of the tool's path that the corner rule allows
+//! this bend at full speed. In this file, steps are those of motors.
+//!
+//! Guarantees:
+//! * At rest, all extra steps have been made.
+//! * The position of the tool is known at any time: the tool follows its motor like a carriage with play.
 
 use super::trapezoid::{lesser, square_root};
 use crate::axes::PerAxis;
 
-/// Least share of a move's length that is taken up in it, whatever the corner rule says: less would stretch the error over
-/// a long way (and with a junction deviation of 0 for ever).
+/// Minimum compensation in a move, as a share of its length, even if the corner rule allows less: a smaller share would
+/// spread the error over a long distance (with a junction deviation of 0, without end).
 const LEAST_SHARE: f32 = 0.02;
-/// Greatest share: more would let the motor run at twice the speed of the tool.
+/// Maximum compensation in a move, as a share of its length: beyond it the motor would exceed twice the tool's speed.
 const GREATEST_SHARE: f32 = 1.0;
 
-/// The slack of each motor's drive, and how much of it the queue takes up.
+/// The slack of each motor's drive, and the state of its compensation at the end of the queue.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Backlash<const N: usize> {
     /// Steps of slack; 0 = none.
     slack: [i32; N],
     /// Whether any motor has slack.
     is_on: bool,
-    /// How far the motor leads the tool at the end of the queue, 0 to `slack`.
+    /// Steps by which each motor leads the tool at the end of the queue, 0 to `slack`.
     lead: [i32; N],
-    /// How far it must lead after the last direction taken.
+    /// Lead that each motor must reach after its last direction of motion.
     wanted: [i32; N],
 }
 
-/// How far each motor leads its tool, in steps.
+/// Steps by which each motor leads the tool.
 pub(super) type Lead<const N: usize> = [i32; N];
 
-/// Motors, and how far each leads its tool because of backlash.
+/// Position of the motors, and by how much each leads the tool because of backlash.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Motors<const N: usize> {
     pub steps: PerAxis<i32, N>,
@@ -45,7 +47,7 @@ pub(super) struct Motors<const N: usize> {
 impl<const N: usize> Motors<N> {
     pub(super) const ZERO: Self = Self { steps: PerAxis::all(0), lead: [0; N] };
 
-    /// The step at which the tool is.
+    /// Returns the position of the tool in steps.
     pub(super) fn tool(&self) -> PerAxis<i32, N> {
         self.steps.zip(&PerAxis(self.lead), i32::wrapping_sub)
     }
@@ -54,14 +56,14 @@ impl<const N: usize> Motors<N> {
 impl<const N: usize> Backlash<N> {
     pub(super) const NONE: Self = Self { slack: [0; N], is_on: false, lead: [0; N], wanted: [0; N] };
 
-    /// New slacks; a lead stays as far as it can.
+    /// Sets the slacks, and limits each lead to them.
     pub(super) fn configure(&mut self, slack: [i32; N]) {
         self.slack = slack;
         self.is_on = slack.iter().any(|slack| *slack != 0);
         self.rest(self.lead);
     }
 
-    /// A lead as far as the slack allows it.
+    /// Returns `lead` limited to the slack.
     pub(super) fn lead_within(&self, mut lead: Lead<N>) -> Lead<N> {
         for (lead, slack) in lead.iter_mut().zip(self.slack) {
             *lead = (*lead).clamp(0, slack);
@@ -69,29 +71,29 @@ impl<const N: usize> Backlash<N> {
         lead
     }
 
-    /// The queue is empty, and begins with this lead.
+    /// Sets the lead with which an empty queue begins.
     pub(super) fn rest(&mut self, lead: Lead<N>) {
         self.lead = self.lead_within(lead);
         self.wanted = self.lead;
     }
 
-    /// How far the motors lead at the end of the queue.
+    /// Returns the motors' lead at the end of the queue.
     pub(super) fn lead(&self) -> Lead<N> {
         self.lead
     }
 
-    /// How far they have to lead when all has been taken up.
+    /// Sets the lead that the compensation must reach.
     pub(super) fn want(&mut self, lead: Lead<N>) {
         self.wanted = lead;
     }
 
-    /// Whether any motor has slack.
+    /// Returns whether any motor has slack.
     #[inline]
     pub(super) fn is_on(&self) -> bool {
         self.is_on
     }
 
-    /// Takes over the directions of a move (in steps of the tool). Motors that do not move want what they wanted.
+    /// Sets the wanted lead from the directions of a move (in steps of the tool). Motors that do not move keep theirs.
     pub(super) fn turn(&mut self, moved: &[i32; N]) {
         for ((wanted, moved), slack) in self.wanted.iter_mut().zip(moved).zip(self.slack) {
             match *moved {
@@ -102,7 +104,7 @@ impl<const N: usize> Backlash<N> {
         }
     }
 
-    /// Steps that still have to be taken up.
+    /// Returns the steps still to be taken up, signed.
     pub(super) fn outstanding(&self) -> [i32; N] {
         let mut outstanding = self.wanted;
         for (steps, lead) in outstanding.iter_mut().zip(self.lead) {
@@ -111,13 +113,13 @@ impl<const N: usize> Backlash<N> {
         outstanding
     }
 
-    /// Whether something has to be taken up.
+    /// Returns whether any steps are still to be taken up.
     #[inline]
     pub(super) fn is_outstanding(&self) -> bool {
         self.lead != self.wanted
     }
 
-    /// Takes up at most `most` steps of each motor; which ones, with their direction.
+    /// Takes up at most `most` steps of each motor. Returns the steps taken up, signed.
     pub(super) fn take_up(&mut self, most: &[i32; N]) -> [i32; N] {
         let mut taken = self.outstanding();
         for ((steps, lead), most) in taken.iter_mut().zip(self.lead.iter_mut()).zip(most) {
@@ -127,8 +129,9 @@ impl<const N: usize> Backlash<N> {
         taken
     }
 
-    /// Takes up all that is left when the tools are this far short of their places: which steps of each motor. A tool that is
-    /// short has not followed a move that was turned back from before the slack was used up; it is brought there first.
+    /// Takes up all remaining steps at the end of the queue, and returns them, signed. `short`: by how many steps each
+    /// motor's tool is short of its position. A tool is short if a reversed move ended before the slack was used up;
+    /// the steps then bring the tool to its position.
     pub(super) fn finish(&mut self, short: &[i32; N]) -> [i32; N] {
         let mut taken = [0; N];
         let wanted = self.wanted.into_iter().zip(self.slack).zip(short);
@@ -144,7 +147,7 @@ impl<const N: usize> Backlash<N> {
         taken
     }
 
-    /// The lead after motors have turned by so many steps, each in one direction.
+    /// Returns the lead after the motors have turned by `turned` steps, each in one direction.
     pub(super) fn follow(&self, lead: &Lead<N>, turned: &[i32; N]) -> Lead<N> {
         let mut after = *lead;
         for ((lead, turned), slack) in after.iter_mut().zip(turned).zip(self.slack) {
@@ -153,19 +156,19 @@ impl<const N: usize> Backlash<N> {
         after
     }
 
-    /// The motors after they have turned to other steps, each in one direction.
+    /// Returns the motors after they have turned to `steps`, each in one direction.
     pub(super) fn followed(&self, from: &Motors<N>, steps: PerAxis<i32, N>) -> Motors<N> {
         let turned = steps.zip(&from.steps, i32::wrapping_sub);
         Motors { steps, lead: self.follow(&from.lead, &turned.0) }
     }
 }
 
-/// The share of a move's length that a motor may take up in it: half of the bend in the motors' path that the corner rule
-/// takes at `speed` (mm/s). The other half is for bends that the tool's path has already, as between chords of an arc. For
-/// a small angle φ the rule is v² = 8·a·d/φ² (`TurnRule::junction2`).
+/// Returns the maximum backlash that a motor may take up in a move, as a share of the move's length: half of the change
+/// of direction that the corner rule allows at `speed` (mm/s). The other half is for changes of direction in the tool's
+/// path, as between chords of an arc. For a small angle φ the rule is v² = 8·a·d/φ² (`TurnRule::junction2`).
 pub(super) fn share(acceleration: f32, deviation: f32, speed: f32) -> f32 {
     let angle = 0.5 * square_root(8.0 * acceleration * deviation) / speed;
-    // Not a number counts as none.
+    // NaN gives the minimum share.
     if angle > LEAST_SHARE { lesser(angle, GREATEST_SHARE) } else { LEAST_SHARE }
 }
 
@@ -180,7 +183,7 @@ mod tests {
         backlash.turn(&[1, -9]);
         assert_eq!(backlash.outstanding(), [5, 0]);
         assert_eq!(backlash.take_up(&[2, 2]), [2, 0]);
-        // Turned back before all was taken: only that comes back.
+        // Reversed before all steps were taken up: only the steps taken up are undone.
         backlash.turn(&[-1, 0]);
         assert_eq!(backlash.outstanding(), [-2, 0]);
         backlash.turn(&[4, 4]);

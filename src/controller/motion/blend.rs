@@ -1,24 +1,34 @@
-//! The geometry of path blending (G64 P Q): merges short moves that stay within the tolerance into one, and cuts
-//! corners by a polygon within a circle that touches both moves. Holds the last two moves of the queue meanwhile.
+//! The geometry of path blending (G64 P Q): merges short moves that stay within the tolerance into one, and cuts off
+//! corners by a polygon around a circle that touches both moves. Holds back up to two moves for this.
 //! [`super::rounding`] decides when they are queued.
 //!
 //! ```text
-//!              C                      M                A move merged of several (A to M) passes all points between at
-//!             / \                 .-'  '-.             Q at most, and half of P. Every point allows a range of slopes to
-//!      d     /___\   e         .'          '.          each other axis where the longest way has come as far: two numbers
-//!           /  :  \          A ────────────── M'       for each axis, however many points there are.
+//!              C                      M
+//!             / \                 .-'  '-.
+//!      d     /___\   e         .'          '.
+//!           /  :  \          A ────────────── M'
 //!          /   :   \
-//!         A         B      A corner C is cut off by a straight piece, d = e / sin(t/2) away from it on either move, where
-//!                          the path turns by t. e is what is left of P, and d a quarter of the shorter move at most.
+//!         A         B
+//!     a corner cut off         a merged move
 //! ```
-//! The piece turns twice by t/2, which the rule of turns ([`super::junction`]) lets pass faster than t, and has the length
-//! between that the axes need: it touches a circle of radius r that touches both moves, and v² - v·J = a·L/t. Where there is room
-//! for more speed than corners of t/2 allow, there are four of t/4. What is left of a move is straight, so the tool stays within P
-//! of the path, and the path within P of it: C is e = r·(1/cos(t/2) - 1) away, and no point of a piece is farther from the moves.
+//! A merged move (A to M') passes all points between, such as M, within Q and half of P. Points are compared at equal
+//! positions of the main axis, the one with the longest displacement. So each point allows a range of slopes of each
+//! other axis, and two numbers per axis suffice for any number of points.
 //!
-//! Turns of 0.25 to 0.6 rad are left as they are: their halves would count as a bend ([`super::curvature`]), which is granted no J.
-//! Beyond two radians the way round takes longer than the stop saves: with the acceleration a, cutting off a corner raises its
-//! speed by a·L/(t·v), which saves 2·L/(t·v) of braking and speeding up, and the way L takes L/v.
+//! A corner C, where the path turns by t, is cut off by a straight piece. The distance of C is e = r·(1/cos(t/2) - 1)
+//! to the piece, and d = e / sin(t/2) to its ends. At most, e is the part of P that merging has left, and d a quarter
+//! of the shorter move. No point of the piece is farther from the moves than e, and the rest of each move stays
+//! straight. So tool and programmed path stay within P of each other.
+//!
+//! The path then makes two turns by t/2, for which the rule for turns ([`super::junction`]) allows a higher speed than
+//! for one by t. The length L between them is what the axes need by v² - v·J = a·L/t: the piece touches a circle of
+//! radius r that touches both moves. If there is room for more speed than corners of t/2 allow, there are four of t/4.
+//!
+//! Two kinds of turns are not cut off:
+//! * Turns of 0.25 to 0.6 rad: their halves would count as a bend ([`super::curvature`]), which has no J.
+//! * Turns of more than two radians: the detour would take longer than it saves. With the acceleration a, cutting off a
+//!   corner raises its speed by a·L/(t·v), which saves 2·L/(t·v) of braking and speeding up, but the length L takes
+//!   L/v.
 
 use super::curvature::DIGITS_ASIDE;
 use super::junction::{TurnRule, certain, radius_of, turn2};
@@ -28,25 +38,30 @@ use crate::axes::{LINEAR, PerAxis};
 use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
-/// Moves that are held back: the one before a corner, and the one behind it, which may still grow.
+/// Number of moves that are held back: the one before a corner, and the one after it, which may still be merged with
+/// more.
 const HELD: usize = if FULL_IMAGE { 2 } else { 0 };
-/// Longest merged move, mm: 512 of them are more than a machine needs to stop in, and what is held back has an end.
+/// Maximum length of a merged move, mm. 512 of them are longer than any braking distance, and the limit ensures that a
+/// move is not held back for ever.
 const MOST_MERGED: f32 = 5.0;
-/// Share of a move that a corner takes: what lies between two corners is as long as the pieces that cut them off, so a
-/// polygon becomes one of twice as many sides.
+/// Maximum share of a move that a corner takes. With this share, the rest between two corners is as long as the pieces
+/// that cut them off, so a polygon becomes one with twice as many sides.
 const MOST_OF_A_MOVE: f32 = 0.25;
-/// q² of turns by two radians, by 1.2 rad and by 0.6 rad, and of a gentle one of a quarter.
+/// q² of a turn by two radians: sharper corners stay.
 const SHARPEST2: f32 = 2.832;
+/// q² of a turn by 1.2 rad: four vertices only from here on.
 const LARGE_FOR_FOUR2: f32 = 1.275;
+/// q² of a turn by 0.6 rad: from [`GENTLE2`] up to here corners stay.
 const LARGE2: f32 = 0.349;
+/// q² of a turn by 0.25 rad.
 const GENTLE2: f32 = 0.0622;
 
-/// How far the tool may be from the programmed path.
+/// How far the tool may deviate from the programmed path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tolerance {
-    /// In all, mm; 0: the path is exact.
+    /// Total deviation (G64 P), mm; 0: the path is exact.
     pub path: f32,
-    /// Where moves are merged (G64 Q, the naive cam tolerance of LinuxCNC), mm.
+    /// Deviation of merged moves (G64 Q, the naive cam tolerance of LinuxCNC), mm.
     pub merging: f32,
 }
 
@@ -54,16 +69,18 @@ impl Tolerance {
     /// The path is exact.
     pub const EXACT: Self = Self { path: 0.0, merging: 0.0 };
 
-    /// What is made use of with a junction deviation. Merging leaves half for the corners at its ends. A curve of radius R
-    /// that is merged within m turns by t = 2·√(2·m/R) at once. J² = 8·a·d/t² is no less than the a·R of the curve up to
-    /// m = d: so merging makes no curve slower.
+    /// Returns the usable tolerance for a junction deviation d. Merging is limited to half of the total, which leaves
+    /// the rest for the corners at its ends, and to d: a curve of radius R that is merged within m turns by t =
+    /// 2·√(2·m/R) at once, and J² = 8·a·d/t² is no less than the curve's a·R as long as m ≤ d. So merging slows down no
+    /// curve.
     pub(super) fn bounded(self, junction_deviation: f32) -> Self {
         let merging = lesser(lesser(self.merging, 0.5 * self.path), junction_deviation);
         Self { merging, ..self }
     }
 }
 
-/// The slopes to the axis with the longest way that all points of a merged move allow.
+/// The range of each axis' slope relative to the main axis (the one with the longest distance), within which a straight
+/// line passes all points of a merged move closely enough.
 #[derive(Clone, Copy, Debug)]
 struct Slopes<const N: usize> {
     main: usize,
@@ -72,7 +89,7 @@ struct Slopes<const N: usize> {
 }
 
 impl<const N: usize> Slopes<N> {
-    /// Of a move without points between its ends, the end of which is no point yet.
+    /// Returns the unrestricted slopes of a single move. Its end becomes a point with the first merge.
     fn to(way: &[f32; N]) -> Self {
         let (mut main, mut reach) = (0, 0.0_f32);
         for (axis, part) in way.iter().enumerate() {
@@ -83,13 +100,13 @@ impl<const N: usize> Slopes<N> {
         Self { main, reach, allowed: [(f32::NEG_INFINITY, f32::INFINITY); N] }
     }
 
-    /// How far the longest way leads at a place, if that is not back.
+    /// Returns the displacement of the main axis at `way`; `None` if it leads back.
     fn along(&self, way: &[f32; N]) -> Option<f32> {
         let along = way.get(self.main).copied()?;
         (along * self.reach > 0.0 && along.abs() >= self.reach.abs()).then_some(along)
     }
 
-    /// Takes over a point, which a line may pass at this distance in each axis.
+    /// Adds a point, which the line may pass at a distance of `within` in each axis.
     fn pass(&mut self, way: &[f32; N], within: f32) {
         let Some(along) = self.along(way) else { return };
         self.reach = along;
@@ -102,7 +119,7 @@ impl<const N: usize> Slopes<N> {
         }
     }
 
-    /// Whether the straight line to here passes all points.
+    /// Returns whether the straight line to `way` passes all points closely enough.
     fn allow(&self, way: &[f32; N]) -> bool {
         let Some(along) = self.along(way) else { return false };
         let share = 1.0 / along;
@@ -113,17 +130,17 @@ impl<const N: usize> Slopes<N> {
 /// A move that is held back.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HeldMove<const N: usize> {
-    /// Where it begins, as programmed.
+    /// Programmed start.
     start: PerAxis<Coordinate, N>,
     pub m: Move<N>,
-    /// What its block is numbered with.
+    /// Line number for its block.
     pub number: u32,
-    /// It is made of several.
+    /// Whether it was merged from several moves.
     merged: bool,
     slopes: Slopes<N>,
 }
 
-/// The vertices that take the place of a corner, in order.
+/// The vertices that replace a corner, in order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Vertices<const N: usize> {
     pub first: PerAxis<Coordinate, N>,
@@ -133,23 +150,26 @@ pub(super) struct Vertices<const N: usize> {
 
 /// A corner that can be rounded.
 struct Corner {
-    /// q = 2·sin(t/2), and cos(t/2).
+    /// q = 2·sin(t/2).
     turn: f32,
+    /// cos(t/2).
     cosine: f32,
     /// 1/t.
     per_angle: f32,
-    /// J of the corner as it is, mm/s.
+    /// J of the unchanged corner, mm/s.
     jump: f32,
-    /// Across the corner, and what bends in its plane may take, mm/s².
+    /// Maximum acceleration across the corner, mm/s².
     across: f32,
+    /// Maximum acceleration for bends in the plane of the corner, mm/s².
     bend: f32,
 }
 
 /// The circle that touches both moves, around which the vertices lie.
 struct Fillet {
     radius: f32,
-    /// tan(t/2n) with n vertices.
+    /// tan(t/2n) for n vertices.
     tangent: f32,
+    /// Whether there are four vertices instead of two.
     four: bool,
 }
 
@@ -173,7 +193,8 @@ impl Corner {
         })
     }
 
-    /// The circle for a speed, with this deviation and its first vertex so far from the corner at most.
+    /// Returns the circle for the speed `fast` within `deviation`, its first vertex at most `back` from the corner.
+    /// `None` if the corner needs no change for this speed.
     fn fillet<const N: usize>(&self, fast: f32, deviation: f32, back: f32, rule: &TurnRule<N>) -> Option<Fillet> {
         if self.jump >= fast {
             return None;
@@ -181,7 +202,7 @@ impl Corner {
         let sine = 0.5 * self.turn;
         let fourth = sine / (1.0 + self.cosine);
         let two = self.with(fourth, 1.0, fast, deviation, back, rule);
-        // Four vertices of less than 0.3 rad would be a bend, which is granted no jump.
+        // Four vertices of less than 0.3 rad would count as a bend, which has no J.
         if two.1 || self.turn * self.turn < LARGE_FOR_FOUR2 {
             return Some(two.0);
         }
@@ -190,8 +211,8 @@ impl Corner {
         Some(Fillet { four: true, ..self.with(eighth, 3.0, fast, deviation, back, rule).0 })
     }
 
-    /// With vertices, given by the tangent of half of a turn, and so many pieces between them. And whether there is no room
-    /// for what the vertices would allow.
+    /// Returns the circle for vertices with `tangent` (of half a vertex' turn) and `pieces` pieces between them. Also
+    /// returns whether the lack of room limits the speed, not the vertices.
     fn with<const N: usize>(
         &self,
         tangent: f32,
@@ -212,7 +233,7 @@ impl Corner {
         (Fillet { radius: lesser(needed, room), tangent, four: false }, needed >= room)
     }
 
-    /// The vertices around the circle.
+    /// Returns the vertices around the circle.
     fn cut<const N: usize>(
         &self,
         corner: &PerAxis<Coordinate, N>,
@@ -223,7 +244,7 @@ impl Corner {
         let sine = 0.5 * self.turn;
         let beyond = |way: [f32; N]| corner.zip(&PerAxis(way), |place, part| place + Coordinate::from_mm_f32(part));
         let back = fillet.radius * (sine / self.cosine - fillet.tangent);
-        // The piece in the middle touches the circle where that is nearest to the corner.
+        // The middle piece touches the circle at its point nearest to the corner.
         let inward = fillet.radius * (1.0 - self.cosine) / (self.cosine * self.turn);
         let along = fillet.radius * fillet.tangent / (2.0 * self.cosine);
         let middle = |side: f32| {
@@ -241,7 +262,7 @@ impl Corner {
     }
 }
 
-/// A direction, and how long the way in it is.
+/// Displacement, direction and length of a move.
 struct Leg<const N: usize> {
     way: [f32; N],
     unit: [f32; N],
@@ -257,12 +278,12 @@ fn length<const N: usize>(way: &[f32; N]) -> f32 {
 }
 
 impl<const N: usize> HeldMove<N> {
-    /// A move from a place.
+    /// Creates a held move from `start`.
     pub(super) fn new(start: PerAxis<Coordinate, N>, m: &Move<N>, number: u32) -> Self {
         Self { start, m: *m, number, merged: false, slopes: Slopes::to(&way(&start, &m.target)) }
     }
 
-    /// Whether a move may be merged with it: all that a report or an output tells of them is the same.
+    /// Returns whether a move may be merged with this one: everything that reports or outputs show must be equal.
     fn is_like(&self, m: &Move<N>) -> bool {
         self.m.speed == m.speed
             && self.m.power == m.power
@@ -271,14 +292,16 @@ impl<const N: usize> HeldMove<N> {
             && self.m.tolerance == m.tolerance
     }
 
-    /// Becomes the line to the end of a move that follows, if that passes all points between near enough.
+    /// Extends this move to the end of the next one, if the straight line passes all points between closely enough.
+    /// Returns whether it did.
     pub(super) fn merge(&mut self, m: &Move<N>, number: u32) -> bool {
         let whole = way(&self.start, &m.target);
         if m.tolerance.merging <= 0.0 || !self.is_like(m) || length(&whole) > MOST_MERGED {
             return false;
         }
         let mut slopes = self.slopes;
-        // Of X, Y and Z but the one with the longest way, the distances add up as the sides of a box. Where others move, none are merged.
+        // The distances in the linear axes other than the main one add up like the sides of a box. Moves of other axes
+        // have no tolerance (`Tolerance::EXACT`), so they are not merged.
         let within = m.tolerance.merging / square_root((N.min(LINEAR) - 1).max(1) as f32);
         slopes.pass(&way(&self.start, &self.m.target), within);
         if !slopes.allow(&whole) {
@@ -295,12 +318,12 @@ impl<const N: usize> HeldMove<N> {
         Leg { way, unit: way.map(|part| part * share), length }
     }
 
-    /// What merging has left of the tolerance.
+    /// Returns the part of the tolerance that merging has left, mm.
     fn deviation(&self) -> f32 {
         self.m.tolerance.path - if self.merged { self.m.tolerance.merging } else { 0.0 }
     }
 
-    /// Whether a piece of it is all of it.
+    /// Returns whether the piece between two positions is the whole move.
     pub(super) fn is_whole(&self, from: &PerAxis<Coordinate, N>, to: &PerAxis<Coordinate, N>) -> bool {
         self.start == *from && self.m.target == *to
     }
@@ -310,7 +333,7 @@ impl<const N: usize> HeldMove<N> {
     }
 }
 
-/// The end of the queue, as far as it is held back.
+/// The moves that are held back at the end of the queue.
 #[derive(Clone, Debug)]
 pub(super) struct Blend<const N: usize> {
     held: [Option<HeldMove<N>>; HELD],
@@ -328,22 +351,22 @@ impl<const N: usize> Blend<N> {
         self.held = [None; HELD];
     }
 
-    /// The moves, the older one first.
+    /// Returns the held moves, the older one first.
     pub(super) fn moves(&self) -> impl Iterator<Item = &HeldMove<N>> {
         self.held.iter().flatten()
     }
 
-    /// Where it ends.
+    /// Returns the end of the last held move.
     pub(super) fn end(&self) -> Option<PerAxis<Coordinate, N>> {
         self.moves().last().map(|held| held.m.target)
     }
 
-    /// The last move, which may still grow.
+    /// Returns the last held move, which may still be merged with more.
     pub(super) fn last_mut(&mut self) -> Option<&mut HeldMove<N>> {
         self.held.iter_mut().flatten().last()
     }
 
-    /// Whether there is no room for one more.
+    /// Returns whether there is no room for another move.
     pub(super) fn is_full(&self) -> bool {
         self.held.iter().all(Option::is_some)
     }
@@ -354,15 +377,15 @@ impl<const N: usize> Blend<N> {
         }
     }
 
-    /// The older move.
+    /// Removes and returns the older move.
     pub(super) fn pop(&mut self) -> Option<HeldMove<N>> {
         let oldest = self.held.first_mut()?.take();
         self.held.rotate_left(1);
         oldest
     }
 
-    /// How the corner between two moves is cut; `None`: it stays as it is. `limit`: what the axes allow on a way of this length;
-    /// a piece of less than `least_mm` is none.
+    /// Returns the vertices that replace the corner between two moves; `None` if the corner stays. `least_mm`: minimum
+    /// length of a piece; `limit`: returns the axes' maximum speed on a path with a displacement and length.
     pub(super) fn cut(
         before: &HeldMove<N>,
         after: &HeldMove<N>,

@@ -1,25 +1,26 @@
-//! A [`Block`]: one straight move with all that planning and stepping need, in at most 68 bytes. In names a `2` at the
-//! end means squared (`entry2` is an entry speed squared). Also what overrides and bends leave of a block's speed and
-//! acceleration.
+//! A [`Block`]: one straight move with all data for planning and stepping, in 68 bytes for three axes. A `2` at the end
+//! of a name means squared (`entry2` is an entry speed squared). Also computes the speed of a block under overrides,
+//! and its acceleration in bends.
 
 use super::jerk::Bounds;
 use super::trapezoid::{greater, lesser, square_root};
 use crate::messages::AxisSteps;
 
-/// What a block's programmed speed means.
+/// Flag: the block is a rapid; the rapid override applies to its programmed speed.
 pub(super) const RAPID: u8 = 1;
-/// Overrides leave the block alone (jog, homing, probing).
+/// Flag: overrides have no effect on the block (jog, homing, probing).
 pub(super) const NO_OVERRIDE: u8 = 2;
-/// Laser power follows the speed.
+/// Flag: laser power is scaled with the speed.
 pub(super) const SCALE_POWER: u8 = 4;
 
-/// The bits of the flags from here on are the mark of the block: see [`super::Motion::set_mark`].
+/// Position of the block's mark in its flags: the bits from here on. See [`super::Motion::set_mark`].
 pub(super) const MARK_SHIFT: u32 = 3;
 
-/// Most steps of a block's dominant axis: 16 units of each, doubled by a counter that is about to step, fit 32 bits.
+/// Steps that a block's dominant axis must stay below: 16 units per step, doubled by a counter that is about to step,
+/// fit 32 bits.
 pub(super) const MAX_STEPS: u32 = 1 << AxisSteps::STEP_BITS;
 
-/// Factors on programmed feeds and on rapids.
+/// Override factors for programmed feeds and for rapids.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct OverrideFactors {
     pub feed: f32,
@@ -27,7 +28,7 @@ pub(super) struct OverrideFactors {
 }
 
 impl OverrideFactors {
-    /// As programmed.
+    /// No change: all speeds as programmed.
     pub(super) const NONE: Self = Self { feed: 1.0, rapid: 1.0 };
 }
 
@@ -36,33 +37,33 @@ impl OverrideFactors {
 pub struct Block<const N: usize> {
     pub(super) steps_by_axis: [AxisSteps; N],
     pub(super) line_number: u32,
-    /// Path length, lengths of moves too short for a step included.
+    /// Path length, including moves before it that were too short for a step.
     pub(super) length: f32,
-    /// Greatest acceleration along the path at which no axis goes beyond its own, mm/s².
+    /// Maximum acceleration along the path at which no axis exceeds its limit, mm/s².
     pub(super) acceleration: f32,
-    /// Speed as programmed, before overrides.
+    /// Programmed speed, before overrides.
     pub(super) programmed: f32,
-    /// Greatest speed along the path at which no axis goes beyond its own, mm/s.
+    /// Maximum speed along the path at which no axis exceeds its limit, mm/s.
     pub(super) limit: f32,
-    /// What the corner with the block before allows, whatever the nominal speeds are.
+    /// Maximum entry speed² that the corner before the block allows, regardless of nominal speeds.
     pub(super) corner2: f32,
-    /// Greatest entry speed: the corner and both nominal speeds.
+    /// Maximum entry speed²: the minimum of the corner's and both blocks' nominal speeds.
     pub(super) max_entry2: f32,
-    /// Planned entry speed: from it the rest of the queue can be braked to a stop. With a jerk limit, that of the anchor
-    /// that `ramp` leads to.
+    /// Planned entry speed², from which the machine can stop within the rest of the queue. With a jerk limit: the
+    /// speed² of the anchor that `ramp` leads to.
     pub(super) entry2: f32,
-    /// Greatest jerk along the path at which no axis goes beyond its own, mm/s³; means nothing without a jerk limit.
+    /// Maximum jerk along the path at which no axis exceeds its limit, mm/s³. Unused without a jerk limit.
     pub(super) jerk: f32,
-    /// How the entry is planned with a jerk limit.
+    /// Ramp from the entry to the next anchor; only with a jerk limit.
     pub(super) ramp: Ramp,
-    /// What a bend leaves of the acceleration.
+    /// Acceleration that a bend takes.
     pub(super) curve: CurveLoad,
     pub(super) power: u16,
     pub(super) directions: u8,
     pub(super) flags: u8,
 }
 
-/// The upper half of an `f32`: rounded down by 0.8 % at most.
+/// Returns the upper half of an `f32`: a positive number is rounded down by 0.8 % at most.
 fn upper(value: f32) -> u16 {
     (value.to_bits() >> 16) as u16
 }
@@ -71,33 +72,34 @@ fn of_upper(upper: u16) -> f32 {
     f32::from_bits(u32::from(upper) << 16)
 }
 
-/// [`upper`] of what is beyond all numbers.
+/// [`upper`] of infinity.
 const INFINITY: u16 = 0x7F80;
 
-/// A bend on which the block lies. At its full speed v² = a·R it takes all of the acceleration a, at a lower one the share
-/// r = v²/(a·R); what is left is for speeding up and braking.
+/// A bend of radius R on which a block lies. At its maximum speed v² = a·R the bend takes all of the acceleration a, at
+/// a lower speed the share r = v²/(a·R). The rest is left for speeding up and braking.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CurveLoad {
-    /// Bits by which the speed² is below that of none, so that none is 0.
+    /// The upper half of infinity less that of the bend's speed², so that 0 means no bend.
     below: u16,
     acceleration: u16,
 }
 
-/// Least share of the acceleration that a bend leaves: both together exceed it by 3 %, and the machine can always brake.
+/// Minimum share of the acceleration that a bend leaves, so that the machine can always brake. The acceleration along
+/// and across the path together then exceed the limit by 3 % at most.
 const LEAST_SHARE: f32 = 0.25;
 
-/// Share of a speed² that rounding leaves for certain: in a bend, a bit may be lost where the exit rises, and in each of the
-/// blocks behind.
+/// Factor that covers rounding errors of a speed²: in a bend, a rising exit speed may lose a bit in this block and in
+/// each later one.
 const SURELY: f32 = 0.999;
 
-/// Share of the greatest speed² at which a ramp with bounded jerk still has all of its acceleration.
+/// Share of the maximum speed² up to which a jerk-limited ramp may still use its full acceleration.
 const RAMP_SHARE: f32 = 0.9;
 
 impl CurveLoad {
-    /// Straight.
+    /// No bend.
     pub(super) const NONE: Self = Self { below: 0, acceleration: 0 };
 
-    /// A bend that takes all of `acceleration` (mm/s²) at the speed².
+    /// Creates a bend that takes all of `acceleration` (mm/s²) at `speed2`.
     pub(super) fn new(speed2: f32, acceleration: f32) -> Self {
         Self { below: INFINITY - upper(speed2), acceleration: upper(acceleration) }
     }
@@ -107,29 +109,30 @@ impl CurveLoad {
         self.below == 0
     }
 
-    /// The speed² at which it takes all of the acceleration, and that acceleration, mm/s².
+    /// Returns the speed² at which the bend takes all of the acceleration.
     pub(super) fn speed2(self) -> f32 {
         of_upper(INFINITY - self.below)
     }
 
+    /// Returns the acceleration that the bend takes at that speed, mm/s².
     pub(super) fn acceleration(self) -> f32 {
         of_upper(self.acceleration)
     }
 
-    /// The tighter one of two.
+    /// Returns the tighter one of two bends.
     #[inline]
     pub(super) fn tighter(self, other: Self) -> Self {
         if other.is_tighter(self) { other } else { self }
     }
 
-    /// Positive numbers are ordered as their bits are.
+    /// Returns whether this bend allows a lower speed than `other`. Positive numbers are ordered like their bits.
     #[inline]
     pub(super) fn is_tighter(self, other: Self) -> bool {
         self.below > other.below
     }
 
-    /// One that leaves no more than either: the lower speed² and the lesser acceleration, which may be those of different
-    /// bends where the axes are unequal.
+    /// Returns a bend that leaves no more acceleration than either: the lower speed² and the lower acceleration, which
+    /// may come from different bends if the axes have different limits.
     #[inline]
     pub(super) fn and(self, other: Self) -> Self {
         if self.is_none() || other.is_none() {
@@ -138,7 +141,7 @@ impl CurveLoad {
         Self { below: self.below.max(other.below), acceleration: self.acceleration.min(other.acceleration) }
     }
 
-    /// The middle one of three; none if one of them is none.
+    /// Returns the second tightest of three bends; `NONE` if one of them is `NONE`.
     #[inline]
     pub(super) fn middle(self, second: Self, third: Self) -> Self {
         let (tight, gentle) = if self.is_tighter(second) { (self, second) } else { (second, self) };
@@ -151,15 +154,15 @@ impl CurveLoad {
         }
     }
 
-    /// What is left of an acceleration `along` the path at a speed². Along the path and across it, the sum of both on each
-    /// axis is within its limit, either as parts of a circle, a·√(1 - r²), or as shares, 1 - r of what the path's own
-    /// direction allows.
+    /// Returns how much of the acceleration `along` (allowed in the path's direction) is left at a speed². Two rules
+    /// keep the sum of the accelerations along and across the path within each axis' limit: a·√(1 - r²), as on a
+    /// circle, and along·(1 - r), as shares. The larger of both counts, up to `along`.
     #[inline]
     pub(super) fn left(self, along: f32, speed2: f32) -> f32 {
         if self.is_none() { along } else { self.left_in_bend(along, speed2) }
     }
 
-    /// Once in the image, but for the walk over the queue.
+    /// Shared copy of [`CurveLoad::left_of`], to save flash; the reverse pass has one inlined.
     #[inline(never)]
     fn left_in_bend(self, along: f32, speed2: f32) -> f32 {
         self.left_of(along, speed2)
@@ -173,21 +176,22 @@ impl CurveLoad {
     }
 }
 
-/// The way from a block's entry to the next anchor: an entry at which the machine may be at the planned speed and without
-/// acceleration, and at whose speed a ramp can end.
+/// The ramp from a block's entry to the next anchor. An anchor is an entry that the machine may pass at its planned
+/// speed without acceleration, so that a ramp can end there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Ramp {
-    /// mm; 0: this entry is an anchor itself.
+    /// Distance to the anchor, mm; 0: this entry is an anchor itself.
     pub distance: f32,
-    /// Speed² from which a ramp to the anchor may begin at most, for it would pass an entry in between too fast.
+    /// Maximum speed² at which a ramp to the anchor may begin: from a higher one it would pass an entry in between too
+    /// fast.
     pub ceiling2: f32,
-    /// The tightest bounds on the way, each the upper half of an `f32` (rounded down by 0.8 % at most).
+    /// The tightest bounds up to the anchor, each the upper half of an `f32` (rounded down by 0.8 % at most).
     acceleration: u16,
     jerk: u16,
 }
 
 impl Ramp {
-    /// An anchor.
+    /// The ramp of an entry that is an anchor itself.
     pub(super) const ANCHOR: Self = Self { distance: 0.0, ceiling2: f32::INFINITY, acceleration: 0x7F80, jerk: 0x7F80 };
 
     #[inline]
@@ -202,7 +206,7 @@ impl Ramp {
 }
 
 impl<const N: usize> Block<N> {
-    /// What a ring is made of before it has blocks: all 0, so that it needs no flash.
+    /// Initial contents of the ring: all 0, so that it needs no flash.
     pub const NONE: Self = Self {
         acceleration: 0.0,
         jerk: 0.0,
@@ -228,7 +232,7 @@ impl<const N: usize> Block<N> {
         flags: 0,
     };
 
-    /// The speed to run at under feed and rapid override.
+    /// Returns the nominal speed under feed and rapid override, mm/s.
     #[inline]
     pub(super) fn nominal(&self, overrides: OverrideFactors) -> f32 {
         let wanted = if self.flags & NO_OVERRIDE != 0 {
@@ -241,13 +245,14 @@ impl<const N: usize> Block<N> {
         lesser(wanted, self.limit)
     }
 
-    /// Greatest acceleration along the path at a speed².
+    /// Returns the maximum acceleration along the path at a speed², mm/s².
     #[inline]
     pub(super) fn acceleration_at(&self, speed2: f32) -> f32 {
         self.curve.left(self.acceleration, speed2)
     }
 
-    /// Greatest entry speed² from which it can be braked to an exit speed², whatever else bounds it.
+    /// Returns the maximum entry speed² from which the machine can brake to an exit speed² within the block, regardless
+    /// of the entry's cap.
     #[inline(always)]
     pub(super) fn braking_entry2(&self, exit2: f32) -> f32 {
         let along = self.acceleration;
@@ -255,37 +260,39 @@ impl<const N: usize> Block<N> {
         exit2 + 2.0 * left * self.length
     }
 
-    /// The same within its cap.
+    /// Returns [`Block::braking_entry2`], limited to the entry's cap.
     #[cfg(test)]
     pub(super) fn entry_before(&self, exit2: f32) -> f32 {
         lesser(self.max_entry2, self.braking_entry2(exit2))
     }
 
-    /// Whether its entry, from which it could be braked at a speed², stays at its cap where the exit rises.
+    /// Returns whether the entry stays at its cap when the exit speed rises. `reach2` is the current
+    /// [`Block::braking_entry2`].
     #[inline]
     pub(super) fn is_surely_capped(&self, reach2: f32) -> bool {
         SURELY * reach2 >= self.max_entry2
     }
 
-    /// Whether a higher exit may let it be entered less fast, because a bend then leaves so much less to brake with: not while the
-    /// greatest slope of [`CurveLoad::left`], at its least share, takes no more than the exit adds.
+    /// Returns whether a higher exit speed may lower the possible entry speed, because the bend then leaves less
+    /// deceleration. This is excluded if the maximum slope of [`CurveLoad::left`], at its minimum share, takes no more
+    /// than the exit speed adds.
     #[inline]
     pub(super) fn is_steep(&self) -> bool {
         let acceleration = greater(self.acceleration, self.curve.acceleration());
         !self.curve.is_none() && 2.0 / LEAST_SHARE * acceleration * self.length > self.curve.speed2()
     }
 
-    /// What bounds changes of speed in the block.
-    #[inline]
+    /// Returns the bounds on changes of speed in the block.
     ///
-    /// In a bend the acceleration of a ramp is greatest about half way up, below nine tenths of the speed²: it is
-    /// counted with what is left there.
+    /// In a bend, the acceleration is the one left at nine tenths of the maximum speed²: a ramp needs its maximum
+    /// acceleration about half way up, below that speed.
+    #[inline]
     pub(super) fn bounds(&self) -> Bounds {
         let acceleration = self.acceleration_at(RAMP_SHARE * self.max_entry2);
         Bounds { acceleration, jerk: self.jerk }
     }
 
-    /// Steps of the axis that has most.
+    /// Returns the number of steps of the dominant axis.
     #[inline]
     pub(super) fn dominant(&self) -> u32 {
         self.steps_by_axis.iter().fold(0, |most, axis_steps| most.max(axis_steps.steps()))

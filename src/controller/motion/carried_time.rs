@@ -1,36 +1,37 @@
-//! The time of moves that are too short for a step. Their length is carried over to the next block
-//! ([`super::path_end`]), which has to take their time as well.
+//! Carries over the time of moves that are too short for a step. Their length is carried over to the next block
+//! ([`super::path_end`]), so their time must be, too.
 //!
-//! With one feed along the path, the time is that length at this feed. Where feeds differ (another F, a rotary axis
-//! that turns more or less, inverse time), the block gets the speed at which it takes the time of all its moves.
+//! If all of these moves have the same feed, the block keeps this feed. If feeds differ (another F, a rotary axis that
+//! turns more or less, inverse time), the block gets the speed at which it takes the total time of all its moves.
 
 use super::Speed;
 use super::trapezoid::{greater, lesser};
 
-/// A move at a feed is slowed down for moves without a step before it by so much, or by as long as it takes itself, s.
+/// Maximum time that a feed move takes longer because of preceding moves without a step, s; or its own duration, if
+/// that is longer.
 const MOST_SLOWED_S: f32 = 0.05;
 
-/// What a carried length is meant to take. Where there is none it says nothing.
+/// The programmed time of a carried length. Meaningless without a carried length.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CarriedTime {
     /// Unknown (NaN) with rapids.
     seconds: f32,
-    /// The feed of all of it, mm/s; 0: of several.
+    /// The common feed of the carried length, mm/s; 0: several feeds.
     feed: f32,
 }
 
-/// A block, the length of its move and what was carried over to it.
+/// The lengths of a block, of its own move, and of the moves carried over to it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BlockWay {
-    /// Length of its move alone, mm.
+    /// Length of the block's own move, mm.
     pub own: f32,
-    /// Carried over to it; below 0: length that the last block was given too much.
+    /// Length carried over to the block, mm; negative: the last block was made too long by this.
     pub carried: f32,
-    /// Of the block, which is longer than both where that would be too little for its steps.
+    /// Length of the block, mm. Greater than `own` + `carried` if that would be too short for the block's steps.
     pub length: f32,
 }
 
-/// Seconds of a move of this length, and mm/s.
+/// Returns the duration (s) and the feed (mm/s) of a move of length `own`; NaN and 0 for a rapid.
 fn time_and_feed(speed: Speed, own: f32) -> (f32, f32) {
     match speed {
         Speed::Rapid => (f32::NAN, 0.0),
@@ -42,7 +43,7 @@ fn time_and_feed(speed: Speed, own: f32) -> (f32, f32) {
 impl CarriedTime {
     pub(super) const NONE: Self = Self { seconds: 0.0, feed: 0.0 };
 
-    /// A move of this length makes no step, and so much has been carried before.
+    /// Adds a move of length `own` that makes no step. `carried`: length carried before it.
     pub(super) fn add(&mut self, speed: Speed, own: f32, carried: f32) {
         let (seconds, feed) = time_and_feed(speed, own);
         if carried == 0.0 {
@@ -53,7 +54,8 @@ impl CarriedTime {
         }
     }
 
-    /// The speed of a block, where its move is of this speed. What the block is too long is carried on.
+    /// Returns the speed of a block whose own move has `speed`. The time of the block's excess length is carried over
+    /// as a negative time.
     #[inline]
     pub(super) fn take(&mut self, speed: Speed, way: BlockWay) -> Speed {
         let BlockWay { own, carried, length } = way;
@@ -63,12 +65,12 @@ impl CarriedTime {
         *self = Self { seconds: -extra / feed, feed };
         let seconds = match speed {
             Speed::Feed(_) if before.feed != feed && !before.seconds.is_nan() => {
-                // Nor is it faster than its feed for what the last block was longer.
+                // If the last block was too long, the negative time does not make this one faster than its feed.
                 let (least, most) = (lesser(carried / feed, 0.0), greater(alone, MOST_SLOWED_S));
                 alone + greater(lesser(before.seconds, most), least) + extra / feed
             }
             Speed::Duration(_) => {
-                // Its time is that of the move, however long it is.
+                // The block takes the duration of its move, whatever its length: nothing is carried over.
                 *self = Self::NONE;
                 alone + greater(before.seconds, 0.0)
             }
@@ -109,7 +111,7 @@ mod tests {
     fn each_length_takes_its_own_time() {
         let mut time = CarriedTime::NONE;
         time.add(SLOW, 0.004, 0.0);
-        // 4 ms and 1 ms.
+        // The carried length takes 4 ms, the block's own move 1 ms.
         assert_near(time.take(FAST, way(0.01, 0.004, 0.014)), 0.014 / (0.001 + 0.004));
         time.add(Speed::Duration(0.5), 0.004, 0.0);
         assert_near(time.take(Speed::Duration(0.25), way(0.01, 0.004, 0.014)), 0.014 / 0.75);

@@ -1,30 +1,31 @@
-//! The block that the step generator is running: rates, threshold and length in units, and where each axis began
-//! between two steps. Also keeps a copy for the position at which a probe touched.
+//! The block that the step generator is running ([`Course`]): rates, threshold and length in units, and the exact start
+//! of each axis between two steps. [`Contact`] is a copy of it at a probe's contact.
 //!
-//! No position is counted: it follows from the units that the block has advanced and from what is left until each axis' next step,
-//! exactly, so that a tick costs nothing for it. The arithmetic is that of `measure`.
+//! No position is counted, so it costs nothing per tick: it follows exactly from the units that the block has advanced
+//! and from each axis' remainder until its next step. The arithmetic is that of `measure`.
 
 use super::measure::{Measure, advance, inverse, parts_beyond, signed_add, steps_and_rest};
 use crate::axes::PerAxis;
 use crate::messages::AxisSteps;
 use core::sync::atomic::{Ordering, compiler_fence};
 
-/// A block, ready to run.
+/// A block that is ready to run.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub(super) struct Course<const N: usize> {
-    /// How far the true start of each axis is beyond the rounded one, in parts of the threshold.
+    /// Offset of each axis' exact start from the nearest full step, in parts of the threshold.
     pub(super) beyond: [u32; N],
-    /// What a unit takes off.
+    /// Amount by which each unit reduces an axis' remainder until its next step.
     pub(super) rates: [u32; N],
     pub(super) threshold: u32,
     /// Units of the whole block.
     pub(super) total: u32,
-    /// Units at which it is entered; 0 = at its start.
+    /// Units after which the block is entered; 0 = at its start.
     pub(super) entered: u32,
     pub(super) directions: u8,
-    /// Position at the start of the block and at its end.
+    /// Position at the start of the block.
     pub(super) base: [i32; N],
+    /// Position at the end of the block.
     pub(super) end: [i32; N],
 }
 
@@ -40,14 +41,16 @@ impl<const N: usize> Course<N> {
         end: [0; N],
     };
 
-    /// What is left until the next step of each axis at the start: half a step but for what is done of it.
+    /// Returns each axis' remainder until its next step at the start of the block: half a step, less the offset of the
+    /// exact start.
     #[inline(always)]
     fn first(&self) -> [u32; N] {
         self.beyond.map(|beyond| (self.threshold / 2).wrapping_sub(beyond))
     }
 
-    /// Net steps. Steps taken × threshold = rate × units + left - what was left first, to the last bit; so the quotient
-    /// needs no division: below 2^32 it is the product with the inverse of the threshold's odd part.
+    /// Returns the position after `units`, from the axes' remainders `left`. Exactly: steps taken × threshold = rate ×
+    /// units + left - first remainder. So the quotient needs no division: below 2^32 it is the product with the inverse
+    /// of the threshold's odd part.
     #[inline(never)]
     pub(super) fn position(&self, left: &[u32; N], units: u32) -> PerAxis<i32, N> {
         let Course { rates, threshold, directions, base, .. } = self;
@@ -67,12 +70,12 @@ impl<const N: usize> Course<N> {
         PerAxis(position)
     }
 
-    /// At rest at a position.
+    /// Returns the course of a machine at rest at a position.
     pub(super) const fn rest_at(base: [i32; N]) -> Self {
         Self { base, end: base, ..Self::NOWHERE }
     }
 
-    /// Makes it the block of these axes, from this position. [`Course::finish`] does the rest.
+    /// Loads a block that starts at position `base`. [`Course::finish`] completes it.
     #[inline(always)]
     pub(super) fn load(&mut self, steps_by_axis: &[AxisSteps; N], directions: u8, base: [i32; N]) {
         self.entered = 0;
@@ -81,7 +84,7 @@ impl<const N: usize> Course<N> {
         for (bit, ((end, base), axis_steps)) in self.end.iter_mut().zip(base).zip(steps_by_axis).enumerate() {
             *end = signed_add(base, axis_steps.steps(), directions >> bit & 1 != 0);
         }
-        // One after the other, as in `dda::step_axes`.
+        // Forces one axis after the other, as in `dda::step_axes`.
         compiler_fence(Ordering::SeqCst);
         let measure = Measure::of(steps_by_axis);
         self.threshold = measure.threshold;
@@ -91,7 +94,7 @@ impl<const N: usize> Course<N> {
         }
     }
 
-    /// What is left of [`Course::load`], so that no message takes too long.
+    /// Completes [`Course::load`]. It is a separate function so that no single message takes too long.
     #[inline(always)]
     pub(super) fn finish(&mut self, steps_by_axis: &[AxisSteps; N]) {
         for (beyond, axis_steps) in self.beyond.iter_mut().zip(steps_by_axis) {
@@ -99,7 +102,7 @@ impl<const N: usize> Course<N> {
         }
     }
 
-    /// Begins at this position instead: the block before was left before its end.
+    /// Moves the block to another start position, because the previous block was left before its end.
     pub(super) fn begin_from(&mut self, position: [i32; N]) {
         for ((base, end), position) in self.base.iter_mut().zip(self.end.iter_mut()).zip(position) {
             *end = end.wrapping_sub(*base).wrapping_add(position);
@@ -107,7 +110,8 @@ impl<const N: usize> Course<N> {
         }
     }
 
-    /// Brings all axes to where they were when the block was left at the units at which it is entered.
+    /// Restores the axes' remainders as they were when the block was left after `entered` units, and moves its start so
+    /// that the current position is the one after these units.
     #[cold]
     pub(super) fn enter_midst(&mut self, left: &mut [u32; N]) {
         let Course { rates, threshold, entered, directions, .. } = *self;
@@ -122,7 +126,7 @@ impl<const N: usize> Course<N> {
         }
     }
 
-    /// At rest: these net steps have not come out, so the position is that without them.
+    /// Subtracts net steps that were not output. Call only at rest.
     pub(super) fn take_back(&mut self, undone: [i32; N]) {
         for ((base, end), undone) in self.base.iter_mut().zip(self.end.iter_mut()).zip(undone) {
             *base = base.wrapping_sub(undone);
@@ -131,7 +135,7 @@ impl<const N: usize> Course<N> {
     }
 }
 
-/// All that a position follows from, so that no tick has to count and a probe's tick not to compute.
+/// Everything needed to compute a position later, so that the tick of a probe's contact only copies it.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub(super) struct Contact<const N: usize> {

@@ -1,11 +1,12 @@
-//! How fast a path may turn: one rule for every turn, from a single corner to a long curve of short chords. The path is
-//! gathered into spans on several scales; each new span is compared with the ones before it, and each `Bend` found
-//! limits speed and acceleration of some blocks. Turns that the rounding of the program's last digit explains are
-//! ignored.
+//! Determines how fast a path may turn: one rule for every turn, from a single corner to a long curve of short chords.
+//! The path is divided into spans on several scales. Each new span is compared with the spans before it, and each
+//! `Bend` found limits speed and acceleration of some blocks. Turns that the rounding of the program's last digit
+//! explains are ignored.
 //!
-//! A path that turns by an angle t within a length L demands of the axes a change of velocity of v·q in the time L/v, where
-//! q = |difference of the unit vectors| = 2·sin(t/2). The axes can provide a·L/v of it, and the junction deviation d permits
-//! a jump of J·q on top, the same for the whole turn however it is distributed over L:
+//! A path that turns by an angle t within a length L requires a change of velocity of v·q in the time L/v, where q =
+//! 2·sin(t/2) is the length of the difference of the unit vectors. The axes' acceleration provides a·L/v of it. The
+//! junction deviation d permits an additional jump of J·q, the same for the whole turn, however it is distributed over
+//! L:
 //!
 //! ```text
 //!   1        between two single pieces             v² - v·J = a·L/t      J² = a·d·s / (1 - s), s = cos(t/2)
@@ -13,16 +14,18 @@
 //!     '---.  a corner: L = 0                       v        = J
 //!          \ 3
 //! ```
-//! The first form is exact where both ends are single pieces, because these turn at their ends only. The direction of a span
-//! of several pieces is that of the path in its middle; the second form is stricter, and tends to v² = a·R on a long curve.
+//! The first form is exact if both ends are single pieces, because these turn only at their ends. The direction of a
+//! span of several pieces is that of the path in its middle; the second form is stricter, and tends to v² = a·R on a
+//! long curve.
 //!
-//! The program's points are rounded: each may be off by half of the last digit on each axis. That turns a span of length l
-//! by 1.5 digits / l at most, and that much of q is ignored (`noise`). So a straight line whose points are rounded counts as
-//! straight, and a program with finer digits loses nothing.
+//! The program's points are rounded: each may be off by half of the last digit on each axis. That turns a span of
+//! length l by at most 1.5 digits / l, and this much of q is ignored (`noise`). So a straight line with rounded points
+//! counts as straight, and a program with finer digits loses no speed.
 //!
-//! Short spans say little where the digit is coarse, long ones say little where a turn is short. So the path is measured on
-//! several scales at once: on each scale it is cut into spans of at least that length, and a new span is compared with the
-//! last [`HISTORY`] before it. A piece longer than the scale is a span by itself; the span begun before it ends where it starts.
+//! With coarse digits short spans are unreliable; short turns disappear in long spans. So the path is measured on
+//! several scales at once. On each scale it is divided into spans of at least the scale's length, and a new span is
+//! compared with the last [`HISTORY`] spans before it. A piece longer than the scale is a span of its own; the
+//! unfinished span before it ends where the piece starts.
 
 use super::block::CurveLoad;
 use super::junction::{REVERSAL, SQUARE_CORNER, TurnRule, UNLIMITED2, certain, is_noise, radius_of, turn2};
@@ -32,55 +35,60 @@ use crate::axes::PerAxis;
 use crate::lent::Lent;
 use crate::units::Coordinate;
 
-/// Lengths of the spans: powers of two from [`SHORTEST`] (mm) to 32 mm. With the spans before it the longest measures a
-/// radian of a bend of R = 100 mm.
+/// Number of scales. The lengths of their spans are powers of two from [`SHORTEST`] to 32 mm. On the longest scale, a
+/// span and the ones before it measure a radian of a bend of R = 100 mm.
 pub(super) const SCALES: usize = 14;
+/// Length of the spans of the first scale, mm.
 const SHORTEST: f32 = 1.0 / 256.0;
-/// Length of the spans of a scale, mm.
+/// Returns the minimum length of the spans of a scale, mm.
 #[inline]
 fn scale_length(scale: usize) -> f32 {
     SHORTEST * (1_u32 << scale) as f32
 }
 
-/// Scales that are no longer than a piece, by its binary exponent.
+/// Returns the number of scales whose length is no more than that of a piece, from its binary exponent.
 #[inline]
 fn scales_within(length: f32) -> usize {
     let exponent = |length: f32| (length.to_bits() >> 23) as usize;
     (exponent(length) + 1).saturating_sub(exponent(SHORTEST)).min(SCALES)
 }
 
-/// Spans that a new one is compared with.
+/// Number of previous spans that a new one is compared with.
 const HISTORY: usize = 4;
-/// Half a digit on each of two axes puts a point 0.71 digits aside, on each of three 0.87. For both ends of a span.
+/// Sideways error of a span's two ends together, in digits: half a digit on each of two axes shifts a point by 0.71
+/// digits, on each of three by 0.87.
 pub(super) const DIGITS_ASIDE: f32 = 1.5;
-/// A span whose ends are closer than this share of its path is no chord of a bend: that of half a circle has 0.64.
+/// Minimum ratio of a span's chord to its path. Below it the span is no chord of a bend; half a circle has 0.64.
 const STRAIGHTNESS: f32 = 0.6;
-/// q² of 0.6 rad: what turns more need not be a bend, but may be a corner with straights beside it, where the machine is
+/// q² of 0.6 rad. A larger turn need not be a bend: it may be a corner between straight pieces, on which the machine is
 /// faster than on a bend.
 const LARGE_TURN2: f32 = 0.36;
-/// A large turn is spread over its whole length if both ends of it turn by this share of q² at least.
+/// Minimum share of q² that each end of a large turn must have if the turn counts as spread over its whole length.
 const ENDS2: f32 = 1.0 / 36.0;
-/// L/t in junction deviations up to which that counts: beyond, the J² of the smaller turns within is little beside a·L/t.
+/// Maximum L/t, in junction deviations, for which [`ENDS2`] applies: beyond it, the J² of the smaller turns within is
+/// negligible compared with a·L/t.
 const VAGUE: f32 = 72.0;
-/// Of three turns in a row the middle one is no corner if its q² is less than this many times the lesser of the others.
+/// Of three consecutive turns, the middle one is no corner if its q² is less than this multiple of the lower q² of the
+/// other two.
 const EVEN2: f32 = 9.0;
-/// q² up to which a turn tells the curvature of its own place, and not a mean of what is far away.
+/// q² up to which a turn represents the local curvature rather than a mean over a long distance.
 const GENTLE2: f32 = 0.0625;
-/// A bend for more than this many times the greatest speed² leaves the acceleration along the path as it is, within 5 %.
+/// Ratio of a bend's speed² to the maximum speed² above which the bend leaves the acceleration along the path
+/// unchanged, within 5 %.
 pub(super) const NOTICEABLE: f32 = 3.2;
-/// Points of which the finest digit counts: words lose their trailing zeros, but not all of them.
+/// Number of points among which the finest digit counts: numbers lose their trailing zeros, but not in all points.
 const POINTS: u8 = 32;
 
-/// A limit for some of the blocks, counted back from the newest, which is 0: the nearest and the farthest.
+/// A limit for the blocks from `nearest` to `farthest`, counted back from the newest one, which is 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Bend {
-    /// Greatest speed² at their entries.
+    /// Maximum speed² at the blocks' entries.
     pub speed2: f32,
-    /// If given: one slower entry among these blocks (nearest, farthest) is enough, and this limit does not apply. Then most of
-    /// the turn may be a corner, for which the machine brakes and from which it speeds up with the acceleration of the axes,
-    /// so that the whole turn takes the time that it needs.
+    /// A range of blocks (nearest, farthest). If one entry among them is already as slow, the limit does not apply:
+    /// most of the turn may be a corner. The machine brakes before it and speeds up after it with the axes'
+    /// acceleration, so the whole turn takes long enough.
     pub once: Option<(usize, usize)>,
-    /// What the bend leaves of the acceleration.
+    /// Acceleration that the bend takes.
     pub curve: CurveLoad,
     pub nearest: usize,
     pub farthest: usize,
@@ -91,25 +99,26 @@ pub(super) struct Bend {
 pub(super) struct Span<const N: usize> {
     /// Unit vector.
     direction: [f32; N],
-    /// By how much the rounding of its ends may have turned it, rad.
+    /// Maximum angle by which the rounding of its ends may have turned the span, rad.
     noise: f32,
     /// Length of the path, mm.
     path: f32,
-    /// Greatest speed² in it under any override.
+    /// Maximum speed² of its moves under any override.
     fast2: f32,
-    /// Moves in it; 0: there is none.
+    /// Number of moves; 0: there is no span.
     blocks: u16,
-    /// Whether the direction means anything.
+    /// Whether the direction is meaningful.
     straight: bool,
-    /// From the middle of the span before to its own: q² and the bend.
+    /// q² of the turn from the middle of the previous span to that of this one.
     turned2: f32,
+    /// The bend of that turn.
     curve: CurveLoad,
 }
 
-/// What is granted between two spans.
+/// Limit for the turn between two spans.
 struct Limit {
     speed2: f32,
-    /// What is certain of q².
+    /// q² of the turn, without noise.
     turn2: f32,
     /// L/t.
     radius: f32,
@@ -127,7 +136,7 @@ impl<const N: usize> Span<N> {
         curve: CurveLoad::NONE,
     };
 
-    /// A single piece.
+    /// Creates the span of a single piece.
     #[inline]
     pub(super) fn of(piece: &PathPiece<'_, N>) -> Self {
         let straight = piece.length > 0.0;
@@ -143,13 +152,14 @@ impl<const N: usize> Span<N> {
         }
     }
 
-    /// How much path lies between its middle and its end; a single piece has its direction up to the end.
+    /// Returns the path length between the point at which the span has its direction and its end: half of the path, or
+    /// 0 for a single piece.
     #[inline]
     fn half(&self) -> f32 {
         if self.blocks == 1 { 0.0 } else { 0.5 * self.path }
     }
 
-    /// Greatest speed² at the corner with the piece before; both are single pieces.
+    /// Returns the maximum speed² at the corner with the previous piece. Both spans must be single pieces.
     #[inline]
     fn corner2(&self, before: &Self, rule: &TurnRule<N>) -> f32 {
         if !before.straight || !self.straight {
@@ -169,8 +179,8 @@ impl<const N: usize> Span<N> {
         rule.junction2(across, sine, turn2)
     }
 
-    /// Whether a span before, with so much path `between` them, may set a limit below `fast2`: most turns are noise, or bends
-    /// that are surely faster. No call for them.
+    /// Returns whether the turn from an earlier span may set a limit below `fast2`. `between`: path length between the
+    /// spans. Most turns are noise or surely fast enough; inlined, so that they need no call.
     #[inline(always)]
     fn may_be_limited(&self, old: &Self, between: f32, fast2: f32, rule: &TurnRule<N>) -> bool {
         let all2 = turn2(&old.direction, &self.direction);
@@ -179,14 +189,15 @@ impl<const N: usize> Span<N> {
             return false;
         }
         let (least, length) = (rule.least_of(&old.direction, &self.direction), between + old.half() + self.half());
-        // Less noise, the turn is no larger, and √x is no less than x.
+        // Subtracting noise does not make the turn larger, and s = √x is no less than x = 1 - q²/4.
         if rule.is_surely_faster(least, length, all2, 1.0 - 0.25 * all2, fast2) {
             return false;
         }
         certain(all2, noise).is_some_and(|(turn2, sine)| !rule.is_surely_faster(least, length, turn2, sine, fast2))
     }
 
-    /// What is granted from a span before with so much path `between` them; `None` if it is no limit for `fast2`.
+    /// Returns the limit for the turn from an earlier span, with the path length `between` the two; `None` if it does
+    /// not limit `fast2`.
     #[inline(never)]
     fn limit_after(&self, old: &Self, between: f32, fast2: f32, rule: &TurnRule<N>) -> Option<Limit> {
         let all2 = turn2(&old.direction, &self.direction);
@@ -210,7 +221,7 @@ impl<const N: usize> Span<N> {
         (speed2 < fast2).then_some(Limit { speed2, turn2, radius })
     }
 
-    /// Notes how it continues the one before: the bend only if it tells at the speeds there.
+    /// Sets the turn from the previous span. Sets its bend only if the bend matters at the speeds of both spans.
     #[inline]
     fn note_turn(&mut self, old: &Self, rule: &TurnRule<N>) {
         if old.blocks == 0 || !old.straight || !self.straight {
@@ -236,29 +247,29 @@ pub(super) struct PathPiece<'a, const N: usize> {
     pub end: &'a PerAxis<Coordinate, N>,
     /// Unit vector.
     pub direction: &'a [f32; N],
-    /// From start to end, mm.
+    /// Straight distance from start to end, mm.
     pub length: f32,
-    /// The same with moves too short for a step, mm.
+    /// Path length, including moves too short for a step, mm.
     pub path: f32,
-    /// Greatest speed² under any override.
+    /// Maximum speed² under any override.
     pub fast2: f32,
-    /// The last digit of the program, mm.
+    /// Value of the program's last digit, mm.
     pub digit: f32,
 }
 
-/// The spans before, the newest first.
+/// The previous spans, the newest first.
 #[derive(Clone, Copy, Debug)]
 struct History<const N: usize>([Span<N>; HISTORY]);
 
 impl<const N: usize> History<N> {
-    // One copy: it is called for pieces, for spans that end and for those that are ended.
-    /// Compares a new span, behind which there are so many blocks, with those before it, and adds it. The corner between
-    /// two single pieces is known already ([`Chain::corner2`]).
+    // Not inlined, because there are several callers.
+    /// Compares a new span with the previous ones, and adds it. `behind`: number of blocks after the span. Skips the
+    /// corner between two single pieces, which [`Chain::corner2`] limits.
     #[inline(never)]
     fn take_span(&mut self, new: &mut Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
         let [first, second, ..] = &self.0;
         new.note_turn(first, rule);
-        // A corner turns two neighbouring spans at most, a bend all of them.
+        // A corner turns at most two neighbouring spans, a bend all of them.
         let bend = new.curve.middle(first.curve, second.curve);
         if self.may_limit(new, rule) {
             self.compare(new, behind, rule, found);
@@ -266,20 +277,21 @@ impl<const N: usize> History<N> {
         if !bend.is_none() {
             let own = usize::from(new.blocks);
             let farthest = behind + own - 1 + usize::from(first.blocks) + usize::from(second.blocks);
-            // A bend in the drawing: no corner, so nothing is granted but what a square corner has.
+            // A bend of the drawn shape has no corner, so the junction deviation only grants the speed of a square
+            // corner.
             let square = bend.acceleration() * rule.deviation * SQUARE_CORNER;
             let speed2 = greater(bend.speed2(), square);
             found(Bend { speed2, once: None, curve: bend, nearest: behind + own, farthest });
         }
         let [first, second, third, fourth] = &mut self.0;
-        // One after the other: an array of them would be made elsewhere first.
+        // Moved one by one: an array of them would be built in a temporary first.
         *fourth = *third;
         *third = *second;
         *second = *first;
         *first = *new;
     }
 
-    /// Whether there may be a limit for a new span: what [`History::compare`] then asks of all spans.
+    /// Returns whether a new span may get a limit, so that [`History::compare`] is necessary.
     #[inline(always)]
     fn may_limit(&self, new: &Span<N>, rule: &TurnRule<N>) -> bool {
         let (mut between, mut fast2) = (0.0, new.fast2);
@@ -297,7 +309,7 @@ impl<const N: usize> History<N> {
         false
     }
 
-    /// Compares a new span with those before it.
+    /// Compares a new span with the previous ones, and calls `found` for each limit.
     #[inline(never)]
     fn compare(&self, new: &Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
         let [first, ..] = &self.0;
@@ -316,7 +328,8 @@ impl<const N: usize> History<N> {
                 let ends2 = lesser(new.turned2, turned2);
                 let spread = index > 0 && limit.radius < VAGUE * rule.deviation && ends2 > ENDS2 * limit.turn2;
                 let bent = index == 2 && ends2 > ENDS2 * limit.turn2 && first.turned2 < EVEN2 * ends2;
-                // Of neighbours up to the middle of each; otherwise what is between, where the path is slowest.
+                // For neighbouring spans, the limit applies from middle to middle; otherwise to the path between the
+                // two spans.
                 let halves = if index == 0 { (own / 2, usize::from(old.blocks) / 2) } else { (own - 1, 0) };
                 let start = behind + own - 1 + blocks;
                 let once = limit.turn2 > LARGE_TURN2 && !spread && !bent;
@@ -335,14 +348,17 @@ impl<const N: usize> History<N> {
     }
 }
 
-/// One scale: the spans before, and the one that has been begun.
+/// One scale: its previous spans, and the unfinished one.
 #[derive(Clone, Copy, Debug)]
 pub struct Scale<const N: usize> {
     history: History<N>,
-    /// Where it begins, how long its path is, its greatest speed² and its blocks.
+    /// Start of the unfinished span.
     start: PerAxis<Coordinate, N>,
+    /// Path length of the unfinished span, mm.
     path: f32,
+    /// Maximum speed² in the unfinished span.
     fast2: f32,
+    /// Blocks of the unfinished span.
     blocks: u16,
 }
 
@@ -356,7 +372,7 @@ impl<const N: usize> Scale<N> {
         self.blocks = 0;
     }
 
-    /// Ends the span and begins the next.
+    /// Ends the unfinished span, begins the next one, and returns the completed span.
     #[inline(never)]
     fn end(&mut self, end: &PerAxis<Coordinate, N>, digit: f32) -> Span<N> {
         let way = end.zip(&self.start, way_mm);
@@ -377,7 +393,7 @@ impl<const N: usize> Scale<N> {
     }
 }
 
-/// The program's last digit: the finest of its last 32 to 64 points.
+/// The program's last digit: the finest one of its last 32 to 64 points.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LastDigit {
     finest: f32,
@@ -398,21 +414,21 @@ impl LastDigit {
     }
 }
 
-/// The end of the queue as a chain of points.
+/// The straight pieces at the end of the queue, measured on all scales.
 #[derive(Debug)]
 #[cfg_attr(feature = "alloc", derive(Clone))]
 pub(super) struct Chain<const N: usize> {
     /// The last single pieces.
     pieces: History<N>,
     scales: Lent<[Scale<N>]>,
-    /// So many scales are no longer than the last piece: their spans are the single pieces. On moves that are long
-    /// anyway nothing is gathered at all.
+    /// Number of scales no longer than the last piece: their spans are the single pieces. Long moves therefore need no
+    /// unfinished spans at all.
     whole: usize,
     digit: LastDigit,
 }
 
 impl<const N: usize> Chain<N> {
-    /// What its scales are before there is a path. A chain without scales knows single turns only.
+    /// Initial scales. (A chain without scales considers only turns between single pieces.)
     pub(super) const SCALES: [Scale<N>; SCALES] = {
         let none = History([Span::NONE; HISTORY]);
         let scale = Scale { history: none, start: PerAxis::all(Coordinate::ZERO), path: 0.0, fast2: 0.0, blocks: 0 };
@@ -423,7 +439,7 @@ impl<const N: usize> Chain<N> {
         Self { pieces: History([Span::NONE; HISTORY]), scales, whole: 0, digit: LastDigit::NONE }
     }
 
-    /// Forgets what lies before this point: the machine comes to rest there.
+    /// Discards the path before `start`, because the machine comes to rest there.
     pub(super) fn restart(&mut self, start: &PerAxis<Coordinate, N>) {
         self.whole = 0;
         self.pieces = History([Span::NONE; HISTORY]);
@@ -433,29 +449,29 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// The program's last digit, mm, with that of one more point.
+    /// Adds the digit of one more point, and returns the program's last digit, mm.
     pub(super) fn last_digit(&mut self, digit: f32) -> f32 {
         self.digit.with(digit)
     }
 
-    /// What is known of the program's last digit, to be restored after a piece that has none.
+    /// Returns the state of the program's last digit, to be restored after pieces with computed ends.
     pub(super) fn program_digit(&self) -> LastDigit {
         self.digit
     }
 
-    /// See [`Chain::program_digit`].
+    /// Restores the state returned by [`Chain::program_digit`].
     pub(super) fn set_program_digit(&mut self, digit: LastDigit) {
         self.digit = digit;
     }
 
-    /// Greatest speed² at the corner before a piece, which is a span by itself; [`Chain::extend`] has to follow.
+    /// Returns the maximum speed² at the corner before a single piece. Call [`Chain::extend`] afterwards.
     #[inline]
     pub(super) fn corner2(&self, piece: &Span<N>, rule: &TurnRule<N>) -> f32 {
         let [before, ..] = &self.pieces.0;
         if before.blocks == 0 { UNLIMITED2 } else { piece.corner2(before, rule) }
     }
 
-    /// Adds the newest block, which has been pushed already, and tells what bends are found.
+    /// Adds the piece of the newest block, which must be in the queue already. Calls `found` for each bend.
     #[inline(never)]
     pub(super) fn extend(
         &mut self,
@@ -491,7 +507,8 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// A piece longer than the scales up to `whole`: their spans end where it begins, and it is compared with them.
+    /// Handles a piece longer than the scales below `whole`: ends their unfinished spans where the piece begins, and
+    /// compares the piece with the previous spans.
     #[inline(never)]
     fn end_before(
         &mut self,
@@ -507,7 +524,7 @@ impl<const N: usize> Chain<N> {
             scale.fast2 = greater(scale.fast2, fast2);
             scale.blocks = scale.blocks.saturating_add(blocks);
             if index >= whole {
-                // Longer scales continue with what the last one has ended; the piece comes to it.
+                // Longer scales continue with the span that the last one ended; the piece is added to them later.
                 return;
             }
             if scale.blocks > 0 {
@@ -536,12 +553,12 @@ mod tests {
             (self.0 >> 11) % end
         }
 
-        /// From 0 to 1.
+        /// Returns a number from 0 to 1.
         fn share(&mut self) -> f32 {
             self.below(1 << 24) as f32 / (1 << 24) as f32
         }
 
-        /// Any order of size between two numbers.
+        /// Returns a number between two others, evenly distributed by order of magnitude.
         fn size(&mut self, least: f32, greatest: f32) -> f32 {
             least * (greatest / least).powf(self.share())
         }
@@ -550,7 +567,7 @@ mod tests {
             if self.below(2) == 0 { 1.0 } else { -1.0 }
         }
 
-        /// Of all that the settings and the bounds on them allow.
+        /// Returns a rule from the whole range that the settings allow.
         fn rule<const N: usize>(&mut self) -> TurnRule<N> {
             let all = self.size(1.0e-3, 1.0e7);
             let acceleration = match self.below(3) {
@@ -563,21 +580,21 @@ mod tests {
             TurnRule { acceleration, deviation, curve_share }
         }
 
-        /// The unit vector of a way, as the queue makes it or as the scales do.
+        /// Returns the unit vector of a displacement, rounded as in the queue or as in the scales.
         fn unit<const N: usize>(&mut self, way: [f32; N]) -> [f32; N] {
             let length = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
             let shortness = 1.0 / length;
             if self.below(2) == 0 { way.map(|part| part / length) } else { way.map(|part| part * shortness) }
         }
 
-        /// A direction, with axes that stay and axes that hardly move.
+        /// Returns a direction in which some axes do not move and some hardly move.
         fn direction<const N: usize>(&mut self) -> [f32; N] {
             let mut way = [0.0; N].map(|_| if self.below(2) == 0 { 0.0 } else { self.sign() * self.size(1.0e-7, 1.0) });
             way[self.below(N as u64) as usize] = self.sign();
             self.unit(way)
         }
 
-        /// One that continues another: after a slight turn of some axes, or back, or nowhere near it.
+        /// Returns a direction after `before`: slightly turned in some axes, reversed, or unrelated.
         fn turned<const N: usize>(&mut self, before: [f32; N], turn: f32) -> [f32; N] {
             let back = match self.below(12) {
                 0 => return self.direction(),
@@ -591,7 +608,7 @@ mod tests {
             self.unit(way)
         }
 
-        /// A span of one piece or some.
+        /// Returns a span of one to three pieces.
         fn span<const N: usize>(&mut self, direction: [f32; N], path: f32, turn: f32) -> Span<N> {
             Span {
                 direction,
@@ -605,15 +622,15 @@ mod tests {
         }
     }
 
-    /// The limits between a new span and those before it, by the whole rule.
+    /// Returns the limits between a new span and the previous ones, by the complete rule.
     fn limits<const N: usize>(history: &History<N>, new: &Span<N>, rule: &TurnRule<N>) -> Vec<f32> {
         let mut speeds2 = Vec::new();
         history.compare(new, 0, rule, &mut |bend| speeds2.push(bend.speed2));
         speeds2
     }
 
-    /// Asks of many turns, with speeds that are about as fast as they allow, and gives how many are limited and how many are
-    /// left out in advance.
+    /// Checks `may_limit` for many turns at speeds close to their limits. Returns how many are limited, and how many
+    /// are excluded in advance.
     fn ask<const N: usize>(random: &mut Random, count: u32) -> (u32, u32) {
         let (mut limited, mut left_out) = (0, 0);
         for _ in 0..count {
@@ -634,7 +651,7 @@ mod tests {
                 0 => speeds2[random.below(speeds2.len() as u64) as usize],
                 _ => speeds2.iter().fold(UNLIMITED2, |least, speed2| lesser(*speed2, least)),
             };
-            // From the least to the greatest speed that there is.
+            // Clamped to the range of possible speeds.
             let fast2 = (near2 * (0.9 + 0.15 * random.share())).clamp(1.6e-13, 1.0e10);
             for span in history.0.iter_mut().chain([&mut new]) {
                 span.fast2 = if random.below(2) == 0 { fast2 } else { fast2 * random.share() };

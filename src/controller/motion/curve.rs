@@ -1,4 +1,4 @@
-//! A curve of which chords are still to come: an arc, a spline or a NURBS behind one interface.
+//! A curve that is being divided into chords: an arc, a spline or a NURBS behind one interface.
 
 use super::arc::{Arc, Curvature};
 use super::nurbs::Nurbs;
@@ -6,7 +6,7 @@ use super::spline::Spline;
 use crate::axes::PerAxis;
 use crate::units::{Coordinate, WeightedPoint};
 
-/// A curve that has begun.
+/// A curve that is being divided into chords.
 #[derive(Clone, Debug)]
 pub enum Curve<const N: usize> {
     /// An arc or helix.
@@ -18,7 +18,8 @@ pub enum Curve<const N: usize> {
 }
 
 impl<const N: usize> Curve<N> {
-    /// Where the next chord ends; `None` after the last. The control points are those of a rational B-spline.
+    /// Returns the end of the next chord; `None` after the last one. `points`: control points of a rational B-spline,
+    /// otherwise unused.
     #[inline]
     pub fn next_chord(&mut self, points: &[WeightedPoint]) -> Option<PerAxis<Coordinate, N>> {
         match self {
@@ -28,7 +29,7 @@ impl<const N: usize> Curve<N> {
         }
     }
 
-    /// How the curve bends along the last chord.
+    /// Returns the curvature along the last chord.
     #[inline]
     pub fn curvature(&self) -> Curvature {
         match self {

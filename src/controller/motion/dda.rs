@@ -1,54 +1,55 @@
 //! The DDA of the step generator (Bresenham's algorithm): which axes step at a tick. `step_axes` computes one tick,
 //! `steps_into` many ticks in a row.
 //!
-//! One threshold serves all axes. A tick takes each axis' own rate (times the units the tick advances) off what is left
-//! until its next step; an axis with less than that left steps and gets the threshold added. On a line the rate is the axis'
-//! steps, and all begin with half the threshold, so each stays within half a step of the straight line, and after the whole
-//! block all have half of it again:
+//! One threshold serves all axes. Each axis has a remainder until its next step. A tick subtracts the axis' rate, times
+//! the units that the tick advances. If the remainder becomes negative, the axis steps and the threshold is added. On a
+//! line the rate is the axis' number of steps, and all remainders begin with half the threshold. So each axis stays
+//! within half a step of the straight line, and after the whole block each remainder is half the threshold again:
 //!
 //! ```text
-//!  what is left of Y for (X, Y) = (10, 3), threshold 10, in steps of X      1 2 3 4 5 6 7 8 9 10
+//!  steps of Y for (X, Y) = (10, 3), threshold 10, in steps of X             1 2 3 4 5 6 7 8 9 10
 //!                                                                       Y     ^       ^     ^
 //! ```
-//! Rate and threshold of a block, and those of a chord that begins between steps, are those of `measure`.
+//! `measure` defines the rate and threshold of a block, also for a chord that begins between steps.
 
 use core::sync::atomic::{Ordering, compiler_fence};
 
-/// Axes of a step task at most.
+/// Maximum number of axes of a step task.
 const MOST_AXES: usize = 4;
 
-/// One tick: each axis counts down to its next step by its increment. The axes that step, bit 0 for X.
+/// Executes one tick: reduces each axis' remainder by its increment. Returns the axes that step, bit 0 for X.
 #[inline(always)]
 pub(super) fn step_axes<const N: usize>(left: &mut [u32; N], increments: &[u32; N], threshold: u32) -> u8 {
     let mut minus_steps = 0_i32;
     let threshold = threshold as i32;
-    // The last axis first: each doubles the bits of those before it.
+    // The last axis first: each axis shifts the bits of those already processed up by one.
     for (left, increment) in left.iter_mut().zip(increments).rev() {
-        // Both are at most the threshold, which is at most 2^30, and some parts of a step more, or are as little below 0.
-        // So the sign says whether the axis steps, and without a branch: all bits of `stepping` are those of a sign. No
-        // axis steps twice in a tick, which advances a step of the dominant axis at most, and begins at a multiple of
-        // what it advances: with as many steps it makes one in each of these, wherever its ends are, and with less its
-        // true way is shorter, too.
+        // `left` and `increment` lie between 0 and the threshold (at most 2^30), or beyond by a few parts of a step. So
+        // the sign of `rest` shows whether the axis steps. `stepping` is all ones or all zeros, which avoids a branch.
+        // No axis steps twice in a tick: a tick advances at most one step of the dominant axis and begins at a multiple
+        // of its own size. An axis with as many steps as the dominant one makes exactly one step in each such interval,
+        // wherever its exact ends are; an axis with fewer steps travels less.
         let rest = left.wrapping_sub(*increment) as i32;
         let stepping = rest >> 31;
         *left = rest.wrapping_add(threshold & stepping) as u32;
         minus_steps = minus_steps.wrapping_mul(2).wrapping_add(stepping);
-        // One axis after the other: all at once they need more registers than an interrupt gets for nothing.
+        // Forces one axis after the other: interleaved, they need more registers than the hardware saves on an
+        // interrupt.
         compiler_fence(Ordering::SeqCst);
     }
     minus_steps.wrapping_neg() as u8
 }
 
-/// Whether an axis steps at the next tick.
+/// Returns whether an axis steps at the next tick.
 #[inline(always)]
 pub(super) fn steps_next<const N: usize>(left: &[u32; N], increments: &[u32; N]) -> bool {
     // As in `step_axes`.
     left.iter().zip(increments).any(|(left, increment)| (left.wrapping_sub(*increment) as i32) < 0)
 }
 
-/// As many ticks in a row as there are words: for each the word of the axes that step. An axis that steps at each of them (the
-/// dominant one, when a tick is a whole step) needs no countdown, one that never steps neither: the loop counts for as many axes
-/// as are left.
+/// Executes one tick per element of `words`, and writes the entry of `table` for the axes that step. Two kinds of axes
+/// need no countdown: those that step at each tick (the dominant axis, if a tick is a whole step) and those that never
+/// step. The loop counts only the others.
 #[inline(always)]
 pub(super) fn steps_into<const N: usize, const WORDS: usize>(
     left: &mut [u32; N],
@@ -59,7 +60,7 @@ pub(super) fn steps_into<const N: usize, const WORDS: usize>(
 ) {
     const { assert!(N <= MOST_AXES && WORDS == 1 << N, "a word for each combination of axes") };
     let mut always = 0_usize;
-    // Shifted in, the last axis first, and not written to a place that is counted: so they stay in registers.
+    // Axes are shifted in, the last one first, rather than written to a computed index, so that they stay in registers.
     let mut counting = [Countdown::NONE; MOST_AXES];
     let mut count = 0_usize;
     for (axis, (left, increment)) in left.iter().zip(increments).enumerate().rev() {
@@ -74,14 +75,14 @@ pub(super) fn steps_into<const N: usize, const WORDS: usize>(
     let [a, b, c, d] = counting;
     match count {
         0 => words.fill(table.get(always % WORDS).copied().unwrap_or(0)),
-        // For one counting axis a loop of its own would save little: the other one takes nothing off.
+        // A separate loop for one counting axis would save little; the second countdown subtracts nothing.
         1 | 2 => count_down::<_, 2, 4, _>(left, [a, b], always, threshold, table, words),
         4 if N > 3 => count_down::<_, 4, 16, _>(left, [a, b, c, d], always, threshold, table, words),
         _ => count_down::<_, 3, 8, _>(left, [a, b, c], always, threshold, table, words),
     }
 }
 
-/// An axis that counts down to its next step: what is left until then, and its increment.
+/// The countdown of an axis: its remainder until the next step, and its increment.
 #[derive(Clone, Copy)]
 struct Countdown {
     axis: usize,
@@ -94,8 +95,8 @@ impl Countdown {
     const NONE: Self = Self { axis: MOST_AXES, left: 0, increment: 0 };
 }
 
-/// The countdown of `K` axes over as many ticks as there are words: for each the word of the axes that step, those that
-/// `always` do among them.
+/// Counts down `K` axes, one tick per element of `words`, and writes the entry of `table` for the axes that step. The
+/// axes in the mask `always` step at each tick.
 #[inline(always)]
 fn count_down<const N: usize, const K: usize, const OF_THEM: usize, const WORDS: usize>(
     left: &mut [u32; N],
@@ -106,7 +107,7 @@ fn count_down<const N: usize, const K: usize, const OF_THEM: usize, const WORDS:
     words: &mut [u32],
 ) {
     const { assert!(OF_THEM == 1 << K, "a word for each combination of them") };
-    // Of their steps, one bit each in their order: the word with all axes.
+    // For each combination of steps of the `K` axes (one bit each, in their order): the word, with the `always` axes.
     let of_steps: [u32; OF_THEM] = core::array::from_fn(|steps| {
         let all = axes.iter().enumerate().filter(|(bit, _)| steps >> bit & 1 != 0);
         let stepping = all.fold(always, |stepping, (_, of)| stepping | 1 << of.axis);

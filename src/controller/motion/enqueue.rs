@@ -1,6 +1,6 @@
-//! Turns a move into a block at the end of the queue: steps of each motor, length, speed, acceleration and jerk, and
-//! the speed at the corner before it. A move with too many steps for one block is cut into pieces, and steps for
-//! backlash are added.
+//! Turns a move into a block at the end of the queue: computes each motor's steps, the length, speed, acceleration and
+//! jerk, and the speed at the corner before it. Divides a move with too many steps for one block, and adds steps for
+//! backlash compensation.
 
 use super::arc::Curvature;
 use super::axis_limits::{GREATEST_ACCELERATION, shares};
@@ -18,11 +18,12 @@ use crate::axes::{Axis, PerAxis};
 use crate::messages::AxisSteps;
 use crate::units::Coordinate;
 
-/// The greatest override that bends are noted for; Grbl's realtime commands go up to it.
+/// Maximum override that bends are determined for; Grbl's realtime commands reach it.
 const MOST_OVERRIDE: f32 = 2.0;
 
-/// The steps of a chord with its true ends, which are told in terms of the axes. With very many steps it is stepped as a
-/// line: a part of a step is nothing to it.
+/// Returns the steps of a chord with its exact ends. `ends`: offsets of start and end from their steps, in sevenths of
+/// a step along the positive axes. A chord with very many steps is stepped as a line: parts of a step do not matter
+/// there.
 fn steps_with_ends<const N: usize>(steps: &[u32; N], directions: u8, ends: &[[i32; N]; 2]) -> [AxisSteps; N] {
     let mut steps_by_axis = steps.map(AxisSteps::on_steps);
     if steps.iter().all(|steps| *steps <= Measure::MOST_STEPS) {
@@ -35,7 +36,7 @@ fn steps_with_ends<const N: usize>(steps: &[u32; N], directions: u8, ends: &[[i3
     steps_by_axis
 }
 
-/// Steps with their direction.
+/// Returns steps with their direction as the sign.
 fn signed_steps<const N: usize>(steps: &[u32; N], directions: u8) -> [i32; N] {
     let mut signed = [0; N];
     for (bit, (signed, steps)) in signed.iter_mut().zip(steps).enumerate() {
@@ -52,19 +53,21 @@ fn unsigned_steps<const N: usize>(signed: &[i32; N]) -> ([u32; N], u8) {
     (signed.map(i32::unsigned_abs), directions)
 }
 
-/// From the end of the last block to the target of a move.
+/// The path from the end of the last block to the target of a move.
 struct Path<const N: usize> {
-    /// The displacement of each axis, and the length of the straight line, mm.
+    /// Displacement of each axis, mm.
     way: PerAxis<f32, N>,
+    /// Length of the straight line, mm.
     straight: f32,
     /// Length of the move alone, mm.
     own: f32,
-    /// The same with moves without a step before it, and less what the last block was given too much.
+    /// `own`, plus the moves without a step before it, less the excess length of the last block, mm.
     length: f32,
 }
 
 impl<const N: usize> Path<N> {
-    /// Whether it replaces moves without a step that led away and back, some of these steps' worth of them.
+    /// Returns whether the path contains moves without a step that led away and back: it is longer than the straight
+    /// line by more than 10 % and more than two steps of `step_mm`.
     #[inline]
     fn leads_nowhere(&self, step_mm: f32) -> bool {
         self.length > 1.1 * self.straight && self.length - self.straight > 2.0 * step_mm
@@ -74,29 +77,30 @@ impl<const N: usize> Path<N> {
 /// The steps of a block.
 struct MotorSteps<const N: usize> {
     steps: [u32; N],
-    /// A bit for each motor: set if it turns to negative.
+    /// One bit per motor, set for the negative direction.
     directions: u8,
 }
 
-/// How large the steps of a block are.
+/// Number and size of a block's steps.
 #[derive(Clone, Copy)]
 struct StepSizes {
-    /// Steps of the motor that has most.
+    /// Number of steps of the dominant motor.
     dominant: u32,
-    /// The way that the steps stand for, less half a step: how long the path must be at least, mm.
+    /// Minimum length of the path: the distance of the steps, less half a step, mm.
     least_mm: f32,
-    /// A step of the coarsest motor that moves, mm.
+    /// Size of a step of the coarsest motor that moves, mm.
     coarsest_mm: f32,
 }
 
 impl<const N: usize> MoveQueue<N> {
-    /// Queues a move. `false`: no room, nothing done. A move without a step makes no block; its length goes to the next.
+    /// Queues a move. Returns `false`, with nothing done, if there is no room. A move too short for a step makes no
+    /// block; its length is carried over to the next block.
     pub(super) fn line(&mut self, m: &Move<N>) -> bool {
         self.queue(m, UNLIMITED2, false)
     }
 
-    /// Queues a chord of a curve: [`MoveQueue::line`], not faster than the curve allows, and stepped along its true ends
-    /// instead of the steps next to them.
+    /// Queues a chord of a curve like [`MoveQueue::line`], but not faster than the curve allows. The steps follow the
+    /// chord's exact ends instead of the full steps nearest to them.
     pub(super) fn chord(&mut self, m: &Move<N>, curvature: Curvature) -> bool {
         let mut acceleration = GREATEST_ACCELERATION;
         for (axis, most) in Axis::of_machine::<N>().zip(self.limits.turns.acceleration) {
@@ -116,7 +120,7 @@ impl<const N: usize> MoveQueue<N> {
         true
     }
 
-    /// Queues a move where there is room. `chord`: along its true ends, instead of the steps next to them.
+    /// Queues a move; there must be room. `chord`: the steps follow its exact ends.
     #[inline]
     pub(super) fn put(&mut self, m: &Move<N>, curve_speed2: f32, chord: bool) {
         if self.backlash.is_on()
@@ -124,7 +128,7 @@ impl<const N: usize> MoveQueue<N> {
         {
             return self.put_timed(m, seconds, curve_speed2, chord);
         }
-        // A probe brakes within its own block.
+        // Moves without overrides (probing) are not divided, because a probe brakes within its own block.
         if self.backlash.is_on() && !m.no_feed_override {
             if !chord {
                 self.take_up_before_plunge(m);
@@ -144,21 +148,23 @@ impl<const N: usize> MoveQueue<N> {
         if let Speed::Duration(seconds) = m.speed {
             whole.speed = Speed::Feed(self.end.distance(&m.target) / seconds);
         }
-        // One piece more than the quotient: a piece's own rounding may add a step.
+        // One piece more than the quotient, because rounding may add a step to a piece.
         let pieces = most / (MAX_STEPS / 2) + 1;
         self.long = Some(LongMove { start: self.end.planned, whole, curve_speed2, pieces, next: 1 });
         self.continue_long_move();
     }
 
-    /// The time is that of the whole, and a piece of it may be cut off.
-    // By itself, so that the other moves are read where they are.
+    /// Queues a move with a duration as a feed move: backlash compensation may divide it, and the duration is that of
+    /// the whole move.
+    // Not inlined, so that all other moves are used without a copy.
     #[inline(never)]
     fn put_timed(&mut self, m: &Move<N>, seconds: f32, curve_speed2: f32, chord: bool) {
         let speed = Speed::Feed(self.end.distance(&m.target) / seconds);
         self.queue(&Move { speed, ..*m }, curve_speed2, chord);
     }
 
-    /// A queue for a few moves, each from rest to rest, needs neither the rule for turns nor joins.
+    /// Returns whether the queue has a look-ahead. A queue for a few moves, each from rest to rest, needs neither the
+    /// rule for turns nor joins.
     #[inline]
     fn looks_ahead(&self) -> bool {
         self.planner.capacity() > 2
@@ -187,12 +193,13 @@ impl<const N: usize> MoveQueue<N> {
                 self.long = None;
             }
             let steps = self.kinematics.steps(&piece.target);
-            // Pieces have more steps than can begin or end between them.
+            // A piece has too many steps for exact ends (`steps_with_ends`).
             self.append(&piece, &steps, long.curve_speed2, false);
         }
     }
 
-    /// Makes a block of a move; there is room and it is not too long. `curve_speed2`: greatest speed² on its curve, if it knows.
+    /// Makes a block of a move, which must have few enough steps; there must be room. `curve_speed2`: maximum speed² on
+    /// the curve of a chord.
     fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, curve_speed2: f32, chord: bool) {
         let promised2 =
             if self.looks_ahead() { self.join(m, target_steps, curve_speed2 >= UNLIMITED2 && !chord) } else { 0.0 };
@@ -206,8 +213,8 @@ impl<const N: usize> MoveQueue<N> {
             self.end.is_past_block = true;
             return;
         }
-        // Rounding can turn a move of 0.1 nm into a whole step. In the time of the programmed length that step would be far
-        // too fast, so the block is taken as longer, and the next one as shorter by as much.
+        // Rounding can turn a move of 0.1 nm into a whole step. In the time for the programmed length, that step would
+        // be far too fast. So this block counts as longer, and the next one as shorter by the same amount.
         let length = greater(path.length, sizes.least_mm);
         let speed = if path.own == length { m.speed } else { self.carry_over(m, &path, length, sizes.least_mm) };
         let start = core::mem::replace(&mut self.end.block_end, m.target);
@@ -217,7 +224,7 @@ impl<const N: usize> MoveQueue<N> {
         let unit = if path.straight > 0.0 { path.way.0.map(|part| part / path.straight) } else { self.end.direction };
         let line_number = self.number_of(m);
         let mut block = Block::<N> { length, line_number, power: m.power, ..Block::EMPTY };
-        // What the axes move: in a block that is taken as longer, that is the way of its steps.
+        // In a block that counts as longer, the displacement of the axes is that of its steps.
         if path.length < length {
             path.way = self.way_of_steps(&motors, length, &path.way);
         }
@@ -252,7 +259,8 @@ impl<const N: usize> MoveQueue<N> {
         self.push(block, &piece, span);
     }
 
-    /// The speed of a block with a `length` that is not that of its move. What it is too long is carried on, up to `most`.
+    /// Returns the speed of a block whose `length` differs from that of its move. Carries over the excess length, up to
+    /// `most`.
     #[cold]
     #[inline(never)]
     fn carry_over(&mut self, m: &Move<N>, path: &Path<N>, length: f32, most: f32) -> Speed {
@@ -264,8 +272,8 @@ impl<const N: usize> MoveQueue<N> {
         speed
     }
 
-    /// Sets what bounds a block's speed, with the shares of the axes in it, and how fast it is meant to be; with backlash adds
-    /// what it takes up to the motors' steps. Gives the flag of a rapid.
+    /// Sets a block's speed limit, acceleration and jerk from the shares of the axes in it (`moved`), and its
+    /// programmed speed. With backlash, adds the compensation to the motors' steps. Returns `RAPID` or 0.
     #[inline]
     fn set_speeds(
         &mut self,
@@ -299,8 +307,9 @@ impl<const N: usize> MoveQueue<N> {
         rapid
     }
 
-    /// Greatest speed² at the corner before the piece of a path, on which the coarsest motor has steps of so many mm. A block
-    /// that takes the time of moves that led nowhere has corners before and behind it.
+    /// Returns the maximum speed² at the corner before a piece of the path. `coarsest_mm`: step size of the coarsest
+    /// motor. A block that takes the time of moves that led away and back counts as having square corners before and
+    /// after it.
     #[inline]
     fn entry_corner2(&mut self, piece: &PathPiece<'_, N>, span: &Span<N>, path: &Path<N>, coarsest_mm: f32) -> f32 {
         if self.end.motors_only {
@@ -316,7 +325,7 @@ impl<const N: usize> MoveQueue<N> {
         if core::mem::take(&mut self.end.motors_only) { 0.0 } else { corner2 }
     }
 
-    /// Queues a block, looks for turns of several moves that its piece of the path ends, and plans.
+    /// Queues a block, looks for bends of several moves that end with its piece of the path, and plans.
     #[inline]
     fn push(&mut self, block: Block<N>, piece: &PathPiece<'_, N>, span: Span<N>) {
         self.planner.push(block, self.overrides);
@@ -327,7 +336,7 @@ impl<const N: usize> MoveQueue<N> {
         self.planner.plan();
     }
 
-    /// The path from the end of the last block.
+    /// Returns the path from the end of the last block to a target.
     #[inline]
     fn path_to(&self, target: &PerAxis<Coordinate, N>) -> Path<N> {
         let way = target.zip(&self.end.block_end, way_mm);
@@ -340,7 +349,7 @@ impl<const N: usize> MoveQueue<N> {
         Path { way, straight, own, length: own + self.end.length_carry }
     }
 
-    /// The steps from the end of the last block.
+    /// Returns the steps from the end of the last block to `target_steps`, and their sizes.
     #[inline]
     fn steps_to(&self, target_steps: &PerAxis<i32, N>) -> (MotorSteps<N>, StepSizes) {
         let mut motors = MotorSteps { steps: [0; N], directions: 0 };
@@ -361,7 +370,8 @@ impl<const N: usize> MoveQueue<N> {
         (motors, sizes)
     }
 
-    /// The way of each axis in these steps of the motors, made as long as `length`, or its true way where that is longer.
+    /// Returns for each axis the displacement of the motors' steps, scaled to a total of `length`, or the axis' `way`
+    /// if that is longer.
     #[cold]
     fn way_of_steps(&self, motors: &MotorSteps<N>, length: f32, way: &PerAxis<f32, N>) -> PerAxis<f32, N> {
         let stepped = self.kinematics.way_of_axes(&signed_steps(&motors.steps, motors.directions));
@@ -372,7 +382,7 @@ impl<const N: usize> MoveQueue<N> {
         )
     }
 
-    /// How far the ends of a move are beyond their steps, in sevenths of a step; for chords only.
+    /// Returns the offsets of a chord's start and end from their steps, in sevenths of a step; `None` for other moves.
     #[inline]
     fn true_ends(
         &mut self,
@@ -391,7 +401,7 @@ impl<const N: usize> MoveQueue<N> {
         Some([start, end])
     }
 
-    /// Cuts off the beginning of a move that turns back, as long as taking up the slack needs, and queues it.
+    /// If a move reverses a motor, cuts off its beginning, as long as backlash compensation needs, and queues it.
     #[inline(never)]
     fn begin_taking_up(&mut self, m: &Move<N>, curve_speed2: f32, chord: bool) {
         let steps = self.kinematics.steps(&m.target);
@@ -426,7 +436,8 @@ impl<const N: usize> MoveQueue<N> {
         }
     }
 
-    /// How many steps each motor may take up in a move: not more than a corner would grant to what it moves alone.
+    /// Returns how many steps of backlash each motor may take up in a move: as many as the corner rule allows for the
+    /// axes that this motor moves.
     fn rooms_for_slack(&self, length: f32, acceleration: f32, speed: f32) -> [f32; N] {
         let mut rooms = self.kinematics.least_mm;
         for (motor, room) in rooms.iter_mut().enumerate() {
@@ -438,8 +449,8 @@ impl<const N: usize> MoveQueue<N> {
         rooms
     }
 
-    /// Adds to the steps of a block what it takes up of the slack. `None`: nothing; else the way of the motors, in terms
-    /// of the axes.
+    /// Adds backlash compensation to a block's steps. Returns the motors' displacement, converted to axes, mm; `None`
+    /// if nothing was to be added.
     #[inline(never)]
     fn take_up(
         &mut self,
@@ -468,18 +479,19 @@ impl<const N: usize> MoveQueue<N> {
         Some(way.zip(&PerAxis(extra), |way, extra| way + extra))
     }
 
-    /// The queue is empty, at a place of the motors. If slack is left, because the last moves were too short: a block of its
-    /// own, from rest to rest, in which the tool is at rest or comes to its position.
+    /// Completes the backlash compensation at the end of the queue, with the motors at `motors`. If the last moves were
+    /// too short for it, queues a separate block from rest to rest, in which the tool stays or reaches its position.
     #[inline(never)]
     pub(super) fn finish_taking_up(&mut self, motors: &Motors<N>, line_number: u32) {
         let taken = self.backlash.finish(&self.end.planned_steps.zip(&motors.tool(), i32::wrapping_sub).0);
         self.turn_motors(&taken, line_number);
     }
 
-    /// What is left of the slack of X and Y is taken up before a move of Z alone: a drill would be dragged by it.
+    /// Takes up the remaining backlash of the first two motors before a move without X and Y; taken up later, it would
+    /// drag a drill sideways.
     #[inline(never)]
     fn take_up_before_plunge(&mut self, m: &Move<N>) {
-        // After a way in X and Y the corner is slow anyway; a profile in Z must not be interrupted.
+        // Only after a move mainly in X and Y, where the corner is slow anyway: a profile in Z must not be interrupted.
         let across2 = self.end.direction.iter().take(2).fold(0.0, |sum, part| sum + part * part);
         if self.planner.capacity() < MOST_BLOCKS_OF_A_MOVE || across2 < 0.5 {
             return;
@@ -494,7 +506,7 @@ impl<const N: usize> MoveQueue<N> {
         }
     }
 
-    /// A block in which motors turn by themselves, from rest to rest.
+    /// Queues a block in which motors turn without a move of the program, from rest to rest.
     fn turn_motors(&mut self, taken: &[i32; N], line_number: u32) {
         if *taken == [0; N] {
             return;
@@ -512,7 +524,7 @@ impl<const N: usize> MoveQueue<N> {
         block.jerk = self.limits.jerk_along(&shares, block.acceleration);
         block.programmed = block.limit;
         block.flags = NO_OVERRIDE | self.marked;
-        // The tool does not move: a beam would burn a hole.
+        // The tool does not move: a laser would burn a hole.
         block.power = 0;
         self.end.motors_only = true;
         self.end_join();

@@ -1,5 +1,5 @@
-//! The bounding box of an arc: its ends, and each quarter point of the circle that lies within its sweep. For soft
-//! limits.
+//! The bounding box of an arc, for soft limits: covers the arc's ends and each quarter point of its circle that lies
+//! within its sweep.
 
 use super::arc::{ArcGeometry, integer_length};
 use crate::axes::{Axis, PerAxis};
@@ -8,7 +8,7 @@ use crate::units::Coordinate;
 const TURN: f32 = core::f32::consts::TAU;
 const QUARTER: f32 = core::f32::consts::FRAC_PI_2;
 
-/// The least and the greatest coordinates on an arc or helix.
+/// Returns the minimum and the maximum coordinates on an arc or helix.
 #[inline(never)]
 pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, PerAxis<Coordinate, N>) {
     let mut least = arc.start.zip(&arc.target, |a, b| a.min(b));
@@ -17,7 +17,8 @@ pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, 
     let centre = [of(&arc.start, arc.axis_0) + arc.offset_0, of(&arc.start, arc.axis_1) + arc.offset_1];
     let to = [of(&arc.target, arc.axis_0) - centre[0], of(&arc.target, arc.axis_1) - centre[1]];
     let first = libm::atan2f(-arc.offset_1.to_mm(), -arc.offset_0.to_mm());
-    // The way from one angle to another in the arc's sense, 0 to a turn; the angles are less than two turns apart.
+    // The rotation from one angle to another in the arc's direction, from 0 to a turn; the angles are less than two
+    // turns apart.
     let forward = |from: f32, to: f32| {
         let mut way = if arc.clockwise { from - to } else { to - from };
         while way < 0.0 {
@@ -25,9 +26,9 @@ pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, 
         }
         if way >= TURN { way - TURN } else { way }
     };
-    // The same that the chords go by: an arc of nearly no angle and one of nearly a turn end in the same place.
+    // The same sweep as the chords use: from the end points alone, a tiny arc and almost a full turn look the same.
     let sweep = if arc.turns > 0 { TURN } else { arc.sweep() };
-    // In whole units: a circle that touches the end of the travel does not leave it.
+    // In whole units, so that a circle that touches the end of the travel does not exceed it.
     let radius = integer_length(arc.offset_0.0, arc.offset_1.0).max(integer_length(to[0].0, to[1].0));
     let radius = Coordinate(radius);
     // The circle's farthest points lie at 0, 90, 180 and 270 degrees from axis 0.
@@ -64,7 +65,7 @@ mod tests {
         }
     }
 
-    /// The extent against ten thousand points of the same arc, for many arcs.
+    /// For many arcs, the extent equals that of ten thousand points of the same arc.
     #[test]
     fn agrees_with_points_on_the_arc() {
         for k in 0..400 {
@@ -91,7 +92,7 @@ mod tests {
         }
     }
 
-    /// Whether an arc that ends next to its start is nothing or a whole circle is asked of the arc.
+    /// For an arc that ends next to its start, extent and chords agree whether it is a whole circle.
     #[test]
     fn agrees_with_the_chords_where_start_and_end_are_near() {
         let mut whole = 0;

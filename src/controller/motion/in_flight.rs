@@ -1,64 +1,65 @@
-//! The segments that have been handed to the step task, in a ring: end position, speed, time, line number and power of
-//! each. Those that have begun are removed; the last of them gives the position and speed that are reported.
+//! Ring of the segments handed to the step task: end position, speed, time, line number and power of each. Segments
+//! that have begun are removed; the one begun last gives the reported position and speed.
 
 use crate::axes::PerAxis;
 use crate::lent::Lent;
 use crate::messages::SEGMENTS_DEPTH;
 
-/// The segment begun last and the one before it.
+/// Number of begun segments that are kept: the one begun last and the one before it.
 pub(super) const BEGUN: usize = 2;
-/// The queue to the step task, its prefetched segment, some that it has made ahead of their time or that are on their way, and
-/// the ones begun.
+/// Size of the ring: the queue to the step task, its prefetched segment and some more that it executes ahead of time or
+/// that are on their way, and the begun ones.
 pub(super) const RING: usize = SEGMENTS_DEPTH + 4 + BEGUN;
 
-/// A segment in words of the machine.
+/// Record of a segment in flight, as needed for reports.
 #[derive(Clone, Copy, Debug)]
 pub struct InFlightSegment<const N: usize> {
-    /// Machine steps of the tool at its end, and how far the motors lead it.
+    /// Tool position at the end of the segment, in machine steps.
     pub position: PerAxis<i32, N>,
+    /// Steps by which each motor leads the tool at the end.
     pub lead: [i32; N],
-    /// mm/s.
+    /// Average speed, mm/s.
     pub speed: f32,
-    /// Its time in step-clock ticks.
+    /// Duration in step-clock ticks.
     pub clocks: u32,
     pub line_number: u32,
     pub power: u16,
-    /// That of its block.
+    /// Mark of the segment's block.
     pub mark: u8,
 }
 
 impl<const N: usize> InFlightSegment<N> {
-    /// Where an index would be out of the ring, which none is.
+    /// Fallback for an index outside the ring, which does not occur; also the initial contents of the ring.
     pub(super) const NONE: Self = Self::still(PerAxis([0; N]), [0; N]);
 
     const fn still(position: PerAxis<i32, N>, lead: [i32; N]) -> Self {
         Self { position, lead, speed: 0.0, clocks: 0, line_number: 0, power: 0, mark: 0 }
     }
 
-    /// Machine steps of the motors at its end.
+    /// Returns the motors' machine steps at the end of the segment.
     pub(super) fn motors(&self) -> PerAxis<i32, N> {
         self.position.zip(&PerAxis(self.lead), i32::wrapping_add)
     }
 }
 
-/// The records of segments not begun, and that of the one begun last.
+/// Ring of the records of segments not begun, and of the two begun last.
 #[derive(Debug)]
 #[cfg_attr(feature = "alloc", derive(Clone))]
 pub(super) struct SegmentsInFlight<const N: usize> {
-    /// A ring buffer. In the two slots before `first` are the segment begun last and the one before it.
+    /// The slots from `first` on hold the segments not begun, the two slots before it the segments begun last.
     ring: Lent<[InFlightSegment<N>]>,
     first: usize,
     len: usize,
-    /// Time of all records in the ring.
+    /// Total duration of the segments not begun, in step-clock ticks.
     queued: u32,
-    /// Count of the step task at which the first record of the ring is still to begin.
+    /// The step task's count of begun segments before the segment at `first` begins.
     begun: u32,
-    /// A segment has begun since the step task was last at rest.
+    /// Whether a segment has begun since the step task was last at rest.
     moves: bool,
 }
 
 impl<const N: usize> SegmentsInFlight<N> {
-    /// At position 0. The ring has room for [`BEGUN`] segments more than can be in flight.
+    /// Creates an empty record at position 0. The ring must hold [`BEGUN`] segments more than can be in flight.
     pub(super) fn new(ring: Lent<[InFlightSegment<N>]>) -> Self {
         Self { ring, first: 0, len: 0, queued: 0, begun: 0, moves: false }
     }
@@ -68,7 +69,7 @@ impl<const N: usize> SegmentsInFlight<N> {
         self.len + BEGUN >= self.ring.len()
     }
 
-    /// Two motions exchange their rings; both are at rest.
+    /// Exchanges the rings of two motions. Both must be at rest; each keeps its own begun segments.
     pub(super) fn exchange_ring(&mut self, other: &mut Self) {
         debug_assert!(self.is_empty() && other.is_empty());
         let begun = [(*self.before(), *self.current()), (*other.before(), *other.current())];
@@ -88,23 +89,23 @@ impl<const N: usize> SegmentsInFlight<N> {
         self.len == 0
     }
 
-    /// Whether a segment has begun since the step task was last at rest.
+    /// Returns whether a segment has begun since the step task was last at rest.
     pub(super) fn moves(&self) -> bool {
         self.moves
     }
 
-    /// Step-clock ticks handed over and not begun.
+    /// Returns the total duration of the segments not begun, in step-clock ticks.
     #[inline]
     pub(super) fn queued(&self) -> u32 {
         self.queued
     }
 
-    /// The segment begun last.
+    /// Returns the segment begun last.
     pub(super) fn current(&self) -> &InFlightSegment<N> {
         self.begun_before(1)
     }
 
-    /// What had been done before the segment begun last.
+    /// Returns the segment before the one begun last.
     pub(super) fn before(&self) -> &InFlightSegment<N> {
         self.begun_before(2)
     }
@@ -113,7 +114,7 @@ impl<const N: usize> SegmentsInFlight<N> {
         self.ring.get(self.slot(many)).unwrap_or(&InFlightSegment::NONE)
     }
 
-    /// The slot so many before the first.
+    /// Returns the slot that is `many` slots before `first`.
     #[inline]
     fn slot(&self, many: usize) -> usize {
         if self.first >= many { self.first - many } else { self.first + self.ring.len() - many }
@@ -129,7 +130,7 @@ impl<const N: usize> SegmentsInFlight<N> {
         }
     }
 
-    /// Takes over how many segments have begun.
+    /// Updates the ring from the step task's count of begun segments. `idle`: the step task is at rest.
     #[inline]
     pub(super) fn observe(&mut self, begun: u32, idle: bool) {
         while self.len > 0 && self.begun != begun {
@@ -141,7 +142,7 @@ impl<const N: usize> SegmentsInFlight<N> {
             self.moves = true;
         }
         if self.len == 0 {
-            // After a stop the step task begins nothing before the gate is opened, so the count cannot be too old here.
+            // After a stop the step task begins no segment until its gate is opened, so the count is up to date here.
             self.begun = begun;
             if !idle {
                 return;
@@ -156,7 +157,7 @@ impl<const N: usize> SegmentsInFlight<N> {
         }
     }
 
-    /// Everything handed over is gone; the machine rests at `position`.
+    /// Clears all segments in flight; the machine rests at `position`.
     pub(super) fn forget(&mut self, position: PerAxis<i32, N>, lead: [i32; N]) {
         self.len = 0;
         self.queued = 0;

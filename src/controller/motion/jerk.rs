@@ -1,5 +1,5 @@
-//! The S-curve, mathematics only: changes of speed within `Bounds` of acceleration and jerk. `ramp_distance` and its
-//! inverse `ramp_speed` (by Newton's method) belong to ramps that begin and end without acceleration.
+//! The mathematics of the S-curve: changes of speed within `Bounds` of acceleration and jerk. `ramp_distance` and its
+//! inverse `ramp_speed` (by Newton's method) are for ramps that begin and end without acceleration.
 //!
 //! ```text
 //!  speed  from ____                       acceleration   0 ___                 ___
@@ -10,7 +10,8 @@
 //!                          \____ to       distance = mean speed · time; the curve is the same seen from either end,
 //!                                         so its mean speed is that of its ends
 //! ```
-//! Millimetres and seconds. Only + - * / and the root, so that every machine computes the same.
+//! Units are millimetres and seconds. Only + - * / and the square root are used, so that results are the same on every
+//! machine.
 
 use super::trapezoid::{greater, lesser, square_root};
 
@@ -21,7 +22,7 @@ pub(super) struct PathState {
     pub acceleration: f32,
 }
 
-/// What bounds a change of speed.
+/// Bounds on a change of speed: acceleration (mm/s²) and jerk (mm/s³).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Bounds {
     pub acceleration: f32,
@@ -31,21 +32,22 @@ pub(super) struct Bounds {
 impl Bounds {
     pub(super) const NONE: Self = Self { acceleration: f32::INFINITY, jerk: f32::INFINITY };
 
-    /// Not more than these, in numbers of which the upper half says all.
+    /// Returns the bounds rounded down to numbers whose lower 16 bits are 0.
     #[inline]
     pub(super) fn rounded_down(self) -> Self {
         let upper = |value: f32| f32::from_bits(value.to_bits() & 0xFFFF_0000);
         Self { acceleration: upper(self.acceleration), jerk: upper(self.jerk) }
     }
 
-    /// The tighter of both.
+    /// Returns the lower acceleration and the lower jerk of both.
     #[inline]
     pub(super) fn and(self, other: Self) -> Self {
         Self { acceleration: lesser(self.acceleration, other.acceleration), jerk: lesser(self.jerk, other.jerk) }
     }
 }
 
-/// The distance that falling from one speed to a lower one takes, without acceleration at both ends; the same upwards.
+/// Returns the distance needed to slow down from one speed to a lower one (or to speed up in reverse), without
+/// acceleration at both ends.
 #[inline]
 pub(super) fn ramp_distance(from: f32, to: f32, bounds: Bounds) -> f32 {
     let change = from - to;
@@ -56,13 +58,14 @@ pub(super) fn ramp_distance(from: f32, to: f32, bounds: Bounds) -> f32 {
     let time = if change * jerk >= acceleration * acceleration {
         change / acceleration + acceleration / jerk
     } else {
-        // Too small to come to the greatest acceleration: half of the time it grows, half it falls.
+        // The change is too small to reach the maximum acceleration: the acceleration grows for half of the time and
+        // falls for the other half.
         2.0 * square_root(change / jerk)
     };
     0.5 * (from + to) * time
 }
 
-/// The greatest speed from which `distance` suffices to fall to `to`: the inverse of [`ramp_distance`].
+/// Returns the maximum speed from which `distance` suffices to slow down to `to`: the inverse of [`ramp_distance`].
 pub(super) fn ramp_speed(to: f32, distance: f32, bounds: Bounds) -> f32 {
     let Bounds { acceleration, jerk } = bounds;
     if distance <= 0.0 {
@@ -77,7 +80,8 @@ pub(super) fn ramp_speed(to: f32, distance: f32, bounds: Bounds) -> f32 {
             return to + change;
         }
     }
-    // With y² = x / j... y = √x: y³ + 2·to·y = distance·√j, convex, and both terms alone give a y that is too great.
+    // With y = √x: y³ + 2·to·y = distance·√j. The left side is convex, and either term alone gives a y that is too
+    // great.
     let wanted = distance * square_root(jerk);
     let mut root = cube_root(wanted);
     if 2.0 * to * root > wanted {
@@ -90,16 +94,16 @@ pub(super) fn ramp_speed(to: f32, distance: f32, bounds: Bounds) -> f32 {
     to + root * root
 }
 
-/// Steps of Newton's method from the greater of two bounds that are apart by a factor of 1.4 at most: 24 bits.
+/// Number of Newton iterations. They reach 24 bits, because the starting value is too great by a factor of 1.4 at most.
 const NEWTON: u32 = 4;
 
-/// The third root, for what is not negative.
+/// Returns the cube root of a nonnegative number.
 #[inline]
 pub(super) fn cube_root(value: f32) -> f32 {
     if value <= f32::MIN_POSITIVE {
         return 0.0;
     }
-    // A third of the exponent: within 6 %.
+    // A third of the exponent gives the root within 6 %.
     let mut root = f32::from_bits(value.to_bits() / 3 + 0x2A51_4067);
     for _ in 0..3 {
         root = (2.0 * root + value / (root * root)) * (1.0 / 3.0);
@@ -108,8 +112,8 @@ pub(super) fn cube_root(value: f32) -> f32 {
 }
 
 impl PathState {
-    /// The speed without acceleration that belongs to this state: after easing off an acceleration, or before a braking
-    /// set in; and how far ahead it lies (behind, if negative).
+    /// Returns the maximum speed of the ramp that this state lies on, where the acceleration is 0, and the distance to
+    /// that point: after the acceleration has been eased off (positive), or before the braking began (negative).
     #[inline]
     pub(super) fn summit(self, jerk: f32) -> (f32, f32) {
         let time = self.acceleration / jerk;
@@ -117,7 +121,7 @@ impl PathState {
         (self.speed + 0.5 * gain, time * (self.speed + gain * (1.0 / 3.0)))
     }
 
-    /// The speed at which a braking can be eased off, and the distance until there.
+    /// Returns the speed that remains after the deceleration has been eased off, and the distance to that point.
     #[inline]
     pub(super) fn valley(self, jerk: f32) -> (f32, f32) {
         let time = -self.acceleration / jerk;
@@ -125,14 +129,15 @@ impl PathState {
         (self.speed - 0.5 * loss, time * (self.speed - loss * (1.0 / 3.0)))
     }
 
-    /// Whether a braking machine can come down to `target` within `distance`, and be without acceleration there.
+    /// Returns whether a braking machine can slow down to `target` within `distance`, and have no acceleration there.
     pub(super) fn lands(self, target: f32, distance: f32, bounds: Bounds) -> bool {
         let (valley, way) = self.valley(bounds.jerk);
         if self.speed <= target {
             return true;
         }
         if valley <= 0.0 {
-            // Too slow to ease off before it comes to rest: the way to the target's speed while it does.
+            // The machine comes to rest before its deceleration is eased off. Compare the distance to the target speed
+            // meanwhile.
             let change = self.speed - target;
             let root = square_root(greater(self.acceleration * self.acceleration - 2.0 * bounds.jerk * change, 0.0));
             let time = 2.0 * change / (root - self.acceleration);
@@ -145,20 +150,20 @@ impl PathState {
         self.falls(target, distance, bounds)
     }
 
-    /// Whether from the summit that belongs to this state the ramp to `target` ends within `distance` from here.
+    /// Returns whether the ramp from this state's [`PathState::summit`] to `target` ends within `distance` from here.
     #[inline]
     fn falls(self, target: f32, distance: f32, bounds: Bounds) -> bool {
         let (summit, ahead) = self.summit(bounds.jerk);
         summit <= target || ramp_distance(summit, target, bounds) + ahead <= distance
     }
 
-    /// The acceleration after `time` with which the machine comes to `nominal` soonest and without acceleration.
+    /// Returns the acceleration after `time` with which the machine reaches `nominal` soonest and without acceleration.
     #[inline]
     pub(super) fn towards(self, nominal: f32, time: f32, bounds: Bounds) -> f32 {
         let Bounds { acceleration, jerk } = bounds;
         let half = 0.5 * jerk * time;
         let excess = self.speed + 0.5 * self.acceleration * time - nominal;
-        // Zero is reached after a / j at the speed v ± a² / 2j; that speed shall be the nominal one.
+        // The acceleration reaches 0 after a / j, at the speed v ± a² / 2j, which must equal the nominal speed.
         let wanted = if excess < 0.0 {
             square_root(half * half - 2.0 * jerk * excess) - half
         } else {
@@ -168,8 +173,8 @@ impl PathState {
     }
 }
 
-/// The acceleration at a speed with which an even jerk ends at `target` without acceleration, just after `distance`:
-/// followed from place to place it is a curve of even jerk, whatever small errors come in between.
+/// Returns the acceleration at `speed` with which a constant jerk leads to `target` without acceleration, exactly after
+/// `distance`. Recomputed at each point, it gives a curve of constant jerk that corrects small errors.
 #[inline]
 pub(super) fn landing(speed: f32, target: f32, distance: f32) -> f32 {
     -(2.0 / 3.0) * (speed - target) * (speed + 2.0 * target) / distance
@@ -181,7 +186,7 @@ mod tests {
 
     const BOUNDS: Bounds = Bounds { acceleration: 500.0, jerk: 10_000.0 };
 
-    /// Brakes in small steps of time, from one speed to another.
+    /// Integrates braking from one speed to another in small time steps; returns the distance.
     fn brake(from: f64, to: f64, bounds: Bounds) -> f64 {
         let (a, j) = (f64::from(bounds.acceleration), f64::from(bounds.jerk));
         let change = from - to;
@@ -233,7 +238,7 @@ mod tests {
         assert_eq!(cube_root(0.0), 0.0);
     }
 
-    /// A state within a ramp belongs to that ramp's summit, and can land where the ramp ends and no sooner.
+    /// A state within a ramp has the summit of that ramp, and `lands` holds for the end of the ramp but not sooner.
     #[test]
     fn states_within_a_ramp_belong_to_it() {
         let (from, to) = (80.0_f32, 20.0);
@@ -253,7 +258,8 @@ mod tests {
         }
     }
 
-    /// Wherever a state is said to land below the speed at which it is eased off, doing just that comes down in time.
+    /// If `lands` holds for a target above the `valley` speed, easing off the deceleration at once reaches the target
+    /// in time.
     #[test]
     fn easing_off_at_once_comes_down_in_time() {
         let jerk = BOUNDS.jerk;

@@ -1,24 +1,24 @@
-//! The look-ahead with a jerk limit: what the reverse pass and the running ramp know of the way to the next anchor. An
-//! anchor is an entry at which a ramp ends; [`super::planner`] shows how they are found.
+//! Data of the look-ahead with a jerk limit: what the reverse pass and the running ramp need about the distance to the
+//! next anchor. An anchor is an entry at which a ramp ends; [`super::planner`] describes how anchors are found.
 
 use super::block::{Block, CurveLoad};
 use super::jerk::{Bounds, PathState, ramp_distance, ramp_speed};
 use super::trapezoid::{lesser, square_root};
 
-/// Bounds that differ by less than this factor are taken for the same: on a curve they change from block to block, and an
-/// anchor at each of them would cost more than the tighter bounds.
+/// Ratio above which two bounds count as the same. On a curve, bounds change slightly from block to block; an anchor at
+/// each change would cost more time than the tighter bounds do.
 const ALIKE: f32 = 0.8;
 
-/// The way back from an anchor, while the reverse pass goes along it.
+/// The path between an anchor and the place that the reverse pass has reached before it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Way {
-    /// Of the anchor, mm/s.
+    /// Speed at the anchor, mm/s.
     pub speed: f32,
-    /// How far it is, mm.
+    /// Distance to the anchor, mm.
     pub distance: f32,
-    /// The greatest speed² that entries on the way allow.
+    /// Maximum speed² that the entries in between allow.
     pub ceiling2: f32,
-    /// The tightest ones on the way.
+    /// The tightest bounds in between.
     pub bounds: Bounds,
 }
 
@@ -27,15 +27,15 @@ impl Way {
         Self { speed, distance: 0.0, ceiling2: f32::INFINITY, bounds: Bounds::NONE }
     }
 
-    /// Whether a block with these bounds is of another kind than those on the way.
+    /// Returns whether a block's bounds differ noticeably from those on the path.
     #[inline]
     pub(super) fn differs(&self, own: Bounds) -> bool {
         let apart = |a: f32, b: f32| a < ALIKE * b || b < ALIKE * a;
         apart(own.acceleration, self.bounds.acceleration) || apart(own.jerk, self.bounds.jerk)
     }
 
-    /// The speed of an anchor right here, if a ramp from `cap2` gets shorter by ending here and not with this way: a block
-    /// with tight bounds would else spoil all of a long ramp.
+    /// Returns the speed of an additional anchor at the end of a block with bounds `own`, if that makes a ramp from
+    /// `cap2` shorter. Without the anchor, a block with tight bounds would slow down all of a long ramp.
     #[inline(never)]
     pub(super) fn better_anchor(&self, own: Bounds, cap2: f32) -> Option<f32> {
         let ceiling = square_root(self.ceiling2);
@@ -46,22 +46,23 @@ impl Way {
     }
 }
 
-/// One or more blocks in a row, as a machine sees them that eases off its acceleration meanwhile.
+/// Summary of consecutive blocks: what matters to a machine that eases off its acceleration on them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Stretch {
-    /// Of the path, mm.
+    /// Path length, mm.
     pub length: f32,
     /// Speed² of the slowest anchor among the entries.
     pub slowest2: f32,
-    /// The tightest ones.
+    /// The tightest bounds of the blocks.
     pub bounds: Bounds,
-    /// The least acceleration without bends, and what all bends together leave.
+    /// Minimum acceleration of the blocks, bends not considered.
     pub straight_acceleration: f32,
+    /// Combination of all bends.
     pub curve: CurveLoad,
 }
 
 impl Stretch {
-    /// All 0: memory that nothing has been written to.
+    /// Initial contents of the memory: all 0.
     pub(super) const BLANK: Self = Self {
         length: 0.0,
         slowest2: 0.0,
@@ -101,13 +102,15 @@ pub(super) struct Target {
 }
 
 impl Target {
-    /// Where the ramp has to come to first: down to the ceiling, in the same block as yet.
+    /// Returns the speed that the ramp must reach first, and the distance to it: the ceiling if the machine is faster
+    /// than that, otherwise the anchor.
     pub(super) fn nearest(&self, speed: f32) -> (f32, f32) {
         self.beyond(speed, f32::NEG_INFINITY)
     }
 
-    /// The same for what a machine does on the next way: if it comes to the ceiling within that, the ramp down from there
-    /// begins with it. Otherwise it would begin a segment late, which tells: a sixth of the way of a ramp has to make up for it.
+    /// Like [`Target::nearest`], for a segment of length `way`. If the machine reaches the ceiling within the segment,
+    /// returns the anchor, so that the ramp from the ceiling to the anchor begins with this segment. Otherwise the ramp
+    /// would begin a segment late, which a sixth of its distance would have to make up for.
     pub(super) fn beyond(&self, speed: f32, way: f32) -> (f32, f32) {
         if speed > self.ceiling {
             let distance = self.distance - ramp_distance(self.ceiling, self.speed, self.bounds);
@@ -118,7 +121,7 @@ impl Target {
         (self.speed, self.distance)
     }
 
-    /// Whether a machine in this state, not accelerating, can come down in time.
+    /// Returns whether a machine in this state, which must not be accelerating, can slow down in time.
     pub(super) fn is_met(&self, state: PathState) -> bool {
         let (speed, distance) = self.nearest(state.speed);
         state.lands(speed, distance, self.bounds)

@@ -1,10 +1,14 @@
-//! Cuts the next segment of a block with a jerk limit (S-curve), from the present speed and acceleration and as fast as
+//! Cuts the next segment of a block with a jerk limit (S-curve), from the present speed and acceleration, as fast as
 //! the planned anchors allow.
 //!
-//! Each segment chooses the greatest of these for its end: the acceleration that leads to the nominal speed soonest; the
-//! one it has; or, if after either the machine could not meet the next anchors any more, that of a ramp down to them.
-//! Nothing but speed and acceleration is carried from one segment to the next. So an override, a hold, a start after it
-//! or moves that come late need no plan of their own: they change what is allowed, and the jerk stays bounded.
+//! Each segment takes the first possible one of these accelerations at its end:
+//! 1. the acceleration that leads to the nominal speed soonest;
+//! 2. the present acceleration;
+//! 3. that of a ramp down to the next anchor.
+//!
+//! 1 and 2 are possible if the machine can still meet the next anchors afterwards. Only speed and acceleration are
+//! carried from one segment to the next. So an override, a hold, the start after it or late moves need no plan of their
+//! own: they change the permitted accelerations, and the jerk stays bounded.
 
 use super::jerk::{Bounds, PathState, cube_root, landing, ramp_distance, ramp_speed};
 use super::planner::Planner;
@@ -13,9 +17,9 @@ use super::segment::{self, Cut, SegmentSize};
 use super::trapezoid::{Pace, greater, lesser, square_root};
 use crate::messages::UNITS_PER_STEP;
 
-/// Share by which a speed may be off the nominal one and count as it: some hundred roundings.
+/// Relative deviation up to which a speed counts as the nominal one: some hundred rounding errors.
 const SAME_SPEED: f32 = 1.0e-5;
-/// Where the rest of an ease-off is less than this share of the speed, it is taken in one segment.
+/// Relative deviation from the nominal speed up to which the rest of an ease-off is completed in one segment.
 const SNAP: f32 = 1.0e-4;
 
 /// A segment's time and the state at its end.
@@ -25,7 +29,7 @@ struct Travelled {
     end: PathState,
 }
 
-/// The next piece of the running block; `None` for a stop at this very position.
+/// Returns the next piece of the running block; `None` for an immediate stop.
 #[inline(never)]
 pub(super) fn next_cut<const N: usize>(
     run: &Running<N>,
@@ -37,8 +41,8 @@ pub(super) fn next_cut<const N: usize>(
     let millimetre = 1.0 / run.scale;
     let state = PathState { speed: motion.pace.speed * millimetre, acceleration: motion.acceleration };
     let nominal = if braking { 0.0 } else { square_root(run.nominal2) * millimetre };
-    // Changes of speed within a step: the motor sees nothing of how they go. But a hold that has braked for longer ends
-    // as it has begun.
+    // If the machine can stop within one step, the shape of the speed change has no effect on the motor: use a
+    // trapezoid. A machine that brakes already (a hold) finishes with limited jerk.
     let fastest = greater(nominal, state.speed);
     if state.acceleration >= 0.0 && ramp_distance(fastest, 0.0, bounds) < UNITS_PER_STEP as f32 * millimetre {
         let (curve, left) = run.trapezoid(motion.pace, braking, planner)?;
@@ -63,16 +67,18 @@ pub(super) fn next_cut<const N: usize>(
     Some(cut)
 }
 
-/// What the next segment begins with.
+/// State and limits at the start of the next segment.
 struct SegmentStart<'a, const N: usize> {
     state: PathState,
-    /// Its way, and the way to the end of the block, mm.
+    /// Length of the segment, mm.
     way: f32,
+    /// Distance to the end of the block, mm.
     left: f32,
     nominal: f32,
     bounds: Bounds,
-    /// About how long it takes, s, and by how much the acceleration may change meanwhile.
+    /// Estimated duration of the segment, s.
     guess: f32,
+    /// Maximum change of the acceleration within `guess`, mm/s².
     change: f32,
     planner: &'a Planner<N>,
 }
@@ -85,7 +91,7 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         Self { state, way, left, nominal, bounds, guess, change: bounds.jerk * guess, planner }
     }
 
-    /// From rest with an even jerk; where that would be too fast already, as slowly as it must be.
+    /// Leaves rest with constant jerk (`free`), or more slowly if that would be too fast for the next anchors.
     fn leave_rest(&self, free: Travelled, ease_off_limit: &mut f32) -> Travelled {
         let Self { way, nominal, bounds, .. } = *self;
         let rest = self.left - way;
@@ -99,42 +105,42 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         if slow > 0.1 * free.end.speed {
             return Travelled { seconds: 2.0 * way / slow, end };
         }
-        // From rest to rest the jerk changes its sign at a quarter and three quarters of the time.
+        // From rest to rest, the jerk changes its sign after a quarter and three quarters of the time.
         Travelled { seconds: cube_root(32.0 * way / bounds.jerk), end }
     }
 
-    /// In motion: the greatest acceleration that is allowed, or a ramp down.
+    /// Continues motion with the maximum acceleration allowed, or on a ramp down.
     fn keep_moving(&self, braking: bool, ease_off_limit: &mut f32) -> Travelled {
         let Self { state, nominal, bounds, planner, .. } = *self;
         let mut allowed = Bounds { acceleration: lesser(bounds.acceleration, *ease_off_limit), ..bounds };
         let too_fast = state.speed > nominal * (1.0 + SNAP);
         if too_fast {
-            // The tightest bounds of all blocks that the braking will cross until it is eased off.
+            // The tightest bounds of all blocks on which the machine brakes until the deceleration is eased off.
             let (_, ease) = state.valley(bounds.jerk);
             allowed = planner.bounds_within(ease, self.left, state.speed * state.speed);
         }
         let best = self.within_jerk(state.towards(nominal, self.guess, allowed));
-        // A hold has no speed to come down to in time, but the corners on its way are those of the queue.
+        // A hold has no target speed that it must reach in time, but the queue's corners still apply.
         let most = if braking { f32::INFINITY } else { nominal * (1.0 + SAME_SPEED) };
         if let Some((ahead, travelled)) = self.to_nominal(best, most).or_else(|| self.as_before(best, most)) {
             *ease_off_limit = ahead;
             return travelled;
         }
         *ease_off_limit = bounds.acceleration;
-        // Where the way is too short for the planned ramp, the running block's own bounds count, or those of the blocks in
-        // which the braking for another reason would be eased off.
+        // If the distance is too short for the planned ramp, the running block's own acceleration applies, or that of
+        // the blocks on which a machine that is too fast eases off its braking.
         self.ramp_down(best, if too_fast { allowed.acceleration } else { bounds.acceleration })
     }
 
-    /// The acceleration next to a wanted one that the jerk allows.
+    /// Returns the acceleration nearest to `wanted` that the jerk allows.
     #[inline]
     fn within_jerk(&self, wanted: f32) -> f32 {
         let acceleration = self.state.acceleration;
         greater(lesser(wanted, acceleration + self.change), acceleration - self.change)
     }
 
-    /// To another acceleration at the end. The mean of both acts on the way, as if it were even: in a millisecond that is a
-    /// hundredth of a micrometre off.
+    /// Travels the segment to the acceleration `end`. Computed with the constant mean acceleration: within a
+    /// millisecond the error is a hundredth of a micrometre.
     #[inline]
     fn to(&self, end: f32) -> Travelled {
         let PathState { speed, acceleration } = self.state;
@@ -146,13 +152,14 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         self.at_speed(last, end)
     }
 
-    /// To a speed and acceleration at the end.
+    /// Travels the segment to a speed and acceleration at its end.
     #[inline]
     fn at_speed(&self, speed: f32, acceleration: f32) -> Travelled {
         Travelled { seconds: 2.0 * self.way / (self.state.speed + speed), end: PathState { speed, acceleration } }
     }
 
-    /// With the acceleration that leads to the nominal speed soonest, if it is allowed; and the least bound on easing it off.
+    /// Travels with the acceleration that leads to the nominal speed soonest, if allowed. Also returns the minimum
+    /// acceleration bound over the distance in which it can be eased off.
     #[inline]
     fn to_nominal(&self, best: f32, most: f32) -> Option<(f32, Travelled)> {
         let travelled = self.to(best);
@@ -167,7 +174,7 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         Some((ahead, if arrives { self.at_speed(self.nominal, 0.0) } else { travelled }))
     }
 
-    /// With the acceleration that it has, if it is less than the best one and allowed.
+    /// Travels with the present acceleration, if it is positive or 0, less than `best`, and allowed.
     #[inline]
     fn as_before(&self, best: f32, most: f32) -> Option<(f32, Travelled)> {
         let acceleration = self.state.acceleration;
@@ -179,7 +186,8 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         (travelled.end.acceleration <= ahead).then_some((ahead, travelled))
     }
 
-    /// Down to the next anchor, where the way is too short with `steepest`.
+    /// Travels on a ramp down to the next anchor. `steepest`: acceleration to use if the distance is too short for the
+    /// planned ramp.
     #[inline]
     fn ramp_down(&self, best: f32, steepest: f32) -> Travelled {
         let Self { state, way, .. } = *self;
@@ -189,9 +197,10 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         if aim <= 0.0 && distance <= way {
             return Travelled { seconds: 3.0 * (way / speed), end: PathState { speed: 0.0, acceleration: 0.0 } };
         }
-        // The bounds of a block that lies ahead plan a ramp.
+        // The ramp is planned with the tightest bounds ahead.
         let planned = target.bounds.acceleration;
-        // A raised override or a bend that is noticed late leaves less in a bend than was counted on: all of it is taken then.
+        // After a raised override, or with a bend that was found late, less is left in the bend than planned: use all
+        // of the acceleration.
         let all = self.planner.first().map_or(steepest, |block| greater(steepest, block.acceleration));
         let mut wanted = if target.is_met(state) { -planned } else { -greater(planned, all) };
         if acceleration <= 0.0 {
@@ -200,23 +209,25 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
             wanted = greater(wanted, land);
         }
         let travelled = self.to(lesser(self.within_jerk(wanted), best));
-        // Where the ramp's last piece is coarse (a tick in which most of the speed goes), it ends as planned all the same.
+        // If the last piece of the ramp is coarse (a tick that loses most of the speed), end at the planned speed
+        // anyway.
         let even = (speed * speed - aim * aim) / (2.0 * way);
         let coarse = distance <= way && aim < 0.5 * speed && travelled.end.speed > aim && even <= all;
         if coarse { self.at_speed(aim, 0.0) } else { travelled }
     }
 
-    /// The end of a way on which the braking comes to rest: to its end, which it leaves no faster than planned.
+    /// Travels a segment on which the braking would come to rest, up to its end, which is left no faster than planned.
     #[inline(never)]
     fn come_to_rest(planner: &Planner<N>, speed: f32, way: f32, left: f32, bounds: Bounds) -> Travelled {
         let exit = if left > way { speed } else { lesser(speed, planner.target(0, left, bounds).speed) };
-        // To rest with an even jerk.
+        // To rest with constant jerk.
         let seconds = if exit > 0.0 { 2.0 * way / (speed + exit) } else { 3.0 * way / speed };
         Travelled { seconds, end: PathState { speed: exit, acceleration: 0.0 } }
     }
 }
 
-/// The first way from rest: with an even jerk, which is lower than the bound if the acceleration would become too great.
+/// Travels the first segment from rest with constant jerk: the maximum jerk, or less if the acceleration would become
+/// too high.
 fn start(way: f32, bounds: Bounds) -> Travelled {
     let seconds = greater(cube_root(6.0 * way / bounds.jerk), square_root(6.0 * way / bounds.acceleration));
     Travelled { seconds, end: PathState { speed: 3.0 * way / seconds, acceleration: 6.0 * way / (seconds * seconds) } }

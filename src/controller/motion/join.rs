@@ -1,20 +1,20 @@
-//! Joins short collinear moves into one block: keeps what is known of the last block of the queue, as long as further
-//! moves may continue its line. So the look-ahead reaches farther than its number of blocks. [`super::short_moves`]
-//! decides which moves continue.
+//! Joins short collinear moves into one block, so that the look-ahead covers more moves than it has blocks. Keeps the
+//! data of the queue's last block while further moves may continue its line; [`super::short_moves`] selects them.
 //!
 //! ```text
 //!            P1 ───┐ half a step of each motor, and no more than the program's last digit can make
 //!   A ─────────────┼───────────── C        the block from A is taken back, and the one from A to C is queued instead
 //!          P2 ─────┘
 //! ```
-//! The line from A to C must pass all points between at no more than that distance in any motor, where the longest way among
-//! the motors has come as far. Every point so allows a range of slopes to each other motor, and what counts is what all of
-//! them allow: two numbers for each motor, however many points there are, and no sum of errors.
+//! The line from A to C must pass all points between within that distance in every motor, compared at equal positions
+//! of the main motor, the one with the longest displacement. So each point allows a range of slopes of each other motor
+//! relative to the main one. Only the intersection of these ranges is kept: two numbers per motor for any number of
+//! points, and errors do not add up.
 //!
-//! A block is taken back by restoring the end of the queue as it was before; so lengths, corners and curvature are those of
-//! a program that has the joined move in it. The chain of [`super::curvature`] gets a piece when nothing more is joined to it:
-//! until then the queue ends there, at rest. A block that is taken back has never begun, and what the blocks before it count
-//! on is kept: it can be entered as fast as before.
+//! A block is taken back by restoring the previous end of the queue. So lengths, corners and curvature are the same as
+//! if the program contained the joined move. The chain of [`super::curvature`] gets a piece only when no more moves are
+//! joined to it; until then the planned path ends at the piece, at rest. Only a block that has not begun is taken back,
+//! and the new one can be entered as fast as the old one, so the speeds planned for earlier blocks stay valid.
 
 use super::curvature::PathPiece;
 use super::kinematics::Kinematics;
@@ -22,39 +22,44 @@ use super::path_end::PathEnd;
 use super::trapezoid::{greater, lesser};
 use super::{Move, Speed};
 
-/// The last digit counts as no less than this, mm: numbers with 24 bits are off by as much at 0.5 m from the last point.
+/// Minimum value of the program's last digit, mm: numbers with 24 bits have this error at 0.5 m from the last point.
 const LEAST_DIGIT: f32 = 1.0e-4;
-/// What is known of the last block of the queue.
+/// Data of the last block of the queue, for joining moves to it.
 #[derive(Clone, Debug)]
 pub(super) struct Join<const N: usize> {
-    /// It may be taken back for a longer one.
+    /// Whether the block may be taken back for a longer one.
     pub open: bool,
-    /// The chain has not got its piece yet.
+    /// Whether the block's piece has been withheld from the chain so far.
     pub kept: bool,
-    /// No point of it has been looked at.
+    /// Whether no point of the line has been added yet.
     pub fresh: bool,
-    /// The motor with the longest way, how far it has come, and the slopes to it that all points allow each motor.
+    /// The motor with the longest displacement.
     main: usize,
+    /// Displacement of the main motor at the farthest point, mm.
     reach: f32,
+    /// Range of each motor's slope relative to the main motor that all points allow.
     slopes: [(f32, f32); N],
-    /// Half a step of each motor, mm of its way.
+    /// Displacement of each motor's belt or screw for half a step, mm.
     half_mm: [f32; N],
-    /// Path along the points, mm.
+    /// Length of the path through the points, mm.
     pub path: f32,
-    /// Moves that made no block since the queue was empty.
+    /// Moves joined or merged, and therefore without a block of their own, since the queue was empty.
     pub moves: usize,
-    /// Of its piece of the path, for the chain: from end to end, the path and greatest speed².
+    /// [`PathPiece::length`] of the block's piece, for the chain.
     pub length: f32,
+    /// [`PathPiece::path`] of the block's piece.
     pub block_path: f32,
+    /// [`PathPiece::fast2`] of the block's piece.
     pub fast2: f32,
-    /// The program's last digit.
+    /// Value of the program's last digit, mm.
     pub digit: f32,
-    /// What its moves have in common.
+    /// Common speed of the block's moves; `power`, `scale_power` and `line_number` likewise.
     speed: Speed,
     power: u16,
     scale_power: bool,
     line_number: u32,
-    /// The end of the queue before the last block: all that [`super::queue::MoveQueue::line`] changes but planner and chain.
+    /// The end of the queue before the last block: the state that [`super::queue::MoveQueue::line`] changes, without
+    /// planner and chain.
     pub before: PathEnd<N>,
 }
 
@@ -80,25 +85,26 @@ impl<const N: usize> Join<N> {
         before: PathEnd::ZERO,
     };
 
-    /// Takes over the resolution of the motors.
+    /// Sets the resolution of the motors.
     pub(super) fn configure(&mut self, kinematics: &Kinematics<N>) {
         self.forget();
         self.half_mm = kinematics.half_mm();
     }
 
-    /// The block that is being made stays as it is.
+    /// Ends joining: the block that is being made will not be taken back.
     #[inline]
     pub(super) fn close(&mut self) {
         self.open = false;
     }
 
-    /// The queue has been cleared.
+    /// Resets the state when the queue is cleared.
     pub(super) fn forget(&mut self) {
         self.open = false;
         self.kept = false;
     }
 
-    /// Keeps the piece of a block that may be taken back from the chain.
+    /// Stores a block's piece and returns `true` if the block may be taken back: the piece is then withheld from the
+    /// chain.
     #[inline]
     pub(super) fn keeps(&mut self, piece: &PathPiece<'_, N>) -> bool {
         self.digit = piece.digit;
@@ -109,7 +115,7 @@ impl<const N: usize> Join<N> {
         self.open
     }
 
-    /// Whether a move is of the kind of the last block's.
+    /// Returns whether a move has the same speed, power and line number as the last block's moves.
     pub(super) fn is_like(&self, m: &Move<N>) -> bool {
         self.speed == m.speed
             && self.power == m.power
@@ -117,13 +123,13 @@ impl<const N: usize> Join<N> {
             && self.line_number == m.line_number
     }
 
-    /// How far the longest way leads at a place (ways of the motors), if that is not back.
+    /// Returns the main motor's displacement at `way` (displacements of the motors); `None` if it leads back.
     pub(super) fn along(&self, way: &[f32; N]) -> Option<f32> {
         let along = way.get(self.main).copied()?;
         (along * self.reach > 0.0 && along.abs() >= self.reach.abs()).then_some(along)
     }
 
-    /// Takes over a point of the line. `false`: it leads back, and nothing continues the line.
+    /// Adds a point of the line. Returns `false` if it leads back, so that nothing can continue the line.
     pub(super) fn pass(&mut self, way: &[f32; N]) -> bool {
         if core::mem::take(&mut self.fresh) {
             self.slopes = [(f32::NEG_INFINITY, f32::INFINITY); N];
@@ -140,7 +146,7 @@ impl<const N: usize> Join<N> {
         let digit = greater(self.digit, LEAST_DIGIT);
         for ((least, most), (part, half)) in self.slopes.iter_mut().zip(way.iter().zip(self.half_mm)) {
             let slope = part * share;
-            // A point and the two ends may each be half a digit off, in this motor and in the main one.
+            // Rounding may shift the point and both ends by half a digit each, in this motor and in the main one.
             let range = lesser(half, digit * (1.0 + slope.abs())) * share.abs();
             *least = greater(*least, slope - range);
             *most = lesser(*most, slope + range);
@@ -148,14 +154,14 @@ impl<const N: usize> Join<N> {
         true
     }
 
-    /// Whether the straight line to here passes all points.
+    /// Returns whether the straight line to `way` passes all points closely enough.
     pub(super) fn allows(&self, way: &[f32; N]) -> bool {
         let Some(along) = self.along(way) else { return false };
         let share = 1.0 / along;
         way.iter().zip(&self.slopes).all(|(part, (least, most))| (*least..=*most).contains(&(part * share)))
     }
 
-    /// Notes the end of the queue before a block of its own is made of this move.
+    /// Saves the end of the queue before a new block is made of a move.
     pub(super) fn remember(&mut self, m: &Move<N>, end: PathEnd<N>) {
         self.open = !matches!(m.speed, Speed::Duration(_));
         self.fresh = true;
@@ -174,7 +180,7 @@ mod tests {
     use crate::axes::{Arrangement, PerAxis};
     use crate::units::StepsPerMm;
 
-    /// After a first point at 1 mm of the main motor, with half steps of 0.5 mm.
+    /// Returns the state after a first point at 1 mm of the main motor, with half steps of 0.5 mm.
     fn joined(digit: f32) -> Join<2> {
         let mut join = Join::NONE;
         join.configure(&Kinematics::new(Arrangement::Cartesian, PerAxis::all(StepsPerMm::ONE)));

@@ -1,27 +1,30 @@
 //! The speed at a corner (junction deviation, `$11`): how fast the path may turn from one direction to another within
 //! the axes' accelerations. [`super::curvature`] derives the rule and applies it to the whole path.
+//!
+//! Notation: for a turn by the angle t, q = 2·sin(t/2) (length of the difference of the unit vectors) and s = cos(t/2).
+//! In names, `turn2` is q² and `sine` is s.
 
 use super::trapezoid::{greater, lesser, quotient, square_root};
 
-/// Speed² of a corner that sets no limit; the nominal speeds do.
+/// Speed² of a corner that sets no limit of its own.
 pub(super) const UNLIMITED2: f32 = 1.0e30;
-/// Speed² of a square corner by acceleration and deviation: s / (1 - s) with s = √(1/2).
+/// Speed² of a square corner, divided by acceleration and deviation: s / (1 - s) with s = √(1/2).
 pub(super) const SQUARE_CORNER: f32 = 2.414_213_6;
-/// A turn of which noise can explain less than this share is taken as it is.
+/// Share of a turn below which noise is neglected.
 const CERTAIN: f32 = 1.0 / 64.0;
-/// q² below which a path is straight: the cosine of 0.999999 at which Grbl stops to compute.
+/// q² below which a path counts as straight; it equals Grbl's limit, a cosine of 0.999999.
 const STRAIGHT: f32 = 2.0e-6;
-/// q² beyond which a move turns back on itself.
+/// q² above which a move counts as a reversal.
 pub(super) const REVERSAL: f32 = 4.0 - 2.0e-6;
 
-/// Share of a bend's speed² that rounding leaves for certain. Of unit vectors that are off by the last bit, the normal and the tangent of a
-/// turn of q² = [`STRAIGHT`] are square to each other within 0.0007.
+/// Factor that covers rounding errors of a bend's speed². If unit vectors are off by their last bit, the normal and the
+/// tangent of a turn of q² = [`STRAIGHT`] are perpendicular within 0.0007.
 const SURELY: f32 = 0.99;
 
-/// What the rule must know of the machine.
+/// Settings of the machine for the rule for turns.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TurnRule<const N: usize> {
-    /// Of each axis, mm/s².
+    /// Maximum acceleration of each axis, mm/s².
     pub acceleration: [f32; N],
     /// Junction deviation, mm.
     pub deviation: f32,
@@ -29,7 +32,7 @@ pub(super) struct TurnRule<const N: usize> {
     pub curve_share: f32,
 }
 
-/// q² of two unit vectors.
+/// Returns q² of two unit vectors.
 #[inline]
 pub(super) fn turn2<const N: usize>(before: &[f32; N], after: &[f32; N]) -> f32 {
     let mut square = 0.0;
@@ -39,13 +42,14 @@ pub(super) fn turn2<const N: usize>(before: &[f32; N], after: &[f32; N]) -> f32 
     square
 }
 
-/// Whether a turn is none, or may be the work of noise alone.
+/// Returns whether a turn is negligible or can be explained by noise alone.
 #[inline]
 pub(super) fn is_noise(turn2: f32, noise: f32) -> bool {
     turn2 <= noise * noise || turn2 < STRAIGHT
 }
 
-/// q² and s of what noise cannot explain of a turn, from q² of all; `None` if that is nothing.
+/// Returns q² and s of the part of a turn that noise cannot explain, from q² of the whole turn; `None` if noise
+/// explains all of it. `noise`: maximum angle of the noise, rad.
 #[inline]
 pub(super) fn certain(turn2: f32, noise: f32) -> Option<(f32, f32)> {
     if is_noise(turn2, noise) {
@@ -55,7 +59,7 @@ pub(super) fn certain(turn2: f32, noise: f32) -> Option<(f32, f32)> {
     if noise * noise <= CERTAIN * CERTAIN * turn2 {
         return Some((turn2, sine));
     }
-    // q = 2·sin(t/2) and s = cos(t/2) of an angle that is smaller by the noise.
+    // q and s of an angle that is smaller by the noise.
     let half = 0.5 * noise * (1.0 - noise * noise * (1.0 / 24.0));
     let cosine = 1.0 - 0.125 * noise * noise;
     let turn = square_root(turn2);
@@ -65,7 +69,7 @@ pub(super) fn certain(turn2: f32, noise: f32) -> Option<(f32, f32)> {
 }
 
 impl<const N: usize> TurnRule<N> {
-    /// Greatest acceleration along the change of direction at which no axis exceeds its own.
+    /// Returns the maximum acceleration along the change of direction at which no axis exceeds its limit.
     #[inline(never)]
     pub(super) fn across(&self, before: &[f32; N], after: &[f32; N], turn: f32) -> f32 {
         let mut least = UNLIMITED2;
@@ -78,13 +82,13 @@ impl<const N: usize> TurnRule<N> {
         least
     }
 
-    /// Greatest acceleration that every axis takes in any direction of the plane of a turn: with the normal n and the
-    /// tangent t, axis i gets a·√(n_i² + t_i²) at most wherever on the bend. So the speed on a circle is even.
-    /// It bounds the centripetal acceleration of a bend.
+    /// Returns the maximum acceleration in any direction of a turn's plane at which no axis exceeds its limit. It
+    /// limits the centripetal acceleration of a bend. With the normal n and the tangent t, axis i gets a·√(n_i² + t_i²)
+    /// at most anywhere on the bend, so the speed on a circle is constant.
     #[inline(never)]
     pub(super) fn in_plane(&self, before: &[f32; N], after: &[f32; N], turn2: f32) -> f32 {
         let normal = 1.0 / turn2;
-        // Of a turn straight back only the normal is known; the shorter spans know the rest.
+        // A reversal only defines the normal; shorter spans provide the tangent.
         let tangent = if turn2 < 3.9 { 1.0 / (4.0 - turn2) } else { 0.0 };
         let mut least2 = UNLIMITED2;
         for ((a, b), limit) in before.iter().zip(after).zip(&self.acceleration) {
@@ -97,12 +101,12 @@ impl<const N: usize> TurnRule<N> {
         square_root(least2)
     }
 
-    /// The least acceleration of the axes that move before or after a turn.
+    /// Returns the minimum of the accelerations of the axes that move before or after a turn.
     #[inline]
     pub(super) fn least_of(&self, before: &[f32; N], after: &[f32; N]) -> f32 {
         let mut least = UNLIMITED2;
         for ((before, after), limit) in before.iter().zip(after).zip(&self.acceleration) {
-            // Zeros of either sign.
+            // The shift drops the sign, so that -0.0 counts as 0.
             let moves = (before.to_bits() | after.to_bits()) << 1 != 0;
             if moves && *limit < least {
                 least = *limit;
@@ -111,23 +115,24 @@ impl<const N: usize> TurnRule<N> {
         least
     }
 
-    /// Whether the bend of a turn within a length is surely faster than `fast2`, by squares: without division or root. In the plane of
-    /// the turn the axes give the `least` of them or more; s is no less than `sine`.
+    /// Returns whether a bend with this turn within `length` surely allows more than the speed² `fast2`. Compares
+    /// squares, without division or square root. `least`: lower bound of [`TurnRule::in_plane`]; `sine`: lower bound of
+    /// s.
     #[inline]
     pub(super) fn is_surely_faster(&self, least: f32, length: f32, turn2: f32, sine: f32, fast2: f32) -> bool {
         let bend = SURELY * least * self.curve_share * length * (2.0 + sine);
         bend * bend > 9.0 * turn2 * fast2 * fast2
     }
 
-    /// J² of a turn, the square of the junction speed (junction velocity) by the junction deviation:
-    /// v² = a·d·s / (1 - s). 1 - s is a small difference for gentle turns; with q² = 4·(1 - s²) it is
-    /// computed as q² / (4·(1 + s)) instead.
+    /// Returns J² of a turn, the square of the junction speed (junction velocity) by the junction deviation:
+    /// v² = a·d·s / (1 - s). For gentle turns 1 - s would be a small difference, so it is computed as q² / (4·(1 + s)),
+    /// with q² = 4·(1 - s²).
     #[inline]
     pub(super) fn junction2(&self, across: f32, sine: f32, turn2: f32) -> f32 {
         across * self.deviation * sine * (1.0 + sine) / (0.25 * turn2)
     }
 
-    /// Speed² at which every axis takes a square corner.
+    /// Returns the maximum speed² of a square corner of any axes.
     #[inline]
     pub(super) fn square_corner2(&self) -> f32 {
         let least = self.acceleration.iter().fold(UNLIMITED2, |most, own| lesser(*own, most));
@@ -135,8 +140,8 @@ impl<const N: usize> TurnRule<N> {
     }
 }
 
-/// Radius of a bend for its length: 1/t, t = 3·q / (2 + s) within 0.2 % up to a right angle and 5 % up to half a turn
-/// (Shafer's approximation of the arc tangent).
+/// Returns the radius of a bend per unit of its length: 1/t. The angle t = 3·q / (2 + s) is correct within 0.2 % up to
+/// a right angle and within 5 % up to half a turn (Shafer's approximation of the arc tangent).
 #[inline]
 pub(super) fn radius_of(turn2: f32, sine: f32) -> f32 {
     (2.0 + sine) / (3.0 * square_root(turn2))
@@ -166,7 +171,7 @@ mod tests {
         assert_eq!(certain(1.0e-6, 0.0), None);
         assert_eq!(certain(0.01, 0.1), None);
         let (less2, sine) = certain(0.01, 0.05).unwrap();
-        // An angle of 0.1 rad less 0.05.
+        // An angle of 0.1 rad, less 0.05 rad of noise.
         assert!((less2.sqrt() - 0.05).abs() < 1e-4 && (sine - 0.025_f32.cos()).abs() < 1e-4, "{less2} {sine}");
     }
 

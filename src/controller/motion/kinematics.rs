@@ -4,8 +4,9 @@
 //!  Cartesian   each motor moves one axis
 //!  CoreXY      the first two motors pull one belt:  A = X + Y,  B = X - Y;   X = (A + B) / 2,  Y = (A - B) / 2
 //! ```
-//! Blocks are straight in motor steps for any linear kinematics, so nothing else in this room knows the difference:
-//! lengths, speeds and limits are those of the axes. It promises that a step's place leads back to the same step.
+//! With linear kinematics, a straight block is also straight in motor steps. So the rest of the motion code is
+//! independent of the kinematics; its lengths, speeds and limits are those of the axes. Guarantee: converting steps to
+//! a position and back gives the same steps.
 
 use crate::axes::{Arrangement, PerAxis};
 use crate::units::{Coordinate, StepsPerMm};
@@ -15,19 +16,19 @@ use crate::units::{Coordinate, StepsPerMm};
 pub(super) struct Kinematics<const N: usize> {
     arrangement: Arrangement,
     steps_per_mm: PerAxis<StepsPerMm, N>,
-    /// Least way of the tool in a step of each motor, mm.
+    /// Minimum distance that the tool moves with one step of each motor, mm.
     pub least_mm: [f32; N],
 }
 
 impl<const N: usize> Kinematics<N> {
-    /// A step is a millimetre of each axis.
+    /// One step per millimetre on each axis.
     pub(super) const ONE: Self =
         Self { arrangement: Arrangement::Cartesian, steps_per_mm: PerAxis::all(StepsPerMm::ONE), least_mm: [1.0; N] };
 
     pub(super) fn new(arrangement: Arrangement, steps_per_mm: PerAxis<StepsPerMm, N>) -> Self {
         let mut least_mm = steps_per_mm.0.map(|scale| 1.0 / scale.to_f32());
         if arrangement == Arrangement::CoreXy {
-            // Along the diagonal one motor does all: it turns by the square root of 2 times the tool's way.
+            // On a diagonal only one motor turns, by the square root of 2 times the tool's distance.
             for mm in least_mm.iter_mut().take(2) {
                 *mm *= core::f32::consts::FRAC_1_SQRT_2;
             }
@@ -35,14 +36,15 @@ impl<const N: usize> Kinematics<N> {
         Self { arrangement, steps_per_mm, least_mm }
     }
 
-    /// The steps nearest to a place.
+    /// Returns the steps nearest to a position.
     #[inline]
     pub(super) fn steps(&self, place: &PerAxis<Coordinate, N>) -> PerAxis<i32, N> {
         let mut turned = PerAxis::all(Coordinate::ZERO);
         self.steps_per_mm.zip(self.of_motors(place, &mut turned), |scale, coordinate| scale.steps(coordinate))
     }
 
-    /// The same for a place that is reached from another one, whose steps are known: those of an axis that stays are.
+    /// Like [`Kinematics::steps`], for a position reached from `before`, whose `steps` are known: axes that do not move
+    /// keep them without a conversion.
     #[inline]
     pub(super) fn steps_from(
         &self,
@@ -64,7 +66,7 @@ impl<const N: usize> Kinematics<N> {
         steps
     }
 
-    /// How far a place is beyond the steps nearest to it, in sevenths of a step.
+    /// Returns the offset of a position from the steps nearest to it, in sevenths of a step.
     #[inline(never)]
     pub(super) fn sevenths_beyond(&self, place: &PerAxis<Coordinate, N>, steps: &PerAxis<i32, N>) -> [i32; N] {
         let mut turned = PerAxis::all(Coordinate::ZERO);
@@ -76,7 +78,7 @@ impl<const N: usize> Kinematics<N> {
         beyond
     }
 
-    /// How far each motor moves its belt or screw for a place of the tool.
+    /// Returns the position of each motor's belt or screw for a position of the tool.
     #[inline]
     fn of_motors<'a>(
         &self,
@@ -92,7 +94,7 @@ impl<const N: usize> Kinematics<N> {
         }
     }
 
-    /// The ways of the axes (mm) that ways of the motors (steps) are worth.
+    /// Returns the displacements of the axes (mm) for displacements of the motors (steps).
     pub(super) fn way_of_axes(&self, steps: &[i32; N]) -> [f32; N] {
         let mut way = [0.0; N];
         for ((mm, steps), scale) in way.iter_mut().zip(steps).zip(self.steps_per_mm.iter()) {
@@ -104,7 +106,7 @@ impl<const N: usize> Kinematics<N> {
         way
     }
 
-    /// The ways of the motors' belts or screws (mm) that move the tool by these ways.
+    /// Returns the displacements of the motors' belts or screws (mm) for displacements of the tool (mm).
     pub(super) fn way_of_motors(&self, way: &[f32; N]) -> [f32; N] {
         let mut motors = *way;
         if let (Arrangement::CoreXy, [x, y, ..]) = (self.arrangement, motors.as_mut_slice()) {
@@ -113,17 +115,18 @@ impl<const N: usize> Kinematics<N> {
         motors
     }
 
-    /// The way of each motor's belt or screw in half a step, mm.
+    /// Returns the displacement of each motor's belt or screw for half a step, mm.
     pub(super) fn half_mm(&self) -> [f32; N] {
         self.steps_per_mm.0.map(|scale| 0.5 / scale.to_f32())
     }
 
-    /// The place that steps stand for.
+    /// Returns the position of the tool for steps of the motors.
     pub(super) fn place(&self, steps: &PerAxis<i32, N>) -> PerAxis<Coordinate, N> {
         let place = self.steps_per_mm.zip(steps, |scale, count| scale.coordinate(count));
         match (self.arrangement, place.0.as_slice()) {
             (Arrangement::CoreXy, [a, b, ..]) => {
-                // An odd sum loses half a unit of 0.1 nm; see `steps` for why that changes no step.
+                // An odd sum loses half a unit of 0.1 nm, far less than half a step, so `steps` gives the same steps
+                // back.
                 with_first_two(&place, Coordinate((a.0 + b.0).div_euclid(2)), Coordinate((a.0 - b.0).div_euclid(2)))
             }
             _ => place,

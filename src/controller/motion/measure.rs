@@ -1,24 +1,24 @@
-//! The exact arithmetic of steps within a block: how many steps each axis has taken after some units. The step
-//! generator and the planner's side both use it, so they agree on where a segment ends.
+//! The exact arithmetic of steps within a block: how many steps each axis has taken after a number of units. Both the
+//! step generator and the planner's side use it, so they agree on where a segment ends. All computations use whole
+//! numbers and are exact; there is no state.
 //!
-//! On a line an axis' rate is its steps, and the threshold is the steps of the dominant axis. A chord of an arc begins and ends
-//! between steps, at f and g of a step beside them ([`AxisSteps`]). An axis with n steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ of them
-//! after u of M units: none at the start and n at the end, for f and g are less than a half, and always within half a step of the
-//! true chord. In sevenths of a step that is the same arithmetic, with 7·M as the threshold, 7·n + 7·g - 7·f as the rate, and 7·f·M
-//! less at the start.
-//!
-//! All of it is in whole numbers and exact; nothing here keeps a state.
+//! On a line, an axis' rate is its number of steps, and the threshold is that of the dominant axis, in units. A chord
+//! of a curve begins and ends between steps, at the offsets f and g of a step from them ([`AxisSteps`]). After u of M
+//! units, an axis with n steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ of them. That is 0 at the start and n at the end,
+//! because f and g are less than a half, and always within half a step of the exact chord. In sevenths of a step the
+//! arithmetic is the same, with 7·M as the threshold, 7·n + 7·g - 7·f as the rate, and a first remainder that is
+//! smaller by 7·f·M.
 
 use crate::messages::{AxisSteps, UNITS_PER_STEP};
 
-/// What the axes of a block are measured by.
+/// Units and threshold of a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Measure {
     /// Units of the whole block: 16 for each step of the dominant axis.
     pub total: u32,
-    /// What a step is worth.
+    /// Value of one step in the countdown of an axis.
     pub threshold: u32,
-    /// Threshold / total: in how many parts a step is divided.
+    /// Threshold / total: number of parts into which a step is divided (1 or 7).
     scale: u32,
 }
 
@@ -37,8 +37,8 @@ impl Measure {
         Self { total, threshold: total.wrapping_mul(scale), scale }
     }
 
-    /// What a unit of the block takes off what is left until the next step of an axis. Below 0 (as a wrapped number) by
-    /// less than a step in the whole block, for an axis without steps that turns back.
+    /// Returns the amount by which each unit of the block reduces an axis' remainder until its next step. It is
+    /// negative (wrapped) for an axis without steps that moves backwards by less than a step in the whole block.
     #[inline(always)]
     pub(super) fn rate(&self, axis_steps: AxisSteps) -> u32 {
         axis_steps
@@ -47,17 +47,16 @@ impl Measure {
             .wrapping_add_signed(axis_steps.end().wrapping_sub(axis_steps.start()))
     }
 
-    /// What an axis has of its first step at the start, less 1: half a step, and what its true start is beyond the rounded one.
+    /// Returns the part of an axis' first step that is complete at the start, less 1: half a step, plus the offset of
+    /// the exact start.
     #[inline(always)]
     pub(super) fn credit(&self, axis_steps: AxisSteps) -> u32 {
         (self.threshold / 2).wrapping_add(parts_beyond(self.total, axis_steps)).wrapping_sub(1)
     }
 }
 
-/// Steps that an axis has taken after `units` of a block, from its rate and credit ([`Measure`]).
-///
-/// What it began with and what the units have added, less a threshold for each step taken, stay below the threshold; so the
-/// quotient is exact.
+/// Returns the steps that an axis has taken after `units` of a block, from its rate and credit ([`Measure`]): the exact
+/// quotient of credit + rate × units and the threshold, rounded down.
 #[inline]
 pub(super) fn steps_taken(rate: u32, credit: u32, threshold: u32, units: u32) -> u32 {
     if threshold == 0 {
@@ -70,20 +69,20 @@ pub(super) fn steps_taken(rate: u32, credit: u32, threshold: u32, units: u32) ->
     }
 }
 
-/// How far the true start of an axis is beyond the rounded one, in parts of the threshold; below 0 as a wrapped number.
+/// Returns the offset of an axis' exact start from its step, in parts of the threshold; negative numbers are wrapped.
 #[inline(always)]
 pub(super) fn parts_beyond(total: u32, axis_steps: AxisSteps) -> u32 {
     (axis_steps.start() as u32).wrapping_mul(total)
 }
 
-/// `rate` × `units`, of which the first may be below 0 and both are less than 2^31.
+/// Returns `rate` × `units`. `rate` may be negative (wrapped); both are less than 2^31.
 #[inline]
 pub(super) fn advance(rate: u32, units: u32) -> u64 {
     (i64::from(rate as i32) * i64::from(units as i32)) as u64
 }
 
-/// [`steps_taken`] and what is left until the next step, one bit of the quotient after the other: the step task has no room for
-/// a division of 64 bits, and needs this at rest only.
+/// Returns [`steps_taken`] and the remainder until the next step. Divides bit by bit: the step task has no room for a
+/// 64-bit division, and needs this only at rest.
 pub(super) fn steps_and_rest(rate: u32, first: u32, threshold: u32, units: u32) -> (u32, u32) {
     let mut sum = advance(rate, units).wrapping_add(u64::from(threshold.wrapping_sub(first)));
     let mut taken = 0;
@@ -97,8 +96,8 @@ pub(super) fn steps_and_rest(rate: u32, first: u32, threshold: u32, units: u32) 
     (taken, threshold.wrapping_sub(sum as u32))
 }
 
-/// The number whose product with an odd number ends in 1, modulo 2^32: each step of Newton's method doubles the number of
-/// right bits, 5 at first.
+/// Returns the inverse of an odd number modulo 2^32. Each Newton iteration doubles the number of correct bits (5 at
+/// first).
 #[inline]
 pub(super) fn inverse(odd: u32) -> u32 {
     let mut inverse = odd.wrapping_mul(3) ^ 2;
@@ -108,7 +107,7 @@ pub(super) fn inverse(odd: u32) -> u32 {
     inverse
 }
 
-/// `value` plus or minus `steps`.
+/// Returns `value` plus or, if `negative`, minus `steps`.
 #[inline]
 pub(super) fn signed_add(value: i32, steps: u32, negative: bool) -> i32 {
     if negative { value.wrapping_sub_unsigned(steps) } else { value.wrapping_add_unsigned(steps) }
@@ -119,21 +118,23 @@ pub(super) mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// A whole number or a fraction, exactly.
+    /// An exact fraction: numerator and denominator.
     #[derive(Clone, Copy)]
     struct Ratio(i128, i128);
 
-    /// Steps taken by the definition: with n steps between f and g sevenths, the true way after u of M units is
-    /// f/7 + (n + (g - f)/7)·u/M, and the step nearest to it has been taken, that before if two are.
+    /// Returns the steps taken by definition. With n steps between offsets of f and g sevenths, the exact position
+    /// after u of M units is f/7 + (n + (g - f)/7)·u/M. The step nearest to it has been taken; of two equally near, the
+    /// lower one.
     pub fn defined(axis_steps: AxisSteps, total: u32, units: u32) -> i128 {
         let (n, f, g) = (i128::from(axis_steps.steps()), i128::from(axis_steps.start()), i128::from(axis_steps.end()));
         let (u, m) = (i128::from(units), i128::from(total));
         let Ratio(above, below) = Ratio(f * m + (7 * n + g - f) * u, 7 * m);
-        // The least whole number that is not below the way less a half.
+        // The least whole number that is not below the position less a half.
         -(below - 2 * above).div_euclid(2 * below)
     }
 
-    /// The steps of three axes, of which one may have as many steps as the dominant axis, and one none.
+    /// Generates the steps of three axes. The second and third may have as many steps as the dominant first axis, or
+    /// none.
     pub fn steps_by_axis(most: u32) -> impl Strategy<Value = [AxisSteps; 3]> {
         let ends = || prop_oneof![1 => Just([0; 3]), 3 => prop::array::uniform3(-3..=3)];
         let share = || prop_oneof![3 => 0.0..=1.0_f64, 1 => Just(1.0), 1 => Just(0.0)];
@@ -176,7 +177,7 @@ pub(super) mod tests {
             }
         }
 
-        /// Lines continue with a division that fits 32 bits where it did.
+        /// On a line the threshold is the number of units, so that small quotients need only a 32-bit division.
         #[test]
         fn a_line_has_the_threshold_of_its_steps(x in 1_u32..1 << 26, y in 0_u32..1 << 26, way in 0.0..=1.0_f64) {
             let steps_by_axis = [x, y].map(AxisSteps::on_steps);

@@ -1,18 +1,23 @@
-//! Motion: straight moves in, messages for the step task out. [`Motion`] queues moves, starts, holds and resumes them,
-//! and reports position and speed. The controller has one for the job, and a small one for parking.
+//! Motion: turns straight moves into messages for the step task. [`Motion`] queues moves, starts, holds and resumes
+//! them, and reports position and speed. The controller has one `Motion` for the job, and a small one for parking.
 //!
 //! ```text
 //!  Move ─ kinematics ─▶ block ─▶ planner (look-ahead) ─▶ segment ─▶ ToStep … the step task: stepper
 //!  curve ─ chords ┘                 entry speeds        cut from the trapezoid of the running block
 //!  ╰────────────── queue ──────────────────────╯ ╰────────── segment_source ──────────╯
 //! ```
-//! `queue` owns the way in: the blocks and the end of the path, at which `enqueue` adds blocks (`short_moves` joins
-//! short ones). `segment_source` owns the way out: the running block, the state of motion at the end of what has been handed
-//! over, and the segments in flight. The first knows nothing of the second; here both are brought together.
+//! `queue` owns the input side: the blocks and the end of the path, where `enqueue` adds blocks (`short_moves` joins
+//! short ones). `segment_source` owns the output side: the running block, the state of motion after the last segment
+//! handed over to the step task, and the segments in flight. `queue` does not depend on `segment_source`; this file
+//! connects them.
 //!
-//! It promises: steps add up exactly; no axis is asked for more than its rate and acceleration; whatever has been handed
-//! over ends at rest; a hold begins to brake within the time queued ([`QUEUED_TIME_MS`]). It knows nothing of G-code, of
-//! replies or of machine states; when to start is decided outside.
+//! Guarantees:
+//! * Steps add up exactly.
+//! * No axis exceeds its rate and acceleration.
+//! * The planned path ends at rest, however few blocks are queued.
+//! * A hold begins to brake within the time queued ([`QUEUED_TIME_MS`]).
+//!
+//! G-code, replies and machine states are handled elsewhere; the caller decides when motion starts.
 
 pub mod arc;
 mod axis_limits;
@@ -72,45 +77,46 @@ use planner::GROUPS;
 use queue::{MoveQueue, Numbering};
 use segment_source::SegmentSource;
 
-/// Overrides that make sense at all.
+/// Minimum override factor.
 const LEAST_OVERRIDE: f32 = 0.001;
+/// Maximum override factor.
 const GREATEST_OVERRIDE: f32 = 100.0;
 
-/// What motion must know of the machine.
+/// Settings of the machine that motion depends on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionSettings<const N: usize> {
     /// How the motors move the tool.
     pub arrangement: Arrangement,
-    /// Motor steps of a millimetre.
+    /// Motor steps per millimetre.
     pub steps_per_mm: PerAxis<StepsPerMm, N>,
-    /// Greatest speed of each axis, mm/s.
+    /// Maximum speed of each axis, mm/s.
     pub max_rate: PerAxis<f32, N>,
-    /// Least speed that a feed makes, before overrides, mm/s; 0 = none.
+    /// Minimum speed of a feed move before overrides, mm/s; 0 = none.
     pub least_feed: f32,
-    /// Greatest acceleration of each axis, mm/s².
+    /// Maximum acceleration of each axis, mm/s².
     pub acceleration: PerAxis<f32, N>,
-    /// Greatest jerk of each axis, mm/s³; 0 = as great as may be. All 0: ramps of even acceleration.
+    /// Maximum jerk of each axis, mm/s³; 0 = unlimited. If all are 0, ramps have constant acceleration.
     pub jerk: PerAxis<f32, N>,
-    /// How far a corner may be cut in thought to find its speed, mm.
+    /// Deviation of the imaginary arc through a corner, which determines the corner's speed (`$11`), mm.
     pub junction_deviation: f32,
-    /// Acceleration in curves as a share of `acceleration`; 1 = what the axes are set to.
+    /// Acceleration allowed in curves as a share of `acceleration`; 1 = all of it.
     pub curve_share: f32,
-    /// Slack of each motor's drive, mm; 0 = none.
+    /// Backlash of each motor's drive, mm; 0 = none.
     pub backlash: PerAxis<f32, N>,
-    /// How far chords may leave an arc, mm.
+    /// Maximum distance between a chord and its arc, mm.
     pub arc_tolerance: f32,
     /// Ticks per second of the step timer.
     pub step_clock_hz: u32,
 }
 
-/// How fast a move is meant to be.
+/// The programmed speed of a move.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Speed {
-    /// As fast as the axes go.
+    /// As fast as the axes allow.
     Rapid,
-    /// Along the path, mm/s.
+    /// Speed along the path, mm/s.
     Feed(f32),
-    /// The whole move in this many seconds.
+    /// Duration of the whole move, seconds.
     Duration(f32),
 }
 
@@ -119,36 +125,36 @@ pub enum Speed {
 pub struct Move<const N: usize> {
     /// Where it ends, machine coordinates within [`Coordinate::LIMIT`].
     pub target: PerAxis<Coordinate, N>,
-    /// How fast.
+    /// Programmed speed.
     pub speed: Speed,
-    /// Spindle or laser power, 0 to 65535; rides with the segments.
+    /// Spindle or laser power, 0 to 65535; sent with each segment.
     pub power: u16,
-    /// Power falls and rises with actual / programmed speed (M4 of a laser).
+    /// Whether power is scaled by actual / programmed speed (M4 of a laser).
     pub scale_power: bool,
     /// N word for reports, 0 = none.
     pub line_number: u32,
-    /// Overrides leave the move alone (jog, homing, probing).
+    /// Whether overrides have no effect on the move (jog, homing, probing).
     pub no_feed_override: bool,
-    /// The last digit of the program's coordinates, mm: how far apart neighbouring points are that it can name; 0 = exact.
+    /// Resolution of the program's coordinates (value of their last digit), mm; 0 = exact.
     pub digit: f32,
-    /// How far the tool may be from the path.
+    /// How far the tool may deviate from the path.
     pub tolerance: Tolerance,
 }
 
-/// The facade of this room.
+/// Queues moves and turns them into messages for the step task. See the module documentation.
 #[derive(Debug)]
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
 pub struct Motion<const N: usize> {
     step_idle: bool,
-    /// Machine steps when the step counters are 0.
+    /// Machine position in steps at which the step counters are 0.
     origin: PerAxis<i32, N>,
     settings: MotionSettings<N>,
     source: SegmentSource<N>,
     queue: MoveQueue<N>,
 }
 
-/// Where a motion works: memory that is lent to it.
+/// Memory lent to a [`Motion`].
 #[derive(Debug)]
 pub struct MotionMemory<const N: usize> {
     blocks: Lent<[Block<N>]>,
@@ -157,7 +163,7 @@ pub struct MotionMemory<const N: usize> {
     scales: Lent<[Scale<N>]>,
 }
 
-/// That memory, to be lent: all 0, so that it needs no flash.
+/// Static storage for a [`MotionMemory`]. All 0, so that it needs no flash.
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
 pub struct MotionStorage<const N: usize, const BLOCKS: usize> {
@@ -169,7 +175,7 @@ pub struct MotionStorage<const N: usize, const BLOCKS: usize> {
 
 #[cfg(not(feature = "alloc"))]
 impl<const N: usize, const BLOCKS: usize> MotionStorage<N, BLOCKS> {
-    /// Nothing in it counts.
+    /// Storage before its first use.
     pub const EMPTY: Self = Self {
         blocks: [Block::NONE; BLOCKS],
         groups: [Stretch::BLANK; GROUPS],
@@ -177,7 +183,7 @@ impl<const N: usize, const BLOCKS: usize> MotionStorage<N, BLOCKS> {
         scales: Chain::SCALES,
     };
 
-    /// For good.
+    /// Lends the storage permanently.
     pub fn lend(&'static mut self) -> MotionMemory<N> {
         MotionMemory {
             blocks: &mut self.blocks,
@@ -188,11 +194,11 @@ impl<const N: usize, const BLOCKS: usize> MotionStorage<N, BLOCKS> {
     }
 }
 
-/// Blocks of a motion for single moves: one for the move, and one to take up the slack.
+/// Blocks of a motion for single moves: one for the move, and one for backlash compensation.
 const SINGLE_MOVE_BLOCKS: usize = 2;
 
-/// Memory of a motion for single straight moves, each from rest to rest. Such a motion needs the ring of another one that
-/// rests meanwhile ([`Motion::lend_ring`]).
+/// Storage for a [`Motion`] that runs single straight moves, each from rest to rest. To move, it borrows the ring of
+/// segments in flight of another `Motion`, which rests meanwhile ([`Motion::lend_ring`]).
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
 pub struct SingleMoveStorage<const N: usize> {
@@ -202,16 +208,16 @@ pub struct SingleMoveStorage<const N: usize> {
 
 #[cfg(not(feature = "alloc"))]
 impl<const N: usize> SingleMoveStorage<N> {
-    /// Nothing in it counts.
+    /// Storage before its first use.
     pub const EMPTY: Self = Self { blocks: [Block::NONE; SINGLE_MOVE_BLOCKS], ring: [InFlightSegment::NONE; BEGUN] };
 
-    /// For good.
+    /// Lends the storage permanently.
     pub fn lend(&'static mut self) -> MotionMemory<N> {
         MotionMemory { blocks: &mut self.blocks, groups: &mut [], ring: &mut self.ring, scales: &mut [] }
     }
 }
 
-/// A workspace on the heap, with a look-ahead of so many blocks.
+/// Allocates memory for a look-ahead of `blocks` blocks.
 #[cfg(feature = "alloc")]
 pub fn on_heap<const N: usize>(blocks: usize) -> MotionMemory<N> {
     MotionMemory {
@@ -222,7 +228,7 @@ pub fn on_heap<const N: usize>(blocks: usize) -> MotionMemory<N> {
     }
 }
 
-/// A workspace on the heap as the one of `SingleMoveStorage`.
+/// Allocates memory for single moves, like that of `SingleMoveStorage`.
 #[cfg(feature = "alloc")]
 pub fn on_heap_for_single_moves<const N: usize>() -> MotionMemory<N> {
     MotionMemory {
@@ -234,14 +240,14 @@ pub fn on_heap_for_single_moves<const N: usize>() -> MotionMemory<N> {
 }
 
 impl<const N: usize> Motion<N> {
-    /// At rest at machine position 0.
+    /// Creates a motion at rest at machine position 0.
     pub fn new(settings: MotionSettings<N>, room: MotionMemory<N>) -> Self {
         let mut motion = Self::unconfigured(settings.step_clock_hz, room);
         motion.configure(settings);
         motion
     }
 
-    /// The same before [`Motion::configure`], which must come before the first move.
+    /// Creates a motion at rest at machine position 0. Call [`Motion::configure`] before the first move.
     pub fn unconfigured(step_clock_hz: u32, room: MotionMemory<N>) -> Self {
         Self {
             settings: MotionSettings {
@@ -264,7 +270,7 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// Takes over settings; at rest with an empty queue only. The machine position stays the same in steps.
+    /// Applies settings. Call only at rest with an empty queue. The machine position stays the same in steps.
     pub fn configure(&mut self, settings: MotionSettings<N>) {
         let before = self.prepared();
         self.settings = settings;
@@ -273,7 +279,7 @@ impl<const N: usize> Motion<N> {
         let lead = self.queue.backlash.lead_within(before.lead);
         let motors = Motors { steps: before.tool().zip(&PerAxis(lead), i32::wrapping_add), lead };
         if lead != before.lead {
-            // With less slack the motors lead less; the tool stays where it is.
+            // With less backlash the motors lead less; the tool's position stays the same.
             let moved = motors.steps.zip(&before.steps, i32::wrapping_sub);
             self.origin = self.origin.zip(&moved, i32::wrapping_add);
             self.source.in_flight.forget(motors.tool(), lead);
@@ -281,50 +287,52 @@ impl<const N: usize> Motion<N> {
         self.plan_from(motors);
     }
 
-    /// The queue begins once more with the motors here.
+    /// Clears queue and running block; the next move begins with the motors at these steps.
     fn plan_from(&mut self, motors: Motors<N>) {
         let motors = self.queue.restart(motors);
         self.source.restart(motors);
     }
 
-    /// Queues a move. `false`: no room, nothing done. A move without a step makes no block; its length goes to the next.
+    /// Queues a move. Returns `false`, with nothing done, if there is no room. A move too short for a step makes no
+    /// block; its length is carried over to the next block.
     pub fn line(&mut self, m: &Move<N>) -> bool {
         self.queue.take(m)
     }
 
-    /// Queues a chord of a curve: [`Motion::line`], not faster than the curve allows, and stepped along its true ends
-    /// instead of the steps next to them.
+    /// Queues a chord of a curve like [`Motion::line`], but not faster than the curve allows. The steps follow the
+    /// chord's exact ends instead of the full steps nearest to them.
     pub fn chord(&mut self, m: &Move<N>, curvature: Curvature) -> bool {
         self.queue.take_chord(m, curvature)
     }
 
-    /// Whether as many moves have been queued from rest as there are blocks, although some of them have been joined and the
-    /// queue has room: reason enough to start.
+    /// Returns whether queued blocks and joined moves together reach the number of blocks. Motion should then start,
+    /// although the queue still has room.
     pub fn has_joined_enough(&self) -> bool {
         self.queue.has_joined_enough()
     }
 
-    /// Blocks that the look-ahead has in all.
+    /// Returns the capacity of the look-ahead, in blocks.
     pub fn blocks(&self) -> usize {
         self.queue.planner.capacity()
     }
 
-    /// Room for moves. None while a move of more than 2^26 steps is still being cut.
+    /// Returns how many more moves can be queued; 0 while a move of 2^26 steps or more is still being divided.
     pub fn free_blocks(&self) -> usize {
         self.queue.free_blocks()
     }
 
-    /// Moves queued, the running one included.
+    /// Returns the number of queued blocks, the running one included.
     pub fn queued_blocks(&self) -> usize {
         self.queue.planner.len()
     }
 
-    /// How far the motors lead the tool where the machine rests.
+    /// Returns by how many steps each motor leads the tool after the last segment handed over.
     pub fn lead(&self) -> [i32; N] {
         self.prepared().lead
     }
 
-    /// After what is queued the motors lead the tool by this much.
+    /// Makes the motors lead the tool by `lead` steps after the last queued move; with an empty queue, starts to do so
+    /// at once.
     pub fn end_with_lead(&mut self, lead: [i32; N]) {
         self.queue.backlash.want(lead);
         if self.queue.planner.len() == 0 {
@@ -333,7 +341,7 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// The machine is where another motion has brought it; at rest only. Forgets what is queued.
+    /// Takes over the position from another motion that has moved the machine. Call only at rest. Clears the queue.
     pub fn stand_where(&mut self, other: &Self) {
         let motors = other.prepared();
         self.origin = other.origin;
@@ -341,14 +349,14 @@ impl<const N: usize> Motion<N> {
         self.plan_from(motors);
     }
 
-    /// Another motion takes over while this one rests, or gives back what it was lent: the two exchange their rings of
-    /// segments in flight.
+    /// Exchanges the rings of segments in flight with another motion: to lend the ring while this motion rests, and
+    /// again to get it back.
     #[inline(never)]
     pub fn lend_ring(&mut self, other: &mut Self) {
         self.source.in_flight.exchange_ring(&mut other.source.in_flight);
     }
 
-    /// Begins to execute what is queued. Until then, and again after the queue has been emptied, nothing is handed over.
+    /// Starts to execute the queue. Before that, and again after the queue has run empty, no segments are handed over.
     pub fn start(&mut self) {
         if self.queue.planner.len() == 0 {
             self.queue.release();
@@ -358,13 +366,15 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// The next message for the step task. `None`: nothing to do, not started, or enough time is queued.
+    /// Returns the next message for the step task; `None` if there is nothing to do, motion is not started, or enough
+    /// time is queued.
     pub fn next(&mut self, observed: &Observed) -> Option<ToStep> {
         self.observe(observed);
         self.next_message()
     }
 
-    /// The same without a new observation. Asked before each output: no call for nothing.
+    /// Like [`Motion::next`], without a new observation. Called before each output, so the check that usually fails is
+    /// inlined.
     #[inline]
     pub fn next_message(&mut self) -> Option<ToStep> {
         if self.source.wants_more() { self.wanted_message() } else { None }
@@ -384,7 +394,7 @@ impl<const N: usize> Motion<N> {
         Some(message)
     }
 
-    /// The last block has been handed over. What is left of the slack is taken up.
+    /// Call when the last block has been handed over: completes the backlash compensation, or ends the run.
     #[inline(never)]
     fn run_out(&mut self) {
         if self.queue.backlash.is_on() {
@@ -395,7 +405,7 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// The deceleration of the first move in the queue, in units per square of a step-clock tick.
+    /// Returns the deceleration of the first block in the queue, in units per squared step-clock tick; 0 without one.
     pub fn braking(&self) -> f32 {
         let clock = self.source.step_clock_hz() as f32;
         self.queue.planner.first().map_or(0.0, |block| {
@@ -404,37 +414,39 @@ impl<const N: usize> Motion<N> {
         })
     }
 
-    /// Brakes to a stop, beginning with the next segment handed over.
+    /// Brakes to a stop, starting with the next segment handed over.
     pub fn hold(&mut self) {
         self.source.hold();
     }
 
-    /// Resumes after a hold, also before it has come to a stop.
+    /// Resumes after a hold, even if the machine has not come to a stop yet.
     pub fn resume(&mut self) {
         if self.queue.planner.raised {
-            // The hold has brought the machine below what was raised for its fall.
+            // Some entries were left above the override's limit for a machine that was too fast for it. The hold has
+            // slowed it down.
             self.replan();
         }
         self.source.resume(!self.queue.is_empty());
     }
 
-    /// The step task has done something else meanwhile, and the machine is back at the very same position: the running
-    /// block is announced once more. At rest only.
+    /// Announces the running block again, after the step task has executed other moves and the machine is back at
+    /// exactly the same position. Call only at rest.
     pub fn reenter(&mut self) {
         self.source.running.announce_again();
     }
 
-    /// The settings in force.
+    /// Returns the settings in force.
     pub fn settings(&self) -> MotionSettings<N> {
         self.settings
     }
 
-    /// Whether a hold is in force and what was handed over ends at rest.
+    /// Returns whether a hold is in force and the segments handed over end at rest.
     pub fn is_held(&self) -> bool {
         self.source.is_held()
     }
 
-    /// Feed override and rapid override as factors, 1 = as programmed; they act with the next segment handed over.
+    /// Sets feed override and rapid override, as factors (1 = as programmed). They take effect with the next segment
+    /// handed over.
     pub fn set_overrides(&mut self, feed: f32, rapid: f32) {
         let overrides = OverrideFactors {
             feed: bounded(feed, LEAST_OVERRIDE, GREATEST_OVERRIDE),
@@ -452,14 +464,14 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// Plans the whole queue under the overrides, from the state of the machine.
+    /// Replans the whole queue with the current overrides, from the machine's state of motion.
     #[inline(never)]
     fn replan(&mut self) {
         let (state, left) = self.source.path_state(self.queue.planner.first());
         self.queue.planner.replan(self.queue.overrides, state, left);
     }
 
-    /// Forgets all queued moves. At rest, or once a hold has been handed over to its end; ignored in motion.
+    /// Discards all queued moves. Ignored unless the segments handed over end at rest.
     pub fn discard(&mut self) {
         if !self.source.ends_at_rest() {
             return;
@@ -468,8 +480,9 @@ impl<const N: usize> Motion<N> {
         self.source.stop();
     }
 
-    /// After a stop or underrun of the step task, with its step counters: everything queued is forgotten and the position
-    /// is exact. The gate of the step task is opened by the caller (`ToStep::Resume`) before anything of `next` reaches it.
+    /// Call after a stop or underrun of the step task, with its step counters: discards everything queued and takes
+    /// over the exact position. The caller must open the step task's gate (`ToStep::Resume`) before it sends messages
+    /// of `next`.
     pub fn stopped(&mut self, position: &PerAxis<i32, N>) {
         let steps = position.zip(&self.origin, |count, origin| count.wrapping_add(origin));
         let before = self.source.in_flight.before();
@@ -479,66 +492,66 @@ impl<const N: usize> Motion<N> {
         self.source.stop();
     }
 
-    /// Takes over how far the step task is.
+    /// Updates which segments have begun, from the progress of the step task.
     pub fn observe(&mut self, observed: &Observed) {
         self.step_idle = observed.step_idle;
         self.source.in_flight.observe(observed.segments_begun, observed.step_idle);
     }
 
-    /// Whether a motion continues for which little time has been handed over.
+    /// Returns whether a motion is in progress and the segments handed over last only a short time.
     #[inline]
     pub fn is_short_of_segments(&self) -> bool {
         self.source.is_short_of_segments()
     }
 
-    /// Whether nothing is in the step task and nothing will come before `start` or `resume`.
+    /// Returns whether the step task is idle and gets no segments before `start` or `resume`.
     pub fn is_at_rest(&self) -> bool {
         self.source.in_flight.is_empty() && self.step_idle && self.source.ends_at_rest() && !self.source.is_on()
     }
 
-    /// Whether what has been handed over ends at rest, so that nothing need follow in time.
+    /// Returns whether the segments handed over end at rest, so that no deadline exists for the next one.
     pub fn ends_at_rest(&self) -> bool {
         self.source.ends_at_rest()
     }
 
-    /// Whether the machine is at rest and nothing is queued.
+    /// Returns whether the machine is at rest and nothing is queued.
     pub fn is_idle(&self) -> bool {
         self.is_at_rest() && self.queue.is_empty()
     }
 
-    /// Whether segments are handed over as soon as there is room for them.
+    /// Returns whether segments are handed over as soon as there is room for them.
     pub fn hands_over(&self) -> bool {
         self.source.is_on()
     }
 
-    /// Whether at least so many microseconds, a second at most, have been handed over and not begun.
+    /// Returns whether the segments handed over but not begun last at least `us` microseconds (at most 1 s).
     #[inline]
     pub fn holds_time(&self, us: u32) -> bool {
         self.source.holds_time(us)
     }
 
-    /// Time of what has been handed over and not begun, in microseconds.
+    /// Returns the duration of the segments handed over but not begun, in microseconds.
     pub fn queued_us(&self) -> u32 {
         self.source.queued_us()
     }
 
-    /// Machine position in steps at the end of the segment begun last.
+    /// Returns the machine position in steps at the end of the segment begun last.
     pub fn machine_steps(&self) -> PerAxis<i32, N> {
         self.source.in_flight.current().position
     }
 
-    /// Machine position at the end of the segment begun last.
+    /// Returns the machine position at the end of the segment begun last.
     pub fn machine_position(&self) -> PerAxis<Coordinate, N> {
         self.queue.kinematics.place(&self.machine_steps())
     }
 
-    /// Step counters, at rest.
+    /// Returns the step counters after the last segment handed over.
     pub fn step_counters(&self) -> PerAxis<i32, N> {
         self.prepared().steps.zip(&self.origin, i32::wrapping_sub)
     }
 
-    /// At rest: the position as programmed, and the step counters; nothing where the motors do not stand on the steps next to
-    /// it, or lead their tool because of backlash.
+    /// Returns the programmed position and the step counters of an idle machine. `None` if it is not idle, if the
+    /// motors are not on the steps nearest to that position, or if they lead the tool because of backlash.
     pub fn standing(&self) -> Option<(PerAxis<Coordinate, N>, PerAxis<i32, N>)> {
         let (motors, place) = (self.prepared(), self.queue.planned_position());
         let stands =
@@ -546,7 +559,7 @@ impl<const N: usize> Motion<N> {
         stands.then(|| (place, self.step_counters()))
     }
 
-    /// Declares where the machine is; at rest only. Forgets what is queued.
+    /// Declares the machine position. Call only at rest. Clears the queue.
     pub fn set_machine_position(&mut self, position: &PerAxis<Coordinate, N>) {
         let old = self.prepared();
         let new = self.queue.kinematics.steps(position);
@@ -554,37 +567,37 @@ impl<const N: usize> Motion<N> {
         self.origin = self.origin.zip(&moved, i32::wrapping_add);
         self.source.in_flight.forget(new, old.lead);
         self.plan_from(Motors { steps: old.steps.zip(&moved, i32::wrapping_add), lead: old.lead });
-        // The programmed position, not the nearest step: what follows is measured from it.
+        // Not rounded to the nearest step: the next move is measured from the programmed position.
         self.queue.set_position(position);
     }
 
-    /// The machine position at a reading of the step counters in the present straight move from rest.
+    /// Returns the machine position for a reading of the step counters, taken in the current straight move from rest.
     pub fn position_of_counter(&self, counter: &PerAxis<i32, N>) -> PerAxis<Coordinate, N> {
         let steps = counter.zip(&self.origin, i32::wrapping_add);
         self.queue.kinematics.place(&self.queue.backlash.followed(self.source.last_rest(), steps).tool())
     }
 
-    /// End of the queue, as programmed.
+    /// Returns the programmed end of the queue.
     pub fn planned_position(&self) -> PerAxis<Coordinate, N> {
         self.queue.planned_position()
     }
 
-    /// Speed of the segment being executed, mm/s; 0 at rest.
+    /// Returns the speed of the segment being executed, mm/s; 0 at rest.
     pub fn speed(&self) -> f32 {
         self.source.in_flight.current().speed
     }
 
-    /// Power of the segment being executed; 0 at rest.
+    /// Returns the power of the segment being executed; 0 at rest.
     pub fn power(&self) -> u16 {
         self.source.in_flight.current().power
     }
 
-    /// Whether blocks from here on can have another mark: not while a long move is still being cut.
+    /// Returns whether the mark can be changed: not while a long move is still being divided into blocks.
     pub fn takes_mark(&self) -> bool {
         self.queue.long.is_none()
     }
 
-    /// Blocks from here on have this mark, by which their begin is known.
+    /// Sets the mark of all blocks queued from here on. [`Motion::begun_mark`] reports when such a block begins.
     pub fn set_mark(&mut self, mark: u8) {
         let marked = mark << MARK_SHIFT;
         if marked != self.queue.marked {
@@ -594,13 +607,13 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// The mark of the block begun last.
+    /// Returns the mark of the block begun last.
     pub fn begun_mark(&self) -> u8 {
         self.source.in_flight.current().mark
     }
 
-    /// Power of the move that is handed over now, or next; `None` for a move that has no say in it (jog, homing, probing),
-    /// or without one. It is ahead of the step task by the time queued there.
+    /// Returns the power of the move being handed over, or of the next one. `None` without a move, and for one that
+    /// overrides have no effect on (jog, homing, probing). Ahead of the step task by the time queued there.
     pub fn running_power(&self) -> Option<u16> {
         match self.queue.planner.first() {
             Some(block) => (block.flags & NO_OVERRIDE == 0).then_some(block.power),
@@ -608,17 +621,18 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// N word of the block being executed, 0 if none.
+    /// Returns the line number of the block being executed, 0 if none.
     pub fn line_number(&self) -> u32 {
         self.source.in_flight.current().line_number
     }
 
-    /// N word of the move that is handed over now or was last, 0 if none. It is ahead of the step task by the time queued there.
+    /// Returns the line number of the move handed over last (completely or in part), 0 if none. Ahead of the step task
+    /// by the time queued there.
     pub fn running_line_number(&self) -> u32 {
         self.source.running.line_number
     }
 
-    /// N words of the move that is handed over now or was last, and of those queued behind it.
+    /// Returns the line number of the move handed over last, then those of the moves queued after it.
     pub fn queued_line_numbers(&self) -> impl Iterator<Item = u32> {
         let planner = &self.queue.planner;
         let queued = (0..planner.len()).filter_map(|place| planner.block(place)).map(|block| block.line_number);
@@ -626,12 +640,12 @@ impl<const N: usize> Motion<N> {
         core::iter::once(self.running_line_number()).chain(queued).chain(held)
     }
 
-    /// Moves have this number from here on, instead of their N words.
+    /// Numbers all moves from here on with `number`, instead of their N words.
     pub fn number_moves(&mut self, number: u32) {
         self.queue.numbering = Numbering::Given(number);
     }
 
-    /// The motors at the end of what has been handed over.
+    /// Returns the motors at the end of the last segment handed over.
     fn prepared(&self) -> Motors<N> {
         self.source.motors(&self.queue.backlash)
     }

@@ -1,16 +1,23 @@
 //! A rational B-spline in X and Y (G5.2, G5.3) as a chain of chords, computed one at a time. Each span between two
-//! knots is a piece of its own, halved until it is within the tolerance of its chord.
+//! knots is divided into pieces, which are halved until they are within the tolerance of their chords.
 //!
-//! The knots are uniform, but for those at the ends, which coincide: the curve begins at the first control point and ends at
-//! the last one. Between two knots it is a polynomial curve of a degree one below the order, divided by another one: a span.
+//! The knots are uniform, except that those at the ends coincide: the curve begins at the first control point and ends
+//! at the last one. A span is the part between two knots: the quotient of two polynomials whose degree is one less than
+//! the order.
+//!
 //! ```text
-//!       1 ─ ─ ─ ─ 2         A piece of a span has control points of its own. They come of the span's by repeated division
-//!      ╱    ___    ╲        in two parts, once with each end of the piece for each degree, in whole numbers of 0.1 nm.
-//!     ╱  .-'   '-.  ╲       The piece lies within the polygon that they span, so their distance from the chord bounds that
-//!    0 .'_________'. 3      of the curve; if it is too great, the piece is halved.
+//!       1 ─ ─ ─ ─ 2
+//!      ╱    ___    ╲
+//!     ╱  .-'   '-.  ╲       control points 0 to 3, curve and chord of a piece
+//!    0 .'_________'. 3
 //! ```
-//! With weights w the parts are not a and 1 - a, but as a·w₁ to (1 - a)·w₀. All weights are positive, so a point never
-//! leaves the polygon however the weights differ.
+//! A piece of a span has its own control points, in whole numbers of 0.1 nm. Each of them is computed from the span's
+//! control points by as many divisions as the degree, some at the start of the piece and the others at its end. The
+//! piece lies within the polygon of its control points, so their distance from the chord bounds that of the curve. If
+//! it is too great, the piece is halved.
+//!
+//! With weights w, the two parts are not a and 1 - a, but in the ratio of a·w₁ to (1 - a)·w₀. All weights are positive,
+//! so a point never leaves the polygon, however much the weights differ.
 
 use super::arc::{Curvature, LEAST_TOLERANCE, UNIT, scale};
 use super::trapezoid::square_root;
@@ -20,46 +27,48 @@ use crate::units::{Coordinate, WeightedPoint};
 
 /// The highest order.
 const ORDER_MAX: usize = 8;
-/// The longest pieces, as a share of a span: a tiny curve keeps its shape.
+/// Maximum length of a piece, as a share of a span, so that a tiny curve keeps its shape.
 const LONGEST: i64 = UNIT / 2;
-/// The shortest ones, whatever the tolerance asks for.
+/// Minimum length of a piece, as a share of a span, even if the tolerance requires shorter ones.
 const SHORTEST: i64 = UNIT >> 20;
-/// Pieces that are looked at for limits or the length, so that a call is bounded whatever weights and rounding do. With more a curve
-/// counts as outside, and the rest of its length is taken as it is.
+/// Maximum number of pieces that are examined for limits or the length, so that a call is bounded for any weights and
+/// rounding. A curve with more pieces counts as outside the limits; its remaining length is measured without halving.
 const MOST_PIECES: u32 = 1000;
-/// The longest piece of which the length is taken as a whole, and how much shorter than its polygon its chord may be, as a share.
+/// Maximum piece whose length is measured as a whole, as a share of a span.
 const LONGEST_MEASURED: i64 = UNIT / 8;
+/// Maximum share by which the chord of such a piece may be shorter than its polygon.
 const BENT: f32 = 0.03;
-/// A difference that rounding alone may make, mm.
+/// Difference between chord and polygon that rounding alone may cause, mm.
 const LEAST_BENT: f32 = 1.0e-5;
-/// Unit vectors that differ by less are one direction: beyond is what an f32 cannot tell.
+/// Difference below which two unit vectors count as one direction: an f32 cannot resolve less.
 const STRAIGHT: f32 = 1.0e-6;
 
-/// A place in X and Y from the first control point, in units of 0.1 nm.
+/// A position in X and Y relative to the first control point, in units of 0.1 nm.
 type Place = [i64; 2];
-/// Control points of a piece; the order says how many of them.
+/// Control points of a piece; the order gives their number.
 type Piece = [Place; ORDER_MAX];
 
 /// A curve with its control points.
 #[derive(Clone, Copy, Debug)]
 pub struct NurbsGeometry<'a, const N: usize> {
-    /// Where it begins, machine coordinates. The axes other than X and Y stay where they are.
+    /// Start, machine coordinates. Axes other than X and Y do not move.
     pub start: PerAxis<Coordinate, N>,
-    /// The control points, of which the first is the start in X and Y; at least as many as the order.
+    /// The control points; the first is the start in X and Y. At least as many as the order.
     pub points: &'a [WeightedPoint],
-    /// The degree and one more, 2 to 8.
+    /// The degree plus one, 2 to 8.
     pub order: u8,
 }
 
-/// How far along the chords of a curve are, whose control points are kept elsewhere.
+/// Progress along the chords of a curve. The control points are kept elsewhere.
 #[derive(Clone, Debug)]
 pub struct Nurbs<const N: usize> {
     start: PerAxis<Coordinate, N>,
     order: u8,
     tolerance: f32,
     span: usize,
-    /// Where the last chord has ended, and how long the next piece is at first, as shares of the span.
+    /// End of the last chord, as a share of the span.
     at: i64,
+    /// Length of the next piece before halving, as a share of the span.
     step: i64,
     curve_radius: f32,
 }
@@ -76,7 +85,7 @@ fn length([x, y]: [f32; 2]) -> f32 {
     square_root(x * x + y * y)
 }
 
-/// The distance of a point from a way that begins at zero, mm.
+/// Returns the distance of a point from the line segment between zero and a second point, mm.
 fn distance([x, y]: [f32; 2], [a, b]: [f32; 2]) -> f32 {
     let (square, along) = (a * a + b * b, x * a + y * b);
     if along <= 0.0 {
@@ -93,7 +102,7 @@ impl<const N: usize> NurbsGeometry<'_, N> {
         (self.points.len() + 1).saturating_sub(usize::from(self.order))
     }
 
-    /// The control points of a piece of a span, between two shares of it.
+    /// Returns the control points of the piece of a span between two shares of it.
     #[inline(never)]
     fn piece(&self, span: usize, from: i64, to: i64) -> Piece {
         let degree = usize::from(self.order).clamp(2, ORDER_MAX) - 1;
@@ -110,8 +119,8 @@ impl<const N: usize> NurbsGeometry<'_, N> {
         piece
     }
 
-    /// Divides the sides of the polygon, then those of what that gives, once for each degree, each time at another share of
-    /// the span.
+    /// Divides the sides of the polygon, then those of the resulting polygon, and so on, once for each degree. `share`
+    /// gives the share of the span at which each level divides.
     fn divided(
         &self,
         mut local: [(Place, f32); ORDER_MAX],
@@ -142,13 +151,13 @@ impl<const N: usize> NurbsGeometry<'_, N> {
         place
     }
 
-    /// Length of the way, mm: within half a percent. Where it bends much it is taken in shorter pieces; at a point down to
-    /// the shortest.
+    /// Returns the length of the curve, mm, within half a percent. Strongly bent parts are measured in shorter pieces;
+    /// at a cusp down to the shortest.
     pub fn length(&self) -> f32 {
         self.measure().0
     }
 
-    /// The length, and of how many pieces it has been taken.
+    /// Returns the length, mm, and the number of pieces measured.
     #[inline(never)]
     fn measure(&self) -> (f32, u32) {
         let degree = usize::from(self.order).clamp(2, ORDER_MAX) - 1;
@@ -165,7 +174,7 @@ impl<const N: usize> NurbsGeometry<'_, N> {
                     step /= 2;
                     continue;
                 }
-                // Between the chord and the polygon, nearer to the polygon the higher the degree.
+                // The length lies between the chord and the polygon, nearer to the polygon the higher the degree is.
                 sum += (2.0 * chord + (degree as f32 - 1.0) * polygon) / (degree as f32 + 1.0);
                 (at, step) = (to, (step * 2).min(LONGEST_MEASURED));
             }
@@ -173,7 +182,8 @@ impl<const N: usize> NurbsGeometry<'_, N> {
         (sum, pieces)
     }
 
-    /// Whether a point of the curve lies outside of a region that is convex, or too many lie next to its edge.
+    /// Returns whether a point of the curve lies outside a convex region, or the curve runs along the region's edge for
+    /// too many pieces.
     #[inline(never)]
     pub fn leaves(&self, outside: impl Fn(&PerAxis<Coordinate, N>) -> bool) -> bool {
         let degree = usize::from(self.order).clamp(2, ORDER_MAX) - 1;
@@ -209,7 +219,8 @@ impl<const N: usize> NurbsGeometry<'_, N> {
     }
 }
 
-/// The point at a share of the way between two of different weights; the weight of the second becomes its own.
+/// Returns the point at a share of the distance between two weighted points. The weight of the second point becomes
+/// that of the result.
 fn weighted((before, light): (Place, f32), (place, heavy): (&Place, &mut f32), part: i64) -> Place {
     let share = if light.to_bits() == heavy.to_bits() {
         part as i32
@@ -224,7 +235,7 @@ fn weighted((before, light): (Place, f32), (place, heavy): (&Place, &mut f32), p
     [a + scale(c - a, share), b + scale(d - b, share)]
 }
 
-/// Lengths of a polygon and of the chord between its ends, mm.
+/// Returns the lengths of a polygon and of the chord between its ends, mm.
 fn lengths(corners: &[Place]) -> (f32, f32) {
     let way = |pair: &[Place]| match pair {
         [a, .., b] => length(in_mm(minus(*b, *a))),
@@ -233,7 +244,7 @@ fn lengths(corners: &[Place]) -> (f32, f32) {
     (corners.windows(2).map(way).sum(), way(corners))
 }
 
-/// The first side of a polygon that has a length, as a unit vector; zero without any.
+/// Returns the unit vector of the first side with a length; zero if there is none.
 fn direction(mut sides: impl Iterator<Item = Place>) -> [f32; 2] {
     let side = in_mm(sides.find(|side| *side != [0; 2]).unwrap_or([0; 2]));
     let length = length(side);
@@ -241,7 +252,7 @@ fn direction(mut sides: impl Iterator<Item = Place>) -> [f32; 2] {
 }
 
 impl<const N: usize> Nurbs<N> {
-    /// Prepares the chords, none of which leaves the curve by more than `tolerance` (mm).
+    /// Prepares the chords. No chord deviates from the curve by more than `tolerance` (mm).
     pub fn new(geometry: &NurbsGeometry<N>, tolerance: f32) -> Self {
         Self {
             start: geometry.start,
@@ -254,7 +265,8 @@ impl<const N: usize> Nurbs<N> {
         }
     }
 
-    /// Where the next chord ends; `None` after the last. The control points are those of the beginning.
+    /// Returns the end of the next chord; `None` after the last one. `points` must be the control points given to
+    /// [`Nurbs::new`].
     #[inline(never)]
     pub fn next_chord(&mut self, points: &[WeightedPoint]) -> Option<PerAxis<Coordinate, N>> {
         let curve = NurbsGeometry { start: self.start, points, order: self.order };
@@ -281,7 +293,7 @@ impl<const N: usize> Nurbs<N> {
             let has_both = from_first != [0.0; 2] && from_last != [0.0; 2];
             self.curve_radius = if has_both && turn > STRAIGHT { length(chord) / turn } else { f32::INFINITY };
             self.at = to;
-            // Twice as long, a piece is four times as far away.
+            // A piece of twice the length deviates four times as much.
             if 4.0 * away < self.tolerance {
                 self.step = (self.step * 2).min(LONGEST);
             }
@@ -292,7 +304,7 @@ impl<const N: usize> Nurbs<N> {
         }
     }
 
-    /// How the curve bends along the last chord.
+    /// Returns the curvature along the last chord.
     pub fn curvature(&self) -> Curvature {
         Curvature { radius: self.curve_radius, axes: [Axis::X, Axis::Y] }
     }
@@ -317,7 +329,7 @@ mod tests {
         [0, 1].map(|axis| place.0[axis].0 as f64 / 1.0e7)
     }
 
-    /// The curve by its definition: blending functions over the knots.
+    /// Returns a point of the curve by its definition: blending functions over the knots.
     fn defined(points: &[WeightedPoint], order: usize, at: f64) -> [f64; 2] {
         let (degree, spans) = (order - 1, points.len() + 1 - order);
         let knot = |i: usize| i.saturating_sub(degree).min(spans) as f64;
@@ -338,7 +350,7 @@ mod tests {
         [0, 1].map(|axis| sum(&|point| point.place[axis].0 as f64 / 1.0e7) / weight)
     }
 
-    /// What LinuxCNC's interpreter gives for its own curves, at so many parts of the whole.
+    /// Points agree with LinuxCNC's interpreter, for its own curves, at `at`/`parts` of the whole curve.
     #[test]
     fn as_linuxcnc_has_them() {
         let own = [(0.0, 0.0, 1.0), (0.0, 1.0, 1.0), (2.0, 2.0, 1.0), (2.0, 0.0, 1.0), (0.0, 0.0, 2.0)];
@@ -389,7 +401,7 @@ mod tests {
         assert!(chords <= 4, "{chords}");
     }
 
-    /// A quarter of a circle is a curve of three points, with the root of 1/2 as the weight of its middle.
+    /// A quarter of a circle is a curve of three points, the middle one with weight √(1/2).
     #[test]
     #[cfg_attr(not(feature = "full"), ignore = "no curves are built")]
     fn a_quarter_of_a_circle() {
@@ -420,7 +432,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the weights are: some thousand pieces would keep the control task for longer than the segment buffer lasts.
+        /// The number of pieces is bounded for any weights: several thousand pieces would occupy the control task for
+        /// longer than the segment buffer lasts.
         #[test]
         #[cfg_attr(not(feature = "full"), ignore = "no curves are built")]
         fn a_length_is_taken_of_a_bounded_number_of_pieces(
@@ -434,7 +447,7 @@ mod tests {
             let points = points(&of);
             let geometry = geometry(&points, order);
             let (length, pieces) = geometry.measure();
-            // Those behind the bound grow from the shortest to the longest again, in each span.
+            // After the bound, pieces grow from the shortest to the longest again, in each span.
             let least = (UNIT / LONGEST_MEASURED) as u32;
             prop_assert!(pieces < MOST_PIECES + 20 + geometry.spans() as u32 * (least + 20), "{pieces}");
             prop_assert!(length.is_finite() && length >= 0.0);

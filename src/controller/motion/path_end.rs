@@ -1,33 +1,36 @@
-//! The end of the queue, where the next move begins: as programmed, in steps, and where the last block ended. Lengths
-//! too short for a step are carried over from here.
+//! The end of the queue, where the next move begins: the programmed position, in steps, and where the last block ended.
+//! Keeps lengths too short for a step, to carry them over to the next block.
 
 use super::trapezoid::square_root;
 use crate::axes::PerAxis;
 use crate::units::Coordinate;
 
-/// The way of an axis between places within [`Coordinate::LIMIT`], mm: one that stays needs no division.
+/// Returns the displacement of an axis between positions within [`Coordinate::LIMIT`], mm. An axis that does not move
+/// needs no division.
 #[inline]
 pub(super) fn way_mm(to: Coordinate, from: Coordinate) -> f32 {
     let way = to.0 - from.0;
     if way == 0 { 0.0 } else { Coordinate(way).to_mm() }
 }
 
-/// The end of the queue, before which the last block ends.
+/// The end of the queue. It lies beyond the end of the last block after moves without a step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathEnd<const N: usize> {
-    /// As programmed, where the last block ended, and in steps.
+    /// Programmed end of the last move.
     pub planned: PerAxis<Coordinate, N>,
+    /// Programmed end of the last block.
     pub block_end: PerAxis<Coordinate, N>,
+    /// End of the last block in motor steps.
     pub planned_steps: PerAxis<i32, N>,
-    /// Length of moves without a step since `block_end`; below 0: length that the last block was given too much.
+    /// Length of moves without a step since `block_end`, mm; negative: excess length of the last block.
     pub length_carry: f32,
     /// Unit vector of the last block.
     pub direction: [f32; N],
-    /// Moves without a step have led on from `block_end`.
+    /// Whether moves without a step have followed `block_end`.
     pub is_past_block: bool,
-    /// The last block has taken the time of moves without a step that led nowhere.
+    /// Whether the last block takes the time of moves without a step that led away and back.
     pub had_stepless_moves: bool,
-    /// The last block moves motors and no tool: what follows begins at rest.
+    /// Whether the last block moves motors but not the tool; the next block then begins at rest.
     pub motors_only: bool,
 }
 
@@ -43,7 +46,7 @@ impl<const N: usize> PathEnd<N> {
         motors_only: false,
     };
 
-    /// At rest at a position.
+    /// Resets the end to a position at rest.
     pub(super) fn restart(&mut self, steps: PerAxis<i32, N>, position: PerAxis<Coordinate, N>) {
         self.length_carry = 0.0;
         self.planned_steps = steps;
@@ -54,7 +57,7 @@ impl<const N: usize> PathEnd<N> {
         self.had_stepless_moves = false;
     }
 
-    /// mm to a target.
+    /// Returns the distance from the programmed end to a target, mm.
     pub(super) fn distance(&self, target: &PerAxis<Coordinate, N>) -> f32 {
         let mut square = 0.0;
         for (to, from) in target.iter().zip(self.planned.iter()) {

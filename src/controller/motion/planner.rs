@@ -1,6 +1,5 @@
-//! The look-ahead: `Planner` is a ring of blocks, and its reverse pass gives each block the greatest entry speed from
-//! which the machine can brake to a stop within all that is queued behind it. With a jerk limit the pass looks for
-//! anchors instead, where ramps end.
+//! Look-ahead planner. `Planner` is a ring of blocks. Its reverse pass sets the maximum entry speed of each block from
+//! which the machine can stop within the blocks after it; with a jerk limit it finds anchors (ends of ramps) instead.
 //!
 //! ```text
 //!   v²   ___                 corner limits      |
@@ -8,17 +7,16 @@
 //!      /        \    /     \                     v²(entry) = min(corner, v²(exit) + 2·a·length)
 //!     /          \__/       \____ 0
 //! ```
-//! There is no forward pass. The running block accelerates from the speed that it really has towards those speeds; a speed
-//! that cannot be reached is simply not reached, and holds, overrides and late blocks need no repair of the queue. A new
-//! block changes earlier entries only as far as these were limited by the old end of the queue; the walk stops at the
-//! first entry that stays.
+//! There is no forward pass: the running block accelerates from its actual speed. An unreachable entry speed is simply
+//! not reached, so holds, overrides and late blocks never require the queue to be repaired. A new block changes earlier
+//! entries only as far as the old end of the queue limited them; the pass stops at the first unchanged entry.
 //!
-//! The walk is postponed until an entry is needed that it could change. An entry at its cap (its corner and nominal
-//! speeds) cannot rise, and neither can the entries before it: they are settled, whatever is appended. So in a long queue
-//! many blocks share one walk.
+//! The pass is postponed until an entry that it could change is needed. An entry at its cap (corner and nominal speeds)
+//! cannot rise, nor can the entries before it: these entries are settled, whatever is appended. So in a long queue many
+//! blocks share one pass.
 //!
-//! With a jerk limit the unit is a ramp and not a block: its acceleration is zero at its two ends only, and it may span
-//! hundreds of blocks. The reverse pass then looks for anchors, the entries at which a ramp ends:
+//! With a jerk limit the unit is a ramp, not a block. A ramp has zero acceleration only at its two ends and may span
+//! hundreds of blocks. The reverse pass then finds anchors, the entries at which ramps end:
 //!
 //! ```text
 //!        cap of the entries: corner and nominal speeds             speed
@@ -29,11 +27,13 @@
 //!            │         '  .           _ '                          The ramp before an anchor rises, seen backwards, by its
 //!            └────────────── o ────o                               own length formula until it meets the next cap.
 //! ```
-//! Where the cap of an entry is above the greatest speed that any ramp to the anchor can have there (v² + 2·a·distance,
-//! without a jerk limit), the entry does not limit the ramp. Any other entry puts a ceiling on it; the first entry from
-//! which the distance suffices to slow down from the ceiling is the next anchor. So the pass computes no speeds but those
-//! of anchors, and nothing between them has to be repaired when a ramp begins in the middle of a block or from another
-//! state.
+//! * An entry whose cap exceeds the maximum speed of any ramp to the anchor (v² + 2·a·distance, as without a jerk
+//!   limit) does not limit the ramp.
+//! * Any other entry lowers the ceiling of the ramp.
+//! * The first entry from which the distance suffices to slow down from the ceiling is the next anchor.
+//!
+//! The pass computes only the speeds of anchors, so a ramp may start within a block, and from any state of motion,
+//! without changes to the queue.
 
 use super::block::{Block, OverrideFactors, Ramp};
 use super::curvature::Bend;
@@ -44,20 +44,23 @@ use super::trapezoid::{greater, lesser, square_root};
 use crate::lent::Lent;
 use core::ops::Range;
 
-/// A machine that is faster than a lowered override allows: it brakes with what bends leave of the acceleration, and the
-/// entries that it comes to meanwhile are not asked for less, or it would brake for them with all of it.
+/// Predicted speed of a machine that is faster than a lowered override allows. The machine brakes with the acceleration
+/// that bends leave. The entries that it passes meanwhile keep the predicted speed: with a lower one the machine would
+/// brake for them with all of the acceleration.
 #[derive(Clone, Copy, Debug)]
 struct Fall {
     speed2: f32,
-    /// mm until it brakes; the speed² from where it does.
+    /// Distance before the braking begins, mm.
     delay: f32,
+    /// Speed² at which the braking begins.
     top2: f32,
 }
 
 impl Fall {
     const NONE: Self = Self { speed2: 0.0, delay: 0.0, top2: 0.0 };
 
-    /// With bounded jerk an acceleration is eased off first, and the braking is built up.
+    /// Returns the prediction from the machine's state in `block`. With a jerk limit, the machine first reduces its
+    /// acceleration to 0 and then builds up the deceleration; `delay` covers both.
     fn from<const N: usize>(state: PathState, block: &Block<N>) -> Self {
         let (top, ahead) = state.summit(block.jerk);
         let top = greater(top, state.speed);
@@ -65,7 +68,8 @@ impl Fall {
         Self { speed2: top * top, delay, top2: top * top }
     }
 
-    /// Brakes for a way in a block. With bounded jerk the acceleration may grow slower than the bend leaves more of it.
+    /// Brakes over the distance `way` in a block. With a jerk limit the deceleration remains the one that the bend
+    /// leaves at `top2`, because it may grow more slowly than the falling speed allows.
     fn over<const N: usize>(&mut self, block: &Block<N>, way: f32, jerk_limited: bool) {
         let braked = greater(way - self.delay, 0.0);
         self.delay = greater(self.delay - way, 0.0);
@@ -76,32 +80,34 @@ impl Fall {
     }
 }
 
-/// Groups of neighbouring places of the ring of which the planner keeps in mind what an ease-off across them must know: it
-/// may span hundreds of blocks and is looked at with each segment. With 512 blocks two groups of 16 are walked through
-/// at most, the first and the last, and 31 taken as a whole.
+/// Number of groups of neighbouring slots of the ring. For each group the planner keeps a summary of its blocks,
+/// because the distance in which an acceleration is eased off may span hundreds of blocks and is checked for each
+/// segment. With 512 blocks, at most two groups of 16 (the first and the last) are walked block by block; the other 31
+/// or fewer are taken as a whole.
 pub(super) const GROUPS: usize = 32;
 
-/// The ring of blocks. The first one may be running; its entry speed is then history.
+/// The ring of blocks. A place counts from the first block (0), a slot is an index of the ring. The first block may be
+/// running; its entry speed then has no effect.
 #[derive(Debug)]
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
 pub(super) struct Planner<const N: usize> {
     first: usize,
     len: usize,
-    /// The first block is running, or the machine comes to it with a speed: it stays as it is.
+    /// The first block is running, or will be entered with a speed already given: it must not change.
     entered: bool,
-    /// Limits have changed from this place on, and the entries have not been brought into line with it.
+    /// Place of the first block whose limits have changed since the last reverse pass; `usize::MAX`: none.
     changed: usize,
-    /// Entries up to this place are what they will be, whatever is appended: 0 if none is known to be. Without a jerk limit only.
+    /// Entries up to this place are final, whatever is appended; 0: none is known to be. Only without a jerk limit.
     settled: usize,
-    /// Blocks that have been lowered since entries were last brought into line, and on which what is settled counts.
+    /// Blocks lowered by bends since the last reverse pass, whose entries the settled ones depend on.
     lowered: Lowered,
     /// Whether ramps have bounded jerk.
     pub jerk_limited: bool,
-    /// Entries are above what the overrides allow, for a machine that has to fall first.
+    /// Some entries exceed the speed that the overrides allow, because the machine has to slow down first ([`Fall`]).
     pub raised: bool,
     blocks: Lent<[Block<N>]>,
-    /// Of the groups that are in the queue as a whole; with a jerk limit only.
+    /// Summaries of the groups whose blocks are all in the queue. Only with a jerk limit.
     groups: Lent<[Stretch]>,
 }
 
@@ -122,13 +128,13 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Blocks that the ring has room for.
+    /// Returns how many blocks the ring can hold.
     #[inline]
     pub(super) fn capacity(&self) -> usize {
         self.blocks.len()
     }
 
-    /// Places of a group; the last one may have fewer.
+    /// Returns the number of slots in a group; the last group may have fewer.
     #[inline]
     fn group(&self) -> usize {
         self.blocks.len().div_ceil(GROUPS)
@@ -150,7 +156,8 @@ impl<const N: usize> Planner<N> {
         if index >= self.blocks.len() { index - self.blocks.len() } else { index }
     }
 
-    /// The slots of so many blocks from a place on, up to the end of the ring and from its begin, each with its first place.
+    /// Returns the slots of `count` blocks from `place` on as two ranges: up to the end of the ring, and from its
+    /// start. Each comes with the place of its first block.
     #[inline]
     fn slots(&self, place: usize, count: usize) -> [(usize, Range<usize>); 2] {
         let slot = self.slot(place);
@@ -162,12 +169,13 @@ impl<const N: usize> Planner<N> {
         if self.len == 0 { None } else { self.blocks.get(self.first) }
     }
 
-    /// Entry speed² of the second block, the exit of the first; 0 without one.
+    /// Returns the planned exit speed² of the first block, which is the entry speed² of the second; 0 without a second.
     #[inline]
     pub(super) fn exit2(&self) -> f32 {
         let Some(next) = self.block(1) else { return 0.0 };
         if next.ramp.distance > 0.0 {
-            // On the way to an anchor, in a crawl: the next block may lean on an axis of much less jerk.
+            // The entry lies within a ramp to an anchor. This happens at very low speed: the next block may load an
+            // axis of much lower jerk.
             let reach = ramp_speed(square_root(next.entry2), next.ramp.distance, next.ramp.bounds());
             return lesser(reach * reach, next.ramp.ceiling2);
         }
@@ -183,14 +191,14 @@ impl<const N: usize> Planner<N> {
         self.entered = false;
     }
 
-    /// The first block, which runs from now on.
+    /// Marks the first block as running and returns it.
     #[inline]
     pub(super) fn begin(&mut self) -> Option<&Block<N>> {
         self.entered = self.len > 0;
         self.first()
     }
 
-    /// The first block has been run, and the next one is entered with a speed or from rest.
+    /// Removes the first block. `moving`: the next one is entered with a speed, not from rest.
     #[inline]
     pub(super) fn pop(&mut self, moving: bool) {
         if self.len > 0 {
@@ -205,7 +213,7 @@ impl<const N: usize> Planner<N> {
         self.entered = moving;
     }
 
-    /// Whether the first block is running or will be entered with a speed that it has been given.
+    /// Returns whether the first block is running or will be entered with a speed already given.
     #[inline]
     pub(super) fn is_entered(&self) -> bool {
         self.entered
@@ -215,16 +223,16 @@ impl<const N: usize> Planner<N> {
         self.block(self.len.checked_sub(1)?)
     }
 
-    /// Removes the last block, which must not be running; another one has to follow.
+    /// Removes the last block, which must not be running. The caller must append another one.
     pub(super) fn take_back(&mut self) {
         self.len = self.len.saturating_sub(1);
-        // Without an entry it came after the last walk, which does not count on it.
+        // A block without an entry speed was appended after the last pass, so no settled entry depends on it.
         if self.blocks.get(self.slot(self.len)).is_some_and(|block| block.entry2 > 0.0) {
             self.settled = 0;
         }
     }
 
-    /// Appends a block (its `corner2` is set); `false` if the ring is full. [`Planner::plan`] has to follow.
+    /// Appends a block whose `corner2` is set; returns `false` if the ring is full. Call [`Planner::plan`] afterwards.
     pub(super) fn push(&mut self, mut block: Block<N>, overrides: OverrideFactors) -> bool {
         if self.len >= self.blocks.len() {
             return false;
@@ -244,13 +252,14 @@ impl<const N: usize> Planner<N> {
         true
     }
 
-    /// Lowers the corners of blocks that turn out to be on a bend, and the acceleration that remains there. Where the machine
-    /// is already too fast for it, it brakes, but too late: that happens only if the queue is shorter than the bend's span.
+    /// Lowers the corner speeds of blocks that turn out to lie on a bend, and the acceleration that remains there. If
+    /// the machine is already too fast for the bend, it brakes too late; this happens only if the queue is shorter than
+    /// the bend's span.
     #[inline(never)]
     pub(super) fn limit(&mut self, bend: &Bend) {
         let newest = self.len.saturating_sub(1);
         if let Some((nearest, farthest)) = bend.once {
-            // Where the slow entry has been passed already it is not to be found any more.
+            // A slow entry that has left the queue already cannot be found.
             let Some(first) = newest.checked_sub(farthest).filter(|first| *first > 0) else { return };
             let is_slow = |place| self.block(place).is_some_and(|block| block.corner2 <= bend.speed2);
             if (first..=newest - nearest).any(is_slow) {
@@ -266,7 +275,8 @@ impl<const N: usize> Planner<N> {
             }
         }
         if lowered.first != usize::MAX {
-            // A walk that comes to what is settled finds it again anyway. With a jerk limit nothing is.
+            // A pass that reaches the settled entries determines them anew anyway. With a jerk limit no entry is
+            // settled.
             if self.settled < self.changed && self.settled > 0 {
                 self.lowered = self.lowered.and(lowered);
             }
@@ -274,9 +284,9 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// What is settled relies on the entries of the last walk, which may only rise. Where blocks from `first` to `end` have been
-    /// lowered since, the entries before them are lowered too, as far as they change. If the settled entry leaves its cap by
-    /// that, or a block has become steep, nothing is settled any more.
+    /// Lowers the entries before blocks that bends have lowered since the last pass (places `first` to `end`), as far
+    /// as they change. Settled entries require that the entries of the last pass can only rise. If the settled entry
+    /// drops below its cap, or a block has become steep, no entry counts as settled.
     #[inline(never)]
     fn lower_settled(&mut self, first: usize, end: usize) {
         let mut exit2 = self.block(end).map_or(0.0, |next| next.entry2);
@@ -292,7 +302,7 @@ impl<const N: usize> Planner<N> {
                     return;
                 }
                 exit2 = lesser(block.max_entry2, reach2);
-                // Of the lowered ones the last may stay and one before it not.
+                // Among the lowered blocks an unchanged entry ends nothing: one before it may still change.
                 if place < first && block.entry2 == exit2 {
                     return;
                 }
@@ -301,7 +311,8 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// What has been appended and limited is to be planned: now with a jerk limit, else once it is asked for.
+    /// Plans the blocks appended or limited since the last call: immediately with a jerk limit, otherwise when
+    /// [`Planner::settle`] needs the result.
     pub(super) fn plan(&mut self) {
         if self.jerk_limited {
             let changed = self.reverse_pass_to_anchors();
@@ -310,8 +321,8 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Brings the exit of the first block up to date with what has been appended and limited, and with it all entries up to the
-    /// first one that is settled. Without a jerk limit only.
+    /// Updates the exit speed of the first block after blocks were appended or limited: runs the postponed reverse pass
+    /// if settled entries do not make it unnecessary. Only without a jerk limit.
     #[inline]
     pub(super) fn settle(&mut self) {
         if self.changed == usize::MAX {
@@ -330,7 +341,8 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Applies new overrides of feed and rapids to all blocks, the first of which is left in this state after `left` mm.
+    /// Applies new feed and rapid overrides to all blocks. `state`: the machine's motion in the first block, `left` mm
+    /// before its end.
     pub(super) fn replan(&mut self, overrides: OverrideFactors, state: PathState, left: f32) {
         let mut fall = self.first().map_or(Fall::NONE, |first| Fall::from(state, first));
         let mut previous = f32::INFINITY;
@@ -356,14 +368,14 @@ impl<const N: usize> Planner<N> {
         self.plan();
     }
 
-    /// Walks from the end of the queue towards the running block: over everything that has changed, and further as long as
-    /// entries change. Finds the last entry that is settled.
+    /// The reverse pass: walks from the end of the queue towards the running block, over all blocks that have changed,
+    /// and further while entries change. Finds the last settled entry.
     #[inline(never)]
     fn reverse_pass(&mut self) {
         let wrapped = (self.first + self.len).saturating_sub(self.blocks.len());
         let upper = self.len - wrapped;
         let Some((low, high)) = self.blocks.split_at_mut_checked(self.first) else { return };
-        // Without the first block, which may be running.
+        // The first block is excluded: it may be running.
         let (Some(low), Some(high)) = (low.get_mut(..wrapped), high.get_mut(1..upper)) else { return };
         let mut walk = Walk { exit2: 0.0, searching: true, settled: 0 };
         if walk.back(low, upper, self.changed) {
@@ -372,8 +384,8 @@ impl<const N: usize> Planner<N> {
         self.settled = walk.settled;
     }
 
-    /// The same with bounded jerk, as far as anchors change: finds the anchors, and notes for the entries between them how far
-    /// the next one is. Gives the first place that was looked at.
+    /// The reverse pass with a jerk limit: walks back as far as anchors change, finds the anchors, and sets for each
+    /// entry between them the ramp to the next anchor. Returns the first place that it reached.
     #[inline(never)]
     fn reverse_pass_to_anchors(&mut self) -> usize {
         let mut way = Way::to(0.0);
@@ -406,12 +418,13 @@ impl<const N: usize> Planner<N> {
             }
             block.entry2 = entry2;
         }
-        // The running block may have a border of this kind too.
+        // An anchor may also belong at the end of the running block.
         self.end_at_border(place.saturating_sub(1), &mut way);
         place
     }
 
-    /// Begins a new way at the end of the block at a place, if that has tighter or looser bounds to which this is better.
+    /// Makes the end of the block at `place` an anchor, if the block's bounds differ from those of `way` and an anchor
+    /// there shortens the ramp.
     #[inline]
     fn end_at_border(&mut self, place: usize, way: &mut Way) {
         let Some(block) = self.block(place) else { return };
@@ -428,7 +441,7 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Brings the groups into line with the blocks from a place on.
+    /// Updates the group summaries for the blocks from a place on.
     fn sum_up(&mut self, from: usize) {
         let group_len = self.group();
         let within = self.slot(from) % group_len;
@@ -436,7 +449,7 @@ impl<const N: usize> Planner<N> {
         if let Some(start) = from.checked_sub(within) {
             place = start;
         } else {
-            // The first blocks of this group are gone, so it is never asked for as a whole.
+            // The first blocks of this group have left the queue, so it is never used as a whole.
             place += self.group_size(self.slot(from) - within) - within;
         }
         while place < self.len {
@@ -455,13 +468,14 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Places of the group that begins at a slot.
+    /// Returns the size of the group that begins at a slot.
     #[inline]
     fn group_size(&self, slot: usize) -> usize {
         self.group().min(self.blocks.len() - slot)
     }
 
-    /// What begins at a place, and how many blocks that are: a whole group if the distance leads out of it, else one.
+    /// Returns the summary of the blocks at a place, and how many they are: a whole group if it begins there and is
+    /// shorter than `distance`, otherwise one block.
     #[inline]
     fn stretch(&self, place: usize, distance: f32) -> Option<(Stretch, usize)> {
         let slot = self.slot(place);
@@ -482,9 +496,9 @@ impl<const N: usize> Planner<N> {
         if place < self.len { self.blocks.get(self.slot(place)) } else { None }
     }
 
-    /// Whether a machine `left` mm before the end of the first block may be in this state: whether it can ease off its
-    /// acceleration, or continue braking, and meet all that is planned behind. If so, the least acceleration bound on the way
-    /// on which it would ease off.
+    /// Checks whether a machine `left` mm before the end of the first block may be in this state: whether it can ease
+    /// off its acceleration, or continue to brake, and still meet all later anchors. If so, returns the minimum
+    /// acceleration bound over the distance in which it eases off.
     pub(super) fn allows(&self, state: PathState, left: f32, nominal: f32) -> Option<f32> {
         let first = self.first()?;
         if state.acceleration < 0.0 {
@@ -518,7 +532,7 @@ impl<const N: usize> Planner<N> {
         self.target(place, end - ahead, own).is_met(stands).then_some(acceleration)
     }
 
-    /// What a ramp has to reach that begins `left` mm before the end of the block at a place.
+    /// Returns the next anchor as seen by a ramp that begins `left` mm before the end of the block at a place.
     #[inline]
     pub(super) fn target(&self, place: usize, left: f32, own: Bounds) -> Target {
         let Some(next) = self.block(place + 1) else {
@@ -532,8 +546,8 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// The tightest bounds within a distance, `left` mm of which are in the first block, for a machine that is at a speed²
-    /// and gets no faster.
+    /// Returns the tightest bounds within a distance, of which `left` mm are in the first block, for a machine at a
+    /// speed² that does not rise.
     pub(super) fn bounds_within(&self, distance: f32, left: f32, speed2: f32) -> Bounds {
         let Some(first) = self.first() else { return Bounds::NONE };
         let (mut straight_acceleration, mut curve, mut jerk) = (first.acceleration, first.curve, first.jerk);
@@ -552,8 +566,8 @@ impl<const N: usize> Planner<N> {
 
 #[cfg(test)]
 impl<const N: usize> Planner<N> {
-    /// Asserts that what is asked for next is what one pass over all blocks gives, and so is all that is settled; with a jerk
-    /// limit, that everything is what is planned at once, and what the groups say of it.
+    /// Asserts that the exit of the first block and all settled entries equal the result of one pass over all blocks.
+    /// With a jerk limit: that all entries equal a complete new plan, and that the group summaries match the blocks.
     pub(super) fn assert_consistent(&self) {
         let mut copy = self.clone();
         if self.jerk_limited {

@@ -1,5 +1,6 @@
-//! The way into motion: the planner's blocks and everything known of the end of the path. [`super::enqueue`] makes
-//! blocks of moves; [`super::short_moves`] and [`super::rounding`] join and blend them before.
+//! The input side of motion ([`MoveQueue`]): the planner's blocks and the state at the end of the path.
+//! [`super::enqueue`] turns moves into blocks; [`super::short_moves`] joins and [`super::rounding`] blends moves before
+//! that.
 
 use super::axis_limits::AxisLimits;
 use super::backlash::{Backlash, Motors};
@@ -17,12 +18,13 @@ use crate::axes::PerAxis;
 use crate::lent::Lent;
 use crate::units::Coordinate;
 
-/// Most steps of slack that are compensated: a hundredth of an inch with 40,000 steps/mm.
+/// Maximum backlash that is compensated, steps: a hundredth of an inch with 40,000 steps/mm.
 pub(super) const MOST_BACKLASH: i32 = 10_000;
-/// With backlash: what is left of it before a plunge, a cut, the rest of the move.
+/// Maximum number of blocks of one move with backlash: the rest of the compensation before a plunge, the beginning of
+/// the move, which is cut off, and the rest of the move.
 pub(super) const MOST_BLOCKS_OF_A_MOVE: usize = 3;
 
-/// A move with more steps than a block can have, cut into equal pieces as there is room.
+/// A move with more steps than a block can have. It is divided into equal pieces, each queued when there is room.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LongMove<const N: usize> {
     pub start: PerAxis<Coordinate, N>,
@@ -32,16 +34,16 @@ pub(super) struct LongMove<const N: usize> {
     pub next: u32,
 }
 
-/// What a block is numbered with.
+/// Source of the line numbers of blocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Numbering {
     /// The N word of its line.
     Words,
-    /// A number that who carries the controller gives.
+    /// A number set by `Motion::number_moves`.
     Given(u32),
 }
 
-/// What a move becomes a block with, and the blocks.
+/// The queue of blocks, with the state needed to turn moves into blocks.
 #[derive(Debug)]
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
@@ -51,25 +53,25 @@ pub(super) struct MoveQueue<const N: usize> {
     pub limits: AxisLimits<N>,
     pub overrides: OverrideFactors,
     pub end: PathEnd<N>,
-    /// Of the length that is carried over, which alone is restored when a block is taken back: it is of one feed then.
+    /// Time of the carried-over length. Not restored when a block is taken back: the length has a single feed then.
     pub carried_time: CarriedTime,
-    /// How far the end is beyond its steps, in substeps (sevenths of a step); known after a chord of an arc only.
+    /// Offset of the exact end from its steps, in substeps (sevenths of a step); only known after a chord of a curve.
     pub substep_offset: Option<[i32; N]>,
     pub long: Option<LongMove<N>>,
     pub numbering: Numbering,
     /// The mark of blocks from here on, as bits of their flags.
     pub marked: u8,
-    /// The lines at the end of the queue, for their curvature. Broken by an arc, which knows its own.
+    /// The straight moves at the end of the queue, from which their curvature is determined.
     pub chain: Chain<N>,
-    /// The last block, as far as short moves may continue it.
+    /// The last block, while short moves may be joined to it.
     pub join: Join<N>,
-    /// Moves that are not queued yet: corners may be rounded.
+    /// Moves held back because their corners may be rounded.
     pub blend: Blend<N>,
     pub planner: Planner<N>,
 }
 
 impl<const N: usize> MoveQueue<N> {
-    /// Empty, before there are settings.
+    /// Creates an empty queue without settings.
     pub(super) fn new(blocks: Lent<[Block<N>]>, groups: Lent<[Stretch]>, scales: Lent<[Scale<N>]>) -> Self {
         Self {
             kinematics: Kinematics::ONE,
@@ -89,7 +91,7 @@ impl<const N: usize> MoveQueue<N> {
         }
     }
 
-    /// Takes over settings; empty only, and [`MoveQueue::restart`] has to follow.
+    /// Applies settings. Call only with an empty queue, and call [`MoveQueue::restart`] afterwards.
     pub(super) fn configure(&mut self, settings: &MotionSettings<N>) {
         self.kinematics = Kinematics::new(settings.arrangement, settings.steps_per_mm);
         self.join.configure(&self.kinematics);
@@ -99,7 +101,7 @@ impl<const N: usize> MoveQueue<N> {
         self.backlash.configure(slack.0.map(|steps| steps.clamp(0, MOST_BACKLASH)));
     }
 
-    /// Forgets everything: the next move begins with the motors here. Gives them with a lead within the slack.
+    /// Clears the queue; the next move begins at `motors`. Returns them with the lead limited to the backlash.
     pub(super) fn restart(&mut self, motors: Motors<N>) -> Motors<N> {
         self.backlash.rest(motors.lead);
         let motors = Motors { lead: self.backlash.lead(), ..motors };
@@ -114,7 +116,8 @@ impl<const N: usize> MoveQueue<N> {
         motors
     }
 
-    /// The next move is measured from here, a position within the step at which the queue, which is empty, ends.
+    /// Sets the position from which the next move is measured. The queue must be empty, and the position within the
+    /// step at which it ends.
     pub(super) fn set_position(&mut self, position: &PerAxis<Coordinate, N>) {
         self.end.planned = *position;
         self.end.block_end = *position;
@@ -122,20 +125,20 @@ impl<const N: usize> MoveQueue<N> {
         self.chain.restart(position);
     }
 
-    /// Whether there is nothing more to be done.
+    /// Returns whether no blocks, pieces of a long move or held moves are left.
     #[inline]
     pub(super) fn is_empty(&self) -> bool {
         self.planner.len() == 0 && self.long.is_none() && !self.blend.is_holding()
     }
 
-    /// Room for moves. None while a move of more than 2^26 steps is still being cut.
+    /// Returns how many more moves can be queued; 0 while a move of 2^26 steps or more is still being divided.
     #[inline]
     pub(super) fn free_blocks(&self) -> usize {
         let spare = if self.backlash.is_on() { MOST_BLOCKS_OF_A_MOVE.min(self.planner.capacity()) - 1 } else { 0 };
         if self.long.is_some() { 0 } else { self.planner.free().saturating_sub(spare + self.blocks_held()) }
     }
 
-    /// The end of all moves, as programmed.
+    /// Returns the programmed end of all moves.
     pub(super) fn planned_position(&self) -> PerAxis<Coordinate, N> {
         if let Some(end) = self.blend.end() {
             return end;
@@ -143,19 +146,19 @@ impl<const N: usize> MoveQueue<N> {
         self.long.map_or(self.end.planned, |long| long.whole.target)
     }
 
-    /// Blocks that are kept free for what is held back.
+    /// Returns how many blocks must stay free for the moves held back.
     fn blocks_held(&self) -> usize {
         let pieces = match self.blend.moves().count() {
             0 => return 0,
-            // One more makes a corner: five blocks.
+            // With the next move there is a corner: five blocks in total.
             1 => 4,
-            // With one more the first corner is queued, and there is the second.
+            // The next move queues the first corner (four blocks) and makes a second one (five).
             _ => 8,
         };
         if self.backlash.is_on() { pieces * MOST_BLOCKS_OF_A_MOVE } else { pieces }
     }
 
-    /// What the block of a move is numbered with.
+    /// Returns the line number for the block of a move.
     #[inline]
     pub(super) fn number_of(&self, m: &Move<N>) -> u32 {
         match self.numbering {

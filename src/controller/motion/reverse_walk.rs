@@ -1,23 +1,23 @@
-//! The reverse pass without a jerk limit. From the last block to the first it sets the greatest entry speed from which
-//! the machine can brake to the exit speed; it ends at the first entry that does not change. [`super::planner`] calls
-//! it on pieces of its ring.
+//! The reverse pass without a jerk limit. From the last block to the first, it sets the maximum entry speed from which
+//! the machine can brake to the exit speed. It ends at the first entry that does not change. [`super::planner`] runs it
+//! on each contiguous part of its ring.
 
 use super::block::Block;
 use super::curvature::Bend;
 
-/// A reverse pass on its way.
+/// State of a reverse pass.
 pub(super) struct Walk {
-    /// The speed² at which the last block before what has been walked over is left.
+    /// Exit speed² of the next block to process.
     pub exit2: f32,
-    /// Whether it looks for an entry that is settled.
+    /// Whether the last settled entry has not been found yet.
     pub searching: bool,
-    /// That entry; 0: none.
+    /// Place of the last settled entry; 0: none.
     pub settled: usize,
 }
 
 impl Walk {
-    /// Brings the entries of some blocks in a row, the first of which is at a place, into line, from the last of them to the
-    /// first. Ends with `false` at one that stays, in front of the place from which limits have `changed`.
+    /// Updates the entries of consecutive blocks from last to first. `from`: place of the first of them; `changed`:
+    /// place from which limits have changed. Returns `false` if it ended early, at an unchanged entry before `changed`.
     #[inline(never)]
     pub(super) fn back<const N: usize>(&mut self, blocks: &mut [Block<N>], from: usize, changed: usize) -> bool {
         let Self { mut exit2, mut searching, mut settled } = *self;
@@ -33,7 +33,7 @@ impl Walk {
             }
             block.entry2 = exit2;
             if searching {
-                // What is before a steep block may get slower by what is appended.
+                // Entries before a steep block may get slower when blocks are appended, so they are not settled.
                 let is_steep = block.is_steep();
                 if is_steep || is_capped && block.is_surely_capped(reach2) {
                     searching = false;
@@ -46,25 +46,25 @@ impl Walk {
     }
 }
 
-/// What bends have lowered.
+/// Range of blocks whose limits bends have lowered.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lowered {
-    /// The first place; `usize::MAX`: none.
+    /// Place of the first lowered block; `usize::MAX`: none.
     pub first: usize,
-    /// Behind the last one that has been walked over, 0 if none has.
+    /// Place after the last lowered block that a reverse pass has processed; 0: none.
     pub planned_end: usize,
 }
 
 impl Lowered {
     pub(super) const NONE: Self = Self { first: usize::MAX, planned_end: 0 };
 
-    /// What either has.
+    /// Returns the range that covers both.
     #[inline]
     pub(super) fn and(self, other: Self) -> Self {
         Self { first: self.first.min(other.first), planned_end: self.planned_end.max(other.planned_end) }
     }
 
-    /// The first block of the queue has gone.
+    /// Adjusts the places after the first block was removed from the queue.
     #[inline]
     pub(super) fn pop(&mut self) {
         if self.first != usize::MAX {
@@ -73,13 +73,13 @@ impl Lowered {
         }
     }
 
-    /// Lowers blocks in a row, the first of which is at a place.
+    /// Lowers consecutive blocks to the limits of `bend`. `from`: place of the first of them.
     #[inline(never)]
     pub(super) fn lower<const N: usize>(&mut self, blocks: &mut [Block<N>], from: usize, bend: &Bend) {
-        // Positive numbers are ordered as their bits are.
+        // Positive numbers are ordered like their bits.
         let speed2 = bend.speed2.to_bits();
         for (index, block) in blocks.iter_mut().enumerate() {
-            // Most blocks in a long bend are as low already. No entry is above its corner.
+            // Most blocks in a long bend are low enough already. `max_entry2` never exceeds `corner2`.
             let is_tighter = bend.curve.is_tighter(block.curve);
             if speed2 < block.corner2.to_bits() {
                 block.corner2 = bend.speed2;
@@ -93,7 +93,7 @@ impl Lowered {
             }
             block.curve = block.curve.tighter(bend.curve);
             self.first = self.first.min(from + index);
-            // A block that came after the last walk has no entry.
+            // A block without an entry speed was appended after the last pass.
             if block.entry2 > 0.0 {
                 self.planned_end = from + index + 1;
             }

@@ -1,12 +1,12 @@
 //! Decides when moves with a tolerance (G64) are queued. A move may be held back, merged with the next, or queued with
-//! its corner cut off ([`super::blend`]). All of them are queued as soon as the speed of the first block may depend on
-//! them.
+//! its corner cut off ([`super::blend`]). All held moves are queued as soon as the speed of the first block may depend
+//! on them.
 //!
-//! What is held back costs nothing while the machine does not need it: as long as some entry ahead is as fast as it can ever
-//! be, all speeds before it are what they are with any number of moves behind, but for a tight bend among those, for which the
-//! machine brakes as for any that is seen late. Once none is, or the queue is empty, the
-//! moves are queued as they are; so a link that is late costs a rounded corner, and no time. A move that is queued is never
-//! taken back, so nothing that the machine counts on changes.
+//! Holding moves back costs no time as long as an entry in the queue has reached its maximum speed: speeds before that
+//! entry do not depend on later moves. (The exception is a tight bend among the held moves, for which the machine
+//! brakes as for any bend that is found late.) Once no entry has its maximum speed, or the queue is empty, the held
+//! moves are queued unchanged. So a slow link costs a rounded corner, but no time. Queued moves are never taken back,
+//! so all planned speeds stay valid.
 
 use super::arc::Curvature;
 use super::blend::{Blend, HeldMove};
@@ -18,15 +18,16 @@ use super::{Move, Speed};
 use crate::axes::{LINEAR, PerAxis};
 use crate::image::FULL_IMAGE;
 
-/// A look-ahead shorter than this holds nothing back.
+/// Minimum look-ahead, in blocks, with which moves are held back.
 const LEAST_BLOCKS: usize = 32;
-/// Entries that are looked at for one as fast as it can be.
+/// Number of entries that are searched for one at its maximum speed.
 const MOST_ENTRIES: usize = 64;
-/// As fast as it can be: with a jerk limit the speed of an entry is a root that is squared again.
+/// Share of the maximum speed² that counts as the maximum: with a jerk limit, the entry speed² is a rounded root
+/// squared.
 const FULL: f32 = 0.999;
 
 impl<const N: usize> MoveQueue<N> {
-    /// Queues a move, or holds it back. `false`: no room, nothing done.
+    /// Queues a move or holds it back. Returns `false`, with nothing done, if there is no room.
     #[inline]
     pub(super) fn take(&mut self, m: &Move<N>) -> bool {
         if FULL_IMAGE && (m.tolerance.path > 0.0 || self.blend.is_holding()) {
@@ -35,7 +36,7 @@ impl<const N: usize> MoveQueue<N> {
         self.line(m)
     }
 
-    /// Queues a chord of an arc, behind what has been held back.
+    /// Queues a chord of a curve, after the held moves.
     #[inline]
     pub(super) fn take_chord(&mut self, m: &Move<N>, curvature: Curvature) -> bool {
         if self.blend.is_holding() {
@@ -77,7 +78,7 @@ impl<const N: usize> MoveQueue<N> {
         true
     }
 
-    /// Whether a move is one of those that are rounded.
+    /// Returns whether a move may be held back for rounding.
     fn may_hold(&self, m: &Move<N>) -> bool {
         let from = self.kinematics.steps(&self.planned_position());
         let steps = self.kinematics.steps(&m.target);
@@ -89,7 +90,7 @@ impl<const N: usize> MoveQueue<N> {
             && most < MAX_STEPS
     }
 
-    /// Queues all that is held back.
+    /// Queues all held moves.
     #[inline(never)]
     pub(super) fn release(&mut self) {
         while self.blend.is_holding() {
@@ -97,7 +98,7 @@ impl<const N: usize> MoveQueue<N> {
         }
     }
 
-    /// The same, once the machine needs it.
+    /// Queues all held moves if the machine needs them.
     #[inline]
     pub(super) fn release_in_time(&mut self) {
         if self.blend.is_holding() && self.is_end_near() {
@@ -105,7 +106,7 @@ impl<const N: usize> MoveQueue<N> {
         }
     }
 
-    /// Whether the speed of the first block may depend on what is held back.
+    /// Returns whether the speed of the first block may depend on the held moves.
     fn is_end_near(&mut self) -> bool {
         if !self.planner.jerk_limited {
             self.planner.settle();
@@ -119,7 +120,7 @@ impl<const N: usize> MoveQueue<N> {
         false
     }
 
-    /// Queues the oldest move that is held back, and the pieces that cut off the corner behind it.
+    /// Queues the oldest held move, and the pieces that cut off the corner after it.
     fn queue_oldest(&mut self) {
         let Some(oldest) = self.blend.pop() else { return };
         let next = self.blend.moves().next().copied();
@@ -135,7 +136,7 @@ impl<const N: usize> MoveQueue<N> {
             (Speed::Feed(before), Speed::Feed(after)) => Speed::Feed(lesser(before, after)),
             (speed, _) => speed,
         };
-        // Its ends are where they have been computed to be, whatever digits the program has.
+        // The ends of the pieces are computed, so they have no rounding of the program (digit 0).
         let digit = self.chain.program_digit();
         let places = cut.between.iter().flatten().chain(core::iter::once(&cut.last));
         for target in places {
@@ -144,13 +145,13 @@ impl<const N: usize> MoveQueue<N> {
         self.chain.set_program_digit(digit);
     }
 
-    /// Queues a piece of a move that has been held back, along its true ends.
+    /// Queues a piece of a held move; the steps follow its exact ends.
     fn queue_held(&mut self, held: &HeldMove<N>, piece: &Move<N>) {
         if piece.target == self.end.planned {
             return;
         }
         let numbering = core::mem::replace(&mut self.numbering, Numbering::Given(held.number));
-        // A whole move is queued as without a tolerance; what takes up slack is stepped from step to step.
+        // A whole move is queued as without a tolerance. With backlash compensation, ends are full steps.
         let true_ends = !held.is_whole(&self.end.planned, &piece.target) && !self.backlash.is_on();
         self.put(piece, UNLIMITED2, true_ends);
         self.numbering = numbering;

@@ -1,5 +1,5 @@
-//! The block that is being cut into segments: how far it is, its speed limits, and what the step task must be told
-//! before the next segment. Gives the speed curve of the rest of the block, also for braking in a hold.
+//! The block that is being cut into segments: its progress, its speed limits, and the messages to the step task that
+//! must precede the next segment. Computes the speed curve of the rest of the block, also for braking in a hold.
 
 use super::block::{Block, MARK_SHIFT, OverrideFactors, RAPID, SCALE_POWER};
 use super::measure::{Measure, signed_add, steps_taken};
@@ -8,10 +8,10 @@ use super::trapezoid::{OFF_CURVE, Pace, Trapezoid, lesser};
 use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{AxisSteps, ToStep};
 
-/// A crawl in which a unit takes longer than this many seconds stops where it is if it can within the unit.
+/// In a hold, a machine that needs more than this time for two units, and can stop within one, stops at once, s.
 const CRAWL_S: f32 = 0.001;
 
-/// What the step task has to be told next of a block.
+/// The next message about a block to the step task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum BlockStage {
     /// There is no block.
@@ -20,29 +20,30 @@ pub(super) enum BlockStage {
     UpperAxes,
     /// Steps of the first three axes, and directions.
     Block,
-    /// That the block was left part-way for moves of another kind.
+    /// Re-entry into the block, which was left part-way for other moves.
     Reenter,
-    /// The first segment since the block was announced.
+    /// The first segment after the announcement of the block.
     FirstSegment,
-    /// Segments.
+    /// Further segments.
     Segments,
 }
 
-/// How the machine moves at the end of what has been handed over to the segment buffer.
+/// State of motion at the end of the last segment handed over to the segment buffer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathMotion {
-    /// In units/s of the running block, mm/s between blocks.
+    /// Speed, in units/s of the running block; mm/s between blocks.
     pub pace: Pace,
-    /// Acceleration along the path, mm/s²; with a jerk limit only.
+    /// Acceleration along the path, mm/s²; only with a jerk limit.
     pub acceleration: f32,
-    /// The least bound on it as far as it takes to ease it off; with a jerk limit only.
+    /// Minimum acceleration bound over the distance in which the acceleration can be eased off, mm/s²; only with a jerk
+    /// limit.
     pub ease_off_limit: f32,
 }
 
 impl PathMotion {
     pub(super) const REST: Self = Self { pace: Pace::REST, acceleration: 0.0, ease_off_limit: 0.0 };
 
-    /// Comes to rest.
+    /// Sets speed and acceleration to 0.
     #[inline]
     pub(super) fn stop(&mut self) {
         self.pace = Pace::REST;
@@ -63,15 +64,17 @@ pub(super) struct Running<const N: usize> {
     threshold: u32,
     rates: [u32; N],
     credits: [u32; N],
-    /// Units of the whole block and those cut off so far.
+    /// Units of the whole block.
     pub total: u32,
+    /// Units cut into segments so far.
     pub done: u32,
-    /// Units of a millimetre.
+    /// Units per millimetre.
     pub scale: f32,
-    /// In units/s², units²/s².
+    /// Acceleration, units/s².
     pub acceleration: f32,
+    /// Nominal speed², units²/s².
     pub nominal2: f32,
-    /// mm/s before overrides.
+    /// Speed at which power is not reduced, before overrides, mm/s: the programmed feed, or the limit of a rapid.
     programmed: f32,
 }
 
@@ -94,7 +97,7 @@ impl<const N: usize> Running<N> {
         programmed: 1.0,
     };
 
-    /// The beginning of a block.
+    /// Creates the running block at its start.
     #[inline]
     pub(super) fn of(block: &Block<N>, overrides: OverrideFactors) -> Self {
         let measure = Measure::of(&block.steps_by_axis);
@@ -119,11 +122,11 @@ impl<const N: usize> Running<N> {
         }
     }
 
-    /// How the announcement of a block begins.
+    /// Returns the stage with which the announcement of a block begins.
     #[inline]
     fn announcement(steps_by_axis: &[AxisSteps; N]) -> BlockStage {
         let rest = steps_by_axis.iter().skip(LINEAR);
-        // Those that stand still need not be told of, but where true ends are: the threshold depends on them.
+        // Upper axes without steps or substeps need no message. Substeps count, because the threshold depends on them.
         if N > LINEAR && rest.into_iter().any(|axis_steps| *axis_steps != AxisSteps::default()) {
             BlockStage::UpperAxes
         } else {
@@ -131,20 +134,20 @@ impl<const N: usize> Running<N> {
         }
     }
 
-    /// Whether there is a block.
+    /// Returns whether there is a block.
     #[inline]
     pub(super) fn is_active(&self) -> bool {
         self.stage != BlockStage::Nothing
     }
 
-    /// The block has to be announced once more, for the step task has done something else meanwhile.
+    /// Restarts the announcement of the block, because the step task has executed other moves meanwhile.
     pub(super) fn announce_again(&mut self) {
         if self.is_active() {
             self.stage = Self::announcement(&self.steps_by_axis);
         }
     }
 
-    /// The next message of the announcement; `None`: it is time for a segment.
+    /// Returns the next message of the announcement; `None` if it is complete and a segment follows.
     #[inline]
     pub(super) fn announce(&mut self) -> Option<ToStep> {
         let mut steps_by_axis = [AxisSteps::default(); 3];
@@ -171,13 +174,13 @@ impl<const N: usize> Running<N> {
         }
     }
 
-    /// Units still to be cut off.
+    /// Returns the units not yet cut into segments.
     #[inline]
     pub(super) fn left(&self) -> u32 {
         self.total - self.done
     }
 
-    /// Whether all of it has been cut off.
+    /// Returns whether the whole block has been cut into segments.
     #[inline]
     pub(super) fn is_done(&self) -> bool {
         self.done >= self.total
@@ -188,19 +191,19 @@ impl<const N: usize> Running<N> {
         self.flags & RAPID != 0
     }
 
-    /// Whether power follows the speed (dynamic laser power).
+    /// Returns whether power is scaled with the speed (dynamic laser power).
     #[inline]
     pub(super) fn scales_power(&self) -> bool {
         self.flags & SCALE_POWER != 0
     }
 
-    /// The mark of the block.
+    /// Returns the mark of the block.
     #[inline]
     pub(super) fn mark(&self) -> u8 {
         self.flags >> MARK_SHIFT
     }
 
-    /// Spindle or laser power at a speed, mm/s: with M4 in laser mode the power is scaled with the speed (dynamic
+    /// Returns spindle or laser power at a speed (mm/s). With M4 in laser mode, power is scaled with the speed (dynamic
     /// laser power).
     #[inline]
     pub(super) fn power_at(&self, speed: f32) -> u16 {
@@ -210,7 +213,7 @@ impl<const N: usize> Running<N> {
         (f32::from(self.power) * (speed / self.programmed)) as u16
     }
 
-    /// Where the motors are that began the block here.
+    /// Returns the motors' steps after `done` units of the block, which began at `start`.
     #[inline(always)]
     pub(super) fn steps_from(&self, start: &PerAxis<i32, N>) -> PerAxis<i32, N> {
         let mut position = *start;
@@ -219,7 +222,7 @@ impl<const N: usize> Running<N> {
             let taken = if self.done == self.total {
                 axis_steps.steps()
             } else if *rate == 0 {
-                // It does not move: an axis with steps has a rate, wherever its ends are.
+                // The axis does not move: an axis with steps has a nonzero rate, wherever its exact ends are.
                 0
             } else {
                 steps_taken(*rate, credit, self.threshold, self.done)
@@ -229,7 +232,7 @@ impl<const N: usize> Running<N> {
         position
     }
 
-    /// The trapezoid of the rest of the block and how many units are left of it; `None` for a stop at this very position.
+    /// Returns the speed curve of the rest of the block and its length in units; `None` for an immediate stop.
     #[inline(always)]
     pub(super) fn trapezoid(&self, pace: Pace, braking: bool, planner: &Planner<N>) -> Option<(Trapezoid, u32)> {
         let left = self.left();
@@ -242,7 +245,7 @@ impl<const N: usize> Running<N> {
         Some((Trapezoid { acceleration, nominal2: self.nominal2, exit2 }, left))
     }
 
-    /// The same in a feed hold: braking to a stop as soon as may be.
+    /// Like [`Running::trapezoid`], in a feed hold: brakes to a stop as soon as possible.
     #[inline]
     fn braking(&self, pace: Pace, acceleration: f32) -> Option<(Trapezoid, u32)> {
         let left = self.left();
@@ -254,11 +257,11 @@ impl<const N: usize> Running<N> {
             return None;
         }
         if way >= left as f32 {
-            // All of this block brakes, and the next one begins with what speed is left.
+            // The machine brakes over the whole block, and enters the next one with the remaining speed.
             let exit2 = (pace.speed2 - 2.0 * acceleration * left as f32).max(0.0);
             return Some((Trapezoid { acceleration, nominal2: pace.speed2, exit2 }, left));
         }
-        // The stop is at a whole unit, with a deceleration that is lower by as little as that needs.
+        // Stop at the next whole unit, with a slightly lower deceleration.
         let mut stop = way as u32;
         if (stop as f32) < way {
             stop += 1;
@@ -268,15 +271,15 @@ impl<const N: usize> Running<N> {
         Some((Trapezoid { acceleration, nominal2: pace.speed2, exit2: 0.0 }, stop))
     }
 
-    /// The acceleration, in units/s²: in a bend what it leaves at the lower of the present speed and the planned exit
-    /// speed², as the reverse pass has counted on. A machine that is too fast for that exit, because the bend was seen when
-    /// the blocks behind had counted on all of the acceleration, brakes as hard as it needs.
+    /// Returns the acceleration, units/s². In a bend: the one left at the present speed or the planned exit speed,
+    /// whichever is lower, as the reverse pass assumes. If the bend was found too late, when later blocks relied on all
+    /// of the acceleration, the machine may be too fast for the exit; it then brakes as hard as necessary.
     #[inline]
     fn acceleration_towards(&self, exit2: f32, pace: Pace, planner: &Planner<N>) -> f32 {
         match planner.first() {
             Some(block) if !block.curve.is_none() => {
                 let speed2 = pace.speed2 / (self.scale * self.scale);
-                // Without a call, for which all segments would save registers.
+                // Inlined: a call would make all segments save registers.
                 let planned = block.curve.left_of(block.acceleration, lesser(speed2, exit2)) * self.scale;
                 let (exit2, twice_left) = (exit2 * self.scale * self.scale, 2.0 * self.left() as f32);
                 if pace.speed2 <= (exit2 + planned * twice_left) * OFF_CURVE {

@@ -1,34 +1,36 @@
-//! Cuts the next segment out of a block's speed curve: a number of ticks with evenly changing intervals, at the AMASS
-//! level that suits the speed. What the fixed-point intervals cannot hold is carried over to the next segment.
+//! Cuts the next segment out of a block's speed curve: a number of ticks with linearly changing intervals, at the AMASS
+//! level that suits the speed.
 //!
-//! A segment lasts 1 ms at most, 2 ms where the speed stays or hardly changes (or one tick, if that takes longer), has whole
-//! ticks, and ends where a phase of the curve ends. Its intervals change evenly from tick to tick; their sum is the exact time of the curve, and what the fixed point
-//! cannot hold goes into the next segment, so no time is lost or gained.
+//! A segment has whole ticks and ends where a phase of the curve ends. It lasts at most 1 ms, or 2 ms if the speed is
+//! constant or nearly so (or one tick, if that is longer). The sum of its intervals is the exact time of the curve. The
+//! remainder that the fixed-point intervals cannot represent is carried over to the next segment, so no time is lost or
+//! gained.
 
 use super::stepper::MAX_LEVEL;
 use super::trapezoid::{Pace, Trapezoid, lesser};
 use crate::messages::{INTERVAL_FRACTION_BITS, UNITS_PER_STEP};
 
-/// Longest segment of several ticks, in seconds, while the speed changes: how far its even change of the interval may stray from
-/// the curve, and how coarsely dynamic laser power follows the speed.
+/// Maximum duration of a segment of several ticks while the speed changes, s. Limits how far the linear intervals
+/// deviate from the curve, and how coarsely dynamic laser power follows the speed.
 const SEGMENT_TIME: f32 = 0.001;
-/// The same where speed and power stay or hardly change: how long a hold or an override may wait for its end, and how far ahead
-/// the reported position may be.
+/// Maximum duration of a segment while speed and power are constant or nearly so, s. Limits the delay of a hold or an
+/// override, and how far ahead the reported position can be.
 const STEADY_TIME: f32 = 0.002;
-/// Acceleration by speed, 1/s, up to which speed hardly changes: by 1 % in that time, and the acceleration of the even change of
-/// the interval, which goes with the cube of the speed, is 1.5 % off at its ends.
+/// Ratio of acceleration to speed, 1/s, up to which the speed counts as nearly constant: it changes by 1 % within
+/// [`STEADY_TIME`]. With linear intervals the acceleration is proportional to the cube of the speed, hence 1.5 % off at
+/// both ends.
 const STEADY: f32 = 5.0;
-/// Ticks per second below which smoothing makes them finer: the stepping of a slow axis then jitters by 125 us at most.
+/// Ticks per second below which smoothing makes ticks finer, so that the steps of a slow axis jitter by at most 125 us.
 const SMOOTH_RATE: f32 = 8000.0;
-/// That speed in units/s, at ticks of a whole step.
+/// [`SMOOTH_RATE`] as a speed in units/s, for ticks of a whole step.
 const COARSEST: f32 = SMOOTH_RATE * UNITS_PER_STEP as f32;
-/// Share of speed²/acceleration that one segment may cover: its speed then changes by a tenth, and evenly
-/// changing intervals follow the curve within 0.3 % (the intervals of a longer piece bend).
+/// Share of speed²/acceleration that one segment may cover. The speed then changes by a tenth, and linear intervals
+/// follow the curve within 0.3 % (in longer pieces the true intervals are not linear).
 const EVEN: f32 = 0.1;
-/// Phases shorter than this many units end on the nearest tick, longer ones on the next whole step.
+/// Phases shorter than this many units end on the next tick, longer ones on the next whole step.
 const WHOLE_STEPS: u32 = 4 * UNITS_PER_STEP;
 
-/// A speed in units/s that no machine comes near.
+/// A speed in units/s far beyond any machine's.
 const ENDLESS: f32 = 1.0e18;
 
 /// A piece of a block.
@@ -38,34 +40,34 @@ pub(super) struct Cut {
     pub level: u8,
     pub ticks: u32,
     pub seconds: f32,
-    /// Speed at its end, in units/s.
+    /// Speed at the end of the piece, in units/s.
     pub end: Pace,
     /// Change of the interval from tick to tick, in seconds.
     pub ramp: f32,
-    /// Acceleration at its end, mm/s²; only with a jerk limit.
+    /// Acceleration at the end of the piece, mm/s²; only with a jerk limit.
     pub acceleration: f32,
 }
 
-/// Speed in units/s above which a level is not needed.
+/// Returns the minimum speed, in units/s, at which `level` suffices: [`COARSEST`] / 2^level.
 #[inline]
 fn amass_level_speed(level: u8) -> f32 {
-    // Half of a number has an exponent that is less by one: no conversion and no division.
+    // Halving a number lowers its exponent by one: this needs neither a conversion nor a division.
     f32::from_bits(COARSEST.to_bits() - (u32::from(level) << 23))
 }
 
-/// The AMASS level of a segment: the coarsest one whose ticks are fast enough.
+/// Returns the AMASS level of a segment: the coarsest one whose ticks are fast enough.
 #[inline]
 fn amass_level_for(speed: f32) -> u8 {
-    // Positive numbers are ordered as their bits are.
+    // Positive numbers are ordered like their bits.
     let below = COARSEST.to_bits() as i32 - speed.to_bits() as i32;
     (((below - 1) >> 23) + 1).clamp(0, i32::from(MAX_LEVEL)) as u8
 }
 
-/// Units of a tick of this level `done` units after the start of a block, or as many as the place and the `left` units
-/// allow; and how many units such ticks may go.
+/// Returns the units per tick at `level`, and the number of units that ticks of this size may cover. The ticks are
+/// finer if the position (`done` units after the start of the block) or the `left` units require it.
 #[inline(always)]
 fn grain(level: u8, done: u32, left: u32) -> (u32, u32) {
-    // A coarser tick begins at its own multiples only: until there, ticks as fine as the place allows.
+    // A coarse tick may only begin at a multiple of its size. Up to there, ticks are as coarse as the position allows.
     let mut grain = UNITS_PER_STEP >> level;
     let mut limit = left;
     let astray = done & (grain - 1);
@@ -79,7 +81,7 @@ fn grain(level: u8, done: u32, left: u32) -> (u32, u32) {
     (grain, limit)
 }
 
-/// A piece of about a millisecond: units of a tick, and how many ticks.
+/// Size of a piece of about a millisecond: units per tick, and number of ticks.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SegmentSize {
     pub grain: u32,
@@ -87,7 +89,7 @@ pub(super) struct SegmentSize {
 }
 
 impl SegmentSize {
-    /// The piece that a machine of this pace and acceleration (units, seconds) goes next.
+    /// Returns the size of the next piece for a machine of this pace and acceleration (units, seconds).
     #[inline]
     pub(super) fn next(pace: Pace, acceleration: f32, done: u32, left: u32) -> Self {
         let level = amass_level_for(pace.speed);
@@ -111,7 +113,7 @@ impl SegmentSize {
         Self { grain, ticks: (units / grain).clamp(1, most) }
     }
 
-    /// The piece as it is gone from one speed to another (units/s) in so many seconds.
+    /// Returns the piece for a change from `speed` to `end` (units/s) within `seconds`.
     #[inline]
     pub(super) fn cut(self, speed: f32, end: Pace, seconds: f32) -> Cut {
         let Self { grain, ticks } = self;
@@ -124,7 +126,8 @@ impl SegmentSize {
     }
 }
 
-/// The next piece, `left` (> 0) units before the end of the curve, `done` units after the start of the block.
+/// Returns the next piece, `left` (> 0) units before the end of the curve and `done` units after the start of the
+/// block.
 #[inline(always)]
 pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace, scales_power: bool) -> Cut {
     let Pace { speed, speed2 } = pace;
@@ -133,10 +136,10 @@ pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace, scales_po
     let steady = phase.sign == 0.0 || curve.acceleration <= STEADY * speed;
     let time = if steady && !scales_power { STEADY_TIME } else { SEGMENT_TIME };
     let change = phase.sign * curve.acceleration * time;
-    // A braking that ends within the time: all of it.
+    // If braking ends within the time, reach far enough to include all of it.
     let mut reach = if speed + change > 0.0 { (speed + 0.5 * change) * time } else { speed * time };
     if phase.sign != 0.0 {
-        // The speed at which the level ends. Twice the acceleration times the way is the change of speed².
+        // The speed at which the level ends. The change of speed² is twice the acceleration times the distance.
         let edge = if phase.sign > 0.0 {
             if level > 0 { amass_level_speed(level - 1) } else { ENDLESS }
         } else if level < MAX_LEVEL {
@@ -151,12 +154,13 @@ pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace, scales_po
     let (grain, limit) = grain(level, done, left);
     level = (UNITS_PER_STEP / grain).trailing_zeros() as u8;
 
-    // What is left on a whole step reaches into the ramp behind it, and the change is spread over the segment: a short one.
+    // A cruise that is extended to a whole step reaches into the ramp after it, and the change of speed is spread over
+    // the whole segment. Keep that segment short.
     if phase.sign == 0.0 && phase.length <= reach && phase.length + (UNITS_PER_STEP as f32) < left as f32 {
         reach = lesser(reach, speed * SEGMENT_TIME);
     }
     let units = if phase.length <= reach {
-        // A phase of some steps is left on a whole step, a shorter one at the tick.
+        // A phase of several steps ends on a whole step, a shorter one on a tick.
         let length = phase.length as u32;
         let round = if length >= WHOLE_STEPS { UNITS_PER_STEP } else { grain };
         let end = done + length;
@@ -178,24 +182,24 @@ pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace, scales_po
     Cut { units, level, ticks, seconds, end, ramp, acceleration: 0.0 }
 }
 
-/// Intervals of one segment.
+/// Intervals of the ticks of one segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Intervals {
     pub interval: u32,
     pub ramp: i32,
-    /// Whole step-clock ticks, for accounts of queued time.
+    /// Duration of the segment in whole step-clock ticks, for the account of queued time.
     pub clocks: u32,
 }
 
-/// The step clock, and the remainder that the last segment could not hold.
+/// Converts times to step-clock ticks, and keeps the remainder that the last segment could not represent.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pacer {
-    /// Fixed-point units of an interval in a second.
+    /// Fixed-point units of an interval per second.
     per_second: f32,
     remainder: u32,
 }
 
-/// One clock tick, the least interval.
+/// One clock tick, the minimum interval.
 const ONE: u32 = 1 << INTERVAL_FRACTION_BITS;
 
 impl Pacer {
@@ -203,7 +207,7 @@ impl Pacer {
         Self { per_second: step_clock_hz as f32 * ONE as f32, remainder: 0 }
     }
 
-    /// Seconds in fixed point. Saturates (at centuries).
+    /// Converts seconds to fixed point. Saturates (at centuries).
     #[inline]
     pub(super) fn fixed(&self, seconds: f32) -> u64 {
         let time = seconds * self.per_second;
@@ -211,13 +215,14 @@ impl Pacer {
         if time < 4.0e9 { u64::from(time as u32) } else { time as u64 }
     }
 
-    /// Whole step-clock ticks in fixed point.
+    /// Converts whole step-clock ticks to fixed point.
     #[inline]
     pub(super) fn whole(&self, clocks: u32) -> u32 {
         clocks.saturating_mul(ONE)
     }
 
-    /// Spreads a time over 65535 ticks at most with an even change. At 4 ms and 100 MHz the time has 31 bits.
+    /// Distributes a time (fixed point) over at most 65535 ticks whose intervals change by `ramp` seconds from tick to
+    /// tick. At 4 ms and 100 MHz the time has 31 bits.
     #[inline]
     pub(super) fn intervals(&mut self, time: u32, ticks: u32, ramp: f32) -> Intervals {
         let least = ticks.saturating_mul(ONE);
@@ -234,8 +239,8 @@ impl Pacer {
         Intervals { interval, ramp, clocks: total >> INTERVAL_FRACTION_BITS }
     }
 
-    /// A change of the interval, in seconds, in fixed point. Whatever the curve says, the shortest tick keeps a quarter of the
-    /// average.
+    /// Converts a change of the interval from seconds to fixed point, limited so that the shortest tick keeps a quarter
+    /// of the average interval.
     #[inline]
     fn ramp(&self, ramp: f32, total: u32, ticks: u32) -> i32 {
         let ramp = (ramp * self.per_second) as i32;

@@ -1,6 +1,6 @@
-//! The way out of motion: announces the running block, cuts its segments, and hands them over as long as less than
-//! [`QUEUED_TIME_MS`] is in flight. Brakes to a stop in a hold. A tick that is far away is waited for in short pieces,
-//! so that a hold is never late.
+//! The output side of motion ([`SegmentSource`]): announces the running block, cuts it into segments, and hands them
+//! over to the step task while less than [`QUEUED_TIME_MS`] is in flight. Brakes to a stop in a hold. A long interval
+//! before a tick is divided into short waits, so that a hold is never late.
 
 use super::backlash::{Backlash, Motors};
 use super::block::{Block, OverrideFactors};
@@ -14,63 +14,66 @@ use super::trapezoid::{Pace, greater, lesser, square_root};
 use crate::lent::Lent;
 use crate::messages::{Segment, ToStep, UNITS_PER_STEP};
 
-/// Milliseconds of motion handed to the step task in advance (the segment buffer): enough for a control task that is late, and the latency of a hold.
+/// Milliseconds of motion handed to the step task in advance (the segment buffer). They cover a late control task, and
+/// are the latency of a hold.
 pub const QUEUED_TIME_MS: u32 = 16;
-/// Ticks farther away than this are waited for in pieces of [`WAIT_MS`], so that a hold needs not wait for them.
+/// Intervals longer than this are divided into waits of [`WAIT_MS`], so that a hold need not wait for the tick, ms.
 const FAR_MS: u32 = 4;
+/// Duration of such a wait, ms.
 const WAIT_MS: u32 = 1;
-/// Where motion comes to rest with less than this queued, what follows waits until the step task is at rest, and so begins
-/// with what gathers before a start. Its first segments are shorter than a small processor takes to prepare them: were they to
-/// follow at once, they would have to be there in time.
+/// If motion comes to rest with less than this queued, ms, the next motion waits until the step task is at rest. It
+/// then starts with several segments queued. The first segments of a motion are shorter than the time in which a small
+/// processor prepares them, so they would be late if they had to follow without a pause.
 const JOIN_MS: u32 = 2;
-/// With less than this queued of a motion that continues, segments come before lines: more than a line takes, and the segments of
-/// a stop from there.
+/// While motion continues with less than this queued, ms, segments take precedence over lines. Longer than a line
+/// takes, plus the segments of a stop from there.
 const SHORT_MS: u32 = 8;
-/// Length of the segment that tells the step task to rest when there is nothing to brake, in microseconds.
+/// Duration of the segment that puts the step task to rest when there is nothing to brake, in microseconds.
 const REST_US: u32 = 20;
 
-/// What is done with the queue.
+/// State of handing segments over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum FeedState {
     /// Nothing is handed over: not started, or the queue has run empty.
     Idle,
     /// Segments are handed over.
     Running,
-    /// They brake to a stop.
+    /// Segments that brake to a stop are handed over.
     Braking,
     /// Stopped by a hold; nothing is handed over.
     Held,
 }
 
-/// A single tick that is far away, and how much of its time is left (fixed point).
+/// A single tick with a long interval, and the rest of this interval (fixed point).
 #[derive(Clone, Copy, Debug)]
 struct LongTick {
     cut: Cut,
     time: u64,
 }
 
-/// For a clock slower than a microsecond. `Ord::max` is not for constants.
+/// Returns at least 1, for a step clock below 1 MHz. (`Ord::max` is not `const`.)
 const fn at_least_one(clocks: u32) -> u32 {
     if clocks == 0 { 1 } else { clocks }
 }
 
-/// The running block, and what has been handed over to the segment buffer.
+/// The running block, and the segments handed over to the segment buffer.
 #[derive(Debug)]
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
 pub(super) struct SegmentSource<const N: usize> {
     state: FeedState,
-    /// What has been handed over ends at rest.
+    /// The segments handed over end at rest.
     rest: bool,
-    /// How the machine moves at the end of that.
+    /// State of motion at the end of the last segment handed over.
     pub(super) motion: PathMotion,
     pub(super) running: Running<N>,
-    /// The motors at the start of the running block, and where they last stood still.
+    /// The motors at the start of the running block.
     block_start: Motors<N>,
+    /// The motors where the machine was last at rest.
     last_rest: Motors<N>,
     long_tick: Option<LongTick>,
     step_clock_hz: u32,
-    /// The same for shorter times, without a division.
+    /// `step_clock_hz` for shorter times, to avoid divisions.
     clocks_per_ms: u32,
     clocks_per_us: u32,
     pacer: Pacer,
@@ -78,7 +81,7 @@ pub(super) struct SegmentSource<const N: usize> {
 }
 
 impl<const N: usize> SegmentSource<N> {
-    /// At rest with nothing to do.
+    /// Creates a source at rest, with nothing to hand over.
     pub(super) fn new(step_clock_hz: u32, ring: Lent<[InFlightSegment<N>]>) -> Self {
         Self {
             state: FeedState::Idle,
@@ -96,7 +99,7 @@ impl<const N: usize> SegmentSource<N> {
         }
     }
 
-    /// Takes over the step clock.
+    /// Sets the step clock's frequency (at least 10 kHz).
     pub(super) fn configure(&mut self, step_clock_hz: u32) {
         self.step_clock_hz = step_clock_hz.max(10_000);
         self.clocks_per_ms = self.step_clock_hz / 1000;
@@ -104,25 +107,26 @@ impl<const N: usize> SegmentSource<N> {
         self.pacer = Pacer::new(self.step_clock_hz);
     }
 
-    /// Ticks of the step timer per second.
+    /// Returns the ticks of the step timer per second.
     pub(super) fn step_clock_hz(&self) -> u32 {
         self.step_clock_hz
     }
 
-    /// Time of what has been handed over and not begun, in microseconds.
+    /// Returns the duration of the segments handed over but not begun, in microseconds.
     #[inline]
     pub(super) fn queued_us(&self) -> u32 {
         self.in_flight.queued() / self.clocks_per_us
     }
 
-    /// Whether that is at least so many microseconds, a second at most, without a division.
+    /// Returns whether the segments handed over but not begun last at least `us` microseconds (at most 1 s). Needs no
+    /// division.
     #[inline]
     pub(super) fn holds_time(&self, us: u32) -> bool {
-        // In a microsecond there are 4294 clocks at most, for in a second they fit 32 bits.
+        // The product fits 32 bits for up to 1 s, because `step_clock_hz` does.
         self.in_flight.queued() >= us.wrapping_mul(self.clocks_per_us)
     }
 
-    /// The running block is forgotten; the machine rests with the motors here.
+    /// Discards the running block; the machine is at rest with the motors at `motors`.
     pub(super) fn restart(&mut self, motors: Motors<N>) {
         self.running.stage = BlockStage::Nothing;
         self.long_tick = None;
@@ -132,7 +136,7 @@ impl<const N: usize> SegmentSource<N> {
         self.last_rest = motors;
     }
 
-    /// Begins to hand over what is queued, unless a hold is in force.
+    /// Starts to hand over the queue, unless a hold is in force.
     #[inline]
     pub(super) fn start(&mut self) {
         if self.state == FeedState::Idle {
@@ -140,25 +144,25 @@ impl<const N: usize> SegmentSource<N> {
         }
     }
 
-    /// Brakes to a stop.
+    /// Begins a hold: brakes to a stop.
     pub(super) fn hold(&mut self) {
         if matches!(self.state, FeedState::Idle | FeedState::Running) {
             self.state = if self.rest { FeedState::Held } else { FeedState::Braking };
         }
     }
 
-    /// Ends a hold; there are blocks or not.
+    /// Ends a hold. `any`: whether there are blocks to hand over.
     pub(super) fn resume(&mut self, any: bool) {
         self.state = if any { FeedState::Running } else { FeedState::Idle };
     }
 
-    /// Hands over nothing before it is started; no hold is in force.
+    /// Ends handing over until the next start, and any hold.
     #[inline]
     pub(super) fn stop(&mut self) {
         self.state = FeedState::Idle;
     }
 
-    /// The queue has run empty. A hold stays in force.
+    /// Call when the queue has run empty: ends handing over until the next start. A hold stays in force.
     #[inline]
     pub(super) fn run_out(&mut self) {
         if self.state == FeedState::Running {
@@ -166,36 +170,37 @@ impl<const N: usize> SegmentSource<N> {
         }
     }
 
-    /// Whether a hold is in force and what was handed over ends at rest.
+    /// Returns whether a hold is in force and the segments handed over end at rest.
     pub(super) fn is_held(&self) -> bool {
         self.state == FeedState::Held
     }
 
-    /// Whether segments are handed over.
+    /// Returns whether segments are handed over.
     #[inline]
     pub(super) fn is_on(&self) -> bool {
         matches!(self.state, FeedState::Running | FeedState::Braking)
     }
 
-    /// Whether what has been handed over ends at rest.
+    /// Returns whether the segments handed over end at rest.
     #[inline]
     pub(super) fn ends_at_rest(&self) -> bool {
         self.rest
     }
 
-    /// Whether a message is wanted: something is handed over, and there is not enough of it in the segment buffer.
+    /// Returns whether another message should be handed over: handing over is on, and the segment buffer is not full.
     #[inline]
     pub(super) fn wants_more(&self) -> bool {
         self.is_on() && !self.in_flight.is_full() && self.in_flight.queued() < self.clocks_per_ms * QUEUED_TIME_MS
     }
 
-    /// Whether what follows a rest waits until the step task has come to it: too little is queued up to there.
+    /// Returns whether the next motion must wait until the step task is at rest, because too little is queued before
+    /// that rest ([`JOIN_MS`]).
     #[inline]
     pub(super) fn waits_for_rest(&self) -> bool {
         self.rest && self.in_flight.moves() && self.in_flight.queued() < self.clocks_per_ms * JOIN_MS
     }
 
-    /// Whether a motion continues for which little time has been handed over.
+    /// Returns whether a motion is in progress and the segments handed over last only a short time ([`SHORT_MS`]).
     #[inline]
     pub(super) fn is_short_of_segments(&self) -> bool {
         let has_begun = self.in_flight.moves() || !self.in_flight.is_empty();
@@ -205,7 +210,7 @@ impl<const N: usize> SegmentSource<N> {
             && !self.ends_at_rest()
     }
 
-    /// The state of motion on the path, and how much of the first block is left, mm.
+    /// Returns the state of motion on the path, and the rest of the first block, mm.
     pub(super) fn path_state(&self, first: Option<&Block<N>>) -> (PathState, f32) {
         let millimetre = if self.running.is_active() { 1.0 / self.running.scale } else { 1.0 };
         let left = match first {
@@ -216,7 +221,7 @@ impl<const N: usize> SegmentSource<N> {
         (state, left)
     }
 
-    /// Takes over the nominal speed of the running block, mm/s.
+    /// Changes the nominal speed of the running block, mm/s.
     pub(super) fn set_nominal(&mut self, nominal: f32) {
         let nominal = nominal * self.running.scale;
         let nominal2 = nominal * nominal;
@@ -224,12 +229,12 @@ impl<const N: usize> SegmentSource<N> {
             return;
         }
         self.running.nominal2 = nominal2;
-        // A tick on a ramp with bounded jerk is not hurried.
+        // A pending tick on a jerk-limited ramp keeps its time.
         if let Some(long) = &mut self.long_tick
             && long.cut.acceleration == 0.0
         {
-            // The tick that is waited for comes sooner or later in proportion, as if the speed had changed at once: it is
-            // a sixteenth of a step.
+            // The pending tick is rescheduled in proportion, as if the speed had changed at once: it is only a
+            // sixteenth of a step.
             let speed = long.cut.units as f32 / long.cut.seconds;
             let changed = square_root(nominal2.min(speed * speed + 2.0 * self.running.acceleration));
             long.time = (long.time as f32 * (speed / changed)) as u64;
@@ -240,12 +245,12 @@ impl<const N: usize> SegmentSource<N> {
         }
     }
 
-    /// The motors at the end of what has been handed over.
+    /// Returns the motors at the end of the last segment handed over.
     pub(super) fn motors(&self, backlash: &Backlash<N>) -> Motors<N> {
         if self.running.is_active() { self.motors_in_block(backlash) } else { self.block_start }
     }
 
-    /// The same within a block.
+    /// Like [`SegmentSource::motors`], within a block.
     #[inline(always)]
     fn motors_in_block(&self, backlash: &Backlash<N>) -> Motors<N> {
         let steps = self.running.steps_from(&self.block_start.steps);
@@ -255,17 +260,17 @@ impl<const N: usize> SegmentSource<N> {
         Motors { steps, lead: self.block_start.lead }
     }
 
-    /// The motors where the last block ended.
+    /// Returns the motors where the last block ended.
     pub(super) fn block_start(&self) -> &Motors<N> {
         &self.block_start
     }
 
-    /// The motors where they last stood still.
+    /// Returns the motors where the machine was last at rest.
     pub(super) fn last_rest(&self) -> &Motors<N> {
         &self.last_rest
     }
 
-    /// The next message for the step task; `None` without a block.
+    /// Returns the next message for the step task; `None` without a block.
     #[inline]
     pub(super) fn next_message(
         &mut self,
@@ -281,7 +286,7 @@ impl<const N: usize> SegmentSource<N> {
         announcement.or_else(|| Some(ToStep::Segment(self.segment(planner, backlash))))
     }
 
-    /// Begins the first block of the queue; `false` without one.
+    /// Begins the first block of the queue; returns `false` without one.
     pub(super) fn begin_block(&mut self, planner: &mut Planner<N>, overrides: OverrideFactors) -> bool {
         let Some(block) = planner.begin() else { return false };
         self.running = Running::of(block, overrides);
@@ -289,12 +294,12 @@ impl<const N: usize> SegmentSource<N> {
             self.last_rest = self.block_start;
         }
         self.motion.pace = self.motion.pace.scaled(self.running.scale);
-        // Round a corner other axes feel it.
+        // After a corner the acceleration acts on other axes, so the new block's limit applies.
         self.motion.acceleration = greater(lesser(self.motion.acceleration, block.acceleration), -block.acceleration);
         true
     }
 
-    /// The next segment of the running block: a piece of it, or of the time until a tick that is far away, or that tick.
+    /// Returns the next segment of the running block: a piece of it, part of the wait for a pending tick, or that tick.
     #[inline]
     fn segment(&mut self, planner: &mut Planner<N>, backlash: &Backlash<N>) -> Segment {
         let braking = self.state == FeedState::Braking;
@@ -317,13 +322,13 @@ impl<const N: usize> SegmentSource<N> {
         self.emit(&cut, u32::try_from(time).unwrap_or(u32::MAX), planner, backlash)
     }
 
-    /// Time of a tick that is far away, in fixed point.
+    /// Returns the interval above which a tick is waited for in parts, in fixed point.
     #[inline]
     fn far(&self) -> u64 {
         u64::from(self.pacer.whole(self.clocks_per_ms * FAR_MS))
     }
 
-    /// The next piece of the running block; `None` for a stop at this very position.
+    /// Returns the next piece of the running block; `None` for an immediate stop.
     #[inline]
     fn next_cut(&mut self, braking: bool, planner: &mut Planner<N>) -> Option<Cut> {
         if planner.jerk_limited {
@@ -335,7 +340,7 @@ impl<const N: usize> SegmentSource<N> {
             .map(|(curve, left)| segment::cut(&curve, run.done, left, pace, run.scales_power()))
     }
 
-    /// A part of the time until a tick that is far away.
+    /// Returns a segment that waits for a part of the time until a pending tick.
     #[inline(never)]
     fn wait(&mut self, cut: Cut, time: u64, backlash: &Backlash<N>) -> Segment {
         let wait = self.clocks_per_ms * WAIT_MS;
@@ -346,7 +351,7 @@ impl<const N: usize> SegmentSource<N> {
         self.hand_over(&cut, &motors, Segment::FLAG_WAIT, wait_fixed, 0, 1, wait)
     }
 
-    /// A segment that moves nothing and lets the step task rest.
+    /// Returns a segment that moves nothing and puts the step task to rest; the hold is then complete.
     #[inline(never)]
     fn rest_here(&mut self, backlash: &Backlash<N>) -> Segment {
         self.long_tick = None;
@@ -360,7 +365,7 @@ impl<const N: usize> SegmentSource<N> {
         self.hand_over(&still, &motors, Segment::FLAG_WAIT | Segment::FLAG_LAST, interval, 0, 1, clocks)
     }
 
-    /// Hands over a cut with its time. After the last one of a block the next block is the first.
+    /// Hands over a piece with its time. If it is the last one of the block, removes the block from the queue.
     #[inline]
     fn emit(&mut self, cut: &Cut, time: u32, planner: &mut Planner<N>, backlash: &Backlash<N>) -> Segment {
         let intervals = self.pacer.intervals(time, cut.ticks, cut.ramp);
@@ -370,7 +375,7 @@ impl<const N: usize> SegmentSource<N> {
         let ends = self.running.is_done();
         let mut flags = 0;
         if ends && planner.len() < 2 {
-            // Never faster than what stops within a step, or the plan has been left.
+            // At the end of the queue the speed must allow a stop within one step; otherwise the plan was violated.
             debug_assert!(
                 cut.end.speed2 <= 2.0 * self.running.acceleration * UNITS_PER_STEP as f32,
                 "at the end of the queue at {} mm/s",
@@ -398,7 +403,7 @@ impl<const N: usize> SegmentSource<N> {
         segment
     }
 
-    /// Notes a segment that is on its way, and makes its message.
+    /// Records a segment as in flight and returns its message.
     #[allow(clippy::too_many_arguments, reason = "what a segment and its record consist of")]
     #[inline]
     fn hand_over(

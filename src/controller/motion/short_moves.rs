@@ -1,6 +1,5 @@
-//! Decides which short moves are joined to the last block ([`super::join`]): those that continue its line, as long as
-//! nothing changes that the planner has promised to the blocks before. The last block is then taken back and a longer
-//! one queued.
+//! Decides which short moves are joined to the last block ([`super::join`]): those that continue its line, if the
+//! speeds planned for earlier blocks stay valid. The last block is then taken back and a longer one queued.
 
 use super::Move;
 use super::axis_limits::shares;
@@ -10,17 +9,18 @@ use super::trapezoid::{lesser, square_root};
 use crate::axes::PerAxis;
 use crate::units::{Coordinate, DECIMAL_ONE};
 
-/// Longest move that is joined, the sum of its ways in all axes: 512 blocks that are longer make a look-ahead of 16 mm at
-/// least, in which 100 mm/s are braked at 313 mm/s². They stay the blocks that they are.
+/// Maximum length of a move that is joined, as the sum of its displacements in all axes (0.045 mm). Longer moves remain
+/// separate blocks: 512 of them make a look-ahead of at least 16 mm, in which 100 mm/s are braked at 313 mm/s².
 const MOST_PIECE: i64 = DECIMAL_ONE / 1000 * 45;
-/// Longest joined move, mm.
+/// Maximum length of a joined move, mm.
 const MOST_JOINED: f32 = 0.5;
-/// Path by straight line beyond which points wind for a purpose: rounding to digits makes it the square root of 3 at most.
+/// Maximum ratio of the path through the points to the straight line. Rounding to digits makes it at most the square
+/// root of 3; beyond that the path winds on purpose.
 const MOST_WINDING: f32 = 1.75;
 
 impl<const N: usize> MoveQueue<N> {
-    /// Before a move is made a block: takes back the last block if this move continues it, so that the new block begins where
-    /// that one did. Gives the speed² at which the blocks before may already count on entering it.
+    /// Call before a move is made a block: takes back the last block if the move continues it, so that the new block
+    /// replaces both. Returns the entry speed² that earlier blocks may rely on; 0 if none was taken back.
     #[inline]
     pub(super) fn join(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, is_line: bool) -> f32 {
         if is_line && !m.no_feed_override && self.is_short(m) {
@@ -33,7 +33,8 @@ impl<const N: usize> MoveQueue<N> {
         0.0
     }
 
-    /// Whether the sum of its ways is short, from the end of the last block. Most moves are too long in their first axis.
+    /// Returns whether the sum of a move's displacements from the end of the last block is small. Most moves are
+    /// already too long in their first axis.
     #[inline]
     fn is_short(&self, m: &Move<N>) -> bool {
         let mut ways = 0;
@@ -51,7 +52,7 @@ impl<const N: usize> MoveQueue<N> {
         self.join.open &= self.join.is_like(m);
         self.join.digit = lesser(self.join.digit, m.digit);
         if *target_steps == self.end.planned_steps {
-            // It makes no block, but is a point of the line.
+            // The move makes no block, but its end is a point of the line.
             self.join.open = self.join.open && self.pass_by(m);
             return 0.0;
         }
@@ -67,7 +68,7 @@ impl<const N: usize> MoveQueue<N> {
         0.0
     }
 
-    /// Nothing more is joined to the last block: the chain gets its piece.
+    /// Ends joining to the last block, and adds its piece to the chain.
     #[inline(never)]
     pub(super) fn end_join(&mut self) {
         let join = &mut self.join;
@@ -87,19 +88,19 @@ impl<const N: usize> MoveQueue<N> {
         }
     }
 
-    /// The ways of the motors from where the last block begins.
+    /// Returns the motors' displacements from the start of the last block, mm.
     fn way_to(&self, place: &PerAxis<Coordinate, N>) -> [f32; N] {
         self.kinematics.way_of_motors(&place.zip(&self.join.before.block_end, |to, from| (to - from).to_mm()).0)
     }
 
-    /// A point from which no block is made. `false`: nothing continues the line.
+    /// Adds the end of a move without a step as a point. Returns `false` if nothing can continue the line.
     fn pass_by(&mut self, m: &Move<N>) -> bool {
         self.join.path += self.end.distance(&m.target);
         let way = self.way_to(&m.target);
         self.pass_end() && self.join.pass(&way)
     }
 
-    /// The end of the first move is the first point.
+    /// Adds the end of the first move as the first point, unless that is done.
     fn pass_end(&mut self) -> bool {
         if !self.join.fresh {
             return true;
@@ -108,9 +109,10 @@ impl<const N: usize> MoveQueue<N> {
         self.join.pass(&end)
     }
 
-    /// Whether a move continues the last block within its bounds, and if so, what speed² has been promised for its entry.
+    /// Checks whether a move continues the last block within its limits. If so, returns the entry speed² that earlier
+    /// blocks may rely on.
     fn continues(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>) -> Option<f32> {
-        // The only block may be on its way out, or the next one with a speed already given.
+        // The only block may be running already, or be the next one with its entry speed already given.
         if self.planner.len() < 2 && self.planner.is_entered() {
             return None;
         }
@@ -129,7 +131,8 @@ impl<const N: usize> MoveQueue<N> {
         let own = way.zip(&skipped, |way, skipped| way - skipped);
         let length = square_root(own.iter().fold(0.0, |sum, part| sum + part * part)) + before.length_carry;
         let moved = target_steps.zip(&before.planned_steps, i32::wrapping_sub);
-        // Steps that stand for more than the length would bring other limits (`append`); none make no block.
+        // With more steps than the length has room for, `append` would use other limits; without steps there is no
+        // block.
         let too_many = |(steps, mm): (&i32, f32)| (steps.unsigned_abs() as f32 - 0.5) * mm > 1.001 * length;
         if moved.iter().all(|steps| *steps == 0) || moved.iter().zip(self.kinematics.least_mm).any(too_many) {
             return None;
@@ -141,7 +144,7 @@ impl<const N: usize> MoveQueue<N> {
                 return None;
             }
         }
-        // From the speed at which the old block could have been braked to a stop, this one can.
+        // The new block must be able to brake to a stop from any speed from which the old one could.
         let last = self.planner.last()?;
         let shares = shares(&way, length);
         let (acceleration, _) = self.limits.along_shares(&shares);
@@ -159,14 +162,14 @@ impl<const N: usize> MoveQueue<N> {
         Some(promised)
     }
 
-    /// The end of the queue as it was before the last block.
+    /// Removes the last block and restores the end of the queue before it.
     fn take_back(&mut self) {
         self.end = self.join.before;
         self.planner.take_back();
     }
 
-    /// Whether as many moves have been queued from rest as there are blocks, although some of them have been joined and the
-    /// queue has room: reason enough to start.
+    /// Returns whether queued blocks and joined moves together reach the number of blocks. Motion should then start,
+    /// although the queue still has room.
     pub(super) fn has_joined_enough(&self) -> bool {
         self.join.moves > 0 && self.planner.len() + self.join.moves >= self.planner.capacity()
     }

@@ -1,15 +1,21 @@
 //! A Bezier curve of third degree in X and Y (G5, G5.1) as a chain of chords, computed one at a time by dividing the
-//! sides of its control polygon; its length, its curvature and its extent.
+//! sides of its control polygon. Also computes its length, curvature and extent.
 //!
 //! ```text
-//!        b ── ── c         Each point is found by halving in other shares: a share t of the way along each side of the
-//!       ╱  .──.   ╲        polygon a b c d, of the two sides that this gives, and of the last one, whose direction is the
-//!      ╱ .'    '.  ╲       tangent. Whole numbers of 0.1 nm: three roundings, so a point lies within 0.2 nm of the curve
-//!     ╱.'        '. ╲      however long the chain is.
+//!        b ── ── c
+//!       ╱  .──.   ╲
+//!      ╱ .'    '.  ╲       control points a to d, and the curve
+//!     ╱.'        '. ╲
 //!    a'            'd
 //! ```
-//! A chord of a parameter step h leaves the curve by |second derivative|·h²/8 at most, and the derivative is greatest at an
-//! end: that gives the number of chords. The last one ends at the target exactly.
+//! The point at a parameter t is found by divisions at the share t (de Casteljau): of each side of the polygon a b c d,
+//! of the two lines between the resulting points, and of the last line, whose direction is the tangent. Coordinates are
+//! whole numbers of 0.1 nm. Only three roundings occur, so a point lies within 0.2 nm of the curve, for any number of
+//! chords.
+//!
+//! A chord with a parameter step of h deviates from the curve by at most |second derivative|·h²/8, and the second
+//! derivative has its maximum at an end. The number of chords follows from that. The last chord ends exactly at the
+//! target.
 
 use super::arc::{Curvature, LEAST_TOLERANCE, UNIT, UNIT_BITS, scale};
 use super::trapezoid::square_root;
@@ -17,23 +23,24 @@ use crate::axes::{Axis, PerAxis};
 use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
-/// Fewest chords of what is no straight line, whatever the tolerance allows: a tiny curve keeps its shape.
+/// Minimum number of chords of a curve that is not straight, even if the tolerance allows fewer, so that a tiny curve
+/// keeps its shape.
 const FEWEST: u32 = 4;
-/// Pieces in which the length is summed up, each by three points.
+/// Number of pieces in which the length is integrated, each with three points.
 const PIECES: u8 = 16;
-/// Unit vectors that differ by less are one direction: beyond is what an f32 cannot tell.
+/// Difference below which two unit vectors count as one direction: an f32 cannot resolve less.
 const STRAIGHT: f32 = 1.0e-6;
 
-/// A curve from one place to another. The axes other than X and Y stay where they are.
+/// A curve between two positions. Axes other than X and Y do not move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SplineGeometry<const N: usize> {
-    /// Where it begins, machine coordinates.
+    /// Start, machine coordinates.
     pub start: PerAxis<Coordinate, N>,
-    /// Where it ends.
+    /// End, machine coordinates.
     pub target: PerAxis<Coordinate, N>,
-    /// The control point that it heads for, in X and Y from the start.
+    /// First control point, in X and Y, relative to the start.
     pub leaving: [Coordinate; 2],
-    /// The control point that it comes from, in X and Y from the target.
+    /// Second control point, in X and Y, relative to the target.
     pub arriving: [Coordinate; 2],
 }
 
@@ -42,17 +49,18 @@ pub struct SplineGeometry<const N: usize> {
 pub struct Spline<const N: usize> {
     start: PerAxis<Coordinate, N>,
     target: PerAxis<Coordinate, N>,
-    /// Control points from the start, which is the first of them.
+    /// Control points relative to the start.
     polygon: Polygon,
     chords: u32,
     done: u32,
-    /// The end of the last chord, from the start, and the direction of the curve there; zero where it has none.
+    /// End of the last chord, relative to the start.
     last: [i64; 2],
+    /// Direction of the curve at the end of the last chord; zero if it has none.
     tangent: [f32; 2],
     curve_radius: f32,
 }
 
-/// The control points after the first, from it.
+/// The second to fourth control points relative to the first, which is the start.
 #[derive(Clone, Copy, Debug)]
 struct Polygon([[i64; 2]; 3]);
 
@@ -90,12 +98,13 @@ impl<const N: usize> SplineGeometry<N> {
         Polygon([self.leaving.map(|part| part.0), [x + arriving_x.0, y + arriving_y.0], end])
     }
 
-    /// Length of the way, in mm: within half a percent, but for curves with a point.
+    /// Returns the length of the curve, mm, within half a percent, except for curves with a cusp.
     pub fn length(&self) -> f32 {
         self.polygon().length()
     }
 
-    /// The least and the greatest coordinates on the curve: at its ends, and where it runs across an axis.
+    /// Returns the minimum and the maximum coordinates on the curve: at its ends, or where it runs perpendicular to an
+    /// axis.
     #[inline(never)]
     pub fn extent(&self) -> (PerAxis<Coordinate, N>, PerAxis<Coordinate, N>) {
         let mut least = self.start.zip(&self.target, |a, b| a.min(b));
@@ -115,7 +124,7 @@ impl<const N: usize> SplineGeometry<N> {
 }
 
 impl Polygon {
-    /// The point at a share of the parameter, in 2^-30, and the derivative there but for a factor.
+    /// Returns the point at a parameter (2^-30 fixed point), and a multiple of the derivative there.
     #[inline(never)]
     fn point_at(&self, share: i32) -> ([i64; 2], [i64; 2]) {
         let [b, c, d] = self.0;
@@ -124,29 +133,29 @@ impl Polygon {
         (between(abc, bcd, share), minus(bcd, abc))
     }
 
-    /// The sides.
+    /// Returns the sides of the polygon.
     fn sides(&self) -> [[i64; 2]; 3] {
         let [b, c, d] = self.0;
         [b, minus(c, b), minus(d, c)]
     }
 
-    /// Where the derivative along an axis is zero, as shares of the parameter.
+    /// Returns the parameters at which the derivative along an axis is zero.
     ///
-    /// The derivative is quadratic: p·(1-t)² + 2·q·t·(1-t) + r·t² with the sides p, q, r. Near an extremum the coordinate
-    /// changes with the square of an error of t: what f32 leaves in t, 1e-6, is nothing.
+    /// The derivative is quadratic: p·(1-t)² + 2·q·t·(1-t) + r·t² with the sides p, q, r. Near an extremum the
+    /// coordinate changes with the square of an error of t, so the f32 error of 1e-6 in t is negligible.
     #[inline(never)]
     fn turning_points([p, q, r]: [f32; 3]) -> [i32; 2] {
         let (square, half_linear) = (p - 2.0 * q + r, q - p);
         let root = square_root((q * q - p * r).max(0.0));
-        // The two roots without a difference of nearly equal numbers.
+        // Computes both roots without subtracting nearly equal numbers.
         let sum = if half_linear < 0.0 { root - half_linear } else { -root - half_linear };
         [sum / square, p / sum].map(|share| {
-            // A root that does not exist is no number, or lies outside: an end of the curve takes its place.
+            // A missing root is NaN or out of range; the start of the curve replaces it.
             if share > 0.0 && share < 1.0 { (share * UNIT as f32) as i32 } else { 0 }
         })
     }
 
-    /// The greatest second derivative divided by 6, mm.
+    /// Returns the maximum second derivative divided by 6, mm.
     fn bend(&self) -> f32 {
         let [p, q, r] = self.sides();
         length(in_mm(minus(q, p))).max(length(in_mm(minus(r, q))))
@@ -168,18 +177,19 @@ impl Polygon {
             let at = |share: f32| speed((f32::from(piece) + share) * step);
             sum += 5.0 * (at(0.5 - OUTER) + at(0.5 + OUTER)) + 8.0 * at(0.5);
         }
-        // Weights of 18; the derivative is three times what the sides give.
+        // The sum of the weights is 18, and the derivative is three times the weighted sides.
         sum * step / 6.0
     }
 }
 
 impl<const N: usize> Spline<N> {
-    /// Prepares the chords, none of which leaves the curve by more than `tolerance` (mm).
+    /// Prepares the chords. No chord deviates from the curve by more than `tolerance` (mm).
     #[inline(never)]
     pub fn new(geometry: &SplineGeometry<N>, tolerance: f32) -> Self {
         let polygon = geometry.polygon();
         let bend = polygon.bend();
-        // 6·bend·h²/8 with h = 1 / chords. Places are bounded, so they are less than 2^20.
+        // The deviation is 6·bend·h²/8 with h = 1 / chords. Coordinates are bounded, so there are less than 2^20
+        // chords.
         let tolerance = tolerance.max(LEAST_TOLERANCE);
         let chords = libm::ceilf(square_root(0.75 * bend / tolerance)) as u32;
         let fewest = if bend > LEAST_TOLERANCE { FEWEST } else { 1 };
@@ -195,7 +205,7 @@ impl<const N: usize> Spline<N> {
         }
     }
 
-    /// Where the next chord ends; `None` after the last.
+    /// Returns the end of the next chord; `None` after the last one.
     #[inline(never)]
     pub fn next_chord(&mut self) -> Option<PerAxis<Coordinate, N>> {
         if !FULL_IMAGE || self.done >= self.chords {
@@ -207,7 +217,7 @@ impl<const N: usize> Spline<N> {
         let tangent = unit(derivative);
         let turn = length([tangent[0] - self.tangent[0], tangent[1] - self.tangent[1]]);
         let has_both = tangent != [0.0; 2] && self.tangent != [0.0; 2];
-        // Where the curve comes to a point and has no direction, the corner of the chords says how fast.
+        // At a cusp the curve has no direction; there the corner between the chords limits the speed.
         self.curve_radius =
             if has_both && turn > STRAIGHT { length(in_mm(minus(point, self.last))) / turn } else { f32::INFINITY };
         (self.last, self.tangent) = (point, tangent);
@@ -221,7 +231,7 @@ impl<const N: usize> Spline<N> {
         Some(place)
     }
 
-    /// How the curve bends along the last chord.
+    /// Returns the curvature along the last chord.
     pub fn curvature(&self) -> Curvature {
         Curvature { radius: self.curve_radius, axes: [Axis::X, Axis::Y] }
     }

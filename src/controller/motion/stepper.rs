@@ -1,25 +1,30 @@
-//! The step generator (`Stepper`), one `Tick` per call: which axes step, the directions, and the time to the next tick.
-//! It runs the current block and segment, and takes over the next ones without a gap; it stops at once when told to,
-//! and brakes at a probe's contact.
+//! The step generator (`Stepper`). Each call gives one `Tick`: which axes step, the directions, and the time to the
+//! next tick. The stepper runs the current block and segment and continues with the next ones without a gap. It stops
+//! immediately on request, and brakes at a probe's contact.
 //!
-//! It promises: never a step without a segment; a queue that runs dry stops the pulses at once and is reported; after a
-//! stop nothing moves until the matching `Resume`; the position is exact at any tick. It leaves which axis steps at a tick to `dda`,
-//! what a block is to `course`, the acceleration to `planner` and `segment`, pulse widths and direction set-up to the task that
-//! writes the pins.
+//! Guarantees:
+//! * No step without a segment.
+//! * A queue that runs dry stops the pulses at once and is reported.
+//! * After a stop nothing moves until the matching `Resume`.
+//! * The position is exact at any tick.
 //!
-//! What a tick costs bounds the step rate of a machine. So what can be computed when a message is loaded is computed
-//! there, and a tick within a segment touches the first words of the state only and divides nothing.
+//! `dda` decides which axes step at a tick, `course` represents a block, `planner` and `segment` determine the
+//! acceleration, and the task that writes the pins handles pulse widths and direction set-up.
+//!
+//! The cost of a tick limits the machine's step rate. Therefore as much as possible is computed when a message is
+//! loaded; a tick within a segment needs only the first words of the state, and no division.
 
 use super::course::{Contact, Course};
 use super::dda;
 use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{AxisSteps, INTERVAL_FRACTION_BITS, Segment, StepEvent, ToStep};
 
-/// Finest smoothing: a tick advances one unit.
+/// Finest AMASS smoothing level: a tick advances one unit.
 pub const MAX_LEVEL: u8 = 4;
-/// Places of an interval's lowest bit in the fraction of [`Stepper::moment`].
+/// Shift from the fixed point of an interval to the fraction of [`Stepper::moment`].
 const FRACTION_SHIFT: u32 = 32 - INTERVAL_FRACTION_BITS;
-/// Interval, in fixed point, at which braking ends: some milliseconds for a tick are a crawl, and sums stay in 32 bits.
+/// Interval, in fixed point, at which braking ends: at some milliseconds per tick the speed is negligible, and sums
+/// stay within 32 bits.
 const LONGEST_BRAKING: f32 = (1_u32 << 30) as f32;
 
 /// What to do at a tick.
@@ -28,29 +33,30 @@ pub struct Tick {
     /// Axes to step now, bit 0 for X.
     pub steps: u8,
     /// Direction levels for the *next* step (bit set = negative), to be written once this pulse has ended. They change
-    /// with the first tick of a segment only.
+    /// only with the first tick of a segment.
     pub directions: u8,
-    /// Step-clock ticks to the next one; 0 = at rest.
+    /// Step-clock ticks to the next tick; 0 = at rest.
     pub interval: u32,
-    /// A segment has begun with this tick, and its power and directions hold from now on.
+    /// A segment begins with this tick; its power and directions apply from now on.
     pub begins: bool,
-    /// The queue ran dry at speed; the report is at [`Stepper::underrun_event`].
+    /// The queue ran dry at speed; [`Stepper::underrun_event`] returns the report.
     pub underrun: bool,
 }
 
-/// A segment, ready to run.
+/// A segment that is ready to run.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 struct Piece<const N: usize> {
-    /// What a tick takes off.
+    /// Amount by which each tick reduces an axis' remainder until its next step.
     increments: [u32; N],
-    /// Ticks until one that does more than to step.
+    /// Ticks left that do nothing but step.
     plain_ticks: u32,
-    /// Ticks left after these, none of which is plain: while the probe is waited for all, otherwise the last. No tick left
-    /// = at rest.
+    /// Ticks left after the plain ones, which may do more: the last tick of the segment, or all of them while a probe
+    /// is watched. With no tick left the machine is at rest.
     rare_ticks: u32,
-    /// In fixed point, to the next tick, and its change from tick to tick.
+    /// Interval to the next tick, in fixed point.
     interval: u32,
+    /// Change of the interval from tick to tick, in fixed point.
     ramp: i32,
     /// Units that a tick advances.
     units_per_tick: u32,
@@ -61,42 +67,42 @@ struct Piece<const N: usize> {
     new_block: bool,
 }
 
-/// State of the step task. The order is that of use: a tick within a segment needs the first part only.
+/// State of the step generator. Fields are in order of use: a tick within a segment needs only the first ones.
 #[derive(Clone, Debug)]
 #[repr(C)]
 pub struct Stepper<const N: usize> {
-    /// What is left until the next step of each axis: 0 to `threshold` - 1.
+    /// Remainder until the next step of each axis: 0 to `threshold` - 1.
     left: [u32; N],
     piece: Piece<N>,
-    /// Of the current block.
+    /// Threshold of the current block.
     threshold: u32,
     directions: u8,
-    /// Which of `courses` is that of the current block; the other is that of the next.
+    /// Index in `courses` of the current block; the other course is that of the next block.
     odd: bool,
-    /// Moment of the next tick, 32 bits of step-clock ticks before 32 of their fraction.
+    /// Time of the next tick: step-clock ticks in the upper 32 bits, their fraction in the lower 32 bits.
     moment: u64,
-    /// A state of the probe is waited for.
+    /// A probe is watched.
     is_watching: bool,
-    /// The state it is to have.
+    /// The probe state that is watched for.
     watched: bool,
 
     begun: u32,
     is_next: bool,
-    /// The probe has been seen at the last tick, and where that was has not been noted yet.
+    /// The probe's contact was seen at the last tick and has not been processed by `note_touch` yet.
     unnoted: bool,
     next_piece: Piece<N>,
     courses: [Course<N>; 2],
-    /// Parts of the axes of the block that is being told of.
+    /// Steps of each axis in the block that is being announced.
     steps_by_axis: [AxisSteps; N],
-    /// Those of A, B and C have been told; else these stand still.
+    /// The steps of A, B and C were received for this block; without them these axes do not move.
     is_rest_told: bool,
     gate_shut: bool,
     stops: u16,
-    /// How to brake at a contact: units per square of a clock.
+    /// Deceleration at a contact, units per squared step-clock tick.
     braking: f32,
     /// Braking after a contact.
     brakes: bool,
-    /// Where the probe has been seen.
+    /// State at the probe's contact.
     touched: Contact<N>,
 }
 
@@ -127,7 +133,7 @@ impl<const N: usize> Default for Stepper<N> {
 }
 
 impl<const N: usize> Stepper<N> {
-    /// At rest, at position 0, gate open.
+    /// Creates a stepper at rest, at position 0, with the gate open.
     pub const fn new() -> Self {
         Self {
             left: [0; N],
@@ -153,14 +159,14 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// Whether there is room for one more message. The step task loads as long as this holds and messages are there, then
-    /// calls [`Stepper::tick`]: a new block needs two or three messages, all other segments one.
+    /// Returns whether there is room for one more message. The step task loads messages while this holds, then calls
+    /// [`Stepper::tick`]. The first segment of a block takes two or more messages, any other segment one.
     #[inline]
     pub fn wants(&self) -> bool {
         !self.is_next || self.unnoted
     }
 
-    /// Takes a message; only while [`Stepper::wants`].
+    /// Loads a message. Call only while [`Stepper::wants`] returns `true`.
     #[inline]
     pub fn load(&mut self, message: ToStep) {
         if self.unnoted {
@@ -207,13 +213,13 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// The course of the current block, or that of the next.
+    /// Returns the course of the current block, or of the next one.
     #[inline(always)]
     fn course(&self, next: bool) -> &Course<N> {
         self.courses.get(usize::from(self.odd != next)).unwrap_or(&Course::NOWHERE)
     }
 
-    /// The same to be changed.
+    /// Like [`Stepper::course`], mutable.
     #[inline(always)]
     fn course_mut(&mut self, next: bool) -> Option<&mut Course<N>> {
         self.courses.get_mut(usize::from(self.odd != next))
@@ -222,7 +228,7 @@ impl<const N: usize> Stepper<N> {
     #[inline]
     fn load_block(&mut self, directions: u8) {
         let steps_by_axis = self.steps_by_axis;
-        // One that is left before its end is seen to in `begin_block`.
+        // If the current block is left before its end, `begin_block` corrects this start position.
         let base = self.course(false).end;
         if let Some(next) = self.course_mut(true) {
             next.load(&steps_by_axis, directions, base);
@@ -264,7 +270,8 @@ impl<const N: usize> Stepper<N> {
         self.is_next = true;
     }
 
-    /// The next tick; from rest the first makes no step and gives the interval to the one that does.
+    /// Executes the next tick. From rest, the first tick makes no step and gives the interval to the first stepping
+    /// one.
     #[inline]
     pub fn tick(&mut self) -> Tick {
         if self.unnoted {
@@ -280,11 +287,11 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// Plain ticks in a row, as many as there is room for or as the segment has left: for each its steps, as the entry of
-    /// `table` that belongs to them (bit 0 for X), and its moment. How many.
+    /// Executes as many plain ticks as `words` and `moments` have room for, or as the segment has left, and returns
+    /// their number. Writes for each tick the entry of `table` for its steps (index bit 0 for X), and its time.
     ///
-    /// All steps come first and then all moments, so that the state of each loop stays in registers. What follows is as
-    /// if [`Stepper::tick`] had been called as often.
+    /// All steps are computed before all times, so that the state of each loop stays in registers. The stepper's state
+    /// afterwards is the same as after that many calls of [`Stepper::tick`].
     #[inline(always)]
     pub fn plain_ticks<const WORDS: usize>(
         &mut self,
@@ -302,7 +309,7 @@ impl<const N: usize> Stepper<N> {
 
     #[inline(always)]
     fn moments_into(&mut self, moments: &mut [u32]) {
-        // The interval with as many fraction bits as the moment has, so that two sums of 64 bits are all there is for each.
+        // With as many fraction bits in the interval as in the moment, each tick takes only two 64-bit additions.
         let (mut moment, ramp) = (self.moment, i64::from(self.piece.ramp) << FRACTION_SHIFT);
         let mut interval = u64::from(self.piece.interval) << FRACTION_SHIFT;
         for at in moments {
@@ -313,24 +320,25 @@ impl<const N: usize> Stepper<N> {
         (self.moment, self.piece.interval) = (moment, (interval >> FRACTION_SHIFT) as u32);
     }
 
-    /// Whether the next tick is one for [`Stepper::plain_ticks`].
+    /// Returns whether the next tick is plain and [`Stepper::plain_ticks`] can execute it.
     #[inline(always)]
     pub fn has_plain(&self) -> bool {
         self.piece.plain_ticks != 0
     }
 
-    /// The least and the greatest interval, in whole step-clock ticks rounded down, between the ticks of the segment from
-    /// the next tick on.
+    /// Returns the minimum and maximum interval between the remaining ticks of the segment, in step-clock ticks rounded
+    /// down.
     #[inline]
     pub fn intervals(&self) -> (u32, u32) {
         let Piece { interval, ramp, .. } = self.piece;
-        // Exact in 32 bits, as each interval is.
+        // Wrapping 32-bit arithmetic is exact here, because each interval fits 32 bits.
         let last = interval.wrapping_add((ramp as u32).wrapping_mul(self.piece.ticks().wrapping_sub(1)));
         let (least, greatest) = if last < interval { (last, interval) } else { (interval, last) };
         (least >> INTERVAL_FRACTION_BITS, greatest >> INTERVAL_FRACTION_BITS)
     }
 
-    /// The least time from one step of the fastest axis to its next one in the segment, in step-clock ticks: several ticks at low rates.
+    /// Returns the minimum time between two steps of the dominant axis in the segment, in step-clock ticks. At low
+    /// rates (AMASS levels above 0) it spans several ticks of the stepper.
     #[inline]
     pub fn step_interval(&self) -> u32 {
         let (least, _) = self.intervals();
@@ -339,14 +347,15 @@ impl<const N: usize> Stepper<N> {
         least.wrapping_shl(level)
     }
 
-    /// Whether the next tick ends a segment that another one is to follow, and that one is not here yet: the tick would be
-    /// an underrun.
+    /// Returns whether the next tick would be an underrun: it ends a segment, and the segment that must follow has not
+    /// been loaded.
     #[inline]
     pub fn lacks_segment(&self) -> bool {
         self.piece.ticks() == 1 && !self.is_next && !self.piece.last && !self.brakes && !self.unnoted
     }
 
-    /// What a tick does after its steps with which a segment may end or motion begin or end, or at which the probe is waited for.
+    /// Completes a tick that is not plain, after its steps: the last one of a segment, from or to rest, or while a
+    /// probe is watched.
     #[inline(always)]
     fn rare_tick(&mut self, steps: u8) -> Tick {
         if self.piece.rare_ticks > 1 {
@@ -365,7 +374,7 @@ impl<const N: usize> Stepper<N> {
         Tick { steps, directions: self.directions, interval: 0, begins: false, underrun }
     }
 
-    /// Sets the moment of the next tick.
+    /// Computes the time of the next tick, and returns this one.
     #[inline(always)]
     fn set_out(&mut self, steps: u8) -> Tick {
         let now = self.moment();
@@ -376,43 +385,44 @@ impl<const N: usize> Stepper<N> {
         Tick { steps, directions: self.directions, interval, begins: false, underrun: false }
     }
 
-    /// Spindle or laser power of the segment.
+    /// Returns the spindle or laser power of the segment.
     #[inline]
     pub fn power(&self) -> u16 {
         self.piece.power
     }
 
-    /// Directions of the next step, as in [`Tick::directions`].
+    /// Returns the directions of the next step, as in [`Tick::directions`].
     #[inline]
     pub fn directions(&self) -> u8 {
         self.directions
     }
 
-    /// Whether the next tick is the last of its segment, or begins to move: it takes up what has been fetched.
+    /// Returns whether the next tick is the last of its segment, or the first from rest. Such a tick begins the
+    /// prefetched segment.
     #[inline(always)]
     pub fn ends_segment(&self) -> bool {
         self.piece.ticks() <= 1
     }
 
-    /// Whether an axis steps at the next tick.
+    /// Returns whether an axis steps at the next tick.
     #[inline]
     pub fn steps_next(&self) -> bool {
         dda::steps_next(&self.left, &self.piece.increments)
     }
 
-    /// The moment of the next tick, on the step clock (wrapping); that of the last one at rest.
+    /// Returns the time of the next tick on the step clock (wrapping); at rest, of the last one.
     #[inline(always)]
     pub fn moment(&self) -> u32 {
         (self.moment >> 32) as u32
     }
 
-    /// Sets the moment of the next tick: of the first after a rest, or of one that is put off, with all that come after it. The
-    /// fraction of a clock tick stays.
+    /// Sets the time of the next tick: the first one from rest, or a delayed one, in which case all later ticks are
+    /// delayed with it. Keeps the fraction of a clock tick.
     pub fn begin_at(&mut self, moment: u32) {
         self.moment = u64::from(moment) << 32 | u64::from(self.moment as u32);
     }
 
-    /// No segment has followed: rest, and whether it is a fault.
+    /// Ends motion because no segment has followed. Returns whether this is a fault (underrun).
     #[cold]
     fn run_out(&mut self) -> bool {
         let underrun = !self.piece.last;
@@ -437,7 +447,7 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// The probe is waited for: no tick is plain.
+    /// Makes all remaining ticks of the segment rare ones, because the probe must be checked after each.
     #[inline]
     fn look_at_all(&mut self) {
         self.piece.rare_ticks = self.piece.ticks();
@@ -450,7 +460,7 @@ impl<const N: usize> Stepper<N> {
             self.leave_midst();
         }
         self.odd = !self.odd;
-        // The fields themselves and not `Course::first`: built for size, an array in between is copied three times.
+        // Not `Course::first`: when built for size, the array that it returns is copied three times.
         let course = self.courses.get(usize::from(self.odd)).unwrap_or(&Course::NOWHERE);
         let Course { beyond, threshold, entered, directions, .. } = course;
         for (left, beyond) in self.left.iter_mut().zip(beyond) {
@@ -466,10 +476,11 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// The block before was left before its end, for a detour.
+    /// Lets the next block start at the current position, because the current block is left before its end for a
+    /// detour.
     #[cold]
     fn leave_midst(&mut self) {
-        // With this tick its segment has ended.
+        // The segment has ended with this tick.
         self.piece.rare_ticks = 0;
         let position = self.position().0;
         if let Some(next) = self.course_mut(true) {
@@ -477,15 +488,16 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// Units of the block advanced by now.
+    /// Returns the units of the block advanced so far.
     fn units(&self) -> u32 {
         self.piece.end_units.wrapping_sub(self.piece.ticks().wrapping_mul(self.piece.units_per_tick))
     }
 
-    /// Stops at once, forgets everything and shuts the gate until [`ToStep::Resume`] with this count of stops.
+    /// Stops immediately, discards everything, and shuts the gate until [`ToStep::Resume`] with the count of stops that
+    /// the returned event has.
     ///
-    /// `undone` are the net steps of ticks that have been made ahead of their time and will not come out: the position is
-    /// that without them.
+    /// `undone`: net steps of ticks that were generated ahead of time and will not be output. They are subtracted from
+    /// the position.
     pub fn stop(&mut self, undone: [i32; N]) -> StepEvent<N> {
         let moving = self.piece.ticks() != 0 || undone.iter().any(|steps| *steps != 0);
         self.shut();
@@ -493,31 +505,32 @@ impl<const N: usize> Stepper<N> {
         StepEvent::Stopped { stops: self.stops, moving, position: self.position() }
     }
 
-    /// So many segments, those begun last, have not come out.
+    /// Subtracts segments from the count of begun ones, because their ticks were not output.
     pub fn take_back_segments(&mut self, undone: u32) {
         self.begun = self.begun.wrapping_sub(undone);
     }
 
-    /// After a stop or an underrun: these net steps have not come out, so the position is that without them.
+    /// Subtracts net steps that were not output from the position. Call after a stop or underrun.
     pub fn take_back(&mut self, undone: [i32; N]) {
         if let Some(course) = self.course_mut(false) {
             course.take_back(undone);
         }
     }
 
-    /// The report that belongs to a [`Tick::underrun`].
+    /// Returns the report of a [`Tick::underrun`].
     pub fn underrun_event(&self) -> StepEvent<N> {
         StepEvent::Underrun { stops: self.stops, position: self.position() }
     }
 
-    /// Whether [`Stepper::probe`] is to be called after each tick.
+    /// Returns whether [`Stepper::probe`] must be called after each tick.
     #[inline]
     pub fn is_watching(&self) -> bool {
         self.is_watching
     }
 
-    /// Looks at the probe; whether it has the awaited state for the first time. Then the place is latched, what is queued is
-    /// void, and braking begins with the next tick; the report is at [`Stepper::probed_event`].
+    /// Checks the probe; returns whether it has the watched state for the first time. In that case the position is
+    /// latched, the queue is discarded, and braking begins with the next tick. [`Stepper::probed_event`] returns the
+    /// report.
     #[inline]
     pub fn probe(&mut self, active: bool) -> bool {
         let touched = self.is_watching && self.watched == active;
@@ -528,8 +541,8 @@ impl<const N: usize> Stepper<N> {
         touched
     }
 
-    /// Keeps the place of the contact, throws away what is queued, and begins to brake. The tick that sees the contact has
-    /// no time for that. Every call that would change something, or would tell of the gate, comes by here first.
+    /// Saves the state at the contact, discards the queue, and starts to brake. The tick that detects the contact has
+    /// no time for this, so every later call that changes the state or reports the gate runs this first.
     #[cold]
     fn note_touch(&mut self) {
         self.unnoted = false;
@@ -539,25 +552,25 @@ impl<const N: usize> Stepper<N> {
         self.piece.last = true;
         self.brakes = self.piece.rare_ticks != 0;
         if self.brakes {
-            // The tick that is under way is the last of its segment.
+            // Make the current tick the last one of its segment.
             self.piece.end_units = self.units().wrapping_add(self.piece.units_per_tick);
             self.piece.rare_ticks = 1;
             self.piece.ramp = 0;
         }
     }
 
-    /// Begins the next tick of a ramp down; `false` when there is nothing left to brake.
+    /// Begins the next tick of the deceleration after a contact; returns `false` when braking is complete.
     ///
-    /// A tick of `u` units at the interval T is a speed v = u/T, and v² falls by 2·a·u from tick to tick: with k = a·T²/u
-    /// the next interval is T / sqrt(1 - 2k), of which the first terms of the series are taken. The last tick of the ramp
-    /// is the one that would take all of v².
+    /// A tick of `u` units at the interval T is a speed v = u/T, and v² falls by 2·a·u from tick to tick: with k =
+    /// a·T²/u the next interval is T / sqrt(1 - 2k), computed by the first terms of its series. The ramp ends with the
+    /// tick that would reduce v² to 0.
     #[cold]
     fn brake(&mut self) -> bool {
         let interval = self.piece.interval as f32 / (1 << INTERVAL_FRACTION_BITS) as f32;
         let k = self.braking * interval * interval / self.piece.units_per_tick as f32;
         let next = self.piece.interval as f32 * (1.0 + k * (1.0 + k * (1.5 + k * 2.5)));
         let ends = self.piece.end_units >= self.course(false).total;
-        // Not a number where the tick advances no units: a crawl, which stops where it is.
+        // `k` is infinite or NaN if the tick advances no units (a wait): such a slow motion stops at once.
         self.brakes = !ends && k < 0.5 && next < LONGEST_BRAKING;
         if self.brakes {
             self.piece.end_units = self.piece.end_units.wrapping_add(self.piece.units_per_tick);
@@ -567,7 +580,7 @@ impl<const N: usize> Stepper<N> {
         self.brakes
     }
 
-    /// The report that belongs to [`Stepper::probe`].
+    /// Returns the report of a contact found by [`Stepper::probe`].
     pub fn probed_event(&mut self) -> StepEvent<N> {
         if self.unnoted {
             self.note_touch();
@@ -596,31 +609,31 @@ impl<const N: usize> Stepper<N> {
         self.stops = self.stops.wrapping_add(1);
     }
 
-    /// Whether a stop has not been answered yet.
+    /// Returns whether the gate is shut: after a stop, an underrun or a contact, until the matching [`ToStep::Resume`].
     #[inline]
     pub fn is_shut(&self) -> bool {
         self.gate_shut || self.unnoted
     }
 
-    /// Whether a segment runs.
+    /// Returns whether a segment is running.
     #[inline(always)]
     pub fn is_moving(&self) -> bool {
         self.piece.ticks() != 0
     }
 
-    /// Whether there is nothing left to do.
+    /// Returns whether no segment is running or prefetched.
     #[inline]
     pub fn is_idle(&self) -> bool {
         self.piece.ticks() == 0 && (!self.is_next || self.unnoted)
     }
 
-    /// Segments begun since power-up (wrapping).
+    /// Returns the number of segments begun since power-up (wrapping).
     #[inline]
     pub fn segments_begun(&self) -> u32 {
         self.begun
     }
 
-    /// Net steps of each axis since power-up (wrapping), all steps of the ticks so far included.
+    /// Returns the net steps of each axis since power-up (wrapping), including all ticks so far.
     pub fn position(&self) -> PerAxis<i32, N> {
         self.course(false).position(&self.left, self.units())
     }

@@ -1,25 +1,25 @@
-//! The outputs and the wiring as they were given out last, so that only changes are sent. Also notes whether anything
-//! has happened since: while nothing has, the controller skips this check.
+//! The outputs and the wiring as they were last sent, so that only changes are sent. Also records whether any event
+//! since then could have changed them; if not, the controller skips this comparison.
 
 use crate::axes::AxisMask;
 use crate::inputs::levels;
 use crate::messages::{GangedMotors, InputWiring, SlowOutputs, SpindleDirection, Wiring};
 use crate::settings::{Key, Settings};
 
-/// Levels and wiring as they were given out last.
+/// Levels and wiring as they were last sent.
 #[derive(Clone, Debug)]
 pub(crate) struct Pins {
-    /// Motors of the ganged axis that take their steps: one alone in squaring.
+    /// Motors of the ganged axis that receive its steps; only one of them while the axis is squared.
     ganged_motors: GangedMotors,
-    /// Nothing has happened since that could change them.
+    /// No event since the last comparison could have changed the outputs.
     calm: bool,
     levels: Option<SlowOutputs>,
     wiring: Option<Wiring>,
-    /// What that was made of.
+    /// Values from which `wiring` was made.
     source: Option<WiringSource>,
 }
 
-/// All that [`Wiring`] depends on.
+/// All values that [`Wiring`] depends on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct WiringSource {
     settings: u32,
@@ -29,29 +29,29 @@ struct WiringSource {
 }
 
 impl Pins {
-    /// Nothing has been given out.
+    /// Nothing has been sent.
     pub(crate) const UNKNOWN: Pins =
         Pins { ganged_motors: GangedMotors::Both, calm: false, levels: None, wiring: None, source: None };
 
-    /// Whether nothing has happened since they were given out that could change them.
+    /// Whether no event since the last comparison could have changed the outputs.
     #[inline]
     pub(crate) fn are_calm(&self) -> bool {
         self.calm
     }
 
-    /// They are as they were given out, and only motion is under way.
+    /// Marks the outputs as up to date; from here on only motion is in progress.
     #[inline]
     pub(crate) fn calm_down(&mut self) {
         self.calm = true;
     }
 
-    /// Something has happened: an event, a piece of a line, a driver switched on.
+    /// Requires a new comparison after an event: a message, a part of a line, a driver switched on.
     #[inline]
     pub(crate) fn disturb(&mut self) {
         self.calm = false;
     }
 
-    /// Motors of the ganged axis that take their steps from now on.
+    /// Selects the motors of the ganged axis that receive its steps.
     pub(crate) fn drive(&mut self, motors: GangedMotors) {
         self.ganged_motors = motors;
     }
@@ -61,7 +61,7 @@ impl Pins {
         self.levels.is_some_and(|levels| levels.spindle == SpindleDirection::Off && levels.power == 0)
     }
 
-    /// Levels of the slow outputs, if they are not those given out last.
+    /// Returns the levels of the slow outputs if they differ from those last sent.
     pub(crate) fn changed(&mut self, levels: SlowOutputs) -> Option<SlowOutputs> {
         (self.levels != Some(levels)).then(|| {
             self.levels = Some(levels);
@@ -69,7 +69,7 @@ impl Pins {
         })
     }
 
-    /// The wiring, if it is not that given out last.
+    /// Returns the wiring if it differs from that last sent.
     #[inline]
     pub(crate) fn changed_wiring<const N: usize>(
         &mut self,

@@ -1,6 +1,6 @@
-//! What the outputs should be now: power and direction of the spindle under the overrides, coolant, drivers and digital
-//! outputs. The controller compares this with what was given out last and sends the difference. Also says whether the
-//! spindle is up to speed.
+//! Determines the present state of the outputs: power and direction of the spindle under the overrides, coolant,
+//! drivers and digital outputs. The controller compares this with the state last sent and sends the difference. Also
+//! determines whether the spindle is up to speed.
 
 pub(crate) mod given;
 
@@ -17,8 +17,8 @@ use crate::states::stops::orders::StopReason;
 use crate::units::Instant;
 
 impl<const N: usize> Controller<N> {
-    /// Whether a spindle that should have turned long enough at a moment has, and is up to speed. If it is not within
-    /// `$916` after that moment, an alarm is on its way.
+    /// Returns whether the spin-up time, which ends at `until`, has passed and the spindle is up to speed. If it is not
+    /// up to speed `$916` after `until`, orders an alarm.
     pub(crate) fn has_spun_up(&mut self, until: Instant) -> bool {
         if self.m.now >= until && self.has_no_speed_to_reach() {
             return true;
@@ -30,18 +30,19 @@ impl<const N: usize> Controller<N> {
         spun_up == SpinUp::UpToSpeed
     }
 
-    /// Whether the spindle is on with S0: it tells of no speed.
+    /// Whether the spindle has no power, for example at S0: then there is no speed to wait for.
     fn has_no_speed_to_reach(&self) -> bool {
         self.resting_power() == 0
     }
 
-    /// Whether the spindle is up to speed, as far as can be known.
+    /// Whether the spindle is up to speed, as far as this is known.
     pub(crate) fn has_speed(&self) -> bool {
         self.has_no_speed_to_reach()
             || self.m.accessories.is_at_speed(self.m.inputs.signals().at_speed, &self.m.settings)
     }
 
-    /// Outputs follow the motion that has begun; they are off where the machine is locked.
+    /// Switches the digital outputs that wait for a motion which has started. In alarm and sleep, switches all of them
+    /// off.
     #[inline]
     pub(crate) fn settle_outputs(&mut self) {
         if self.m.accessories.digital().is_waiting() {
@@ -59,25 +60,25 @@ impl<const N: usize> Controller<N> {
         self.m.motion.set_mark(mark);
     }
 
-    /// The job is forgotten, or has come to its end: what waits for a motion is forgotten with it.
+    /// Drops the outputs that wait for a motion, because the job has been aborted or has ended.
     pub(crate) fn forget_waiting_outputs(&mut self) {
         let mark = self.m.motion.begun_mark();
         self.m.accessories.digital_mut().forget_waiting(mark);
         self.m.motion.set_mark(mark);
     }
 
-    /// When [`Controller::has_spun_up`] has to be asked again, if no input changes.
+    /// Returns when [`Controller::has_spun_up`] must be called again if no input changes.
     pub(crate) fn next_look_at_spindle(&self, until: Instant) -> Instant {
         Accessories::next_look(until, self.m.now, &self.m.settings)
     }
 
-    /// Spindle and coolant, whose state the next line inherits.
+    /// Switches spindle and coolant off, also in the modal state, which the next line inherits.
     pub(crate) fn switch_off(&mut self) {
         self.m.accessories.switch_off();
         self.m.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
     }
 
-    /// Power of the spindle while nothing moves.
+    /// Returns the power of the spindle while nothing moves.
     #[inline]
     pub(crate) fn resting_power(&self) -> u16 {
         if self.m.accessories.spindle_output() == SpindleDirection::Off { 0 } else { self.turning_power() }
@@ -97,14 +98,14 @@ impl<const N: usize> Controller<N> {
         )
     }
 
-    /// Whether a beam is off at rest whatever the program says: in a jog and where one was stopped. Grbl's dialect (0) leaves
-    /// it on.
+    /// Whether a laser is off at rest whatever the program says: in a jog, a hold and every other state except normal
+    /// operation and check mode. In Grbl's dialect (0) it stays on.
     fn is_dark_at_rest(&self) -> bool {
         let is_dark = self.m.settings.is_on(Key::Laser) && self.m.settings.is_on(Key::Dialect);
         is_dark && !matches!(self.state, State::Normal | State::Check)
     }
 
-    /// A segment's power under the override of this moment: queued moves feel it too.
+    /// Returns the power of a segment under the present override, which thus also affects queued moves.
     #[inline]
     pub(crate) fn overridden_power(&self, power: u16) -> u16 {
         match self.acting_overrides().spindle {
@@ -113,19 +114,19 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// The operator's overrides, as far as the program does not hold them off (M49).
+    /// Returns the operator's overrides, except those that the program disables (M49).
     fn acting_overrides(&self) -> Overrides {
         let held = self.m.interpreter.acting_modal().overrides_held;
         self.m.accessories.overrides().acting(held.feed, held.spindle)
     }
 
-    /// The moves under way take the overrides over.
+    /// Applies the overrides to the moves in progress.
     pub(crate) fn apply_overrides(&mut self) {
         let acting = self.acting_overrides();
         self.m.motion.set_overrides(f32::from(acting.feed) / 100.0, f32::from(acting.rapid) / 100.0);
     }
 
-    /// Direction and speed of the spindle as it turns now; a spindle without power does not turn.
+    /// Returns direction and speed of the spindle at present; without power it does not turn.
     pub(crate) fn spindle_now(&self) -> (SpindleDirection, f32) {
         let from_segments =
             self.m.settings.is_on(Key::Laser) && !self.m.motion.is_at_rest() && !self.m.accessories.is_suspended();
@@ -134,7 +135,7 @@ impl<const N: usize> Controller<N> {
         (direction, SpindleRange::of(&self.m.settings).speed_of(power))
     }
 
-    /// A laser with constant power (M3) stays on between feed motions.
+    /// Whether a laser with constant power (M3) stays on between feed motions.
     pub(crate) fn burns_at_rest(&self) -> bool {
         matches!(
             self.m.interpreter.acting_modal().motion,
@@ -159,7 +160,8 @@ impl<const N: usize> Controller<N> {
         self.m.pins.changed_wiring(&self.m.settings, self.m.inputs.wiring(), matches!(self.state, State::Homing(_)))
     }
 
-    /// No current in the motors, whatever `$1` says: in sleep, and with `$913` until the emergency has been acknowledged.
+    /// Whether the motors must have no current, whatever `$1` says: in sleep, and with `$913` until the emergency has
+    /// been acknowledged.
     fn drivers_held_off(&self) -> bool {
         matches!(self.state, State::Sleep(_))
             || matches!(self.state.alarm(), Some(Alarm::EmergencyStop | Alarm::DriverFault))

@@ -1,14 +1,14 @@
-//! Carries bytes of lines from the serial task to the control task: [`LineSender`] packs them into messages, and
-//! [`LineReader`] takes them out.
+//! Carries line bytes from the serial task to the control task: [`LineSender`] packs them into messages, and
+//! [`LineReader`] unpacks them.
 //!
 //! ```text
 //!  link ──byte──▶ LineSender ──message──▶ queue ──▶ LineReader ──byte──▶ controller
-//!                    │ full, of another epoch, or: no more bytes now, and few messages are on the way that are not full
+//!                    │ sends when full, at a new epoch, or when no more bytes are available (with a limit)
 //! ```
-//! A queue has room for a number of messages. So that [`LINES_DEPTH`](crate::messages::LINES_DEPTH) bytes fit also from a link
-//! that brings them one at a time, at most [`MOST_PARTIAL`] messages of them go out before they are full; after these, bytes
-//! wait until a message is full or the queue has been emptied. Bytes of another epoch begin a message, for which there is room
-//! with every line. A host that comes or goes costs two of them.
+//! The queue has room for a limited number of messages. To fit [`LINES_DEPTH`](crate::messages::LINES_DEPTH) bytes even
+//! if they arrive one at a time, at most [`MOST_PARTIAL`] messages are sent before they are full. Then bytes wait until
+//! a message is full or the queue is empty. Bytes of another epoch begin a new message; the queue has room for a new
+//! epoch with every line. A host that connects or disconnects costs two messages.
 
 use crate::messages::{LineByte, LineBytes, MOST_PARTIAL};
 
@@ -16,7 +16,7 @@ use crate::messages::{LineByte, LineBytes, MOST_PARTIAL};
 #[derive(Clone, Copy, Debug)]
 pub struct LineSender {
     gathered: LineBytes,
-    /// Messages sent before they were full since the queue was last seen empty.
+    /// Messages sent before they were full, since the queue was last empty.
     partial: usize,
 }
 
@@ -29,7 +29,8 @@ impl Default for LineSender {
 }
 
 impl LineSender {
-    /// Takes a byte. `send` queues a message if there is room. `false`: no room, nothing done.
+    /// Takes a byte. `send` queues a message if there is room. Returns `false` if there was no room and nothing was
+    /// done.
     #[inline]
     pub fn push(&mut self, byte: LineByte, send: impl FnOnce(LineBytes) -> bool) -> bool {
         if self.gathered.push(byte) {
@@ -43,7 +44,7 @@ impl LineSender {
         sent
     }
 
-    /// Takes undamaged bytes of an epoch, as many of them as there is room for. Gives how many.
+    /// Takes undamaged bytes of an epoch from the front as far as there is room. Returns how many.
     #[inline]
     pub fn extend(&mut self, epoch: u16, bytes: &[u8], mut send: impl FnMut(LineBytes) -> bool) -> usize {
         let mut count = 0;
@@ -60,8 +61,8 @@ impl LineSender {
         count
     }
 
-    /// There are no more bytes now: what is gathered is sent, unless it has to wait. `is_empty`: nothing is in the queue. Whether
-    /// it has been sent.
+    /// Sends the gathered bytes, unless the limit of partial messages makes them wait. To be called when no more bytes
+    /// are available. `is_empty`: the queue is empty. Returns whether a message was sent.
     #[inline]
     pub fn flush(&mut self, is_empty: bool, send: impl FnOnce(LineBytes) -> bool) -> bool {
         if is_empty {
@@ -76,7 +77,7 @@ impl LineSender {
         true
     }
 
-    /// Whether bytes wait: for more of them, for room, or until the queue has been emptied.
+    /// Returns whether bytes wait: for more bytes, for room, or until the queue is empty.
     #[inline]
     pub fn is_waiting(&self) -> bool {
         !self.gathered.is_empty()
@@ -99,19 +100,20 @@ impl Default for LineReader {
 }
 
 impl LineReader {
-    /// The epoch and the bytes that come next, as far as they have been received and are none that loss has damaged.
+    /// Returns the epoch and the next bytes as far as they have been received, or no bytes if any in their message is
+    /// damaged.
     #[inline]
     pub fn ahead(&self) -> (u16, &[u8]) {
         self.message.undamaged(self.next)
     }
 
-    /// So many of these have been taken.
+    /// Skips `count` of the bytes that [`LineReader::ahead`] returned.
     #[inline]
     pub fn pass(&mut self, count: usize) {
         self.next += count;
     }
 
-    /// The next byte, which stays. `receive` takes a message out of the queue if there is one.
+    /// Returns the next byte without removing it. `receive` takes a message from the queue if there is one.
     #[inline]
     pub fn peek(&mut self, receive: impl FnOnce() -> Option<LineBytes>) -> Option<LineByte> {
         if let Some(byte) = self.message.get(self.next) {
@@ -122,7 +124,7 @@ impl LineReader {
         self.message.get(0)
     }
 
-    /// The next byte. `receive` takes a message out of the queue if there is one.
+    /// Removes and returns the next byte. `receive` takes a message from the queue if there is one.
     #[inline]
     pub fn next(&mut self, receive: impl FnOnce() -> Option<LineBytes>) -> Option<LineByte> {
         let byte = self.peek(receive)?;
@@ -162,7 +164,7 @@ mod tests {
             self.line_sender.flush(is_empty, |message| send(queue, message));
         }
 
-        /// As `control` reads: once the queue is empty, the serial task is called for what waits.
+        /// Reads as `control` does: if the queue is empty, the serial task is called to send the bytes that wait.
         fn read(&mut self) -> Option<LineByte> {
             let byte = self.reader.next(|| self.queue.pop_front());
             if byte.is_none() && self.line_sender.is_waiting() {
@@ -224,7 +226,7 @@ mod tests {
             prop_assert_eq!(crossing.read(), None);
         }
 
-        /// As many bytes fit as senders are told, however they arrive and whatever has been read before them.
+        /// The promised number of bytes fits, however they arrive and whatever was read before.
         #[test]
         fn all_bytes_that_are_promised_fit(
             before in proptest::collection::vec((any::<bool>(), any::<bool>()), 0..600),
@@ -234,7 +236,7 @@ mod tests {
         ) {
             let mut crossing = Crossing::default();
             let (mut inside, mut sent) = (0, 0);
-            // Behind each line comes a jog cancel, or none ever comes.
+            // The epoch changes every `line` bytes, as by a jog cancel after each line, or never.
             let mut next = || {
                 sent += 1;
                 LineByte { byte: b'1', epoch: ((sent - 1) / line) as u16, damaged: false }

@@ -1,20 +1,22 @@
-//! Holds replies back for a moment, so that several go to the serial task in one message. Each message costs a run of
-//! that task and a packet on the link.
+//! Holds replies back briefly, so that several go to the serial task in one message. Each message costs a run of that
+//! task and a packet on the link.
 //!
-//! It promises: an answer is held only while whole or part of another line waits to be taken, so a host that waits for it
-//! before it sends more never finds it held; and no longer than `LONGEST` and a round.
+//! Guarantees:
+//! * An answer is held only while bytes of another line wait to be read. So a host that waits for the answer before it
+//!   sends more is never delayed.
+//! * An answer is held for at most `LONGEST` and one round.
 
 use crate::units::{Duration, Instant};
 
-/// Longest time for which an answer is held.
+/// Maximum time for which an answer is held.
 const LONGEST: Duration = Duration::from_ticks(1_000);
 
-/// Whether answers are held back.
+/// Decides whether answers are held back.
 #[derive(Clone, Copy, Debug)]
 pub struct Coalescing {
-    /// When answers are held no longer.
+    /// When holding back ends.
     until: Instant,
-    /// The round began before that.
+    /// The current round began before `until`.
     is_within: bool,
 }
 
@@ -25,25 +27,25 @@ impl Default for Coalescing {
 }
 
 impl Coalescing {
-    /// A round begins.
+    /// Starts a round of the pump at `now`.
     #[inline(always)]
     pub fn begin(&mut self, now: Instant) {
         self.is_within = now < self.until;
     }
 
-    /// Answers have gone in the round that began at `now`: those that follow may be held.
+    /// Records that answers were sent in the round that began at `now`: later answers may be held.
     #[inline(always)]
     pub fn sent(&mut self, now: Instant) {
         self.until = now + LONGEST;
     }
 
-    /// Whether answers are held back in this round. `lines_wait`: there are bytes of lines that it could take.
+    /// Returns whether answers are held back in this round. `lines_wait`: bytes of lines wait to be read.
     #[inline(always)]
     pub fn holds(&self, lines_wait: bool) -> bool {
         lines_wait && self.is_within
     }
 
-    /// In the next round, if it begins at `now` or later, nothing is held back.
+    /// Ends holding back: a round that begins at `now` or later holds nothing.
     pub fn release(&mut self, now: Instant) {
         self.until = now;
     }
@@ -63,7 +65,7 @@ mod tests {
         // The first of a burst goes at once.
         answers.begin(at(5_000));
         assert!(!answers.holds(true));
-        // A round that has other things to do leaves them to the next.
+        // If a round sends nothing, the next round holds nothing either.
         answers.begin(at(5_000));
         assert!(!answers.holds(true));
         answers.sent(at(5_000));
@@ -86,7 +88,7 @@ mod tests {
         answers.begin(at(5_100));
         assert!(answers.holds(true));
         answers.release(at(5_100));
-        // Of the same microsecond, too.
+        // Also in a round of the same microsecond.
         answers.begin(at(5_100));
         assert!(!answers.holds(true));
     }

@@ -7,7 +7,7 @@ use crate::axes::Axis;
 use crate::error::{Alarm, Error};
 use crate::settings::{self, Description, Entry, Key, Kind, Row, SettingGroup, Settings};
 
-/// How a sender shows a value: the numbers of grblHAL.
+/// How a sender shows a value; the numbers are grblHAL's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum DataType {
     Switch = 0,
@@ -44,7 +44,7 @@ impl DataType {
     }
 }
 
-/// The line above the rows of `$ESG` or `$ESH`.
+/// Returns the line above the rows of `$ESG` or `$ESH`.
 const fn header(format: Format) -> Option<&'static [u8]> {
     match format {
         Format::Fields => None,
@@ -53,7 +53,7 @@ const fn header(format: Format) -> Option<&'static [u8]> {
     }
 }
 
-/// One row of `$ES`, `$ESG` or `$ESH`.
+/// Appends a row of `$ES`, `$ESG` or `$ESH`.
 fn setting(out: &mut Text, row: &Row, format: Format) {
     match format {
         Format::Fields => return fields(out, row),
@@ -78,7 +78,7 @@ fn setting(out: &mut Text, row: &Row, format: Format) {
     put(out, END);
 }
 
-/// Number, name and unit, each with the separator behind it.
+/// Appends number, name and unit, each followed by the separator.
 fn columns(out: &mut Text, row: &Row, between: &[u8]) {
     whole(out, u64::from(row.number));
     put(out, between);
@@ -88,7 +88,7 @@ fn columns(out: &mut Text, row: &Row, between: &[u8]) {
     put(out, between);
 }
 
-/// `[SETTING:number|group|name|unit|data type|format|least|greatest|needs a restart|may be empty]`.
+/// Appends `[SETTING:number|group|name|unit|data type|format|minimum|maximum|needs a restart|may be empty]`.
 fn fields(out: &mut Text, row: &Row) {
     let data_type = DataType::of(&row.entry, &row.description);
     put(out, b"[SETTING:");
@@ -114,7 +114,7 @@ fn fields(out: &mut Text, row: &Row) {
     put(out, END);
 }
 
-/// The choices, the bits of a mask, or the digits.
+/// Returns the data format: the choices, the bits of a mask, or the digits.
 fn data_format(row: &Row, data_type: DataType) -> &'static [u8] {
     match (data_type, row.entry.kind) {
         (DataType::Switch, _) => b"",
@@ -127,7 +127,7 @@ fn data_format(row: &Row, data_type: DataType) -> &'static [u8] {
     }
 }
 
-/// The least and the greatest value, as far as there are any.
+/// Appends minimum and maximum, as far as they exist.
 fn range(out: &mut Text, row: &Row, data_type: DataType, between: &[u8]) {
     match row.entry.kind {
         Kind::Whole(least, greatest) | Kind::Tenths(least, greatest)
@@ -145,7 +145,7 @@ fn range(out: &mut Text, row: &Row, data_type: DataType, between: &[u8]) {
     }
 }
 
-/// A bound of a setting: of tenths with a decimal if there is one.
+/// Appends a bound of a setting. Tenths are printed with a decimal if it is not 0.
 #[inline(never)]
 fn bound(out: &mut Text, kind: Kind, value: u32) {
     let parts = if matches!(kind, Kind::Tenths(..)) { 10 } else { 1 };
@@ -155,14 +155,14 @@ fn bound(out: &mut Text, kind: Kind, value: u32) {
     }
 }
 
-/// The name; of a setting of an axis with that axis before it, of a homing cycle with its number behind it.
+/// Appends the name. A per-axis setting has its axis before the name, a homing cycle its number after it.
 pub fn name(out: &mut Text, row: &Row) {
     let axis = row.axis.filter(|_| row.description.group == SettingGroup::Axes);
     if let Some(axis) = axis {
         put(out, &[axis.letter()]);
         put(out, b"-axis ");
         let mut bytes = row.description.name.bytes();
-        // An abbreviation begins with two capitals, and none does here.
+        // No name here starts with an abbreviation, which would have to keep its capital letter.
         put(out, &[bytes.next().unwrap_or_default().to_ascii_lowercase()]);
         put(out, row.description.name.as_bytes().get(1..).unwrap_or(&[]));
         return;
@@ -174,7 +174,7 @@ pub fn name(out: &mut Text, row: &Row) {
     }
 }
 
-/// The values that a setting takes, in words.
+/// Appends the possible values in words.
 pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
     match (entry.kind, DataType::of(entry, description)) {
         (Kind::Switch, _) => put(out, b"0 or 1"),
@@ -199,7 +199,7 @@ pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
     }
 }
 
-/// `[MSG:Values of $32: 0 or 1; ...]`, with what there is here of the values that grblHAL has besides.
+/// `[MSG:Values of $32: 0 or 1; ...]`, with Oxmill's equivalents of grblHAL's additional values.
 pub fn values_of(out: &mut Text, mut row: Row, board: (u16, u32)) {
     on_board(&mut row, board);
     put(out, b"[MSG:Values of $");
@@ -211,7 +211,7 @@ pub fn values_of(out: &mut Text, mut row: Row, board: (u16, u32)) {
     put(out, END);
 }
 
-/// What grblHAL means by other values than 0 and 1 of a setting that is a switch here.
+/// Text about grblHAL's values other than 0 and 1 of a setting that is only a switch here.
 const fn beyond_a_switch(number: u16) -> &'static [u8] {
     match number {
         ENABLE_INVERT => b", for all drivers",
@@ -245,7 +245,7 @@ fn sum_of(out: &mut Text, labels: &str, bits: u32) {
     }
 }
 
-/// How many lines a description has, on a machine with so many axes in use.
+/// Returns the number of lines of a description, with `axes` axes in use.
 pub const fn lines(what: Described, axes: usize) -> usize {
     match what {
         Described::Settings(format) => settings::lines(axes) + header(format).is_some() as usize,
@@ -255,8 +255,8 @@ pub const fn lines(what: Described, axes: usize) -> usize {
     }
 }
 
-/// Narrows a setting to what a board can have: tenths of a microsecond of its shortest step pulse, and the baud that its UART has
-/// at most. The table has the least and the most of all boards.
+/// Narrows a setting to the board's range: minimum length of a step pulse in tenths of a microsecond, and maximum baud
+/// of its UART. The table has the widest range of all boards.
 fn on_board(row: &mut Row, (least_pulse_tenths, most_baud): (u16, u32)) {
     match &mut row.entry.kind {
         Kind::Tenths(least, _) => *least = u32::from(least_pulse_tenths),
@@ -265,7 +265,8 @@ fn on_board(row: &mut Row, (least_pulse_tenths, most_baud): (u16, u32)) {
     }
 }
 
-/// One of them, on a board whose shortest step pulse has so many tenths of a microsecond, and whose UART so many baud at most.
+/// Appends one line of a description. `board`: minimum length of a step pulse in tenths of a microsecond, and maximum
+/// baud of the UART.
 pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: usize, board: (u16, u32)) {
     match what {
         Described::Settings(format) => match (header(format), line) {
@@ -294,7 +295,7 @@ pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: 
     }
 }
 
-/// `[SETTINGGROUP:number|parent|name]`: the groups, then those of the axes.
+/// `[SETTINGGROUP:number|parent|name]`: first the groups, then a group for each axis.
 fn group(out: &mut Text, line: usize) {
     let group = SettingGroup::ALL.get(line);
     put(out, b"[SETTINGGROUP:");
@@ -335,7 +336,7 @@ mod tests {
         (0..lines(what, 3)).map(|wanted| text(what, wanted)).collect()
     }
 
-    /// The line of a setting in a format.
+    /// The line of a setting in one format.
     fn of(number: u16, format: Format) -> String {
         let found = (0..Settings::<3>::LINES)
             .find(|line| Settings::<3>::described(*line, 3).is_some_and(|row| row.number == number));
@@ -362,7 +363,7 @@ mod tests {
             of(904, Format::Tabs),
             "904\tKinematics\t\tradiobuttons\tCartesian,CoreXY\t0 Cartesian, 1 CoreXY\t\t\r\n"
         );
-        // What a board of another least pulse says.
+        // On a board with another minimum pulse.
         let mut out = Text::new();
         line::<3>(&mut out, Described::Settings(Format::Tabs), 1, 3, (5, 1_000_000));
         assert_eq!(out, b"0\tStep pulse\tus\tfloat\t##0.0\t0.5 to 255 in tenths\t0.5\t255\r\n");
@@ -385,8 +386,8 @@ mod tests {
         );
     }
 
-    /// What a program that reads them takes for granted: whole lines, no mark inside a text, groups that exist, a bit or a
-    /// choice for each label.
+    /// Checks what a program that reads the lines relies on: whole lines, no separators inside texts, existing groups,
+    /// and a bit or a choice for each label.
     #[test]
     fn every_line_can_be_read_back() {
         for what in [Described::Groups, Described::Errors, Described::Alarms] {

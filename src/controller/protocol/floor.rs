@@ -1,33 +1,34 @@
-//! `Floor`: which of two hosts has the machine, whose lines are read and who gets the answers. It is claimed (`firm` or
-//! not), seized by a reset, and left; a `weak` holder keeps no other host out.
+//! `Floor`: arbitrates between two hosts. The holder's lines are read, and the holder gets the replies. A host claims
+//! the floor, seizes it by a reset, and leaves it; a `weak` holder does not keep the other host out.
 
-/// Which of two hosts has the floor: whose lines are read, and who gets the answers. Realtime commands need no floor.
+/// The host that has the floor: its lines are read, and it gets the replies. Realtime commands do not need the floor.
 #[derive(Clone, Debug)]
 pub(super) struct Floor {
     holder: usize,
-    /// The holder has gone or has only asked for a report; or no host has sent anything yet.
+    /// The holder has disconnected or has only sent realtime commands, or no host has sent anything yet.
     weak: bool,
 }
 
 impl Floor {
-    /// Answers go to link 0, and whoever speaks first has the floor.
+    /// Replies go to link 0 until a host claims the floor; the first claim succeeds.
     pub const fn new() -> Self {
         Self { holder: 0, weak: true }
     }
 
-    /// Who gets the answers.
+    /// Returns the link that gets the replies.
     pub fn holder(&self) -> usize {
         self.holder
     }
 
-    /// The host of `link` has it, and more than asked for a report.
+    /// Returns whether the host of `link` has the floor and keeps the other host out.
     #[inline]
     pub fn is_held_by(&self, link: usize) -> bool {
         self.holder == link && !self.weak
     }
 
-    /// The host of `link` wants to say something: whether it may. `free`: the machine has nothing to do for the holder.
-    /// `firm`: it opens its port or sends a line; a realtime command alone gets its answer, and keeps no other host out.
+    /// Claims the floor for the host of `link`. Returns whether that host has it then. `free`: the machine has nothing
+    /// to do for the holder. `firm`: the host opens its port or sends a line. With only a realtime command the host
+    /// gets the reply, but does not keep the other host out.
     pub fn claim(&mut self, link: usize, free: bool, firm: bool) -> bool {
         if self.weak || free {
             self.holder = link;
@@ -36,14 +37,14 @@ impl Floor {
         self.holder == link
     }
 
-    /// The host of `link` has reset the machine, and with it everything that another one wanted: it has the floor.
+    /// Gives the floor to the host of `link`, which has reset the machine and so cancelled all work of the other host.
     pub fn seize(&mut self, link: usize) -> bool {
         self.holder = link;
         self.weak = false;
         true
     }
 
-    /// The host of `link` has gone.
+    /// Weakens the floor if the host of `link`, which has disconnected, is the holder.
     pub fn leave(&mut self, link: usize) {
         self.weak |= self.holder == link;
     }
@@ -66,7 +67,7 @@ mod tests {
         assert!(floor.claim(1, false, true));
         assert!(!floor.claim(0, false, true));
         assert_eq!(floor.holder(), 1);
-        // Idle: whoever speaks.
+        // The machine is idle: any host may claim.
         assert!(floor.claim(0, true, true));
         assert!(floor.claim(0, false, true) && !floor.claim(1, false, true));
         floor.leave(1);
@@ -81,7 +82,7 @@ mod tests {
     fn a_question_keeps_nobody_out() {
         let mut floor = Floor::new();
         assert!(floor.claim(1, false, true));
-        // The holder's own questions change nothing.
+        // Realtime commands of the holder change nothing.
         assert!(floor.claim(1, false, false) && !floor.claim(0, false, false));
         floor.leave(1);
         assert!(floor.claim(0, false, false));

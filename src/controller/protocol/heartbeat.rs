@@ -3,24 +3,24 @@
 
 use crate::units::{Duration, Instant};
 
-/// When the host was heard last.
+/// When the host last sent something, and how it left.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heartbeat {
-    /// Bytes received when the host was heard last (wrapping).
+    /// Count of received bytes at the last [`Heartbeat::observe`] (wrapping).
     bytes: u16,
-    /// It has been heard, and the time of that is not taken yet.
+    /// The host has sent something since `heard_at` was set.
     heard: bool,
     heard_at: Instant,
-    /// When it will have been silent for too long.
+    /// When the host counts as silent; `None` while silence is allowed.
     silent_at: Option<Instant>,
-    /// It has gone while a job was about to be resumed.
+    /// The host went silent or disconnected while a job was about to be resumed.
     gone: bool,
-    /// It has gone in a jog, which ends.
+    /// The host left during a jog, which is ending.
     left_jog: bool,
 }
 
 impl Heartbeat {
-    /// Not heard yet.
+    /// The host has not sent anything.
     pub const NONE: Heartbeat = Heartbeat {
         bytes: 0,
         heard: false,
@@ -30,27 +30,27 @@ impl Heartbeat {
         left_jog: false,
     };
 
-    /// So many bytes of lines have been received (wrapping).
+    /// Updates the count of received bytes (wrapping), which excludes commands. A change is a sign of life.
     #[inline]
     pub fn observe(&mut self, bytes: u16) {
         self.heard |= bytes != self.bytes;
         self.bytes = bytes;
     }
 
-    /// A realtime command has come.
+    /// Records a realtime command as a sign of life.
     #[inline]
     pub fn hear(&mut self) {
         self.heard = true;
     }
 
-    /// It may be silent as long as it likes. Whenever that ends it counts as heard.
+    /// Allows silence. The silent time starts at the first [`Heartbeat::is_silent`] after this.
     #[inline]
     pub fn rest(&mut self) {
         self.silent_at = None;
         self.heard = true;
     }
 
-    /// Whether the host has been silent for longer than this.
+    /// Returns whether the host has been silent for `longest` or more.
     pub fn is_silent(&mut self, now: Instant, longest: Duration) -> bool {
         if core::mem::take(&mut self.heard) {
             self.heard_at = now;
@@ -60,28 +60,29 @@ impl Heartbeat {
         now >= silent_at
     }
 
-    /// Notes whether it has gone in a jog.
+    /// Records whether the host left during a jog.
     pub fn set_left_jog(&mut self, left_jog: bool) {
         self.left_jog = left_jog;
     }
 
-    /// Whether it has; told once.
+    /// Returns whether the host left during a jog, and clears that.
     pub fn take_left_jog(&mut self) -> bool {
         core::mem::take(&mut self.left_jog)
     }
 
-    /// Notes whether it has gone while a job was about to be resumed.
+    /// Records whether the host left while a job was about to be resumed. `false` also clears
+    /// [`Heartbeat::set_left_jog`].
     pub fn set_gone(&mut self, gone: bool) {
         self.gone = gone;
         self.left_jog &= gone;
     }
 
-    /// Whether it has; told once.
+    /// Returns whether the host left while a job was about to be resumed, and clears that.
     pub fn take_gone(&mut self) -> bool {
         core::mem::take(&mut self.gone)
     }
 
-    /// When it will have been, if it says nothing more; none while silence is allowed.
+    /// Returns when the host counts as silent if it sends nothing more; `None` while silence is allowed.
     #[inline]
     pub fn silent_at(&self) -> Option<Instant> {
         self.silent_at

@@ -1,17 +1,16 @@
-//! Decides which received bytes still count, and collects them into lines. Bytes from before a reset and jogs from
-//! before a jog cancel are dropped; a byte that is ahead of its realtime command is held. Complete lines pass their
-//! checksum, if lines are checked.
+//! Decides which received bytes are still valid, and assembles them into lines. Complete lines pass the checksum, if
+//! lines are checked.
 //!
-//! Realtime commands and line bytes come through two queues that keep no order between them. Each byte carries the epoch
-//! it was received in ([`LineByte`]), and each soft reset (Ctrl-X), stop and jog cancel opens an epoch:
+//! Realtime commands and line bytes arrive through two queues without mutual order. Each byte carries the epoch in
+//! which it was received ([`LineByte`]); each soft reset (Ctrl-X), stop and jog cancel opens a new epoch:
 //!
 //! ```text
-//!  byte of a later epoch      its command is still on the way: held until it has come
+//!  byte of a later epoch      its command is still in the other queue: the byte is held until the command arrives
 //!  byte before a reset        dropped
-//!  jog before a jog cancel    is not carried out (the line is read and answered)
+//!  jog before a jog cancel    not executed (the line is read and answered)
 //! ```
-//! What has no epoch of its own counts the bytes received by then instead: a reset button drops them, a feed hold and a door
-//! end the jogs among them.
+//! Reset button, feed hold and door open no epoch. They use the number of bytes received so far instead: the button
+//! drops these bytes, and hold and door cancel the jogs among them.
 
 use super::heartbeat::Heartbeat;
 use super::line_checksum::{LineChecksum, Verdict};
@@ -20,19 +19,20 @@ use super::text::Text;
 use crate::error::Error;
 use crate::messages::{HOST_CHANGED, LineByte};
 
-/// Epochs by which an older one may fall behind: resets, stops and jog cancels while a line waits unread.
+/// Maximum distance between the current epoch and `reset_epoch` or `jog_epoch`: the number of resets, stops and jog
+/// cancels that may occur while a line waits unread.
 pub(crate) const EPOCHS: u16 = 1 << 14;
 
-/// What a byte has brought about.
+/// Result of taking a byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Taken {
-    /// Bytes before it were lost on the way, the first ones of their line.
+    /// Bytes before this one were lost: the first loss in this line.
     pub lost: bool,
-    /// What follows is another host's: it was a [`HOST_CHANGED`].
+    /// The byte was a [`HOST_CHANGED`]: later bytes are from another host.
     pub cut: bool,
-    /// What it completed.
+    /// What the byte completed.
     pub pushed: Pushed,
-    /// Whether that may be carried out.
+    /// Whether the completed line may be executed.
     pub verdict: Verdict,
 }
 
@@ -40,32 +40,33 @@ impl Taken {
     const NOTHING: Taken = Taken { lost: false, cut: false, pushed: Pushed::More, verdict: Verdict::Valid };
 }
 
-/// The received lines, as far as they count.
+/// Assembles lines from the received bytes that are still valid.
 #[derive(Clone, Debug)]
 pub struct LineIntake {
-    /// A byte that came before the realtime command which opened its epoch.
+    /// A byte that arrived before the realtime command that opened its epoch.
     held: Option<LineByte>,
-    /// Resets, stops and jog cancels taken.
+    /// The current epoch: number of resets, stops and jog cancels handled (wrapping).
     epoch: u16,
-    /// Bytes of older epochs are dropped: the epoch of the last reset or stop.
+    /// The epoch of the last reset or stop: bytes of older epochs are dropped.
     reset_epoch: u16,
-    /// Jogs of older epochs are dropped: the epoch of the last jog cancel.
+    /// The epoch of the last jog cancel: jogs of older epochs are dropped.
     jog_epoch: u16,
-    /// Received bytes to be dropped because of a reset button, and whether they end in the middle of a line.
+    /// Number of received bytes that a reset button still drops.
     drop_bytes: u16,
+    /// The rest of the current line is dropped, because its start was.
     drop_rest: bool,
-    /// Received bytes that were there before the end of a jog by a hold or a door: jogs among them are dropped.
+    /// Number of bytes received before a hold or a door ended a jog: jogs among these bytes are dropped.
     jog_bytes: u16,
     /// Epoch of the first byte of the current line.
     line_epoch: u16,
-    /// The current line began before the end of a jog by a hold or a door.
+    /// The current line began before a hold or a door ended a jog.
     line_before_cancel: bool,
-    /// The end of a jog has been ordered by 0x85, which leaves the jogs behind it alone.
+    /// The last jog was ended by 0x85, which keeps the jogs sent after it.
     keeps_later_jogs: bool,
     line: Line,
     check: LineChecksum,
     heartbeat: Heartbeat,
-    /// Of the hosts that have gone (wrapping), those whose last line has been read.
+    /// Number (wrapping) of disconnected hosts whose last line has been read.
     hosts_cut: u16,
     /// Lines completed (wrapping).
     lines_read: u32,
@@ -99,30 +100,31 @@ impl LineIntake {
         }
     }
 
-    /// Lines completed since power-up (wrapping), those that did not fit among them.
+    /// Returns the number of lines completed since power-up (wrapping), including those that were too long.
     pub fn lines_read(&self) -> u32 {
         self.lines_read
     }
 
-    /// Of the hosts that have gone (wrapping), those whose last line has been read.
+    /// Returns the number (wrapping) of disconnected hosts whose last line has been read.
     pub fn hosts_cut(&self) -> u16 {
         self.hosts_cut
     }
 
-    /// Takes a byte of the text of a line, if nothing has happened for which it would be held or dropped. The first byte of a
-    /// jog is not among these: only of jogs it matters in which epoch they began. (Of one behind a blank, too: the line is empty.)
+    /// Fast path of [`LineIntake::take`] for a byte of ordinary text that need not be held or dropped. Returns whether
+    /// the byte was taken. The epoch of the line is not recorded, because only jogs need it: the `$` of a jog always
+    /// goes to [`LineIntake::take`], where the line still counts as empty, even after blanks.
     #[inline]
     pub fn take_plain(&mut self, byte: LineByte) -> bool {
         byte.epoch == self.epoch && !byte.damaged && self.line.push_plain(byte.byte)
     }
 
-    /// Takes the first of some bytes of an epoch, as far as [`LineIntake::take_plain`] takes each of them. Gives how many.
+    /// Takes bytes of one epoch from the front as long as [`LineIntake::take_plain`] takes them. Returns how many.
     #[inline]
     pub fn take_text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
         if epoch == self.epoch { self.line.push_plain_text(bytes) } else { 0 }
     }
 
-    /// Takes an LF that ends a line of such bytes; what [`LineIntake::take`] would do with it, in brief. Whether it was one.
+    /// Fast path of [`LineIntake::take`] for an LF that ends a line of ordinary text. Returns whether the byte was one.
     #[inline]
     pub fn take_end(&mut self, byte: LineByte) -> bool {
         let ends = byte.byte == b'\n'
@@ -134,17 +136,17 @@ impl LineIntake {
         ends
     }
 
-    /// Takes a byte. When it completes a line, that is [`LineIntake::text`] until [`LineIntake::clear`].
+    /// Takes a byte. A line that it completes is available as [`LineIntake::text`] until [`LineIntake::clear`].
     pub fn take(&mut self, byte: LineByte, rules: impl Fn() -> LineRules) -> Taken {
         if byte.byte == HOST_CHANGED {
-            // Its epoch is the number of the host that has gone.
+            // The epoch of a `HOST_CHANGED` is the number of disconnected hosts.
             self.hosts_cut = byte.epoch;
         } else if is_before(self.epoch, byte.epoch) {
-            // The command that opened this epoch is still on its way through the other queue.
+            // The command that opened this epoch is still in the other queue.
             self.held = Some(byte);
             return Taken::NOTHING;
         } else if is_before(byte.epoch, self.reset_epoch) {
-            // It may be among those that a button or a hold has counted since.
+            // A button, a hold or a door may have counted this byte since.
             self.drop_bytes = self.drop_bytes.saturating_sub(1);
             self.jog_bytes = self.jog_bytes.saturating_sub(1);
             return Taken::NOTHING;
@@ -152,7 +154,8 @@ impl LineIntake {
         let before_cancel = self.jog_bytes > 0;
         self.jog_bytes = self.jog_bytes.saturating_sub(1);
         if self.drop_bytes > 0 || self.drop_rest {
-            // Received before the reset button; the line that the last of them is in is dropped to its end.
+            // The byte was received before the reset button. The line that contains the last such byte is dropped to
+            // its end.
             self.drop_bytes = self.drop_bytes.saturating_sub(1);
             self.drop_rest = !matches!(byte.byte, b'\n' | b'\r' | HOST_CHANGED);
             if byte.byte == HOST_CHANGED {
@@ -166,7 +169,7 @@ impl LineIntake {
             self.check.end();
             return Taken { cut: true, ..Taken::NOTHING };
         }
-        // Told once for each line, however many are lost.
+        // Reported once for each line, however many bytes are lost.
         let lost = byte.damaged && self.line.damage();
         if byte.damaged {
             self.check.damage();
@@ -196,44 +199,45 @@ impl LineIntake {
         (pushed, verdict)
     }
 
-    /// Lines are checked from now on; the first has the number 0.
+    /// Starts checking lines; the first has the number 0.
     pub fn begin_check(&mut self, session: &[u8]) {
         self.line.expect_plain(false);
         self.check.begin(session);
     }
 
-    /// Lines are not checked any more. Whether they were.
+    /// Ends checking. Returns whether lines were checked.
     pub fn end_check(&mut self) -> bool {
         self.check.end()
     }
 
-    /// A reset or a stop: lines are not checked any more behind the next line end. Whether they were.
+    /// Ends checking because of a reset or a stop: everything up to the next line end is refused. Returns whether lines
+    /// were checked.
     pub fn lapse_check(&mut self) -> bool {
         self.check.lapse()
     }
 
-    /// Whether lines are checked.
+    /// Returns whether lines are checked.
     #[inline]
     pub fn is_checking(&self) -> bool {
         self.check.is_on()
     }
 
-    /// The line taken last was refused for what it says.
+    /// Records that the line taken last was refused for its content.
     pub fn fail(&mut self, error: Error) {
         self.check.fail(error);
     }
 
-    /// The error that answers each checked line behind one that was refused for what it says.
+    /// Returns the error of the checked line that was refused for its content; it answers every later checked line.
     pub fn failed(&self) -> Option<Error> {
         self.check.failed()
     }
 
-    /// An answer in the form of a checked line, while lines are checked.
+    /// Returns an answer in the form of a checked line, or `None` if lines are not checked.
     pub fn checked_answer(&self, text: &[u8]) -> Option<Text> {
         self.check.answer(text)
     }
 
-    /// Whether a byte that comes next would be dropped, as it was received before a reset or a stop.
+    /// Returns whether `byte`, taken next, would be dropped because it was received before a reset or a stop.
     pub fn is_old(&self, byte: LineByte) -> bool {
         if self.holds() || is_before(self.epoch, byte.epoch) {
             return false;
@@ -242,65 +246,66 @@ impl LineIntake {
         by_button || is_before(byte.epoch, self.reset_epoch)
     }
 
-    /// Whether a byte that comes next waits for a command that has opened an epoch, or comes behind one that does.
+    /// Returns whether `byte`, taken next, would have to wait: for the command that opens its epoch, or after a held
+    /// byte.
     pub fn is_ahead(&self, byte: LineByte) -> bool {
         self.holds() || byte.byte != HOST_CHANGED && is_before(self.epoch, byte.epoch)
     }
 
-    /// Whether a byte waits for its realtime command: no other may come before it.
+    /// Returns whether a byte is held for its realtime command. No other byte may be taken before it.
     pub fn holds(&self) -> bool {
         self.held.is_some()
     }
 
-    /// The byte that has waited, to be taken again after a command that opens an epoch.
+    /// Removes and returns the held byte, to be taken again after a command that opens an epoch.
     pub fn release(&mut self) -> Option<LineByte> {
         self.held.take()
     }
 
-    /// The current line.
+    /// Returns the text of the current line.
     pub fn text(&self) -> &[u8] {
         self.line.text()
     }
 
-    /// How many bytes of text a line has that is too long, and how many of them fit; `None` if some were lost.
+    /// Returns the length of a line that is too long and how many of its bytes fit; `None` if bytes were lost.
     pub fn lengths(&self) -> Option<(usize, usize)> {
         self.line.lengths()
     }
 
-    /// Whether a remark of the line had parentheses in it.
+    /// Returns whether a remark of the line contained parentheses.
     pub fn has_nested_remark(&self) -> bool {
         self.line.has_nested_remark()
     }
 
-    /// Whether the line has no remark.
+    /// Returns whether the line has no remark.
     #[inline]
     pub fn has_no_remark(&self) -> bool {
         self.line.has_no_remark()
     }
 
-    /// What a remark of the line has to say, and whether it shows values of parameters.
+    /// Returns the message in the line's remark, if any, and whether it shows values of parameters.
     pub fn message(&self) -> Option<(bool, &[u8])> {
         self.line.message()
     }
 
-    /// The current line has been read, or is void.
+    /// Discards the current line, which has been read or is void.
     pub fn clear(&mut self) {
         self.line.clear();
         self.check.clear();
     }
 
-    /// Whether the current line, a jog, was sent before the end of a jog was ordered.
+    /// Returns whether the current line, a jog, was sent before the end of a jog was ordered.
     pub fn is_jog_stale(&self) -> bool {
         self.line_before_cancel || is_before(self.line_epoch, self.jog_epoch)
     }
 
-    /// Whether the current line, a jog, was sent behind the 0x85 that ends the one before it.
+    /// Returns whether the current line, a jog, was sent after the 0x85 that ends the jog before it.
     pub fn is_jog_behind_cancel(&self) -> bool {
         self.keeps_later_jogs && !self.is_jog_stale()
     }
 
-    /// So many bytes have been received and not been given yet; those of a host that has gone have gone with it. `heard`: so many
-    /// have been received at all (wrapping).
+    /// Updates the byte counts. `received`: line bytes received and not yet taken, without those that were dropped with
+    /// their disconnected host. `heard`: all bytes received except commands (wrapping).
     pub fn observe(&mut self, received: u16, heard: u16) {
         self.heartbeat.observe(heard);
         if self.drop_bytes | self.jog_bytes != 0 {
@@ -309,8 +314,8 @@ impl LineIntake {
         }
     }
 
-    /// A reset or a stop: what was sent before it is dropped by its epoch. Bytes that a reset button drops are among
-    /// them, and not to be counted again.
+    /// Handles a reset or a stop: bytes sent before it are dropped by their epoch. This includes the bytes that a reset
+    /// button drops, so their count is cleared.
     pub fn reset(&mut self) {
         self.epoch = self.epoch.wrapping_add(1);
         self.reset_epoch = self.epoch;
@@ -319,27 +324,28 @@ impl LineIntake {
         self.drop_rest = false;
         self.jog_bytes = 0;
         self.clear();
-        // An LF that follows ends a line of its own, whatever came before the reset.
+        // An LF received next ends a line of its own, whatever preceded the reset.
         self.line.separate();
     }
 
-    /// When the host is heard.
+    /// Returns the state of the host timeout.
     pub fn heartbeat(&self) -> &Heartbeat {
         &self.heartbeat
     }
 
-    /// When the host is heard, to be told of it.
+    /// Returns the state of the host timeout, to be updated.
     pub fn heartbeat_mut(&mut self) -> &mut Heartbeat {
         &mut self.heartbeat
     }
 
-    /// A command that opens an epoch and does nothing else.
+    /// Opens an epoch without any other effect.
     pub fn open_epoch(&mut self) {
         self.epoch = self.epoch.wrapping_add(1);
         self.keep_epochs_near();
     }
 
-    /// 0x85: a jog that was sent before it is stale, also one that has not been read yet; one behind it is not.
+    /// Handles a jog cancel (0x85): jogs sent before it become stale, including those not yet read. Later jogs are
+    /// valid.
     pub fn cancel_jogs(&mut self) {
         self.epoch = self.epoch.wrapping_add(1);
         self.jog_epoch = self.epoch;
@@ -347,7 +353,7 @@ impl LineIntake {
         self.keep_epochs_near();
     }
 
-    /// A jog ends without an epoch: of the `received` bytes no jog shall move any more.
+    /// Ends a jog without opening an epoch: none of the jogs in the `received` unread bytes may move.
     pub fn end_received_jogs(&mut self, received: u16) {
         self.jog_bytes = received;
         self.line.expect_plain(false);
@@ -355,20 +361,22 @@ impl LineIntake {
         self.keeps_later_jogs = false;
     }
 
-    /// The byte that comes next is dropped, and behind it the rest of its line.
+    /// Drops the next byte and the rest of its line.
     pub fn drop_next(&mut self) {
         self.drop_bytes = self.drop_bytes.max(1);
         self.line.expect_plain(false);
     }
 
-    /// The reset button does what 0x18 does, but it opens no epoch: the `received` bytes are dropped all the same.
+    /// Handles the reset button: like 0x18, but without an epoch. The `received` unread bytes are dropped by their
+    /// count.
     pub fn drop_received(&mut self, received: u16) {
         self.drop_bytes = received;
         self.line.separate();
         self.line.expect_plain(false);
     }
 
-    /// Epochs are compared by their signed difference, so the older ones must not fall behind by half of the range.
+    /// Limits the distance of older epochs. Epochs are compared by their signed difference, so the distance must stay
+    /// below half of the range.
     fn keep_epochs_near(&mut self) {
         for older in [&mut self.reset_epoch, &mut self.jog_epoch] {
             if self.epoch.wrapping_sub(*older) > EPOCHS {
@@ -378,7 +386,7 @@ impl LineIntake {
     }
 }
 
-/// Whether an epoch is older than another. They wrap.
+/// Returns whether an epoch is older than another. Epochs wrap.
 #[inline]
 fn is_before(epoch: u16, other: u16) -> bool {
     (epoch.wrapping_sub(other) as i16) < 0
@@ -397,7 +405,7 @@ mod tests {
         LineByte { byte, epoch, damaged: false }
     }
 
-    /// Gives bytes of an epoch as the controller does; the lines that were completed.
+    /// Passes bytes of an epoch to the intake as the controller does. Returns the completed lines.
     fn give(intake: &mut LineIntake, text: &[u8], epoch: u16) -> Vec<String> {
         let mut lines = Vec::new();
         for b in text {
@@ -436,7 +444,7 @@ mod tests {
         assert_eq!(give(&mut intake, b"G0X2\n", 1), ["G0X2"], "whole lines are none of a jog cancel's business");
     }
 
-    /// What waits for its command is none of what a button drops, nor is what comes behind it.
+    /// A reset button drops neither a byte that is held for its command nor the bytes after it.
     #[test]
     fn a_byte_of_a_later_epoch_is_not_old() {
         let mut intake = LineIntake::new();
@@ -457,27 +465,27 @@ mod tests {
         let mut intake = LineIntake::new();
         intake.drop_received(6);
         assert_eq!(give(&mut intake, b"G0\nG1 X5\nG4\n", 0), ["G4"]);
-        // A reset that comes after it drops the bytes by their epoch, and counts none of the next.
+        // A reset after the button drops the bytes by their epoch, and none of the later ones.
         intake.drop_received(6);
         intake.reset();
         assert_eq!(give(&mut intake, b"G1X1", 0), [""; 0]);
         assert_eq!(give(&mut intake, b"G4\n", 1), ["G4"]);
-        // The other way round: bytes of a reset before it are among those that it counts.
+        // The reverse order: the bytes that a reset drops are also counted by the button after it.
         intake.reset();
         intake.drop_received(4);
         assert_eq!(give(&mut intake, b"G1X1", 1), [""; 0]);
         assert_eq!(give(&mut intake, b"G4\n", 2), ["G4"]);
-        // Bytes that went with their host are not dropped from the next host's.
+        // Bytes that were dropped with their host are not dropped from the next host's.
         intake.drop_received(6);
         intake.observe(0, 0);
         assert_eq!(give(&mut intake, b"G4\n", 2), ["G4"]);
-        // An LF behind it ends a line of its own, whatever came before.
+        // An LF after the dropped bytes ends a line of its own, whatever preceded them.
         assert_eq!(give(&mut intake, b"G4\r", 2), ["G4"]);
         intake.drop_received(1);
         assert_eq!(give(&mut intake, b"\n\n", 2), [""]);
     }
 
-    /// Leaves the line in place, as the controller does while a jog waits.
+    /// Passes a jog and leaves its line in place, as the controller does while a jog waits.
     fn give_jog(intake: &mut LineIntake, epoch: u16) {
         for b in *b"$J=X1" {
             intake.take(byte(b, epoch), rules);
@@ -512,7 +520,7 @@ mod tests {
         give_jog(&mut intake, 1);
         assert!(!intake.is_jog_stale(), "the next was received later");
         assert!(!intake.is_jog_behind_cancel(), "no 0x85 has come since");
-        // Those of them that the reset button drops are not counted to what is received later.
+        // Bytes that the reset button drops are subtracted from those counted for the hold.
         intake.clear();
         intake.end_received_jogs(6);
         intake.drop_received(6);
@@ -538,7 +546,7 @@ mod tests {
         assert_eq!(intake.take(byte(b'\n', 0), rules), Taken { pushed: Pushed::TooLong, ..Taken::NOTHING });
     }
 
-    /// A bare jog cancel at each key that is released, for as long as the machine is on.
+    /// A user may cancel a jog at each release of a key, for as long as the machine is on.
     #[test]
     fn epochs_wrap() {
         let mut intake = LineIntake::new();
@@ -558,7 +566,7 @@ mod tests {
         assert_eq!(give(&mut intake, b"G4\n", 100_001_u32 as u16), ["G4"]);
     }
 
-    /// An intake that takes bytes in brief where it can, and one that never does.
+    /// Two intakes: one uses the fast path wherever possible, the other never does. Both must agree.
     struct Both {
         brief: LineIntake,
         whole: LineIntake,
@@ -571,7 +579,7 @@ mod tests {
             act(&mut self.whole);
         }
 
-        /// Whether it has ended a line.
+        /// Passes a byte to both. Returns whether the byte has ended a line.
         fn give(&mut self, byte: LineByte) -> bool {
             let rules = || LineRules { block_delete: self.lines % 4 == 3, ..rules() };
             let brief = if self.brief.take_plain(byte) {
@@ -583,7 +591,7 @@ mod tests {
             };
             assert_eq!(brief, self.whole.take(byte, rules), "{byte:?}");
             let seen = |intake: &LineIntake| {
-                // Of a line that is damaged nothing is carried out.
+                // A damaged line is not executed.
                 let is_jog = brief.pushed == Pushed::Complete && intake.text().starts_with(b"$J=");
                 let jog = is_jog.then(|| (intake.is_jog_stale(), intake.is_jog_behind_cancel()));
                 let message = intake.message().map(|(has_values, text)| (has_values, text.to_vec()));
@@ -601,7 +609,7 @@ mod tests {
             ends
         }
 
-        /// Several bytes at once, as far as they are taken in brief. Gives how many.
+        /// Passes bytes by the fast path as far as possible. Returns how many were taken.
         fn give_text(&mut self, epoch: u16, text: &[u8]) -> usize {
             let taken = self.brief.take_text(epoch, text);
             for text in &text[..taken] {
@@ -611,7 +619,7 @@ mod tests {
             taken
         }
 
-        /// A command that opens an epoch has come at last: the byte that has waited for it is given.
+        /// Passes the held byte again, after the command that opened its epoch.
         fn release(&mut self) {
             let (brief, whole) = (self.brief.release(), self.whole.release());
             assert_eq!(brief, whole);

@@ -1,43 +1,47 @@
-//! Checked lines (`$LC=ON`): each line has a number, a length and a CRC-32, for links that damage, drop, double or
-//! delay bytes. A damaged line is refused, and the reply carries the number of the line that is wanted next. What is
-//! executed is exactly what was sent, in its order and once.
+//! Checked lines (`$LC=ON`): each line has a number, a length and a CRC-32, for links that damage, drop, duplicate or
+//! delay bytes. A damaged line is refused, and the reply contains the number of the line that is expected next. So each
+//! line is executed exactly as sent, in order and once.
 //!
 //! ```text
 //!  : NNN LL CCCCCCCC text LF
 //!  │  │  │     └ CRC-32 (IEEE 802.3) of number, length and text as they are on the line
 //!  │  │  └ bytes of the text on the line, modulo 256
 //!  │  └ number of the line, modulo 4096: 0 for the first after `$LC=ON`
-//!  └ the line is checked
+//!  └ marks a checked line
 //! ```
-//! **Sessions.** Behind `$LC=ON` a host may write four letters of its choice. Then the CRC is of these letters, of the whole number
-//! of the line in eight digits, of length and text. So a line of another session never passes, nor one that is 4096 numbers old:
-//! what differs is a burst of 32 bits at most. Without the letters it may, if it comes so late.
+//! **Sessions.** After `$LC=ON` a host may append four letters of its choice. The CRC then covers these letters, the
+//! whole line number in eight digits, the length and the text. So a line of another session never passes, nor does a
+//! line that is 4096 numbers old: the difference is a burst of at most 32 bits. Without the letters, a line that late
+//! may pass.
 //!
-//! **Letters.** N, L and C are hexadecimal digits, written as the letters `ABDGHKNPSUVZcefi`. Any two of these differ in two bits, and
-//! none is one bit away from a line end or from a realtime command that acts. For the same reason a text is in capitals, and
-//! characters that one bit turns into such a command are written as small letters (`SUBSTITUTES`): `8` is one bit away from
-//! 0x18, and `1` from `!`.
+//! **Letters.** N, L and C are hexadecimal digits, written as the letters `ABDGHKNPSUVZcefi`. Any two of these differ
+//! in two bits, and each differs in at least two bits from a line end and from every realtime command that acts. For
+//! the same reason text is in capitals, and characters that differ in one bit from such a command are written as small
+//! letters (`SUBSTITUTES`): `8` is one bit away from 0x18, and `1` from `!`.
 //!
-//! **What is found.** One or two damaged bits always: a byte that has become a command or is thrown away is missing in the
-//! length, and of a line that a line end has split both parts are refused. As long as each byte stays one of its line, also up
-//! to four damaged bits (texts of up to 250 bytes) and bursts of up to 32 bits within the text. Of everything else one in 4,000
-//! million passes.
+//! **Detected errors.**
+//! * One or two damaged bits always. If a byte becomes a command or is dropped, the length is wrong. If a byte becomes
+//!   a line end, both parts of the line are refused.
+//! * As long as each byte remains a byte of its line: up to four damaged bits (texts of up to 250 bytes), and bursts of
+//!   up to 32 bits within the text.
+//! * Of all other errors, one in 4,000 million passes.
 //!
-//! **Answers** have the same form, with the number of the line that is wanted next: all before it have been taken, so an answer
-//! that is lost does no harm. A line that is not the wanted one is not carried out: to one that is known already and to an empty
-//! line, which is a question, the answer is `known`; to any other [`Error::DamagedLine`]. Behind a line that was refused for what
-//! it says nothing is carried out until `$LC=ON` begins again: each answer is that error.
+//! **Answers** have the same form and contain the number of the line that is expected next. They confirm all lines
+//! before that number, so a lost answer does no harm. Only the expected line is executed. A line that was already
+//! taken, or an empty line (a query), is answered `known`; any other line [`Error::DamagedLine`]. After a line was
+//! refused for its content, nothing is executed until `$LC=ON` starts again: each answer is that error.
 //!
-//! Checking ends with `$LC=OFF`, which may be sent as a plain line as `$LC=ON` may, with another dialect and another host. A reset
-//! and a stop end it too, but not at once: two damaged bits may have made one of a byte, and what follows up to the next line end
-//! may be the rest of that line. It is refused.
+//! Checking ends with `$LC=OFF`, with another dialect and with another host. `$LC=ON` and `$LC=OFF` may be sent as
+//! plain lines. A reset and a stop also end checking, but only after the next line end: two damaged bits may have
+//! turned a byte into that command, and the bytes up to the next line end may be the rest of its line. They are
+//! refused.
 
 use super::text::{END, Text, put};
 use crate::error::Error;
 
-/// The digits 0 to 15.
+/// The digits 0 to 15 as they are written.
 const DIGITS: &[u8; 16] = b"ABDGHKNPSUVZcefi";
-/// What a small letter of the text means.
+/// Small letters of the text, and the characters they stand for.
 const SUBSTITUTES: [(u8, u8); 10] = [
     (b's', b' '),
     (b'h', b'#'),
@@ -51,47 +55,47 @@ const SUBSTITUTES: [(u8, u8); 10] = [
     (b'y', b'Y'),
 ];
 
-/// Digits of the parts of a header.
+/// Number of digits in each part of a header.
 const NUMBER: usize = 3;
 const LENGTH: usize = 2;
 const SUM: usize = 8;
-/// Where the parts end, with the colon.
+/// Offset of the end of each part, including the colon.
 const NUMBER_END: u16 = 1 + NUMBER as u16;
 const LENGTH_END: u16 = NUMBER_END + LENGTH as u16;
 const HEADER_END: u16 = LENGTH_END + SUM as u16;
 
-/// Bytes in front of the text of a checked answer.
+/// Number of bytes before the text of a checked answer.
 pub const ANSWER_HEADER: usize = HEADER_END as usize;
 
-/// Numbers of lines are below this, as they are written.
+/// Line numbers are written modulo this.
 const NUMBERS: u16 = 1 << (4 * NUMBER);
-/// Digits of the whole number, which enter the check of a session.
+/// Number of digits of the whole line number, which enters the CRC of a session.
 const WHOLE_NUMBER: usize = 8;
-/// Letters of a session.
+/// Number of letters of a session.
 const SESSION: usize = 4;
 
-/// What a line is that has come to its end.
+/// Result of checking a completed line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// It is to be carried out: the wanted one, or lines are not checked.
+    /// The line may be executed: it is the expected one, or lines are not checked.
     Valid,
-    /// An empty line, or one that has been taken already: only answered.
+    /// The line is empty or was already taken: it is only answered.
     Known,
-    /// To be refused.
+    /// The line is refused.
     Damaged,
 }
 
-/// Whether this may stand behind `$LC=ON`: the letters of a session, or nothing.
+/// Returns whether `letters` may follow `$LC=ON`: the letters of a session, or nothing.
 pub fn is_session(letters: &[u8]) -> bool {
     letters.is_empty() || letters.len() == SESSION && letters.iter().all(u8::is_ascii_uppercase)
 }
 
-/// What enters a check before the length.
+/// The part of the CRC that precedes the line number.
 #[derive(Clone, Copy, Debug)]
 struct Session {
-    /// Of its letters.
+    /// CRC of the session's letters.
     start: Crc,
-    /// It has letters, and whole numbers with them.
+    /// The session has letters, so the CRC covers whole line numbers.
     is_named: bool,
 }
 
@@ -104,7 +108,7 @@ impl Session {
         Self { start, is_named: !letters.is_empty() }
     }
 
-    /// With the number of a line.
+    /// Returns the CRC including the number of a line.
     fn check(&self, number: u32) -> Crc {
         let mut crc = self.start;
         let mut letters = Text::new();
@@ -114,19 +118,19 @@ impl Session {
     }
 }
 
-/// How far the checked lines are. One byte after the other.
+/// Checks lines byte by byte, and tracks which line is expected.
 #[derive(Clone, Debug)]
 pub struct LineChecksum {
-    /// The number of the line that may come next; none while lines are not checked.
+    /// Number of the expected line; `None` while lines are not checked.
     wanted: Option<u32>,
     session: Session,
-    /// A reset or stop has ended the check: what comes up to the next line end is refused.
+    /// A reset or stop has ended checking: everything up to the next line end is refused.
     lapsed: bool,
-    /// Why a line before was refused.
+    /// Error of the line that was refused for its content.
     failed: Option<Error>,
-    /// Bytes of the current line.
+    /// Number of bytes of the current line, including its header.
     place: u16,
-    /// Whether it begins as a checked line, all digits are digits, and no byte was lost.
+    /// The line begins with a colon, all its digits are valid, and no byte was lost.
     is_whole: bool,
     number: u16,
     length: u8,
@@ -149,64 +153,65 @@ impl LineChecksum {
         crc: Crc::START,
     };
 
-    /// Lines are checked from now on; the first has the number 0. `session`: see [`is_session`].
+    /// Starts checking lines; the first has the number 0. `session`: see [`is_session`].
     pub fn begin(&mut self, session: &[u8]) {
         *self = Self { wanted: Some(0), session: Session::of(session), ..Self::OFF };
     }
 
-    /// Lines are not checked any more. Whether they were.
+    /// Ends checking. Returns whether lines were checked.
     pub fn end(&mut self) -> bool {
         core::mem::replace(self, Self::OFF).wanted.is_some()
     }
 
-    /// A reset or a stop: lines are not checked any more behind the next line end. Whether they were.
+    /// Ends checking because of a reset or a stop: everything up to the next line end is refused. Returns whether lines
+    /// were checked.
     pub fn lapse(&mut self) -> bool {
         let was_on = self.is_on();
         *self = Self { lapsed: was_on || self.lapsed, ..Self::OFF };
         was_on
     }
 
-    /// Whether lines are checked.
+    /// Returns whether lines are checked.
     #[inline]
     pub fn is_on(&self) -> bool {
         self.wanted.is_some()
     }
 
-    /// Whether the end of a line is looked at.
+    /// Returns whether the end of a line has to be checked.
     #[inline]
     pub fn looks_at_end(&self) -> bool {
         self.is_on() || self.lapsed
     }
 
-    /// Whether bytes of a line have come, its header among them.
+    /// Returns whether bytes of a line have arrived, including those of its header.
     pub fn has_begun(&self) -> bool {
         self.place > 0
     }
 
-    /// What has come of a line is void.
+    /// Discards the bytes of the current line.
     pub fn clear(&mut self) {
         let Self { wanted, session, lapsed, failed, .. } = *self;
         *self = Self { wanted, session, lapsed, failed, ..Self::OFF };
     }
 
-    /// Bytes of the line were lost.
+    /// Records that bytes of the line were lost.
     pub fn damage(&mut self) {
         self.is_whole = false;
     }
 
-    /// The line taken last was refused for what it says.
+    /// Records that the line taken last was refused for its content.
     pub fn fail(&mut self, error: Error) {
         if self.is_on() && error != Error::DamagedLine {
             self.failed = Some(error);
         }
     }
 
-    /// The error that answers a line that is refused or known.
+    /// Returns the error of the line that was refused for its content; it answers every later line.
     pub fn failed(&self) -> Option<Error> {
         self.failed
     }
 
-    /// Takes a byte of a line, not its end: the byte of the text that it means, if it is one.
+    /// Takes a byte of a line other than its end. Returns the character it stands for, if the byte belongs to the text.
     #[inline]
     pub fn take(&mut self, byte: u8) -> Option<u8> {
         if self.is_on() { self.take_checked(byte) } else { Some(byte) }
@@ -247,19 +252,19 @@ impl LineChecksum {
         Some(meant.map_or(byte, |(_, character)| *character))
     }
 
-    /// How far the line is behind the wanted one, modulo 4096.
+    /// Returns how many numbers the line is before the expected one, modulo 4096.
     fn behind(&self) -> u16 {
         (self.wanted.unwrap_or(0) as u16).wrapping_sub(self.number) % NUMBERS
     }
 
-    /// The value of a digit; the line is damaged if it is none.
+    /// Returns the value of a digit. An invalid digit marks the line as damaged.
     fn digit(&mut self, letter: u8) -> u8 {
         let value = DIGITS.iter().position(|digit| *digit == letter);
         self.is_whole &= value.is_some();
         value.unwrap_or(0) as u8
     }
 
-    /// The end of a line of this text (filtered), which is the next if it is valid.
+    /// Checks a line at its end; `text` is its filtered text. A valid line advances the expected number.
     #[inline]
     pub fn finish(&mut self, text: &[u8]) -> Verdict {
         if self.looks_at_end() { self.finish_checked(text) } else { Verdict::Valid }
@@ -275,7 +280,7 @@ impl LineChecksum {
         if line.place == 0 && line.is_whole {
             return Verdict::Known;
         }
-        // Whoever does not know that lines are checked can end that.
+        // A host that does not expect checking can end it.
         let begins = text.strip_prefix(b"$LC=ON").is_some_and(is_session);
         if (begins || text == b"$LC=OFF") && line.place == text.len() as u16 {
             return Verdict::Valid;
@@ -293,7 +298,7 @@ impl LineChecksum {
         if (1..=NUMBERS / 2).contains(&behind) { Verdict::Known } else { Verdict::Damaged }
     }
 
-    /// An answer in the form of a checked line, while lines are checked.
+    /// Returns an answer in the form of a checked line, or `None` if lines are not checked.
     pub fn answer(&self, text: &[u8]) -> Option<Text> {
         let number = self.wanted?;
         let text = text.strip_suffix(END).unwrap_or(text);
@@ -361,7 +366,7 @@ mod tests {
         line_of("", number.into(), text)
     }
 
-    /// One of a session, if that has letters.
+    /// A checked line of a session; `session` may be empty.
     fn line_of(session: &str, number: u32, text: &str) -> Vec<u8> {
         let letter = |character: u8| SUBSTITUTES.iter().find(|(_, c)| *c == character).map_or(character, |(l, _)| *l);
         let text: Vec<u8> = text.bytes().map(letter).collect();
@@ -377,7 +382,7 @@ mod tests {
         [b":", number.as_slice(), &length, &sum, &text].concat()
     }
 
-    /// What comes in passes through the same parts as on a board.
+    /// A host whose bytes pass through the same parts as on a board.
     struct Host {
         intake: LineIntake,
         epoch: u16,
@@ -471,7 +476,7 @@ mod tests {
         }
     }
 
-    /// A line may stay on its way for as long as it likes.
+    /// A line may be delayed for any length of time.
     #[test]
     fn no_line_of_another_session_or_round_passes() {
         let mut host = Host::of("QKXW");
@@ -493,7 +498,7 @@ mod tests {
         go_on(&mut host, 70_000);
         host.line_of("QKXW", 69_999, "G91G1X1").line_of("QKXW", 70_000 - 65_536, "G91G1X1");
         assert_eq!(host.answers[host.answers.len() - 2..], [Known, Damaged]);
-        // The same lines in the next session.
+        // The same lines are refused in the next session.
         host.send(b"$LC=ONABCD\n");
         host.intake.begin_check(b"ABCD");
         host.answers.clear();
@@ -508,7 +513,7 @@ mod tests {
         {
             assert_eq!(is_session(text.as_bytes()), is, "{text}");
         }
-        // What does not know that lines are checked.
+        // A host that does not expect checking.
         let mut host = Host::of("QKXW");
         host.send(b"$LC=ON\n$LC=ONABCD\n$LC=OFF\n$LC=ONAB\n");
         assert_eq!(host.answers, [Valid, Valid, Valid, Damaged]);
@@ -521,7 +526,7 @@ mod tests {
         assert_eq!(host.answers, [Damaged, Known, Known, Damaged, Damaged, Damaged]);
         host.send(b"$LC=OFF\n$lc=on\n");
         assert_eq!(host.taken, ["$LC=OFF", "$LC=ON"]);
-        // A header leaves no CR behind to which the end of an empty line would belong.
+        // A header resets the memory of a CR, so the LF of the empty line is a line end of its own.
         host.send(b"\r").line(0, "").line(1, "M5");
         assert_eq!(host.taken, ["$LC=OFF", "$LC=ON", "", "M5"]);
     }
@@ -546,12 +551,12 @@ mod tests {
         assert_eq!(check.answer(b"ok\r\n"), None);
         check.begin(b"");
         let answer = check.answer(b"error:20\r\n").unwrap();
-        // As binascii.crc32 of Python has it.
+        // This CRC was computed with Python's `binascii.crc32`.
         assert_eq!(answer.as_slice(), b":AAAASPHeiNeGNerror:20\r\n");
         assert_eq!(crc(*b"123456789"), 0xCBF4_3926, "the check value of CRC-32");
     }
 
-    /// Whether one damaged bit makes a command of a byte that moves, stops or switches anything.
+    /// Returns whether one damaged bit turns a byte into a command that moves, stops or switches anything.
     fn is_near_a_command(byte: u8) -> bool {
         (0..8).any(|bit| command(byte ^ (1 << bit)).is_some_and(|command| command != Realtime::Status))
     }
@@ -572,7 +577,7 @@ mod tests {
         }
     }
 
-    /// One and two damaged bits anywhere in a line, its end among them.
+    /// One and two damaged bits anywhere in a line, including its end.
     #[test]
     fn no_two_damaged_bits_pass() {
         let first = [line(0, "G1X-98.1J2"), b"\n".to_vec()].concat();
@@ -589,14 +594,15 @@ mod tests {
                 host.send(&damaged).send(&second);
                 let is_reset = host.commands.iter().any(|command| matches!(command, Realtime::Reset | Realtime::Stop));
                 if is_reset {
-                    // What is left of the line is refused; a whole one behind it is taken as a plain line, and is none.
+                    // The rest of the line is refused. A whole line after it is taken as a plain line, which is
+                    // invalid.
                     assert!(host.taken.iter().all(|text| text.starts_with(':')), "{one} {other}: {:?}", host.taken);
                     continue;
                 }
                 assert_eq!(host.taken, [""; 0], "bits {one} and {other}");
                 let acts = host.commands.iter().any(|command| *command != Realtime::Status);
                 assert!(other != one || !acts, "bit {one}: {:?}", host.commands);
-                // Sent again, it runs.
+                // When the lines are sent again, they run.
                 host.send(b"\n").send(&first).send(&second);
                 let again: Vec<&str> = host.taken.iter().map(String::as_str).collect();
                 assert_eq!(again, ["G1X-98.1J2", "M5"], "bits {one} and {other}");
@@ -604,8 +610,9 @@ mod tests {
         }
     }
 
-    /// Up to four damaged bits. A digit of the sum with one of them is none, so of the sum only whole digits can be changed:
-    /// no one or two bits of what it covers may change it in one digit alone, and no four (nor three) may cancel out.
+    /// Up to four damaged bits. One damaged bit makes a digit of the sum invalid, so a valid change of one digit takes
+    /// at least two bits, and at most two are left for the covered bytes. The test shows that one or two damaged
+    /// covered bits change the sum in more than one digit, and that three or four always change the sum.
     #[test]
     fn no_four_damaged_bits_pass() {
         const COVERED: usize = NUMBER + super::LENGTH + 250;
@@ -619,7 +626,7 @@ mod tests {
             all.extend(single[..n].iter().map(|other| one ^ other));
         }
         assert!(!all.iter().any(|difference| in_one_digit(*difference)));
-        // Different from each other: no two of these, which are up to four bits, cancel out.
+        // All differences are distinct, so no two of them (up to four bits) cancel out.
         let count = all.len();
         all.sort_unstable();
         all.dedup();
@@ -627,7 +634,7 @@ mod tests {
     }
 
     proptest! {
-        /// What differs is a burst of 32 bits, which the CRC always finds.
+        /// The lines differ in a burst of 32 bits, which the CRC always detects.
         #[test]
         fn no_line_of_another_session_passes(
             [session, other] in prop::array::uniform2("[A-Z]{4}"), text in "[A-Z0-9.]{0,60}", number in 0..3_u32,
@@ -658,7 +665,7 @@ mod tests {
             prop_assert_eq!(check.finish(b"text"), Damaged);
         }
 
-        /// Whatever comes, what runs are the lines that were sent, in their order and once.
+        /// Whatever arrives, only lines that were sent run, in order and once.
         #[test]
         fn nothing_else_runs(
             order in prop::collection::vec(0..6_u16, 1..40),
@@ -684,7 +691,7 @@ mod tests {
         }
     }
 
-    /// A reset that was a byte of a line: the rest of it is no line.
+    /// A byte of a line became a reset: the rest of the line is not executed.
     #[test]
     fn nothing_runs_behind_a_reset_in_mid_line() {
         for reset in [0x18, 0x19] {
@@ -700,7 +707,7 @@ mod tests {
                 damaged[at] = byte;
             }
         }
-        // The button, with the text still to come.
+        // The reset button, with the text still to be received.
         let mut host = Host::new();
         let whole = line(7, "G0Z-5");
         host.send(&whole[..14]);

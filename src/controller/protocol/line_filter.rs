@@ -1,15 +1,15 @@
-//! Filters one line byte by byte as Grbl does: removes blanks and comments, makes letters capital, and ends it at CR or
-//! LF. Keeps the last `(MSG, ...)` of the line. A line that is too long is marked as such.
+//! Filters a line byte by byte as Grbl does: removes blanks and remarks, converts letters to capitals, and ends the
+//! line at CR or LF. Keeps the last `(MSG, ...)` of the line. Marks a line that is too long.
 
-/// Longest line in Grbl's dialect, in bytes, without blanks and remarks.
+/// Maximum length of a line in Grbl's dialect, in bytes, without blanks and remarks.
 pub const GRBL_LENGTH: usize = 79;
-/// Longest line in Oxmill's dialects, in bytes, without blanks and remarks.
+/// Maximum length of a line in Oxmill's dialects, in bytes, without blanks and remarks.
 pub const LENGTH: usize = 256;
 
-/// How many bytes of a remark in parentheses are kept, its keyword (`MSG,`) included; what is beyond is cut off.
+/// Maximum number of bytes kept of a remark in parentheses, including its keyword (`MSG,`). Excess bytes are cut off.
 pub const MESSAGE_LENGTH: usize = 80;
 
-/// Whether it is told by how much a line is too long.
+/// Whether the excess of a line that is too long is reported.
 const COUNTS_EXCESS: bool = cfg!(feature = "reasons");
 
 /// What a byte completed.
@@ -19,57 +19,58 @@ pub enum Pushed {
     More,
     /// A line: see [`Line::text`].
     Complete,
-    /// A line that did not fit; its text is worth nothing.
+    /// A line that was too long or damaged; its text is invalid.
     TooLong,
 }
 
 /// How lines are filtered in a dialect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LineRules {
-    /// Longest line, in bytes, without blanks and remarks.
+    /// Maximum length of a line, in bytes, without blanks and remarks.
     pub length: usize,
     /// Whether CR LF is one line end (Grbl takes it for two).
     pub merge_crlf: bool,
-    /// Whether a remark may hold parentheses in pairs (to Grbl the first `)` ends it).
+    /// Whether a remark may contain pairs of parentheses (in Grbl the first `)` ends it).
     pub nested_remarks: bool,
-    /// Whether a slash behind a bracket or `#` is kept: it divides, or is an error. Dropped, it would join two numbers.
+    /// Whether a slash after a bracket or `#` is kept: it divides, or is an error. If dropped, two numbers would be
+    /// joined.
     pub expressions: bool,
-    /// Whether a line that begins with a slash, or with its number and a slash, is skipped, and a slash elsewhere stays, which
-    /// is an error (Grbl drops the slash and executes the rest).
+    /// Whether a line that begins with a slash, or with its line number and a slash, is skipped. A slash elsewhere is
+    /// then kept, and is an error. (Grbl drops the slash and executes the rest.)
     pub block_delete: bool,
 }
 
 /// A line being received.
 #[derive(Clone, Debug)]
 pub struct Line {
-    /// The text, as long as `len` says. No `Vec`, which would store its length with each byte.
+    /// The text: the first `len` bytes are valid. A `Vec` would store its length with each byte.
     text: [u8; LENGTH],
     len: usize,
     comment: Comment,
-    /// The latest remark in parentheses, as far as there is room.
+    /// The latest remark in parentheses, up to its capacity.
     remark: heapless::Vec<u8, MESSAGE_LENGTH>,
     overflow: bool,
-    /// How many bytes it has beyond those that fit; no memory where nothing is said of it.
+    /// Number of bytes that did not fit; takes no memory if it is not reported.
     excess: [u16; COUNTS_EXCESS as usize],
-    /// A remark of it had parentheses in it.
+    /// A remark of the line contained parentheses.
     nested: bool,
-    /// Bytes of it were lost.
+    /// Bytes of the line were lost.
     damaged: bool,
     after_cr: bool,
-    /// Up to this length bytes of text may follow for which nothing else need be looked at.
+    /// Length below which bytes may take the fast path; 0 disables the fast path.
     plain: u8,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Comment {
     None,
-    /// Up to `)`, and this many more before that.
+    /// Until the `)` that follows this many inner `)`.
     Parentheses(u8),
-    /// The same behind a `)` that was one of those within.
+    /// The same, after at least one inner `)`.
     Nested(u8),
-    /// Up to the end of the line.
+    /// Until the end of the line.
     Semicolon,
-    /// Behind a slash that is dropped: the number of its switch, 1 to 9, is, too.
+    /// After a dropped slash: the number of its switch, 1 to 9, is dropped too.
     Slash,
 }
 
@@ -79,7 +80,8 @@ impl Default for Line {
     }
 }
 
-/// The text of each byte that most lines are made of: digits, letters as capitals, points, minus signs and blanks; 0 for others.
+/// Maps each byte of the fast path to its text: digits, letters as capitals, points, minus signs and blanks; 0 for
+/// others.
 #[allow(clippy::indexing_slicing, reason = "the compiler computes it")]
 const PLAIN: [u8; 256] = {
     let mut plain = [0; 256];
@@ -110,13 +112,13 @@ impl Line {
         }
     }
 
-    /// The text up to now.
+    /// Returns the text received so far.
     pub fn text(&self) -> &[u8] {
         self.text.get(..self.len).unwrap_or_default()
     }
 
-    /// What a remark of the line has to say to the operator, and whether it shows values of parameters: `(MSG, ...)` does
-    /// not, `(PRINT, ...)` and `(DEBUG, ...)` do.
+    /// Returns the message in the line's remark for the operator, if any, and whether it shows values of parameters:
+    /// `(MSG, ...)` does not, `(PRINT, ...)` and `(DEBUG, ...)` do.
     pub fn message(&self) -> Option<(bool, &[u8])> {
         let comma = self.remark.iter().position(|byte| *byte == b',')?;
         let (word, text) = self.remark.split_at_checked(comma)?;
@@ -125,12 +127,12 @@ impl Line {
         Some((*has_values, text.get(1..)?.trim_ascii()))
     }
 
-    /// Whether nothing of a line has come yet.
+    /// Returns whether no text, remark or excess of the line has arrived yet.
     pub fn is_empty(&self) -> bool {
         self.len == 0 && self.comment == Comment::None && !self.overflow
     }
 
-    /// Forgets the text: the next byte begins a line.
+    /// Discards the line: the next byte begins a new one.
     pub fn clear(&mut self) {
         self.len = 0;
         self.remark.clear();
@@ -140,58 +142,59 @@ impl Line {
         self.damaged = false;
     }
 
-    /// Whether text may follow for which nothing else need be looked at, once it has begun. To be told after each
-    /// [`Line::push`], and when that ends.
+    /// Enables or disables the fast path for further text of a line that has begun. To be called after each
+    /// [`Line::push`], and when the fast path is no longer allowed.
     #[inline]
     pub fn expect_plain(&mut self, plain: bool) {
         self.expect_line(plain && self.len > 0);
     }
 
-    /// The same of text that has yet to begin, too, in this line or the next.
+    /// As [`Line::expect_plain`], but also for the first text of this line or the next.
     #[inline]
     pub fn expect_line(&mut self, plain: bool) {
         let in_text = plain && self.comment == Comment::None && !self.after_cr;
         self.plain = if in_text { GRBL_LENGTH as u8 } else { 0 };
     }
 
-    /// Whether an LF would end this line, as [`Line::push`] takes it, and [`Line::expect_line`] allows that.
+    /// Returns whether the fast path is enabled and an LF would complete the line.
     #[inline]
     pub fn ends_plain(&self) -> bool {
         self.plain > 0 && !self.overflow
     }
 
-    /// Whether a remark of the line had parentheses in it.
+    /// Returns whether a remark of the line contained parentheses.
     pub fn has_nested_remark(&self) -> bool {
         self.nested
     }
 
-    /// Whether the line has no remark that might have something to say.
+    /// Returns whether the line has no remark that may contain a message.
     #[inline]
     pub fn has_no_remark(&self) -> bool {
         self.remark.is_empty()
     }
 
-    /// Bytes of this line were lost on the way: whatever comes, it will not be executed. Whether they are the first ones.
+    /// Marks the line as damaged by lost bytes: it will not be executed. Returns whether this is the first loss in the
+    /// line.
     pub fn damage(&mut self) -> bool {
         self.overflow = true;
-        // The LF that follows may be the end of another line than the CR before the loss.
+        // The next LF may end another line than the CR before the loss.
         self.after_cr = false;
         !core::mem::replace(&mut self.damaged, true)
     }
 
-    /// A byte has come that is neither of the text nor its end: an LF after it is not the second half of a line end.
+    /// Records a byte that is neither text nor line end: an LF after it is not the second half of a CR LF.
     pub fn separate(&mut self) {
         self.after_cr = false;
     }
 
-    /// Takes the next byte if it is of those that most lines are made of and [`Line::expect_line`] allows it; what
-    /// [`Line::push`] would do with it, in brief.
+    /// Fast path of [`Line::push`] for an ordinary byte, if [`Line::expect_line`] allows it. Returns whether the byte
+    /// was taken.
     #[inline]
     pub fn push_plain(&mut self, byte: u8) -> bool {
         self.push_plain_text(&[byte]) > 0
     }
 
-    /// The same with the first of some bytes, as far as they are such bytes. Gives how many.
+    /// The same for several bytes, from the front. Returns how many were taken.
     #[inline]
     pub fn push_plain_text(&mut self, bytes: &[u8]) -> usize {
         let most = usize::from(self.plain);
@@ -205,7 +208,7 @@ impl Line {
                     }
                     len += 1;
                 }
-                // A blank is left out.
+                // Blanks are removed.
                 Some(b' ') if most > 0 => {}
                 _ => break,
             }
@@ -215,7 +218,8 @@ impl Line {
         taken
     }
 
-    /// Takes the next byte; the rules are asked for where they matter, which few bytes do. After `Complete` or `TooLong` the caller reads the text and then calls [`Line::clear`].
+    /// Takes the next byte. `rules` is called only for the few bytes that need the rules. After `Complete` or `TooLong`
+    /// the caller reads the text and then calls [`Line::clear`].
     #[inline]
     pub fn push(&mut self, byte: u8, rules: impl Fn() -> LineRules) -> Pushed {
         let second_of_crlf = byte == b'\n' && self.after_cr && rules().merge_crlf;
@@ -264,15 +268,15 @@ impl Line {
         self.overflow = true;
     }
 
-    /// How many bytes a line has that is too long, without blanks and remarks, and how many of them fit; `None` if some were
-    /// lost.
+    /// Returns the length of a line that is too long, without blanks and remarks, and how many of its bytes fit; `None`
+    /// if bytes were lost.
     pub fn lengths(&self) -> Option<(usize, usize)> {
         let excess = self.excess.first().filter(|_| !self.damaged)?;
         Some((self.len + usize::from(*excess), self.len))
     }
 
-    /// Whether a slash is no part of the text. Block delete skips its line; Grbl's drops the slash, and the rest of the line is
-    /// executed.
+    /// Returns whether a slash is dropped. At the start of a line, block delete makes the filter skip the whole line;
+    /// in Grbl the slash is dropped and the rest of the line is executed.
     #[inline(never)]
     fn drops_slash(&mut self, rules: &LineRules) -> bool {
         let begins = match self.text().split_first() {
@@ -289,8 +293,8 @@ impl Line {
         begins || !divides && !rules.block_delete
     }
 
-    /// A remark has not ended with its line: where it should have is not known, nor what of it should be carried out. The text
-    /// becomes one that no line can be.
+    /// Makes a line invalid whose nested remark has not ended: its intended end is unknown, and so is the text to be
+    /// executed. The text becomes one that is an error in every dialect.
     #[inline(never)]
     fn refuse_remark(&mut self) {
         if let Some(place) = self.text.first_mut() {
@@ -299,11 +303,11 @@ impl Line {
         }
     }
 
-    /// A byte within a remark. One with more than 255 parentheses open ends too soon.
+    /// Takes a byte within a remark. A remark with more than 255 open parentheses ends too soon.
     fn remark(&mut self, byte: u8, rules: LineRules) {
         let ends = byte == b')' && matches!(self.comment, Comment::Parentheses(0) | Comment::Nested(0));
         if !ends && self.comment != Comment::Semicolon {
-            // What has no room is left out.
+            // Excess bytes are dropped.
             let _ = self.remark.push(byte);
         }
         self.comment = match (self.comment, byte) {
@@ -385,7 +389,7 @@ mod tests {
                 assert_eq!((line.text(), line.comment, line.after_cr), (other.text(), other.comment, other.after_cr));
             }
         }
-        // Not in a remark, not before a line has begun, and not where it might be too long.
+        // The fast path is not taken in a remark, before a line has begun, or where the line might become too long.
         let brief = |text: &[u8]| {
             let mut line = Line::new();
             for byte in text {

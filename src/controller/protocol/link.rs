@@ -1,73 +1,75 @@
-//! What a host sends, on its way to the control task. A `Link` takes the bytes of one host, in the serial task. It picks out realtime
-//! commands, which go ahead of all lines, and keeps bytes of lines for which the queue has no room. Two hosts may be connected, by UART
-//! and USB: `HostArbiter` says which of them has the floor. Lines of the other one are refused with `error:8`.
+//! Passes the bytes of one host to the control task. `Link` runs in the serial task, finds realtime commands, which
+//! overtake all lines, and holds line bytes for which the queue has no room. Two hosts may be connected, by UART and
+//! USB: `HostArbiter` decides which of them has the floor. Lines of the other host are refused with `error:8`.
 //!
 //! ```text
-//!  host ──▶ Link ──realtime──────────────────────▶ queue     at once, past all lines
-//!             └───line bytes──▶ floor? ──▶ held ──▶ queue     in their order, when there is room
-//!                                 │         │ too little room for another packet: the link is told to wait
+//!  host ──▶ Link ──realtime──────────────────────▶ queue     at once, before all lines
+//!             └───line bytes──▶ floor? ──▶ held ──▶ queue     in order, when there is room
+//!                                 │         │ no room for another packet: the link has to wait
 //!                                 └─▶ error:8, once for each line
 //! ```
-//! What is promised for a link that can wait (USB answers NAK): no byte is lost, and a realtime command acts at once as
-//! long as the line bytes under way fit into the queue and [`Link::room`]. A sender that counts characters, or obeys
-//! `Bf:`, never has more of them under way than the queue alone takes, so for it that is always. A sender that pours a
-//! whole file in without counting is told to wait, and then what it sends behind that waits too, commands as well.
+//! For a link that can wait (USB answers NAK), no byte is lost, and a realtime command acts at once as long as the line
+//! bytes in transit fit into the queue and [`Link::room`]. This is always so for a sender that counts characters or
+//! obeys `Bf:`: its bytes fit into the queue alone. A sender that pours in a whole file without counting has to wait,
+//! and then everything that it sends later waits too, including commands.
 //!
-//! A line is read as a whole or not at all: of one that was refused, or cut because another host took the floor or made
-//! the machine reset, the rest is refused too, whenever it comes and whoever has the floor then.
+//! A line is read as a whole or not at all. If a line was refused, or cut because another host took the floor or reset
+//! the machine, the rest of the line is refused too, whenever it arrives and whoever has the floor by then.
 //!
-//! Characters of a remark are text, though a byte of them may look like a command: see [`remark`](super::remark). Whether
-//! they are is known with their last byte, so the bytes before wait here; if it is no character, they are commands after all.
+//! Characters of a remark are text, even if one of their bytes equals a command: see [`remark`](super::remark). Only
+//! the last byte shows whether the bytes form a character. So the bytes before it wait here; if they form no character,
+//! they act as commands after all.
 //!
-//! A `!` in a remark may be text, as in `(slow!)`, or an operator's. It is text if the line goes on behind it, and a command if
-//! nothing comes for [`AMBIGUOUS_US`]: see [`Link::take_as_command`]. A `~` in a remark is text: a pause of the host must not start
-//! a machine that is held. In dialect `grbl` both always are commands.
+//! A `!` in a remark may be text, as in `(slow!)`, or a hold from the operator. It is text if the line continues after
+//! it, and a command if nothing follows for [`AMBIGUOUS_US`]: see [`Link::take_as_command`]. A `~` in a remark is text:
+//! a host that pauses at that point must not start a machine in hold. In dialect `grbl` both are always commands.
 
 use crate::messages::{HOST_CHANGED, LineByte, Realtime};
 use crate::protocol::floor::Floor;
 use crate::protocol::realtime::{Received, is_plain};
 use crate::protocol::remark::Remark;
 
-/// How long a `!` in a remark waits for the rest of its line, in µs: 230 bytes at 115,200 baud.
+/// How long a `!` in a remark waits for the rest of its line, in µs: the duration of 230 bytes at 115,200 baud.
 pub const AMBIGUOUS_US: u32 = 20_000;
 
-/// Bytes of lines that a link can hold: two packets of USB more than the one that must always fit.
+/// Capacity of a link for line bytes: two USB packets more than the one that must always fit.
 pub const MOST_HELD: usize = 3 * 64;
 
-/// The way to `control`.
+/// The queues to `control`.
 pub trait Queues {
-    /// Queues a command. Gives whether there was room.
+    /// Queues a command. Returns whether there was room.
     fn realtime(&mut self, command: Realtime) -> bool;
-    /// Queues a byte of a line. Gives whether there was room.
+    /// Queues a byte of a line. Returns whether there was room.
     fn line(&mut self, byte: LineByte) -> bool;
-    /// Queues bytes of lines, as many of them as there is room for. Gives how many.
+    /// Queues bytes of lines from the front as far as there is room. Returns how many.
     #[inline]
     fn text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
         let left = bytes.iter().position(|byte| !self.line(LineByte { byte: *byte, epoch, damaged: false }));
         left.unwrap_or(bytes.len())
     }
-    /// Whether the link that is being read can wait. One that cannot loses a command that is refused, so each is tried.
+    /// Returns whether the link being read can wait. A link that cannot wait loses a command that finds no room, so
+    /// each command is tried, even after an earlier one found none.
     fn waits(&self) -> bool;
-    /// Whether all that any host has said is done and answered.
+    /// Returns whether everything that any host has sent is done and answered.
     fn is_free(&self) -> bool;
-    /// A reset has come: stops the step task, before anyone has queued or decided anything.
+    /// Stops the step task for a reset, before anything is queued or decided.
     fn stop(&mut self);
-    /// A byte has come that is neither a line's nor a command: no more than a sign of life.
+    /// Records a byte that is neither part of a line nor a command: only a sign of life.
     fn ignored(&mut self) {}
-    /// Whether characters of remarks are text. To Grbl each byte of 0x80 and above is a command or nothing.
+    /// Returns whether characters of remarks are text. In Grbl each byte from 0x80 up is a command or ignored.
     fn reads_characters(&self) -> bool;
 }
 
-/// Arbitration between the hosts on several links: the floor, and what their bytes pass through together.
+/// Arbitrates between the hosts on several links: the floor, and the state shared by their bytes.
 #[derive(Clone, Debug, Default)]
 pub struct HostArbiter {
     floor: Floor,
-    /// The epoch of the next line byte: see [`LineByte`]. It is counted where a command is handed over and not where it is
-    /// received, so that a command that waits for room is not overtaken in the count by one of the other host.
+    /// The epoch of the next line byte: see [`LineByte`]. A command counts when it is queued, not when it is received:
+    /// while a command waits for room, a command of the other host may be queued before it.
     epoch: u16,
-    /// The line that has begun is void: [`HOST_CHANGED`] goes before the next line byte.
+    /// The unfinished line in the queue is void: a [`HOST_CHANGED`] must precede the next line byte.
     cut: bool,
-    /// Hosts with the floor that have gone since power-up (wrapping).
+    /// Number of hosts that disconnected while they had the floor, since power-up (wrapping).
     gone: u16,
 }
 
@@ -77,22 +79,23 @@ impl HostArbiter {
         Self { floor: Floor::new(), epoch: 0, cut: false, gone: 0 }
     }
 
-    /// Who gets the answers.
+    /// Returns the link that gets the replies.
     pub fn holder(&self) -> usize {
         self.floor.holder()
     }
 
-    /// How many hosts with the floor have gone since power-up (wrapping), for `Event::Disconnected`.
+    /// Returns the number of hosts that disconnected while they had the floor, since power-up (wrapping), for
+    /// `Event::Disconnected`.
     pub fn gone(&self) -> u16 {
         self.gone
     }
 
-    /// Whether a [`HOST_CHANGED`] goes before the next byte, which is a byte received like others.
+    /// Returns whether a [`HOST_CHANGED`] must precede the next byte. It counts as a received byte.
     pub fn owes_cut(&self) -> bool {
         self.cut
     }
 
-    /// Queues a command, also one that has come over no link. Gives whether there was room.
+    /// Queues a command, which need not come from a link. Returns whether there was room.
     pub fn command(&mut self, command: Realtime, queues: &mut impl Queues) -> bool {
         let queued = queues.realtime(command);
         if queued && command.opens_epoch() {
@@ -109,10 +112,10 @@ impl HostArbiter {
         queues.line(byte)
     }
 
-    /// A host sends a line: whether it has the floor.
+    /// Claims the floor for a host that sends a line. Returns whether that host has the floor then.
     #[inline]
     fn claim(&mut self, link: usize, other: &mut Link, queues: &impl Queues) -> bool {
-        // Nearly always, and nothing changes by it.
+        // The common case, which changes nothing.
         if self.floor.is_held_by(link) {
             return true;
         }
@@ -120,8 +123,8 @@ impl HostArbiter {
         self.turn_to(other, |floor| floor.claim(link, free, true))
     }
 
-    /// Lets `ask` ask for the floor. Where another host takes over, the one that loses it is cut short: its half line, the partial
-    /// line that it has sent so far, is void.
+    /// Lets `ask` request the floor, and returns its result. If the floor changes hands, the unfinished line of `other`
+    /// is void: its held bytes are dropped, and its rest is refused.
     fn turn_to(&mut self, other: &mut Link, ask: impl FnOnce(&mut Floor) -> bool) -> bool {
         let before = self.floor.holder();
         let granted = ask(&mut self.floor);
@@ -138,31 +141,34 @@ impl HostArbiter {
 #[derive(Clone, Debug)]
 pub struct Link {
     number: usize,
-    /// Bytes of lines that wait for room in the queue, and how many may.
+    /// Line bytes that wait for room in the queue.
     held: heapless::Deque<LineByte, MOST_HELD>,
+    /// Maximum number of `held` bytes.
     may_hold: usize,
-    /// Commands for which there was no room: nothing more is taken, as they may not be overtaken by another. One, or those that
-    /// [`Remark::break_off`] has given with it.
+    /// Commands for which the queue had no room. While there are any, no byte is taken, because none may overtake them.
+    /// Holds one command and those that [`Remark::break_off`] has returned with it.
     stuck: heapless::Deque<Realtime, 4>,
-    /// Bytes were lost; the next byte of a line says so.
+    /// Bytes were lost; the next line byte is marked as damaged.
     lost: bool,
     /// A line has begun and not ended.
     mid_line: bool,
-    /// The line is refused to its end, and with it the LF behind its CR.
+    /// The current line is refused to its end, including the LF after its CR.
     refusing_line: bool,
     /// The byte before was a CR.
     after_cr: bool,
-    /// The remark that the line is in, and the bytes of its next character.
+    /// The remark in the current line, and the bytes of its next character.
     remark: Remark,
-    /// A hold came in a remark, and nothing behind it yet.
+    /// A hold arrived in a remark, and nothing after it yet.
     is_ambiguous: bool,
-    /// What is left of the refusals to be sent: so many, less so many bytes of the first.
+    /// Number of refusals to be sent.
     refusals: u16,
+    /// Number of bytes of the first refusal that have been sent.
     refused_bytes: usize,
 }
 
 impl Link {
-    /// Nothing received. `may_hold`: how many bytes of lines may wait here for room in the queue, at most [`MOST_HELD`].
+    /// A link that has received nothing. `may_hold`: number of line bytes that may wait for room in the queue, at most
+    /// [`MOST_HELD`].
     pub const fn new(number: usize, may_hold: usize) -> Self {
         assert!(may_hold <= MOST_HELD);
         Self {
@@ -181,28 +187,28 @@ impl Link {
         }
     }
 
-    /// How many bytes can be taken, whatever they are, with both queues full.
+    /// Returns how many bytes of any kind can be taken while both queues are full.
     pub fn room(&self) -> usize {
         if !self.stuck.is_empty() { 0 } else { self.may_hold.saturating_sub(self.held.len()) }
     }
 
-    /// Line bytes that wait for room in the queue.
+    /// Returns the number of line bytes that wait for room in the queue.
     pub fn held(&self) -> usize {
         self.held.len()
     }
 
-    /// Whether something waits for room in a queue.
+    /// Returns whether a command or a line byte waits for room in its queue.
     pub fn is_waiting(&self) -> bool {
         !self.stuck.is_empty() || !self.held.is_empty()
     }
 
-    /// Takes a byte. Without room it is lost, which the next byte of a line says: a link that can wait is not read then.
-    /// Gives whether something was queued.
+    /// Takes a byte. Returns whether something was queued. Without room the byte is lost, and the next line byte is
+    /// marked as damaged; a link that can wait must not be read without room.
     pub fn take(&mut self, byte: u8, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut impl Queues) -> bool {
         self.take_text(&[byte], arbiter, queues) > 0 || self.take_any(byte, arbiter, other, queues)
     }
 
-    /// Takes a byte of whatever kind.
+    /// Takes a byte of any kind, without the fast path.
     fn take_any(&mut self, byte: u8, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut impl Queues) -> bool {
         let mut any = false;
         for byte in self.remark.break_off(byte) {
@@ -218,7 +224,7 @@ impl Link {
         self.take_alone(byte, arbiter, other, queues) || any
     }
 
-    /// Takes a byte that is no part of a character.
+    /// Takes a byte that is not part of a character.
     fn take_alone(&mut self, byte: u8, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut impl Queues) -> bool {
         match Received::of(byte) {
             Received::Nothing => {
@@ -238,7 +244,7 @@ impl Link {
                     arbiter.turn_to(other, |floor| floor.seize(self.number));
                     self.mid_line = false;
                     self.after_cr = false;
-                    // What was lost so far goes with it.
+                    // The bytes lost so far belong to lines that the reset voids.
                     self.lost = false;
                 }
                 if matches!(command, Realtime::Reset | Realtime::Stop) {
@@ -246,7 +252,8 @@ impl Link {
                     self.is_ambiguous = false;
                     other.void_line(arbiter);
                 }
-                // A realtime command cuts no line: the answer to a `?` goes to the host that is within a line.
+                // A realtime command does not cut the other host's line: that host then keeps the floor and gets the
+                // answer to a `?`.
                 if !other.mid_line || other.refusing_line {
                     let free = queues.is_free();
                     arbiter.turn_to(other, |floor| floor.claim(self.number, free, false));
@@ -282,9 +289,10 @@ impl Link {
         }
     }
 
-    /// Takes the first of some bytes as far as they are text and ends of lines by LF: of the host with the floor, where nothing
-    /// waits, was lost or is refused. What becomes of such a byte, which nearly all are, needs no other question than whether
-    /// there is room. Gives how many.
+    /// Fast path of [`Link::take`] for text and LF line ends, which nearly all bytes are. It applies while the host has
+    /// the floor, no byte waits or was lost, and the line is not refused, so that only the room in the queue has to be
+    /// checked. Also drops text of a line that is refused or has no room. Returns the number of bytes taken from the
+    /// front.
     #[inline]
     pub fn take_text(&mut self, bytes: &[u8], arbiter: &HostArbiter, queues: &mut impl Queues) -> usize {
         if self.remark.has_begun_character() {
@@ -312,7 +320,7 @@ impl Link {
         taken
     }
 
-    /// Drops the text that comes next of a line that is refused, or for which there is no room. Gives how many bytes.
+    /// Drops text of a line that is refused, or for which there is no room. Returns how many bytes.
     fn drop_text(&mut self, bytes: &[u8]) -> usize {
         let dropped = bytes.iter().take_while(|byte| is_plain(**byte)).count();
         if dropped > 0 {
@@ -323,23 +331,23 @@ impl Link {
         dropped
     }
 
-    /// Whether the next byte belongs to a remark.
+    /// Returns whether the next byte belongs to a remark.
     #[inline]
     pub fn is_in_remark(&self) -> bool {
         self.remark.is_inside()
     }
 
-    /// Whether the last byte is a `!` that may be text.
+    /// Returns whether the last byte is a `!` that may be text.
     #[inline]
     pub fn is_ambiguous(&self) -> bool {
         self.is_ambiguous
     }
 
-    /// Nothing has come behind a `!` in a remark for [`AMBIGUOUS_US`], though the link could have taken it, or what comes next may
-    /// belong to another line: it is a hold, which [`Link::pass_on`] queues.
+    /// Treats a `!` that may be text as a hold, which [`Link::pass_on`] queues. To be called when nothing has followed
+    /// the `!` for [`AMBIGUOUS_US`] although the link had room, or when the next byte may belong to another line.
     pub fn take_as_command(&mut self) {
         if core::mem::take(&mut self.is_ambiguous) {
-            // There is room: it holds what stuck behind this one, and that was no more than a command.
+            // There is room: `stuck` contains only what arrived after this `!`, which is at most one command.
             let _ = self.stuck.push_back(Realtime::FeedHold);
         }
     }
@@ -353,7 +361,7 @@ impl Link {
         queued
     }
 
-    /// There may be room in the queues: what waits is queued. Gives whether something was queued.
+    /// Queues what waits, as far as there is room in the queues. Returns whether something was queued.
     pub fn pass_on(&mut self, arbiter: &mut HostArbiter, queues: &mut impl Queues) -> bool {
         let mut any = false;
         while let Some(command) = self.stuck.front()
@@ -371,7 +379,7 @@ impl Link {
         any
     }
 
-    /// The other host has reset the machine: of the line that has begun here nothing may be read.
+    /// Voids the unfinished line, because the other host has reset the machine.
     fn void_line(&mut self, arbiter: &mut HostArbiter) {
         self.is_ambiguous = false;
         if !self.mid_line || self.refusing_line {
@@ -384,16 +392,17 @@ impl Link {
         arbiter.cut |= self.held.is_empty();
     }
 
-    /// Bytes were lost on the way here: the line that they belong to will be refused.
+    /// Records that bytes were lost before they arrived here: the line that they belong to will be refused.
     pub fn lose(&mut self) {
         self.lost = true;
         self.take_as_command();
         self.remark.leave();
     }
 
-    /// A host has opened its port. Gives whether it has the floor: another host's job continues, and this one is not greeted
-    /// within it. A [`HOST_CHANGED`] goes before its first byte of a line: it ends what was there before. What has no place in the
-    /// queue is forgotten: it was sent before the port was opened, and the start of its line may be in front of the cut.
+    /// Handles a host that has opened its port. Returns whether it has the floor. If it does not, the other host's job
+    /// continues and this host gets no welcome line. Bytes that wait for the queue are dropped: they were sent before
+    /// the port was opened. The start of their line may already be in the queue, so a [`HOST_CHANGED`] voids it before
+    /// the host's first line byte.
     pub fn came(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &impl Queues) -> bool {
         let free = queues.is_free();
         let granted = arbiter.turn_to(other, |floor| floor.claim(self.number, free, true));
@@ -402,9 +411,9 @@ impl Link {
         granted
     }
 
-    /// The host has gone. What has no place in the queue goes with it, also the rest of a line, and the next host begins at
-    /// the start of one: a [`HOST_CHANGED`] goes before it, and the controller answers none of the lines in front of that. Gives
-    /// whether it had the floor.
+    /// Handles a disconnected host. Returns whether it had the floor. Bytes that wait for the queue are dropped. A
+    /// [`HOST_CHANGED`] precedes the next host's first byte, which therefore starts a new line; the controller does not
+    /// answer the lines before it.
     pub fn went(&mut self, arbiter: &mut HostArbiter) -> bool {
         let held_floor = arbiter.holder() == self.number;
         arbiter.cut |= held_floor;
@@ -420,7 +429,7 @@ impl Link {
         *self = Self { stuck, ..Self::new(self.number, self.may_hold) };
     }
 
-    /// Sends what the host is refused. `false` while there is more of it.
+    /// Sends the refusals. Returns `false` while some remain.
     pub fn refuse(&mut self, mut send: impl FnMut(u8) -> bool) -> bool {
         while self.refusals > 0 {
             let Some(byte) = REFUSAL.get(self.refused_bytes) else {
@@ -441,7 +450,7 @@ fn is_end(byte: u8) -> bool {
     matches!(byte, b'\n' | b'\r')
 }
 
-/// What a host without the floor is told for each of its lines: 8 is Grbl's "not idle".
+/// Reply to each line of a host without the floor: 8 is Grbl's "not idle".
 const REFUSAL: &[u8] = b"[MSG:Another host has the machine]\r\nerror:8\r\n";
 
 #[cfg(test)]

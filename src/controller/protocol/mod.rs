@@ -1,12 +1,13 @@
-//! The serial protocol: bytes in, text out. What a line means to the machine is decided elsewhere.
+//! The serial protocol: turns received bytes into lines and commands, and replies into text. Lines are executed
+//! elsewhere.
 //!
-//! * [`link`] takes the bytes of a host: [`realtime`] finds commands, [`remark`] tells them from text, and a host may have to
-//!   wait for the machine. [`owed`] keeps commands for which there is no room.
-//! * [`byte_channel`] carries bytes of lines to the control task. [`intake`] drops those that count no more, [`line_filter`] makes
-//!   lines of the others, [`line_checksum`] checks them, and [`heartbeat`] notices a silent host.
-//! * [`system`] reads `$` lines.
-//! * [`report`] prints replies with [`text`], [`descriptions`] those in words, [`recording`] those of `$REC`. [`replies`] keeps them
-//!   until they are sent, and [`coalescing`] says which are sent together.
+//! * [`link`] takes the bytes of one host. [`realtime`] finds commands, and [`remark`] distinguishes them from the text
+//!   of remarks. A host may have to wait for the machine. [`owed`] keeps commands for which the queue has no room.
+//! * [`byte_channel`] carries bytes of lines to the control task. [`intake`] drops invalid bytes, [`line_filter`] makes
+//!   lines of the others, [`line_checksum`] checks the lines, and [`heartbeat`] notices a silent host.
+//! * [`system`] parses `$` lines.
+//! * [`report`] prints replies with [`text`]. [`descriptions`] prints settings and errors in words, and [`recording`]
+//!   prints `$REC`. [`replies`] keeps replies until they are sent, and [`coalescing`] groups them into messages.
 
 pub mod byte_channel;
 pub mod coalescing;

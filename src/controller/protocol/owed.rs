@@ -1,21 +1,23 @@
-//! Realtime commands of a link that cannot wait, for which there was no room in the queue: resets, feed holds and door
-//! commands. The serial task adds to them, and `control` takes them in order. None of these commands is lost.
+//! Resets, feed holds and door commands for which the queue had no room, from a link that cannot wait. The serial task
+//! adds them, and `control` takes them in order. None of these commands is lost.
 
 use crate::messages::Realtime;
 
-/// Commands of a link that cannot wait for which there was no room, and which must not be lost. While there are any,
-/// nothing else is queued, so that they come after all that is queued and before all that is not.
+/// Commands from a link that cannot wait, for which the queue had no room. While any is owed, nothing else is queued:
+/// so owed commands act after everything queued before them and before everything received later.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Owed(pub u32);
 
 impl Owed {
     const DOOR: u32 = 1 << 16;
     const HOLD: u32 = 1 << 17;
-    /// A count: each has been counted as a stop, too. Half a second, the longest that `control` may take, holds 6000 bytes.
+    /// Mask of the count of resets. Each of them has also been counted as a stop. The largest count is 6000: the bytes
+    /// received in half a second, the longest time that `control` may take.
     const RESETS: u32 = 0xFFFF;
 
-    /// With one more, if it will be obeyed: a reset, which voids the holds before it; a hold and a door, once each; 0x19 and
-    /// a jog cancel as a reset, for the epochs of all later lines count on them. The others are lost.
+    /// Returns the owed commands with `command` added, or `None` if `command` may be lost. A hold and a door are kept
+    /// once each. A reset voids the holds and doors before it. 0x19 and a jog cancel are kept as resets, because each
+    /// opens an epoch that later lines depend on.
     pub fn with(self, command: Realtime) -> Option<Owed> {
         match command {
             Realtime::FeedHold => Some(Owed(self.0 | Self::HOLD)),
@@ -25,7 +27,7 @@ impl Owed {
         }
     }
 
-    /// Takes the next of them, in their order. Of a hold and a door it does not matter which comes first.
+    /// Removes and returns the next command, in order. The order of a hold and a door does not matter.
     pub fn pop(&mut self) -> Option<Realtime> {
         if self.0 & Self::RESETS != 0 {
             self.0 -= 1;

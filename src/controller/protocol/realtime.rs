@@ -1,22 +1,21 @@
-//! Picks realtime commands out of the received bytes, wherever they stand: the table of bytes
-//! (`0x84 => Realtime::SafetyDoor`) and its inverse `byte_of`; any other byte is part of a line or nothing
-//! (`Received`). Lives in the serial task.
+//! Finds realtime commands in the received bytes, anywhere in a line: `command` maps a byte to its command, and
+//! `byte_of` is the inverse. Every other byte is part of a line or ignored (`Received`). Runs in the serial task.
 
 use crate::messages::Realtime;
 
-/// What a received byte was.
+/// Classification of a received byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Received {
-    /// A command that acts at once.
+    /// A command that acts immediately.
     Realtime(Realtime),
     /// Part of a line.
     Line(u8),
-    /// Neither: a byte of 0x80 and above that is no command is thrown away, as Grbl does.
+    /// Neither: bytes from 0x80 up that are no command are dropped, as in Grbl.
     Nothing,
 }
 
 impl Received {
-    /// What a byte is, wherever in a line it comes.
+    /// Classifies a byte, independently of its position in a line.
     pub fn of(byte: u8) -> Received {
         match command(byte) {
             Some(command) => Received::Realtime(command),
@@ -26,7 +25,7 @@ impl Received {
     }
 }
 
-/// Whether a byte is part of a line and no more: neither a command nor the end of the line, and it begins or ends no remark.
+/// Returns whether a byte is ordinary text of a line: no command, no line end, and it neither starts nor ends a remark.
 #[inline]
 #[allow(clippy::indexing_slicing, reason = "there is one for each byte")]
 pub const fn is_plain(byte: u8) -> bool {
@@ -42,7 +41,7 @@ pub const fn is_plain(byte: u8) -> bool {
     PLAIN[byte as usize]
 }
 
-/// The realtime command of a byte (Grbl 1.1 interface, realtime commands).
+/// Returns the realtime command of a byte (Grbl 1.1 interface, realtime commands).
 pub const fn command(byte: u8) -> Option<Realtime> {
     Some(match byte {
         0x18 => Realtime::Reset,
@@ -73,7 +72,7 @@ pub const fn command(byte: u8) -> Option<Realtime> {
     })
 }
 
-/// The byte of a realtime command.
+/// Returns the byte of a realtime command.
 pub fn byte_of(wanted: Realtime) -> u8 {
     (0..=u8::MAX).find(|byte| command(*byte) == Some(wanted)).unwrap_or_default()
 }

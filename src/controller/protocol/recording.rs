@@ -1,4 +1,4 @@
-//! A recording as text: the lines `[REC:...]` of `$REC`, which `oxmill replay` reads.
+//! Prints a recording as text: the `[REC:...]` lines of `$REC`, which `oxmill replay` reads.
 
 use super::text::{END, Text, length, put, whole};
 use crate::messages::{CrashKind, Noted, Record, Recorded, Standing, Stopping};
@@ -6,11 +6,11 @@ use crate::units::Coordinate;
 
 const MICROSECONDS: u64 = 1_000_000;
 
-/// What a line begins and ends with.
+/// Start and end of each line.
 const BEGIN: &[u8] = b"[REC:";
 const CLOSE: &[u8] = b"]";
 
-/// A piece of a recording. `hz`: ticks of the step clock in a second, by which times are told.
+/// Appends one piece of a recording. `hz`: ticks of the step clock per second, the unit of printed times.
 pub fn piece(out: &mut Text, hz: u32, piece: &Recorded) {
     put(out, BEGIN);
     match piece {
@@ -36,7 +36,8 @@ pub fn piece(out: &mut Text, hz: u32, piece: &Recorded) {
     put(out, END);
 }
 
-/// Ticks of the step clock. Seconds and the rest apart, so that days do not overflow.
+/// Appends a time, converted from microseconds to ticks of the step clock. Whole seconds are converted separately, so
+/// that days do not overflow.
 #[inline(never)]
 fn moment(out: &mut Text, hz: u32, time: u64) {
     let hz = u64::from(hz);
@@ -52,7 +53,7 @@ fn stored(out: &mut Text, record: &Record) {
     }
 }
 
-// What follows is called from many places, and seldom: it is small rather than fast.
+// The following functions have many callers that rarely run: they are optimised for size.
 
 #[inline(never)]
 fn put_count(out: &mut Text, value: u64) {
@@ -71,7 +72,7 @@ fn hex(out: &mut Text, byte: u8) {
     }
 }
 
-/// A word of inputs, of which there are no more than 24.
+/// Appends an input word in hexadecimal; inputs use at most 24 bits.
 #[inline(never)]
 fn hex_word(out: &mut Text, word: u32) {
     let [_, bytes @ ..] = word.to_be_bytes();
@@ -80,7 +81,7 @@ fn hex_word(out: &mut Text, word: u32) {
     }
 }
 
-/// Bytes of a host as Rust escapes them; brackets, too, which end a line of this listing.
+/// Appends bytes of a host with Rust's escapes. Brackets are escaped too, because they end a line of this listing.
 fn escaped(out: &mut Text, bytes: &[u8]) {
     for byte in bytes {
         match byte {
@@ -96,7 +97,7 @@ fn escaped(out: &mut Text, bytes: &[u8]) {
     }
 }
 
-/// A blank and a number.
+/// Appends a blank and a number.
 #[inline(never)]
 fn integer(out: &mut Text, value: i64) {
     put(out, if value < 0 { b" -" } else { b" " });
@@ -159,7 +160,7 @@ fn entry(out: &mut Text, entry: &Noted) {
     }
 }
 
-/// Flags, blocks, tool, inputs, then counter and place of each axis, then the words.
+/// Appends flags, blocks, tool, inputs, then step counter and position of each axis, then the words.
 fn put_standing(out: &mut Text, standing: &Standing, blocks: u32) {
     put(out, b"state ");
     let letters = [(standing.trusted, b't'), (standing.locked, b'l'), (standing.inches, b'i')];

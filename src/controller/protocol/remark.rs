@@ -1,57 +1,58 @@
-//! `Remark`: whether a received line is within a remark, `(..)` or `; ..`, and the bytes of the character of UTF-8 that comes
-//! next in it. There a byte from 0x80 on that a character begins with or is continued by is text and no realtime command, though
-//! 0x84 opens the door elsewhere: the `Ä` of `(Äußere Kontur)` is 0xC3 0x84. Lives in the serial task, one for each link.
+//! `Remark`: tracks whether a received line is within a remark, `(..)` or `; ..`, and assembles the UTF-8 characters of
+//! the remark. Within a remark, the bytes of a multi-byte character are text and not realtime commands. For example,
+//! 0x84 opens the door elsewhere, but the `Ä` of `(Äußere Kontur)` is 0xC3 0x84. Runs in the serial task, one instance
+//! per link.
 //!
 //! ```text
 //!  C3 84            text: the character Ä
-//!  E3 84 41         no character: 0x84 is the command that it is by itself, and comes before the A
-//!  C2 91            a command: some senders put 0xC2 in front of their override bytes
-//!  C3 84 outside    a command: only a remark holds text
+//!  E3 84 41         no character: 0x84 is a command after all, and acts before the A
+//!  C2 91            a command: some senders put 0xC2 before their override bytes
+//!  C3 84 outside    a command: only a remark contains text
 //! ```
-//! Bytes below 0x80 belong to no such character: 0x18 and 0x19 act wherever they come, and of a `!` or `~` in a remark the
-//! [`Link`](super::link::Link) decides. Where the parser of lines reads
-//! a remark and this one does not, behind a nested `)` for instance, bytes are the commands that they always were.
+//! Bytes below 0x80 are never part of such a character: 0x18 and 0x19 act anywhere, and [`Link`](super::link::Link)
+//! decides about a `!` or `~` in a remark. Where the line filter sees a remark and `Remark` does not, for instance
+//! after a nested `)`, bytes keep their meaning as commands.
 
 use heapless::Vec;
 
-/// Most bytes of a character that has not come to its end.
+/// Maximum number of bytes of an incomplete character.
 const MOST_BEGUN: usize = 3;
 
-/// Where in its line a link is.
+/// The part of a line that is being received.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum RemarkPlace {
     Words,
-    /// In a remark that `)` ends.
+    /// A remark that `)` ends.
     Parentheses,
-    /// In one that the line's end ends.
+    /// A remark that the line end ends.
     Semicolon,
 }
 
-/// The remark of the line that is being received.
+/// The remark in the line being received.
 #[derive(Clone, Debug)]
 pub struct Remark {
     place: RemarkPlace,
-    /// The character that has begun.
+    /// The bytes of an incomplete character.
     begun: Vec<u8, MOST_BEGUN>,
 }
 
 impl Remark {
-    /// The line has not begun.
+    /// At the start of a line.
     pub const NONE: Remark = Remark { place: RemarkPlace::Words, begun: Vec::new() };
 
-    /// Whether the line is in a remark.
+    /// Returns whether the line is within a remark.
     #[inline]
     pub fn is_inside(&self) -> bool {
         self.place != RemarkPlace::Words
     }
 
-    /// Whether a character has begun and not ended.
+    /// Returns whether a character is incomplete.
     #[inline]
     pub fn has_begun_character(&self) -> bool {
         !self.begun.is_empty()
     }
 
-    /// A byte of the line has come.
+    /// Updates the place in the line for its next byte.
     pub fn follow(&mut self, byte: u8) {
         self.place = match (self.place, byte) {
             (_, b'\n' | b'\r') => RemarkPlace::Words,
@@ -62,18 +63,20 @@ impl Remark {
         };
     }
 
-    /// The line has ended, or bytes were lost: its end may have been among them. What has begun is no character.
+    /// Leaves the remark, because the line has ended, or because bytes were lost and its end may be among them. The
+    /// bytes of an incomplete character are then single bytes.
     pub fn leave(&mut self) {
         self.place = RemarkPlace::Words;
     }
 
-    /// Gives the bytes that have begun a character, if this one does not continue it: each is what it is by itself.
+    /// Returns the bytes of the incomplete character if `byte` does not continue it. Each of them is then a single
+    /// byte.
     pub fn break_off(&mut self, byte: u8) -> Vec<u8, MOST_BEGUN> {
         if self.is_inside() && continues(&self.begun, byte) { Vec::new() } else { core::mem::take(&mut self.begun) }
     }
 
-    /// Takes a byte that begins or continues a character, behind [`Remark::break_off`]. Whether it does. `reads`: characters
-    /// are read at all.
+    /// Takes a byte that starts or continues a character. To be called after [`Remark::break_off`]. Returns whether the
+    /// byte was taken. `reads`: whether characters are recognised at all.
     pub fn takes(&mut self, byte: u8, reads: impl FnOnce() -> bool) -> bool {
         let Some(lead) = self.begun.first() else {
             let begins = matches!(byte, 0xC3..=0xF4) && self.is_inside() && reads();
@@ -87,7 +90,7 @@ impl Remark {
     }
 }
 
-/// Bytes of the character that begins so.
+/// Returns the length in bytes of the character that starts with `lead`.
 fn length(lead: u8) -> usize {
     match lead {
         0..=0xDF => 2,
@@ -96,7 +99,8 @@ fn length(lead: u8) -> usize {
     }
 }
 
-/// Whether a byte goes on with what has begun (Unicode 16, table 3-7: no longer than need be, no surrogates, up to U+10FFFF).
+/// Returns whether a byte continues an incomplete character (Unicode 16, table 3-7: shortest form only, no surrogates,
+/// up to U+10FFFF).
 fn continues(begun: &[u8], byte: u8) -> bool {
     match begun {
         [0xE0] => matches!(byte, 0xA0..=0xBF),
@@ -113,7 +117,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// What a link makes of bytes: those that are by themselves.
+    /// Returns the bytes that a link does not take as parts of characters.
     fn alone(bytes: &[u8]) -> std::vec::Vec<u8> {
         let mut remark = Remark::NONE;
         let mut alone = std::vec::Vec::new();
@@ -166,7 +170,7 @@ mod tests {
     }
 
     proptest! {
-        /// The characters of a remark are those that the standard library finds.
+        /// The recognised characters of a remark are those that the standard library finds.
         #[test]
         fn characters_are_those_of_utf8(bytes in proptest::collection::vec(prop_oneof![
             0x80_u8.., Just(0xC3), Just(0xE0), Just(0xE3), Just(0xED), Just(0xF0), Just(0xF4), 0x80_u8..0xC0, 0x80_u8..0xC0, b'a'..=b'c'

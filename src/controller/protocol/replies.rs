@@ -1,39 +1,40 @@
-//! Text that waits to be sent to the host, in order and in chunks. Room is kept for the answer to the line in work.
-//! Also when a status report is due, and which of its rare fields it carries.
+//! Queue of text for the host, sent in order and in chunks, with room reserved for the answer to the line being
+//! executed. Also decides when a status report is due, and which of its rare fields it carries.
 
 use super::report::{RareFields, is_answer, is_of_one_host};
 use super::text::PIECE;
 use crate::messages::{Chunk, Restart};
 
-/// Bytes of answers that wait for the serial task.
+/// Capacity of the queue, in bytes.
 const BYTES: usize = 1024;
-/// Free bytes that a listing, a status report or a line asks for before it begins.
+/// Free bytes required before a listing, a status report or a line begins.
 const RESERVE: usize = 2 * PIECE;
-/// Free bytes that a report asks for beyond these where the text before it was one, too: lines and listings come in between, however
-/// often a host asks.
+/// Additional free bytes required for a status report directly after another one. So lines and listings get room
+/// between reports, however often a host sends `?`.
 const BETWEEN_REPORTS: usize = 64;
-/// Bytes that only the answer to the line in work may fill. The longest is that to a checked line.
+/// Bytes reserved for the answer to the line being executed. The longest is the answer to a checked line.
 const ANSWER: usize = 64;
 
-/// Answers and reports to come.
-// Small things first: one instruction reaches 4 KiB from the base of the controller.
+/// Replies that wait to be sent, and reports that are due.
+// Small fields first: one instruction reaches 4 KiB from the base of the controller.
 #[derive(Clone, Debug)]
 #[repr(C)]
 pub struct Replies {
-    /// Hosts that have gone (wrapping).
+    /// Hosts that have disconnected (wrapping).
     hosts_gone: u16,
-    /// A startup line has been echoed: the answer to it follows on the same line.
+    /// A startup line was echoed: its answer follows on the same line.
     echoed: bool,
-    /// `?` has been asked and not yet answered.
+    /// `?` was received and has not been answered.
     status_due: bool,
-    /// The text that was queued last is a status report.
+    /// The text queued last is a status report.
     reported: bool,
     rare_fields: RareFields,
-    /// The host knows of the failure before this start.
+    /// The host has read the record of the failure before this start (`$RC`).
     restart_told: bool,
     restart: Restart,
-    /// The place of the first byte that waits, and how many do.
+    /// Index of the first waiting byte in `ring`.
     first: usize,
+    /// Number of waiting bytes.
     waiting: usize,
     ring: [u8; BYTES],
 }
@@ -45,7 +46,7 @@ impl Default for Replies {
 }
 
 impl Replies {
-    /// Nothing to say.
+    /// An empty queue.
     pub const fn new() -> Self {
         Self {
             hosts_gone: 0,
@@ -61,46 +62,47 @@ impl Replies {
         }
     }
 
-    /// Whether there is room for what can wait for it.
+    /// Returns whether there is room for a listing, a report or a line.
     #[inline]
     pub fn has_room(&self) -> bool {
         BYTES - self.waiting >= RESERVE
     }
 
-    /// Whether a startup line has been echoed, whose answer follows on the same line.
+    /// Returns whether a startup line was echoed and its answer follows on the same line.
     pub fn is_echoing(&self) -> bool {
         self.echoed
     }
 
-    /// Whether nothing waits to be sent.
+    /// Returns whether no text waits and no status report is due.
     pub fn is_idle(&self) -> bool {
         self.waiting == 0 && !self.status_due
     }
 
-    /// Whether text waits to be sent.
+    /// Returns whether text waits to be sent.
     #[inline]
     pub fn are_waiting(&self) -> bool {
         self.waiting != 0
     }
 
-    /// A host has gone; this is the number (wrapping) of such hosts. What waits was for it, and is not for the next one.
+    /// Drops the waiting text, because its host has disconnected. `hosts_gone`: number of disconnected hosts
+    /// (wrapping).
     pub fn host_left(&mut self, hosts_gone: u16) {
         self.hosts_gone = hosts_gone;
         self.waiting = 0;
     }
 
-    /// Whether the host has gone whose lines are read. `hosts_cut`: of the hosts that have gone those whose last line has been
-    /// read.
+    /// Returns whether the host whose lines are being read has disconnected. `hosts_cut`: number of disconnected hosts
+    /// whose last line has been read (wrapping).
     pub fn has_host_left(&self, hosts_cut: u16) -> bool {
         self.hosts_gone != hosts_cut
     }
 
-    /// Queues text. There is always room: whoever can wait asks [`Replies::has_room`] first, and what cannot (an alarm, a
-    /// message) is short. Only a flood of resets makes more; what then finds no room is left out as a whole, but never the answer to the
-    /// line in work.
+    /// Queues text. Long text must wait for [`Replies::has_room`]; alarms and messages cannot wait, but are short. Only
+    /// a flood of resets can fill the queue. A text that does not fit is then dropped as a whole, except the answer to
+    /// the line being executed, which always fits.
     ///
-    /// `hosts_cut`: as for [`Replies::has_host_left`]. The next host would take the answer to a line of one that has gone for
-    /// one of its own, so it is left out.
+    /// `hosts_cut`: as for [`Replies::has_host_left`]. Answers to lines of a disconnected host are dropped: the next
+    /// host would take them for its own.
     pub fn push(&mut self, text: &[u8], hosts_cut: u16) {
         let unheard = self.has_host_left(hosts_cut) && !self.echoed && is_of_one_host(text);
         let free = BYTES - self.waiting;
@@ -119,7 +121,8 @@ impl Replies {
         self.waiting += text.len();
     }
 
-    /// The next bytes to be sent. Asked before each segment: no call for nothing.
+    /// Removes and returns the next bytes to be sent. Called before each segment, so the common empty case makes no
+    /// call.
     #[inline]
     pub fn next_chunk(&mut self) -> Option<Chunk> {
         if self.waiting == 0 { None } else { Some(self.chunk()) }
@@ -138,12 +141,12 @@ impl Replies {
         chunk
     }
 
-    /// `?`
+    /// Requests a status report (`?`).
     pub fn ask_status(&mut self) {
         self.status_due = true;
     }
 
-    /// Whether a status report has to be made now.
+    /// Returns whether a status report must be made now, and if so clears the request.
     #[inline]
     pub fn take_status(&mut self) -> bool {
         let needed = if self.reported { RESERVE + BETWEEN_REPORTS } else { RESERVE };
@@ -152,39 +155,39 @@ impl Replies {
         now
     }
 
-    /// After a reset no report is due, and the first carries what is rare.
+    /// Cancels a due report after a reset, and lets the next report carry all rare fields.
     pub fn reset(&mut self) {
         self.rare_fields = RareFields::DUE;
         self.status_due = false;
     }
 
-    /// The work offset has changed: the next report shows it.
+    /// Lets the next report show the changed work offset.
     pub fn offset_changed(&mut self) {
         self.rare_fields.offset_changed();
     }
 
-    /// An override or accessory has changed: the next report shows it.
+    /// Lets the next report show the changed overrides or accessories.
     pub fn overrides_changed(&mut self) {
         self.rare_fields.overrides_changed();
     }
 
-    /// Whether the report made now carries (`WCO`, `Ov`).
+    /// Returns whether the report made now carries `WCO` and `Ov`, in this order.
     pub fn rare_fields(&mut self, busy: bool) -> (bool, bool) {
         self.rare_fields.next(busy)
     }
 
-    /// What is known of the end before this start.
+    /// Stores why the machine was restarted.
     pub fn restarted(&mut self, restart: Restart) {
         self.restart = restart;
     }
 
-    /// The failure that a welcome line is followed by: at each until the host has asked for the record, as the first may
-    /// not have been heard.
+    /// Returns the failure to report after a welcome line. It is reported after each welcome line until the host reads
+    /// the record with `$RC`, because a report may not have arrived.
     pub fn failure(&self) -> Option<&Restart> {
         (self.restart.is_failure() && !self.restart_told).then_some(&self.restart)
     }
 
-    /// `$RC`: the record.
+    /// Returns the record for `$RC`, and marks it as read.
     pub fn tell_restart(&mut self) -> &Restart {
         self.restart_told = true;
         &self.restart
@@ -216,7 +219,7 @@ mod tests {
         replies.push(b"ALARM:1\r\n", 0);
         assert_eq!(sent(&mut replies), "x".repeat(900) + "ALARM:1\r\n");
         assert!(replies.has_room() && replies.is_idle());
-        // Behind a flood of resets, whatever its length, the answer to the line that a reset ends.
+        // After a flood of resets of any length there is still room for the answer to the interrupted line.
         for _ in 0..BYTES {
             replies.push(b"\n", 0);
         }

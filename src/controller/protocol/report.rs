@@ -1,6 +1,6 @@
-//! Every reply that a host can get, byte for byte as Grbl 1.1h prints it, and what Oxmill adds.
+//! Prints every reply that a host can get: Grbl 1.1h's replies byte for byte, and Oxmill's additions.
 //!
-//! Plain data in, text out. Each function makes one or more whole lines, ended by CR LF.
+//! Pure functions from data to text. Each function makes one or more whole lines, ended by CR LF.
 
 use super::text::{END, Text, length, put, real, whole};
 use crate::axes::{Axis, AxisMask, LINEAR, PerAxis};
@@ -11,7 +11,7 @@ use crate::messages::{
 use crate::settings::{Entry, Kind};
 use crate::units::{Coordinate, Decimal};
 
-/// Version of the Grbl interface that is spoken.
+/// Version of the Grbl protocol that is implemented.
 pub const GRBL_VERSION: &str = "1.1h";
 
 /// A version and the day on which it was released.
@@ -40,12 +40,13 @@ pub fn known(out: &mut Text) {
     put(out, b"known\r\n");
 }
 
-/// Whether a text is for the host alone whose line it is about: its answer, or a row of a listing (`$0=10`, `[G54:0.000,..]`).
+/// Returns whether a text is only for the host whose line caused it: an answer, or a row of a listing (`$0=10`,
+/// `[G54:0.000,..]`).
 pub fn is_of_one_host(text: &[u8]) -> bool {
     is_answer(text) || text.starts_with(b"$") || text.starts_with(b"[") && !text.starts_with(b"[MSG:")
 }
 
-/// Whether a text is the one answer that a line gets; that to a checked line begins with a colon.
+/// Returns whether a text is the answer to a line. The answer to a checked line begins with a colon.
 pub fn is_answer(text: &[u8]) -> bool {
     matches!(text, b"ok\r\n" | b"known\r\n") || text.starts_with(b"error:") || text.starts_with(b":")
 }
@@ -57,7 +58,7 @@ pub fn alarm(out: &mut Text, code: u8) {
     put(out, END);
 }
 
-/// The line that greets a host.
+/// The welcome line.
 pub fn welcome(out: &mut Text) {
     put(out, b"\r\nGrbl ");
     put(out, GRBL_VERSION.as_bytes());
@@ -79,7 +80,7 @@ pub fn message_number(out: &mut Text, text: &str, number: u32) {
     put(out, b"]\r\n");
 }
 
-/// `[MSG:...]`: M66 waits for an input of this number, and for so many seconds at most.
+/// `[MSG:...]`: M66 waits for input `number`, for at most `seconds` more seconds.
 pub fn wait_for_input(out: &mut Text, number: u32, seconds: u32) {
     put(out, b"[MSG:Waits for input ");
     whole(out, u64::from(number));
@@ -88,7 +89,7 @@ pub fn wait_for_input(out: &mut Text, number: u32, seconds: u32) {
     put(out, b"]\r\n");
 }
 
-/// `[MSG:...]` of a program, without what is no text.
+/// `[MSG:...]` of a program, reduced to printable characters without brackets.
 pub fn program_message(out: &mut Text, text: &[u8]) {
     put(out, b"[MSG:");
     for byte in text.iter().filter(|byte| matches!(byte, b' '..=b'~') && !matches!(byte, b'[' | b']')) {
@@ -97,7 +98,8 @@ pub fn program_message(out: &mut Text, text: &[u8]) {
     put(out, b"]\r\n");
 }
 
-/// `[MSG:...]` that says which inputs tripped (limit switches by their axes), where, and at which N word (0 = none).
+/// `[MSG:...]` that reports which inputs tripped (limit switches by their axes), the position, and the N word (0 =
+/// none).
 pub fn trip<const N: usize>(
     out: &mut Text,
     tripped: &Signals,
@@ -147,7 +149,7 @@ const fn crash_name(kind: CrashKind) -> &'static str {
     }
 }
 
-/// What the host is told when the machine was stopped by a failure. `grbl`: without what Grbl's dialect does not have.
+/// Reports that a failure stopped the machine. `grbl`: omits `$REC`, which Grbl's dialect does not have.
 pub fn failure(out: &mut Text, restart: &Restart, grbl: bool) {
     put(out, b"[MSG:Restarted after a failure (");
     let name = restart.crash.as_ref().map_or(cause_name(restart.cause), |crash| crash_name(crash.kind));
@@ -165,7 +167,7 @@ pub fn failure(out: &mut Text, restart: &Restart, grbl: bool) {
     put(out, if both { b", $RC tells more, $REC what came in]\r\n" } else { b", $RC tells more]\r\n" });
 }
 
-/// `[RESET:cause]`, and `[CRASH:kind:text]` if there was one.
+/// `[RESET:cause]`, then `[CRASH:kind:text]` and `[LAST:position]` if the program crashed.
 pub fn restart(out: &mut Text, restart: &Restart) {
     put(out, b"[RESET:");
     put(out, cause_name(restart.cause).as_bytes());
@@ -183,7 +185,7 @@ pub fn restart(out: &mut Text, restart: &Restart) {
     }
 }
 
-/// A place in micrometres, always in mm: which unit this host wants is not known yet.
+/// Appends a position in micrometres, always printed in mm, because the host's unit is not known yet.
 fn last_place(out: &mut Text, place: &[i32; 3]) {
     for (i, micrometres) in place.iter().enumerate() {
         if i > 0 {
@@ -216,8 +218,8 @@ const fn input_name(bit: usize) -> &'static str {
     }
 }
 
-/// `[PIN:name,level,active,polarity,pull,noise]`, one input of `$PINS`: level of the pin now, whether the filtered input is
-/// active, the level that makes it active, its resistor, and the changes that the filter has rejected.
+/// `[PIN:name,level,active,polarity,pull,noise]`, one input of `$PINS`: present level of the pin, state of the filtered
+/// input, the level that makes it active, its pull resistor, and the number of changes that the filter has rejected.
 pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &InputWiring) {
     let has = |word: u32| word >> bit & 1 != 0;
     put(out, b"[PIN:");
@@ -273,7 +275,7 @@ pub fn setting(out: &mut Text, entry: &Entry, number: u16, value: f32) {
     put(out, END);
 }
 
-/// A line that is kept: `$N0=line` (startup line, `kind` is `N`), `$M0=line` (macro, `kind` is `M`).
+/// A stored line: `$N0=line` (startup line, `kind` is `N`) or `$M0=line` (macro, `kind` is `M`).
 pub fn kept_line(out: &mut Text, kind: u8, index: usize, line: &[u8]) {
     put(out, &[b'$', kind]);
     whole(out, index as u64);
@@ -306,14 +308,14 @@ pub fn build_info(out: &mut Text, user: &[u8], letters: &[u8], blocks: usize, rx
     put(out, b"]\r\n");
 }
 
-/// `[FIRMWARE:...]`: who this is, in a line that senders made for Grbl pass over, as they do with grblHAL's.
+/// `[FIRMWARE:...]`: name and version. Senders made for Grbl ignore this line, as they ignore grblHAL's.
 pub fn firmware(out: &mut Text) {
     put(out, b"[FIRMWARE:Oxmill ");
     put(out, RELEASE.version.as_bytes());
     put(out, b"]\r\n");
 }
 
-/// `[AXS:...]` and `[NEWOPT:...]` of `$I+`, in the format of grblHAL: the axes, and what a sender may ask for.
+/// `[AXS:...]` and `[NEWOPT:...]` of `$I+`, in the format of grblHAL: the axes, and the options that a sender may use.
 pub fn more_options(out: &mut Text, axes: usize, options: &[&str]) {
     put(out, b"[AXS:");
     whole(out, axes as u64);
@@ -329,10 +331,10 @@ pub fn more_options(out: &mut Text, axes: usize, options: &[&str]) {
     put(out, b"]\r\n");
 }
 
-/// How places are told: of how many axes, and lengths in which unit. Degrees stay degrees.
+/// Format of printed positions: number of axes, and unit of lengths. Angles stay in degrees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlaceForm {
-    /// X, Y, Z and so on.
+    /// Number of axes: X, Y, Z and so on.
     pub axes: usize,
     /// Lengths are in inches.
     pub inches: bool,
@@ -356,7 +358,7 @@ pub fn parameter<const N: usize>(out: &mut Text, name: &str, place: &PerAxis<Coo
     put(out, b"]\r\n");
 }
 
-/// `[ROT:G54,30.000]`: a coordinate system is turned by so many degrees.
+/// `[ROT:G54,30.000]`: rotation of a coordinate system in degrees.
 pub fn rotation(out: &mut Text, name: &str, degrees: Decimal) {
     put(out, b"[ROT:");
     put(out, name.as_bytes());
@@ -366,7 +368,7 @@ pub fn rotation(out: &mut Text, name: &str, degrees: Decimal) {
     put(out, b"]\r\n");
 }
 
-/// `[TLO:z]`, or `[TLO:x,y,z]` if there is an offset along other axes too.
+/// `[TLO:z]`, or `[TLO:x,y,z]` if there is an offset along other axes.
 pub fn tool_length<const N: usize>(out: &mut Text, offset: &PerAxis<Coordinate, N>, form: PlaceForm) {
     put(out, b"[TLO:");
     let along_z = offset.get(Axis::Z).unwrap_or(Coordinate::ZERO);
@@ -396,22 +398,22 @@ pub fn probe<const N: usize>(out: &mut Text, place: &PerAxis<Coordinate, N>, suc
     put(out, if success { b":1]\r\n" } else { b":0]\r\n" });
 }
 
-/// What `$G` prints.
+/// The contents of `$G`.
 #[derive(Clone, Copy, Debug)]
 pub struct ParserState {
-    /// The words of motion, coordinate system, plane, units, distance mode and feed mode.
+    /// The words for motion, coordinate system, plane, units, distance mode and feed mode.
     pub words: [&'static str; 6],
-    /// G51 acts.
+    /// Scaling is active (G51).
     pub scaling: bool,
-    /// G68 acts.
+    /// Rotation is active (G68).
     pub rotation: bool,
-    /// G64 P acts.
+    /// Path blending is active (G64 P).
     pub blends: bool,
     /// Spindle.
     pub spindle: SpindleDirection,
     /// Coolant.
     pub coolant: Coolant,
-    /// Whether the tool parks: M56.
+    /// Parking is enabled (M56).
     pub parking: bool,
     /// T.
     pub tool: u32,
@@ -473,7 +475,7 @@ fn rate(out: &mut Text, mm_per_minute: f32, inches: bool) {
     if inches { real(out, mm_per_minute / 25.4, 1) } else { real(out, mm_per_minute, 0) }
 }
 
-/// What `?` prints; fields that are `None` are left out.
+/// The contents of a status report; fields that are `None` are omitted.
 #[derive(Clone, Copy, Debug)]
 pub struct Status<const N: usize> {
     /// `Idle`, `Hold:1` and so on.
@@ -484,7 +486,7 @@ pub struct Status<const N: usize> {
     pub offset: PerAxis<Coordinate, N>,
     /// `$10` bit 0: machine position, else work position.
     pub show_machine: bool,
-    /// Free blocks and free received bytes.
+    /// Free blocks, and free bytes of the receive buffer.
     pub buffer: Option<(usize, u16)>,
     /// Line number being executed.
     pub line: Option<u32>,
@@ -496,7 +498,7 @@ pub struct Status<const N: usize> {
     pub pins: Signals,
     /// Whether this report carries `WCO`.
     pub show_offset: bool,
-    /// Overrides in percent (feed, rapid, spindle), and what is running, if this report carries them.
+    /// Overrides in percent (feed, rapid, spindle), spindle direction and coolant, if this report carries them.
     pub overrides: Option<([u8; 3], SpindleDirection, Coolant)>,
 }
 
@@ -581,10 +583,10 @@ fn accessories(out: &mut Text, spindle: SpindleDirection, coolant: Coolant) {
     }
 }
 
-/// Decides which reports carry `WCO` and `Ov`: rarely, as they change rarely.
+/// Decides which reports carry `WCO` and `Ov`. Both change rarely, so most reports omit them.
 ///
-/// `WCO` comes in the first report and then in every 10th (30th while the machine is busy), `Ov` alike (every 10th or
-/// 20th), never both in one report unless the override is due at once; a change makes either due.
+/// `WCO` is in the first report and then in every 10th (every 30th while the machine is busy); `Ov` in every 10th
+/// (every 20th). A change makes the field due. If `WCO` is printed, `Ov` waits for the next report.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RareFields {
     offset_in: u8,
@@ -595,22 +597,22 @@ impl RareFields {
     /// Both are due.
     pub const DUE: RareFields = RareFields { offset_in: 0, overrides_in: 0 };
 
-    /// The work offset has changed.
+    /// Makes `WCO` due after a change.
     pub fn offset_changed(&mut self) {
         self.offset_in = 0;
     }
 
-    /// An override or accessory has changed.
+    /// Makes `Ov` due after a change of an override or an accessory.
     pub fn overrides_changed(&mut self) {
         self.overrides_in = 0;
     }
 
-    /// Whether the next report carries (`WCO`, `Ov`).
+    /// Returns whether the next report carries `WCO` and `Ov`, in this order.
     pub fn next(&mut self, busy: bool) -> (bool, bool) {
         let offset = self.offset_in == 0;
         if offset {
             self.offset_in = if busy { 29 } else { 9 };
-            // One long field a report.
+            // Only one long field in a report.
             self.overrides_in = self.overrides_in.max(1);
         } else {
             self.offset_in -= 1;

@@ -1,5 +1,5 @@
-//! Reads `$` lines: which command it is, with which value, and in which states it is allowed. The command is carried
-//! out in `host::commands`.
+//! Parses `$` lines: returns the command with its value, and the states in which the command is allowed. The commands
+//! are executed in `host::commands`.
 
 use super::line_checksum::is_session;
 use crate::axes::Axis;
@@ -62,19 +62,20 @@ pub enum System<'a> {
     Set(u16, Decimal),
 }
 
-/// In which format settings are described.
+/// Format in which settings are described.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// `$ES`: fields between bars, for programs.
     Fields,
-    /// `$ESG`: comma-separated values, as the table of codes that Grbl comes with.
+    /// `$ESG`: comma-separated values, like the tables of codes that come with Grbl.
     Commas,
-    /// `$ESH`: values between tabs.
+    /// `$ESH`: tab-separated values.
     Tabs,
 }
 
 impl System<'_> {
-    /// The error by which Grbl refuses what it does not have: it takes the letter for the number of a setting.
+    /// Checks whether Grbl has the command. If not, the error is the one that Grbl returns, because it reads the
+    /// command's letter as the number of a setting.
     ///
     /// # Errors
     /// [`Error::BadNumber`], [`Error::InvalidStatement`].
@@ -93,42 +94,42 @@ impl System<'_> {
     }
 }
 
-/// What is put into words.
+/// What `$E..` describes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Described {
-    /// Each setting.
+    /// All settings.
     Settings(Format),
     /// The groups of settings.
     Groups,
-    /// What `error:N` means.
+    /// The meanings of `error:N`.
     Errors,
-    /// What `ALARM:N` means.
+    /// The meanings of `ALARM:N`.
     Alarms,
 }
 
-/// What `$RST` brings back to its default.
+/// What `$RST` resets to defaults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Restore {
     /// The settings.
     Settings,
     /// Coordinate systems, G28 and G30.
     Coordinates,
-    /// Everything, startup lines and build info included.
+    /// Everything, including startup lines and build info.
     All,
 }
 
-/// In which states a `$` command works; asked before the rest of the line is read.
+/// States in which a `$` command is allowed. Checked before the rest of the line is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Allowed {
-    /// Any.
+    /// In any state.
     Always,
-    /// Idle or alarm.
+    /// In idle or alarm.
     AtRest,
-    /// Idle or jog.
+    /// In idle or jog.
     ForJog,
 }
 
-/// The states that a line's command letter allows (the line begins with `$`).
+/// Returns the states in which a line is allowed, by its first letters. The line begins with `$`.
 pub fn allowed(line: &[u8]) -> Allowed {
     match line.get(1) {
         None | Some(b'$' | b'G' | b'C' | b'X' | b'L') => Allowed::Always,
@@ -139,10 +140,10 @@ pub fn allowed(line: &[u8]) -> Allowed {
     }
 }
 
-/// Reads a `$` line (filtered; begins with `$`).
+/// Parses a `$` line (filtered; begins with `$`).
 ///
 /// # Errors
-/// [`Error::InvalidStatement`] for a known command with a wrong rest, [`Error::BadNumber`] for an unknown one.
+/// [`Error::InvalidStatement`] for a known command with an invalid rest, [`Error::BadNumber`] for an unknown command.
 pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
     let rest = line.get(2..).unwrap_or(&[]);
     let alone = |command| if rest.is_empty() { Ok(command) } else { Err(Error::InvalidStatement) };
@@ -193,7 +194,7 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
             }
         }
         Some(b'M') if rest.is_empty() => Ok(System::Macros),
-        // As every letter that is none of Grbl's: no number.
+        // An unknown command, like every letter that Grbl does not have: `BadNumber`.
         Some(b'M') => {
             let (index, line) = numbered(rest).map_err(|_| Error::BadNumber)?;
             Ok(System::SetMacro(usize::from(index), line))
@@ -206,7 +207,7 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
     }
 }
 
-/// Reads what follows `$E`. An unknown rest is an unknown command, as all of them are to Grbl.
+/// Parses the rest of a `$E` line. An unknown rest is an unknown command, as all `$E` commands are in Grbl.
 fn describe(rest: &[u8]) -> Result<System<'_>, Error> {
     Ok(System::Describe(match rest {
         b"" => return Ok(System::Refusal),
@@ -220,8 +221,8 @@ fn describe(rest: &[u8]) -> Result<System<'_>, Error> {
     }))
 }
 
-/// Splits `n=text`. A fraction of `n` is cut off, as Grbl does; a number that no setting can have becomes one that none
-/// has.
+/// Splits `n=text`. A fraction of `n` is truncated, as in Grbl. An `n` out of range becomes `u16::MAX`, which no
+/// setting has.
 fn numbered(text: &[u8]) -> Result<(u16, &[u8]), Error> {
     let Number { value: index, used, .. } = number::read(text, Digits::Exact).ok_or(Error::BadNumber)?;
     let rest = text.get(used..).and_then(|t| t.strip_prefix(b"=")).ok_or(Error::InvalidStatement)?;

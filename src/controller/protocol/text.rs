@@ -1,14 +1,14 @@
-//! Prints numbers without `core::fmt`, which would cost many KiB of flash. The digits are the same on every machine.
+//! Prints numbers without `core::fmt`, which would cost many KiB of flash. Digits are the same on every machine.
 
 use crate::units::Coordinate;
 
-/// The longest piece of text that is made at once: a status report of six axes with every field.
+/// Maximum length of a piece of text, in bytes: a status report of six axes with every field.
 pub const PIECE: usize = 320;
 
-/// A piece of text being made. What does not fit is cut off: [`PIECE`] is sized so that nothing is.
+/// A piece of text under construction. Excess bytes are cut off; [`PIECE`] is large enough for every text.
 pub type Text = heapless::Vec<u8, PIECE>;
 
-/// The end of every line that a host gets.
+/// The end of every line sent to a host.
 pub const END: &[u8] = b"\r\n";
 
 /// Appends bytes.
@@ -37,7 +37,7 @@ pub fn whole(out: &mut Text, value: u64) {
     put(out, digits.get(digits.len() - used..).unwrap_or(&[]));
 }
 
-/// Appends `value` / 10^`places` with that many decimals; `negative` puts the sign, even before a zero.
+/// Appends `value` / 10^`places` with `places` decimals, after a minus sign if `negative` (even before a zero).
 pub fn fixed(out: &mut Text, negative: bool, value: u64, places: u32) {
     if negative {
         put(out, b"-");
@@ -56,22 +56,22 @@ pub fn fixed(out: &mut Text, negative: bool, value: u64, places: u32) {
     }
 }
 
-/// Appends a length: in mm with 3 decimals or in inches with 4, rounded to the nearest. A value that rounds to zero from
-/// below keeps its sign, as in Grbl.
+/// Appends a length: in mm with 3 decimals or in inches with 4, rounded to the nearest. A negative value that rounds to
+/// zero keeps its sign, as in Grbl.
 pub fn length(out: &mut Text, value: Coordinate, inches: bool) {
     let size = value.0.unsigned_abs();
     if inches {
-        // 0.1 nm to 0.0001 inch: 25400 units each.
+        // In units of 0.1 nm, 0.0001 inch is 25,400.
         fixed(out, value.0 < 0, (size + 12_700) / 25_400, 4);
     } else {
         fixed(out, value.0 < 0, (size + 5_000) / 10_000, 3);
     }
 }
 
-/// Appends a real number, not negative, rounded half up. The scaling by hundreds and tens in `f32` is Grbl's, so that
+/// Appends a non-negative real number, rounded half up. Scales by hundreds and tens in `f32` as Grbl does, so that
 /// settings print with the same last digit.
 pub fn real(out: &mut Text, value: f32, places: u32) {
-    // Beyond a thousand the product would lose the last digit, and a value would not read back as itself.
+    // From 1000 up, scaling the whole value would lose the last digit: the printed value would not read back unchanged.
     let whole = if value < 1000.0 { 0 } else { value as u64 };
     let mut scaled = value - whole as f32;
     let mut left = places;

@@ -1,25 +1,25 @@
-//! Records what comes in, with its time, in a ring of RAM pages that survives a reset. Bytes of lines, realtime
-//! commands, inputs and step events are appended as they reach the controller. After a reset the ring is kept for
-//! `$REC`, until the next program starts.
+//! Records everything that the controller receives, with times, in a ring of RAM pages that survives a reset: bytes of
+//! lines, realtime commands, inputs and step events. After a reset the ring is kept for `$REC`, until the next program
+//! starts.
 //!
 //! ```text
-//!  page n-2 ▶ page n-1 ▶ page n ─┐    a page: mark, number, time of its begin, bytes used and their sum, entries
+//!  page n-2 ▶ page n-1 ▶ page n ─┐    a page: mark, number, start time, number of used bytes and their sum, entries
 //!     ▲                          │
-//!     └── the oldest is taken ◀──┘
+//!     └── the oldest is reused ◀─┘
 //! ```
-//! A byte of a line is an entry of one byte; what happens less often has a tag (0x80 and above), and a change of time one of its
-//! own. Each page can be read by itself, so a ring that has gone round begins with a whole entry. An entry is counted when it has
-//! been written: whenever a reset comes, what is there is right.
+//! A byte of a line is an entry of one byte. Rarer entries have a tag (0x80 and above), and a change of time is an
+//! entry with its own tag. Each page can be decoded without the others, so the ring always begins with a whole entry.
+//! An entry counts only when it is completely written, so a reset at any moment leaves a valid ring.
 //!
-//! The bytes of a line are put together first and go to the ring with its end, in front of the controller: a reset leaves out at
-//! most the last bytes of a line that has not ended, which has done nothing yet.
+//! Bytes of a line are gathered first, and written to the ring with the line end, before the controller gets it. So a
+//! reset loses at most the last bytes of an unfinished line, which has had no effect yet.
 //!
-//! RAM without power holds anything: marks, numbers in a row and the sums of the pages tell.
+//! RAM contents are random after power-up: marks, consecutive numbers and sums identify valid pages.
 //!
-//! After a reset the recording of before it is kept and nothing is recorded, until a machine that is not locked gets a line of a
-//! program. `$` lines (a look at the settings, unlocking, jogs, homing) leave it alone.
+//! After a reset, the recording from before the reset is kept and nothing is recorded, until an unlocked machine
+//! receives a line of a program. `$` lines (reading settings, unlocking, jogging, homing) do not end that.
 //!
-//! `?` is not recorded: hosts send it all the time, and it changes nothing.
+//! `?` is not recorded: hosts send it continually, and it changes nothing.
 
 use crate::dispatch::Controller;
 use crate::messages::{
@@ -34,24 +34,25 @@ use core::sync::atomic::{Ordering, compiler_fence};
 /// Bytes of entries in a page.
 const ROOM: usize = 236;
 const OPEN: u32 = u32::from_le_bytes(*b"came");
-/// The recording ends in this page.
+/// Mark of the page in which the recording ends.
 const CLOSED: u32 = u32::from_le_bytes(*b"ends");
 
-/// Bytes of a line that are put together before they go to the ring.
+/// Maximum number of bytes of a line gathered before they are written to the ring.
 const PLAIN: usize = 64;
-/// The time of the end of a line, and the end.
+/// Maximum bytes of a line end with its time entry.
 const LINE_END: usize = 1 + 10 + 1;
 
-/// Longer than from a turn of the control task to where one that fails is ended: the watchdog takes half a second, or two.
+/// Upper bound of the time from a turn of the control task until a failed turn is ended: the watchdog needs half a
+/// second, or two seconds.
 const LONGEST_TURN_US: u32 = 10_000_000;
 
 /// Basis and prime of 32-bit FNV-1a, here applied to whole words.
 const BASIS: u32 = 0x811C_9DC5;
 const PRIME: u32 = 0x0100_0193;
-/// Of the sum of a page: odd, so that a byte that is another one always changes the sum.
+/// Factor in the sum of a page: odd, so that one wrong byte always changes the sum.
 const FACTOR: u32 = 0x9E37_79B1;
 
-/// Tags of entries that are no byte of a line.
+/// Tags of all entries except plain bytes of a line.
 mod tag {
     pub const BYTE: u8 = 0x80;
     pub const TIME: u8 = 0x81;
@@ -71,25 +72,26 @@ mod tag {
     pub const ENDED: u8 = 0x8F;
 }
 
-/// A piece of the ring: 256 bytes, of which any are allowed.
+/// A page of the ring: 256 bytes; every bit pattern is allowed.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct Page {
     mark: u32,
-    /// Counts up from page to page.
+    /// Increases by one from page to page.
     number: u32,
     /// Microseconds since power-up.
     time: u64,
-    /// Bytes used, and in the 24 bits above that number their sum: one word, so that no reset comes between the two.
+    /// Number of used bytes (lower 8 bits) and their sum (upper 24 bits), in one word, so that a reset cannot separate
+    /// them.
     state: u32,
     bytes: [u8; ROOM],
 }
 
 impl Page {
-    /// Nothing in it.
+    /// A page without contents.
     pub const EMPTY: Page = Page { mark: 0, number: 0, time: 0, state: 0, bytes: [0; ROOM] };
 
-    /// Pages as the bytes that lie in RAM (little-endian): for tests of what a reset, or no power, leaves.
+    /// Returns the pages as bytes in RAM (little-endian): for tests of what a reset or a power-up leaves.
     pub fn bytes_of(pages: &[Page]) -> impl Iterator<Item = u8> {
         pages.iter().flat_map(|page| {
             let head = page.mark.to_le_bytes().into_iter().chain(page.number.to_le_bytes());
@@ -97,7 +99,7 @@ impl Page {
         })
     }
 
-    /// The page of 256 bytes.
+    /// Returns the page made from 256 bytes of RAM.
     pub fn of_bytes(bytes: &[u8; 256]) -> Option<Page> {
         let mut rest = Bytes(bytes);
         let (mark, number) = (rest.word()?, rest.word()?);
@@ -105,7 +107,7 @@ impl Page {
         Some(Page { mark, number, time, state: rest.word()?, bytes: rest.some()? })
     }
 
-    /// Whatever is in it passes for what was written.
+    /// Makes the page valid with its present contents, as page `number`.
     pub fn seal(&mut self, number: u32) {
         (self.mark, self.number) = (OPEN, number);
         let used = self.used().min(ROOM);
@@ -118,13 +120,13 @@ impl Page {
         (self.state & 0xFF) as usize
     }
 
-    /// The sum of an empty page.
+    /// Returns the sum of a page without entries.
     fn seed(&self) -> u32 {
         let words = [self.number, self.time as u32, (self.time >> 32) as u32];
         words.iter().flat_map(|word| word.to_le_bytes()).fold(0x5EED, add_to_sum)
     }
 
-    /// The entries, if they are what was written.
+    /// Returns the entries, if the page is valid.
     #[inline(never)]
     fn entries(&self) -> Option<&[u8]> {
         let bytes = self.bytes.get(..self.used()).filter(|_| matches!(self.mark, OPEN | CLOSED))?;
@@ -133,7 +135,7 @@ impl Page {
     }
 
     fn begin(&mut self, number: u32, time: u64) {
-        // While it has no mark, it is no page.
+        // The page is invalid while it has no mark.
         self.mark = 0;
         compiler_fence(Ordering::SeqCst);
         (self.number, self.time) = (number, time);
@@ -142,7 +144,7 @@ impl Page {
         self.mark = OPEN;
     }
 
-    /// All of them, or nothing.
+    /// Appends all bytes, or none if there is no room. Returns whether they were appended.
     #[inline]
     fn append(&mut self, bytes: &[u8]) -> bool {
         let used = self.used();
@@ -153,7 +155,7 @@ impl Page {
             *place = *byte;
             sum = add_to_sum(sum, *byte);
         }
-        // Counted when it is there.
+        // The bytes count only once they are written.
         compiler_fence(Ordering::SeqCst);
         self.state = sum << 8 | end as u32;
         compiler_fence(Ordering::SeqCst);
@@ -166,63 +168,64 @@ fn add_to_sum(sum: u32, byte: u8) -> u32 {
     sum.wrapping_mul(FACTOR).wrapping_add(u32::from(byte))
 }
 
-/// Byte, damage and epoch of a byte, the epoch above the others: plain bytes are a range. Put together as they lie in memory.
+/// Packs epoch, damage and byte into a word, with the epoch highest, so that the plain bytes of an epoch are a range of
+/// words. Before the rotation, the parts are in the order of the fields in memory.
 #[inline(always)]
 fn word_of(byte: LineByte) -> u32 {
     (u32::from(byte.epoch) | u32::from(byte.byte) << 16 | u32::from(byte.damaged) << 24).rotate_left(16)
 }
 
-/// Where reading is.
+/// State of reading the ring.
 #[derive(Clone, Debug)]
 struct Reading {
-    /// Of the page, if there is one more.
+    /// Number of the page being read, if any.
     number: Option<u32>,
     at: usize,
     time: u64,
-    /// The line that is being put together.
+    /// The line being assembled.
     line: heapless::Vec<u8, { Noted::HOST_BYTES }>,
-    /// Stored records that have been told; `None` before the first of what is listed.
+    /// Number of stored records listed so far; `None` once all are listed.
     records: Option<u16>,
     begun: bool,
 }
 
-/// Writes the ring, and reads it. `P` holds the pages.
+/// Writes and reads the ring. `P` holds the pages.
 #[derive(Clone, Debug)]
 pub struct Recorder<P> {
     pages: P,
-    /// The page that is written.
+    /// Index of the page being written.
     slot: usize,
     number: u32,
     time: u64,
-    /// Resets, stops and jog cancels that the controller has been told of, as the epochs of line bytes count them.
+    /// Number of resets, stops and jog cancels passed to the controller, counted as in the epochs of line bytes.
     epoch: u16,
-    /// The least plain byte of a line, as [`word_of`] makes it: see [`Recorder::expect_plain`].
+    /// Lowest plain byte of the current epoch, in the form of [`word_of`]: see [`Recorder::expect_plain`].
     plain_from: u32,
-    /// Bytes that are not in the ring yet: plain ones of a line, or an entry.
+    /// Bytes not yet in the ring: plain bytes of a line, or a time entry.
     next: heapless::Vec<u8, PLAIN>,
-    /// Bytes of older epochs are dropped.
+    /// Epoch of the last reset or stop: bytes of older epochs are dropped.
     reset_epoch: u16,
-    /// A byte that came before its command.
+    /// A byte that arrived before the command that opened its epoch.
     early: Option<u8>,
-    /// What is there is of before the reset, and stays.
+    /// The ring holds the recording from before the reset, which is kept.
     kept: bool,
     /// A line has begun whose bytes are not recorded.
     in_line: bool,
-    /// Something has come since the machine was looked at in rest.
+    /// Something was recorded since the last record of a machine at rest.
     news: bool,
-    /// A replay could begin nowhere but at a state that is yet to come.
+    /// No recorded state can start a replay, so the next state at rest must be recorded.
     wants_standing: bool,
-    /// Hash of all blocks that were handed to the step task since the last stop.
+    /// Hash of all blocks passed to the step task since the last stop.
     blocks: u32,
-    /// What it was when it was recorded last.
+    /// Value of `blocks` when it was last recorded.
     blocks_recorded: u32,
-    /// Number of the page with the last state.
+    /// Number of the page with the latest `Standing` entry.
     standing_in: u32,
     reading: Reading,
 }
 
 impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
-    /// After a reset: what the pages hold of before it is kept, if there is anything.
+    /// Starts after a reset. A recording from before the reset is kept.
     pub fn begin(pages: P, restart: &Restart) -> Self {
         let reading = Reading { number: None, at: 0, time: 0, line: heapless::Vec::new(), records: None, begun: false };
         let mut recorder = Recorder {
@@ -255,17 +258,17 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         recorder
     }
 
-    /// The pages.
+    /// Returns the pages.
     pub fn pages(&self) -> &[Page] {
         self.pages.as_ref()
     }
 
-    /// Whether there is a recording of before the reset.
+    /// Returns whether a recording from before the reset is kept.
     pub fn is_kept(&self) -> bool {
         self.kept
     }
 
-    /// How the program before this one ended is its last entry.
+    /// Keeps the recording, and appends how the previous run ended.
     #[inline(never)]
     fn keep(&mut self, number: u32, restart: &Restart) {
         self.kept = true;
@@ -273,7 +276,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         if self.page(number).is_none_or(|page| page.mark == CLOSED) {
             return;
         }
-        // Its time is that of its last entry.
+        // The time of the recording is that of its last entry.
         self.rewind();
         while self.next_entry().is_some() {}
         self.time = self.reading.time;
@@ -281,7 +284,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         let (mut place, mut line, mut kind) = ([0; 3], 0, Noted::NO_CRASH);
         if let Some(crash) = &restart.crash {
             let passed = crash.moment.wrapping_sub(self.time as u32);
-            // Its moment is that of the turn before, what came last may be of the turn that has failed.
+            // `crash.moment` is the time of the turn before the failed one, so the last entry may be later.
             if passed <= u32::MAX - LONGEST_TURN_US {
                 self.time_to(self.time + u64::from(passed));
             }
@@ -305,7 +308,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         number as usize % self.pages.as_ref().len().max(1)
     }
 
-    /// The page of a number, if it is there.
+    /// Returns the page of this number, if it is valid.
     #[inline(never)]
     fn page(&self, number: u32) -> Option<&Page> {
         let page = self.pages.as_ref().get(self.slot_of(number))?;
@@ -316,11 +319,11 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     fn newest(&self) -> Option<u32> {
         let pages = self.pages.as_ref().iter().enumerate();
         let whole = pages.filter(|(slot, page)| self.slot_of(page.number) == *slot && page.entries().is_some());
-        // What a page of an older round has left is behind; the newest is the one without a next.
+        // Pages left from an older round have lower numbers.
         whole.map(|(_, page)| page.number).max()
     }
 
-    /// Everything is forgotten; what comes is recorded.
+    /// Discards everything and starts recording.
     #[inline(never)]
     fn clear(&mut self, time: u64) {
         for page in self.pages.as_mut() {
@@ -348,21 +351,21 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 
     // Writing
 
-    /// Plain bytes are those of this epoch; while the recording is kept, none are.
+    /// Sets the plain bytes: those of the current epoch, or none while the recording is kept.
     fn expect_plain(&mut self) {
-        // No byte is damaged in this way.
+        // Bit 15 is never set in the word of a byte, so this makes the range empty.
         let kept = u32::from(self.kept) << 15;
         self.plain_from = word_of(LineByte { byte: b' ', epoch: self.epoch, damaged: false }) | kept;
     }
 
-    /// A byte of which nothing else need be known, which nearly all are.
+    /// Gathers a byte if it is plain and there is room. Returns whether it was gathered; nearly all bytes are.
     #[inline(always)]
     fn put_plain(&mut self, byte: LineByte) -> bool {
         let is_plain = word_of(byte).wrapping_sub(self.plain_from) <= u32::from(b'~' - b' ');
         is_plain && self.next.push(byte.byte).is_ok()
     }
 
-    /// What has been put together goes to the ring; all in one page.
+    /// Writes the gathered bytes to the ring, into one page.
     #[inline(never)]
     fn flush(&mut self) {
         for _ in 0..2 {
@@ -374,7 +377,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.next.clear();
     }
 
-    /// An entry lies in one page.
+    /// Writes an entry, into one page.
     #[inline(never)]
     fn put_tagged(&mut self, tag: u8, rest: &[u8]) {
         if !self.next.is_empty() {
@@ -400,7 +403,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
     }
 
-    /// What ends a line has its time.
+    /// Writes a line end, after its time.
     #[inline(always)]
     fn put_end(&mut self, time: u64, byte: u8) {
         if self.time < time {
@@ -413,7 +416,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.time = self.time.max(time);
     }
 
-    /// The entry that time has passed, put to the others.
+    /// Gathers an entry for the passed time.
     #[inline]
     fn put_time(&mut self, time: u64) {
         if self.next.len() > PLAIN - LINE_END {
@@ -434,11 +437,11 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.put_tagged(tag, rest);
     }
 
-    /// Text of an epoch that the controller has taken at `now`. It may be recorded behind that: of what is asked of the
-    /// controller, text changes nothing.
+    /// Records text of an epoch that the controller has taken at `now`. May be called after the controller has taken
+    /// it, because text changes nothing that the recorder reads from the controller.
     #[inline]
     pub fn record_text<const N: usize>(&mut self, now: Instant, epoch: u16, text: &[u8], controller: &Controller<N>) {
-        // All of it is plain.
+        // The whole text is plain.
         let is_expected = word_of(LineByte { byte: b' ', epoch, damaged: false }) == self.plain_from;
         if is_expected && self.next.extend_from_slice(text).is_ok() {
             return;
@@ -451,11 +454,11 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
     }
 
-    /// What the controller is told at `now`. To be called in front of it.
+    /// Records an event for the controller at `now`. To be called before the controller gets it.
     #[inline(always)]
     pub fn record<const N: usize>(&mut self, now: Instant, event: &Event<N>, controller: &Controller<N>) {
         match event {
-            // Nearly all events.
+            // The common case.
             Event::Line(byte) => {
                 if !self.put_plain(*byte) {
                     self.line_byte(now, *byte, controller);
@@ -466,7 +469,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
     }
 
-    /// Behind the line that has just been told more bytes wait.
+    /// Records that more bytes wait after the line just recorded.
     #[inline]
     pub fn more_waits(&mut self) {
         if self.kept {
@@ -502,7 +505,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         if (epoch.wrapping_sub(self.reset_epoch) as i16) < 0 {
             return;
         }
-        // A jog of before a jog cancel moves nothing, as a damaged line does not.
+        // A jog sent before a jog cancel does not move, like a damaged line.
         if damaged || behind > 0 && text == b'$' {
             self.put_entry(now, tag::DAMAGED, &[]);
         }
@@ -511,7 +514,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 
     fn record_byte(&mut self, now: Instant, text: u8) {
         match text {
-            // Of a line, when it ends is what counts.
+            // Of a line, only the time of its end is recorded.
             b'\n' | b'\r' => {
                 self.put_end(now.ticks(), text);
                 self.news = true;
@@ -529,7 +532,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         if let Event::Realtime(Realtime::Reset | Realtime::Stop) = event {
             self.reset_epoch = self.epoch;
         }
-        // Epochs are compared by their signed difference: the older one must not fall behind by half of the range.
+        // Epochs are compared by their signed difference, so the distance must stay below half of the range.
         if self.epoch.wrapping_sub(self.reset_epoch) > EPOCHS {
             self.reset_epoch = self.epoch.wrapping_sub(EPOCHS);
         }
@@ -545,7 +548,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             Event::Step(event) => self.record_step(now, event),
             Event::Signals(sensed) => self.record_inputs(now, sensed),
             Event::Stored | Event::StoreFailed => {
-                // What is stored now was not what the machine began with before.
+                // The stored values have changed, so a replay cannot start from an earlier state.
                 self.wants_standing = true;
                 let stored = matches!(event, Event::Stored);
                 self.put_entry(now, if stored { tag::STORED } else { tag::STORE_FAILED }, &[]);
@@ -575,7 +578,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             StepEvent::Underrun { position, .. } => (3, position),
             StepEvent::Miscounted { position, .. } => (4, position),
         };
-        // How many blocks had been handed over depends on the moment of the stop.
+        // The number of blocks passed before a stop depends on its exact time, so the hash starts again.
         (self.blocks, self.blocks_recorded) = (BASIS, BASIS);
         let mut rest = Rest::new();
         let _ = rest.push(kind);
@@ -583,12 +586,12 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.put_entry(now, tag::STEP, &rest);
     }
 
-    /// A message goes to the step task.
+    /// Adds a message for the step task to the hash.
     #[inline(always)]
     pub fn handed(&mut self, message: &ToStep) {
         if let ToStep::Block { steps_by_axis, directions } = message {
             let mut hash = self.blocks;
-            // Axes that stand are left out: a board may have fewer of them than the machine that plays it.
+            // Axes that do not move are skipped: the machine that replays may have more axes than this board.
             for (axis, number) in steps_by_axis.iter().zip(1..) {
                 if axis.steps() != 0 {
                     hash = (hash ^ axis.word()).wrapping_mul(PRIME) ^ number;
@@ -598,17 +601,17 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
     }
 
-    /// Hash of all blocks that were handed over since the last stop.
+    /// Returns the hash of all blocks passed to the step task since the last stop.
     pub fn blocks(&self) -> u32 {
         self.blocks
     }
 
-    /// For a replay: blocks with this hash have gone before.
+    /// Sets the hash, for a replay that starts after blocks with this hash.
     pub fn follow_blocks(&mut self, blocks: u32) {
         self.blocks = blocks;
     }
 
-    /// Nothing is under way: where the motors are, and now and then the state from which a replay can begin.
+    /// Records a machine at rest: the step counters and, from time to time, a state from which a replay can begin.
     #[inline]
     pub fn at_rest<const N: usize>(&mut self, now: Instant, controller: &Controller<N>) {
         if self.news && !self.kept {
@@ -626,7 +629,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             put_word(&mut rest, self.blocks);
             self.put_entry(now, tag::REST, &rest);
         }
-        // A state in each quarter of the ring.
+        // One state per quarter of the ring.
         let pages = self.pages.as_ref().len() as u32;
         if self.wants_standing || self.number.wrapping_sub(self.standing_in) >= (pages / 4).max(1) {
             self.record_standing(now, controller);
@@ -656,7 +659,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 
     // Reading
 
-    /// From the oldest page on.
+    /// Starts reading at the oldest page.
     #[inline(never)]
     fn rewind(&mut self) {
         let mut oldest = self.number;
@@ -671,8 +674,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.reading = Reading { number, at: 0, time, line: heapless::Vec::new(), records: Some(0), begun: false };
     }
 
-    /// The next piece of a listing, told to `tell`. `board`: its name, and the ticks of its step clock in a second. `record` gives the
-    /// stored records one by one.
+    /// Passes the next piece of a listing to `tell`. `first`: starts the listing. The pair is the board's name and its
+    /// ticks of the step clock per second. `record` returns stored records by index.
     pub fn read(
         &mut self,
         first: bool,
@@ -700,7 +703,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
     }
 
-    /// The next entry; its time is that of the reading.
+    /// Returns the next entry; its time is in `reading`.
     #[inline(never)]
     fn next_entry(&mut self) -> Option<Noted> {
         loop {
@@ -719,11 +722,11 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             };
             let tag = *tag;
             let Some((used, found)) = decode(tag, rest) else {
-                // Nothing that was written.
+                // Not a valid entry.
                 self.reading.number = None;
                 continue;
             };
-            // What else comes may void the part of a line that is there: a reset, the end of a host.
+            // The entry may void the unfinished line (a reset, a disconnected host), so that line is returned first.
             if matches!(found, Found::Noted(_)) && !self.reading.line.is_empty() {
                 return self.take_line();
             }
@@ -747,10 +750,10 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     }
 }
 
-/// What follows a tag.
+/// The bytes of an entry after its tag.
 type Rest = heapless::Vec<u8, ROOM>;
 
-// Called from many places, and seldom: small rather than fast.
+// The following functions have many callers that rarely run: they are optimised for size.
 
 #[inline(never)]
 fn put_bytes(out: &mut Rest, bytes: &[u8]) {
@@ -778,7 +781,7 @@ enum Found {
     Noted(Noted),
 }
 
-/// Bytes of an entry, one after the other.
+/// Unread bytes of an entry.
 struct Bytes<'a>(&'a [u8]);
 
 impl Bytes<'_> {
@@ -809,7 +812,7 @@ impl Bytes<'_> {
     }
 }
 
-/// How many bytes follow the tag, and what it is; `None` if not all are there, or it is nothing.
+/// Returns the number of bytes after the tag, and the decoded entry; `None` if it is incomplete or unknown.
 fn decode(tag: u8, rest: &[u8]) -> Option<(usize, Found)> {
     let mut bytes = Bytes(rest);
     let found = match tag {

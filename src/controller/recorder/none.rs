@@ -1,15 +1,15 @@
-//! Stands in for the recorder on boards whose RAM has no room for it: the same functions, which do nothing.
+//! Replaces the recorder on boards with too little RAM: the same functions, which do nothing.
 
 use crate::dispatch::Controller;
 use crate::messages::{Event, Record, Recorded, Restart, ToStep};
 use crate::units::Instant;
 
-/// There is none.
+/// Placeholder for a page.
 #[derive(Clone, Copy, Debug)]
 pub struct Page;
 
 impl Page {
-    /// There is none.
+    /// Placeholder.
     pub const EMPTY: Page = Page;
 }
 
@@ -18,12 +18,12 @@ impl Page {
 pub struct Recorder<P>(core::marker::PhantomData<P>);
 
 impl<P> Recorder<P> {
-    /// Nothing is kept.
+    /// Returns a recorder that keeps nothing.
     pub fn begin(_pages: P, _restart: &Restart) -> Self {
         Recorder(core::marker::PhantomData)
     }
 
-    /// Nothing is.
+    /// Returns `false`.
     pub fn is_kept(&self) -> bool {
         false
     }
@@ -55,7 +55,7 @@ impl<P> Recorder<P> {
     #[inline(always)]
     pub fn at_rest<const N: usize>(&mut self, _now: Instant, _controller: &Controller<N>) {}
 
-    /// Tells nothing.
+    /// Does nothing.
     #[inline(always)]
     pub fn read(
         &mut self,

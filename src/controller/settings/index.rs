@@ -14,7 +14,7 @@ pub(super) enum Index {
 }
 
 impl Index {
-    /// Of the setting with this number, where so many axes have values.
+    /// Returns the index of the setting with this number, on a machine with `axes` axes.
     pub(super) fn of_number(number: u16, axes: usize) -> Option<Self> {
         if let Some(i) = SCALARS.iter().position(|e| e.number == number) {
             return Some(Self::Scalar(i));
@@ -25,13 +25,13 @@ impl Index {
         })
     }
 
-    /// Of the `line`-th row of `$$` with so many axes in use.
+    /// Returns the index of the `line`-th row of `$$` with `axes` axes in use.
     pub(super) fn of_line(line: usize, axes: usize) -> Option<Self> {
         let Some(line) = line.checked_sub(Key::COUNT) else { return Some(Self::Scalar(line)) };
         Some(Self::PerAxis(line.checked_div(axes)?, *Axis::ALL.get(line.checked_rem(axes)?)?))
     }
 
-    /// The row, if there is one, and the number after `$`, which is that of the axis.
+    /// Returns the row, if there is one, and the number after `$`, which depends on the axis.
     pub(super) fn row(self) -> Option<(&'static Entry, u16)> {
         match self {
             Self::Scalar(i) => SCALARS.get(i).map(|entry| (entry, entry.number)),

@@ -1,28 +1,28 @@
 //! The rows of `$$`, one at a time, for a machine with a given number of axes; also with name and unit, for senders
-//! that ask for descriptions.
+//! that request descriptions.
 
 use super::index::Index;
 use super::row::{Entry, Row};
 use super::table::{AxisKey, Key, PER_AXIS_DESCRIPTIONS, SCALAR_DESCRIPTIONS};
 use super::values::Settings;
 
-/// How many rows `$$` has with so many axes in use.
+/// Returns the number of rows of `$$` with `axes` axes in use.
 pub const fn lines(axes: usize) -> usize {
     Key::COUNT + AxisKey::COUNT * axes
 }
 
 impl<const N: usize> Settings<N> {
-    /// How many lines `$$` has with all axes in use.
+    /// Number of rows of `$$` with all axes in use.
     pub const LINES: usize = lines(N);
 
-    /// The `line`-th row of `$$`: number, value, and how to print it.
+    /// Returns the `line`-th row of `$$`: its entry, number and value.
     pub fn row(&self, line: usize) -> Option<(Entry, u16, f32)> {
         let index = Index::of_line(line, self.axes_in_use())?;
         let (entry, number) = index.row()?;
         Some((*entry, number, self.at(index)?))
     }
 
-    /// What is told of the `line`-th row of `$$` with so many axes in use.
+    /// Returns the `line`-th row of `$$` with its description, with `axes` axes in use.
     pub fn described(line: usize, axes: usize) -> Option<Row> {
         let index = Index::of_line(line, axes)?;
         let (axis, description) = match index {

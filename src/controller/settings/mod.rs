@@ -1,15 +1,16 @@
 //! The `$` settings: their table, their values, and their checks.
 //!
-//! `$$`, the checks of `$n=v` and the documents come from one table. A setting that is legal alone is stored, as senders
-//! restore them one by one; whether the *set* can be run is asked by [`Settings::unrunnable`].
+//! `$$`, the checks of `$n=v` and the documents are made from one table. A value that is valid by itself is stored,
+//! because senders restore settings one by one. [`Settings::unrunnable`] checks whether the machine can run with *all*
+//! of them.
 //!
-//! Calls go down this list and never up:
+//! Each module uses only modules below it in this list:
 //!
-//! * `ranges`: `$n=v`; `listing`: `$$`; `runnable`: whether the machine can run with what is set
-//! * `values`: what the settings are set to, also as they are stored
-//! * `index`: which row a number or a line of `$$` belongs to
+//! * `ranges`: `$n=v`; `listing`: `$$`; `runnable`: whether the machine can run with the settings
+//! * `values`: the values of the settings, and their stored form
+//! * `index`: finds the row for a number or a line of `$$`
 //! * `table`: the rows, and the keys that name them
-//! * `row`: what a row says
+//! * `row`: the contents of a row
 
 mod index;
 mod listing;

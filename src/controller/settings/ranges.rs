@@ -1,5 +1,5 @@
-//! Takes a new value of a setting (`$n=v`): checks it against the range of its row, and refuses it with an error that
-//! says why. Some settings depend on others: soft limits need homing in Grbl's dialect, and go off with it.
+//! Sets a setting (`$n=v`): checks the value against the range of its row, and refuses it with an error that gives the
+//! reason. Some settings depend on others: in Grbl's dialect soft limits need homing, and are switched off with it.
 
 use super::index::Index;
 use super::row::Kind;
@@ -13,23 +13,25 @@ use crate::units::{DECIMAL_ONE, Decimal};
 const HOMING: u16 = Key::Homing.number();
 
 impl<const N: usize> Settings<N> {
-    /// How many axes have settings: those of A may come before `$930`, as a set is restored in any order.
+    /// Returns how many axes have settings. In Oxmill's dialects these are all axes with motors, even before `$930` is
+    /// set, because a set of settings may be restored in any order.
     fn axes_to_set(&self) -> usize {
         if N <= LINEAR || self.value(Key::Dialect) == 0.0 { N.min(LINEAR) } else { self.axes_with_motors() }
     }
 
-    /// What `$number=value` would set: the value in its range, without a fraction that does not count.
+    /// Returns the value that `$number=value` would set: checked, and without a fraction if the setting is a whole
+    /// number.
     ///
     /// # Errors
     /// [`Error::NegativeValue`] below zero, [`Error::InvalidStatement`] for a number that does not exist,
     /// [`Error::SettingOutOfRange`] for a value out of range (in Grbl's dialect [`Error::InvalidStatement`]),
-    /// [`Error::StepPulseTooShort`] for a `$0` out of range, [`Error::SoftLimitNeedsHoming`] for `$20=1` without `$22` in
-    /// Grbl's dialect.
+    /// [`Error::StepPulseTooShort`] for a `$0` out of range, [`Error::SoftLimitNeedsHoming`] for `$20=1` without `$22`
+    /// in Grbl's dialect.
     pub fn accepted(&self, number: u16, value: Decimal) -> Result<f32, Error> {
         self.placed(number, value).map(|(_, value)| value)
     }
 
-    /// Checks and takes over `$number=value`. Nothing is changed when it is refused.
+    /// Checks and sets `$number=value`. A refused value changes nothing.
     ///
     /// # Errors
     /// Those of [`Settings::accepted`].
@@ -43,7 +45,7 @@ impl<const N: usize> Settings<N> {
         Ok(())
     }
 
-    /// The value that would be set, and where.
+    /// Returns the value to be set and its index.
     fn placed(&self, number: u16, value: Decimal) -> Result<(Index, f32), Error> {
         let negative = value < Decimal::ZERO;
         if negative && number != PARKING_PLACE {
@@ -55,7 +57,8 @@ impl<const N: usize> Settings<N> {
         }
         let (entry, _) = index.row().ok_or(Error::InvalidStatement)?;
         let value = self.checked(entry.kind, value)?;
-        // Other dialects take it, so that a set can be restored in any order, and lock motion until homing is on.
+        // Other dialects accept `$20=1` without homing, so that settings can be restored in any order, and lock motion
+        // until homing is on.
         let grbl = self.value(Key::Dialect) == 0.0;
         if number == SOFT_LIMITS && value != 0.0 && !self.is_on(Key::Homing) && grbl {
             return Err(Error::SoftLimitNeedsHoming);
@@ -63,13 +66,13 @@ impl<const N: usize> Settings<N> {
         Ok((index, value))
     }
 
-    /// What a row of this kind makes of a value: in its range, without the fraction where that does not count.
+    /// Checks a value against the range of its kind. Returns it without a fraction if the kind is a whole number.
     fn checked(&self, kind: Kind, value: Decimal) -> Result<f32, Error> {
         let (whole, grbl) = (value.truncate(), self.value(Key::Dialect) == 0.0);
         let value = match kind {
             Kind::Tenths(..) => return self.tenths(kind, value),
             Kind::Switch if grbl && (1..=255).contains(&whole) => 1.0,
-            // Half on is neither on nor off.
+            // A fraction is neither on nor off.
             Kind::Switch if !grbl => value.to_f32(),
             Kind::Real | Kind::Speed | Kind::Place => value.to_f32(),
             _ => whole as f32,
@@ -81,10 +84,10 @@ impl<const N: usize> Settings<N> {
         }
     }
 
-    /// The step pulse in microseconds, in tenths. In Grbl's dialect no fraction counts, and no pulse is shorter than
-    /// 3 us; in others nothing is rounded: what is no whole number of tenths is refused.
+    /// Checks the step pulse. Returns it in microseconds, a multiple of 0.1. Grbl's dialect truncates to whole
+    /// microseconds and refuses less than 3 us. Other dialects do not round: they refuse anything but whole tenths.
     fn tenths(&self, kind: Kind, value: Decimal) -> Result<f32, Error> {
-        /// A tenth as a decimal; 2560 of them fit 32 bits.
+        /// A tenth, as raw [`Decimal`]; 2560 tenths fit 32 bits.
         const TENTH: u32 = (DECIMAL_ONE / 10) as u32;
         let Ok(value) = u32::try_from(value.0) else { return Err(Error::StepPulseTooShort) };
         let (mut tenths, rest) = (value / TENTH, value % TENTH);
@@ -125,7 +128,7 @@ mod tests {
         assert_eq!(s.by_number(102), Some(80.5));
     }
 
-    /// As Grbl reads them: a fraction is cut off. What is 0 or 1 is nothing else; in Grbl's dialect any byte but 0 switches on.
+    /// Fractions are truncated as in Grbl. A switch is 0 or 1; in Grbl's dialect any other byte counts as 1.
     #[test]
     fn whole_numbers_lose_their_fraction_and_switches_are_0_or_1() {
         for (number, thousandths, taken, in_grbl) in [
@@ -168,14 +171,14 @@ mod tests {
         }
     }
 
-    /// `$0` is exact in tenths; what is not is refused, and so is what no board makes.
+    /// `$0` is exact in tenths. Other values are refused, as are pulses that no board can make.
     #[test]
     fn a_step_pulse_is_taken_to_the_tenth_or_not_at_all() {
         let mut s = Settings::<3>::default();
         for tenths in 5..=2550_u16 {
             assert_eq!(set(&mut s, 0, i64::from(tenths) * 100), Ok(()));
             assert_eq!(s.step_pulse_tenths(), tenths);
-            // As it is stored and found again.
+            // As stored and restored.
             let mut other = Settings::<3>::default();
             other.restore(0, f32::from_le_bytes(s.by_number(0).unwrap().to_le_bytes()));
             assert_eq!(other.step_pulse_tenths(), tenths);
@@ -190,7 +193,7 @@ mod tests {
             assert_eq!(set(&mut s, 0, thousandths), Err(error), "{thousandths}");
         }
         assert_eq!(s.step_pulse_tenths(), 2550);
-        // Grbl's dialect has whole microseconds, and cuts off as Grbl does.
+        // Grbl's dialect has whole microseconds, and truncates as Grbl does.
         set(&mut s, 900, 0).unwrap();
         for (thousandths, tenths) in
             [(3_000, Some(30)), (3_999, Some(30)), (255_900, Some(2550)), (2_999, None), (256_000, None)]

@@ -1,5 +1,5 @@
-//! What a row of the table of settings says: number, default, kind of value, and whether Grbl has it; for people also
-//! name, unit, group and labels. The macro here makes table, keys and descriptions from one list.
+//! The contents of a row of the settings table: number, default, kind of value, and whether Grbl has it; and for people
+//! name, unit, group and labels. The macro `table` makes table, keys and descriptions from one list.
 
 use crate::axes::{Axis, LINEAR};
 use crate::error::codes;
@@ -8,29 +8,29 @@ use crate::units::DECIMAL_ONE;
 /// How a value is checked and printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Whole number from `.0` to `.1`; fractions are cut off.
+    /// Whole number from `.0` to `.1`; fractions are truncated.
     Whole(u32, u32),
-    /// Tenths from `.0` to `.1`, printed with a decimal if there is one. In Grbl's dialect whole numbers, fractions cut off.
+    /// Tenths from `.0` to `.1`, printed with a decimal if it is not 0. In Grbl's dialect fractions are truncated.
     Tenths(u32, u32),
-    /// A sum of some of these bits; fractions are cut off.
+    /// A sum of some of these bits; fractions are truncated.
     Mask(u32),
     /// 0 or 1; in Grbl's dialect any other whole number up to 255 counts as 1.
     Switch,
-    /// Not negative, printed with three decimals.
+    /// Not negative; printed with three decimals.
     Real,
-    /// Not negative, printed without decimals.
+    /// Not negative; printed without decimals.
     Speed,
-    /// Any sign, printed with three decimals.
+    /// Of either sign; printed with three decimals.
     Place,
-    /// A set of axes of this machine, bit 0 for X.
+    /// A set of axes of this machine; bit 0 is X.
     Axes,
 }
 
-/// Greatest size of a number: that of the greatest [`Decimal`](crate::units::Decimal).
+/// Maximum magnitude of a number: that of the largest [`Decimal`](crate::units::Decimal).
 const GREATEST: f32 = (i64::MAX / DECIMAL_ONE) as f32;
 
 impl Kind {
-    /// Whether a setting of this kind can have this value, on a machine with these axes.
+    /// Returns whether `value` is valid for a setting of this kind, on a machine with these axes.
     pub(super) fn can_be(self, value: f32, axes: u8) -> bool {
         let whole = value as u32;
         let only = |bits: u32| whole as f32 == value && whole & !bits == 0;
@@ -49,41 +49,41 @@ impl Kind {
     }
 }
 
-/// What the machine needs of a row of the table.
+/// The part of a row that the machine needs.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// The number after `$`. For a setting that exists per axis, the one of X.
+    /// The number after `$`. For a setting that exists per axis, the number for X.
     pub number: u16,
-    /// How it is checked and printed.
+    /// How the value is checked and printed.
     pub kind: Kind,
-    /// Value of a new controller.
+    /// Default value.
     pub default: f32,
-    /// Whether Grbl 1.1h knows the number.
+    /// Whether Grbl 1.1h has a setting of this number.
     pub grbl: bool,
 }
 
-/// What people and senders are told of a row. It is apart from what the machine needs, so that a board without room for it
-/// links none of it.
+/// The description of a row for people and senders. Separate from [`Entry`], so that a board without enough flash does
+/// not link the texts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Description {
-    /// What it is.
+    /// Name of the setting.
     pub name: &'static str,
-    /// In which unit; empty for none.
+    /// Unit; empty for none.
     pub unit: &'static str,
-    /// What it belongs to.
+    /// Group of the setting.
     pub group: SettingGroup,
-    /// What the values 0, 1, 2 and so on choose, or what the bits of a mask mean, from the lowest; commas between. Empty
-    /// for numbers that are quantities.
+    /// Meanings of the values 0, 1, 2 and so on, or of the bits of a mask from the lowest, separated by commas. Empty
+    /// for quantities.
     pub labels: &'static str,
 }
 
-/// Axes by number or bit.
+/// Labels of the axes, by number or bit. [`Description::with_axes`] extends them to all axes of the machine.
 pub(super) const AXIS_LABELS: &str = "X axis,Y axis,Z axis";
-/// As far as any machine may have them.
+/// Labels of all axes that any machine may have.
 pub(super) const ALL_AXIS_LABELS: &str = "X axis,Y axis,Z axis,A axis,B axis,C axis";
 
 impl Description {
-    /// On a machine with so many axes.
+    /// Returns the description for a machine with `axes` axes.
     pub(super) fn with_axes(self, axes: usize) -> Self {
         let labels = match axes {
             0..=LINEAR => AXIS_LABELS,
@@ -94,7 +94,7 @@ impl Description {
         if self.labels == AXIS_LABELS { Self { labels, ..self } } else { self }
     }
 
-    /// Of a setting that exists once for each axis: those that turn have degrees.
+    /// Returns the description of a per-axis setting for one axis: rotary axes have degrees.
     pub(super) fn of_axis(self, axis: Axis) -> Self {
         let unit = match self.unit {
             unit if !axis.is_rotary() => unit,
@@ -109,21 +109,21 @@ impl Description {
     }
 }
 
-/// A row of `$$` as it is told to people and senders.
+/// A row of `$$` with its description, for people and senders.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
     /// The number after `$`.
     pub number: u16,
-    /// The axis, or of homing cycles the one whose place in the order is the number of the cycle.
+    /// The axis of a per-axis setting. For a homing cycle, the axis whose index is that of the cycle.
     pub axis: Option<Axis>,
-    /// What the machine needs of it.
+    /// The part that the machine needs.
     pub entry: Entry,
-    /// What is told of it.
+    /// The description.
     pub description: Description,
 }
 
 codes! {
-    /// What a setting belongs to, for senders that show settings in groups.
+    /// Group of a setting, for senders that show settings in groups.
     SettingGroup;
     General = 1, "General";
     Steppers = 2, "Stepper motors";
@@ -136,11 +136,11 @@ codes! {
     Door = 9, "Safety door and parking";
     GangedAxis = 10, "Axis with two motors";
     Program = 11, "Program";
-    /// The groups of the axes, X to C, have the numbers that follow this one's.
+    /// Groups of the single axes, X to C, have the numbers after this one.
     Axes = 12, "Axes";
 }
 
-/// A table of settings: each row has its key, and its number, name, unit, group, labels, check, default, and whether Grbl
+/// Defines a table of settings. Each row has key, number, name, unit, group, labels, kind, default, and whether Grbl
 /// has it.
 macro_rules! table {
     (
@@ -168,7 +168,7 @@ macro_rules! table {
         }
 
         impl $keys {
-            /// How many there are.
+            /// Number of keys.
             pub const COUNT: usize = [$($keys::$key,)*].len();
         }
     };

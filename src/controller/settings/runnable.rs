@@ -1,5 +1,5 @@
-//! Whether the machine can run with the present settings. Returns the number of the first setting that makes motion
-//! impossible, such as a rate beyond the board's step rate.
+//! Checks whether the machine can run with the present settings. Returns the number of the first setting that makes
+//! motion impossible, such as a rate that needs more than the board's step rate.
 
 use super::table::{AxisKey, Key, SOFT_LIMITS};
 use super::values::Settings;
@@ -7,15 +7,17 @@ use crate::axes::{Arrangement, Axis, LINEAR};
 use crate::step_rates::StepRates;
 use crate::units::StepsPerMm;
 
-/// Rates (mm/min) and accelerations (mm/s²) that motion computes with; they reach far beyond any machine.
+/// Rates that motion can compute with, mm/min: far beyond any machine.
 const RATES: core::ops::RangeInclusive<f32> = 3.0e-5..=6.0e6;
+/// Accelerations that motion can compute with, mm/s²: far beyond any machine.
 const ACCELERATIONS: core::ops::RangeInclusive<f32> = 1.0e-3..=1.0e7;
-/// Jerk, mm/s³. With 1 a move of a millimetre takes three seconds: who sets less has mistaken the unit.
+/// Jerk, mm/s³. With 1 a move of a millimetre takes three seconds: a lower value must be a mistake in the unit.
 const JERKS: core::ops::RangeInclusive<f32> = 1.0..=1.0e10;
-/// Most steps of slack that motion takes up.
+/// Maximum backlash in steps that motion compensates.
 const MOST_BACKLASH: f32 = 10_000.0;
-/// Greatest junction deviation and least arc tolerance, mm.
+/// Maximum junction deviation, mm.
 const GREATEST_DEVIATION: f32 = 1.0e3;
+/// Minimum arc tolerance, mm.
 const LEAST_TOLERANCE: f32 = 1.0e-4;
 /// Number of the step pulse.
 const STEP_PULSE: u16 = Key::StepPulse.number();
@@ -23,11 +25,16 @@ const STEP_PULSE: u16 = Key::StepPulse.number();
 const GANGED_AXIS: u16 = Key::GangedAxis.number();
 
 impl<const N: usize> Settings<N> {
-    /// The number of the first setting that makes the set impossible to run; `None` when motion may run. It may be
-    /// a step pulse (`$0`) shorter than the board makes, as one stored by the firmware of another; no steps/mm, rate or
-    /// acceleration, or a jerk next to none; a step rate (rate × resolution) beyond what the board can keep with a step
-    /// pulse of this length (`$0`): too many pulses a second; a second motor that the board does not have or that CoreXY
-    /// leaves no place for, or A; more axes than the board has motors for.
+    /// Returns the number of the first setting that makes motion impossible, or `None` if motion may run. The reasons
+    /// are:
+    /// * a step pulse (`$0`) shorter than the board can make, for instance stored by the firmware of another board;
+    /// * steps/mm, a rate or an acceleration of zero, or a jerk close to zero;
+    /// * a step rate (rate × resolution) beyond what the board can keep up with at this length of the step pulse
+    ///   (`$0`);
+    /// * a second motor that the board does not have, or for which CoreXY or A leaves no driver;
+    /// * more axes than the board has motors for;
+    /// * soft limits without homing, or a homing or parking cycle that could never end;
+    /// * any other value out of the bounds that motion can compute with.
     pub fn unrunnable(&self, rates: StepRates, has_second_motor: bool) -> Option<u16> {
         let pulse = self.step_pulse_tenths();
         if pulse < rates.least_pulse_tenths {
@@ -42,7 +49,7 @@ impl<const N: usize> Settings<N> {
         let of_axis = Axis::of_machine::<N>().take(in_use).find_map(|axis| {
             let offset = axis.index() as u16;
             let (r, v, a) = (resolution.get(axis)?, rate.get(axis)?, acceleration.get(axis)?);
-            // Along the diagonal one motor of a CoreXY machine turns by both ways.
+            // On a diagonal, one motor of a CoreXY machine makes the sum of both rates.
             let motor_rate = match axis {
                 Axis::X | Axis::Y if core_xy => rate.get(Axis::X)? + rate.get(Axis::Y)?,
                 _ => v,
@@ -61,18 +68,19 @@ impl<const N: usize> Settings<N> {
                 None
             }
         });
-        // The second motor of an axis is the fourth of the board, and so is that of A.
+        // The second motor of an axis uses the board's fourth driver, as A does.
         let cannot = |axis: &Axis| !has_second_motor || in_use > LINEAR || (core_xy && *axis != Axis::Z);
         let ganged = self.ganged_axis().filter(cannot).map(|_| GANGED_AXIS);
         of_axis.or(ganged).or_else(|| self.unrunnable_cycle())
     }
 
-    /// Whether a cycle with this rate might never come to its end: motion does not compute with it.
+    /// Returns whether a cycle at this rate might never end, because motion cannot compute with the rate.
     pub fn crawls(&self, rate: Key) -> bool {
         !RATES.contains(&self.value(rate))
     }
 
-    /// The number of the first setting of a cycle that is switched on and could never come to its end, or of the path.
+    /// Returns the number of the first setting of an enabled cycle that could never end, or of another general setting
+    /// that is out of bounds.
     fn unrunnable_cycle(&self) -> Option<u16> {
         let homing = self.is_on(Key::Homing);
         let parking = homing && self.is_on(Key::Parking);
@@ -142,7 +150,7 @@ mod tests {
         assert_eq!(s.unrunnable(rates(100_000), true), None);
     }
 
-    /// The bounds that `docs/settings.md` names.
+    /// The bounds given in `docs/settings.md`.
     #[test]
     fn each_bound_of_what_can_run_is_where_it_is_said_to_be() {
         let (homing, parking): (&[_], &[_]) = (&[(22, 1)], &[(22, 1), (41, 1)]);
@@ -178,7 +186,7 @@ mod tests {
         for (number, value) in [(110, 12_000), (111, 9_000)] {
             set(&mut s, number, value * 1000).unwrap();
         }
-        // 250 steps/mm: 50,000 and 37,500 steps/s, and along the diagonal of a CoreXY machine 87,500.
+        // 250 steps/mm: 50,000 and 37,500 steps/s; on the diagonal of a CoreXY machine 87,500.
         assert_eq!(s.unrunnable(rates(83_000), true), None);
         set(&mut s, 904, 1000).unwrap();
         assert_eq!(s.unrunnable(rates(83_000), true), Some(110));
@@ -203,7 +211,7 @@ mod tests {
         let three = listed(&s);
         let of_three = Settings::<3>::default();
         assert_eq!(three, (0..Settings::<3>::LINES).map(|line| of_three.row(line).unwrap().1).collect::<Vec<_>>());
-        // A set of settings may come in any order.
+        // Settings may arrive in any order.
         s.set(103, Decimal::from_int(7)).unwrap();
         s.set(44, Decimal::from_int(12)).unwrap();
         assert_eq!((listed(&s), s.homing_cycles().0), (three.clone(), [4, 3, 0, 0]));

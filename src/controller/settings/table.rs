@@ -7,18 +7,18 @@ use crate::axes::Axis;
 const CONTROL: Kind = Kind::Mask(0b1_0100_1111);
 /// Bits of the limit inputs: six axes, and the switch of a second motor.
 const LIMITS: Kind = Kind::Mask(0x7F);
-/// What a fault makes of motion and spindle: see `machine::reaction`.
+/// Reactions of motion and spindle to a fault: see `machine::reaction`.
 const REACTIONS: &str =
     "Stop,Brake,Brake and retract,Stop (spindle on),Brake (spindle on),Brake and retract (spindle on)";
-/// What the bits of the control inputs are.
+/// Labels of the bits of the control inputs.
 const CONTROL_LABELS: &str = "Reset,Feed hold,Cycle start,Safety door,N/A,N/A,Emergency stop,N/A,Driver fault";
-/// What the bits of the limit inputs are.
+/// Labels of the bits of the limit inputs.
 const LIMIT_LABELS: &str = "X axis,Y axis,Z axis,A axis,B axis,C axis,Second motor";
 
 table! {
     /// Settings that exist once.
     SCALARS;
-    /// What is told of the rows of [`SCALARS`].
+    /// Descriptions of the rows of [`SCALARS`].
     SCALAR_DESCRIPTIONS;
     /// Names the rows of [`SCALARS`].
     Key {
@@ -113,13 +113,13 @@ impl Key {
 }
 
 table! {
-    /// Settings that exist for each axis: the number of X; Y has the next one, and so on.
+    /// Settings that exist for each axis, with the number for X; Y has the next number, and so on.
     PER_AXIS;
-    /// What is told of the rows of [`PER_AXIS`].
+    /// Descriptions of the rows of [`PER_AXIS`].
     PER_AXIS_DESCRIPTIONS;
     /// Names the rows of [`PER_AXIS`].
     AxisKey {
-        // The axes of the first homing cycle, the second, and so on: as many cycles as axes. The defaults are in
+        // The axes of the first homing cycle, the second, and so on: as many cycles as axes. Defaults are in
         // `homing_cycle`.
         HomingCycle: 44, "Axes homed in cycle", "mask", Homing, AXIS_LABELS, Kind::Axes, 0.0, false;
         Resolution: 100, "Resolution", "steps/mm", Axes, "", Kind::Real, 250.0, true;
@@ -132,20 +132,20 @@ table! {
 }
 
 impl AxisKey {
-    /// The number after `$` for X; Y has the next one, and so on.
+    /// The number after `$` for X; Y has the next number, and so on.
     #[allow(clippy::indexing_slicing, reason = "there is a row for each")]
     pub const fn number(self) -> u16 {
         PER_AXIS[self as usize].number
     }
 
-    /// The axis that a number belongs to, if it is one of this setting.
+    /// Returns the axis of a number, if the number belongs to this setting.
     pub fn axis(self, number: u16) -> Option<Axis> {
         Axis::ALL.get(usize::from(number.checked_sub(self.number())?)).copied()
     }
 }
 
-/// Axes of the `n`-th homing cycle of a new controller: Z first, out of the way, then X and Y together. Few rotary axes have a
-/// switch.
+/// Returns the default axes of the `n`-th homing cycle: first Z, to clear the work, then X and Y together. Rotary axes
+/// have none, as few have a switch.
 pub(super) const fn homing_cycle(n: usize) -> u8 {
     match n {
         0 => 0b100,

@@ -1,28 +1,28 @@
-//! The values of the settings, with the defaults of a new machine. A setting is read by its key: as a number, switch,
-//! mask or time. Settings with a meaning of their own, such as the homing cycles or the kinematics, have their own
-//! functions.
+//! The values of the settings, initially the defaults of a new machine. A setting is read by its key: as a number,
+//! switch, mask or time. Settings with a special meaning, such as homing cycles or kinematics, have functions of their
+//! own.
 
 use super::index::Index;
 use super::table::{AxisKey, Key, PER_AXIS, SCALARS, SOFT_LIMITS, homing_cycle};
 use crate::axes::{Arrangement, Axis, LINEAR, PerAxis};
 use crate::units::Duration;
 
-/// The values.
+/// The values of all settings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings<const N: usize> {
     scalars: [f32; Key::COUNT],
     per_axis: [PerAxis<f32, N>; AxisKey::COUNT],
-    /// Counts changes: what follows from the values need be computed once for each.
+    /// Counts changes, so that values derived from the settings are computed only once for each.
     revision: u32,
-    /// Axes for which the board has motors, `N` at most.
+    /// Number of axes for which the board has motors, at most `N`.
     present: usize,
 }
 
-/// How `$20=1` is stored while homing is off. As 1 it counts only with homing on, so that the one record of `$22=0` switches
-/// both off, whenever the power is cut.
+/// Stored form of `$20=1` while homing is off. A stored 1 is valid only with homing on. So the single record of `$22=0`
+/// switches off both, even if the power is cut next.
 const BEFORE_HOMING: f32 = 2.0;
 
-/// So many axes, bit 0 for X.
+/// Returns the mask of `axes` axes, bit 0 for X.
 pub(super) const fn axes_mask(axes: usize) -> u8 {
     (1 << axes) - 1
 }
@@ -53,7 +53,7 @@ impl<const N: usize> Settings<N> {
         while i < N {
             settings.per_axis[AxisKey::HomingCycle as usize].0[i] = homing_cycle(i) as f32;
             if i >= LINEAR {
-                // It turns without end.
+                // A rotary axis turns without end.
                 settings.per_axis[AxisKey::Travel as usize].0[i] = 0.0;
             }
             i += 1;
@@ -61,12 +61,12 @@ impl<const N: usize> Settings<N> {
         settings
     }
 
-    /// The defaults of a board that has motors for so many axes.
+    /// The defaults of a board that has motors for `axes` axes.
     pub const fn of_board(axes: usize) -> Self {
         Self { present: if axes < N { axes } else { N }, ..Self::new() }
     }
 
-    /// How many axes the machine has (`$930`). To Grbl's dialect there are three.
+    /// Returns how many axes the machine has (`$930`). In Grbl's dialect there are at most three.
     #[inline]
     pub fn axes_in_use(&self) -> usize {
         if N <= LINEAR || self.value(Key::Dialect) == 0.0 {
@@ -75,45 +75,46 @@ impl<const N: usize> Settings<N> {
         (self.whole(Key::Axes) as usize).clamp(LINEAR, self.axes_with_motors())
     }
 
-    /// How many axes can be in use: those for which the board has motors.
+    /// Returns how many axes can be in use: those for which the board has motors.
     pub(super) fn axes_with_motors(&self) -> usize {
         self.present.max(LINEAR)
     }
 
-    /// A value of the first table.
+    /// Returns a scalar value.
     pub fn value(&self, key: Key) -> f32 {
         self.scalars.get(key as usize).copied().unwrap_or(0.0)
     }
 
-    /// A value of the first table as a whole number.
+    /// Returns a scalar value as a whole number.
     pub fn whole(&self, key: Key) -> u32 {
         self.value(key) as u32
     }
 
-    /// The step pulse (`$0`), tenths of a microsecond.
+    /// Returns the length of the step pulse (`$0`) in tenths of a microsecond.
     pub fn step_pulse_tenths(&self) -> u16 {
         (self.value(Key::StepPulse) * 10.0 + 0.5) as u16
     }
 
-    /// A value of the first table, in seconds, as a time; a day at most.
+    /// Returns a scalar value in seconds as a duration, at most a day.
     pub fn seconds(&self, key: Key) -> Duration {
         let seconds = self.value(key);
         let bounded = if seconds < 86_400.0 { seconds } else { 86_400.0 };
         Duration::from_ticks((bounded * 1.0e6) as u64)
     }
 
-    /// A value of the first table as yes or no.
+    /// Returns whether a scalar value is not 0.
     pub fn is_on(&self, key: Key) -> bool {
         self.value(key) != 0.0
     }
 
-    /// The values of a setting that exists per axis.
+    /// Returns the values of a per-axis setting.
     pub fn axes(&self, key: AxisKey) -> PerAxis<f32, N> {
         self.per_axis.get(key as usize).copied().unwrap_or(PerAxis::all(0.0))
     }
 
-    /// Where the travel of an axis ends in machine coordinates, mm: from minus the travel to the switch at 0; with `$932` from
-    /// where homing ends, at 0, away from the switch. `None` for an axis that turns without end.
+    /// Returns the ends of an axis' travel in machine coordinates, in mm; `None` for an axis that turns without end.
+    /// Usually the travel ends at the switch, at 0. With `$932`, 0 is where homing ends, and the travel extends from
+    /// there away from the switch.
     pub fn ends_of_travel(&self, axis: Axis) -> Option<[f32; 2]> {
         let travel = self.axes(AxisKey::Travel).get(axis).filter(|travel| axis.has_ends(*travel))?;
         if !self.is_on(Key::ZeroAtPullOff) {
@@ -125,24 +126,25 @@ impl<const N: usize> Settings<N> {
         Some(if is_homed_to_negative { [0.0, rest] } else { [-rest, 0.0] })
     }
 
-    /// The axes of each homing cycle, bit 0 for X: those of the machine.
+    /// Returns the axes of each homing cycle, bit 0 for X, limited to the axes of the machine.
     pub fn homing_cycles(&self) -> PerAxis<u8, N> {
         let axes = axes_mask(self.axes_in_use());
         self.axes(AxisKey::HomingCycle).map(|cycle| cycle as u8 & axes)
     }
 
-    /// How the motors move the tool (`$904`).
+    /// Returns how the motors move the tool (`$904`).
     pub fn arrangement(&self) -> Arrangement {
         if self.whole(Key::Kinematics) == 1 { Arrangement::CoreXy } else { Arrangement::Cartesian }
     }
 
-    /// The axis that two motors move (`$905`).
+    /// Returns the axis that two motors move (`$905`).
     pub fn ganged_axis(&self) -> Option<Axis> {
         Axis::ALL.get((self.whole(Key::GangedAxis) as usize).checked_sub(1)?).copied()
     }
 
-    /// Takes over a value that was stored before, if its setting can be set to it in some dialect, and gives whether it can;
-    /// otherwise nothing changes. A number without a setting here is ignored: it may have one in other firmware.
+    /// Restores a stored value. Returns whether the setting can have this value in some dialect; if not, nothing
+    /// changes. A number without a setting here is ignored, and `true` is returned: other firmware may have such a
+    /// setting.
     pub fn restore(&mut self, number: u16, value: f32) -> bool {
         let axes = self.axes_with_motors();
         let index = Index::of_number(number, axes);
@@ -155,14 +157,14 @@ impl<const N: usize> Settings<N> {
         can_be
     }
 
-    /// All stored values have been taken over: soft limits that homing has taken along when it was switched off go.
+    /// Ends restoring: soft limits that were stored with homing on are switched off if homing is off.
     pub fn settle(&mut self) {
         let kept = self.value(Key::SoftLimits) == BEFORE_HOMING || self.is_on(Key::Homing);
         let on = kept && self.is_on(Key::SoftLimits);
         self.put(Index::Scalar(Key::SoftLimits as usize), if on { 1.0 } else { 0.0 });
     }
 
-    /// The value of a setting by its number, for storing.
+    /// Returns the value of a setting in its stored form.
     pub fn by_number(&self, number: u16) -> Option<f32> {
         if number == SOFT_LIMITS && self.is_on(Key::SoftLimits) && !self.is_on(Key::Homing) {
             return Some(BEFORE_HOMING);
@@ -170,8 +172,8 @@ impl<const N: usize> Settings<N> {
         self.at(Index::of_number(number, N)?)
     }
 
-    /// What is to be stored of `$20` before a new `$22`, whose record then changes both at once (`settle`); `None` to leave
-    /// it as it is. `were_on`: soft limits, before that change.
+    /// Returns the value of `$20` to be stored before a new `$22`, whose record then changes both at once (`settle`);
+    /// `None` if the stored `$20` may stay. `were_on`: whether soft limits were on before that change.
     pub fn soft_limits_before_homing(&self, were_on: bool) -> Option<f32> {
         match (self.is_on(Key::Homing), were_on) {
             (true, true) => None,
@@ -180,17 +182,17 @@ impl<const N: usize> Settings<N> {
         }
     }
 
-    /// Changes with each change of a value.
+    /// Returns a number that changes with each change of a value.
     pub fn revision(&self) -> u32 {
         self.revision
     }
 
-    /// Takes over all values of others.
+    /// Replaces all values by those of `others`.
     pub fn replace(&mut self, others: Self) {
         *self = Self { revision: self.revision.wrapping_add(1), present: self.present, ..others };
     }
 
-    /// The value at an index.
+    /// Returns the value at an index.
     pub(super) fn at(&self, index: Index) -> Option<f32> {
         match index {
             Index::Scalar(i) => self.scalars.get(i).copied(),
@@ -198,7 +200,7 @@ impl<const N: usize> Settings<N> {
         }
     }
 
-    /// Another value at an index.
+    /// Sets the value at an index.
     pub(super) fn put(&mut self, index: Index, value: f32) {
         self.revision = self.revision.wrapping_add(1);
         match index {
@@ -254,14 +256,14 @@ mod tests {
             assert_eq!(s.restore(number, value), taken, "${number}={value}");
             assert_eq!(s.by_number(number), if taken && before.is_some() { Some(value) } else { before });
         }
-        // A board has no other motors than its own.
+        // A board only has its own motors.
         let mut s = Settings::<4>::of_board(3);
         assert!(!s.restore(44, 8.0) && s.restore(44, 7.0));
         assert!(s.restore(103, 80.0), "no setting of this board");
         assert_eq!(s.by_number(103), Some(250.0));
     }
 
-    /// The power may go between both records of a change of `$22`.
+    /// The power may be cut between the two records of a change of `$22`.
     #[test]
     fn soft_limits_and_homing_change_at_once() {
         let switch = |on: bool| Decimal::from_int(i32::from(on));
@@ -296,7 +298,7 @@ mod tests {
     }
 
     proptest::proptest! {
-        /// In whatever dialect it was set, and whatever the dialect is when it is restored.
+        /// For each dialect in which a value is set, and each dialect in force when it is restored.
         #[test]
         fn what_can_be_set_is_taken_over(value: i64, shift in 0..64_u32, set_in in 0..3, in_force in 0..3) {
             let of = |dialect| {
@@ -317,7 +319,8 @@ mod tests {
         }
     }
 
-    /// A record is the value in microseconds, as it was when only whole ones could be set: it is read as before.
+    /// The stored form of the step pulse is in microseconds, also for tenths. Records from when only whole microseconds
+    /// were possible are read unchanged.
     #[test]
     fn a_step_pulse_stored_in_whole_microseconds_is_read_as_it_was() {
         for (record, tenths) in

@@ -1,5 +1,6 @@
-//! Feed hold, jog cancel and soft stop: motion brakes, then the job resumes or is forgotten. A hold keeps whether its
-//! spindle was switched on again ([`Hold`]), as its end waits for the speed. Motion also starts here.
+//! Feed hold, jog cancel and soft stop: motion brakes, then the job resumes or is dropped. [`Hold`] records whether the
+//! spindle was switched on again, because the hold then ends only when the spindle is up to speed. Motion is also
+//! started here.
 
 use crate::dispatch::Controller;
 use crate::error::Alarm;
@@ -13,19 +14,19 @@ use crate::units::Instant;
 use crate::work::line::Message;
 use crate::work::task::Task;
 
-/// A feed hold: of the operator, or of the program (M0, a tool change).
+/// A feed hold, by the operator or by the program (M0, a tool change).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Hold {
-    /// The spindle was switched on again in this hold: it turns (`$394`) at this moment at the earliest.
+    /// Set if the spindle was switched on again in this hold: when its spin-up time (`$394`) ends.
     turns_at: Option<Instant>,
-    /// `~` came: the hold ends when the spindle is up to speed.
+    /// `~` was received: the hold ends when the spindle is up to speed.
     leaves: bool,
 }
 
 impl Hold {
     pub(crate) const BEGUN: Hold = Hold { turns_at: None, leaves: false };
 
-    /// When the spindle turns for which the end of the hold waits, at the earliest.
+    /// If the end of the hold waits for the spindle: when its spin-up time ends.
     #[inline]
     pub(crate) fn ends_with_spindle(&self) -> Option<Instant> {
         self.turns_at.filter(|_| self.leaves)
@@ -56,7 +57,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// A hold or a door is over: motion, a dwell or the lines that waited continue.
+    /// Ends a hold or a door: motion, a dwell or waiting lines continue.
     #[inline(never)]
     pub(crate) fn leave_hold(&mut self) {
         self.restore_spindle();
@@ -70,13 +71,13 @@ impl<const N: usize> Controller<N> {
             }
         }
         if self.m.motion.is_idle() {
-            // The drivers have stayed on for the operator, or since the tool was parked.
+            // The drivers have stayed on during the hold, or since the tool was parked.
             self.m.start_idle_delay();
         }
     }
 
-    /// Spindle stop in a hold: at once at rest, and while the machine brakes when it comes to rest; until then a second one
-    /// changes nothing, as in Grbl.
+    /// Toggles the spindle in a hold (0x9E). At rest this acts at once. While the machine brakes, the spindle stops
+    /// when the machine comes to rest; a second command before that changes nothing, as in Grbl.
     pub(crate) fn toggle_spindle(&mut self) {
         self.enter(State::Hold(Hold::BEGUN));
         if !self.m.motion.is_at_rest() {
@@ -89,7 +90,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// A spindle that was stopped in a hold turns again, and a cut waits until it is up to speed.
+    /// Switches a stopped spindle on again. In a hold, the next cut then waits until the spindle is up to speed.
     pub(crate) fn restore_spindle(&mut self) {
         if self.m.accessories.restore() {
             self.m.replies.overrides_changed();
@@ -105,7 +106,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// `~` in a hold: the end waits for a spindle that was switched on again.
+    /// Ends a hold at `~`, or waits first for a spindle that was switched on again.
     pub(crate) fn end_hold(&mut self) {
         self.restore_spindle();
         match self.state {
@@ -120,7 +121,7 @@ impl<const N: usize> Controller<N> {
         self.m.now < turns_at || !self.has_speed()
     }
 
-    /// No beam while the machine waits.
+    /// Switches a laser off while the machine waits.
     pub(crate) fn darken_laser(&mut self) {
         if self.m.settings.is_on(Key::Laser) && self.m.accessories.is_on() {
             self.m.accessories.suspend();
@@ -128,21 +129,21 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Brakes to a stop and forgets the job; the position stays true.
+    /// Brakes to a stop and drops the job; the position stays true. `locked`: then locks the machine.
     pub(crate) fn stop_softly(&mut self, locked: bool) {
         if matches!(self.state, State::Homing(_)) {
             self.m.stops.order(StopReason::Alarm(Alarm::HomingReset));
             return;
         }
         if let State::Door(door) = &mut self.state {
-            // The door comes first; the job is forgotten when it is closed.
+            // The door takes precedence; the job is dropped when the door is closed.
             return door.stop_job();
         }
         let going = matches!(self.state, State::Normal | State::Jog { .. } | State::Hold(_));
         if going && (!self.m.motion.is_idle() || !self.task.is_none() || locked || !matches!(self.state, State::Normal))
         {
             if self.is_spinning_up() {
-                // No cut waits any more for a spindle that is getting up.
+                // The cut for which the spindle is spinning up is dropped.
                 self.m.accessories.stop_spindle();
             }
             self.m.motion.hold();
@@ -152,8 +153,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// A refused line ends the job, if that is wanted, or if the operator would have been asked for another tool by it: what
-    /// follows is meant for that one.
+    /// Ends the job at a refused line, if the settings say so, or if the line would have prompted the operator for
+    /// another tool (`asks_for_tool`): the lines after it are meant for that tool.
     pub(crate) fn stop_at_error(&mut self, asks_for_tool: bool) {
         let lacks_tool = asks_for_tool && self.m.prompts_for_tools() && self.dialect() != Dialect::Grbl;
         if matches!(self.state, State::Normal) && (lacks_tool || self.m.settings.is_on(Key::StopOnError)) {
@@ -169,8 +170,8 @@ impl<const N: usize> Controller<N> {
         self.m.probe.break_off();
         self.m.interpreter.set_position(self.m.motion.machine_position());
         self.m.start_idle_delay();
-        // A beam must not rest on one point, a locked machine does not turn, and no cut waits any more for a spindle that is
-        // getting up; else the spindle stays as it is.
+        // A laser must not burn one point, the spindle of a locked machine must not turn, and a spindle that spins up
+        // for a dropped cut has no use. In all other cases the spindle stays as it is.
         let turns = !self.m.accessories.is_suspended() && !self.task.waits_for_spindle();
         if locked || !turns || self.m.settings.is_on(Key::Laser) {
             self.m.accessories.stop_spindle();
@@ -198,15 +199,16 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Jog { cancelling: true });
     }
 
-    /// A hold or a door has no epoch of its own: of what has been received by now no jog shall move any more. In Grbl's
-    /// dialect only a jog that moves ends with those behind it.
+    /// Voids all jogs received by now, because a hold or a door starts no epoch of its own. In Grbl's dialect, a hold
+    /// or a door voids them only while a jog moves.
     pub(crate) fn forget_received_jogs(&mut self) {
         if self.dialect() != Dialect::Grbl || matches!(self.state, State::Jog { .. }) {
             self.m.lines.end_received_jogs(self.m.step_supply.observed().received);
         }
     }
 
-    /// A jog that has come to its end leaves the position at its target, not at the step next to that: small jogs add up.
+    /// Ends a jog. Unless cancelled, it leaves the position at its exact target, not at the nearest step, so that small
+    /// jogs add up.
     #[inline(never)]
     pub(crate) fn end_jog(&mut self, cancelled: bool) {
         if cancelled {

@@ -1,6 +1,5 @@
-//! How a reset and an alarm leave the machine. Every power-up and reset ends here: the host is greeted, inputs are
-//! checked, and the startup lines begin unless the machine is locked. Also hands changed settings on to motion and
-//! inputs.
+//! The machine after a reset or an alarm. Every power-up and reset ends here: the host is greeted, inputs are checked,
+//! and the startup lines begin unless the machine is locked. Also passes changed settings on to motion and inputs.
 
 use crate::dispatch::Controller;
 use crate::error::Alarm;
@@ -17,7 +16,7 @@ use crate::work::line::Message;
 use crate::work::task::Task;
 
 impl<const N: usize> Controller<N> {
-    /// What every power-up and reset ends with.
+    /// Completes every power-up and reset.
     pub(crate) fn initialise(&mut self) {
         self.m.pins.drive(GangedMotors::Both);
         let mark = self.m.motion.begun_mark();
@@ -62,7 +61,7 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Alarm(Some(alarm)));
     }
 
-    /// Homing has ended in an alarm: announced, answered, and then as after a reset.
+    /// Ends a failed homing: reports the alarm, answers the command, and continues as after a reset.
     pub(crate) fn fail_homing(&mut self, alarm: Alarm) {
         self.m.motion.discard();
         self.m.reference.lose();
@@ -73,7 +72,7 @@ impl<const N: usize> Controller<N> {
         self.initialise();
     }
 
-    /// Hands changed settings to the rooms that keep numbers derived from them. Only at rest.
+    /// Passes changed settings to the parts that keep values derived from them. Call only at rest.
     pub(crate) fn reconfigure(&mut self) {
         self.m.inputs.configure(&self.m.settings);
         self.m.interpreter.set_axes(self.m.settings.axes_in_use());
@@ -82,11 +81,11 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// What Grbl makes of a slower feed, mm/min.
+/// Minimum feed in Grbl's dialect, mm/min: Grbl raises slower feeds to it.
 const GRBL_LEAST_FEED: f32 = 1.0;
 
-/// The settings as motion wants them. A resolution that cannot be used is taken as 1: motion is locked until
-/// it is mended (`Settings::unrunnable`).
+/// Converts the settings for motion. A resolution that cannot be used counts as 1: motion is locked until it is
+/// corrected (`Settings::unrunnable`).
 fn motion_settings<const N: usize>(settings: &Settings<N>, step_clock_hz: u32) -> MotionSettings<N> {
     MotionSettings {
         arrangement: settings.arrangement(),

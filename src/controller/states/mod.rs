@@ -1,6 +1,7 @@
-//! The states of the machine and the table of which may follow which. A state keeps what it alone needs ([`Homing`],
-//! [`Door`], [`Hold`], the alarm of a lock); whatever outlives a state belongs to [`Machine`](crate::parts::Machine).
-//! [`Controller::enter`] is the only place that enters a state; what a state keeps changes within it.
+//! The states of the machine and the table of which may follow which. A state holds the data that only it needs
+//! ([`Homing`], [`Door`], [`Hold`], the alarm of a lock); data that outlives a state belongs to
+//! [`Machine`](crate::parts::Machine). Only [`Controller::enter`] enters a state; the data of a state changes within
+//! it.
 //!
 //! ```text
 //!            $X, $H ok                 !, M0                      ~
@@ -12,7 +13,8 @@
 //!   Braking (0x19, a refused line with $901, a fault): brakes, then Normal, Alarm or Critical
 //!                  Sleep ◀── $SLP (only a reset leaves it, to Alarm)
 //! ```
-//! `Idle` and `Run` are both [`State::Normal`]: whether something moves is asked of `motion`, so the two cannot disagree.
+//! `Idle` and `Run` are both [`State::Normal`]: only `motion` knows whether something moves, so the two cannot
+//! disagree.
 
 pub(crate) mod door;
 mod hold;
@@ -29,47 +31,47 @@ pub(crate) use homing::Homing;
 /// What the machine is doing.
 #[allow(clippy::large_enum_variant, reason = "there is one, in a static place; boxes do not exist here")]
 #[derive(Clone, Debug)]
-// The tag is asked for before each output: a byte of its own, not folded into the data of a mode.
+// The tag is read before each output: `repr(u8)` makes it a separate byte, not folded into a variant's data.
 #[repr(u8)]
 pub(crate) enum State<const N: usize> {
     /// Program lines are executed.
     Normal,
-    /// A jog is moving. `cancelling`: it is braking and will be forgotten.
+    /// A jog is moving.
     Jog {
-        /// Braking because of 0x85 or `!`.
+        /// Braking because of 0x85 or `!`; the rest of the jog is then dropped.
         cancelling: bool,
     },
     /// Feed hold: braking or at rest; only `~` resumes.
     Hold(Hold),
     /// The homing cycle runs.
     Homing(Homing<N>),
-    /// Braking; then everything queued is forgotten.
+    /// Braking; at rest everything queued is dropped.
     Braking {
         /// What follows at rest.
         then: AfterBraking,
     },
     /// Safety door.
     Door(Door),
-    /// Locked until `$X`, `$H` or a reset; by an alarm, or because the machine has not been homed or looked at.
+    /// Locked until `$X`, `$H` or a reset: by an alarm, or (`None`) because the machine has not been homed or checked.
     Alarm(Option<Alarm>),
     /// Locked by a hard or soft limit or an emergency: only a reset helps.
     Critical(Alarm),
     /// Lines are checked and not executed.
     Check,
-    /// Everything is off until a reset; with the alarm that it was locked by.
+    /// Everything is off until a reset. Keeps the alarm that had locked the machine.
     Sleep(Option<Alarm>),
 }
 
-/// What a state makes of what it has been asked to do.
+/// Result of a step of homing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Next {
-    /// What it waits for is not over.
+    /// The event that homing waits for has not happened yet.
     Wait,
-    /// It goes on.
+    /// Homing continues.
     Stay,
-    /// All axes that were to be homed are: Idle, and the startup lines run.
+    /// All requested axes are homed: Idle, and the startup lines run.
     Homed,
-    /// Locked, as after a reset.
+    /// Homing failed: locked, as after a reset.
     HomingFailed(Alarm),
 }
 
@@ -87,7 +89,7 @@ pub(crate) enum AfterBraking {
 }
 
 impl AfterBraking {
-    /// The alarm that comes.
+    /// The alarm that follows, if any.
     pub fn alarm(self) -> Option<Alarm> {
         match self {
             AfterBraking::Alarm(alarm) | AfterBraking::Retract(alarm) => Some(alarm),
@@ -97,7 +99,7 @@ impl AfterBraking {
 }
 
 impl<const N: usize> State<N> {
-    /// Whether one may follow the other: the table of the states. `tests/safety/states.rs` says at which event.
+    /// Returns whether `next` may follow this state. `tests/safety/states.rs` lists the events.
     pub(crate) fn may_become(&self, next: &Self) -> bool {
         use State::{Alarm, Braking, Check, Critical, Door, Hold, Homing, Jog, Normal, Sleep};
         match (self, next) {
@@ -115,7 +117,7 @@ impl<const N: usize> State<N> {
         }
     }
 
-    /// Whether what is under way waits: motion, a dwell, the lines behind it.
+    /// Whether the current work (motion, a dwell, the lines after it) is suspended.
     pub fn is_suspended(&self) -> bool {
         matches!(self, State::Hold(_) | State::Braking { .. } | State::Door(_) | State::Sleep(_) | State::Critical(_))
     }
@@ -131,7 +133,7 @@ impl<const N: usize> State<N> {
         matches!(self, State::Normal | State::Jog { .. } | State::Alarm(_) | State::Check)
     }
 
-    /// Whether nothing but a reset helps, with which all lines received before it are void.
+    /// Whether only a reset helps. The reset will void all lines received before it.
     pub fn waits_for_reset(&self) -> bool {
         matches!(self, State::Sleep(_) | State::Critical(_))
     }
@@ -141,7 +143,7 @@ impl<const N: usize> State<N> {
         matches!(self, State::Alarm(_) | State::Critical(_))
     }
 
-    /// The alarm that holds, if any.
+    /// The active alarm, if any.
     pub fn alarm(&self) -> Option<Alarm> {
         match self {
             State::Alarm(alarm) | State::Sleep(alarm) => *alarm,
@@ -150,8 +152,8 @@ impl<const N: usize> State<N> {
         }
     }
 
-    /// The state as `?` names it. `at_rest`: nothing moves; `running`: a program's motion is under way; `door_open`: the
-    /// door input is active.
+    /// Returns the state's name in the report for `?`. `at_rest`: nothing moves; `running`: a program's motion is in
+    /// progress; `door_open`: the door input is active.
     pub fn name(&self, at_rest: bool, running: bool, door_open: bool) -> &'static str {
         match self {
             State::Normal if running => "Run",
@@ -170,7 +172,7 @@ impl<const N: usize> State<N> {
 }
 
 impl<const N: usize> Controller<N> {
-    /// The only place in which another state is entered.
+    /// Enters a state; nothing else does.
     pub(crate) fn enter(&mut self, next: State<N>) {
         debug_assert!(self.state.may_become(&next), "{:?} to {:?}", self.state, next);
         self.state = next;

@@ -53,7 +53,7 @@ fn a_gap_in_a_line_refuses_that_line_only() {
     // The gap is at the beginning of a line, or just before its end.
     assert_eq!(with_gap("G21\n~X1\nG90\n"), format!("ok\r\n{lost}error:11\r\nok\r\n"));
     assert_eq!(with_gap("G21~\nG90\n"), format!("{lost}error:11\r\nok\r\n"));
-    // Several gaps: said once for each line.
+    // Several gaps: reported once for each line.
     assert_eq!(with_gap("G2~1 ~X~1\n~G9~0\n"), format!("{lost}error:11\r\n{lost}error:11\r\n"));
 }
 
@@ -65,6 +65,6 @@ fn a_gap_before_a_line_end_is_not_within_cr_lf() {
 #[test]
 fn a_cut_forgets_what_has_come_of_a_line() {
     assert_eq!(with_gap("G21\nG99 X\x18G90\n"), "ok\r\nok\r\n");
-    // A line end of another host, and one of this one.
+    // The CR is of the host before the cut, the LF of the host after it: two line ends.
     assert_eq!(with_gap("G21\r\x18\nG90\n"), "ok\r\nok\r\nok\r\n");
 }

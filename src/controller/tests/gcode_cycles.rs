@@ -10,7 +10,7 @@ use oxmill_controller::units::Coordinate;
 const CLEARANCE: Coordinate = Coordinate(2_540_000);
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 
-/// What a checked line does after `before`.
+/// Returns the steps of a checked line that starts at `before`.
 fn steps_of(checked: &Action<3>, mut before: [f64; 3]) -> Vec<String> {
     let MotionCommand::Cycle(mut cycle) = checked.motion else { panic!("no cycle") };
     let mut list = Vec::new();
@@ -44,7 +44,7 @@ fn steps_of(checked: &Action<3>, mut before: [f64; 3]) -> Vec<String> {
     list
 }
 
-/// Runs a line and compares what it does.
+/// Runs a line and compares its steps with `expected`.
 fn expect(program: &mut Program, line: &str, expected: &str) {
     let before = program.machine();
     let checked = program.run(line);
@@ -52,7 +52,7 @@ fn expect(program: &mut Program, line: &str, expected: &str) {
     assert_eq!(steps_of(&checked, before), expected, "{line}");
 }
 
-/// At X1 Y1 Z10, the spindle turns.
+/// Returns a program at X1 Y1 Z10 with the spindle on.
 fn ready(dialect: Dialect) -> Program {
     let mut program = Program::new(dialect);
     program.run_all("G21 G90 G98 F300\nM3 S100\nG0 X1 Y1 Z10");
@@ -103,9 +103,9 @@ fn g83_leaves_the_hole_after_each_peck() {
         ),
         // The last peck is a whole one.
         ("X5 Z-4", "r 5 3 10, r 5 3 2, f 5 3 -1, r 5 3 2, r 5 3 -0.746, f 5 3 -4, r 5 3 10"),
-        // One peck is enough.
+        // A Q that is deeper than the hole: one peck.
         ("X6 Q7", "r 6 3 10, r 6 3 2, f 6 3 -4, r 6 3 10"),
-        // Above the ground of a first peck that is shorter than the clearance lies R: no higher.
+        // The first peck is shorter than the clearance: the tool is drawn back to R, and no higher.
         (
             "G99 X7 Z1.5 R2 Q0.2",
             "r 7 3 10, r 7 3 2, f 7 3 1.8, r 7 3 2, f 7 3 1.6, r 7 3 2, r 7 3 1.854, f 7 3 1.5, r 7 3 2",
@@ -124,7 +124,7 @@ fn g73_backs_off_after_each_peck() {
     ]);
 }
 
-/// At the feed rate to R only, the rest is a rapid.
+/// The tool retracts at the feed rate up to R, and by a rapid beyond.
 #[test]
 fn g85_feeds_out_to_r() {
     play(&[
@@ -146,7 +146,7 @@ fn g88_pauses_at_the_bottom() {
     play(&[("G88 X6 Z-1 R2 P1", "r 6 1 10, r 6 1 2, f 6 1 -1, dwell 1, stop, pause, r 6 1 10, turn")]);
 }
 
-/// At the feed rate to the clear level, past R.
+/// The tool retracts at the feed rate to the clear level, past R.
 #[test]
 fn g89_feeds_out_all_the_way() {
     play(&[
@@ -160,7 +160,7 @@ fn levels_of_g98_and_g99() {
     play(&[
         ("G99 G81 X2 Z-1 R2", "r 2 1 10, r 2 1 2, f 2 1 -1, r 2 1 2"),
         ("X3", "r 3 1 2, f 3 1 -1, r 3 1 2"),
-        // The level is where the series began, also under another cycle word.
+        // The clear level is where the series began, also under another cycle word.
         ("G98 X4", "r 4 1 2, f 4 1 -1, r 4 1 10"),
         ("G99 G82 X5 Z-1 R3 P0", "r 5 1 10, r 5 1 3, f 5 1 -1, dwell 0, r 5 1 3"),
         ("G98 X6", "r 6 1 3, f 6 1 -1, dwell 0, r 6 1 10"),
@@ -173,7 +173,7 @@ fn levels_of_g98_and_g99() {
     ]);
 }
 
-/// What G98 clears it clears with the next tool, too: the level and the R of G91 belong to the tip.
+/// G98 clears the same obstacles with the next tool: the clear level, and the R of G91, belong to the tool's tip.
 #[test]
 fn a_longer_tool_goes_back_to_a_higher_level() {
     play(&[
@@ -184,13 +184,14 @@ fn a_longer_tool_goes_back_to_a_higher_level() {
         ("G49 G81 X4 Z-1 R2", "r 4 1 15, r 4 1 2, f 4 1 -1, r 4 1 10"),
         ("G91 G43 H2 G81 X1 Z-1 R-3", "r 4 1 12, r 5 1 12, f 5 1 11, r 5 1 15"),
         ("G49 X1", "r 6 1 15, r 6 1 7, f 6 1 6, r 6 1 10"),
-        // In the line with which a series begins nothing has been cleared yet.
+        // A change of tool length in the first line of a series does not move the clear level: nothing has been cleared
+        // yet.
         ("G90 G0 Z10", ""),
         ("G43 H2 G81 X7 Z-1 R2", "r 7 1 10, r 7 1 7, f 7 1 4, r 7 1 10"),
     ]);
 }
 
-/// As in LinuxCNC: its `rs274`, asked line by line, drills from and to the same levels before and behind M2.
+/// As in LinuxCNC: its `rs274`, fed line by line, drills from and to the same levels before and after M2.
 #[test]
 fn the_end_of_a_program_leaves_the_retract_mode() {
     for end in ["M2", "M30"] {
@@ -228,9 +229,9 @@ fn incremental_words_and_repetitions() {
             "G91 G81 X2 Y1 Z-3 R-2 L3",
             "r 3 2 10, r 3 2 8, f 3 2 5, r 3 2 10, r 5 3 10, r 5 3 8, f 5 3 5, r 5 3 10, r 7 4 10, r 7 4 8, f 7 4 5, r 7 4 10",
         ),
-        // L does not stick.
+        // L is not modal.
         ("X1", "r 8 4 10, r 8 4 8, f 8 4 5, r 8 4 10"),
-        // What sticks are the numbers.
+        // The numbers are modal, as they were written.
         ("G90 X9", "r 9 4 10, r 9 4 -2, f 9 4 -3, r 9 4 10"),
         ("X8 L2", "r 8 4 10, r 8 4 -2, f 8 4 -3, r 8 4 10, r 8 4 -2, f 8 4 -3, r 8 4 10"),
     ]);
@@ -247,7 +248,7 @@ fn other_planes() {
     play(&[
         ("G18 G81 X5 Z-1 Y-3 R1", "r 5 1 -1, f 5 -3 -1, r 5 1 -1"),
         ("Z2", "r 5 1 2, f 5 -3 2, r 5 1 2"),
-        // In another plane another word is the depth: nothing sticks.
+        // In another plane another word is the depth: no word stays in force.
         ("G19 G81 X-7 R6 Z4", "r 6 1 2, r 6 1 4, f -7 1 4, r 6 1 4"),
         ("Y9", "r 6 9 4, f -7 9 4, r 6 9 4"),
     ]);
@@ -333,7 +334,7 @@ fn what_is_refused() {
         assert_eq!(program.error("X2 R-5"), 54);
         assert_eq!(program.error("R2"), 36);
         expect(&mut program, "X2", "r 2 0 1, f 2 0 -1, r 2 0 1");
-        // Words stick under the same cycle word only.
+        // Words stay in force only under the same cycle word.
         assert_eq!(program.error("G85 X5 Z-1"), 28);
         assert_eq!(program.error("G85 X5 R1"), 28);
         program.run("G1 X3");
@@ -344,7 +345,7 @@ fn what_is_refused() {
     }
 }
 
-/// Grbl's dialect knows none of the words.
+/// Grbl's dialect has none of these words.
 #[test]
 fn grbl_has_no_cycles() {
     let program = ready_in_grbl();

@@ -1,5 +1,5 @@
-//! The worked examples of the document that the project began with: where each leads to, and what becomes of the places
-//! where the document and Grbl or NIST disagree.
+//! The worked examples of the document with which the project began: the result of each, and the behaviour where the
+//! document disagrees with Grbl or NIST.
 
 use crate::program::{DIALECTS, Program, in_mm, target, via};
 use oxmill_controller::gcode::{
@@ -8,7 +8,7 @@ use oxmill_controller::gcode::{
 use oxmill_controller::messages::SpindleDirection;
 use oxmill_controller::units::Duration;
 
-/// A program whose start is at a machine position.
+/// Returns a program that starts at a machine position.
 fn at(dialect: Dialect, place: &str) -> Program {
     let mut program = Program::new(dialect);
     program.run(&format!("G53 G0 {place}"));
@@ -74,8 +74,8 @@ fn non_modal_commands_3_g10_l20() {
     }
 }
 
-/// The document takes the second G92 for the inverse of the first. It sets the present place to the new values; what
-/// undoes G92 is G92.1.
+/// The document takes the second G92 for the inverse of the first. In fact G92 sets the current position to the new
+/// values; G92.1 undoes G92.
 #[test]
 fn non_modal_commands_4_g92() {
     for dialect in DIALECTS {
@@ -142,7 +142,7 @@ fn the_house() {
     }
 }
 
-/// One line with all that has an order: feed mode, F, S, spindle, dwell, plane, system, distance, motion, stop.
+/// One line with all words that have an order: feed mode, F, S, spindle, dwell, plane, system, distance, motion, stop.
 #[test]
 fn order_within_a_line() {
     for dialect in DIALECTS {
@@ -159,7 +159,7 @@ fn order_within_a_line() {
         // The offset is set before the motion mode changes and nothing moves: axis words belong to G92.
         let offset = program.run("G92 X0 M2");
         assert_eq!((offset.motion, offset.flow), (MotionCommand::None, Flow::End));
-        // M2 has gone back to G54, where G92 holds as well: it was computed in G55.
+        // M2 has returned to G54. G92, which was computed in G55, holds there as well.
         assert_eq!(g92(&program), [7.0, 0.0, 0.0]);
         assert_eq!(program.work(), [100.0, 0.0, 2.0]);
     }
@@ -170,7 +170,7 @@ fn g0_and_g1() {
     for dialect in DIALECTS {
         let mut program = at(dialect, "X3 Y4 Z5");
         assert_eq!(target(&program.run("G0 X0 Y0 Z0")), [0.0, 0.0, 0.0]);
-        // The document has `G92 G0 X0 Y0 Z0`: two commands want the axis words.
+        // The document has `G92 G0 X0 Y0 Z0`: two commands need the axis words.
         assert_eq!(program.error("G92 G0 X0 Y0 Z0"), 24);
         assert_eq!(target(&program.run("G1 X20 Y15 F200")), [20.0, 15.0, 0.0]);
         assert_eq!(target(&program.run("G91 G1 X20 Y15 F200")), [40.0, 30.0, 0.0]);
@@ -193,7 +193,7 @@ fn arcs_by_radius() {
         assert_eq!(centre(&program.check("G02 X10 Y10 R-10 F50").unwrap()), [0.0, 10.0]);
         assert_eq!(centre(&program.check("G03 X10 Y10 R10 F50").unwrap()), [0.0, 10.0]);
         assert_eq!(centre(&program.check("G03 X10 Y10 R-10 F50").unwrap()), [10.0, 0.0]);
-        // One coordinate may be left out; a full circle cannot be had by radius.
+        // One coordinate may be omitted. A full circle cannot be written in radius format.
         assert_eq!(centre(&program.check("G02 X20 R10 F50").unwrap()), [10.0, 0.0]);
         assert_eq!(program.error("G02 X0 Y0 R10 F50"), 33);
         // Radius format continues from where the arc before it ended.
@@ -254,7 +254,7 @@ fn dwell_of_a_second() {
     }
 }
 
-/// The document adds the values of L20 to the system; L20 makes the present position read them.
+/// The document adds the values of L20 to the system. In fact L20 makes the current position read these values.
 #[test]
 fn g10() {
     for dialect in DIALECTS {
@@ -279,7 +279,8 @@ fn g10() {
     }
 }
 
-/// G28.1 is said to store the given values. It stores the machine's position; axis words then move as always.
+/// According to the document G28.1 stores the given values. In fact it stores the machine's position, and axis words
+/// move as always.
 #[test]
 fn g28() {
     for dialect in DIALECTS {
@@ -287,17 +288,17 @@ fn g28() {
         program.run("G10 L2 P1 Z1");
         assert_eq!(program.run("G28.1").store, Some(StoredOffset::G28));
         program.run("G53 G0 X0 Y0 Z0");
-        // 1: from its present position, Z goes home.
+        // 1: Z goes home from its current position.
         let home = program.check("G91 G28 Z0").unwrap();
         assert_eq!((via(&home), target(&home)), (Some([0.0, 0.0, 0.0]), [0.0, 0.0, 30.0]));
-        // 2: without G91, by way of work Z0, which is where the table may be.
+        // 2: without G91 Z goes by way of work Z0, which may be where the table is.
         let home = program.check("G28 Z0").unwrap();
         assert_eq!((via(&home), target(&home)), (Some([0.0, 0.0, 1.0]), [0.0, 0.0, 30.0]));
         // 3: by way of work Z-10.
         let home = program.run("G90 G28 Z-10");
         assert_eq!((via(&home), target(&home)), (Some([0.0, 0.0, -9.0]), [0.0, 0.0, 30.0]));
         assert_eq!((feed(&home), program.machine()), (Feed::Rapid, [0.0, 0.0, 30.0]));
-        // 4: stored is the position, and X-10 Y-25 is a rapid, as G0 is active.
+        // 4: the position is stored, and X-10 Y-25 is a rapid, as G0 is active.
         let stored = program.run("G28.1 X-10 Y-25");
         assert_eq!(target(&stored), [-10.0, -25.0, 30.0]);
         assert_eq!(in_mm(&program.interpreter.offsets().stored(StoredOffset::G28)), [0.0, 0.0, 30.0]);
@@ -306,7 +307,7 @@ fn g28() {
         // 5: the same in two rapids.
         assert_eq!(target(&program.run("G90 G0 Z-10")), [0.0, 0.0, -9.0]);
         assert_eq!(target(&program.run("X0 Y0 Z0")), [0.0, 0.0, 1.0]);
-        // G30 has a place of its own.
+        // G30 has a stored position of its own.
         program.run("G30.1");
         assert_eq!(target(&program.run("G30")), [0.0, 0.0, 1.0]);
     }
@@ -325,7 +326,7 @@ fn g53() {
     }
 }
 
-/// After `G92 X10 Y25 Z0` the document has the position at (-10,-25); it reads (10,25).
+/// After `G92 X10 Y25 Z0` the position is (-10,-25) according to the document. In fact it reads (10,25).
 #[test]
 fn g92_sets_the_present_position() {
     for dialect in DIALECTS {
@@ -397,7 +398,7 @@ fn local_coordinates() {
     }
 }
 
-/// The document has G10 L2 void with G91. It is not.
+/// According to the document G10 L2 has no effect with G91. In fact it has.
 #[test]
 fn g10_l2_with_g91() {
     for dialect in DIALECTS {
@@ -427,7 +428,7 @@ fn tool_length_is_the_third_offset() {
     }
 }
 
-/// Workpieces (A) at origins of their own with one program for all, and (B) several origins in one by G10.
+/// (A) one program for several workpieces, each with its own origin; (B) several origins in one program by G10.
 #[test]
 fn one_program_at_several_origins() {
     for dialect in DIALECTS {
@@ -441,7 +442,7 @@ fn one_program_at_several_origins() {
     }
 }
 
-/// The document calls it a fault to read G59.1 as G59.
+/// The document calls it an error to read G59.1 as G59.
 #[test]
 fn systems_beyond_g59() {
     for dialect in [Dialect::Oxmill, Dialect::Seed] {
@@ -531,7 +532,7 @@ fn modal_and_non_modal() {
     }
 }
 
-/// `G10 ... G1 ...` on one line: two commands want the axis words.
+/// `G10 ... G1 ...` on one line: two commands need the axis words.
 #[test]
 fn two_commands_with_axis_words() {
     for dialect in DIALECTS {

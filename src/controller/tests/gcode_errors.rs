@@ -1,10 +1,10 @@
-//! Error numbers and their order, motions that no recording shows, and what Oxmill's own words do.
+//! Error numbers and their order, motions that are in no recording, and Oxmill's own words.
 
 use crate::program::{DIALECTS, Program, target};
 use oxmill_controller::gcode::{Action, Dialect, Feed, Flow, Interpreter, MotionCommand};
 use oxmill_controller::messages::{Coolant, SpindleDirection};
 
-/// Each error, by lines that meet it in every dialect. F is 100, the plane XY, the motion mode G0, the place (0,0,0).
+/// Lines that cause each error in every dialect. F is 100, the plane XY, the motion mode G0, the position (0,0,0).
 const ERRORS: &[(u8, &[&str])] = &[
     (1, &["1", "%", "G1 X1..2", "X1*2", "!", "X1,5", "g0"]),
     (2, &["X", "G", "M", "X.", "X-", "X+", "G1 XY"]),
@@ -32,7 +32,7 @@ const ERRORS: &[(u8, &[&str])] = &[
     (38, &["T100000", "T99999999999999999999", "T100000 T1"]),
 ];
 
-/// Errors of Grbl's dialect alone: the others have a meaning for these lines, or another error.
+/// Errors of Grbl's dialect only: in the other dialects these lines have a meaning or another error.
 const ERRORS_OF_GRBL: &[(u8, &[&str])] = &[
     (20, &["G43", "G43.2 H0", "G81", "G98", "M6", "X1 Q1", "X1 H1", "G5", "M99", "G10 L2 P1 R1 X1"]),
     (20, &["D1", "U1", "V1", "W1", "G12", "G13", "G31", "G65", "G66", "M97"]),
@@ -50,7 +50,8 @@ fn ready(dialect: Dialect) -> Program {
     program
 }
 
-/// By 0.005 mm always, by 0.1 % of the radius beyond, by 0.5 mm at most; in the dialect `seed` by any length.
+/// The allowed difference of the radii: 0.005 mm in any case, above that 0.1 % of the radius, and at most 0.5 mm; in
+/// the dialect `seed` any length.
 #[test]
 fn an_arc_may_end_at_another_radius_within_limits() {
     for dialect in [Dialect::Grbl, Dialect::Oxmill] {
@@ -73,7 +74,7 @@ fn every_error() {
                 assert_eq!(program.error(line), *code, "{line} in {dialect:?}");
             }
         }
-        // Signs add up where values are computed.
+        // Where values are expressions, several signs are allowed.
         let is_plain = dialect == Dialect::Grbl || cfg!(not(feature = "full"));
         assert_eq!(program.error("G0 X--1") == 2, is_plain, "{dialect:?}");
         for (code, lines) in ERRORS_OF_GRBL {
@@ -87,7 +88,7 @@ fn every_error() {
     }
 }
 
-/// Where two things are wrong the one that Grbl looks for first is told.
+/// Of two errors in a line, the one that Grbl checks first is reported.
 #[test]
 fn order_of_checks() {
     for dialect in DIALECTS {
@@ -131,7 +132,7 @@ fn axis_words_of_other_commands_under_g80() {
     }
 }
 
-/// CAM programs round each word to its last digit: what that explains is no fault of the arc.
+/// CAM programs round each word to its last digit. A mismatch that this rounding explains is not an error of the arc.
 #[test]
 fn arcs_of_rounded_words() {
     let new = [Dialect::Oxmill, Dialect::Seed];
@@ -153,7 +154,7 @@ fn arcs_of_rounded_words() {
             assert_eq!(ready(dialect).error(line), error, "{line} in {dialect:?}");
         }
     }
-    // The half circle has half of the way for its radius.
+    // The half circle gets half of the distance as its radius.
     let MotionCommand::Arc(arc) = ready(Dialect::Oxmill).run("G3 X4.9287 R2.4643").motion else { panic!() };
     assert_eq!((arc.i.0, arc.j.0), (24_643_500, 0));
     #[cfg(feature = "full")]
@@ -179,14 +180,14 @@ fn arcs_of_rounded_words() {
     ] {
         assert_eq!(ready(Dialect::Oxmill).error(line), error, "{line}");
     }
-    // The dialect that ends such arcs on their circle ends them there still, and Grbl's has neither.
+    // Dialect `seed`, which ends such arcs on their circle, still does so; Grbl's dialect accepts neither.
     let MotionCommand::Arc(arc) = ready(Dialect::Seed).run("G2 X5.02 I2.5").motion else { panic!() };
     assert_eq!(arc.target.0[0].0, 50_000_000);
     let grbl = ready(Dialect::Grbl);
     assert_eq!(["G3 X4.9287 Y0 R2.4643", "G2 X5.02 I2.5"].map(|line| grbl.error(line)), [34, 33]);
 }
 
-/// Where Grbl keeps a byte of a number, and takes what is left for a word or for no whole number.
+/// Numbers of which Grbl keeps only the lowest byte, so that it takes them for another word or for no whole number.
 #[test]
 fn numbers_that_no_word_has() {
     for dialect in DIALECTS.into_iter().filter(|dialect| *dialect != Dialect::Grbl) {
@@ -261,7 +262,7 @@ fn turns_of_arcs() {
     }
 }
 
-/// Arcs turn as seen against the third axis of their plane: G18 is Z towards X.
+/// The direction of an arc is as seen against the third axis of its plane: in G18 it is from Z towards X.
 #[test]
 fn planes() {
     for dialect in DIALECTS {
@@ -318,7 +319,7 @@ fn end_of_program() {
             let mut program = ready(dialect);
             program.run("G20 G91 G55 G18 M3 S5 M8 F2 T3 G92 X1");
             let end = program.run(&format!("G0 X1 {word}"));
-            // The spindle still turns during the motion; the end is told by the flow.
+            // The spindle still turns during the motion; `flow` marks the end.
             assert_eq!((end.flow, end.spindle, end.coolant), (Flow::End, None, None));
             assert_eq!(end.modal().spindle, SpindleDirection::Off);
             assert!(end.work_offset_changed);

@@ -1,11 +1,11 @@
-//! O words: which lines run, how often, and with which parameters. The expected lists were tried on LinuxCNC's interpreter
-//! where it takes the same text.
+//! O words: which lines run, how often, and with which parameters. The expected lists were checked with LinuxCNC's
+//! interpreter where it accepts the same text.
 #![cfg(feature = "full")]
 
 use oxmill_controller::gcode::{Action, Dialect, Direction, Held, HeldLine, Interpreter, MotionCommand};
 use proptest::prelude::*;
 
-/// A program as a host sends it: what X every rapid goes to, and the error numbers.
+/// A host that sends a program: records the X target of every rapid, and the error numbers.
 struct Sender {
     interpreter: Interpreter<3>,
     went: Vec<i64>,
@@ -74,7 +74,7 @@ impl Sender {
     }
 }
 
-/// Where a program goes.
+/// Checks the X targets of a program that has no errors.
 #[track_caller]
 fn goes(text: &str, places: &[i64]) {
     let mut sender = Sender::new();
@@ -82,7 +82,7 @@ fn goes(text: &str, places: &[i64]) {
     assert_eq!((sender.went, sender.errors), (places.to_vec(), vec![]), "{text}");
 }
 
-/// The errors of a program, and where it goes all the same.
+/// Checks the errors of a program, and the X targets that it reaches nevertheless.
 #[track_caller]
 fn fails(text: &str, errors: &[u8], places: &[i64]) {
     let mut sender = Sender::new();
@@ -99,7 +99,7 @@ fn conditions() {
     goes("o1 if [0]\no2 if [1]\nX1\no2 else\nX2\no2 endif\nM2\no1 endif\nX3", &[3]);
     goes("N1 o<a b> if [1]\no2 if [0]\nX1\no2 else\nX2\no2 endif\no<AB> else\nX5\no<ab> endif\nX3", &[2, 3]);
     goes("#1=5\no010 if [#1 GT 3]\nX#1\no10 endif", &[5]);
-    // What is skipped is not looked at.
+    // Skipped lines are not checked.
     goes("o1 if [0]\nnonsense\no1 elseif [0]\nX[1/0]\no1 endif\nX1", &[1]);
     goes("o1 if [1]\no1 elseif [1/0]\no1 endif\nX1", &[1]);
 }
@@ -111,7 +111,7 @@ fn conditions_that_do_not_fit() {
     fails("o1 if [1]\no2 endif\no1 endif\nX1", &[81], &[1]);
     fails("o1 if 1", &[81], &[]);
     fails("o1 if [1] X5\nX1", &[81], &[]);
-    // Neither branch of a condition without a value.
+    // If a condition has no value, neither branch runs.
     fails("o1 if [1/0]\nX1\no1 else\nX2\no1 endif\nX3", &[72], &[3]);
     fails("o1 if [0]\no1 elseif [1/0]\nX1\no1 else\nX2\no1 endif\nX3", &[72], &[3]);
     fails("o1 break", &[81], &[]);
@@ -185,9 +185,9 @@ fn subroutines() {
     goes("o1 sub\no2 if [#1 GT 0]\nX#1\no1 call [#1-1]\no2 endif\no1 endsub\no1 call [3]\nX9", &[3, 2, 1, 9]);
     goes("o1 sub\nX#1\no1 endsub\no3 repeat [2]\no1 call [5]\no3 endrepeat\nX9", &[5, 5, 9]);
     goes("o1 sub\no2 while [1]\nX1\no1 return\no2 endwhile\no1 endsub\no1 call\nX9", &[1, 9]);
-    // The one that was defined last.
+    // The last definition of a number counts.
     goes("o1 sub\nX1\no1 endsub\no2 sub\nX2\no2 endsub\no1 sub\nX3\no1 endsub\no1 call\no2 call\no1 call", &[3, 2, 3]);
-    // The body does not run when it is defined.
+    // A body does not run when it is defined.
     goes("o1 sub\nX1\nM2\no1 endsub\nX2", &[2]);
 }
 
@@ -198,7 +198,7 @@ fn subroutines_that_do_not_fit() {
     fails("o1 sub\no2 endsub\nX1\no1 endsub\nX2", &[81, 81, 81], &[2]);
     fails("o1 sub\no1 endsub\no1 call [1\nX1", &[75], &[1]);
     fails("o1 sub\no1 endsub\no1 call 5\nX1", &[81], &[1]);
-    // An error within ends the call, and what was local to it.
+    // An error within a call ends the call and its local parameters.
     fails("o1 sub\n#1=8\nX1\nX[1/0]\nX2\no1 endsub\n#1=7\no1 call\nX#1", &[72], &[1, 7]);
     fails("o1 sub\no2 if [1]\no1 endsub\no1 call\nX1", &[81], &[1]);
     fails("o1 sub\no2 if [0]\no1 endsub\no3 sub\nX5\no3 endsub\no1 call\nX1", &[81], &[1]);
@@ -237,7 +237,7 @@ fn computed_labels_of_calls() {
             sender.errors
         );
     }
-    // All other labels are numbers and names; what is refused is refused to its end.
+    // All other labels must be numbers or names. A refused block is refused to its end.
     fails("o#1 sub\nX1\no#1 endsub\nX2", &[81; 3], &[2]);
     fails("o[1] repeat [2]\nX1\no[1] endrepeat\nX2", &[81; 3], &[2]);
     fails("o#1 if [1]\nX1\no#1 endif\nX2", &[81, 81], &[2]);
@@ -255,14 +255,14 @@ fn unknown_keywords() {
     fails("o1000 G0 X5\nX1", &[36], &[1]);
 }
 
-/// A call in two conditions, sixteen times within each other.
+/// A call within two conditions, nested sixteen times.
 #[test]
 fn recursion_within_conditions() {
     let sub = "o1 sub\no2 if [#1 GT 0]\no3 if [1]\nX#1\no1 call [#1-1]\no3 endif\no2 endif\no1 endsub\n";
     let places: Vec<i64> = (1..16).rev().collect();
     goes(&format!("{sub}o1 call [15]"), &places);
     fails(&format!("{sub}o1 call [16]\nX0"), &[82], &[(1..=16).rev().collect(), vec![0]].concat());
-    // Long names have less.
+    // With long names fewer calls can be nested.
     let name = "n".repeat(60);
     let sub = format!("o<{name}> sub\no2 if [#1 GT 0]\nX#1\no<{name}> call [#1-1]\no2 endif\no<{name}> endsub\n");
     goes(&format!("{sub}o<{name}> call [5]"), &[5, 4, 3, 2, 1]);
@@ -273,9 +273,9 @@ fn recursion_within_conditions() {
 #[test]
 fn words_behind_a_keyword() {
     for condition in [0, 1] {
-        // The condition has come to its end all the same.
+        // The condition ends nevertheless.
         fails(&format!("o1 if [{condition}]\nX1\no1 endif X9\nX2"), &[81], [&[2][..], &[1, 2]][condition]);
-        // No branch holds.
+        // The second branch does not run in either case.
         let went = [&[3][..], &[1, 3]][condition];
         fails(&format!("o1 if [{condition}]\nX1\no1 else X9\nX2\no1 endif\nX3"), &[81], went);
     }
@@ -293,7 +293,7 @@ fn words_behind_a_keyword() {
     fails("o1 sub\no1 return X9\no1 endsub\nX2", &[81, 81], &[2]);
 }
 
-/// 6 KiB of text. What does not fit is refused to its end: no line of it runs by itself.
+/// There are 6 KiB for text. A block that does not fit is refused to its end: none of its lines runs by itself.
 #[test]
 fn memory_for_text() {
     let line = "G1 F100 X1.5 Y2.5 Z-0.5\n";
@@ -307,7 +307,7 @@ fn memory_for_text() {
     sender.errors.clear();
     sender.send_all("o2 call").send_all("o1 call");
     assert_eq!((sender.errors.as_slice(), sender.went.len()), (&[81][..], 540));
-    // Loops leave no text behind, whether they come to their end or not.
+    // Loops leave no text in memory, whether they end normally or by an error.
     let mut sender = Sender::new();
     for _ in 0..100 {
         sender.send_all("o5 repeat [2]\nG0 X1 Y2 Z3\nG0 X1 Y2 Z3\no5 endrepeat");
@@ -316,15 +316,16 @@ fn memory_for_text() {
     assert_eq!((sender.errors, sender.went.len()), (vec![2; 100], 500));
 }
 
-/// However full the memory is, no line of a refused block runs by itself, and a subroutine that is refused again and again
-/// takes no more of it.
+/// However full the memory is, no line of a refused block runs by itself, and a subroutine that is refused repeatedly
+/// takes no additional memory.
 #[test]
 fn refused_in_full_memory() {
     let line = |length: usize| format!("G0X1Y{:0width$}\n", 0, width = length - "G0X1Y".len());
     for free in 0..300 {
         for label in ["2", "<a_name>", &format!("<{}>", "a".repeat(70)), &format!("<{}>", "a".repeat(150))] {
             let mut sender = Sender::new();
-            // Each line takes one byte more than it is long; the first and the last of the subroutine take 15.
+            // Each line takes one byte more than its length; the first and the last line of the subroutine take 15
+            // together.
             let body = 6144 - 64 - 15 - free;
             let body = line(61).repeat(body / 62 - 1) + &line(61 + body % 62);
             sender.send_all(&format!("o1 sub\n{body}o1 endsub"));
@@ -349,7 +350,7 @@ fn refused_in_full_memory() {
 
 #[test]
 fn the_end_of_a_program() {
-    // M2 within a call and a condition: nothing of it is left.
+    // After M2 within a call and a condition, neither is left open.
     goes("o1 sub\nX1\no3 if [1]\nM2\no3 endif\nX2\no1 endsub\no2 if [1]\no1 call\nG0 X3", &[1, 3]);
     fails("o1 sub\nM2\no1 endsub\no1 call\no1 call", &[81], &[]);
     let mut sender = Sender::new();
@@ -372,11 +373,11 @@ fn blocks_that_are_left_open() {
         ("X1\n\no1 do\no2 repeat [2]\no2 endrepeat", Some(3)),
         ("o1 repeat [2]\nX1\no1 endrepeat", None),
         ("o1 if [0]\nM2\no1 endif\nX1\nM2", None),
-        // What M2 cuts short.
+        // Blocks that M2 cuts short.
         ("X1\no1 if [1]\nM2", Some(2)),
         ("X1\no1 if [0]\nM2", Some(2)),
         ("o1 if [1]\nM2\nG4 P0\no2 if [1]\no2 endif", None),
-        // Nor is a loop or call open that M2 ends.
+        // A loop or a call that M2 ends is not open either.
         ("o1 sub\nM2\no1 endsub\no1 call", None),
         ("o1 repeat [2]\no2 if [1]\nM30\no2 endif\no1 endrepeat", None),
         ("o2 if [1]\no1 repeat [2]\nM30\no1 endrepeat", Some(1)),
@@ -389,7 +390,8 @@ fn blocks_that_are_left_open() {
     }
 }
 
-/// Behind an M2 that was skipped or kept only an O word can follow: the next program is not taken for a part of the last.
+/// After an M2 that was skipped or kept as text only an O word can follow, so the next program is not mistaken for a
+/// part of the last one.
 #[test]
 fn the_next_program_is_none_of_an_open_block() {
     for end in ["M2", "M30", "G0 X5 M02", "N5 M030", "M5M2"] {
@@ -421,7 +423,7 @@ fn numbers_of_programs_are_left_to_the_check() {
 }
 
 proptest! {
-    /// Any order of O words has an end, and what comes after a reset runs.
+    /// Any program of O words ends, and lines after a reset run.
     #[test]
     fn any_program_ends(lines in prop::collection::vec(
         "(o[123] ?(sub|endsub|call|return|if|elseif|else|endif|while|endwhile|do|repeat|endrepeat|break|continue) \
@@ -439,7 +441,7 @@ proptest! {
     }
 }
 
-/// As LinuxCNC's interpreter has it, each of them.
+/// Each case behaves as in LinuxCNC's interpreter.
 #[test]
 fn states_saved_until_a_call_returns() {
     // Inches and distances act within the subroutine alone; the motion word stays.
@@ -448,7 +450,7 @@ fn states_saved_until_a_call_returns() {
         "o1 sub\nM73\nG91\no1 if [#1]\no1 return\no1 endif\nX1\no1 endsub\nX5\no1 call [1]\nX3\no1 call [0]\nX4",
         &[5, 3, 4, 4],
     );
-    // The value that is returned is that of before.
+    // The returned value is computed before the state is restored.
     goes("o1 sub\nM73\nG91\no1 endsub [#<_incremental>+6]\no1 call\nX#<_value>", &[7]);
     // Each call has a state of its own, and a call in a call restores before its caller continues.
     goes("o1 sub\nM73\nG91\no2 call\nX1\no1 endsub\no2 sub\nM73\nG90\nX8\no2 endsub\nX5\no1 call\nX1", &[5, 8, 9, 1]);
@@ -456,14 +458,15 @@ fn states_saved_until_a_call_returns() {
         "o1 sub\nG91\nM70\nG90\no2 call\nM72\nX1\no1 endsub\no2 sub\nM70\nG90\nM72\no2 endsub\nM70\nX5\no1 call\nM72\nX1",
         &[5, 6, 1],
     );
-    // M70 keeps another state, which M73 restores all the same. After M71 nothing is. M72 restores at once, and M73 again.
+    // A later M70 saves another state, which M73 then restores. After M71 nothing is restored. M72 restores at once,
+    // and M73 again.
     goes("o1 sub\nM73\nG91\nM70\nG90\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
     goes("o1 sub\nM73\nM71\nM70\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 1]);
     goes("o1 sub\nM73\nM71\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
     goes("o1 sub\nM70\nM73\nG91\nX1\nM72\nX1\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 6, 1, 1]);
-    // In a loop the last one counts.
+    // In a loop the last M73 counts.
     goes("o1 sub\no2 repeat [2]\nM73\nG91\no2 endrepeat\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
-    // Outside of subroutines it is M70.
+    // Outside subroutines M73 acts as M70.
     goes("M73\nG91\nX5\nM72\nX1\nM72\nX2", &[5, 1, 2]);
 }
 
@@ -472,7 +475,7 @@ fn states_of_other_calls_are_not_restored() {
     fails("o1 sub\nM72\no1 endsub\nM70\no1 call\nX1", &[123], &[1]);
     fails("o1 sub\nM73\no1 endsub\no1 call\nM72\nX1", &[123], &[1]);
     fails("o1 sub\nM70\no2 call\no1 endsub\no2 sub\nM72\no2 endsub\no1 call\nX1", &[123], &[1]);
-    // An error ends the subroutine, and restores nothing; nor does it later.
+    // An error ends the subroutine and restores nothing, neither then nor later.
     fails(
         "o1 sub\nM73\nG91\nnonsense\no1 endsub\nX5\no1 call\nX1\no2 sub\nX1\no2 endsub\no2 call\nG90\nX1",
         &[2],
@@ -480,7 +483,7 @@ fn states_of_other_calls_are_not_restored() {
     );
     fails("o1 sub\nM73\nG91\nM2\no1 endsub\nX5\no1 call\nG91 G0 X1\nM72", &[123], &[5, 6]);
     fails("o1 sub\nM73 G91\no1 endsub\no1 call\nM72 X1", &[21, 21], &[]);
-    // Seven calls within each other, beside the main program's.
+    // Seven nested calls can save a state, besides the main program.
     let deep = |calls: u32| {
         format!(
             "o1 sub\nM73\nG91\nX1\no2 if [#1 GT 1]\no1 call [#1-1]\no2 endif\no1 endsub\nM70\nX5\no1 call [{calls}]\nX1"

@@ -1,4 +1,4 @@
-//! Words that CAM programs write out of habit, as other controls mean them.
+//! Words that CAM programs write out of habit, with the meaning that they have in other controls.
 #![cfg(feature = "full")]
 
 use crate::program::{Program, in_mm, target, via};
@@ -6,7 +6,8 @@ use oxmill_controller::gcode::{CoordinateSystem, Dialect, MotionCommand, MotionM
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 
-/// In the dialects that have them; Grbl's refuses the lines with these numbers.
+/// Runs `test` in the dialects that have the words. Grbl's dialect refuses the lines of `grbl` with these error
+/// numbers.
 fn each(grbl: &[(&str, u8)], test: impl Fn(&mut Program)) {
     for dialect in NEW {
         let mut program = Program::new(dialect);
@@ -20,7 +21,7 @@ fn each(grbl: &[(&str, u8)], test: impl Fn(&mut Program)) {
     }
 }
 
-/// As in Mach, and not the lathe cycles of others.
+/// Units as in Mach, not the lathe cycles of other controls.
 #[test]
 fn units_of_mach() {
     each(&[("G70", 20), ("G71", 20)], |program| {
@@ -35,7 +36,7 @@ fn units_of_mach() {
     });
 }
 
-/// The register of the cutter's radius, which nothing uses.
+/// D is the register of the cutter's radius, which has no effect.
 #[test]
 fn d_beside_g43_or_alone() {
     each(&[("D1", 20), ("G43.1 Z1 D1", 20)], |program| {
@@ -51,7 +52,7 @@ fn d_beside_g43_or_alone() {
             ("D1.5", 23),
             ("D1 D2", 25),
             ("G0 X1 D1", 36),
-            // To Siemens D1 is the length of the tool.
+            // In Siemens controls D1 is the length of the tool.
             ("T1 D1", 36),
             ("T1 M6 D1", 36),
             ("D1 F200", 36),
@@ -63,7 +64,7 @@ fn d_beside_g43_or_alone() {
     });
 }
 
-/// A probing move without an alarm, which is in force in its line only.
+/// G31 is a probing move without an alarm; it is not modal.
 #[test]
 fn skip() {
     each(&[("G31 X1", 20)], |program| {
@@ -122,7 +123,7 @@ fn look_ahead() {
         program.run("X3");
         assert_eq!(program.machine()[0], 3.0);
         for (line, error) in [
-            // The lathe's, and splines.
+            // Lathe words, and splines.
             ("G8", 121),
             ("G7 P1", 121),
             ("G8.1 P1", 20),
@@ -139,7 +140,7 @@ fn look_ahead() {
     });
 }
 
-/// The announcement of rigid tapping, whose cycle is refused by itself.
+/// M29 announces rigid tapping; the tapping cycle itself is refused.
 #[test]
 fn rigid_tapping() {
     each(&[("M29 S100", 20)], |program| {
@@ -165,7 +166,7 @@ fn numbers_of_programs() {
     });
 }
 
-/// The systems behind G59 in their order.
+/// The systems after G59, in order.
 #[test]
 fn more_coordinate_systems() {
     each(&[("G54.1 P1", 23), ("G154 P1", 20)], |program| {
@@ -235,7 +236,7 @@ fn returns_by_distances() {
     });
 }
 
-/// A and B for X and Y.
+/// G68 with A and B in place of X and Y.
 #[cfg(feature = "full")]
 #[test]
 fn rotations_of_mach() {
@@ -262,7 +263,7 @@ fn rotations_of_mach() {
     });
 }
 
-/// LinuxCNC's names, by which programs ask where they run.
+/// LinuxCNC's names, with which programs find out where they run.
 #[cfg(feature = "full")]
 #[test]
 fn what_programs_ask() {

@@ -1,4 +1,4 @@
-//! Macros: lines that outlive programs, kept in front of the held text of programs.
+//! Macros: lines that outlive programs. They are kept in front of the held text of programs.
 #![cfg(feature = "full")]
 
 use oxmill_controller::error::Error;
@@ -21,7 +21,7 @@ fn lines_beyond_the_last_and_too_many_bytes() {
     assert_eq!(all(&interpreter).len(), 64);
     interpreter.clear_macros();
     assert!(all(&interpreter).is_empty());
-    // 80 bytes and one more for each line: the 37 that 3072 bytes have room for.
+    // Each line takes 80 bytes and one more, so 3072 bytes have room for 37.
     let line = [b'X'; 80];
     for index in 0..37 {
         assert_eq!(interpreter.set_macro_line(index, &line), Ok(()), "{index}");
@@ -52,7 +52,8 @@ fn a_program_that_has_filled_the_memory_keeps_its_lines() {
 }
 
 proptest! {
-    /// Any lines set in any order are those that are there; a program's subroutine behind them stays what it is.
+    /// Any lines set in any order read back as they were set, and a program's subroutine stored after them does not
+    /// change.
     #[test]
     fn lines_are_as_they_were_set(sets in prop::collection::vec((0_usize..12, "[A-Z0-9]{0,9}"), 1..40), with_program: bool) {
         let mut interpreter = Interpreter::<3>::default();
@@ -74,7 +75,7 @@ proptest! {
             prop_assert_eq!(answer, [there]);
             interpreter.abandon_held();
         }
-        // The end of a program, and a reset.
+        // The lines survive the end of a program, and a reset.
         interpreter.abandon_program();
         prop_assert_eq!(&all(&interpreter), &expected);
         prop_assert_eq!(send(&mut interpreter, "O9CALL"), [Err(Error::FlowSyntax)]);

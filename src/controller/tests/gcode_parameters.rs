@@ -1,5 +1,5 @@
-//! Expressions and parameters in lines of a program. What is expected was tried on LinuxCNC's interpreter where it has the
-//! same words.
+//! Expressions and parameters in lines of a program. The expected values were checked with LinuxCNC's interpreter where
+//! it has the same words.
 #![cfg(feature = "full")]
 
 use crate::program::{Program, target};
@@ -16,7 +16,7 @@ fn ready() -> Program {
     program
 }
 
-/// X after a rapid to an expression.
+/// Returns X after a rapid to an expression.
 #[track_caller]
 fn x(program: &Program, expression: &str) -> f64 {
     target(&program.check(&format!("G0 G90 G53 X {expression}")).unwrap())[0]
@@ -32,7 +32,7 @@ fn words_take_computed_values() {
     program.run("#2=59.2");
     program.run("G#2");
     assert_eq!(program.interpreter.modal().coordinate_system.word(), "G59.2");
-    // A computed number selects what it is next to.
+    // A computed number selects the word whose number it equals but for rounding.
     program.run("G[162/3]");
     assert_eq!(program.check("M[3*[1/3]+2]").unwrap().spindle, Some(SpindleDirection::Clockwise));
     assert_eq!(program.error("M[3.2]"), Error::IntegerRequired.code());
@@ -77,7 +77,7 @@ fn a_line_reads_all_before_it_sets_any() {
     program.run("#1=#2 #2=#1 #<NAME>=[#<NAME>+1] G0 X#1 Y#<NAME>");
     assert_eq!(program.machine(), [1.0, 3.0, 0.0]);
     assert_eq!([x(&program, "#1"), x(&program, "#2"), x(&program, "#<NAME>")], [2.0, 1.0, 4.0]);
-    // From left to right: the last one holds.
+    // Assignments are made from left to right: the last one counts.
     program.run("#1=5 #1=6 #<NEW>=1 #<NEW>=2");
     assert_eq!([x(&program, "#1"), x(&program, "#<NEW>")], [6.0, 2.0]);
     program.run("#10=2");
@@ -99,7 +99,7 @@ fn unset_parameters() {
     assert_eq!(program.error("X#<A>"), 74);
 }
 
-/// A line that is refused sets nothing, whatever it was refused for; nor does one that is checked only, or a jog.
+/// A line that is refused for any reason sets nothing; neither does a line that is only checked, or a jog.
 #[test]
 fn a_refused_line_sets_nothing() {
     let mut program = ready();
@@ -137,7 +137,7 @@ fn what_is_forgotten() {
     assert_eq!([x(&program, "#1"), x(&program, "#31"), x(&program, "EXISTS[#<_GLOBAL>]")], [0.0; 3]);
 }
 
-/// 315 numbers, 19 of them in a line; a parameter that is there can always be set again.
+/// There is room for 315 parameters, and for 19 assignments in a line. An existing parameter can always be set again.
 #[test]
 fn capacity() {
     let mut program = ready();
@@ -222,7 +222,7 @@ fn the_machine_shows_its_state() {
     }
 }
 
-/// Three axes: the names of others are a program's, the numbers the machine's.
+/// With three axes the names of other axes are free for programs, but their numbers belong to the machine.
 #[test]
 fn names_of_axes_that_the_machine_lacks() {
     for letter in ["A", "B", "C"] {
@@ -240,7 +240,7 @@ fn names_of_axes_that_the_machine_lacks() {
     assert_eq!(["#<_Z>=1", "#<_ABS_Z>=1"].map(|line| program.error(line)), [200; 2]);
 }
 
-/// Whether G92 acts and what it holds are two things.
+/// Whether G92 is in force, and its values, are independent.
 #[test]
 fn the_offset_of_g92() {
     let mut program = ready();
@@ -274,14 +274,15 @@ fn values_in_remarks() {
     };
     assert_eq!(expand(" v=#1, w=[#1+0.2]"), " v=10.100000, w=[10.100000+0.2]");
     assert_eq!(expand("#<a _b>#99 #2"), "-0.3333330.000000 0.000000");
-    // As LinuxCNC's interpreter writes them, which rounds 2.5 to 2 and drops the two signs of `%.` without an f.
+    // As LinuxCNC's interpreter writes them, except that it rounds 2.5 to 2 and drops the characters `%.` if no f
+    // follows.
     assert_eq!(expand("a %d #20 b %.2f #20 c %f #20 d %lf #20 %.0f#20"), "a  -2 b  -2.46 c  -2.4560 d %lf -2.4560 -2");
     assert_eq!(expand("#20 %d #20 #21 %.3f#20 %.9f#20"), "-2.456000  -2 7 -2.456 -2.4560000");
     assert_eq!(expand("100% #21 %x %.12f %F %% %.f %"), "100% 7.000000 %x %.12f %F %% %.f %");
     assert_eq!(expand("%.1f#22 %d#22 #<nothing>"), "2.5 3 ######");
     assert_eq!(expand("#<nothing> #0 # #<> #< 5#"), "###### ###### # #<> #< 5#");
     assert_eq!(expand(&"#1".repeat(40)).len(), 64);
-    // A line may set what it shows.
+    // A line's comment may show a parameter that the line sets.
     let mut program = program.clone();
     let mut checked = Action::NOTHING;
     let check = program.interpreter.check_into(b"#1=3#1=4", Dialect::Oxmill, &mut checked);
@@ -303,7 +304,7 @@ fn what_the_probe_found() {
     assert_eq!([x(&program, "#5061"), x(&program, "#5070")], [0.0, 0.0]);
 }
 
-/// A table of coordinates that was computed to the last digit is no noisier than one that was written.
+/// A table of coordinates that were computed to the last digit is no noisier than one of written coordinates.
 #[test]
 fn digits_of_computed_values() {
     let mut program = ready();
@@ -316,7 +317,7 @@ fn digits_of_computed_values() {
 }
 
 proptest! {
-    /// The exact sum of two numbers as programs write them.
+    /// The sum of two numbers as programs write them is exact.
     #[test]
     fn sums_are_exact(a in -99_999_999_i64..99_999_999, b in -99_999_999_i64..99_999_999) {
         let mut program = ready();
@@ -330,7 +331,7 @@ proptest! {
         prop_assert_eq!(place, [Coordinate(a * 1000), Coordinate(b * 1000), Coordinate((a + b) * 1000)]);
     }
 
-    /// Setting and reading many parameters in any order, against a map.
+    /// Parameters set and read in any order agree with a map.
     #[test]
     fn parameters_are_kept(steps in prop::collection::vec((0_usize..40, 0_i32..1000, 0_u8..20), 1..120)) {
         let mut program = ready();

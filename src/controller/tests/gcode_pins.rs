@@ -31,7 +31,7 @@ fn what_the_words_ask_for() {
         let now = ProgramPins::Wait { number: 2, until: InputWait::Nothing, longest: Duration::from_ticks(0) };
         assert_eq!([pins("M66 P2"), pins("M66 P2 L0"), pins("M66 P2 Q-1")], [Some(now); 3]);
         assert_eq!(pins("M66 E1"), Some(ProgramPins::ReadAnalog { number: 1 }));
-        // P of a dwell is P of the output.
+        // G4 and M64 share one P.
         let both = program.check("G4 P1 M64").unwrap();
         assert_eq!((both.dwell, both.pins().is_some()), (Some(Duration::secs(1)), true));
         assert_eq!(pins("G0 X1"), None);

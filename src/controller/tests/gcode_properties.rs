@@ -1,4 +1,4 @@
-//! What holds for every line: an answer without panic, no change by checking, exact places.
+//! Properties of every line: an answer without panic, no change by checking, exact positions.
 
 use crate::program::{DIALECTS, Program};
 use oxmill_controller::axes::PerAxis;
@@ -31,7 +31,7 @@ fn in_reach(place: &PerAxis<Coordinate, 3>) -> bool {
     place.iter().all(|coordinate| coordinate.in_range())
 }
 
-/// What every action promises.
+/// Checks the properties that every action must have.
 fn sound(before: &Interpreter<3>, checked: &Action<3>) -> Result<(), TestCaseError> {
     let feeds = |feed: Feed| match feed {
         Feed::Rapid => true,
@@ -97,7 +97,7 @@ fn sound(before: &Interpreter<3>, checked: &Action<3>) -> Result<(), TestCaseErr
     Ok(())
 }
 
-/// Checks and carries out one line; the state after it is the answer's.
+/// Checks and executes one line. The state afterwards must be the one that the check has returned.
 fn step(interpreter: &mut Interpreter<3>, line: &[u8], dialect: Dialect) -> Result<(), TestCaseError> {
     let before = interpreter.clone();
     let jog = interpreter.check_jog(line, dialect);
@@ -144,7 +144,7 @@ proptest! {
         }
     }
 
-    /// A work coordinate that is programmed is the one that is read afterwards, whatever the offsets.
+    /// A programmed work coordinate is the one read afterwards, whatever the offsets.
     #[test]
     fn programmed_is_reached(
         offsets in prop::collection::vec(-1_000_000_000_i64..1_000_000_000, 4),
@@ -213,7 +213,7 @@ fn very_long_lines() {
     }
 }
 
-/// Of a line that only moves, a controller does not look whether anything else follows from it.
+/// The controller does not check whether a line that only moves has any other effect, so it must have none.
 #[test]
 fn a_line_that_only_moves_changes_nothing_else() {
     for dialect in DIALECTS {

@@ -1,5 +1,5 @@
-//! What a refused line is told to be wrong with: the word, and what to write. Each row is a wrong line as a person or a
-//! CAM program writes it, with its error and the whole sentence.
+//! The sentence that says what is wrong with a refused line: the word, and what to write instead. Each row is a wrong
+//! line as a person or a CAM program writes it, with its error and the whole sentence.
 
 #![cfg(all(feature = "full", feature = "reasons"))]
 
@@ -11,7 +11,7 @@ use proptest::prelude::*;
 /// Lines that set the state (` | ` between them), the refused line, the number of its error, and the sentence.
 type Row = (&'static str, &'static str, u8, &'static str);
 
-/// In Oxmill's dialect.
+/// Rows in Oxmill's dialect.
 const ROWS: &[Row] = &[
     ("F100", "G1 X", 2, "no number behind X"),
     ("F100", "G1 XY5", 2, "no number behind X"),
@@ -406,7 +406,7 @@ const ROWS: &[Row] = &[
     ("F100", "G0 O5 X1", 36, "letter O in G0O5: write a zero"),
 ];
 
-/// In Grbl's.
+/// Rows in Grbl's dialect.
 const ROWS_OF_GRBL: &[Row] = &[
     ("F100", "G1 X--1", 2, "two signs in X--1"),
     ("F100", "G1 X+-1", 2, "two signs in X+-1"),
@@ -431,7 +431,7 @@ const ROWS_OF_GRBL: &[Row] = &[
     ("F100", "G43.1 X1", 37, "G43.1 takes Z and no other axis in Grbl's dialect"),
 ];
 
-/// The number of a refused line's error, and its sentence; `None` for a line that is taken.
+/// Returns the error number of a refused line and its sentence; `None` for an accepted line.
 fn refusal(program: &Program, line: &str) -> Option<(u8, String)> {
     let (jog, line) = line.strip_prefix("$J=").map_or((false, line), |jog| (true, jog));
     let text = line.replace(' ', "").to_ascii_uppercase();
@@ -453,7 +453,7 @@ fn refusal(program: &Program, line: &str) -> Option<(u8, String)> {
     Some((error.code(), String::from_utf8(reason.to_vec()).expect("text")))
 }
 
-/// A program after some lines.
+/// Returns a program after the lines of `setup`.
 fn after(dialect: Dialect, setup: &str) -> Program {
     let mut program = Program::new(dialect);
     for line in setup.split(" | ").filter(|line| !line.is_empty()) {
@@ -467,7 +467,7 @@ fn after(dialect: Dialect, setup: &str) -> Program {
     program
 }
 
-/// Rows whose line is not refused as they say.
+/// Returns the rows whose line is not refused as expected.
 fn wrong(dialect: Dialect, rows: &[Row]) -> Vec<String> {
     let told = |(setup, line, code, text): &Row| {
         let refusal = refusal(&after(dialect, setup), line);
@@ -492,7 +492,7 @@ fn a_wrong_sentence_is_found() {
     assert_eq!(wrong(Dialect::Oxmill, &rows).len(), rows.len());
 }
 
-/// What a `[MSG:...]` can carry, and what says more than the error's number.
+/// Sentences fit into a `[MSG:...]`, and say more than the text of the error.
 #[test]
 fn sentences_are_texts_of_a_message() {
     for (_, line, _, text) in ROWS.iter().chain(ROWS_OF_GRBL) {
@@ -503,7 +503,7 @@ fn sentences_are_texts_of_a_message() {
 }
 
 proptest! {
-    /// Whatever is refused: nothing is changed by asking why, and there is an answer without brackets.
+    /// Any refused line gets a sentence without brackets, shorter than 128 characters.
     #[test]
     fn any_text(line in "[GMXYZIJKRFPQLNO0-9.#<>=\\[\\],+*/a-z -]{0,60}", jog: bool, grbl: bool) {
         let mut program = after(Dialect::Oxmill, "F100 | #1=2");
@@ -514,7 +514,7 @@ proptest! {
         }
     }
 
-    /// The same of what is often written.
+    /// Any refused line made of common words gets a sentence.
     #[test]
     fn any_words(words in proptest::collection::vec(
         proptest::sample::select(vec![

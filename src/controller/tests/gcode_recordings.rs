@@ -9,10 +9,10 @@ use oxmill_controller::units::{Coordinate, DECIMAL_ONE};
 
 const GRBL: Dialect = Dialect::Grbl;
 
-/// Lines that are answered otherwise on purpose: Grbl takes targets a kilometre away; here they end at 50 m.
+/// Lines that are answered differently on purpose: Grbl accepts targets a kilometre away; here the limit is 50 m.
 const OTHERWISE: &[(&str, &str, &str)] = &[("09_arcs", "G2 X1000000 Y0 R500000.5", "error:33")];
 
-/// What the line filter leaves of a line.
+/// Returns what the line filter leaves of a line.
 fn filtered(line: &str) -> Vec<u8> {
     let mut kept = Vec::new();
     let mut comment = false;
@@ -64,8 +64,8 @@ fn modal_text(interpreter: &Interpreter<3>) -> String {
     format!("[GC:{} T{} F{feed} S{speed}]", words.join(" "), modal.tool)
 }
 
-/// Whether the recording's text with three decimals is the coordinate. Grbl reads and keeps single precision, so half
-/// of the last digit may fall either way; from 10^6 on the recorded digits are artefacts.
+/// Whether the recording's text with three decimals matches the coordinate. Grbl reads and keeps single precision, so
+/// half of the last digit may fall either way; from 10^6 on the recorded digits are artefacts.
 fn matches(text: &str, coordinate: Coordinate) -> bool {
     let printed: f64 = text.parse().unwrap();
     let exact = coordinate.0 as f64 / DECIMAL_ONE as f64;
@@ -99,7 +99,7 @@ fn check_parameters(interpreter: &Interpreter<3>, reply: &[&str], at: &str) {
     assert_eq!(seen, 9, "{at}");
 }
 
-/// Position in a status report, which is of whole steps: 250 in a millimetre.
+/// Checks the position in a status report, which is in whole steps: 250 per millimetre.
 fn check_position(interpreter: &Interpreter<3>, report: &str, at: &str) {
     let Some((_, rest)) = report.split_once("MPos:") else { return };
     let (position, _) = rest.split_once('|').unwrap();
@@ -204,7 +204,7 @@ fn numbers() {
     replay("12_numbers", usize::MAX);
 }
 
-/// Up to the jogs that are cut short in mid-move.
+/// Replays up to the jogs that are interrupted during a move.
 #[test]
 fn jogs() {
     replay("15_jog", 45);

@@ -33,7 +33,7 @@ impl Program {
         self.0.position().0.map(value)
     }
 
-    /// The speed along the path of all axes, per minute.
+    /// Runs a line and returns its speed along the path of all axes, per minute.
     fn speed(&mut self, line: &str) -> f32 {
         match self.run(line).motion {
             MotionCommand::Line { feed: Feed::PerMinute(feed), .. }
@@ -52,10 +52,10 @@ fn near(found: f32, expected: f32) {
 fn f_is_along_the_way_of_x_y_and_z() {
     let mut program = Program::new("G21 G91 F600");
     near(program.speed("G1 X30 Y-40"), 600.0);
-    // 50 mm take 5 s, and A turns 120 degrees in them: 130 in 5 s along all.
+    // 50 mm take 5 s, in which A turns 120 degrees: the path of all axes is 130 units in 5 s.
     near(program.speed("X30 Y40 A120"), 600.0 * 130.0 / 50.0);
     near(program.speed("Z-5 A-12"), 600.0 * 13.0 / 5.0);
-    // However little it is.
+    // F is along X even if X moves very little.
     near(program.speed("X0.001 A90"), 600.0 * 90_000.0);
     near(program.speed("G38.3 X3 A4"), 600.0 * 5.0 / 3.0);
 }
@@ -70,7 +70,7 @@ fn f_of_a_move_that_only_turns_is_degrees_per_minute_as_written() {
     near(program.speed("G21 A10"), 100.0);
     near(program.speed("X1"), 2540.0);
     near(program.speed("A5 F50"), 50.0);
-    // An inch of way takes F inches a minute, and A comes along.
+    // X moves one inch at F inches per minute, and A moves with it.
     near(program.speed("G20 X1 A25.4 F10"), 254.0 * core::f32::consts::SQRT_2);
 }
 
@@ -136,7 +136,7 @@ fn canned_cycles_and_rotations_leave_it_alone() {
     }
 }
 
-/// What was said while there was a fourth axis moves nothing that is not there.
+/// Positions stored while there was a fourth axis do not move an axis that is no longer in use.
 #[test]
 fn an_axis_that_is_not_in_use_is_unknown_and_stays() {
     let mut program = Program::new("G21 G90\nG0 A90\nG28.1\nG0 A10");

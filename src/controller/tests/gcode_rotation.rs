@@ -9,7 +9,7 @@ use oxmill_controller::units::{DECIMAL_ONE, Decimal};
 /// Half of the root of 3.
 const H: f64 = 0.866_025_403_784_438_6;
 
-/// About its origin; an axis that is not named stays where the program has it.
+/// A system is rotated about its origin. An axis that is not named keeps its coordinate in the program.
 #[test]
 fn a_rotated_system() {
     let program = play(
@@ -33,7 +33,7 @@ fn a_rotated_system() {
     assert_eq!(angle.degrees(), Decimal::from_int(-90));
 }
 
-/// G92 lies along the axes of the system, the tool and the origin along those of the machine.
+/// G92 is along the axes of the system; tool offset and origin are along those of the machine.
 #[test]
 fn offsets_of_a_rotated_system() {
     let program = play(
@@ -50,7 +50,7 @@ fn offsets_of_a_rotated_system() {
         ],
     );
     assert_eq!(in_mm(&program.interpreter.offsets().system(CoordinateSystem::G54)), [10.0, 4.0, 0.0]);
-    // The zero of the reports is a place.
+    // The work zero in reports is a position in machine coordinates.
     let zero = |program: &Program| in_mm(&program.interpreter.work_zero(Dialect::Oxmill));
     assert_eq!(zero(&program), [10.0, 4.0, 0.0]);
     let mut program = program;
@@ -59,7 +59,7 @@ fn offsets_of_a_rotated_system() {
     assert_eq!(in_mm(&program.interpreter.work_zero(Dialect::Grbl)), [13.0, 4.0, 0.0]);
 }
 
-/// Of 200,000 increments none is rounded for good.
+/// The rounding of 200,000 increments does not accumulate.
 #[test]
 fn increments_do_not_drift() {
     let mut program = ready("G10 L2 P1 X1.2345678 Y-3 R33.3\nG0 X0 Y0\nG91");
@@ -89,7 +89,7 @@ fn arcs() {
     for line in ["G18 G2 X20 Z5 R10", "G19 G2 Y20 Z5 R10", "G18 G81 X1 Z1 Y-1 R1"] {
         assert_eq!(program.error(line), 126, "{line}");
     }
-    // From a place that has no exact coordinates in the program.
+    // From a position that has no exact coordinates in the program.
     program.run("G53 G0 X1.2345679 Y7");
     let MotionCommand::Arc(arc) = program.run("G3 I1").motion else { panic!("no arc") };
     assert_eq!(arc.start, arc.target);
@@ -105,7 +105,7 @@ fn cycles_and_places() {
             ("G80", [-4.0, 6.0, 7.0]),
             ("G90 G28 X0 Y0", [0.0, 1.0, 7.0]),
             ("G1 X7 Y7", [-7.0, 7.0, 7.0]),
-            // One axis only: it is the program's.
+            // The named axis is an axis of the program.
             ("G28 X7", [-7.0, 1.0, 7.0]),
         ],
     );
@@ -113,7 +113,7 @@ fn cycles_and_places() {
     assert_eq!(program.machine(), [-7.0, 9.0, 7.0]);
 }
 
-/// About a point; what it turns is what the program writes, not what the reports show.
+/// G68 rotates about a point. It rotates the coordinates of the program, not those in reports.
 #[test]
 fn a_rotated_program() {
     let mut program = play(
@@ -122,7 +122,8 @@ fn a_rotated_program() {
             ("G68 X10 Y10 R90", [0.0, 0.0, 0.0]),
             ("G0 X20 Y10", [110.0, 20.0, 0.0]),
             ("G91 Y1", [109.0, 20.0, 0.0]),
-            // The centre is where the tool is along an axis that is not named, and absolute in any case.
+            // Along an axis that is not named, the centre is at the tool. Named coordinates of the centre are absolute
+            // even with G91.
             ("G68 X0 R180", [109.0, 20.0, 0.0]),
             ("G90 X1 Y21", [99.0, 19.0, 0.0]),
             ("G69 X1 Y1", [101.0, 1.0, 0.0]),
@@ -130,7 +131,7 @@ fn a_rotated_program() {
             ("G53 X3 Y4", [3.0, 4.0, 0.0]),
             ("G55 X3", [3.0, 3.0, 0.0]),
             ("G54 X3 Y0", [100.0, 3.0, 0.0]),
-            // Both together.
+            // G68 and a rotated system together.
             ("G10 L2 P1 R-90", [100.0, 3.0, 0.0]),
             ("X3 Y4", [103.0, 4.0, 0.0]),
         ],
@@ -148,7 +149,7 @@ fn a_rotated_program() {
     program.run("G68 R1");
     program.interpreter.reset();
     assert!(program.interpreter.rotation().is_none());
-    // The angle of a system stays.
+    // The angle of the system is kept.
     assert_eq!(program.interpreter.offsets().angle(CoordinateSystem::G54), Angle(-90 * DECIMAL_ONE as i32));
 }
 
@@ -167,24 +168,24 @@ fn other_planes() {
     for line in ["G17 G2 I1", "G17 G81 X1 Z-1 R1"] {
         assert_eq!(program.error(line), 126, "{line}");
     }
-    // A system is rotated in the plane of X and Y: not both.
+    // A system is rotated in the XY plane, so G68 in another plane cannot be combined with it.
     program.run("G10 L2 P2 R1");
     assert_eq!((program.error("G55 X1"), program.error("G69 G55 X1")), (126, 0));
     program.run("G69 G55");
     assert_eq!((program.error("G18 G68 R1"), program.error("G17 G68 R1")), (126, 0));
-    // The active system gets no angle while G68 rotates in another plane: no line could be run after it.
+    // While G68 rotates in another plane, the active system cannot get an angle: no line could be run after it.
     program.run("G54 G18 G68 X0 Z0 R10");
     for (line, error) in
         [("G10 L2 P1 R30", 126), ("G10 L2 P0 R30", 126), ("G10 L2 P1 R0", 0), ("G10 L2 P2 R30", 0), ("M5", 0)]
     {
         assert_eq!(program.error(line), error, "{line}");
     }
-    // No angle is no rotation.
+    // A rotation by a whole turn counts as none.
     program.run("G18 G68 X0 Z0 R360");
     assert_eq!(program.error("G17 G2 I1"), 0);
 }
 
-/// The next program does not expect it.
+/// The next program does not expect the rotation.
 #[test]
 fn a_program_that_is_given_up_leaves_no_rotation() {
     let mut program = ready("G68 X0 Y0 R90");
@@ -215,7 +216,7 @@ fn errors() {
     assert_eq!(jog("G68X1R1F100").map_err(|error| error.code()), Err(16));
 }
 
-/// Distances go along the machine's axes, coordinates to where the program says.
+/// Jog distances are along the machine's axes; jog coordinates are those of the program.
 #[test]
 fn jogs() {
     let program = ready("G10 L2 P1 X10 R90\nG0 X5 Y0");
@@ -245,7 +246,7 @@ fn g92_changes_before_a_rotated_motion() {
     );
 }
 
-/// Grbl could not end a rotation, so none acts there.
+/// Grbl's dialect has no word that ends a rotation, so none is in force there.
 #[test]
 fn grbl_has_no_rotation() {
     let mut program = ready("G10 L2 P1 X10 R90\nG68 X0 Y0 R30");

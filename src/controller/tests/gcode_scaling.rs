@@ -28,7 +28,7 @@ fn about_a_centre() {
     assert_eq!(program.written(), [10.0, 10.0, 30.0]);
 }
 
-/// An axis that is not named has the centre where the tool is.
+/// For an axis that is not named, the centre is at the tool.
 #[test]
 fn about_the_tool() {
     let program = play(
@@ -37,7 +37,7 @@ fn about_the_tool() {
             ("G51 P3", [5.0, 2.0, 0.0]),
             ("X5 Y2", [8.0, 2.0, 0.0]),
             ("G51 Y0 I2 J2", [8.0, 2.0, 0.0]),
-            // The centre of X is 7 in the program: where the tool is, unscaled.
+            // The centre of X is 7 in the program: the unscaled position of the tool.
             ("X8 Y3", [10.0, 6.0, 0.0]),
             ("G50 X0 Y0", [1.0, 0.0, 0.0]),
         ],
@@ -69,12 +69,12 @@ fn arcs() {
         assert_eq!((way(arc.i), way(arc.j), arc.clockwise), (2.5, 0.0, true), "{line}");
         assert_eq!(in_mm(&arc.target)[..2], [8.5, 0.0], "{line}");
     }
-    // A full circle, and ends that the program has rounded to a digit: the tolerance is that of what it writes.
+    // A full circle, and an end that the program has rounded to a digit: the tolerance is that of the unscaled numbers.
     let mut program = ready("G51 X0 Y0 P20\nG0 X1.234 Y0");
     let MotionCommand::Arc(arc) = program.run("G3 I-1.234").motion else { panic!() };
     assert_eq!(arc.start, arc.target);
     assert_eq!([program.error("G3 X0.873 Y0.873 I-1.234 J0"), program.error("G3 X0.8 Y0.9 I-1.234 J0")], [0, 33]);
-    // No ellipses: but in a plane with equal factors.
+    // An arc would become an ellipse, except in a plane with equal factors.
     let mut program = ready("G51 X0 Y0 Z0 I2 J3 K2\nG0 X1 Y1");
     for (line, error) in
         [("G2 X2 I1", 142), ("G2 I1", 142), ("G2 X5 Y5 R9", 142), ("G19 G2 Y5 Z5 R9", 142), ("G18 G2 X2 Z0 I.5", 0)]
@@ -94,7 +94,7 @@ fn splines() {
     assert_eq!(corners, [[2.0, -3.0, 0.0], [4.0, -6.0, 0.0], [3.0, -6.0, 0.0], [4.0, -3.0, 0.0]]);
 }
 
-/// Steps of a cycle as heights.
+/// Returns the heights of the steps of a cycle.
 fn heights(program: &mut Program, line: &str) -> Vec<f64> {
     let MotionCommand::Cycle(mut cycle) = program.run(line).motion else { panic!("{line}") };
     let mut heights = Vec::new();
@@ -112,7 +112,7 @@ fn cycles() {
     let mut program = ready("G0 Z20\nG51 X0 Y0 Z0 P2");
     assert_eq!(heights(&mut program, "G99 G83 X1 Y1 Z-2 R1 Q2"), [20.0, 20.0, 2.0, -2.0, 2.0, -1.0, -4.0, 2.0]);
     assert_eq!(program.machine(), [2.0, 2.0, 2.0]);
-    // What stays in force is what was written.
+    // The modal values are the unscaled ones.
     program.run("G51 Z0 K3");
     assert_eq!(heights(&mut program, "X5"), [3.0, 3.0, 3.0, -3.0, 3.0, -2.0, -6.0, 3.0]);
     let mut program = ready("G0 Z20\nG51 P2 X0 Y0 Z0\nG91");
@@ -128,12 +128,12 @@ fn places_of_the_machine_are_not_scaled() {
     assert_eq!((via(&return_move), target(&return_move)), (Some([2.0, 2.0, 6.0]), [2.0, 2.0, 10.0]));
     assert_eq!(target(&program.run("G53 G0 X7")), [7.0, 2.0, 10.0]);
     assert_eq!(target(&program.run("G28")), [10.0; 3]);
-    // Nor is the tool.
+    // The tool offset is not scaled either.
     program.run("G43.1 Z5");
     assert_eq!(target(&program.run("G0 Z1")), [10.0, 10.0, 7.0]);
 }
 
-/// Distances of jogs are those of the machine; their coordinates are the program's.
+/// Jog distances are those of the machine; jog coordinates are those of the program.
 #[test]
 fn jogs() {
     let program = ready("G51 X0 Y0 P2\nG0 X1 Y1");
@@ -157,7 +157,7 @@ fn feed_probe_and_digit() {
     assert_eq!(program.written(), [5.0, 0.0, 0.0]);
 }
 
-/// With a rotation: scaled first, then turned, and the centre of G68 is written by the program, too.
+/// With a rotation, coordinates are scaled first, then rotated. The centre of G68 is a coordinate of the program, too.
 #[test]
 fn with_rotations() {
     play(
@@ -217,7 +217,7 @@ fn what_is_refused() {
         ("G51", 28),
         ("G51 X1 Y1", 28),
         ("G51 X1 P0", 39),
-        // A habit of Fanuc: thousandths.
+        // Fanuc writes factors in thousandths.
         ("G51 X0 Y0 I1000 J-1000", 151),
         ("G51 X0 Y0 P1000", 151),
         ("G51 P100.001", 151),
@@ -259,7 +259,7 @@ fn what_is_refused() {
     assert_eq!(["G51 X1 P2", "G50"].map(|line| grbl.error(line)), [20; 2]);
 }
 
-/// Of 200,000 increments none is rounded for good, rotated or not.
+/// The rounding of 200,000 increments does not accumulate, rotated or not.
 #[test]
 fn increments_do_not_drift() {
     for setup in ["", "G10 L2 P1 X1.2345678 Y-3 R33.3\nG0 X0 Y0"] {

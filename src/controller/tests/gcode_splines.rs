@@ -1,4 +1,4 @@
-//! G5 and G5.1: which curve a line asks for.
+//! G5 to G5.3: the curve that a line asks for.
 
 #![cfg(feature = "full")]
 
@@ -16,7 +16,7 @@ fn ready(setup: &str) -> Program {
     program
 }
 
-/// The control points in X and Y of the machine, mm.
+/// Returns the control points in X and Y of the machine, mm.
 fn curve(checked: &Action<3>) -> [[f64; 2]; 4] {
     let MotionCommand::Spline(spline) = checked.motion else { panic!("no spline: {:?}", checked.motion) };
     assert_eq!((spline.corners()[0], spline.corners()[3]), (spline.start, spline.target));
@@ -24,7 +24,7 @@ fn curve(checked: &Action<3>) -> [[f64; 2]; 4] {
     spline.corners().map(|corner| [corner.0[0], corner.0[1]].map(|c| c.0 as f64 / DECIMAL_ONE as f64))
 }
 
-/// Lines, and the control points after the first that the last of them gives.
+/// Runs lines, and checks the control points after the first that the last line gives.
 fn gives(setup: &str, line: &str, wanted: [[f64; 2]; 3]) -> Program {
     let mut program = ready(setup);
     let found = curve(&program.run(line));
@@ -38,7 +38,7 @@ fn gives(setup: &str, line: &str, wanted: [[f64; 2]; 3]) -> Program {
 #[test]
 fn two_control_points() {
     let mut program = gives("", "G5 I0 J3 P0 Q-3 X1 Y1", [[0.0, 3.0], [1.0, -2.0], [1.0, 1.0]]);
-    // Smoothly on, and modal.
+    // The curve continues smoothly, and the word is modal.
     assert_eq!(curve(&program.run("G5 P0 Q-3 X2 Y2")), [[1.0, 1.0], [1.0, 4.0], [2.0, -1.0], [2.0, 2.0]]);
     assert_eq!(curve(&program.run("P-1 Q.5 X7")), [[2.0, 2.0], [2.0, 5.0], [6.0, 2.5], [7.0, 2.0]]);
     assert_eq!(curve(&program.run("G91 I1 J1 P-1 Q.5 Y1")), [[7.0, 2.0], [8.0, 3.0], [6.0, 3.5], [7.0, 3.0]]);
@@ -52,7 +52,8 @@ fn one_control_point() {
     gives("G91 G0 X1 Y2", "G5.1 X3 I.1 J0", [[1.0 + 0.2 / 3.0, 2.0], [2.0 + 0.2 / 3.0, 2.0], [4.0, 2.0]]);
 }
 
-/// Control points go the way of all coordinates; they are distances even with G90.1.
+/// Units, offsets and rotations act on control points as on all coordinates. Control points are distances even with
+/// G90.1.
 #[test]
 fn what_acts_on_control_points() {
     gives("G20", "G5 I1 J2 P-1 Q0 X3 Y0", [[25.4, 50.8], [50.8, 0.0], [76.2, 0.0]]);
@@ -64,7 +65,8 @@ fn what_acts_on_control_points() {
     gives("G43.1 X1 Y-1 Z5", "G5 I1 J2 P-1 Q0 X3 Y0", [[1.0, 2.0], [3.0, -1.0], [4.0, -1.0]]);
 }
 
-/// Where the last G5 has ended, whatever lies between, and in the direction that the machine had.
+/// A G5 without I and J continues where the last G5 has ended, whatever lines lie between, in the direction in which
+/// the machine arrived.
 #[test]
 fn going_on_smoothly() {
     let first = "G5 I1 J2 P-1 Q.5 X3 Y0";
@@ -88,7 +90,7 @@ fn going_on_smoothly() {
     let mut program = ready(first);
     program.interpreter.change_dialect();
     assert_eq!(program.error("F1 G5 X9 P0 Q0"), 28);
-    // A jog away, and one back.
+    // One jog away, and one back.
     let mut program = ready(first);
     let jog = program.interpreter.check_jog(b"X9F100", Dialect::Oxmill).unwrap();
     program.interpreter.commit(&jog);
@@ -159,7 +161,7 @@ fn what_is_refused() {
     assert_eq!(jog(b"G17G69G5X1I1J1P1Q1F100").map_err(|error| error.code()), Err(16));
 }
 
-/// While G5 is in force the P of another word has no sign, as in any other motion mode.
+/// While G5 is in force, the P of another word must not be negative, as in any other motion mode.
 #[test]
 fn only_the_p_of_a_spline_is_negative() {
     let program = ready("G5 X10 Y0 I3 J3 P-3 Q3");
@@ -185,7 +187,7 @@ fn only_the_p_of_a_spline_is_negative() {
     for line in ["X20 P-3 Q3", "M8 X20 P-3 Q3", "M67 E1 X20 P-3 Q3", "G92.1 X20 P-3 Q3"] {
         assert_eq!(program.error(line), 0, "{line}");
     }
-    // The word before the motion has the P, so the spline has none.
+    // The P belongs to the word before the motion, so the spline has none.
     assert_eq!(["G4 P-1 X20 Q3", "G64 P-1 X20 Q3"].map(|line| program.error(line)), [28, 28]);
 }
 
@@ -199,7 +201,7 @@ fn grbl_knows_none() {
     assert_eq!(program.error("G1 X1 P-1"), 4);
 }
 
-/// No increment is lost over very many curves.
+/// Increments do not drift over very many curves.
 #[test]
 fn curves_do_not_drift() {
     let mut program = ready("G68 X0 Y0 R33.3\nG91\nG5 X0.001 Y.0003 I1 J1 P0 Q0");
@@ -209,7 +211,7 @@ fn curves_do_not_drift() {
     assert_eq!(in_mm(&program.interpreter.to_program(program.interpreter.position()))[..2], [10.0, 3.0]);
 }
 
-/// Control points in X and Y of the machine, mm, with their weights.
+/// Returns the control points in X and Y of the machine, mm, with their weights.
 fn control_points(program: &Program) -> Vec<(f64, f64, f32)> {
     let mm = |part: oxmill_controller::units::Coordinate| part.0 as f64 / DECIMAL_ONE as f64;
     let points = program.interpreter.control_points();
@@ -225,15 +227,16 @@ fn control_points_of_a_curve() {
     assert_eq!((nurbs.order, nurbs.feed), (4, Feed::PerMinute(1.0)));
     assert_eq!((in_mm(&nurbs.start), program.machine()), ([1.0, 1.0, 5.0], [6.0, 6.0, 5.0]));
     assert_eq!(program.interpreter.modal().motion.word(), "G80");
-    // Those of the next curve begin anew; so does the order. The P of a first line with X and Y is that point's.
+    // The next curve starts with new control points, and a new order. In a first line with X and Y, P belongs to that
+    // point.
     program.run_all("G5.2 X7 Y7 P2\nX8 Y7 P1\nG5.3");
     assert_eq!(control_points(&program), [(6.0, 6.0, 1.0), (7.0, 7.0, 2.0), (8.0, 7.0, 1.0)]);
-    // Distances count from where the tool is, which is the start.
+    // Distances count from the tool's position, which is the start.
     program.run_all("G91 G5.2 X1 Y0 P1\nX1 Y1 P1\nL3 X0 Y2 P1");
     assert_eq!(control_points(&program)[1..], [(9.0, 7.0, 1.0), (9.0, 8.0, 1.0), (8.0, 9.0, 1.0)]);
     let MotionCommand::Nurbs(nurbs) = program.run("G93 F2 G5.3").motion else { panic!() };
     assert_eq!(nurbs.feed, Feed::InverseTime(30.0));
-    // What acts on coordinates acts on control points.
+    // Offsets, rotation and units act on control points, too.
     let mut program = ready("G10 L2 P1 X10 R90\nG0 X0 Y0\nG20\nG5.2 X1 Y0 P1\nG21 X0 Y5 P1\nG5.3");
     assert_eq!(control_points(&program), [(10.0, 0.0, 1.0), (10.0, 25.4, 1.0), (5.0, 0.0, 1.0)]);
     assert_eq!(program.run("G1 X0 Y5").motion, program.run("G1 X0 Y5").motion);

@@ -1,5 +1,5 @@
-//! Coordinates and state beyond Grbl: G52, G92.2, G92.3, circles without axis words, M48 to M53, M70 to M72, path control,
-//! and the words that are refused by an error of their own.
+//! Coordinates and state beyond Grbl: G52, G92.2, G92.3, circles without axis words, M48 to M53, M70 to M72, path
+//! control, and words with an error of their own.
 
 use crate::program::{Program, in_mm};
 use oxmill_controller::gcode::{CycleStep, Dialect, Flow, MotionCommand, PathControl};
@@ -8,14 +8,14 @@ use oxmill_controller::units::Coordinate;
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 
-/// At X1 Y2 Z3.
+/// Returns a program at X1 Y2 Z3.
 fn ready(dialect: Dialect) -> Program {
     let mut program = Program::new(dialect);
     program.run_all("G21 F300\nG0 X1 Y2 Z3");
     program
 }
 
-/// Lines, and the machine position after each.
+/// Runs lines and checks the machine position after each.
 fn play(lines: &[(&str, [f64; 3])]) {
     for dialect in NEW {
         let mut program = ready(dialect);
@@ -37,7 +37,7 @@ fn g92_suspended_and_restored() {
         ("X1", [-8.0, 2.0, 3.0]),
         ("G92.1", [-8.0, 2.0, 3.0]),
         ("X1", [1.0, 2.0, 3.0]),
-        // Nothing is left to restore.
+        // G92.1 has left nothing to restore.
         ("G92.3", [1.0, 2.0, 3.0]),
         ("X2", [2.0, 2.0, 3.0]),
     ]);
@@ -54,7 +54,7 @@ fn g92_changes_before_the_motion_of_its_line() {
         ("G92.2 Y3", [1.0, 3.0, 3.0]),
         ("G92.3 G91 Y3", [1.0, 6.0, 3.0]),
         ("G90 G92.1 Y3", [1.0, 3.0, 3.0]),
-        // The centre of an arc is a coordinate of the program, too.
+        // The absolute centre of an arc is a coordinate of the program, too.
         ("G92 X11 Y13", [1.0, 3.0, 3.0]),
         ("G92.2 G90.1 G2 X3 Y3 I2 J3", [3.0, 3.0, 3.0]),
         ("G92.3 G2 X11 Y13 I12 J13", [1.0, 3.0, 3.0]),
@@ -89,7 +89,7 @@ fn g52_and_g92_are_one_offset() {
         ("G0 X11", [21.0, 2.0, 3.0]),
         ("G92 Y5", [21.0, 2.0, 3.0]),
         ("X1 Y1", [11.0, -2.0, 3.0]),
-        // Only the named axes; the value itself, whatever the distance mode.
+        // G52 sets only the named axes, and to the value itself, whatever the distance mode.
         ("G91 G52 X1", [11.0, -2.0, 3.0]),
         ("G90 X1 Y1", [2.0, -2.0, 3.0]),
         ("G92.1", [2.0, -2.0, 3.0]),
@@ -236,7 +236,7 @@ fn words_that_say_what_is_so() {
         for line in ["O1000 G0", "O1000 X1", "O1000 S500 T3", "O1000 F1", "O1000 T1", "O1000 R1", "O1000 N1 S1"] {
             assert_eq!(program.error(line), 36, "{line}");
         }
-        // Where parameters are left out, they have an error of their own.
+        // Without the feature `full`, parameters have an error of their own.
         let code = if cfg!(feature = "full") { 36 } else { 201 };
         assert_eq!((program.error("O1000 #1=5"), program.error("N10 #1=5 O7")), (code, code));
     }
@@ -253,9 +253,9 @@ fn errors_of_their_own() {
             let line = format!("{word} X1 Z-1 R1 Q1 P1 F100 S1");
             assert_eq!(program.error(&line), 121, "{word}");
         }
-        // With P it is a switch of the look-ahead.
+        // With P, G8 is a switch of the look-ahead.
         assert_eq!(program.error("G8 X1 F100"), 121);
-        // A probing move, which has no use for R.
+        // G31 is a probing move, which does not use R.
         let code = if cfg!(feature = "full") { 36 } else { 121 };
         assert_eq!(program.error("G31 X1 Z-1 R1 F100"), code);
         for word in ["G41", "G41.1", "G42", "G42.1"] {
@@ -269,7 +269,7 @@ fn errors_of_their_own() {
     }
 }
 
-/// M72 restores not the values of G92, but whether it acts.
+/// M72 restores whether G92 is in force, but not its values.
 #[test]
 fn g92_and_m72() {
     play(&[
@@ -289,7 +289,7 @@ fn g92_and_m72() {
     ]);
 }
 
-/// P and Q are in the unit of the line; LinuxCNC has the same numbers for them, and takes Q for P where it is not there.
+/// P and Q are in the unit of the line. LinuxCNC uses the same numbers for them, and takes P for Q if Q is missing.
 #[cfg(feature = "full")]
 #[test]
 fn path_tolerances() {
@@ -316,7 +316,7 @@ fn path_tolerances() {
     }
 }
 
-/// In Grbl's dialect all of them are what they are to Grbl.
+/// In Grbl's dialect all these words have Grbl's meaning.
 #[test]
 fn grbl_knows_none_of_them() {
     let program = ready(Dialect::Grbl);
@@ -351,7 +351,7 @@ fn grbl_knows_none_of_them() {
     }
 }
 
-/// What a recording can begin with: [`Interpreter::is_plain`].
+/// The state with which a recording can begin: [`Interpreter::is_plain`].
 #[test]
 fn a_state_is_plain_while_no_line_has_left_anything_behind() {
     let lines: &[(bool, &str, &str)] = &[

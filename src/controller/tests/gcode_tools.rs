@@ -6,7 +6,7 @@ use oxmill_controller::units::Coordinate;
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 
-/// At X1 Y2 Z3.
+/// Returns a program at X1 Y2 Z3.
 fn ready(dialect: Dialect) -> Program {
     let mut program = Program::new(dialect);
     program.run_all("G21 F300\nG0 X1 Y2 Z3");
@@ -24,7 +24,7 @@ fn offsets_move_nothing_and_then_one_axis_each() {
             ("X1", [2.0, 2.0, 6.0]),
             ("G43.1 Z2", [2.0, 2.0, 6.0]),
             ("Z1", [2.0, 2.0, 3.0]),
-            // G43.1 leaves the axes alone that it does not name.
+            // G43.1 changes only the axes that it names.
             ("G43.1 Y3", [2.0, 2.0, 3.0]),
             ("X1 Y1 Z1", [2.0, 4.0, 3.0]),
             // G43.2 adds.
@@ -53,12 +53,12 @@ fn the_tool_in_the_spindle() {
         assert!(!program.run("M6").tool_change);
         program.run_all("G43\nZ0");
         assert_eq!(program.machine(), [1.0, 2.0, 5.0]);
-        // All in one line: the new tool's offset acts on the move.
+        // All words in one line: the new tool's offset acts on the move.
         program.run("T8 M6 G43 G0 Z1");
         assert_eq!(program.machine(), [1.0, 2.0, 7.0]);
         program.run_all("G43 H7\nG43 H0\nZ0");
         assert_eq!(program.machine(), [1.0, 2.0, 6.0]);
-        // The table acts from the next G43 on.
+        // A change of the table takes effect at the next G43.
         program.run_all("G10 L1 P8 Z-1 X4\nZ0");
         assert_eq!(program.machine(), [1.0, 2.0, 6.0]);
         program.run("G43 Z0 X0");
@@ -74,12 +74,12 @@ fn the_tool_in_the_spindle() {
 fn entries_by_measuring() {
     for dialect in NEW {
         for (before, word, z) in [
-            // The tip shall read Z5 where the machine is.
+            // The tip must read Z5 at the current machine position.
             ("", "L10", -2.0),
-            // With G92 as it is, without the tool offset of before.
+            // L10 includes G92, but not the previous tool offset.
             ("G92 Z10\nG43.1 Z4", "L10", 5.0),
             ("G10 L2 P1 Z-2", "L10", 0.0),
-            // In the system of the fixture, without G92.
+            // L11 uses the system of the fixture (G59.3), without G92.
             ("G10 L2 P9 Z-7\nG10 L2 P1 Z-2", "L11", 5.0),
             ("G10 L2 P9 Z-7\nG92 Z10", "L11", 5.0),
         ] {
@@ -145,7 +145,7 @@ fn what_is_refused() {
             ("G10 L10 P1 Z5 R3", 36),
             ("G10 L11 P1 Z5 Q3", 36),
             ("G10 L2 P1 X5 Q3", 36),
-            // L before P: of an unknown L the number does not matter.
+            // L is checked before P: with an unknown L the tool number does not matter.
             ("G10 L3 P12 X1", 20),
             ("G10 L3 P3 X1", 20),
             ("G10 L2 P12 X1", 29),
@@ -167,7 +167,7 @@ fn what_is_refused() {
     assert_eq!(program.machine(), [1.0, 2.0, 2.0]);
 }
 
-/// A table without any entry is one that nobody uses.
+/// A table without any entry counts as unused.
 #[test]
 fn without_any_entry_tools_have_no_length() {
     for dialect in NEW {
@@ -176,14 +176,14 @@ fn without_any_entry_tools_have_no_length() {
             program.run(line);
             assert_eq!((tool_length(&program), program.machine()), (0.0, [1.0, 2.0, 3.0]), "{line}");
         }
-        // What acts is the length of some tool.
+        // The length in force is that of some tool.
         program.run("G43.1 Z2");
         assert_eq!((program.error("G43 H7"), program.error("G43.2 H7"), program.error("G43 H0")), (47, 47, 47));
         program.run("M61 Q0");
         assert_eq!(program.error("G43 H0"), 0, "no tool has no length");
         program.run("G49");
         assert_eq!(program.error("G43 H7"), 0);
-        // So is what was measured, and an entry of a program that is only checked.
+        // A measured length counts as an entry, and so does an entry made in check mode.
         program.run("G10 L1 P1 Z0");
         assert_eq!(program.error("G43 H7"), 47);
         program.run("G10 L1 P1");
@@ -202,7 +202,7 @@ fn without_any_entry_tools_have_no_length() {
     }
 }
 
-/// Radius, angles and orientation, which LinuxCNC's tables have: they are no offset, and take no tool out.
+/// Radius, angles and orientation, which LinuxCNC's tables have, are no offset, and do not remove a tool.
 #[test]
 fn words_of_a_tool_that_are_not_kept() {
     for dialect in NEW {
@@ -220,7 +220,7 @@ fn words_of_a_tool_that_are_not_kept() {
     }
 }
 
-/// Sums of offsets stay where the controller can compute.
+/// Sums of offsets stay in the range in which the controller computes.
 #[test]
 fn offsets_have_an_end() {
     for dialect in NEW {
@@ -246,7 +246,7 @@ fn offsets_have_an_end() {
     }
 }
 
-/// What a program does to the table that is only checked holds up to its end.
+/// In check mode a program's changes to the table last until the check ends.
 #[test]
 fn a_check_leaves_the_table_as_it_was() {
     for dialect in NEW {
@@ -260,14 +260,14 @@ fn a_check_leaves_the_table_as_it_was() {
         assert_eq!(program.machine(), [0.0, 0.0, 7.0]);
         let stored = |tools: &ToolTable<3>| tools.entries().iter().filter(|tool| tool.is_stored()).count();
         assert_eq!(stored(program.interpreter.tools()), 2);
-        // There is room for each tool once.
+        // Each tool takes one entry.
         for tool in 10..10 + TOOLS - 4 {
             program.run(&format!("G10 L1 P{tool} Z{tool}"));
         }
         assert_eq!((program.error("G10 L1 P2 Z1"), program.error("G10 L1 P10 Z1")), (47, 0));
         program.interpreter.reset();
         assert_eq!(*program.interpreter.tools(), {
-            // Of a free entry only the number counts.
+            // In a free entry only the number matters.
             let mut after = before.clone();
             for (slot, tool) in program.interpreter.tools().entries().iter().enumerate().skip(2) {
                 after.put(slot, *tool);
@@ -281,7 +281,7 @@ fn a_check_leaves_the_table_as_it_was() {
     }
 }
 
-/// G10 L1 without axes. A tool of no length, such as the one that others are measured by, stays.
+/// G10 L1 without axes removes a tool. A tool of length 0, such as the one with which others are compared, stays.
 #[test]
 fn a_tool_is_taken_out() {
     for dialect in NEW {
@@ -295,7 +295,7 @@ fn a_tool_is_taken_out() {
         assert_eq!((program.error("G43 H5"), program.error("G10 L1 P5"), program.error("G43 H6")), (47, 47, 0));
         program.run("G10 L1 P99 Z1");
         assert_eq!((program.error("G43 H99"), program.error("G10 L1 P5 Z1")), (0, 47));
-        // A program that is only checked leaves it there.
+        // A program in check mode does not remove it.
         program.interpreter.begin_check_mode(Dialect::Oxmill);
         program.run("G10 L1 P6");
         program.interpreter.reset();
@@ -303,7 +303,7 @@ fn a_tool_is_taken_out() {
     }
 }
 
-/// The tool of a number touches a setter at this height of the machine. Whether it is the first.
+/// Measures the tool `number`: it touches a setter at this machine height. Returns whether it is the first tool.
 fn measure(program: &mut Program, number: u32, height: i32) -> bool {
     program.interpreter.tool_removed();
     program.interpreter.tool_measured(number, Coordinate::mm(height))
@@ -322,7 +322,7 @@ fn measured_tools_have_the_same_work_zero() {
         assert_eq!(tool_length(&program), 2.0, "the first one keeps what acts");
         assert!(!measure(&mut program, 2, -43));
         assert_eq!(tool_length(&program), 9.0, "7 mm longer");
-        // The offset of the table does not count for it, but along the other axes.
+        // The table's offset is not used along Z, but along the other axes.
         program.run_all("G10 L1 P2 X5 Z-1\nG49");
         assert_eq!(tool_length(&program), 0.0);
         for line in ["G43", "G43 H2", "G43 H0"] {
@@ -333,7 +333,7 @@ fn measured_tools_have_the_same_work_zero() {
         program.run("G49");
         program.interpreter.reset();
         assert_eq!(tool_length(&program), 9.0, "a reset does not forget what is in the spindle");
-        // Another tool without being measured: nothing is known of it.
+        // The length of another tool that has not been measured is unknown.
         program.run("T3 M6");
         assert_eq!(program.error("G43"), 47);
         program.interpreter.reset();
@@ -356,7 +356,7 @@ fn a_tool_that_was_taken_out_is_not_there() {
     assert_eq!(tool_length(&program), 0.0);
 }
 
-/// M72 brings no length back that is another tool's, or that a setter has found to be another one since.
+/// M72 does not restore the length of another tool, nor a length that a setter has since found to be different.
 #[test]
 fn a_restored_state_has_the_length_of_the_tool_in_the_spindle() {
     let mut program = ready(Dialect::Oxmill);
@@ -374,7 +374,7 @@ fn a_restored_state_has_the_length_of_the_tool_in_the_spindle() {
     measure(&mut program, 1, -15);
     program.run("M72");
     assert_eq!(tool_length(&program), 5.0, "it has been put in otherwise");
-    // Nor does the length stay away that was measured.
+    // M72 also puts the measured length back in force.
     for line in ["G49", "G43.1 Z99"] {
         program.run("M70");
         measure(&mut program, 2, -10);

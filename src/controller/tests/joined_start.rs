@@ -1,11 +1,12 @@
-//! A program begins to move when as many of its moves are queued as the look-ahead has blocks, joined or not.
+//! A program starts to move when it has queued as many moves as the look-ahead has blocks, whether or not moves were
+//! joined.
 
 use crate::board::{NOW, PROFILE, started};
 use oxmill_controller::messages::{Event, LineByte, Observed, Output, Room, ToStep};
 
 const BLOCKS: usize = 16;
 
-/// Moves along X of this length that are sent until the machine begins to move, while more are always waiting.
+/// Returns how many moves of this length along X are sent before the machine starts to move, while more always wait.
 fn moves_before_the_start(millimetres: f64) -> usize {
     let mut controller = started(PROFILE, BLOCKS);
     for count in 0..1000 {

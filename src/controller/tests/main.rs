@@ -1,4 +1,4 @@
-//! The controller as those see it who call it. One program, so that it is compiled and linked once.
+//! Tests of the controller through its public interface. One program, so that it is compiled and linked once.
 
 mod board;
 mod program;

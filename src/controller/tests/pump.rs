@@ -1,4 +1,4 @@
-//! The pump's order, seen by one that writes down what it is asked for.
+//! The order of a pump's round, checked with a pump that logs each call.
 
 use crate::board::{PROFILE, started};
 use oxmill_controller::messages::{
@@ -14,20 +14,20 @@ struct Scribe<const WOKEN: bool> {
     controller: Controller<3>,
     log: Vec<String>,
     events: Vec<(Source, Event<3>)>,
-    /// What has come when the next record is handed over, the store's answer among it; nothing: it is stored.
+    /// Events that arrive with the next store operation, including the store's answer; empty: the record is stored.
     with_store: Vec<(Source, Event<3>)>,
     lines: VecDeque<u8>,
     epoch: u16,
-    /// Given by `make_room`, once.
+    /// Bytes that `make_room` adds to `lines`, once.
     late: VecDeque<u8>,
     said: String,
-    /// The greatest power of the spindle that was put out.
+    /// Maximum spindle power that was output.
     power: u16,
-    /// A command that is there however often it is taken.
+    /// A command that is available however often it is taken.
     flood: Option<Realtime>,
-    /// There is no room for text.
+    /// There is no room for replies.
     mute: bool,
-    /// There is room for so many pieces of it.
+    /// Number of reply pieces for which there is room.
     pieces: u32,
 }
 
@@ -59,7 +59,7 @@ impl<const WOKEN: bool> Scribe<WOKEN> {
         self.lines.extend(line.bytes());
     }
 
-    /// Sends a line. What is said until nothing is left to do.
+    /// Sends a line. Returns the replies until nothing is left to do.
     fn answer_to(&mut self, line: &str) -> String {
         self.send(line);
         while round(self) {}
@@ -159,7 +159,7 @@ fn events_are_told_source_by_source_then_lines_then_outputs() {
     scribe.send("$G\n");
     let signals = Sensed::default();
     let stopped = StepEvent::Stopped { stops: 0, moving: false, position: Default::default() };
-    // In another order than the rule's.
+    // Not in the order in which the pump takes them.
     scribe.events = vec![
         (Source::Store, Event::Stored),
         (Source::Inputs, Event::Signals(signals)),
@@ -171,7 +171,7 @@ fn events_are_told_source_by_source_then_lines_then_outputs() {
     let order = ["begin", "Step", "Store", "Hosts", "Commands", "Inputs", "line", "room true", "reply"];
     let found: Vec<usize> = order.iter().map(|entry| scribe.position(entry)).collect();
     assert!(found.is_sorted(), "{:?}", scribe.log);
-    // Before each event it is looked what has come before it.
+    // The counters are observed before the controller takes an event.
     for source in &order[1..6] {
         assert_eq!(scribe.log[scribe.position(source) + 1], "observed", "{source}: {:?}", scribe.log);
     }
@@ -194,7 +194,7 @@ fn what_is_answered_by_an_event_is_answered_before_the_next_output() {
     }
 }
 
-/// Both come about in one call: outputs go first, for the text may have to wait for room.
+/// Outputs and alarm arise in one call. The outputs come first, because the text may have to wait for room.
 #[test]
 fn outputs_are_off_before_the_alarm_of_a_soft_limit_is_told() {
     let mut scribe = Scribe::<true>::new();
@@ -232,7 +232,7 @@ fn each_segment_for_the_step_task_begins_a_round() {
     for k in steps {
         assert_eq!(scribe.log.get(k + 1).map_or("begin", String::as_str), "begin");
     }
-    // What announces a block does not: its segment comes first.
+    // A message that announces a block begins no round: the block's segment comes first.
     let block = scribe.position("block");
     let next = scribe.log[block..].iter().find(|entry| matches!(entry.as_str(), "step" | "begin"));
     assert_eq!(next.map(String::as_str), Some("step"), "{:?}", scribe.log);
@@ -258,7 +258,7 @@ fn a_pump_that_is_woken_makes_no_round_for_nothing() {
     woken.events.push((Source::Commands, Event::Realtime(Realtime::Status)));
     assert_eq!(rounds(round(&mut woken), &woken.log), (false, 1));
     assert!(woken.said.starts_with("<Idle|"), "{}", woken.said);
-    // Lines are another matter: more of them may be waiting.
+    // After lines another round is needed: more of them may be waiting.
     woken.send("G20\n");
     assert!(round(&mut woken));
     let mut other = Scribe::<false>::new();
@@ -266,7 +266,7 @@ fn a_pump_that_is_woken_makes_no_round_for_nothing() {
     assert_eq!(rounds(round(&mut other), &other.log), (true, 1));
 }
 
-/// A flood of `?` over a fast line: the step task gets its segments between them.
+/// A flood of `?` over a fast link: the step task gets its segments in between.
 #[test]
 fn segments_go_out_though_commands_do_not_end() {
     let mut scribe = Scribe::<true>::new();
@@ -295,7 +295,7 @@ fn inputs_and_lines_come_behind_all_commands_that_wait() {
     assert!(last < scribe.position("Inputs") && last < scribe.position("line"), "{:?}", scribe.log);
 }
 
-/// Nobody wakes the pump again: all answers have been taken by then.
+/// Nothing would wake the pump again, because all answers have been taken by then.
 #[test]
 fn lines_that_waited_for_room_for_answers_are_read() {
     let mut scribe = Scribe::<true>::new();
@@ -325,7 +325,7 @@ fn a_failure_to_store_is_told_with_the_command_that_it_belongs_to() {
     }
 }
 
-/// `$22=1` stores two records.
+/// Here `$22=0` stores two records, because `$20` changes with it.
 #[test]
 fn two_failures_of_one_command_are_told_once() {
     let mut scribe = Scribe::<false>::new();
@@ -335,7 +335,7 @@ fn two_failures_of_one_command_are_told_once() {
     assert_eq!(scribe.answer_to("$22=0\n"), format!("{NOT_STORED}ok\r\n"), "{:?}", scribe.log);
 }
 
-/// The processor is stalled while flash is written: what has come meanwhile is found with the store's answer.
+/// Writing flash stalls the processor, so events that occur meanwhile arrive together with the store's answer.
 #[test]
 fn a_reset_while_a_setting_is_stored_leaves_no_failure_behind() {
     let mut scribe = Scribe::<false>::new();
@@ -351,7 +351,8 @@ fn a_reset_while_a_setting_is_stored_leaves_no_failure_behind() {
     assert_eq!(scribe.answer_to("G10L2P1X1\n"), "ok\r\n");
 }
 
-/// The change of hosts comes behind a byte that waits for its command: dropped at an open door it would overtake it.
+/// The change of hosts follows a byte that waits for its command. Dropped early, at an open door, the change would
+/// overtake that byte.
 #[test]
 fn a_change_of_hosts_is_not_taken_in_front_of_a_byte_that_waits() {
     let mut controller = started(PROFILE, 16);
@@ -365,7 +366,7 @@ fn a_change_of_hosts_is_not_taken_in_front_of_a_byte_that_waits() {
     assert!(!controller.is_old(change));
 }
 
-/// A stop ends motion and programs. What is being stored is neither, and a restart that follows it comes.
+/// A stop ends motion and programs, but neither a store in progress nor the restart that follows it.
 #[test]
 fn a_stop_while_defaults_are_stored_does_not_keep_them_from_acting() {
     for held in [&[][..], &[Realtime::FeedHold][..]] {
@@ -386,9 +387,9 @@ struct Flooded {
     sent: u32,
     begun: u32,
     lines: u32,
-    /// The last segment of the motion has been handed over.
+    /// The last segment of the motion has been handed to the step task.
     ended: bool,
-    /// Fewest segments that were queued while lines were read and more were to come.
+    /// Minimum number of segments that were queued while lines were read and more segments were to come.
     fewest: u32,
 }
 
@@ -404,7 +405,7 @@ impl Pump<3> for Flooded {
     }
 
     fn observed(&mut self) -> Observed {
-        // As long as more lines wait a motion does not begin.
+        // Reports no waiting lines until motion has begun, because a motion does not begin while lines wait.
         let received = if self.sent == 0 { 0 } else { 255 };
         Observed { segments_begun: self.begun, step_idle: self.sent == 0, rx_free: 0, received, heard: 0 }
     }
@@ -420,7 +421,7 @@ impl Pump<3> for Flooded {
         });
         if byte == b'\n' {
             self.lines += 1;
-            // Motion begins with some segments ahead, as the step task has it.
+            // Like the step task, begins only with some segments queued.
             if self.begun > 0 || self.sent >= 8 {
                 self.begun = self.sent.min(self.begun + 1);
                 if !self.ended {
@@ -463,12 +464,13 @@ fn a_host_that_floods_does_not_starve_the_step_task() {
         }
     }
     assert!(pump.ended && pump.sent > 200, "{} segments, {} lines", pump.sent, pump.lines);
-    // A segment lasts 2 ms at most, and a line comes first only where more than 5 ms are queued.
+    // A segment lasts at most 2 ms, and lines come first only while more than 5 ms are queued.
     assert!((2..=6).contains(&pump.fewest), "{} segments were left", pump.fewest);
     assert!(pump.lines > 200, "{} lines were read meanwhile", pump.lines);
 }
 
-/// A host asks for more reports than its line carries: its lines are answered between them, and its listings go on.
+/// A host requests more reports than its link can carry: its lines are still answered in between, and listings
+/// continue.
 #[test]
 fn a_host_that_floods_does_not_starve_its_own_lines() {
     for most in [1, 4, 20] {
@@ -487,7 +489,7 @@ fn a_host_that_floods_does_not_starve_its_own_lines() {
     }
 }
 
-/// Whatever `$914` says of a job.
+/// `$914` makes no difference: it is about jobs.
 #[test]
 fn a_jog_that_was_read_as_its_host_went_does_not_begin() {
     for (setting, host_goes) in [("$914=0\n", false), ("$914=0\n", true), ("$914=1\n", true)] {

@@ -1,4 +1,4 @@
-//! The ring of what came in, as it is found after a reset: whole, gone round, cut short, or nothing but noise.
+//! The recorder's ring as it is found after a reset: complete, wrapped around, cut short, or noise.
 
 #![cfg(feature = "full")]
 
@@ -18,7 +18,7 @@ const SOFTWARE: Restart = Restart { cause: ResetCause::Software, crash: None, is
 
 fn board() -> Box<Board> {
     let mut board = started(PROFILE, 16);
-    // As a pump does: welcome line and startup lines.
+    // Takes the welcome line and the startup lines, as a pump does.
     while board.output(Instant::from_ticks(0), Room { step: true, reply: true }).is_some() {}
     board
 }
@@ -29,7 +29,7 @@ fn line(ring: &mut Ring, board: &Board, time: u64, epoch: u16, text: &str) {
     }
 }
 
-/// What is listed, without what comes in front of the entries.
+/// Returns the listed entries, without the pieces that are not entries.
 fn entries(ring: &mut Ring) -> Vec<(u64, Noted)> {
     let mut found = Vec::new();
     let mut more = true;
@@ -54,7 +54,7 @@ fn host(text: &str) -> Noted {
     Noted::Host(heapless::Vec::from_slice(text.as_bytes()).unwrap())
 }
 
-/// The pages outlive a reset: taken out of one recorder and given to the next.
+/// Returns the pages, which survive a reset: they are given to the next recorder.
 fn pages(ring: &Ring) -> Vec<Page> {
     ring.pages().to_vec()
 }
@@ -108,7 +108,7 @@ fn a_ring_that_has_gone_round_begins_with_a_whole_entry() {
     }
     let found = entries(&mut ring);
     assert!((10..60).contains(&found.len()), "{}", found.len());
-    // But for the first line, whose begin may have gone, all are whole and have their time.
+    // All entries are complete and have their time, except the first, whose beginning may have been overwritten.
     for (n, entry) in (0..500).rev().zip(found.iter().skip(1).rev()) {
         assert_eq!(*entry, (n * 2_000, host(&text(n))));
     }
@@ -129,7 +129,8 @@ fn after_a_reset_it_is_kept_until_a_program_begins() {
     let ended = Noted::Ended { crash: Some(CrashKind::Stuck), place: [1, -2, 3], line: 7 };
     let found = entries(&mut ring);
     assert_eq!(found[1..], [(1_000_000_000_000, host("N7G1X10\n")), (1_000_000_004_321, ended)]);
-    // Locked: a job that continues is refused and leaves it alone. So do `$` lines, and another reset.
+    // In a locked machine a job that continues is refused and leaves the recording as it is. So do `$` lines, and
+    // another reset.
     board.restarted(restart);
     line(&mut ring, &board, 10, 0, "G1X5\n");
     let mut ring = Ring::begin(pages(&ring), &SOFTWARE);
@@ -145,7 +146,8 @@ fn after_a_reset_it_is_kept_until_a_program_begins() {
     assert_eq!(found[1..], [(40, host("G4P1\n"))]);
 }
 
-/// The place of a failure is that of the turn before; the line that it failed at has come in since.
+/// A failure is stored with the time of the last turn of the control task before it. If the line that caused the
+/// failure was received after that time, the failure is listed right after that line.
 #[test]
 fn a_failure_in_the_line_that_came_last_comes_right_behind_it() {
     let board = board();
@@ -159,7 +161,7 @@ fn a_failure_in_the_line_that_came_last_comes_right_behind_it() {
         at
     };
     assert_eq!(ended_at(5_000_000, 4_900_000), 5_000_000);
-    // Around a wrap of the 32 bits of its moment, and an hour after the last that came in.
+    // Around a wrap of the 32-bit `moment`; and an hour after the last input.
     assert_eq!(ended_at((1 << 32) + 1_000, (1 << 32) - 1_000), (1 << 32) + 1_000);
     assert_eq!(ended_at(5_000_000, 3_605_000_000), 3_605_000_000);
 }
@@ -173,14 +175,14 @@ fn a_page_that_is_not_what_was_written_is_none() {
     }
     let whole = entries(&mut ring).len();
     let mut bytes: Vec<u8> = Page::bytes_of(&pages(&ring)).collect();
-    // A byte of an entry of the first page.
+    // Damage a byte of an entry in the first page.
     bytes[60] ^= 4;
     let mut ring = Ring::begin(of_bytes(&bytes), &SOFTWARE);
     let left = entries(&mut ring).len();
     assert!(ring.is_kept() && left > 0 && left < whole, "{left} of {whole}");
 }
 
-/// Jog cancels open epochs, and these wrap; a machine may be jogged for weeks without a reset.
+/// Each jog cancel starts an epoch, and epochs wrap: a machine may be jogged for weeks without a reset.
 #[test]
 fn lines_behind_very_many_jog_cancels_are_recorded() {
     let board = board();
@@ -198,7 +200,7 @@ fn lines_behind_very_many_jog_cancels_are_recorded() {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
-    /// Whatever comes at whatever time, in pieces or byte by byte: all of it is listed, and nothing else.
+    /// All input is listed, and nothing else, whatever its times, and whether it comes in pieces or byte by byte.
     #[test]
     fn nothing_is_left_out(script in prop::collection::vec((prop_oneof![Just(0_u64), 1..200_u64, any::<u32>().prop_map(u64::from)], 0..6_u8, prop_oneof![0..20_usize, 60..70_usize, 120..140_usize, 0..260_usize], 1..40_usize), 1..40)) {
         let board = board();
@@ -231,7 +233,7 @@ proptest! {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
-    /// What RAM holds after power-up, or after anything at all, is listed or forgotten, and recorded over.
+    /// Any contents of RAM, such as those after power-up, are listed or discarded, and then recorded over.
     #[test]
     fn any_bytes_are_listed(noise in prop::collection::vec(any::<u8>(), 4 * 256), damage in prop::collection::vec((0..1024_usize, any::<u8>()), 0..6), real in any::<bool>(), seal in any::<bool>()) {
         let board = board();
@@ -249,7 +251,7 @@ proptest! {
         }
         let mut pages = of_bytes(&bytes);
         if seal {
-            // Entries of any bytes that pass for written ones.
+            // Sealed pages pass for written ones, whatever bytes they hold.
             pages.iter_mut().enumerate().for_each(|(number, page)| page.seal(number as u32));
         }
         let mut ring = Ring::begin(pages, &SOFTWARE);
@@ -260,7 +262,7 @@ proptest! {
         prop_assert_eq!(found.last(), Some(&(5, host("G1X10\n"))));
     }
 
-    /// Whenever the reset comes, what had been recorded is there.
+    /// A reset at any time leaves what had been recorded.
     #[test]
     fn a_reset_at_any_moment_leaves_what_was_there(count in 1..2_000_usize) {
         let board = board();
@@ -272,7 +274,7 @@ proptest! {
             Noted::Host(bytes) => bytes.to_vec(),
             _ => Vec::new(),
         }).collect();
-        // The line that is being put together has done nothing yet.
+        // An incomplete line is not listed: it has had no effect yet.
         let ended = count - count % 11;
         prop_assert!(text.as_bytes()[..ended].ends_with(&said));
         prop_assert!(said.len() == ended || count > 1_500, "{} of {}", said.len(), count);

@@ -1,4 +1,4 @@
-//! After a failure the host is told at each welcome line, until it has asked for the record; and the machine is locked.
+//! After a failure each welcome line reports it until the host has requested the record, and the machine is locked.
 
 use crate::board::{NOW, PROFILE};
 use oxmill_controller::Controller;
@@ -107,7 +107,7 @@ fn a_watchdog_without_a_record_is_told_too() {
     assert!(said.contains("(watchdog)") && said.contains("$X"), "{said}");
 }
 
-/// Half a second of nothing but resets is more than a byte counts.
+/// 6000 resets arrive in half a second, and do not fit a counter of 8 bits.
 #[test]
 fn many_resets_are_over_when_the_step_task_has_obeyed_them() {
     let (mut board, _) = Board::started(None);
@@ -120,7 +120,7 @@ fn many_resets_are_over_when_the_step_task_has_obeyed_them() {
     assert_eq!(board.pump().matches("Grbl 1.1h").count(), 1);
 }
 
-/// The reset button finds half a line of a host, and another host takes the floor.
+/// The reset button is pressed after half a line of one host, then another host takes over.
 #[test]
 fn what_a_reset_button_drops_ends_with_a_cut() {
     let (mut board, _) = Board::started(None);
@@ -142,7 +142,7 @@ fn what_a_reset_button_drops_ends_with_a_cut() {
     assert_eq!(board.pump(), "ok\r\n");
 }
 
-/// The bytes that a hold has counted go with their host: those of the next one are not taken for them.
+/// The bytes counted at the reset button disappear with their host: bytes of the next host are not mistaken for them.
 #[test]
 fn a_host_that_goes_takes_what_was_counted_with_it() {
     let (mut board, _) = Board::started(None);

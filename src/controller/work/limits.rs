@@ -1,5 +1,5 @@
-//! Why a correct line may not be carried out: settings that lock motion, a position that needs homing, targets out of
-//! range, and soft limits. All kinds of motion are checked for points outside the travel; a jog is shortened to it
+//! Reasons to refuse a correct line: settings that lock motion, a position that needs homing, targets out of range, and
+//! soft limits. All kinds of motion are checked for points outside the travel; a jog can be shortened to the travel
 //! instead.
 
 use crate::axes::{Arrangement, Axis, PerAxis};
@@ -13,7 +13,7 @@ use crate::settings::{AxisKey, Key};
 use crate::units::Coordinate;
 
 impl<const N: usize> Controller<N> {
-    /// Why the line may not be carried out though it is correct, if so.
+    /// Returns why the machine refuses the line although it is correct, if it does.
     pub(crate) fn refuse_line(&mut self) -> Option<Error> {
         if self.line.action.motion != gcode::MotionCommand::None
             && let Some(error) = self.motion_locked()
@@ -27,11 +27,11 @@ impl<const N: usize> Controller<N> {
         self.leaves_range().then_some(Error::InvalidTarget)
     }
 
-    /// Whether the motion leads where the controller does not compute any more: an arc bulges beyond its ends, and with
+    /// Whether the motion leaves the range in which the controller computes. An arc bulges beyond its ends, and with
     /// belts (CoreXY) X and Y add up to the distance of a motor.
     #[inline]
     fn leaves_range(&self) -> bool {
-        // The check has looked at the target of a line, and nothing of it is beyond.
+        // The target of a straight line has been checked before, and no point of the line is beyond its ends.
         let is_plain =
             matches!(self.line.action.motion, gcode::MotionCommand::None | gcode::MotionCommand::Line { .. });
         !(is_plain && self.m.settings.arrangement() == Arrangement::Cartesian) && self.bulges_out()
@@ -74,7 +74,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Lets a jog end where the travel does. An axis that is outside already goes no further out.
+    /// Shortens a jog to the travel. An axis that is already outside goes no further out.
     pub(crate) fn clip_to_travel(&mut self) {
         if let gcode::MotionCommand::Line { target, .. } = &self.line.action.motion
             && self.limits_travel()
@@ -91,7 +91,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether soft limits are in force. Without a true position there is nothing to compare with.
+    /// Whether soft limits are in force. They need a true position.
     pub(crate) fn limits_travel(&self) -> bool {
         self.m.settings.is_on(Key::SoftLimits) && !self.needs_homing()
     }
@@ -123,12 +123,12 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// The curve of the control points that the interpreter keeps.
+    /// Returns the curve of the control points that the interpreter keeps.
     fn nurbs_geometry(&self, nurbs: &NurbsMove<N>) -> NurbsGeometry<'_, N> {
         NurbsGeometry { start: nurbs.start, points: self.m.interpreter.control_points(), order: nurbs.order }
     }
 
-    /// Whether a place lies outside of the travel.
+    /// Whether a position lies outside the travel.
     pub(crate) fn is_outside_travel(&self, position: &PerAxis<Coordinate, N>) -> bool {
         let axes = Axis::ALL.into_iter().take(self.m.settings.axes_in_use());
         axes.zip(position.iter()).any(|(axis, place)| {
@@ -141,24 +141,26 @@ impl<const N: usize> Controller<N> {
         })
     }
 
-    /// How far (mm) an axis may be told to go for this travel. Where that is no whole number of steps, a machine that was sent to
-    /// its end is up to half a step beyond it, and other axes must move from there.
+    /// Returns how far (mm) an axis may be commanded with this travel. If the travel is not a whole number of steps, an
+    /// axis that was sent to its end is up to half a step beyond it, and other axes must still be able to move from
+    /// there.
     #[inline(never)]
     fn reach(&self, axis: Axis, travel: f32) -> f32 {
         let resolution = self.m.settings.axes(AxisKey::Resolution).get(axis).unwrap_or(0.0);
         let steps = travel * resolution;
-        // What is whole may be so by its rounding only.
+        // A product that is whole may be so by rounding only, hence a small share.
         let share = if steps as i32 as f32 == steps { 0.02 } else { 0.5 };
         travel + share / resolution
     }
 
-    /// The setting that allows no motion at all.
+    /// Returns the number of the setting that locks all motion, if any.
     #[inline]
     pub(crate) fn locking_setting(&mut self) -> Option<u16> {
         self.m.settings_lock.setting(&self.m.settings)
     }
 
-    /// Whether the settings, or what has become of them, allow no motion at all; then the host has been told why.
+    /// Returns an error if the settings, or damage to the stored settings, lock all motion, and reports the reason to
+    /// the host.
     #[inline]
     pub(crate) fn motion_locked(&mut self) -> Option<Error> {
         if self.m.records.are_damaged() {
@@ -172,7 +174,8 @@ impl<const N: usize> Controller<N> {
         Some(Error::Locked)
     }
 
-    /// Grbl answers a change with `ok` and nothing else: in its dialect the setting is named at the first move.
+    /// After a change of a setting, names the setting that locks motion. Grbl answers a change with only `ok`, so in
+    /// its dialect that setting is named at the first move.
     pub(crate) fn name_after_change(&mut self, changed: u16) {
         self.locking_setting();
         if let Some(setting) = self.m.settings_lock.name_after_change(changed)
@@ -187,7 +190,7 @@ impl<const N: usize> Controller<N> {
         self.say(|out| report::message_number(out, "Motion is locked until this setting is mended: $", setting.into()));
     }
 
-    /// With homing on, what uses machine coordinates waits for a position that is true.
+    /// Whether lines that use machine coordinates have to wait for homing, because the position is not trusted.
     fn needs_homing(&self) -> bool {
         !self.m.reference.is_trusted()
             && self.dialect() != Dialect::Grbl
@@ -196,7 +199,7 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// The circle of an arc.
+/// Returns the circle of an arc.
 pub(crate) fn geometry<const N: usize>(arc: &ArcMove<N>) -> ArcGeometry<N> {
     ArcGeometry {
         start: arc.start,
@@ -210,7 +213,7 @@ pub(crate) fn geometry<const N: usize>(arc: &ArcMove<N>) -> ArcGeometry<N> {
     }
 }
 
-/// The curve of a spline.
+/// Returns the curve of a spline.
 pub(crate) fn spline_geometry<const N: usize>(spline: &SplineMove<N>) -> SplineGeometry<N> {
     SplineGeometry { start: spline.start, target: spline.target, leaving: spline.leaving, arriving: spline.arriving }
 }

@@ -1,5 +1,5 @@
-//! The line that is being carried out: its action, its curve as far as chords have been queued, its tool change, and
-//! the last message of the program. There is one at a time, and its memory is reused.
+//! The line that is being executed: its action, its curve as far as chords have been queued, its tool change, and the
+//! last message of the program. There is one at a time, and its memory is reused.
 
 use crate::axes::{LINEAR, PerAxis};
 use crate::error::Error;
@@ -11,26 +11,26 @@ use crate::protocol::text::{Text, put, whole};
 use crate::units::{Coordinate, WeightedPoint};
 use crate::work::tool_change::plan::ToolChange;
 
-/// Longest message of a program, with the values of its parameters.
+/// Maximum length of a program's message, including the values of its parameters.
 const MESSAGE: usize = if FULL_IMAGE { 160 } else { MESSAGE_LENGTH };
 
 /// A message of a program.
 pub(crate) type Message = heapless::Vec<u8, MESSAGE>;
 
-/// The line in work, and its curve once that has begun.
+/// The line being executed, and its curve once started.
 #[derive(Clone, Debug)]
 pub(crate) struct LineInWork<const N: usize> {
-    /// The line. Canned cycles and jogs change it while they are carried out.
+    /// The line's action. Canned cycles and jogs change it during execution.
     pub(crate) action: Action<N>,
     curve: Option<Curve<N>>,
     single_block: bool,
-    /// Notices that the program has been told, a bit each.
+    /// Notices already sent for this program, one bit each.
     told: u8,
     /// The tool change of the line, if its tool is measured.
     change: ToolChange<N>,
-    /// The last message of the program, for a host that takes over; no memory where that is told nothing.
+    /// The last message of the program, for a host that takes over. Takes no memory without `DESCRIPTIONS`.
     message: [Message; FULL_IMAGE as usize],
-    /// Of the line that was refused last; no memory where nothing is said about it.
+    /// Why the last refused line was refused. Takes no memory without `REASONS`.
     refusal: [Refusal; REASONS as usize],
 }
 
@@ -38,7 +38,7 @@ pub(crate) struct LineInWork<const N: usize> {
 #[derive(Clone, Debug)]
 struct Refusal {
     reason: Reason,
-    /// It was found for the line that is being refused.
+    /// The reason was found for the line that is being refused.
     is_new: bool,
 }
 
@@ -47,7 +47,7 @@ impl Refusal {
 }
 
 impl<const N: usize> LineInWork<N> {
-    /// There is none.
+    /// No line.
     pub(crate) const NONE: Self = Self {
         action: Action::NOTHING,
         curve: None,
@@ -58,7 +58,7 @@ impl<const N: usize> LineInWork<N> {
         refusal: [const { Refusal::NONE }; REASONS as usize],
     };
 
-    /// Finds out what is wrong with a line, or a held one, that the interpreter has refused.
+    /// Finds out what is wrong with a line that the interpreter has refused, be it of the host or of held text.
     #[cold]
     pub(crate) fn explain(
         &mut self,
@@ -74,10 +74,11 @@ impl<const N: usize> LineInWork<N> {
         }
     }
 
-    /// The line that is refused is another one, of which this was called.
+    /// Puts the line `held` before the reason: it is the line at fault, but the host has sent only the line that called
+    /// it.
     #[cold]
     pub(crate) fn explain_within(&mut self, held: &[u8]) {
-        /// Of the line that is held, which the host does not see.
+        /// Number of characters of the held line to show; the host has not sent it.
         const SHOWN: usize = 24;
         for refusal in self.refusal.iter_mut().filter(|refusal| refusal.is_new) {
             let found = core::mem::take(&mut refusal.reason);
@@ -90,7 +91,7 @@ impl<const N: usize> LineInWork<N> {
         }
     }
 
-    /// The line is refused for its length.
+    /// Explains that the line is refused for its length: it has `length` characters, and only `fit` fit.
     #[cold]
     pub(crate) fn explain_length(&mut self, length: usize, fit: usize) {
         if let Some(refusal) = self.refusal.first_mut() {
@@ -106,8 +107,8 @@ impl<const N: usize> LineInWork<N> {
         }
     }
 
-    /// The line is refused with an error. What was found out about it, which is told; what is told of another one is the
-    /// meaning of its error.
+    /// Records that the line is refused. Returns the reason found by `explain`, to be sent to the host. If none was
+    /// found, returns `None` and keeps the text of the error as the reason.
     #[cold]
     pub(crate) fn refused(&mut self, error: Error) -> Option<Reason> {
         let refusal = self.refusal.first_mut()?;
@@ -120,12 +121,12 @@ impl<const N: usize> LineInWork<N> {
         None
     }
 
-    /// What was wrong with the line that was refused last.
+    /// Returns why the last refused line was refused.
     pub(crate) fn refusal(&self) -> &[u8] {
         self.refusal.first().map_or(&[], |refusal| &refusal.reason)
     }
 
-    /// Single block: whether the program pauses behind each line that moves, until the operator continues it.
+    /// Single block: whether the program pauses after each line that moves, until the operator continues it.
     pub(crate) fn is_single_block(&self) -> bool {
         self.single_block
     }
@@ -140,14 +141,14 @@ impl<const N: usize> LineInWork<N> {
         self.message.first().cloned().unwrap_or_default()
     }
 
-    /// A message of the program has been told. An empty one: the program has ended.
+    /// Keeps a message of the program as the last one. An empty message: the program has ended.
     pub(crate) fn keep_message(&mut self, message: Message) {
         if let Some(kept) = self.message.first_mut() {
             *kept = message;
         }
     }
 
-    /// Whether the program has not been told this yet; from here on it has.
+    /// Returns whether this notice has not been sent for the program yet, and marks it as sent.
     pub(crate) fn is_new(&mut self, notice: Notice) -> bool {
         let bit = 1 << notice as u8;
         let is_new = self.told & bit == 0;
@@ -155,18 +156,18 @@ impl<const N: usize> LineInWork<N> {
         is_new
     }
 
-    /// Another program is told again.
+    /// Marks all notices as not sent, for another program.
     pub(crate) fn forget_notices(&mut self) {
         self.told = 0;
     }
 
-    /// A reset ends single block, and the program with it.
+    /// Ends single block and the program, at a reset.
     pub(crate) fn reset(&mut self) {
         self.single_block = false;
         self.forget_notices();
     }
 
-    /// Its tool is changed and measured; see [`LineInWork::change`].
+    /// Starts a tool change with measuring; see [`LineInWork::change`].
     pub(crate) fn begin_change(&mut self, change: ToolChange<N>) {
         self.change = change;
     }
@@ -176,7 +177,8 @@ impl<const N: usize> LineInWork<N> {
         &mut self.change
     }
 
-    /// Its arc begins. The length of the chords, mm, and how many times as long that is as their way along X, Y and Z.
+    /// Starts the line's arc. Returns the length of its chords, mm, and the ratio of that length to their length along
+    /// X, Y and Z.
     pub(crate) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, tolerance: f32) -> (f32, f32) {
         let arc = Arc::new(geometry, tolerance);
         let lengths = (arc.length(), if N > LINEAR { arc.rotary_stretch() } else { 1.0 });
@@ -184,17 +186,17 @@ impl<const N: usize> LineInWork<N> {
         lengths
     }
 
-    /// Its spline begins.
+    /// Starts the line's spline.
     pub(crate) fn begin_spline(&mut self, geometry: &SplineGeometry<N>, tolerance: f32) {
         self.curve = Some(Curve::Spline(Spline::new(geometry, tolerance)));
     }
 
-    /// Its curve of control points begins.
+    /// Starts the line's curve of control points.
     pub(crate) fn begin_nurbs(&mut self, geometry: &NurbsGeometry<N>, tolerance: f32) {
         self.curve = Some(Curve::Nurbs(Nurbs::new(geometry, tolerance)));
     }
 
-    /// End of the next chord of the curve, and how that bends.
+    /// Returns the end of the next chord of the curve, and the curve's curvature there.
     pub(crate) fn next_chord(&mut self, points: &[WeightedPoint]) -> Option<(PerAxis<Coordinate, N>, Curvature)> {
         let curve = self.curve.as_mut()?;
         let end = curve.next_chord(points)?;

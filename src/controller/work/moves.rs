@@ -13,7 +13,7 @@ use crate::units::Coordinate;
 use crate::work::task::{Job, Stage};
 
 impl<const N: usize> Controller<N> {
-    /// The look-ahead is full, or the line has to wait for its end: what is queued must move.
+    /// Starts the queued motion: the look-ahead is full, or the line has to wait for the end of motion.
     pub(crate) fn start_queued(&mut self) {
         if !self.m.step_supply.is_running() && !self.m.motion.is_idle() {
             self.start_motion();
@@ -25,7 +25,7 @@ impl<const N: usize> Controller<N> {
         self.queue_move(&mv, job)
     }
 
-    /// The same with a move that is ready. Whether there was room for it.
+    /// Queues a finished move. Returns whether there was room for it.
     pub(crate) fn queue_move(&mut self, mv: &Move<N>, job: &Job) -> bool {
         let taken = self.m.motion.line(mv);
         if !taken {
@@ -46,7 +46,7 @@ impl<const N: usize> Controller<N> {
         let power = if !self.m.accessories.is_on() || dark {
             0
         } else {
-            // The override is applied when its turn comes (`outputs`).
+            // `outputs` applies the spindle override when the move is executed.
             SpindleRange::of(&self.m.settings).output(self.line.action.speed, 100).0
         };
         Move {
@@ -62,8 +62,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// How far a move may be from its path: lines at a feed only, along which nothing turns. Of a piece that cuts off a corner at which
-    /// A turns back, F would say nothing.
+    /// Returns how far a move may be from its path: 0, except for lines at a feed without rotary motion. If a corner at
+    /// which A reverses were cut off, F would not define the speed there.
     fn tolerance(&self, target: &PerAxis<Coordinate, N>, speed: Speed) -> Tolerance {
         let within = match (speed, self.line.action.motion, self.m.interpreter.modal().path) {
             (Speed::Feed(_), MotionCommand::Line { .. }, PathControl::Within(tolerance)) => tolerance,
@@ -112,7 +112,7 @@ impl<const N: usize> Controller<N> {
         Stage::Chords
     }
 
-    /// The next chord of the curve under way. What follows; `None` if there is no room for it.
+    /// Queues the next chord of the line's curve. Returns the next stage; `None` if there is no room for it.
     pub(crate) fn next_chord(&mut self, job: &Job) -> Option<Stage> {
         if self.m.motion.free_blocks() == 0 {
             self.start_queued();
@@ -133,7 +133,7 @@ fn turns<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coordinate,
     from.iter().zip(to.iter()).skip(LINEAR).any(|(from, to)| from != to)
 }
 
-/// The speed that a feed asks for.
+/// Converts a feed to the speed of a move.
 pub(crate) fn speed(feed: Feed) -> Speed {
     match feed {
         Feed::Rapid => Speed::Rapid,

@@ -6,7 +6,7 @@ use crate::gcode::ProgramPins;
 use crate::work::task::{Job, Stage};
 
 impl<const N: usize> Controller<N> {
-    /// Whether the line asks for a pin that the board does not have. None has analog ones.
+    /// Whether the line uses a pin that the board does not have. No board has analog pins.
     pub(crate) fn lacks_pin(&self) -> bool {
         let [outputs, inputs] = self.m.settings_lock.program_pins();
         match self.line.action.pins() {
@@ -17,7 +17,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether the line can be carried out now: an output that changes with a motion may have to wait until those before it do.
+    /// Whether the line can be executed now. An output that changes with a motion may have to wait until earlier
+    /// changes have been made.
     #[inline]
     pub(crate) fn has_room_for_pins(&mut self) -> bool {
         match self.line.action.pins() {
@@ -29,7 +30,7 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     fn has_room_for_change(&mut self) -> bool {
         let idle = self.m.motion.is_idle();
-        // The mark stays: whether it can be changed is asked.
+        // Checks only whether the mark could be changed; `change_output` changes it.
         let can = self.m.accessories.digital().has_room(idle) && self.m.motion.takes_mark();
         if !can {
             self.start_queued();
@@ -37,7 +38,7 @@ impl<const N: usize> Controller<N> {
         can
     }
 
-    /// M62 to M65.
+    /// Switches an output (M62 to M65).
     #[inline(never)]
     pub(crate) fn change_output(&mut self) {
         if let Some(ProgramPins::Digital { number, on, with_motion }) = self.line.action.pins() {
@@ -51,7 +52,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Before the dwell of a line: M66, if it has one.
+    /// Starts the wait of M66, if the line has one. It comes before the line's dwell.
     pub(crate) fn begin_wait(&self, job: &mut Job) -> Option<Stage> {
         match self.line.action.pins() {
             Some(ProgramPins::Wait { number, longest, .. }) => {
@@ -62,12 +63,12 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether an input of the program is active; none that the board does not have.
+    /// Whether a program input is active; false for one that the board does not have.
     fn reads_input(&self, number: u32) -> bool {
         u32::from(self.m.inputs.signals().program).checked_shr(number).is_some_and(|levels| levels & 1 != 0)
     }
 
-    /// Whether M66 has ended.
+    /// Whether the wait of M66 has ended. If so, hands the level read, or the timeout, to the program.
     #[inline(never)]
     pub(crate) fn has_read_input(&mut self, job: &mut Job) -> bool {
         let Some(ProgramPins::Wait { number, until: wait, .. }) = self.line.action.pins() else { return true };

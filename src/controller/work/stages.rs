@@ -19,10 +19,10 @@ use crate::work::moves::speed;
 use crate::work::task::{Answer, Caller, Job, Stage, Task};
 
 impl<const N: usize> Controller<N> {
-    /// The checked line begins. Jogs have been allowed by the caller.
+    /// Begins a checked line. A jog must have been allowed by the caller.
     ///
-    /// Nothing is done here: the line is kept as [`Task::Job`], and its path continues in [`Controller::output`], which
-    /// calls [`Controller::advance`] when nothing more urgent is due.
+    /// Executes nothing yet: the line is kept as [`Task::Job`], and [`Controller::output`] calls
+    /// [`Controller::advance`] when nothing more urgent is due.
     pub(crate) fn begin(&mut self, answer: Answer, jog: bool) {
         let action = &self.line.action;
         let checking = matches!(self.state, State::Check);
@@ -32,7 +32,7 @@ impl<const N: usize> Controller<N> {
         self.task = Task::Job(Job::new(answer, stage, jog));
     }
 
-    /// Whether the line has something to do for which the machine has to be at rest.
+    /// Whether the line does something for which the machine has to be at rest.
     fn acts_at_rest(&self) -> bool {
         let action = &self.line.action;
         action.spindle.is_some()
@@ -48,18 +48,19 @@ impl<const N: usize> Controller<N> {
             || self.starts_to_turn()
     }
 
-    /// Whether a line comes before which G61.1, in force for the one before it, brings the machine to rest.
+    /// Whether the machine comes to rest before this line, if G61.1 is in force for the previous line.
     fn ends_line_before(&self) -> bool {
         let action = &self.line.action;
         action.motion != gcode::MotionCommand::None || action.modal().path != PathControl::ExactStop
     }
 
-    /// S rides with the motion. Only a laser without a motion to ride with changes its power at rest.
+    /// Whether S acts at rest. S normally takes effect with the line's motion; a laser without a motion changes its
+    /// power at rest.
     fn speed_needs_rest(&self) -> bool {
         self.m.settings.is_on(Key::Laser) && self.shows_speed()
     }
 
-    /// Whether S makes a spindle turn that M3 or M4 has switched on with S0, and motion has to wait for it.
+    /// Whether S starts a spindle that M3 or M4 has switched on with S0, so that motion has to wait for it.
     fn starts_to_turn(&self) -> bool {
         let (action, settings) = (&self.line.action, &self.m.settings);
         action.speed_changed
@@ -76,7 +77,8 @@ impl<const N: usize> Controller<N> {
             && !(self.m.settings.is_on(Key::Laser) && self.line.action.motion != gcode::MotionCommand::None)
     }
 
-    /// Whether the controller is in the middle of something. Asked before each segment: no call for nothing.
+    /// Whether there is a task that can advance. Checked before each segment, to save needless calls of
+    /// [`Controller::advance`].
     #[inline]
     pub(crate) fn may_advance(&self) -> bool {
         match &self.task {
@@ -86,7 +88,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether the line has found the look-ahead full of what moves: there is nothing to do but to wait.
+    /// Whether the line has found the look-ahead full and moving, so that it can only wait.
     #[inline]
     fn waits_for_room(&self, stage: Stage) -> bool {
         let moves = match stage {
@@ -101,7 +103,7 @@ impl<const N: usize> Controller<N> {
             && !self.m.stops.has_order()
     }
 
-    /// Does one bounded piece of what the controller is in the middle of. Whether something was done.
+    /// Does one bounded piece of the current task. Returns whether something was done.
     #[inline(never)]
     pub(crate) fn advance(&mut self) -> bool {
         if let Task::Job(job) = self.task {
@@ -114,7 +116,8 @@ impl<const N: usize> Controller<N> {
         progressed
     }
 
-    /// A line of G-code. Outputs and all that waits stay as they are where it only moves.
+    /// Advances a line of G-code. If the line only moves, outputs and waiting work cannot have changed and are not
+    /// checked again.
     fn advance_job(&mut self, mut job: Job) -> bool {
         self.task = Task::None;
         let progressed = self.advance_line(&mut job);
@@ -122,7 +125,7 @@ impl<const N: usize> Controller<N> {
             && !job.jog
             && matches!(self.state, State::Normal)
             && matches!(job.answer, Answer::Host | Answer::Held(_));
-        // A stop that it has ordered goes out at once: nothing else would wake the pump for it.
+        // A stop that the line has ordered is sent at once: nothing else would wake the pump for it.
         let ordered = self.m.stops.has_order();
         if ordered || progressed && !only_moved {
             self.m.pins.disturb();
@@ -134,7 +137,7 @@ impl<const N: usize> Controller<N> {
         progressed || ordered
     }
 
-    /// The same for all that is no such line.
+    /// Advances homing, and all tasks other than a line of G-code.
     #[inline(never)]
     fn advance_task(&mut self) -> bool {
         if self.m.stops.is_awaited() {
@@ -152,7 +155,7 @@ impl<const N: usize> Controller<N> {
                 self.task = Task::None;
                 self.run_startup_line(index, then);
             }
-            // Each line may have something to say.
+            // Each line may send a reply.
             Task::Held(caller) if self.m.replies.has_room() => {
                 self.task = Task::None;
                 self.run_held_line(caller);
@@ -179,18 +182,19 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Critical(Alarm::SoftLimit));
     }
 
-    /// Continues until something has to be waited for or put out first.
+    /// Advances the line until something has to be waited for or output first.
     #[inline]
     fn advance_line(&mut self, job: &mut Job) -> bool {
         let checking = matches!(self.state, State::Check);
         let mut progressed = false;
         loop {
-            // The stages of a line that only moves; nearly all lines have no others. What they do is neither shown nor waited for.
+            // The stages of a line that only moves: nearly all lines have no others. Their effects are neither shown to
+            // the host nor waited for.
             let next = match job.stage {
-                // There is nothing to wait for but a record of a line before.
+                // The only thing to wait for would be a record of an earlier line.
                 Stage::Apply if self.line.action.moves_only() && self.m.records.are_stored() => {
                     self.m.interpreter.commit(&self.line.action);
-                    // A stop may have left another one.
+                    // A stop may have set another speed.
                     self.m.accessories.set_speed(self.line.action.speed);
                     job.stage = Stage::Target;
                     progressed = true;
@@ -215,8 +219,8 @@ impl<const N: usize> Controller<N> {
         progressed
     }
 
-    /// All other stages. What follows; `None` if something has to be waited for.
-    // By itself, or each line that moves would pay for what they need.
+    /// Handles all other stages. Returns the next stage; `None` if something has to be waited for.
+    // Not inlined: otherwise each line that moves would pay for the needs of these stages.
     #[inline(never)]
     fn advance_stage(&mut self, job: &mut Job, checking: bool) -> Option<Stage> {
         match job.stage {
@@ -248,7 +252,7 @@ impl<const N: usize> Controller<N> {
             Stage::Chords => self.next_chord(job),
             Stage::Probing => {
                 let must_touch = matches!(self.line.action.motion, gcode::MotionCommand::Probe { alarm: true, .. });
-                // A failed probe has locked the machine: no M0 may open it again.
+                // A failed probe has locked the machine: an M0 in the line must not unlock it.
                 self.end_probe(must_touch).then_some(if self.state.is_alarm() { Stage::Done } else { Stage::Flow })
             }
             Stage::Flow => self.flow(job, checking),
@@ -259,7 +263,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether what a stage has done is put out, and seen by the host, before the next begins.
+    /// Whether the effects of a stage are output, and shown to the host, before the next stage begins.
     #[inline]
     fn is_shown_before(&self, stage: Stage, next: Stage) -> bool {
         match stage {
@@ -273,23 +277,23 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// The motion of a line that is only checked.
+    /// Handles the motion of a line in check mode.
     fn check_target(&mut self) -> Stage {
         if matches!(self.line.action.motion, gcode::MotionCommand::Probe { .. }) {
-            // Taken to touch at its target, where the program continues from.
+            // The probe is assumed to touch at its target; the program continues from there.
             let target = *self.m.interpreter.position();
             self.m.interpreter.set_probed(&target, true);
         }
         Stage::Flow
     }
 
-    /// M66, then what [`Controller::begin_dwell`] waits for.
+    /// Starts the wait of M66 if the line has one, otherwise that of [`Controller::begin_dwell`].
     fn begin_waiting(&self, job: &mut Job, checking: bool) -> Stage {
         let input = if checking { None } else { self.begin_wait(job) };
         input.unwrap_or_else(|| self.begin_dwell(job, checking))
     }
 
-    /// G4 and the time of the spindle, if there is any to wait for.
+    /// Starts the wait for G4 and for the spindle, if there is anything to wait for.
     fn begin_dwell(&self, job: &mut Job, checking: bool) -> Stage {
         let dwell = self.line.action.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
         let wait = dwell + job.spindle_delay;
@@ -303,7 +307,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// The motion of the line. What follows; `None` if something has to be waited for.
+    /// Starts the motion of the line. Returns the next stage; `None` if something has to be waited for.
     #[inline]
     fn begin_motion(&mut self, job: &mut Job) -> Option<Stage> {
         self.m.accessories.digital_mut().motion_follows();
@@ -316,7 +320,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// The motion of a line that is not straight.
+    /// Starts a motion that is not a straight line.
     #[inline(never)]
     fn begin_other_motion(&mut self, job: &mut Job) -> Option<Stage> {
         match self.line.action.motion {
@@ -341,7 +345,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Takes the line's modal state over and sets what does not move. How long the spindle then takes.
+    /// Commits the line's modal state, and sets everything that does not move. Returns how long the spindle then takes.
     fn apply(&mut self, checking: bool) -> Duration {
         let dialect = self.dialect();
         let action = &self.line.action;
@@ -354,7 +358,7 @@ impl<const N: usize> Controller<N> {
             self.m.replies.offset_changed();
         }
         match (action.store, freed) {
-            // Grbl stores coordinate systems also of programs that it only checks.
+            // Grbl stores coordinate systems in check mode too.
             _ if checking && dialect != gcode::Dialect::Grbl => {}
             (_, Some(slot)) => self.m.records.remove_tool(slot),
             (Some(offset), None) => self.m.records.save_offset(offset, &self.m.interpreter),
@@ -374,7 +378,7 @@ impl<const N: usize> Controller<N> {
             self.apply_overrides();
         }
         if self.starts_to_turn() {
-            // None to wait for would be no spindle to look at.
+            // At least one tick: a delay of 0 would mean that there is no spindle to wait for.
             delay = self.m.settings.seconds(Key::SpinUp).max(Duration::from_ticks(1));
         }
         self.m.accessories.set_speed(self.line.action.speed);
@@ -392,8 +396,8 @@ impl<const N: usize> Controller<N> {
         delay
     }
 
-    /// Whether the program pauses behind the line: for M0, for M1 if that is wanted (Grbl's dialect ignores it), and in single
-    /// block behind each line that moves. Startup lines and jogs are no part of the program.
+    /// Whether the program pauses after the line: for M0, for M1 if the settings enable it (Grbl's dialect ignores M1),
+    /// and in single block after each line that moves. Startup lines and jogs are not part of the program.
     fn pauses_behind(&self, job: &Job) -> bool {
         let single_block = || {
             self.line.is_single_block()
@@ -413,7 +417,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Program pause and end: both wait for the end of motion.
+    /// Handles program pause and end; both wait for the end of motion.
     fn flow(&mut self, job: &Job, checking: bool) -> Option<Stage> {
         let pauses = self.pauses_behind(job);
         match self.line.action.flow {
@@ -432,7 +436,8 @@ impl<const N: usize> Controller<N> {
                 self.m.replies.offset_changed();
                 if !checking {
                     self.forget_waiting_outputs();
-                    // The operator may have switched the coolant since the line took both off in the program's state.
+                    // The line has switched spindle and coolant off in the program's state, but the operator may have
+                    // switched the coolant since.
                     self.switch_off();
                     self.m.accessories.set_overrides(Overrides::NONE);
                     self.m.motion.set_overrides(1.0, 1.0);
@@ -445,7 +450,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Answers a line that has been carried out.
+    /// Answers an executed line.
     pub(crate) fn finish(&mut self, answer: Answer) {
         self.task = Task::None;
         match answer {
@@ -479,7 +484,7 @@ impl<const N: usize> Controller<N> {
         self.begin_checked(answer)
     }
 
-    /// A line that has been checked begins, unless the machine has something against it.
+    /// Begins a checked line, unless the machine refuses it.
     pub(crate) fn begin_checked(&mut self, answer: Answer) -> Result<(), Error> {
         if let Some(error) = self.refuse_line() {
             return Err(error);
@@ -496,7 +501,8 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// A tool change and pins of the program, as far as programs cannot know whether the machine is ready for them.
+    /// Checks pins and the tool change of the line, as far as a program cannot know whether the machine is ready for
+    /// them.
     #[inline(never)]
     fn allow_change_and_pins(&mut self) -> Result<(), Error> {
         if self.lacks_pin() {
@@ -510,7 +516,7 @@ impl<const N: usize> Controller<N> {
         self.m.interpreter.check_jog_into(line, dialect(&self.m.settings), &mut self.line.action)?;
         let is_over = self.m.lines.is_jog_stale() || self.m.replies.has_host_left(self.m.lines.hosts_cut());
         if is_over || matches!(self.state, State::Jog { cancelling: true }) {
-            // Sent before the cancel, or by a host that has gone: it shall not move any more.
+            // Sent before the cancel, or by a host that has disconnected: the jog must not move any more.
             self.say_ok();
             return Ok(());
         }
@@ -528,7 +534,7 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// The next line of held text. An error ends all of it, and is the answer to the line that it was called by.
+    /// Runs the next line of held text. An error ends all of it, and answers the line that called it.
     #[inline(never)]
     fn run_held_line(&mut self, caller: Caller) {
         let mut line = HeldLine::new();
@@ -572,7 +578,7 @@ impl<const N: usize> Controller<N> {
         self.task = Task::Startup(index, host_waits.then_some(Answer::Host));
     }
 
-    /// A startup line. One that calls a subroutine is over when that is.
+    /// Begins a startup line. A line that calls a subroutine ends with the subroutine.
     pub(crate) fn startup_line(&mut self, line: &[u8], caller: Caller) -> Result<(), Error> {
         if self.dialect() != gcode::Dialect::Grbl && self.m.interpreter.begin_call(line)? {
             self.task = Task::Held(caller);
@@ -602,8 +608,8 @@ impl<const N: usize> Controller<N> {
         self.task = Task::Startup(index + 1, then);
     }
 
-    /// The line of the answer that is said next. What the startup line itself has said, and reports meanwhile, come before
-    /// it on lines of their own.
+    /// Names the startup line whose answer is sent next. The output of the startup line, and reports meanwhile, come
+    /// before that on lines of their own.
     fn echo_startup_line(&mut self, index: usize) {
         if let Some(line) = self.m.records.startup_line(index).cloned() {
             self.say(|out| report::startup_echo(out, &line));

@@ -1,23 +1,23 @@
-//! What the controller is in the middle of: a line of G-code, a listing, startup lines, a store. While there is a task,
-//! no further line is taken. A task also knows who gets the answer.
+//! The current task of the controller: a line of G-code, a listing, startup lines, a store. While there is a task, no
+//! further line is taken. A task also records who gets the answer.
 
 use crate::protocol::system::Described;
 use crate::units::{Duration, Instant};
 
-/// What the controller is in the middle of. While there is one, no further line is taken.
+/// The current task of the controller. While there is one, no further line is taken.
 #[derive(Clone, Copy, Debug)]
-// As with `State`: the tag is asked for before each output.
+// As with `State`: the tag is read before each output.
 #[repr(u8)]
 pub(crate) enum Task {
-    /// Nothing: the next line may come.
+    /// No task: the next line can be taken.
     None,
-    /// The startup line of this number is next; when all have been run, someone may get an answer.
+    /// The startup line of this number is next; after the last one the answer, if any, is given.
     Startup(usize, Option<Answer>),
-    /// The next line of held text is to be run, for whom.
+    /// The next line of held text is to be run for this caller.
     Held(Caller),
-    /// An answer of many lines; the number is the next of them.
+    /// An answer of many lines; the number is that of the next line.
     Listing(Listing, usize),
-    /// A record is being stored; then the answer is given.
+    /// A record is being stored; the answer follows.
     Storing(Answer),
     /// Motion has to end before the soft-limit alarm.
     SoftLimit(Answer),
@@ -34,17 +34,18 @@ pub(crate) enum Answer {
     Host,
     /// A startup line that is being run; `.1` says whether the host waits for the last of them.
     Startup(usize, bool),
-    /// The host, for a startup line that is stored once it has been run without error; its text waits in the controller.
+    /// The host, for a startup line that is stored once it has run without error. The controller keeps its text
+    /// meanwhile.
     Validation(usize),
-    /// Whoever has called the held text, once that has come to its end.
+    /// The caller of held text, once that text has ended.
     Held(Caller),
     /// The host, for the setting of this number.
     Setting(u16),
-    /// The host, and then the controller is initialised (`$RST`).
+    /// The host, after which the controller is initialised (`$RST`).
     Restart,
 }
 
-/// Whose line runs held text; who is waiting for its end as in [`Answer`].
+/// Whose line has called held text. The fields say who waits for its end, as in [`Answer`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Caller {
     /// The host's.
@@ -56,7 +57,7 @@ pub(crate) enum Caller {
 }
 
 impl Caller {
-    /// Who gets the answer.
+    /// Returns who gets the answer.
     pub(crate) fn answer(self) -> Answer {
         match self {
             Caller::Host => Answer::Host,
@@ -66,25 +67,26 @@ impl Caller {
     }
 }
 
-/// A line under way.
+/// A line in execution.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Job {
     pub(crate) answer: Answer,
     pub(crate) stage: Stage,
     pub(crate) jog: bool,
-    /// The input that M66 waits for was so when it was looked at last.
+    /// Level of M66's input at the last check.
     pub(crate) input_before: bool,
     /// Feed of the chords that are still to come, mm/s.
     pub(crate) chord_feed: f32,
-    /// Until when a stage waits, and with how much left when a hold has suspended it.
+    /// Until when a stage waits.
     pub(crate) until: Instant,
+    /// Remaining time of a stage that a hold has suspended.
     left: Duration,
-    /// How long the spindle takes to turn, or to come to rest, after this line has switched it.
+    /// How long the spindle takes to spin up or down after this line has switched it.
     pub(crate) spindle_delay: Duration,
 }
 
 impl Job {
-    /// Nothing is done yet.
+    /// Returns a line of which nothing has been done yet.
     pub(crate) fn new(answer: Answer, stage: Stage, jog: bool) -> Self {
         Self {
             answer,
@@ -98,7 +100,7 @@ impl Job {
         }
     }
 
-    /// How much longer the stage waits, or would if nothing had suspended it.
+    /// Returns how much longer the stage waits; for a suspended stage, how much was left.
     pub(crate) fn left(&self, now: Instant) -> Duration {
         match self.stage {
             Stage::DwellSuspended | Stage::InputSuspended => self.left,
@@ -106,45 +108,46 @@ impl Job {
         }
     }
 
-    /// The stage that waits until a moment.
+    /// Sets `until` and returns the stage that waits for it.
     pub(crate) fn wait(&mut self, stage: Stage, until: Instant) -> Stage {
         self.until = until;
         stage
     }
 }
 
-/// How far a line is. What a stage waits for is in the [`Job`]: stages are passed on at each step of each line, as a byte.
+/// Progress of a line. The data of a stage is in the [`Job`], because stages are passed on at each step of each line,
+/// as a single byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Stage {
-    /// Motion that was queued before has to end first: a buffer synchronise in Grbl, a queue buster in LinuxCNC.
+    /// Motion queued before has to end first (in Grbl: buffer synchronize; in LinuxCNC: queue buster).
     Drain,
-    /// Another tool is being put into the spindle: ends with `~`.
+    /// The operator puts another tool into the spindle: ends with `~`.
     ToolChange,
-    /// The spindle comes to rest for a tool change with measuring, until a moment.
+    /// The spindle comes to rest for a tool change with measuring, until [`Job::until`].
     SpinningDown,
-    /// A tool change with measuring: `LineInWork` knows how far it is.
+    /// A tool change with measuring: `LineInWork` holds its progress.
     Measuring,
-    /// New modal state, spindle, coolant.
+    /// Modal state, spindle and coolant are to be set.
     Apply,
     /// A changed coordinate system is being stored.
     Storing,
-    /// G4 until a moment.
+    /// G4, until [`Job::until`].
     Dwell,
-    /// Spindle on: it has turned long enough at this moment, and tells that it is up to speed.
+    /// The spindle spins up: until [`Job::until`], and until its input reports that it is up to speed.
     SpinningUp,
-    /// G4 continues when the hold ends.
+    /// G4, suspended by a hold.
     DwellSuspended,
-    /// M66 until a moment at most.
+    /// M66, until [`Job::until`] at most.
     Input,
-    /// The same, which continues when the hold ends.
+    /// M66, suspended by a hold.
     InputSuspended,
-    /// G28, G30: the intermediate point.
+    /// The intermediate point of G28 or G30 is to be queued.
     Via,
-    /// The motion itself.
+    /// The motion itself is to be started.
     Target,
     /// The probe moves.
     Probing,
-    /// Chords of the line's curve that are still to come.
+    /// Chords of the line's curve are still to be queued.
     Chords,
     /// Motion has to end before the program pauses or ends.
     Flow,
@@ -152,7 +155,7 @@ pub(crate) enum Stage {
     Paused,
     /// Paused within a canned cycle.
     CyclePaused,
-    /// To be answered.
+    /// Executed; to be answered.
     Done,
 }
 
@@ -161,12 +164,12 @@ impl Task {
         matches!(self, Task::None)
     }
 
-    /// Whether it belongs to a job, and is no answer that takes its time.
+    /// Whether the task is part of a program, not just an answer that takes time.
     pub(crate) fn is_program(&self) -> bool {
         !matches!(self, Task::None | Task::Listing(..) | Task::Storing(_))
     }
 
-    /// Whether a reset owes the host an `ok` for it.
+    /// Whether a reset has to send the host an `ok` for the task.
     pub(crate) fn answers_host(&self) -> bool {
         match self {
             Task::Job(Job { answer, .. }) | Task::Storing(answer) | Task::SoftLimit(answer) => {
@@ -179,7 +182,8 @@ impl Task {
         }
     }
 
-    /// `late`: when a spindle is too late that should have turned long enough at a moment.
+    /// Returns when the task has to be advanced, if it waits for a time. `late`: the next check of a spindle whose
+    /// spin-up time ends at the argument.
     pub(crate) fn wakeup(&self, late: impl Fn(Instant) -> Instant) -> Option<Instant> {
         match self {
             Task::Job(Job { stage: Stage::SpinningUp, until, .. }) => Some(late(*until)),
@@ -188,12 +192,12 @@ impl Task {
         }
     }
 
-    /// Whether a spindle is given the time to come up to speed.
+    /// Whether a line waits for the spindle to come up to speed.
     pub(crate) fn is_spinning_up(&self) -> bool {
         matches!(self, Task::Job(Job { stage: Stage::SpinningUp, .. }))
     }
 
-    /// Whether a line has switched the spindle, and waits until it turns or rests.
+    /// Whether a line has switched the spindle, and waits until it is up to speed or at rest.
     pub(crate) fn waits_for_spindle(&self) -> bool {
         match self {
             Task::Job(Job { stage: Stage::SpinningUp, .. }) => true,
@@ -204,7 +208,7 @@ impl Task {
         }
     }
 
-    /// A hold stops the clock of a dwell.
+    /// Stops the clock of a dwell or of M66, for a hold.
     pub(crate) fn suspend(&mut self, now: Instant) {
         let Task::Job(job) = self else { return };
         let left = job.left(now);
@@ -226,8 +230,8 @@ impl Task {
         job.until = now + job.left;
     }
 
-    /// What was under way cannot be carried out any more. Whether the host waits for an answer. Defaults that are restored
-    /// already still act, with a restart.
+    /// Drops the task. Returns whether the host waits for its answer. The restart after restored defaults is not
+    /// dropped, so that the defaults take effect.
     pub(crate) fn abandon(&mut self) -> bool {
         if let Task::Storing(Answer::Restart) = self {
             return false;
@@ -237,7 +241,7 @@ impl Task {
         answers
     }
 
-    /// A jog that waits for room is not carried out any more; its answer is still given.
+    /// Ends a jog that waits for room; its answer is still given.
     pub(crate) fn forget_jog(&mut self) {
         if let Task::Job(job) = self
             && job.jog
@@ -266,13 +270,13 @@ pub(crate) enum Listing {
     Recording(Ask),
 }
 
-/// How far a piece of a recording is.
+/// Progress of the request for a piece of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Ask {
-    /// To be asked for once there is room for it.
+    /// To be requested once there is room for it.
     Wanted,
-    /// To be asked for now.
+    /// To be requested now.
     Due,
-    /// Asked for.
+    /// Requested.
     Asked,
 }

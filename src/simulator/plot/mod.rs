@@ -1,8 +1,8 @@
 //! The picture of a job as SVG or PNG: a heading, the tool path from above coloured by speed, the path at an angle
-//! coloured by height if it is deep, and the speed over time.
+//! coloured by height if the job has enough depth, and the speed over time.
 //!
-//! The drawing is made once, as SVG; a PNG is that SVG painted with an embedded font, so both look the same on every
-//! machine.
+//! The drawing is always made as SVG. A PNG is that SVG rendered with an embedded font, so both look the same on every
+//! computer.
 
 mod pixels;
 mod scale;
@@ -23,25 +23,25 @@ use std::path::Path;
 use style::{Area, Drawn, FINE, RAPID, START, font, line_style, px, small};
 use views::{angled, cross, plan};
 
-/// Size of the drawing.
+/// Size of the drawing, in pixels.
 const SIZE: (u32, u32) = (1400, 1040);
 
 /// Width of a colour scale with its marks, in pixels.
 const BAR: i32 = 95;
 
-/// A job is drawn at an angle too if its depth is at least this part of its width.
+/// A job is also drawn at an angle if its depth is at least this fraction of its width.
 const DEPTH: f64 = 0.005;
 
-/// How a drawing is written.
+/// File format of a drawing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
-    /// Lines and text.
+    /// SVG: lines and text.
     Svg,
-    /// Pixels.
+    /// PNG: pixels.
     Png,
 }
 
-/// The format that a file's name asks for.
+/// Returns the format according to a file's extension.
 pub fn format_of(path: &Path) -> Result<Format> {
     match path.extension().map(|e| e.to_ascii_lowercase()).as_deref().and_then(|e| e.to_str()) {
         Some("svg") => Ok(Format::Svg),
@@ -64,7 +64,7 @@ pub fn write(output: Output, drawing: &Drawing, summary: &Summary) -> Result<()>
     output.write(&bytes)
 }
 
-/// The drawing as SVG.
+/// Returns the drawing as SVG.
 pub fn svg(drawing: &Drawing, summary: &Summary) -> Result<String> {
     register_font("sans-serif", FontStyle::Normal, dejavu::sans::regular())
         .map_err(|_| anyhow!("the embedded font is damaged"))?;
@@ -75,7 +75,7 @@ pub fn svg(drawing: &Drawing, summary: &Summary) -> Result<String> {
         sheet(&root, drawing, summary).map_err(|error| anyhow!("{error}"))?;
         root.present().map_err(|error| anyhow!("{error}"))?;
     }
-    // The size in pixels; the viewBox keeps the fine units.
+    // Set the size in pixels; the viewBox keeps the fine units.
     let fine = format!("<svg width=\"{}\" height=\"{}\"", SIZE.0 * FINE as u32, SIZE.1 * FINE as u32);
     Ok(svg.replacen(&fine, &format!("<svg width=\"{}\" height=\"{}\"", SIZE.0, SIZE.1), 1))
 }
@@ -233,7 +233,7 @@ mod tests {
 
     #[test]
     fn the_speed_chart_is_scaled_to_feeds() {
-        // Rapids of 3000 mm/min, feeds of 700.
+        // Rapids at 3000 mm/min, feeds at 700.
         let svg = svg(&synthetic(), &example()).unwrap();
         assert!(svg.contains("go on to 3000 mm/min"));
         assert!(!svg.contains(">\n1500\n<") && svg.contains(">\n600\n<"), "marks above the feeds, or none");

@@ -1,8 +1,9 @@
-//! The picture as pixels: paints the few elements that an SVG of [`super::svg`] has, with smooth edges, and packs the
-//! pixels as PNG. Another SVG is none of its business: an element that it does not know is an error.
+//! Renders the picture as pixels: paints the few kinds of elements in an SVG of [`super::svg`], antialiased, and packs
+//! the pixels as PNG. An unknown element is an error, so other SVGs are not supported.
 //!
-//! An outline is filled by how much of each pixel it covers. A line of a width is an outline, too: a bar for each piece and
-//! a mitre on the outer side of each corner, all in one sense of rotation, so that they add up to one area.
+//! An outline is filled by how much of each pixel it covers. A line with a width is an outline, too: a bar for each
+//! piece and a mitre on the outer side of each corner, all with the same sense of rotation, so that they add up to one
+//! area.
 
 use super::SIZE;
 use super::style::FINE;
@@ -11,23 +12,25 @@ use ab_glyph_rasterizer::Rasterizer;
 use anyhow::{Context, Result, bail};
 use std::f32::consts::TAU;
 
-/// Pixels for a pixel of the drawing, and for a unit of its SVG.
+/// Pixels per pixel of the drawing.
 const DENSITY: f32 = 1.5;
+/// Pixels per unit of the drawing's SVG.
 const SCALE: f32 = DENSITY / FINE as f32;
 
-/// Corners of a circle.
+/// Number of corners of a circle.
 const CORNERS: u8 = 48;
 
-/// Height of a small x as a part of the font's size; the SVG puts text into the middle by it.
+/// Height of a lower-case x as a fraction of the font size; the SVG uses it to centre text vertically.
 const EX: f32 = 0.5;
 
-/// The square of how far a corner may reach beyond the middle of a line, in half widths, before it is cut off: SVG's own.
+/// Square of the maximum reach of a corner beyond the middle of a line, in half widths; a longer corner is cut off. The
+/// value is SVG's default.
 const MITRE_LIMIT2: f32 = 16.0;
 
-/// An SVG of [`super::svg`] as PNG.
+/// Renders an SVG of [`super::svg`] as PNG.
 ///
 /// # Errors
-/// If the SVG has something that those have not.
+/// If the SVG has an element or value that [`super::svg`] does not produce.
 pub fn png(svg: &str) -> Result<Vec<u8>> {
     Ok(painted(svg)?.packed())
 }
@@ -35,7 +38,7 @@ pub fn png(svg: &str) -> Result<Vec<u8>> {
 fn painted(svg: &str) -> Result<Canvas> {
     let font = FontRef::try_from_slice(dejavu::sans::regular()).context("the embedded font is damaged")?;
     let mut canvas = Canvas::new((SIZE.0 as f32 * DENSITY) as usize, (SIZE.1 as f32 * DENSITY) as usize);
-    // In texts and values `<` and `>` are written otherwise.
+    // Texts and values contain no `<` or `>`: these are escaped.
     for element in svg.split('<').skip(1).filter(|element| !element.starts_with('/')) {
         let (tag, text) = element.split_once('>').context("a tag has no end")?;
         let element = Element { tag, text };
@@ -44,7 +47,7 @@ fn painted(svg: &str) -> Result<Canvas> {
     Ok(canvas)
 }
 
-/// What stands between `<` and `>`, and the text up to the next tag.
+/// The text between `<` and `>`, and the text up to the next tag.
 struct Element<'a> {
     tag: &'a str,
     text: &'a str,
@@ -80,7 +83,7 @@ impl Element<'_> {
             .collect()
     }
 
-    /// Width of its lines in pixels.
+    /// Returns the width of the element's lines in pixels.
     fn width(&self) -> Result<f32> {
         Ok(self.find("stroke-width").map_or(Ok(1.0), |_| self.number("stroke-width"))? * SCALE)
     }
@@ -124,7 +127,7 @@ impl Element<'_> {
         Ok(())
     }
 
-    /// The area or the edge of a shape that can be widened, and the attribute with its colour.
+    /// Adds the area or the edge of a shape that can be widened. Returns the attribute with its colour.
     fn closed<const N: usize>(&self, shape: &mut Shape, wider: impl Fn(f32) -> [Point; N]) -> Result<&'static str> {
         if self.value("stroke")? == "none" {
             shape.polygon(&wider(0.0));
@@ -132,14 +135,14 @@ impl Element<'_> {
         }
         let half = self.width()? / 2.0;
         let mut inner = wider(-half);
-        // The other way round, so that it is taken away.
+        // In the opposite sense of rotation, so that it is subtracted.
         inner.reverse();
         shape.polygon(&wider(half));
         shape.polygon(&inner);
         Ok("stroke")
     }
 
-    /// The outlines of a text.
+    /// Adds the outlines of a text.
     fn letters(&self, shape: &mut Shape, font: &FontRef) -> Result<()> {
         let text = unescaped(self.text.trim());
         let size = self.number("font-size")? * SCALE;
@@ -189,7 +192,7 @@ impl Element<'_> {
     }
 }
 
-/// `#RRGGBB`.
+/// Parses `#RRGGBB`.
 fn colour(text: &str) -> Result<[u8; 3]> {
     let number = text.strip_prefix('#').and_then(|digits| u32::from_str_radix(digits, 16).ok());
     let [_, rgb @ ..] = number.with_context(|| format!("no colour: {text}"))?.to_be_bytes();
@@ -201,7 +204,7 @@ fn unescaped(text: &str) -> String {
     signs.iter().fold(text.to_owned(), |text, (written, sign)| text.replace(written, sign))
 }
 
-/// An area: what its outlines go round, in pixels.
+/// An area as its outlines, in pixels.
 #[derive(Default)]
 struct Shape(Vec<OutlineCurve>);
 
@@ -211,7 +214,7 @@ impl Shape {
         self.0.extend(corners.iter().zip(next).map(|(a, b)| OutlineCurve::Line(*a, *b)));
     }
 
-    /// A line of a width through points.
+    /// Adds a line with a width through points.
     fn line(&mut self, points: &[Point], width: f32) {
         let half = width / 2.0;
         let mut before: Option<Point> = None;
@@ -227,7 +230,8 @@ impl Shape {
                 let turn = before.x * side.y - before.y * side.x;
                 let zero = point(0.0, 0.0);
                 let (a, b) = if turn > 0.0 { (zero - before, zero - side) } else { (side, before) };
-                // From the corner to the tip of its mitre it is `reach` times as far as to the middle of a and b.
+                // The distance from the corner to the tip of its mitre is `reach` times the distance to the middle of a
+                // and b.
                 let open = half * half + a.x * b.x + a.y * b.y;
                 let reach = half * half / open;
                 let tip = pair[0] + point((a.x + b.x) * reach, (a.y + b.y) * reach);
@@ -241,7 +245,7 @@ impl Shape {
         }
     }
 
-    /// Its points, those beside it that bend its curves among them.
+    /// Returns all points of the outlines, including the control points of curves.
     fn points(&self) -> impl Iterator<Item = Point> {
         self.0.iter().flat_map(|curve| match *curve {
             OutlineCurve::Line(a, b) => [a, b, a, b],
@@ -251,14 +255,14 @@ impl Shape {
     }
 }
 
-/// Pixels, from left to right and down: red, green, blue.
+/// Pixels (red, green, blue) in rows from top to bottom, from left to right.
 struct Canvas {
     width: usize,
     pixels: Vec<[u8; 3]>,
 }
 
 impl Canvas {
-    /// In white.
+    /// Makes a white canvas.
     fn new(width: usize, height: usize) -> Self {
         Self { width, pixels: vec![[255; 3]; width * height] }
     }
@@ -267,7 +271,7 @@ impl Canvas {
         self.pixels.len() / self.width
     }
 
-    /// Covers an area with a colour. What is beside the canvas is left out.
+    /// Paints an area with a colour. Parts outside the canvas are ignored.
     fn fill(&mut self, shape: &Shape, colour: [u8; 3], opacity: f32) {
         let edge = point(self.width as f32, self.height() as f32);
         let inside = |at: Point| point(at.x.clamp(0.0, edge.x), at.y.clamp(0.0, edge.y));
@@ -279,7 +283,7 @@ impl Canvas {
         if low.x >= high.x || low.y >= high.y {
             return;
         }
-        // A column more: what an edge on the last one leaves to its right.
+        // One more column, for the remainder to the right of an edge on the last column.
         let (width, height) = ((high.x - low.x) as usize + 1, (high.y - low.y) as usize);
         let mut covered = Rasterizer::new(width, height);
         let place = |at: Point| inside(at) - low;
@@ -303,7 +307,7 @@ impl Canvas {
         });
     }
 
-    /// As a PNG file: eight bits of red, green and blue, rows as they are, deflated.
+    /// Returns the PNG file: eight bits each of red, green and blue, rows unfiltered, deflated.
     fn packed(&self) -> Vec<u8> {
         let mut rows = Vec::with_capacity(self.pixels.len() * 3 + self.height());
         for row in self.pixels.chunks(self.width) {
@@ -331,14 +335,14 @@ fn chunk(file: &mut Vec<u8>, kind: &[u8; 4], data: &[u8]) {
 mod tests {
     use super::*;
 
-    /// Paints elements whose numbers are pixels of the PNG, and says how dark each of its pixels is, from 0 to 1.
+    /// Paints elements whose numbers are pixels of the PNG. The result returns the darkness of a pixel, from 0 to 1.
     fn darkness(elements: &str) -> impl Fn(usize, usize) -> f32 + use<> {
         let scaled = |part: &str| match part.parse::<f32>() {
             Ok(number) => (number / SCALE).to_string(),
             Err(_) => part.to_owned(),
         };
         let mut svg = String::new();
-        // Numbers stand between quotes, commas and spaces.
+        // Numbers are delimited by quotes, commas and spaces.
         for part in elements.split_inclusive(['"', ',', ' ']) {
             let number = part.trim_end_matches(['"', ',', ' ']);
             svg += &scaled(number);
@@ -348,7 +352,7 @@ mod tests {
         move |x, y| 1.0 - f32::from(canvas.pixels[y * canvas.width + x][0]) / 255.0
     }
 
-    /// Darkness of all pixels of a square from the corner, in whole pixels.
+    /// Sum of the darkness of all pixels in a square at the origin, in pixels.
     fn area(darkness: impl Fn(usize, usize) -> f32, side: usize) -> f32 {
         (0..side * side).map(|index| darkness(index % side, index / side)).sum()
     }
@@ -391,7 +395,7 @@ mod tests {
         let dark = darkness(r##"<line SOLID stroke="#000000" stroke-width="3" x1="10" y1="20.5" x2="40" y2="20.5"/>"##);
         assert_eq!([18, 19, 20, 21, 22].map(|y| dark(25, y)), [0.0, 1.0, 1.0, 1.0, 0.0]);
         assert_eq!([9, 10, 39, 40].map(|x| dark(x, 20)), [0.0, 1.0, 1.0, 0.0]);
-        // To the left and to the right, and a piece of no length.
+        // Left and right turns, and a piece of length 0.
         for points in ["10,10 40,10 40,40", "40,40 40,10 10,10", "10,40 10,10 40,10", "40,10 10,10 10,10 10,40"] {
             let dark = darkness(&format!(
                 r##"<polyline fill="none" SOLID stroke="#000000" stroke-width="4" points="{points} "/>"##
@@ -400,7 +404,7 @@ mod tests {
             let corner = if points.contains("40,10 40,40") || points.contains("40,40 40,10") { 41 } else { 8 };
             assert_eq!(dark(corner, 8), 1.0, "{points}");
         }
-        // A turn back has no tip.
+        // A reversal has no tip.
         let dark = darkness(r##"<polyline SOLID stroke="#000000" stroke-width="4" points="10,10 40,10 12,10.5 "/>"##);
         assert_eq!((44..60).map(|x| dark(x, 10)).sum::<f32>(), 0.0);
     }
@@ -418,7 +422,7 @@ mod tests {
         assert_eq!((dark(9, 9), dark(20, 15), dark(30, 20)), (1.0, 0.0, 1.0));
     }
 
-    /// Least and greatest column and row that a text darkens.
+    /// Minimum and maximum column and row that a text darkens.
     fn extent(words: &str, text: &str) -> [usize; 4] {
         let words = format!(r##"font-family="sans-serif" font-size="40" SOLID fill="#000000" {words}"##);
         let dark = darkness(&format!("<text x=\"200\" y=\"300\" {words}>\n{text}\n</text>"));
@@ -428,7 +432,7 @@ mod tests {
 
     #[test]
     fn text_stands_where_the_svg_says() {
-        // A capital of this font is 0.729 of its size high: 29 pixels.
+        // A capital letter of this font is 0.729 of the size high: 29 pixels.
         let [left, right, top, bottom] = extent(r#"dy="0.76em" text-anchor="start""#, "HHHH");
         assert_eq!((left, bottom), (204, 329), "a letter begins a tenth of the size beside its place");
         assert!(right.abs_diff(200 + 116) <= 1 && top.abs_diff(301) <= 1, "{right} {top}");
@@ -437,7 +441,7 @@ mod tests {
         let [_, right, top, bottom] = extent(r#"dy="0.5ex" text-anchor="end""#, "HHHH");
         assert_eq!((right, bottom), (195, 309));
         assert!(top.abs_diff(281) <= 1);
-        // Upwards, with its top at the left.
+        // Upwards, with the top of the letters at the left.
         let turned = r#"dy="0.76em" text-anchor="start" transform="rotate(270, 200, 300)""#;
         let [left, right, top, bottom] = extent(turned, "HHHH");
         assert_eq!((right, bottom), (229, 295));

@@ -1,5 +1,5 @@
-//! Colour scales of the picture: the range of speeds or heights, tidy marks, and the bar beside a view that explains
-//! the colours; and the `Bounds` of a path.
+//! Colour scales of the picture: the range of speeds or heights, round values for marks, and the bar beside a view that
+//! explains the colours; also the `Bounds` of a path.
 
 use super::style::{Area, Drawn, FRAME, decimals, line_style, px, small, tidy};
 use crate::path::Point;
@@ -7,10 +7,10 @@ use oxmill_controller::axes::LINEAR;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-/// Shades of a scale, less one.
+/// Number of shades of a scale, minus one.
 pub(super) const SHADES: f64 = 23.0;
 
-/// Least and greatest place of each axis, in mm.
+/// Minimum and maximum position of each axis, in mm.
 pub(super) struct Bounds {
     pub(super) low: [f64; LINEAR],
     pub(super) high: [f64; LINEAR],
@@ -37,20 +37,20 @@ impl Bounds {
 pub(super) struct Scale {
     pub(super) low: f64,
     pub(super) high: f64,
-    /// From mark to mark.
+    /// Distance between marks.
     pub(super) step: f64,
     pub(super) stops: &'static [(f64, f64, f64)],
 }
 
 impl Scale {
-    /// From 0 to the greatest speed of a feed in mm/min.
+    /// Makes a scale from 0 to the maximum speed of a feed, mm/min.
     pub(super) fn of_speed(points: &[Point]) -> Self {
         let top = points.iter().skip(1).filter(|p| !p.rapid).map(|p| f64::from(p.speed) * 60.0).fold(0.0, f64::max);
         let (high, step) = if top > 0.0 { tight(top) } else { (1.0, 1.0) };
         Self { low: 0.0, high, step, stops: &SPEEDS }
     }
 
-    /// From the least to the greatest height of a feed in mm.
+    /// Makes a scale from the minimum to the maximum height of a feed, mm.
     pub(super) fn of_height(points: &[Point], bounds: &Bounds) -> Self {
         let feeds = points.windows(2).filter(|pair| !pair[1].rapid).flatten().map(|point| f64::from(point.at[2]));
         let (low, high) = feeds.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
@@ -59,7 +59,8 @@ impl Scale {
         Self { low, high, step, stops: &HEIGHTS }
     }
 
-    /// Pieces of path whose shades differ less than the eye sees are drawn as one.
+    /// Returns the shade of a value. Values that look the same have one shade, so that their pieces of path are drawn
+    /// together.
     pub(super) fn shade(&self, value: f64) -> u8 {
         (((value - self.low) / (self.high - self.low)).clamp(0.0, 1.0) * SHADES).round() as u8
     }
@@ -68,7 +69,7 @@ impl Scale {
         colour(self.stops, part)
     }
 
-    /// Places of the marks.
+    /// Returns the values at the marks.
     pub(super) fn marks(&self) -> impl Iterator<Item = f64> {
         let first = (self.low / self.step - 0.001).ceil();
         let count = ((self.high / self.step + 0.001).floor() - first).max(0.0) as usize;
@@ -76,20 +77,21 @@ impl Scale {
     }
 }
 
-/// The end of a scale from 0 to at least `top`, and its steps: 3 to 8 of them, of 1, 2, 2.5 or 5 times a power of ten, that
-/// reach the least beyond. A hundredth more than an end is the end: the feed itself, not more than it.
+/// Returns the end of a scale from 0 to at least `top`, and its step: 3 to 8 steps of 1, 2, 2.5 or 5 times a power of
+/// ten, chosen so that the end exceeds `top` the least. A `top` up to 1 % above an end still counts as that end, so
+/// that the scale ends at the feed rate itself.
 pub(super) fn tight(top: f64) -> (f64, f64) {
     let power = 10_f64.powf(top.max(1e-9).log10().floor() - 1.0);
     let steps = [1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 25.0, 50.0].map(|step| step * power);
     let end = |step: f64| (top * 0.99 / step).ceil().max(1.0) * step;
     let good =
         steps.into_iter().map(|step| (end(step), step)).filter(|(end, step)| end / step < 8.5 && end / step > 2.5);
-    // Of two that end at the same place the one with fewer marks.
+    // Of two with the same end, the one with fewer marks.
     good.min_by(|a, b| (a.0 - a.1 * 1e-6).total_cmp(&(b.0 - b.1 * 1e-6))).unwrap_or((top, top))
 }
 
-/// Dark blue through green to orange. All are dark enough for thin lines on white, and their lightness rises evenly, so
-/// they keep their order in grey and for colour-blind eyes.
+/// Dark blue through green to orange. All colours are dark enough for thin lines on white, and their lightness rises
+/// evenly, so they keep their order in greyscale and for colour-blind viewers.
 pub(super) const SPEEDS: [(f64, f64, f64); 6] = [
     (48.0, 18.0, 110.0),
     (46.0, 76.0, 158.0),
@@ -99,11 +101,11 @@ pub(super) const SPEEDS: [(f64, f64, f64); 6] = [
     (246.0, 170.0, 20.0),
 ];
 
-/// The deeper the darker.
+/// The deeper, the darker.
 const HEIGHTS: [(f64, f64, f64); 4] =
     [(52.0, 16.0, 40.0), (132.0, 28.0, 62.0), (206.0, 92.0, 70.0), (240.0, 186.0, 130.0)];
 
-/// A colour for 0..=1.
+/// Returns the colour for `part` from 0 to 1.
 pub(super) fn colour(stops: &[(f64, f64, f64)], part: f64) -> RGBColor {
     let at = part.clamp(0.0, 1.0) * (stops.len() - 1) as f64;
     let index = (at as usize).min(stops.len() - 2);
@@ -117,7 +119,7 @@ pub(super) fn scale_bar(area: &Area, title: [&str; 2], scale: &Scale) -> Drawn {
     area.draw_text(title[0], &small(), (left, top - px(46)))?;
     area.draw_text(title[1], &small(), (left, top - px(28)))?;
     let parts = 98;
-    // Each reaches to the top and the next covers it, so that no seams show between them.
+    // Each part reaches up to the top and is covered by the next, so that no seams show.
     for part in 0..parts {
         let at = |part: i32| bottom - (bottom - top) * part / parts;
         let color = scale.colour(f64::from(part) / f64::from(parts - 1));

@@ -1,4 +1,4 @@
-//! The path speed over time, column by column: feeds as a line with what is between least and greatest speed, rapids in
+//! The path speed over time, column by column: feeds as a line with a band between minimum and maximum speed, rapids in
 //! grey.
 
 use super::scale::Scale;
@@ -6,10 +6,10 @@ use super::style::{Area, CURVE, Drawn, FAINT, FRAME, RAPID_CURVE, decimals, font
 use crate::path::{Column, Drawing};
 use plotters::prelude::*;
 
-/// Columns of the speed curve.
+/// Number of columns of the drawn speed curve.
 const CURVE_COLUMNS: usize = 1200;
 
-/// The speeds of at most so many spans of time, each with its beginning.
+/// Returns the speeds in at most `most` spans of time, each with its start time.
 fn spans(drawing: &Drawing, most: usize) -> Vec<(f64, Column)> {
     let width = drawing.seconds() / most as f64;
     let mut spans: Vec<(f64, Column)> = Vec::new();
@@ -25,7 +25,7 @@ fn spans(drawing: &Drawing, most: usize) -> Vec<(f64, Column)> {
     spans
 }
 
-/// Neighbours that have a value, with their places. Each value holds until the next span begins.
+/// Returns runs of consecutive spans that have a value, as (time, value). Each value holds until the next span begins.
 fn stretches<T: Copy>(spans: &[(f64, Column)], value: impl Fn(&Column) -> Option<T>) -> Vec<Vec<(f64, T)>> {
     let mut parts: Vec<Vec<(f64, T)>> = Vec::new();
     let mut open = false;
@@ -41,7 +41,7 @@ fn stretches<T: Copy>(spans: &[(f64, Column)], value: impl Fn(&Column) -> Option
     parts
 }
 
-/// The area under a curve.
+/// Returns the outline of the area under a curve.
 fn under(curve: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
     let mut area: Vec<(f64, f64)> = curve.collect();
     if let (Some(first), Some(last)) = (area.first().copied(), area.last().copied()) {
@@ -60,7 +60,8 @@ pub(super) fn speed_curve(area: &Area, drawing: &Drawing, scale: &Scale) -> Draw
     };
     let per_minute = |mm_s: f32| f64::from(mm_s) * 60.0;
     let spans = spans(drawing, CURVE_COLUMNS);
-    // A rapid and what follows it may be one span, so the top is that of the path's points and not of the spans.
+    // A rapid and the feed after it may share a span, so the top comes from the points of the path instead of the
+    // spans.
     let feeds = drawing.points().iter().skip(1).any(|point| !point.rapid && point.speed > 0.0);
     let rapids = spans.iter().filter_map(|span| span.1.rapid).map(per_minute).fold(0.0, f64::max);
     let top = if feeds { scale.high } else { rapids.max(1e-3) } * 1.1;
@@ -104,7 +105,7 @@ pub(super) fn speed_curve(area: &Area, drawing: &Drawing, scale: &Scale) -> Draw
     for feed in stretches(&spans, |column| column.feed) {
         let high = feed.iter().map(|(at, (_, high))| (at / unit, per_minute(*high).min(top)));
         chart.draw_series([Polygon::new(under(high), CURVE.mix(0.14))])?;
-        // Where many changes fall into a span, its least and greatest speed show as a band.
+        // Where many changes fall into one span, its minimum and maximum speed appear as a band.
         let mut curve: Vec<(f64, f64)> = Vec::with_capacity(feed.len() * 2);
         for (at, (low, high)) in feed {
             let (low, high) = (per_minute(low).min(top), per_minute(high).min(top));

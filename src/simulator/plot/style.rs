@@ -1,9 +1,9 @@
-//! How the picture of a job looks: units, colours, fonts and lines, and numbers as labels.
+//! The style of the picture: units, colours, fonts and lines, and the formatting of numbers in labels.
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-/// The plotting library puts everything on whole units: so many of them make a pixel of the drawing.
+/// Fine units per pixel of the drawing: the plotting library rounds all coordinates to whole units.
 pub(super) const FINE: i32 = 10;
 const INK: RGBColor = RGBColor(38, 42, 48);
 pub(super) const FAINT: RGBColor = RGBColor(228, 231, 235);
@@ -33,7 +33,7 @@ pub(super) fn line_style(color: RGBColor, tenths: i32) -> ShapeStyle {
 
 pub(super) type Drawn = std::result::Result<(), Box<dyn std::error::Error>>;
 
-/// Digits after the point that labels over a range need.
+/// Returns the number of decimals for labels over a range.
 pub(super) fn decimals(range: f64) -> usize {
     (1.0 - (range / 5.0).max(1e-6).log10().floor()).clamp(0.0, 5.0) as usize
 }

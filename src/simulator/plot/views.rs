@@ -1,5 +1,5 @@
-//! The tool path as the picture shows it: from above (`plan`), coloured by speed, and at an angle (`angled`), coloured
-//! by height. Rapids are dashes; points that are too near to be told apart are left out.
+//! Draws the tool path: from above (`plan`), coloured by speed, and at an angle (`angled`), coloured by height. Rapids
+//! are dashed; points too close to be distinguished are omitted.
 
 use super::scale::{Bounds, SHADES, Scale};
 use super::style::{Area, Drawn, END, FAINT, FRAME, RAPID, START, decimals, font, line_style, px, small, tidy};
@@ -7,12 +7,13 @@ use crate::path::Point;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-/// Space left free around the tool path, as a part of its size.
+/// Space left free around the tool path, as a fraction of its size.
 const MARGIN: f64 = 0.06;
-/// Height of the view at an angle, as a part of its width and depth: Z is drawn as many times as high as comes below.
+/// Maximum height of the view at an angle, as a fraction of the larger of its width and depth: Z is stretched up to it.
 const HEIGHT: f64 = 0.4;
-/// Directions from which that view is seen, in radians: from the right of the front, and from above.
+/// Horizontal view direction of the view at an angle, in radians from the front to the right.
 const ASIDE: f64 = 0.52;
+/// Vertical view direction of the view at an angle, in radians from the horizontal.
 const ABOVE: f64 = 0.87;
 
 pub(super) fn cross(area: &Area, (x, y): (i32, i32)) -> Drawn {
@@ -22,7 +23,8 @@ pub(super) fn cross(area: &Area, (x, y): (i32, i32)) -> Drawn {
     Ok(())
 }
 
-/// The path as lines of one style each: `project` puts a point on the paper, `shade` chooses the colour of the way to it.
+/// Draws the path as lines of one style each: `project` maps a point to the paper, `shade` selects the colour of the
+/// motion to a point.
 fn draw_path(
     area: &Area,
     points: &[Point],
@@ -56,7 +58,7 @@ fn draw_path(
     Ok(())
 }
 
-/// The path with points between those of a steep way, so that each piece has about one height.
+/// Returns the path with additional points on steep motions, so that each piece has about one height.
 pub(super) fn by_height(points: &[Point], scale: &Scale) -> Vec<Point> {
     let mut fine = Vec::with_capacity(points.len());
     fine.extend(points.first());
@@ -72,7 +74,7 @@ pub(super) fn by_height(points: &[Point], scale: &Scale) -> Vec<Point> {
     fine
 }
 
-/// Leaves out places nearer to the one before than the eye sees, but never the last.
+/// Removes positions too close to the one before to be distinguished, but never the last.
 fn apart(all: impl Iterator<Item = (i32, i32)>) -> Vec<(i32, i32)> {
     let near = |a: (i32, i32), b: (i32, i32)| (a.0 - b.0).abs().max((a.1 - b.1).abs()) < px(1) / 2;
     let mut places: Vec<(i32, i32)> = Vec::new();
@@ -120,7 +122,7 @@ fn start_and_end(area: &Area, points: &[Point], project: impl Fn(&Point) -> (i32
     Ok(())
 }
 
-/// Both ranges widened to one scale, in mm per pixel, and a margin.
+/// Widens both ranges to one scale in mm per pixel, with a margin.
 fn equal_scale(low: [f64; 2], high: [f64; 2], pixels: [f64; 2]) -> ([f64; 2], [f64; 2]) {
     let size = [high[0] - low[0], high[1] - low[1]];
     let least = size[0].max(size[1]).max(0.01) * 0.01;
@@ -171,7 +173,7 @@ pub(super) fn plan(area: &Area, points: &[Point], bounds: &Bounds, scale: &Scale
     start_and_end(&whole, points, project)
 }
 
-/// How many times as high as it is Z is drawn at an angle, so that a shallow job is no flat sheet.
+/// Returns the factor by which Z is stretched in the view at an angle, so that a shallow job does not look flat.
 pub(super) fn stretch(bounds: &Bounds) -> f64 {
     let most = HEIGHT * bounds.size(0).max(bounds.size(1)) / bounds.size(2);
     [50.0, 20.0, 10.0, 5.0, 2.0].into_iter().find(|times| *times <= most).unwrap_or(1.0)
@@ -233,7 +235,7 @@ pub(super) fn angled(area: &Area, points: &[Point], bounds: &Bounds, scale: &Sca
     below.draw_text(&label(0), &anchored(HPos::Right), (x.max(px(130)), (y + px(14)).min(bottom)))?;
     let (x, y) = between(1, 3, 0.25);
     let (free, edge) = (x + px(16), width as i32 - px(134));
-    // Without room beside a short edge it comes below.
+    // If there is no room beside a short edge, the label goes below it.
     let y = if free <= edge { y } else { paper(corner(1)).1 };
     below.draw_text(&label(1), &anchored(HPos::Left), (free.min(edge), (y + px(10)).min(bottom)))?;
     Ok(())

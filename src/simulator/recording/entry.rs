@@ -1,5 +1,5 @@
-//! The entries of a recording: inputs with their times, and the state of the machine by which two runs are compared.
-//! Also the entries that only a board writes.
+//! The entries of a recording: inputs with their times, and the machine states by which two runs are compared. Also the
+//! entries that only a board writes.
 
 use crate::boards::AXES;
 use crate::simulator::Simulator;
@@ -7,10 +7,10 @@ use crate::trace::hash;
 use oxmill_controller::axes::LINEAR;
 use oxmill_controller::messages::{Noted, SpindleDirection};
 
-/// The first line.
+/// First line of a recording.
 pub(super) const TITLE: &str = "oxmill recording 1";
 
-/// What comes in, or is to be compared.
+/// An input of the machine, or a state to compare.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Input {
     /// A host has opened the port.
@@ -21,43 +21,43 @@ pub enum Input {
     Host(Vec<u8>),
     /// A line of the pin protocol.
     Pin(String),
-    /// Where the motors were, the hash of all steps, the alarm and the outputs.
+    /// A state to compare: motor positions, hash of all steps, alarm and outputs.
     At(String),
-    /// A job begins.
+    /// A job starts.
     Job,
-    /// What only a board tells.
+    /// An entry that only a board records.
     Told(Told),
 }
 
-/// What only a board tells.
+/// An entry that only a board records.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[allow(clippy::large_enum_variant, reason = "few of them, and read once")]
 pub enum Told {
-    /// An entry of its ring.
+    /// An entry of the board's ring buffer.
     Noted(Noted),
-    /// How it ended.
+    /// How the recording ended.
     Ended {
-        /// As it is written.
+        /// The text of the entry.
         text: String,
-        /// In a failure.
+        /// Whether a failure ended it.
         crash: bool,
         /// Machine position in micrometres.
         place: Vec<i64>,
-        /// N word.
+        /// Line number (N word).
         line: u32,
     },
 }
 
-/// Where a machine is: what two runs are compared by.
+/// Returns the position, steps and state of a machine, by which two runs are compared.
 pub(super) fn place(simulator: &Simulator) -> String {
-    // A that has never turned is not told of, so that recordings of three axes stay what they are.
+    // A is omitted if it has never turned, so that recordings of three axes keep their form.
     let position = simulator.machine().motors();
     let axes = if simulator.machine().motor_pulses()[LINEAR..] == [0; AXES - LINEAR] { LINEAR } else { AXES };
     let places: String = position[..axes].iter().map(|steps| format!("{steps} ")).collect();
     format!("{places}{:016x} {}", simulator.trace().digest().order_hash(), state(simulator))
 }
 
-/// What else two runs are compared by: the alarm, what is known of the position, and the outputs.
+/// Returns the alarm, the state of the position and the outputs, for the comparison of two runs.
 pub(super) fn state(simulator: &Simulator) -> String {
     let controller = simulator.controller();
     let mut words = format!("alarm {}", controller.alarm().map_or(0, |alarm| alarm.code()));
@@ -79,10 +79,10 @@ pub(super) fn state(simulator: &Simulator) -> String {
     words
 }
 
-/// In front of a hash of the clock, and of the times of all steps and of all changes of the outputs.
+/// Precedes a hash of the clock and of the times of all steps and all changes of the outputs.
 const TRACED: &str = " traced ";
 
-/// The place with that hash, in a recording that began at a time of the virtual clock.
+/// Returns [`place`] with that hash, for a recording that began at `begin` on the virtual clock.
 pub(super) fn traced(simulator: &Simulator, begin: u64) -> String {
     let (clock, trace) = (simulator.clock(), simulator.trace());
     let hz = u64::from(simulator.board().step_clock_hz);
@@ -90,11 +90,11 @@ pub(super) fn traced(simulator: &Simulator, begin: u64) -> String {
     format!("{}{TRACED}{hash:016x}", place(simulator))
 }
 
-/// Compares where a machine is, and what it has done until then, with what was recorded. Recordings of older versions have no
-/// more than the motors, or no hash behind the outputs.
+/// Compares the state of a machine and its history with the recorded ones. Recordings of older versions contain only
+/// the motor positions, or no hash after the outputs.
 ///
 /// # Errors
-/// What differs.
+/// A text that says what differs.
 pub(super) fn compare(recorded: &str, here: &str) -> Result<(), String> {
     let (here_at, _) = here.split_once(TRACED).unwrap_or((here, ""));
     let recorded_at = match recorded.split_once(TRACED) {

@@ -1,6 +1,6 @@
-//! What came into a simulated machine, with its time, as text: `Recorder` writes it and, at each rest, where the
-//! machine is; `Recording` reads it back, plays it into another simulator, and compares where that arrives. It also
-//! reads what a board has listed by `$REC`.
+//! Recordings: the inputs of a simulated machine with their times, as text. `Recorder` writes them, with the machine's
+//! state at each rest; `Recording` reads them, plays them into another simulator and compares the resulting states. It
+//! also reads the listing of a board's `$REC`.
 //!
 //! ```text
 //! oxmill recording 1
@@ -18,10 +18,11 @@
 //! 1700000 job                             a job begins that no host sends: it is taken as fast as the controller likes
 //! job G0 X1\n                             each line of it
 //! ```
-//! A board lists what it has recorded by `$REC`, each line as `[REC:...]`; in a log of a terminal all other lines are left out, and of several
-//! listings the last one counts. It has other lines besides, which `protocol::recording` of the controller writes and [`crate::board_replay`] plays.
+//! A board lists its recording by `$REC`, each line as `[REC:...]`. In the log of a terminal all other lines are
+//! ignored, and the last of several listings counts. A board writes further kinds of lines, which `protocol::recording`
+//! of the controller formats and [`crate::board_replay`] plays.
 //!
-//! Lines begin with their time but for those in front of `begin` and those of a job.
+//! Lines begin with their time, except those before `begin` and those of a job.
 
 mod entry;
 mod reader;
@@ -37,48 +38,48 @@ use crate::store::Store;
 use entry::{compare, traced};
 use oxmill_controller::messages::Store as Change;
 
-/// Why a replay that has not parted from its recording is not told to be the same.
+/// Message for a replay that found no difference because nothing could be compared.
 pub(crate) const NOTHING_COMPARED: &str = "nothing in it tells where the motors were, so nothing has been compared";
 
 impl Recording {
-    /// The text of its job, if it is of one.
+    /// The text of the recorded job, if there is one.
     pub fn job(&self) -> Option<&[u8]> {
         self.job.as_deref()
     }
 
-    /// Whether it is of a board.
+    /// Returns whether a board made the recording.
     pub fn is_of_board(&self) -> bool {
         self.inputs.iter().any(|(_, input)| matches!(input, Input::Told(_)))
     }
 
-    /// What came in, and when.
+    /// The inputs with their times, in ticks of the step clock.
     pub fn inputs(&self) -> &[(u64, Input)] {
         &self.inputs
     }
 
-    /// Whether it has its end.
+    /// Returns whether the recording is complete.
     pub fn is_whole(&self) -> bool {
         !self.broken_off
     }
 
-    /// How long it is as far as its last input, or its job: ticks of the step clock.
+    /// Duration up to the last input (or the start of the job), in ticks of the step clock.
     pub fn length(&self) -> u64 {
         self.inputs.last().map_or(0, |(time, _)| time.saturating_sub(self.begin.unwrap_or_default()))
     }
 
-    /// Whether there was anything by which two machines are compared.
+    /// Checks that the recording contains a state to compare.
     ///
     /// # Errors
-    /// Nothing tells where the machine was: the recording is not whole.
+    /// If it contains none: the recording is incomplete.
     pub fn check_compared(&self) -> Result<(), String> {
         let compares = self.inputs.iter().any(|(_, input)| matches!(input, Input::At(_)));
         if compares { Ok(()) } else { Err(NOTHING_COMPARED.into()) }
     }
 
-    /// Whether a machine that has come to the end of the job is where it was in the recording.
+    /// Compares a machine that has finished the job with the end of the recording.
     ///
     /// # Errors
-    /// Where it is instead.
+    /// A text that says what differs, or that the recording has no end.
     pub fn compare_end(&self, simulator: &Simulator) -> Result<(), String> {
         match self.inputs.last() {
             Some((_, Input::At(recorded))) => compare(recorded, &traced(simulator, self.begin.unwrap_or_default()))
@@ -87,10 +88,10 @@ impl Recording {
         }
     }
 
-    /// The machine as it was when the recording began.
+    /// Returns a simulator in the state at the beginning of the recording.
     ///
     /// # Errors
-    /// Why there can be no such machine.
+    /// If the recording does not describe a valid machine.
     pub fn power_up(&self) -> Result<Simulator, String> {
         let mut store = Store::in_memory();
         for record in &self.records {
@@ -101,18 +102,19 @@ impl Recording {
             text => Fittings::parse(text).map_err(|error| format!("{error:#}"))?,
         };
         let mut simulator = Simulator::new(Options { board: self.board, store, fittings, keep_steps: false });
-        // As whoever records does before anything comes in: startup lines are carried out.
+        // As during recording: startup lines run before any input arrives.
         simulator.run_until_idle();
         simulator.take_output();
         advance(&mut simulator, self.begin.ok_or("the recording has no `begin`")?, |_| {}, |_| {});
         Ok(simulator)
     }
 
-    /// Plays what came in to a machine that has just been powered up, as far as its job, if it has one; `hear` gets what it says,
-    /// and `pass` now and then the time since the begin, ticks of the step clock. Then it is where that begins, or where the recording ends.
+    /// Plays the inputs into a machine that has just been powered up, up to the start of the recorded job if there is
+    /// one, otherwise to the end of the recording. `hear` receives the machine's output; `pass` is called from time to
+    /// time with the time since the beginning, in ticks of the step clock.
     ///
     /// # Errors
-    /// Where the machine parts from the recording.
+    /// A text that says where the machine differs from the recording.
     pub fn play(
         &self,
         simulator: &mut Simulator,
@@ -146,7 +148,7 @@ impl Recording {
     }
 }
 
-/// Lets time pass; what the machine says is taken now and then, as by a host.
+/// Advances time; takes the machine's output from time to time, as a host does.
 fn advance(simulator: &mut Simulator, until: u64, mut hear: impl FnMut(&str), mut pass: impl FnMut(u64)) {
     let slice = u64::from(simulator.board().step_clock_hz) / 50;
     while simulator.clock().now() < until {
@@ -156,7 +158,7 @@ fn advance(simulator: &mut Simulator, until: u64, mut hear: impl FnMut(&str), mu
     }
 }
 
-/// Takes all that the machine has to say: what it holds back for want of room comes with what is taken.
+/// Takes all of the machine's output, including output that follows only after earlier output has been taken.
 fn hear_all(simulator: &mut Simulator, hear: &mut impl FnMut(&str)) {
     while simulator.unfetched() > 0 {
         hear(&simulator.take_output());

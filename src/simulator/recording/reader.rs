@@ -1,4 +1,4 @@
-//! A recording that is read: the text of a `Recording`, or the listing of a board, line by line.
+//! Reads a recording line by line: the text written by `Recorder`, or the listing of a board.
 
 use super::entry::{Input, TITLE, Told};
 use crate::boards::Board;
@@ -7,7 +7,7 @@ use crate::power_up::board_named;
 use oxmill_controller::messages::{Noted, Record, Standing, Stopping};
 use oxmill_controller::units::Coordinate;
 
-/// How long a recording may be, s: 100 days.
+/// Maximum duration of a recording, s: 100 days.
 const LONGEST: u64 = 100 * 24 * 3600;
 
 /// A recording that has been read.
@@ -18,9 +18,9 @@ pub struct Recording {
     pub(super) machine: String,
     pub(super) begin: Option<u64>,
     pub(super) inputs: Vec<(u64, Input)>,
-    /// The text of its job.
+    /// The text of the recorded job.
     pub(super) job: Option<Vec<u8>>,
-    /// It was not listed to its end.
+    /// The listing is incomplete.
     pub(super) broken_off: bool,
 }
 
@@ -28,7 +28,7 @@ impl Recording {
     /// Reads a recording.
     ///
     /// # Errors
-    /// The number of the first line that cannot be read, and why.
+    /// The number of the first line that cannot be read, and the reason.
     pub fn parse(text: &str) -> Result<Self, String> {
         if let Some(listed) = listed(text) {
             return Self::read(&listed, true);
@@ -37,7 +37,7 @@ impl Recording {
     }
 
     fn read(text: &str, listed: bool) -> Result<Self, String> {
-        // A program that was killed may have written half of its last line.
+        // A killed program may have written part of its last line.
         let whole = text.rfind('\n').map_or("", |end| &text[..=end]);
         let mut lines = whole.lines().enumerate().map(|(index, line)| (index + 1, line));
         if lines.next().is_none_or(|(_, line)| line != TITLE) {
@@ -58,11 +58,11 @@ impl Recording {
         Ok(recording)
     }
 
-    /// A time that can be reached, in a few minutes as a replay is some 10,000 times as fast as the machine.
+    /// Parses a time and checks that a replay can reach it within a few minutes, at some 10,000 times real time.
     fn parse_time(&self, text: &str) -> Result<u64, String> {
         let time = number(text)?;
         let last = LONGEST * u64::from(self.board.step_clock_hz);
-        // A job passes its dwells at once, however long they are.
+        // A job skips its dwells, however long they are.
         if time <= last || self.job.is_some() { Ok(time) } else { Err(format!("`{time}` is later than 100 days")) }
     }
 
@@ -114,7 +114,7 @@ impl Recording {
     }
 }
 
-/// The lines of the last listing in a log, and nothing else of it.
+/// Returns the lines of the last board listing in a log, without the rest of the log.
 fn listed(log: &str) -> Option<String> {
     let lines = log.lines().filter_map(|line| Some(line.split_once("[REC:")?.1.split_once(']')?.0));
     let mut text = None;
@@ -130,7 +130,7 @@ fn listed(log: &str) -> Option<String> {
     text
 }
 
-/// A line that only a board tells.
+/// Parses a line that only a board writes; `None` for other lines.
 fn told(word: &str, rest: &str) -> Result<Option<Told>, String> {
     let words: Vec<&str> = rest.split_whitespace().collect();
     let entry = match word {
@@ -188,7 +188,7 @@ fn standing(words: &[&str]) -> Result<Noted, String> {
     Ok(Noted::Standing { standing, blocks: number(blocks)? })
 }
 
-/// `panic N12 1.000 2.000 0.000`, or `reset`.
+/// Parses the end of a recording: `panic N12 1.000 2.000 0.000`, or `reset`.
 fn ended(text: &str, words: &[&str]) -> Result<Told, String> {
     let text = text.to_owned();
     let [_, line, place @ ..] = words else {
@@ -212,7 +212,7 @@ fn bytes_of_hex(text: &str) -> Result<Vec<u8>, String> {
         .ok_or_else(|| format!("`{text}` is no value of a record"))
 }
 
-/// What `escape_ascii` has escaped.
+/// Reverses `escape_ascii`.
 fn unescape(text: &str) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
     let mut rest = text.bytes();

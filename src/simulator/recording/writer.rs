@@ -1,5 +1,5 @@
-//! A recording while it is written: `Recorder` writes each input as a line and, at rest, where the machine is;
-//! `RecordedJob` passes the lines of a job on and writes them.
+//! Writes a recording: `Recorder` writes each input as a line and, at rest, the state of the machine; `RecordedJob`
+//! passes the lines of a job on and records them.
 
 use super::entry::{Input, TITLE, place, traced};
 use crate::simulator::Simulator;
@@ -8,20 +8,21 @@ use std::fmt::Write as _;
 use std::io::{self, BufRead, Read, Write};
 use std::rc::Rc;
 
-/// Writes a recording while it happens.
+/// Writes a recording while the machine runs.
 pub struct Recorder {
-    /// What is not written yet.
+    /// Bytes that have not been written yet.
     held: Vec<u8>,
     out: Option<Box<dyn Write>>,
     begin: u64,
     last: String,
-    /// When the place of the machine is looked at again.
+    /// When to look at the state of the machine again, in ticks.
     next_look: u64,
 }
 
 impl Recorder {
-    /// Begins the recording of a simulator that has just been powered up; `machine` describes what is fitted to it. It is kept
-    /// in memory until it is told where to write: a file that has an older recording loses it only to a machine that works.
+    /// Begins the recording of a simulator that has just been powered up. `machine` describes its fittings. The
+    /// recording is kept in memory until [`Recorder::write_to`] is called: an older recording in the file is
+    /// overwritten only if the machine has started successfully.
     pub fn begin(simulator: &mut Simulator, machine: &str) -> Self {
         let (board, now) = (*simulator.board(), simulator.clock().now());
         let mut head = format!("{TITLE}\nboard {} {}\n", board.name, board.step_clock_hz);
@@ -39,10 +40,10 @@ impl Recorder {
         Self { held: head.into_bytes(), out: None, begin: now, last: place(simulator), next_look: now }
     }
 
-    /// Where it is written from here on, with all that has come in before.
+    /// Writes the recording to `out` from here on, beginning with all earlier inputs.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If writing fails.
     pub fn write_to(&mut self, out: Box<dyn Write>) -> io::Result<()> {
         self.out = Some(out);
         self.pass_on()?;
@@ -61,10 +62,10 @@ impl Recorder {
         self.out.as_mut().map_or(Ok(()), |out| out.flush())
     }
 
-    /// Something comes in now.
+    /// Records an input at the present time.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If writing fails.
     pub fn input(&mut self, simulator: &Simulator, input: &Input) -> io::Result<()> {
         self.look(simulator)?;
         match input {
@@ -74,22 +75,22 @@ impl Recorder {
             Input::Pin(line) => self.write(simulator, &format!("pin {}", line.trim())),
             Input::At(place) => self.write(simulator, &format!("at {place}")),
             Input::Job => self.write(simulator, "job"),
-            // Only boards tell that.
+            // Only boards record these.
             Input::Told(_) => Ok(()),
         }
     }
 
-    /// A line of now. Whatever ends the program, it is there.
+    /// Writes a line with the present time and flushes it, so that it survives any end of the program.
     fn write(&mut self, simulator: &Simulator, text: &str) -> io::Result<()> {
         self.held.extend(format!("{} {text}\n", simulator.clock().now()).into_bytes());
         self.pass_on()?;
         self.flush()
     }
 
-    /// Time has passed: where the machine is, once a second of its time.
+    /// Records the state of the machine once per second of machine time. Call it as time passes.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If writing fails.
     pub fn time_passed(&mut self, simulator: &Simulator) -> io::Result<()> {
         let now = simulator.clock().now();
         if now < self.next_look {
@@ -99,10 +100,10 @@ impl Recorder {
         self.look(simulator)
     }
 
-    /// Where the machine is now, if it has moved.
+    /// Records the state of the machine if it has changed.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If writing fails.
     pub fn look(&mut self, simulator: &Simulator) -> io::Result<()> {
         let here = place(simulator);
         if here != self.last {
@@ -112,25 +113,25 @@ impl Recorder {
         Ok(())
     }
 
-    /// A line of a job.
+    /// Records a line of a job.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If writing fails.
     pub fn job_line(&mut self, line: &[u8]) -> io::Result<()> {
         self.held.extend(format!("job {}\n", line.escape_ascii()).into_bytes());
         self.pass_on()
     }
 
-    /// The end: where the machine is.
+    /// Records the final state of the machine.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If writing fails.
     pub fn end(&mut self, simulator: &Simulator) -> io::Result<()> {
         self.write(simulator, &format!("at {}", traced(simulator, self.begin)))
     }
 }
 
-/// A job that is recorded as it is read.
+/// A job that is recorded while it is read.
 pub struct RecordedJob<R> {
     reader: R,
     recorder: Rc<RefCell<Recorder>>,
@@ -139,7 +140,7 @@ pub struct RecordedJob<R> {
 }
 
 impl<R: BufRead> RecordedJob<R> {
-    /// The job that comes from `reader`.
+    /// Wraps the reader of a job.
     pub fn new(reader: R, recorder: Rc<RefCell<Recorder>>) -> Self {
         Self { reader, recorder, line: Vec::new(), failed: None }
     }

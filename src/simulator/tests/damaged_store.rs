@@ -1,5 +1,5 @@
-//! A settings log with a wrong bit: what it does not hit holds, the host is told, and nothing moves before somebody has
-//! looked at the settings and confirmed them.
+//! A settings log with a wrong bit: all other settings keep their values, the host gets a message, and nothing moves
+//! before a user has listed and confirmed the settings.
 
 use oxmill_simulator::{Options, Simulator, Store};
 use oxmill_test_support::Folder;
@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
-/// At the welcome line, and whenever something is refused.
+/// Sent after the welcome line, and whenever a command is rejected.
 const TOLD: &str = "[MSG:Stored settings were damaged and some may be lost: check $$, 2 s later $X confirms]\r\n";
 const WELCOME: &str = "\r\nGrbl 1.1h ['$' for help]\r\n";
 
@@ -29,7 +29,7 @@ fn wait(mill: &mut Simulator, milliseconds: u64) {
     mill.run_for(Duration::from_millis(milliseconds));
 }
 
-/// A store in which these lines have been stored.
+/// Returns the image of a store after these lines have been executed.
 fn stored(path: &Path, lines: &[&str]) -> Vec<u8> {
     let _ = fs::remove_file(path);
     let (mut mill, _) = power_up(path);
@@ -40,7 +40,7 @@ fn stored(path: &Path, lines: &[&str]) -> Vec<u8> {
     fs::read(path).unwrap()
 }
 
-/// All that is stored, line by line.
+/// Returns all stored settings, line by line.
 fn listing(mill: &mut Simulator) -> Vec<String> {
     let mut lines = Vec::new();
     for list in ["$#", "$N", "$I", "$$"] {
@@ -51,7 +51,7 @@ fn listing(mill: &mut Simulator) -> Vec<String> {
     lines
 }
 
-/// Each bit of each record: one value at most is another one, and it is told and locked.
+/// For each bit of each record: at most one value changes, a message is sent, and motion is locked.
 #[test]
 fn a_wrong_bit_costs_one_value_at_most() {
     let folder = Folder::new();
@@ -85,7 +85,7 @@ fn a_wrong_bit_costs_one_value_at_most() {
         let after = listing(&mut mill);
         assert_eq!(before.len(), after.len());
         let other: Vec<_> = before.iter().zip(&after).filter(|(a, b)| a != b).collect();
-        // `$22` brings `$20` along.
+        // `$22` also switches `$20`.
         assert!(other.len() <= 1, "bit {bit}: {other:?}");
         changed += other.len();
         assert_eq!(say(&mut mill, "G0X1"), "error:9\r\n");
@@ -98,7 +98,7 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
     let folder = Folder::new();
     let path = folder.path().join("s");
     let mut image = stored(&path, &["$22=1", "$110=600", "$100=80"]);
-    // The record of `$22`, behind that of `$20`.
+    // The record of `$22`, after that of `$20`.
     image[24] ^= 0x40;
     let homing = image.clone();
     image[12] ^= 0x40;
@@ -108,7 +108,7 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
         assert_eq!(said, format!("{WELCOME}{TOLD}"));
         mill.send("?");
         assert!(mill.take_output().starts_with("<Alarm|"));
-        // What senders begin with.
+        // The commands that senders begin with.
         let refused = format!("{TOLD}error:7\r\n");
         assert_eq!(say(&mut mill, "$X"), refused);
         assert_eq!(say(&mut mill, "$22=1"), "ok\r\n");
@@ -118,13 +118,13 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
         }
         assert_eq!(say(&mut mill, "$J=G91X1F100"), "error:8\r\n");
         assert_eq!(say(&mut mill, "$C"), "error:8\r\n");
-        // A program that lists and unlocks in one go has not looked.
+        // A program that lists and unlocks immediately does not count as a user who has read the list.
         let list = say(&mut mill, "$$");
         assert!(list.contains("$100=80.000\r\n") && list.contains("$110=600.000\r\n"), "{list}");
         assert!(list.ends_with("[MSG:Compare with your notes; 2 s later $X confirms]\r\nok\r\n"), "{list}");
         wait(&mut mill, 1_900);
         assert_eq!(say(&mut mill, "$X"), refused);
-        // A reset: whoever comes now has not seen the list.
+        // After a reset, a new user may be present who has not seen the list.
         mill.send([0x18]);
         mill.run_until_idle();
         assert_eq!(mill.take_output(), format!("{WELCOME}{TOLD}"));
@@ -137,10 +137,10 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
         mill.run_until_idle();
         assert_eq!(mill.take_output(), format!("{WELCOME}{TOLD}"));
         assert_eq!(say(&mut mill, "$X"), refused);
-        // Not even `$RST` ends it.
+        // Not even `$RST` clears the damage.
         assert!(say(&mut mill, "$RST=#").ends_with(&format!("{WELCOME}{TOLD}")));
         assert_eq!(mill.machine().pulses(), [0; 3]);
-        // The power may go: it is told again.
+        // After a power cycle the message is sent again.
         drop(mill);
         let (mut mill, said) = power_up(&path);
         assert_eq!(said, format!("{WELCOME}{TOLD}"));
@@ -151,7 +151,7 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
         say(&mut mill, "$22=0");
         assert_eq!(say(&mut mill, "G0X1"), "ok\r\n");
         assert_eq!(mill.machine().position(), [80, 0, 0]);
-        // And that was all.
+        // The confirmation has cleared everything.
         assert!(!say(&mut mill, "$$").contains("MSG"));
         drop(mill);
         let (mut mill, said) = power_up(&path);
@@ -161,7 +161,7 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
     }
 }
 
-/// The settings may be set right before they are confirmed, which is kept whatever becomes of the power.
+/// The settings may be corrected before they are confirmed; the corrections survive a power cycle.
 #[test]
 fn settings_are_mended_before_they_are_confirmed() {
     let folder = Folder::new();
@@ -179,7 +179,8 @@ fn settings_are_mended_before_they_are_confirmed() {
     assert!(list.contains("$100=80.000\r\n") && list.contains("$101=81.000\r\n"), "{list}");
 }
 
-/// The power is cut at every operation of the confirmation: told again or clean, and no setting is lost.
+/// The power is cut at every operation of the confirmation: the damage is reported again or is gone, and no setting is
+/// lost.
 #[test]
 fn a_power_cut_in_the_confirmation_is_no_harm() {
     let folder = Folder::new();

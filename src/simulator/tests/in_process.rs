@@ -1,4 +1,4 @@
-//! The simulator as tests use it: everything in virtual time, and the same every time.
+//! The simulator as tests use it: everything happens in virtual time, and every run is identical.
 
 use oxmill_controller::messages::Realtime;
 use oxmill_simulator::{JobText, Options, Simulator, Store};
@@ -66,7 +66,7 @@ fn a_reset_in_motion_stops_the_pulses_at_once() {
     assert!(mill.take_output().contains("ALARM:3"));
 }
 
-/// A laser with scaled power (M4) is dark from the end of its motion on, and not only when the drivers go off.
+/// A laser with scaled power (M4) is dark from the end of its motion on, not only after the drivers are switched off.
 #[test]
 fn a_beam_with_scaled_power_ends_with_the_motion() {
     for (idle_delay, direction, stays) in [(25, "M4", false), (255, "M4", false), (255, "M3", true)] {
@@ -79,7 +79,8 @@ fn a_beam_with_scaled_power_ends_with_the_motion() {
     }
 }
 
-/// Whoever changes a tool pulls at the spindle: the drivers are on until `~`, whatever `$1` says, and for its delay after that.
+/// A user who changes a tool pulls at the spindle: the drivers stay on until `~`, whatever `$1` says, and then for the
+/// delay of `$1`.
 #[test]
 fn the_drivers_are_on_while_a_tool_is_changed() {
     let mut mill = mill();
@@ -95,7 +96,7 @@ fn the_drivers_are_on_while_a_tool_is_changed() {
     assert!(mill.outputs().is_some_and(|outputs| !outputs.drivers));
 }
 
-/// Whatever ends a tool change in which the drivers are on, they go off after `$1`.
+/// However a tool change with the drivers on ends, the drivers go off after `$1`.
 #[test]
 fn the_drivers_go_off_when_a_tool_change_is_given_up() {
     for stop in [&b"\x18"[..], b"\x19", b"!\x18", b"\x84\x18", b"\x84\x19~"] {
@@ -111,7 +112,7 @@ fn the_drivers_go_off_when_a_tool_change_is_given_up() {
     }
 }
 
-/// Asleep, the axes can be moved by hand, as with Grbl, also where the drivers are always on else.
+/// During sleep, the axes can be moved by hand, as with Grbl, even if the drivers are otherwise always on.
 #[test]
 fn the_drivers_are_off_in_sleep() {
     for (idle_delay, after) in [(25, false), (255, true)] {
@@ -153,7 +154,7 @@ fn settings_outlive_a_power_cycle() {
     assert!(second.take_output().contains("$100=123.500\r\n"));
 }
 
-/// The entry of the second tool becomes free before that of the first: their records are theirs.
+/// The entry of the second tool is freed before that of the first: the record of each tool must stay with it.
 #[test]
 fn a_tool_that_was_taken_out_stays_out() {
     let mut first = mill();
@@ -173,7 +174,7 @@ fn a_tool_that_was_taken_out_stays_out() {
 #[test]
 fn the_tool_table_outlives_a_power_cycle() {
     let mut first = mill();
-    // An offset of each axis, one that is changed, and the greatest number.
+    // An offset of each axis, an offset that is changed, and the highest tool number.
     first.send("G10 L1 P5 X1 Y-2 Z12.5\nG10 L1 P7 Z1\nG10 L1 P7 Z-0.001\nG20 G10 L1 P99999 Z1\nT5 M6\n");
     first.run_until_idle();
     assert_eq!(first.take_output(), "ok\r\n".repeat(5));
@@ -189,7 +190,7 @@ fn the_tool_table_outlives_a_power_cycle() {
     second.run_until_idle();
     second.take_output();
     assert_eq!(tools(&mut second), table);
-    // They can be used; the tool in the spindle is not known any more.
+    // The offsets can be used, but the tool in the spindle is not known any more.
     second.send("G43 H99999\n");
     second.run_until_idle();
     assert_eq!(second.take_output(), "ok\r\n");
@@ -208,7 +209,7 @@ fn the_tool_table_outlives_a_power_cycle() {
 #[test]
 fn macros_outlive_a_power_cycle() {
     let mut first = mill();
-    // In any order; one is changed and one is taken out.
+    // Stored in any order; one macro is changed and one is removed.
     first.send("$M3=o<m> endsub\n$M1=G0 X1\n$M0=o<m> sub\n$M2=G0 X5\n$M1=G0 X[#1*2]\n$M2=\n");
     first.run_until_idle();
     assert_eq!(first.take_output(), "ok\r\n".repeat(6));
@@ -261,7 +262,7 @@ fn more_answers_than_anyone_fetches_are_kept() {
         }
         answers += said.matches("error:20\r\n").count();
     }
-    // A fetch may end in the middle of an answer.
+    // A fetch may end in the middle of a reply.
     assert!((19_990..=20_000).contains(&answers), "{answers}");
     assert!(mill.is_idle());
 }
@@ -283,13 +284,13 @@ fn realtime_commands_overtake_lines_that_wait() {
     assert_eq!(mill.unread(), 0, "a reset drops what waited before it");
 }
 
-/// A hold ends a jog and all jogs that have come by then, also those for which the queue has no room.
+/// A hold ends a jog and all jogs received so far, including those for which the queue has no room.
 #[test]
 fn a_hold_forgets_all_jogs_that_have_been_received() {
     let mut mill = mill();
     mill.send("$J=G91 X5 F100\n");
     mill.run_for(Duration::from_millis(100));
-    // More than the look-ahead and the queue take.
+    // More than the look-ahead and the queue hold.
     let mut jogs = 1;
     while mill.unread() < 400 {
         mill.send("$J=G91 Y1 F1000\n");
@@ -304,7 +305,8 @@ fn a_hold_forgets_all_jogs_that_have_been_received() {
     assert_eq!(mill.machine_position()[1], 1.0);
 }
 
-/// The same with the reset button, which drops lines of all kinds. (What the link has not fetched is not received yet.)
+/// A reset button does the same, but drops lines of all kinds. (Bytes that the link has not fetched do not count as
+/// received.)
 #[test]
 fn a_reset_button_drops_all_lines_that_have_been_received() {
     let mut mill = mill();
@@ -317,7 +319,7 @@ fn a_reset_button_drops_all_lines_that_have_been_received() {
     assert_eq!(mill.machine_position(), [0.0, 0.0, 1.0]);
 }
 
-/// A limit switch is active from the beginning: nothing moves before the controller knows it.
+/// A limit switch is active from the beginning: nothing moves before the controller knows the state of the inputs.
 #[test]
 fn a_startup_line_waits_for_the_inputs() {
     let mut first = mill();
@@ -345,12 +347,13 @@ fn a_flood_of_resets_tears_no_welcome() {
     assert_eq!(mill.take_output(), "ok\r\n");
 }
 
-/// The board's link is in the way: commands pass the lines that it has room for (255 and 192 bytes), and no more.
+/// The board's link limits overtaking: commands pass only the line bytes that fit into the queue and the link (255 and
+/// 192).
 #[test]
 fn what_finds_no_room_waits_in_the_port() {
     for (lines, passes) in [(80, true), (100, false)] {
         let mut mill = mill();
-        // The first of five bytes is in the way of all others.
+        // The first of five bytes blocks all others.
         mill.send("G4P9\n");
         mill.send("G21F\n".repeat(lines));
         mill.send("?");
@@ -361,7 +364,7 @@ fn what_finds_no_room_waits_in_the_port() {
     }
 }
 
-/// What waits in front of a full queue is not seen by the machine, and the host is there all the same.
+/// The machine does not see the bytes that wait in front of a full queue, but the host does not count as silent.
 #[test]
 fn a_host_that_waits_for_room_is_not_silent() {
     let mut mill = Simulator::new(Options::default());

@@ -1,5 +1,5 @@
-//! A host keeps the floor while its subroutine, loop or condition is open: behind another one's `?` the rest of the block
-//! would be carried out as lines of their own.
+//! A host keeps the floor while its subroutine, loop or condition is open. If the `?` of another host took the floor,
+//! the rest of the block would be executed as separate lines.
 
 use oxmill_simulator::{Options, Simulator};
 

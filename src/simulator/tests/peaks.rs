@@ -1,5 +1,5 @@
-//! The measured peaks against what the program asks for: circles, lines and chords of several lengths, on coarse and fine
-//! steps.
+//! Compares the measured peaks with the values in the program: circles, lines and chords of several lengths, on coarse
+//! and fine steps.
 
 use oxmill_simulator::meter::Measured;
 use oxmill_simulator::{JobText, Options, Simulator};
@@ -8,7 +8,7 @@ use std::fmt::Write;
 /// Acceleration of X and Y, mm/s².
 const ACCELERATION: f64 = 500.0;
 
-/// What the meter says of a program on a machine with so many steps per mm.
+/// Returns the measurements of a program on a machine with `resolution` steps per mm.
 fn measured(resolution: u32, program: &str) -> Measured {
     let mut mill = Simulator::new(Options::default());
     for axis in 0..2 {
@@ -29,7 +29,7 @@ fn assert_near(value: f64, low: f64, high: f64, what: &str) {
     assert!((low..=high).contains(&value), "{what}: {value} is not in {low} to {high}");
 }
 
-/// Evenly spread numbers in 0..1, by the golden ratio.
+/// Returns evenly spread numbers in 0..1, by the golden ratio.
 fn spread(index: usize) -> f64 {
     (index as f64 * 0.618_033_988_75).fract()
 }
@@ -41,7 +41,7 @@ fn a_circle_at_feed_has_the_speed_and_the_ramps_of_its_program() {
             let what = format!("a circle of R {radius} at F{feed} and {resolution} steps/mm");
             let m = measured(resolution, &format!("G21 G91 G2 X0 Y0 I{radius} F{feed}"));
             assert_near(m.speed * 60.0, feed * 0.99, feed * 1.01, &what);
-            // A small circle has few coarse steps along an axis, and its ramp is two of them long.
+            // A small circle has few coarse steps along an axis, and its ramp is two steps long.
             let coarse = radius * f64::from(resolution) < 100.0;
             for axis in 0..2 {
                 let least = if coarse { 0.93 } else { 0.97 };
@@ -60,7 +60,7 @@ fn a_circle_at_feed_has_the_speed_and_the_ramps_of_its_program() {
 fn a_line_has_the_speed_and_the_ramps_of_its_program() {
     for (index, resolution) in [80, 100, 250, 400, 1000].into_iter().cycle().take(25).enumerate() {
         let (angle, feed) = (spread(index) * std::f64::consts::TAU, 300.0 + 2700.0 * spread(index + 7));
-        // Three ramps long, and long against a step.
+        // Long enough for three ramps, and long compared with a step.
         let length = (3.0 * (feed / 60.0).powi(2) / ACCELERATION).max(400.0 / f64::from(resolution));
         let (x, y) = (length * angle.cos(), length * angle.sin());
         let program = format!("G21 G91 G1 X{x:.4} Y{y:.4} F{feed:.1}");
@@ -77,7 +77,7 @@ fn a_line_has_the_speed_and_the_ramps_of_its_program() {
     }
 }
 
-/// A path in pieces of about `chord`, as a program with three decimals.
+/// Returns a path in pieces of about `chord`, as a program with three decimals.
 fn pieces(feed: f64, length: f64, chord: f64, place: impl Fn(f64) -> (f64, f64)) -> String {
     let count = (length / chord).ceil();
     let mut program = format!("G21 G90 F{feed}\n");
@@ -99,7 +99,7 @@ fn a_line_in_chords_has_the_speed_of_its_program() {
             let m = measured(resolution, &program);
             let what = format!("a line at {angle:.2} rad in chords of {chord} mm at {resolution} steps/mm");
             assert_near(m.speed * 60.0, feed * 0.985, feed * 1.01, &what);
-            // An axis has no more than its share of the speed, whatever the direction of single chords is.
+            // The speed of an axis does not exceed its share, whatever the directions of the chords are.
             for (axis, part) in [angle.cos(), angle.sin()].into_iter().enumerate() {
                 assert_near(m.axis_speed[axis] * 60.0, feed * part * 0.97 - 15.0, feed * part * 1.01 + 15.0, &what);
             }
@@ -122,7 +122,7 @@ fn a_circle_in_chords_has_the_speed_of_its_program() {
             });
             let m = measured(resolution, &program);
             let what = format!("a circle in chords of {chord} mm at {resolution} steps/mm");
-            // Whether it reaches the feed at each place is the planner's matter; it never exceeds it.
+            // Whether the planner reaches the feed everywhere is not tested here; the speed must never exceed the feed.
             assert_near(m.speed * 60.0, feed * 0.97, feed * 1.01, &what);
             assert_near(m.acceleration, ACCELERATION * 0.5, ACCELERATION * 1.5, &what);
             assert_near(m.distance, length * 0.98, length * 1.02, &what);
@@ -132,7 +132,7 @@ fn a_circle_in_chords_has_the_speed_of_its_program() {
 
 #[test]
 fn rounding_to_coarse_steps_is_no_speed() {
-    // Chords of three quarters of a step: single ones seem to be a third longer, or nothing.
+    // Chords of three quarters of a step: a single chord seems a third longer, or empty.
     let program = pieces(600.0, 30.0, 0.03, |part| (30.0 * part, 0.0));
     let m = measured(25, &program);
     assert_near(m.speed * 60.0, 570.0, 606.0, "a line in pieces below a step");

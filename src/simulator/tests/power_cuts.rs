@@ -1,14 +1,15 @@
-//! The power is cut after every single operation of the flash in a long series of commands that store something: what
-//! the controller has after the restart is what it had before the command under way, or what it would have had after it.
+//! The power is cut after every operation of the flash in a long series of commands that store something. After the
+//! restart, the settings must be those before or those after the command that was interrupted.
 
 use oxmill_simulator::{Options, Simulator, Store};
 
-/// Bytes of a sector: little more than all records together, so that a move comes every few dozen commands.
+/// Bytes of a sector: little more than all records together, so that the log moves to the other sector every few dozen
+/// commands.
 const SECTOR: u32 = 1280;
 const SESSIONS: usize = 50;
 const COMMANDS: usize = 24;
 
-/// Marsaglia's xorshift: the same series everywhere.
+/// Marsaglia's xorshift, which returns the same series everywhere.
 struct Dice(u32);
 
 impl Dice {
@@ -39,7 +40,7 @@ impl Dice {
             16 if value < 40 => format!("$900={}", value % 3),
             16 => format!("$I=mill {value}"),
             17 if value < 150 => self.pick(&["$RST=$", "$RST=$", "$RST=#", "$RST=*"]).into(),
-            // With a spindle that turns, no sector is erased ahead.
+            // While the spindle turns, no sector is erased ahead.
             18 => self.pick(&["M3S200", "M5", "M5"]).into(),
             _ => "$X".into(),
         }
@@ -58,7 +59,7 @@ fn say(mill: &mut Simulator, line: &str) -> String {
     mill.run_until_idle();
     let answer = mill.take_output();
     if answer.contains("Reset to continue") {
-        // A soft limit has locked it until a reset.
+        // A soft limit has locked the machine until a reset.
         mill.send([0x18]);
         mill.run_until_idle();
         mill.take_output();
@@ -66,7 +67,7 @@ fn say(mill: &mut Simulator, line: &str) -> String {
     answer
 }
 
-/// All that outlives the power, as the host sees it.
+/// Returns everything that survives a power cycle, as the host sees it.
 fn stored(mill: &mut Simulator) -> Vec<String> {
     let volatile = ["[G92", "[TLO", "[PRB", "[OPT", "[MSG:Compare"];
     let listings = ["$$", "$#", "$N", "$I"].map(|listing| say(mill, listing));
@@ -112,7 +113,7 @@ fn after_a_power_cut_all_settings_are_old_or_new() {
         for cut in 0..operations {
             let mut cut_store = begin.clone();
             cut_store.cut_power_after(cut, dice.throw(u32::MAX));
-            // What the cut leaves to be done at power-up may be cut as well.
+            // Operations that the cut has left for the power-up may be cut, too.
             let mut mill = power_up(cut_store);
             let mut under_way = 0;
             while !mill.power_is_gone() {
@@ -130,13 +131,13 @@ fn after_a_power_cut_all_settings_are_old_or_new() {
                 difference(&found, after),
             );
             cuts += 1;
-            // Only a last word that lacks bits of a single byte is told as damage: see the store's own tests.
+            // Only a last word that lacks bits of a single byte is reported as damage: see the store's own tests.
             told += u32::from(again.controller().is_store_damaged());
             if before != after {
                 old += u32::from(found == *before);
                 new += u32::from(found == *after);
             }
-            // And it still stores; a set that cannot be run may be told of after the `ok`.
+            // The store still works. A message about settings that cannot be run may follow the `ok`.
             assert!(say(&mut again, "$132=12.5").contains("ok\r\n"));
             let mut last = power_up(again.store().power_cycled().unwrap());
             assert!(say(&mut last, "$$").contains("$132=12.500\r\n"));
@@ -147,7 +148,7 @@ fn after_a_power_cut_all_settings_are_old_or_new() {
     assert!(old > 500 && new > 0 && moves > 5);
 }
 
-/// Records that this version does not know stay where they are: a newer firmware that comes back finds its settings.
+/// Records that this version does not know are kept: a newer firmware that is installed again finds its settings.
 #[test]
 fn records_of_other_versions_are_ignored_and_kept() {
     use oxmill_controller::messages::{Record, Store as Change};
@@ -175,14 +176,14 @@ fn records_of_other_versions_are_ignored_and_kept() {
     assert_eq!(keys, [11, 101, 777, 1099, 60_000]);
 }
 
-/// A job that moves, stores and ends, with values of its own.
+/// Returns a job that moves, stores and ends, with values that depend on `value`.
 fn job(value: usize) -> Vec<String> {
     let lines = ["G21G90", "G10L20P1X#", "G1X0.#F600", "G10L1P2Z-#.5", "G28.1", "G1X0", "G10L2P3Y7R#", "G30.1", "M30"];
     lines.iter().map(|line| line.replace('#', &value.to_string())).collect()
 }
 
-/// Its lines come at once, as from a sender that counts characters: those that were answered are stored, and of the others a
-/// first part may be.
+/// The lines of the job arrive at once, as from a sender that counts characters. All answered lines must be stored,
+/// and possibly some lines after them, without a gap.
 #[test]
 fn a_job_whose_end_meets_a_power_cut_has_stored_what_it_has_answered() {
     let mut begin = Store::with_sectors_of(SECTOR);
@@ -215,7 +216,7 @@ fn a_job_whose_end_meets_a_power_cut_has_stored_what_it_has_answered() {
             cuts += 1;
             ahead += u32::from(found != states[answered]);
         }
-        // So some have to move all records to the other sector.
+        // Continue with this store, so that some jobs have to move all records to the other sector.
         begin = done.power_cycled().unwrap();
     }
     println!("{cuts} cuts; {ahead} with a line stored that had not been answered");

@@ -1,4 +1,4 @@
-//! A recording played again makes the same steps in the same order, at the same times.
+//! A replayed recording makes the same steps in the same order at the same times.
 
 use oxmill_simulator::recording::{Input, Recorder, Recording};
 use oxmill_simulator::{Options, Simulator};
@@ -30,10 +30,10 @@ impl File {
 const MACHINE: &str =
     "steps_per_mm = [250, 250, 250]\n[[switch]]\naxis = \"x\"\nat_mm = 1.5\nside = \"positive\"\nbounce_us = 900\n";
 
-/// Settings by which time alone asks for something: a host that is silent in a job or a jog, and what follows.
+/// Settings that make the passing of time an input: a host that falls silent during a job or a jog, and what follows.
 const WATCHES: [&str; 6] = ["$922=0.1\n", "$922=0.5\n", "$923=0.1\n", "$928=1\n", "$915=1\n", "$929=0.1\n"];
 
-/// What a host, a hand and the time do; with these lines, too.
+/// Inputs of a host and of the user, and pauses; with the additional lines `more`.
 fn inputs_with(more: &[&'static str]) -> impl Strategy<Value = (u32, Input)> + use<> {
     let mut lines = vec![
         "G1 X2 F600\n",
@@ -82,7 +82,7 @@ fn digest(mill: &Simulator) -> (u64, u64, [i32; 3]) {
     (digest.time_hash(), digest.order_hash(), mill.machine().position())
 }
 
-/// A machine with a switch and other settings than a new one, recorded from power-up on, and what it has said.
+/// Returns a machine with a switch and non-default settings, recorded from power-up on, and its output.
 fn machine() -> (Simulator, Recorder, File, String) {
     let fittings = oxmill_simulator::Fittings::parse(MACHINE).unwrap();
     let mut mill = Simulator::new(Options { fittings, ..Options::default() });
@@ -106,7 +106,7 @@ proptest! {
         let (mut mill, mut recorder, file, mut said) = machine();
         let mut slices = slices.into_iter().cycle();
         for (pause, input) in &script {
-            // As the clock of a host cuts time.
+            // Divide time irregularly, as the clock of a host does.
             let until = mill.clock().now() + u64::from(*pause);
             while mill.clock().now() < until {
                 mill.advance_to(until.min(mill.clock().now() + slices.next().unwrap()));
@@ -127,7 +127,8 @@ proptest! {
     }
 }
 
-/// The text of a recording in which a host sends this, and then looks after a second.
+/// Returns the text of a recording in which a host sends `sent` and the state is recorded a second later, and the
+/// machine.
 fn recorded(sent: &str) -> (String, Simulator) {
     let (mut mill, mut recorder, file, _) = machine();
     recorder.input(&mill, &Input::Host(sent.as_bytes().to_vec())).unwrap();
@@ -137,7 +138,7 @@ fn recorded(sent: &str) -> (String, Simulator) {
     (file.text(), mill)
 }
 
-/// What comes of playing it.
+/// Plays a recording and returns the result.
 fn played(text: &str) -> Result<(), String> {
     let recording = Recording::parse(text).unwrap();
     recording.play(&mut recording.power_up().unwrap(), |_| {}, |_| {})
@@ -155,7 +156,7 @@ fn another_machine_parts_from_it() {
     }
 }
 
-/// An editor or a mail may have changed them.
+/// An editor or a mail program may change line ends and add a byte order mark.
 #[test]
 fn line_ends_and_a_mark_in_front_are_no_difference() {
     let (text, _) = recorded("G1 X1 F600\n");
@@ -182,7 +183,7 @@ fn another_state_parts_from_it() {
         let (place, traced) = text.trim_end().rsplit_once(" traced ").unwrap();
         assert!(place.ends_with(&format!(" {state}")) && traced.len() == 16, "{sent:?} is {text}");
         assert_eq!(played(&text), Ok(()));
-        // Each word by itself is looked at.
+        // Each word of the state is compared.
         let words: Vec<&str> = state.split(' ').collect();
         for index in 0..words.len() {
             let changed = [&words[..index], &["other"], &words[index + 1..]].concat().join(" ");
@@ -190,18 +191,18 @@ fn another_state_parts_from_it() {
             assert!(why.contains("has the machine at "), "{sent:?} without {}: {why}", words[index]);
         }
     }
-    // A recording of an older version tells of no outputs.
+    // Recordings of an older version contain no outputs.
     let (text, _) = recorded("M4 S500 M8\n");
     let older: String = text.lines().map(|line| format!("{}\n", line.split(" alarm ").next().unwrap())).collect();
     assert_eq!(played(&older.replace(" M8", "")), Ok(()));
     assert!(played(&text.replace(" M8", "")).is_err());
-    // And one of another older version of no clock.
+    // Recordings of another older version contain no clock.
     let older: String = text.lines().map(|line| format!("{}\n", line.split(" traced ").next().unwrap())).collect();
     assert_eq!(played(&older), Ok(()));
     assert!(played(&older.replace(" M8", "")).is_err());
 }
 
-/// Though the motors make the same steps and the machine ends in the same state.
+/// These differ although the motors make the same steps and the machine ends in the same state.
 #[test]
 fn other_outputs_and_another_clock_part_from_it() {
     let (text, _) = recorded("M3 S500\nG1 X0.2 F600\nM5 M9\n");
@@ -217,7 +218,7 @@ fn other_outputs_and_another_clock_part_from_it() {
         assert!(text.contains(from));
         differs(text.replace(from, to));
     }
-    // Each bit of the step clock, and of each time that is recorded.
+    // Each bit of the step clock and of each recorded time matters.
     let hz = "board desk 100000000\n";
     assert!(text.contains(hz), "{text}");
     for bit in 0..20 {
@@ -231,7 +232,7 @@ fn other_outputs_and_another_clock_part_from_it() {
         for bit in 0..24 {
             let changed = format!("{} {rest}", time ^ 1 << bit);
             let text = [&lines[..number], &[&changed], &lines[number + 1..]].concat().join("\n") + "\n";
-            // One that comes before the line in front of it is refused as a whole.
+            // A time before that of the preceding line makes the whole recording invalid.
             if Recording::parse(&text).is_ok() {
                 differs(text);
             }
@@ -262,7 +263,7 @@ fn what_is_no_recording_is_refused() {
     assert!(Recording::parse("oxmill recording 1\nbegin 5\n6 at 0 0").is_ok());
 }
 
-/// Whether it makes motion brake.
+/// Returns whether an input makes motion brake.
 fn brakes(input: &Input) -> bool {
     match input {
         Input::Host(bytes) => matches!(bytes[..], [b'!' | 0x19 | 0x85]),
@@ -271,7 +272,7 @@ fn brakes(input: &Input) -> bool {
     }
 }
 
-/// What `$REC` lists, as a terminal would log it.
+/// Returns the listing of `$REC`, as a terminal would log it.
 fn listing(mill: &mut Simulator) -> String {
     mill.take_output();
     mill.send("$REC\n");
@@ -285,7 +286,8 @@ fn listing(mill: &mut Simulator) -> String {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
-    /// The simulator as a board: what it lists leads another one to the same rest by the same blocks.
+    /// The simulator acts as a board: replaying its listing on another one ends at the same position by the same
+    /// blocks.
     #[test]
     fn what_a_board_lists_is_played(script in prop::collection::vec(inputs_with(&[]), 1..60)) {
         let (mut mill, _, _, _) = machine();
@@ -309,13 +311,14 @@ proptest! {
         let mut again = recording.power_up().unwrap();
         let arrival = oxmill_simulator::board_replay::play(&recording, &mut again, |_| {}, |_| {});
         if log.rfind(" stored]") > log.rfind(" state ") {
-            // Nothing to begin from, as a setting was changed while a switch was active.
+            // There is no state to begin from, as a setting was changed while a switch was active.
             prop_assert!(arrival.parted.is_some_and(|why| why.starts_with("begins in the middle")), "{}", log);
             return Ok(());
         }
-        // Which bytes of two hosts came first in one moment is not always known, nor whether `~` came a moment before the machine
-        // stood in a hold. When a line came that waited unread is not recorded: the controller looks then, and what brakes later
-        // may be a segment longer. Then the replay may part, and says so. It never takes another way in silence.
+        // A recording leaves some facts open: the order of bytes of two hosts at the same time, whether `~` came just
+        // before the machine rested in a hold, and when a waiting line arrived unread (the controller runs then, so a
+        // later braking may end a segment later). In these cases the replay may differ, and says so. It must never
+        // differ silently.
         let unclear = |input: &Input| match input {
             Input::Connect | Input::Disconnect => true,
             Input::Host(bytes) => bytes == b"~" || brakes(input),
@@ -330,7 +333,7 @@ proptest! {
     }
 }
 
-/// What a board lists that has made two moves, each to its rest.
+/// Returns the listing of a board that has made two moves, each until rest.
 fn two_moves() -> String {
     let (mut mill, _, _, _) = machine();
     for line in ["G91 G1 X-1 F600\n", "G1 X0.5\n"] {
@@ -340,7 +343,7 @@ fn two_moves() -> String {
     listing(&mut mill)
 }
 
-/// What comes of playing a listing, if it can be read.
+/// Plays a listing; `None` if it cannot be read.
 fn arrival(log: &str) -> Option<oxmill_simulator::board_replay::Arrival> {
     let recording = Recording::parse(log).ok()?;
     let mut again = recording.power_up().ok()?;
@@ -354,18 +357,19 @@ fn a_replay_says_how_much_it_has_compared() {
     assert_eq!(said(&log), "the motors come to all 2 places that are recorded, by the same blocks");
     let without = |word: &str| log.lines().filter(|line| !line.contains(word)).collect::<Vec<_>>().join("\n");
     assert!(said(&without(" rest ")).starts_with("nothing in it tells where"), "{log}");
-    // A line that is missing is seen where the motors rest.
+    // A missing line is detected at the next rest of the motors.
     let parted = arrival(&without("host G1 X0.5")).unwrap();
     assert!(parted.parted.is_some_and(|why| why.contains("the recording has the motors at")), "{log}");
     assert!(parted.notes.iter().all(|note| !note.contains("the motors come")), "{:?}", parted.notes);
-    // Of two listings in a log the last counts, and one that was cut off says so.
+    // Of two listings in a log the last one counts, and a truncated listing is reported.
     let twice = format!("{}{log}", &log[..log.len() / 2]);
     assert_eq!(said(&twice), said(&log));
     let cut = log.rsplit_once("[REC:end]").unwrap().0;
     assert!(arrival(cut).unwrap().notes[0].starts_with("the listing breaks off"));
 }
 
-/// What a board lists to which a host has sent this, each with the milliseconds until the next, and what comes of playing it.
+/// Returns the listing of a board to which a host has sent these texts, each with the milliseconds until the next, and
+/// the result of playing it.
 fn played_of_board(sent: &[(u64, &str)]) -> (String, oxmill_simulator::board_replay::Arrival) {
     let (mut mill, _, _, _) = machine();
     for (milliseconds, text) in sent {
@@ -378,7 +382,8 @@ fn played_of_board(sent: &[(u64, &str)]) -> (String, oxmill_simulator::board_rep
     (log, arrival)
 }
 
-/// M30 leaves G1, and a change of the feed mode no F: a job that ended so, and a new zero before the next one.
+/// M30 leaves G1 in force, and a change of the feed mode leaves no F: such a job is followed by a new zero before the
+/// next job.
 #[test]
 fn a_replay_begins_in_g1_without_a_feed() {
     for end in ["M30\n", "G93 G1 Y0.1 F60\nG94\n", "G20 M30\n"] {
@@ -389,7 +394,7 @@ fn a_replay_begins_in_g1_without_a_feed() {
     }
 }
 
-/// A corner is rounded by the move behind it, if that was there when the one before it was begun.
+/// A corner is rounded only if the next move was known when the move before it started.
 #[test]
 fn lines_that_came_at_once_are_played_at_once() {
     let burst = "G64 P0.1\nG1 X1 F900\nY1\nX0\nY0\n";
@@ -402,7 +407,7 @@ fn lines_that_came_at_once_are_played_at_once() {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
-    /// A listing that was damaged on its way is refused or played: nothing breaks by it.
+    /// A damaged listing is rejected or played; it must not cause a panic.
     #[test]
     fn a_damaged_listing_does_no_harm(damage in prop::collection::vec((any::<prop::sample::Index>(), 0..5_u8, any::<u8>()), 1..5), length in any::<prop::sample::Index>(), cut in any::<bool>()) {
         let mut log = two_moves().into_bytes();
@@ -413,7 +418,7 @@ proptest! {
                 1 => log[at] ^= 1 << (byte & 7),
                 2 => drop(log.remove(at)),
                 3 => log.insert(at, b'0' + byte % 10),
-                // A line is lost.
+                // Removes a line.
                 _ => {
                     let end = log[at..].iter().position(|byte| *byte == b'\n').map_or(log.len(), |end| at + end + 1);
                     let begin = log[..at].iter().rposition(|byte| *byte == b'\n').map_or(0, |begin| begin + 1);

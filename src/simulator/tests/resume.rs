@@ -1,5 +1,5 @@
-//! `oxmill resume`: the rest of a job makes the steps that the whole job makes from that line on, and ends in the same
-//! state, for each line of programs that use what G-code has; and what cannot be known is refused.
+//! `oxmill resume`: for each line of programs that use all of G-code, the rest of the job makes the same steps as the
+//! whole job from that line on, and ends in the same state. Where that is impossible, the job is rejected.
 
 use oxmill_controller::gcode::Interpreter;
 use oxmill_controller::units::{Coordinate, Decimal};
@@ -24,7 +24,7 @@ fn resumed(settings: &[&str], job: &str, wish: &Wish) -> Result<Resumed, String>
     resume(&machine(settings), "job.nc", job.as_bytes(), wish)
 }
 
-/// Steps, directions and place of each step event; and the state at the end.
+/// Steps, directions and position of each step event; and the final state.
 type Ran = (Vec<(u8, u8, [i32; 3], i32)>, Interpreter<AXES>);
 
 fn run(settings: &[&str], before: &str, program: &str) -> Ran {
@@ -43,7 +43,8 @@ fn run(settings: &[&str], before: &str, program: &str) -> Ran {
     (steps, simulator.controller().interpreter().clone())
 }
 
-/// Each line of the program that may be one, and those that are refused:  the machine is at some other place then, and has forgotten all but its settings.
+/// Resumes the program at each line, on a machine at another position that has only its settings. Returns the lines
+/// that are rejected, with the reasons.
 fn compare_all(settings: &[&str], program: &str, elsewhere: &str, other_way: &[usize]) -> Vec<(u64, String)> {
     let words: Vec<String> =
         "XYZA".chars().filter(|c| elsewhere.contains(*c)).map(|c| format!(" {c}").replace(" Z", "Z")).collect();
@@ -62,11 +63,11 @@ fn compare_all(settings: &[&str], program: &str, elsewhere: &str, other_way: &[u
         assert_eq!(rest.line, line as u64);
         let text = String::from_utf8(rest.program).unwrap();
         let way = rest.prologue.concat();
-        // An axis that has not moved stays where it is.
+        // An axis that the job has not moved keeps its position.
         let elsewhere = if words.iter().all(|word| way.contains(word)) { elsewhere } else { "" };
         let (in_front, _) = run(settings, "", &front);
         let remaining = whole.0.len() - in_front.len();
-        // What is stored was stored by the lines in front.
+        // The preceding lines have stored these values.
         let stored: String =
             lines[..line - 1].iter().filter(|line| line.contains("G10")).map(|l| format!("{l}\n")).collect();
         let (steps, state) = run(settings, &format!("{stored}{elsewhere}"), &text);
@@ -140,10 +141,10 @@ M4 S500.5
 M5 M9
 G1 X3
 M30";
-    // With G99 the level of G98 is restored by a travel at that level.
+    // With G99, the level of G98 is restored by travelling at that level.
     let refused = compare_all(&["918=1"], program, "G91 G0 X1.7 Y-2.3 Z4.9\nG90", &[30, 31]);
     let lines: Vec<u64> = refused.iter().map(|(line, _)| *line).collect();
-    // Behind G56, where nothing is known but in G55.
+    // After G56, only positions in G55 are known.
     assert_eq!(lines, [50, 51, 52, 53, 54, 55], "{refused:?}");
     assert!(refused.iter().all(|(_, why)| why.starts_with("where ")), "{refused:?}");
 }
@@ -176,9 +177,9 @@ G55 G0 X2 Y3 Z5
 G1 X4
 M2";
     let refused = compare_all(&["918=1"], program, "G91 G0 X1.7 Y-2.3 Z4.9\nG90", &[]);
-    // Behind G55 the job has travelled at heights that are known in G54 only.
+    // After G55, the job has travelled at heights that are known in G54 only.
     let lines: Vec<u64> = refused.iter().map(|(line, _)| *line).collect();
-    // Before that, with the offset of the tool just taken the spindle has not been so high.
+    // Before that, the spindle has not been so high with the offset of the tool just loaded.
     assert_eq!(lines, [7, 23, 24], "{refused:?}");
     assert!(refused.iter().all(|(_, why)| why.contains("--clearance")), "{refused:?}");
 }
@@ -198,7 +199,7 @@ fn a_rotary_axis_goes_on() {
     assert_eq!(refused, [], "{refused:?}");
 }
 
-/// A spindle turns before the tool goes down, and the way is above the work.
+/// The spindle turns before the tool moves down, and the tool travels above the work.
 #[test]
 fn the_way_to_the_place_is_over_the_work() {
     let program = "G21 G90\nG0 Z5\nG0 X1 Y1\nM3 S1000\nG1 Z-2 F120\nX9 F800\nY9\nG0 Z5\nM2\n";
@@ -246,7 +247,8 @@ fn what_cannot_be_known_is_refused() {
     refused("G21 G90 G0 X0 Y0 Z1\nG2 X2 I1 F100\nG17\n", 3, "no line moves");
 }
 
-/// The points of a curve that is done are nothing to the lines behind it; of one that is being read the order counts, too.
+/// The control points of a finished curve do not affect the lines after it; while a curve is being read, its order
+/// matters, too.
 #[test]
 fn curves_of_control_points() {
     let job = |order: &str| {
@@ -259,11 +261,11 @@ fn curves_of_control_points() {
     assert!(why.contains("control points are being read"), "{why}");
     let closed = "G21 G90 G0 X0 Y0 Z5\nG1 Z0 F100\nG5.2 P1 L3\nX1 Y2 P1\nX3 Y4 P1\nX0 Y0 P1\nG5.3\nG1 Z-1\nX20\n";
     assert!(resumed(&[], closed, &wish(8)).is_ok(), "a curve that is done, in front of a line at its first point");
-    // Order 3 is the one without L.
+    // Order 3 is the default without L.
     assert!(resumed(&[], &job(" L3"), &wish(4)).is_ok());
 }
 
-/// Neither homing nor limits of travel hinder it.
+/// Neither homing nor limits of travel prevent resuming.
 #[test]
 fn limits_of_travel_do_not_hinder_it() {
     let program = "G21 G90\nG0 Z5\nG0 X300 Y1\nG1 Z-2 F120\nX9 F800\nY9\n";
@@ -271,7 +273,7 @@ fn limits_of_travel_do_not_hinder_it() {
     assert_eq!(resumed(&["22=1", "20=1", "21=1"], program, &wish(6)).unwrap(), free);
 }
 
-/// Nothing of a store that is kept in a file changes.
+/// A store in a file is not changed.
 #[test]
 fn the_machine_is_as_it_was() {
     let simulator = machine(&[]);
@@ -280,7 +282,7 @@ fn the_machine_is_as_it_was() {
     assert!(image == simulator.store().image());
 }
 
-/// A line that a program could have.
+/// Returns a line that a program could contain.
 fn any_line(dice: &mut impl FnMut(usize) -> usize, retracts: bool) -> String {
     let mut length = |most: usize| format!("{:.2}", dice(most * 100) as f64 / 100.0 - most as f64 / 3.0);
     let [x, y, z, i, j] = [6, 6, 6, 2, 2].map(&mut length);
@@ -344,7 +346,7 @@ fn any_line(dice: &mut impl FnMut(usize) -> usize, retracts: bool) -> String {
     }
 }
 
-/// Dice that fall in the same order each time.
+/// Returns dice that fall in the same order each time.
 fn dice_of(seed: u64) -> impl FnMut(usize) -> usize {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     move |sides| {
@@ -355,7 +357,7 @@ fn dice_of(seed: u64) -> impl FnMut(usize) -> usize {
     }
 }
 
-/// What a machine takes of lines at random.
+/// Returns a program of those random lines that a machine accepts.
 fn any_program(settings: &[&str], seed: u64) -> String {
     let mut dice = dice_of(seed);
     let mut simulator = machine(settings);
@@ -397,7 +399,7 @@ fn programs_at_random_go_on() {
     }
 }
 
-/// Where the place was reached by a feed, the tool does not go down by G0, even if its Z was.
+/// If the job reached the position at feed, the tool must not move down by G0, even if the job reached that Z by G0.
 #[test]
 fn what_may_have_to_be_cut_is_not_reached_by_a_rapid() {
     let program = "G21 G90\nG0 Z5\nG0 X0 Y0\nM3 S1000\nG0 Z-5\nG1 X50 F800\nX100\nG0 Z5\n";
@@ -408,7 +410,7 @@ fn what_may_have_to_be_cut_is_not_reached_by_a_rapid() {
     assert_eq!(resumed(&[], program, &wish(6)).unwrap().prologue[6..], ["G0 Z-5", "G0"]);
 }
 
-/// The feed of a ramp is that of a cut.
+/// The feed rate of a ramp is a cutting feed, not a plunge feed.
 #[test]
 fn a_plunge_is_a_move_straight_down() {
     let program = "G21 G90\nG0 Z5\nG0 X0 Y0\nG1 Z0 F100\nX50 Z-1 F3000\nX90 Z-2\nG0 Z5\n";
@@ -417,7 +419,7 @@ fn a_plunge_is_a_move_straight_down() {
     assert!(resumed(&[], &ramps, &wish(7)).unwrap_err().contains("--plunge"));
 }
 
-/// The tool travels no lower than the job has travelled, as far as that can be known.
+/// The tool travels no lower than the job has travelled, as far as that is known.
 #[test]
 fn the_clearance_is_the_highest_height_or_must_be_said() {
     let retract = "G21 G90\nG0 Z5\nG0 X1 Y1\nG1 Z-1 F100\nX5\nG1 Z20\nX9\nZ-1\nX12\n";
@@ -439,7 +441,7 @@ fn the_clearance_is_the_highest_height_or_must_be_said() {
     }
 }
 
-/// A height from before the tool offset would take the spindle beyond its travel.
+/// A height from before the tool offset could move the spindle beyond its travel.
 #[test]
 fn the_spindle_goes_no_higher_than_in_the_job() {
     let program = "G21 G90\nG0 Z100\nX1 Y1\nG43.1 Z60\nG0 Z15\nG1 Z-1 F100\nX5\nX6\n";
@@ -450,14 +452,14 @@ fn the_spindle_goes_no_higher_than_in_the_job() {
     assert_eq!(resumed(&[], &lower, &wish(8)).unwrap().prologue[3], "G0 Z15");
 }
 
-/// G98 would lead back to a level in the work.
+/// G98 would retract to a level within the work.
 #[test]
 fn cycles_that_began_in_the_work_do_not_go_on() {
     let program = "G21 G90\nG0 Z5\nG0 X1\nG1 Z-3 F100\nG98 G81 X2 Z-5 R2\nX3\nX4\n";
     assert!(resumed(&[], program, &wish(7)).unwrap_err().contains("below their R"));
 }
 
-/// What the machine finds while it works is not known, nor what follows from it.
+/// Results of probing and inputs are not known, and neither is anything that depends on them.
 #[test]
 fn what_probes_and_inputs_tell_is_not_known() {
     let refused = |program: &str, word: &str| {
@@ -470,7 +472,7 @@ fn what_probes_and_inputs_tell_is_not_known() {
     refused("G21 G90\nG43.1 Z[#5422+1]\nG0 Z5\nX1\nX2\n", "a tool length offset acts");
     refused("G21 G90\nF[#5420*10+100]\nG0 Z5\nX1\nX2\n", "a modal state");
     refused("$C\nG21 G90\nG0 X1\nX2\n", "check mode");
-    // It wants no result.
+    // The program does not use the result.
     assert!(resumed(&[], "G21 G90\nG0 Z5\nG0 X1\nM66 P0 L0\nX2\nX3\n", &wish(6)).is_ok());
 }
 
@@ -482,15 +484,15 @@ fn outputs_of_the_program_are_on_again() {
     assert_eq!(prologue[2..], ["G0 Z5", "G0 X2", "M64 P2", "M64 P3", "G1 F100"]);
 }
 
-/// Where the rest comes back to the end of a curve that it does not have itself, a G5 without I and J would be refused by the
-/// machine, and the line behind it cut from the wrong place.
+/// If the rest returns to the end of a curve that precedes the rest, the machine would reject a G5 without I and J, and
+/// cut the next line from the wrong position.
 #[test]
 fn a_curve_that_goes_on_from_one_in_front_is_refused() {
     let front = "G21 G90\nG0 Z5\nG0 X0 Y0\nG5 X2 Y2 I1 J0 P-1 Q0 F100\nG0 X9\nX8\n";
     for (rest, line) in [
         ("G0 X2 Y2\nG5 X4 Y0 P1 Q1\n", Some(8)),
         ("G0 X2 Y2\n(to the end)\nX2\nG5.0 P1 Q1 X4 Y0\nG0 X0\n", Some(10)),
-        // Whether a slash skips it is not known.
+        // It is not known whether a slash skips the line.
         ("/G5 X4 Y0 I1 J1 P1 Q1\nG0 X2 Y2\nG5 X4 Y0 P1 Q1\n", Some(9)),
         ("G5 X4 Y0 I1 J1 P1 Q1\nX8 P1 Q1\n", None),
         ("G5 X4 Y0 I1 J1 P1 Q1\nG0 X2 Y2\nX4 Y0\nG5 X8 P1 Q1\n", None),
@@ -508,7 +510,7 @@ fn a_curve_that_goes_on_from_one_in_front_is_refused() {
     assert!(resumed(&[], mode, &wish(5)).is_ok());
 }
 
-/// It would be simulated for hours, and is no feed that Grbl has either.
+/// A slower plunge would be simulated for hours, and Grbl does not support it either.
 #[test]
 fn a_plunge_is_not_slower_than_grbl_goes() {
     let program = "G21 G90\nG0 Z5\nG0 X1\nG1 Z-1 F100\nX5\nX6\n";
@@ -519,8 +521,8 @@ fn a_plunge_is_not_slower_than_grbl_goes() {
     assert!(plunge(10_000_000).is_ok());
 }
 
-/// Homing at the begin of a job changes nothing of what is known; a pause is no motion mode; a curve in front is followed
-/// smoothly wherever it ended.
+/// Homing at the beginning of a job changes nothing that is known; a pause is no motion mode; a preceding curve may be
+/// continued smoothly wherever it ended.
 #[test]
 fn what_matters_not_does_not_hinder() {
     assert!(resumed(&[], "$H\nG21 G90\nG0 Z5\nX1\n", &wish(4)).is_ok());

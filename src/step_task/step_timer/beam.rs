@@ -1,18 +1,20 @@
-//! `Beam`: the power of a laser, which changes with the step that begins its segment.
+//! The power of a laser ([`Beam`]), which changes with the step that begins its segment.
 
 use super::begins::MARKS;
 use crate::boards::{StepOutput, StepPins};
 use crate::shared::Power;
 
-/// The power of a laser, which changes with the segment that it belongs to.
+/// The laser power and its changes, which are ahead like the events of their segments.
 pub struct Beam {
-    /// Changes that are ahead: moment and power.
+    /// Changes ahead: time and power.
     marks: heapless::Deque<(u32, u16), MARKS>,
-    /// Of the segment that is out, and of the one that was made last.
+    /// Power of the segment that is being output.
     power: u16,
+    /// Power of the segment generated last.
     made: u16,
+    /// Power set at the output.
     shown: u16,
-    /// The first of the changes comes by itself, at its moment.
+    /// Whether hardware will make the first change at its time.
     armed: bool,
 }
 
@@ -21,7 +23,7 @@ impl Beam {
         Beam { marks: heapless::Deque::new(), power: 0, made: 0, shown: 0, armed: false }
     }
 
-    /// A motion begins from rest.
+    /// Resets power and changes. Call when a motion begins from rest.
     pub fn clear(&mut self) {
         self.marks.clear();
         (self.power, self.made) = (0, 0);
@@ -35,18 +37,18 @@ impl Beam {
         self.marks.is_full()
     }
 
-    /// Power does, or may still, come from segments.
+    /// Returns whether power comes, or may still come, from segments.
     pub fn is_on(&self) -> bool {
         Power::wanted().from_segments || self.armed
     }
 
-    /// A segment of this power begins at this moment; whether it is the first change that is ahead.
+    /// Adds the power of a segment that begins at the time `at`. Returns whether it is now the first change ahead.
     pub fn segment(&mut self, at: u32, power: u16) -> bool {
         if power == self.made {
             return false;
         }
         if self.marks.is_full() {
-            // Without an event in between no power but the last would be seen.
+            // The last change is replaced: power only shows with events, and there is none between them.
             self.marks.pop_back();
         }
         let is_kept = self.marks.push_back((at, power)).is_ok();
@@ -56,7 +58,7 @@ impl Beam {
         is_kept && self.marks.len() == 1
     }
 
-    /// Off until a motion that events came too late for is resumed.
+    /// Keeps the laser off until `moment`, when a motion with late events is resumed.
     pub fn resume_at(&mut self, moment: u32) {
         self.power = 0;
         let _ = self.marks.push_back((moment, self.made));
@@ -68,8 +70,8 @@ impl Beam {
         }
     }
 
-    /// The next change of power comes by itself; it is only noted at its moment if power does not come from segments. What may still
-    /// be put off is not armed: it is not known yet when it comes.
+    /// Arms the next change: hardware makes it at its time. If power does not come from segments, only the call is
+    /// scheduled, to record the change. Do not call while the motion may still be delayed: the time is not final then.
     #[inline(never)]
     pub fn arm(&mut self, output: &mut StepPins) {
         if let Some((at, power)) = self.marks.front().copied() {
@@ -78,7 +80,7 @@ impl Beam {
         }
     }
 
-    /// The moment of a change of power has come, and maybe that of others, which come late.
+    /// Records all changes whose time has come, and arms the next one. Changes after the first may be late.
     #[inline(never)]
     pub fn mark(&mut self, output: &mut StepPins) {
         let before = self.marks.len();
@@ -89,18 +91,19 @@ impl Beam {
             self.marks.pop_front();
         }
         if self.marks.len() < before && Power::wanted().from_segments {
-            // Once more what has come by itself: if it has not, for whatever reason, it comes now.
+            // Repeats what hardware should have done, in case that it failed.
             self.set_power(output, self.power);
         }
         self.arm(output);
     }
 
-    /// Shows the power that holds now, if it is another one: that of segments while something moves. Whether it was one.
+    /// Updates the output if the power has changed; while the machine moves, a laser's power is that of the segments.
+    /// Returns whether it was updated. `is_dark`: keep a laser off.
     #[inline(always)]
     pub fn show(&mut self, output: &mut StepPins, is_at_rest: bool, is_dark: bool) -> bool {
         let power = Power::wanted();
         let level = match (power.from_segments, is_at_rest) {
-            // After a stop or underrun the beam stays off, whatever was wanted before.
+            // After a stop or underrun the laser stays off, whatever was set before.
             (true, _) if is_dark => 0,
             (true, true) | (false, _) => power.level,
             _ => self.power,
@@ -112,7 +115,7 @@ impl Beam {
         is_other
     }
 
-    /// No power from segments, at once and until the controller asks for some.
+    /// Switches off power from segments at once, until the controller sets it again.
     pub fn switch_off(&mut self, output: &mut StepPins) {
         self.clear();
         let power = Power::wanted();
@@ -124,16 +127,16 @@ impl Beam {
         }
     }
 
-    /// Events do not come out any more, and no change with them.
+    /// Discards all changes ahead, after the output of events has ended.
     pub fn end_run(&mut self, output: &mut StepPins) {
         self.marks.clear();
         if self.armed {
-            // Whether it has come is not known.
+            // Hardware may or may not have made the armed change: switch off.
             self.set_power(output, 0);
         }
     }
 
-    /// Power from now on to the next change, which is armed anew by the caller if one is ahead.
+    /// Sets the power until the next change. The caller must arm that change again, if there is one.
     #[inline(never)]
     fn set_power(&mut self, output: &mut StepPins, level: u16) {
         output.set_power(level);

@@ -1,12 +1,12 @@
-//! `Begins`: the moments at which segments begin whose first events are ahead and not out yet. `push` keeps one,
-//! `pass` lets go of those that have begun by `now`, `put_off` moves all when the motion begins later, `clear` forgets
-//! them. The step task counts its begun segments without those (`len`), and makes no more when `is_full`.
+//! Start times of segments whose first events are generated but not output yet ([`Begins`]). The step task does not
+//! count these segments as begun, and generates no more events while the ring is full.
 
-/// Segments that can begin in events that are ahead, and changes of power.
+/// Maximum number of segment starts among the events ahead, and of changes of power.
 pub const MARKS: usize = 32;
 
-/// Moments at which segments begin that are not out yet. Those that are ahead when a motion is put out from rest are not among them:
-/// they count as begun at once, so that `control` prepares what follows them in time. A plain ring: less code than a deque.
+/// Ring of the start times of segments that have not begun. Excluded are segments that are ahead when the output starts
+/// from rest: they count as begun at once, so that `control` prepares the next ones in time. A plain ring needs less
+/// code than a deque.
 pub struct Begins {
     moments: [u32; MARKS],
     first: usize,
@@ -27,7 +27,7 @@ impl Begins {
         }
     }
 
-    /// What has begun by now is no longer ahead.
+    /// Removes the segments that have begun by `now`.
     #[inline(always)]
     pub fn pass(&mut self, now: u32) {
         while self.len > 0

@@ -1,23 +1,31 @@
-//! The step task. Each run stops if that was asked for, looks at the probe, has the `Maker` make events ahead of their
-//! moment, sets when to be called next, and reports to the other tasks.
+//! The step task: generates step events ahead of time (`Maker`) and feeds them to the outputs of the board. An event is
+//! "ahead" from its generation until it is output.
 //!
 //! ```text
-//!            a message            2 ms later, less 0.45       enough is ahead          nothing left to make
+//!            a message            after 1.55 ms          enough events ahead      nothing more to make
 //!   ┌──────┐ ──────────▶ ┌──────────┐ ──────▶ ┌───────────┐ ──────────▶ ┌─────────┐ ──────────▶ ┌────────┐
 //!   │ Rest │             │ Starting │         │ Preparing │             │ Running │             │ Ending │
 //!   └──────┘             └──────────┘         └───────────┘             └─────────┘             └────────┘
-//!      ▲                                            ▲                        │ too late for the      │ all is out
-//!      │                                            │                        └─────── next ────────▶ │
-//!      │                                            └───────── something is left to make ────────────┤
-//!      └──────────────────────────────────── nothing is; a stop comes here from all others ──────────┘
+//!      ▲                                            ▲                        │ next event            │
+//!      │                                            │                        └─ is too late ───────▶ │
+//!      │                                            └──────────── all output, motion continues ──────┤
+//!      └───────────────── all output, motion has ended; a stop: from any state through Ending ───────┘
 //! ```
-//! Each run does, from top to bottom: stop if asked, take what it was called for, look at the probe, receive and make
-//! events if it is time for them, say when to be called next, tell the other tasks.
+//! Each run, in this order:
+//! 1. stop, if requested;
+//! 2. read the reasons for the call (`Due`);
+//! 3. check the probe;
+//! 4. receive messages and generate events, if it is time;
+//! 5. schedule the next run;
+//! 6. report to the other tasks.
 //!
-//! It promises: a stop that was asked for is obeyed before anything else in the same run, with an exact count; events that
-//! come too late are put off, never lost, and those after them by as much, or motion ends with a report where motors would not
-//! follow; a report to `control` is kept until it has been
-//! sent. It leaves when and what to step to the stepper, and edges to the board.
+//! Guarantees:
+//! * A requested stop takes effect before anything else in the same run, with an exact step count.
+//! * Late events are delayed, never lost, and all later events by the same amount. If the motors could not follow,
+//!   motion ends with a report.
+//! * A report to `control` is kept until it has been sent.
+//!
+//! The stepper decides when and what to step; the board generates the edges.
 
 use crate::boards::{AXES, Due, StepOutput, StepPins, Undone};
 use crate::shared::{self, STEP, Wake};
@@ -40,35 +48,35 @@ mod timing;
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum State {
-    /// Nothing is put out.
+    /// Nothing is output.
     Rest,
-    /// Messages gather, for a first tick at this moment.
+    /// Messages gather before the start; the first tick is at this time.
     Starting(u32),
-    /// The first events are made, from this moment on.
+    /// The first events are generated; the first tick is at this time.
     Preparing(u32),
-    /// Events are put out.
+    /// Events are output.
     Running,
-    /// The last event that there is comes out: the motion ends, or it was too late for the next.
+    /// The remaining events are output. After them the motion ends, or resumes if the next event was too late.
     Ending,
 }
 
-/// Everything the task owns.
+/// State of the step task.
 pub struct Step {
     maker: Maker,
     state: State,
-    /// The latest moment for the next tick of a motion whose events came too late; none: it begins at rest.
+    /// Deadline for the next tick of a motion whose events were late; `None` for a motion that begins from rest.
     latest: Option<u32>,
-    /// The moment of the next call for more events.
+    /// Time of the next scheduled call for more events.
     asked: u32,
     wiring: Receiver<'static, Wiring, 2>,
     reports: Reports,
-    /// The probe is active while its pin is high.
+    /// Whether the probe is active while its pin is high.
     probe_invert: bool,
     stops_done: u16,
 }
 
 impl Step {
-    /// At rest.
+    /// Creates the task at rest.
     pub fn new(
         output: StepPins,
         segments: Receiver<'static, ToStep, SEGMENTS_DEPTH>,
@@ -88,11 +96,12 @@ impl Step {
         }
     }
 
-    /// Called when more events are wanted, when one is out, for a change of power, and by others: a stop asked for, a message
-    /// queued, power changed.
+    /// Runs the task. The board calls it when more events are needed, when an event was output (one by one), and at a
+    /// change of laser power. Other tasks call it after they requested a stop, queued a message or changed the power.
     #[inline(never)]
     pub fn run(&mut self) {
-        // First of all: each cycle before it is one in which an event may begin. Nobody who asks preempts this task.
+        // First of all, because an event may begin in each cycle before the stop. No task that requests stops preempts
+        // this one.
         if shared::stops_asked() != self.stops_done {
             self.stop();
         }
@@ -105,7 +114,7 @@ impl Step {
             self.look_at_probe();
         }
         match self.state {
-            // Called before the time for more events: the pause after the last run is kept.
+            // Called before more events are needed: keep the pause after the last run.
             State::Running | State::Preparing(_) if !self.maker.one_by_one && !due.has(Due::MORE) => self.call_sooner(),
             State::Running => self.go_on(),
             State::Ending => self.end(),
@@ -115,7 +124,7 @@ impl Step {
         self.tell();
     }
 
-    /// Nothing moves: time for new wiring, and for a start.
+    /// At rest or before a start: applies new wiring, and starts a motion when its messages have arrived.
     #[inline(never)]
     fn start(&mut self) {
         self.maker.receive();
@@ -141,14 +150,14 @@ impl Step {
         }
     }
 
-    /// Makes the first events, the next tick at this moment.
+    /// Starts to generate the first events, with the next tick at `moment`.
     fn prepare(&mut self, moment: u32) {
         self.maker.prepare(moment, self.latest.is_none());
         self.state = State::Preparing(moment);
         self.begin(moment);
     }
 
-    /// Makes more of the first events; has them put out when there are enough, or no more time.
+    /// Generates more of the first events. Starts their output when there are enough, or no time is left.
     #[inline(never)]
     fn begin(&mut self, moment: u32) {
         let before = self.maker.output.ahead();
@@ -156,7 +165,7 @@ impl Step {
             self.make(moment);
         }
         let (ahead, now) = (self.maker.output.ahead(), self.maker.output.now());
-        // The first event may come long after the first tick: it is the next tick that must not be late as long as there is none.
+        // While no event is ahead, the next tick is the deadline: the first event may come long after the first tick.
         let left = if ahead > 0 { moment } else { self.maker.stepper.moment() }.wrapping_sub(now) as i32;
         let is_late = left <= IN_TIME_TICKS as i32;
         let is_time = left <= (IN_TIME_TICKS + SPARE_TICKS) as i32 && self.latest.is_none();
@@ -173,7 +182,7 @@ impl Step {
             self.count_anew();
             self.maker.beam.arm(&mut self.maker.output);
         } else if is_late && !is_all {
-            // Nothing is ahead yet: a little later there is, or once more segments have come.
+            // No event is ahead yet. Delay the start until there is one, or until more segments have arrived.
             let waits = self.latest.is_none() && self.maker.stepper.lacks_segment();
             let by = if waits { START_TICKS } else { IN_TIME_TICKS };
             self.state = State::Preparing(moment.wrapping_add(by));
@@ -182,8 +191,8 @@ impl Step {
         self.call_again();
     }
 
-    /// What has been made from this moment on comes later by so many ticks: so does all that follows. If that is too late for
-    /// the motors, nothing follows.
+    /// Delays all generated events that have not begun, and everything after them, by `by` ticks. If the first tick,
+    /// due at `moment`, is then too late for the motors, aborts the motion instead.
     fn put_off(&mut self, moment: u32, by: u32) {
         if self.latest.is_some_and(|latest| (latest.wrapping_sub(moment.wrapping_add(by)) as i32) < 0) {
             self.ran_dry();
@@ -192,14 +201,15 @@ impl Step {
         }
     }
 
-    /// Events came so late that the motors may not have followed: to the host the same as segments that come late.
+    /// Aborts motion because events were so late that the motors may not have followed. The host gets the same report
+    /// as for late segments.
     #[cold]
     fn ran_dry(&mut self) {
         let Undone { net, fault, .. } = self.halt();
         self.break_off(net, fault);
     }
 
-    /// Makes more events, if they can follow on those that are ahead.
+    /// Generates more events, if they can directly follow the events ahead.
     #[inline(always)]
     fn go_on(&mut self) {
         if self.maker.output.fault() {
@@ -210,7 +220,7 @@ impl Step {
         let now = self.maker.output.now();
         let left = self.maker.output.joins_until(self.maker.stepper.moment()).wrapping_sub(now) as i32;
         if !self.maker.one_by_one && (left < RUN_TICKS as i32 || self.maker.stepper.is_watching()) {
-            // Too late, or from here on to be put out one by one: what is ahead comes out first.
+            // Too late, or events must be output one by one from here on: first output the events that are ahead.
             self.state = State::Ending;
         } else {
             self.make(now);
@@ -219,7 +229,7 @@ impl Step {
         self.call_again_here();
     }
 
-    /// Makes events until enough of them are ahead of a moment, or the motion ends.
+    /// Generates events until enough of them are ahead of the time `from`, or the motion ends.
     #[inline(always)]
     fn make(&mut self, from: u32) {
         let onset = match (self.is_preparing(), self.latest) {
@@ -229,7 +239,7 @@ impl Step {
         };
         let ended = self.maker.make(from, onset);
         if ended == Ended::Underrun {
-            // The position is that after what is ahead, which comes out.
+            // The position is the one after the events ahead, which will still be output.
             self.reports.underrun = Some(self.maker.stepper.underrun_event());
         }
         if ended != Ended::No {
@@ -237,7 +247,7 @@ impl Step {
         }
     }
 
-    /// Enough follows on what came too late: the next that does counts from there.
+    /// Clears the deadline if enough events follow a late one, so that the next late event gets a new deadline.
     #[inline(always)]
     fn count_anew(&mut self) {
         if self.maker.output.ahead() >= LEAST_EVENTS {
@@ -245,26 +255,27 @@ impl Step {
         }
     }
 
-    /// No more events, and no beam.
+    /// Halts the output, and switches off the laser. Returns the cancelled events and steps.
     #[inline(always)]
     fn halt(&mut self) -> Undone<AXES> {
         let is_on = self.maker.beam.is_on();
         self.maker.output.halt(is_on)
     }
 
-    /// In the middle of a motion: no more of it.
+    /// Aborts a running motion: after [`Step::give_up`], the last pulse still gets its full length.
     #[cold]
     fn break_off(&mut self, undone: [i32; AXES], miscounted: bool) {
         self.give_up(undone, miscounted);
         self.state = State::Ending;
     }
 
-    /// The motion is over: for want of events in time, or because what has come out is not what was made.
+    /// Stops the stepper and reports an underrun: events were not ready in time, or (`miscounted`) the hardware did not
+    /// output what was generated. `undone`: net steps that were not output.
     #[cold]
     fn give_up(&mut self, undone: [i32; AXES], miscounted: bool) {
         self.maker.take_back_segments();
         if self.reports.underrun.is_some() {
-            // What has not been told yet counts as one stop with it.
+            // An underrun that has not been reported yet and this one count as one stop.
             self.maker.stepper.take_back(undone);
         } else {
             let _ = self.maker.stepper.stop(undone);
@@ -277,7 +288,7 @@ impl Step {
         self.maker.beam.switch_off(&mut self.maker.output);
     }
 
-    /// The last event is out: rest, or what was too late is begun again.
+    /// After the last event was output: goes to rest, or resumes a motion whose next event was too late.
     #[inline(never)]
     fn end(&mut self) {
         let out_at = self.maker.out_at();
@@ -300,32 +311,33 @@ impl Step {
         }
     }
 
-    /// What was too late to follow is begun again: not before its time, and no step before the set-up of its directions is over.
+    /// Resumes a motion whose next event was too late: not before its planned time, and with no step before the set-up
+    /// time of the directions is over.
     #[cold]
     fn resume(&mut self) {
         let planned = self.maker.stepper.moment();
-        // If few events follow and the next are too late again, it all counts from here.
+        // If only few events follow and the next are late again, the deadline remains this one.
         let latest = planned.wrapping_add(MOST_LATE_STEPS.wrapping_mul(self.maker.stepper.step_interval()));
         self.latest = Some(self.latest.unwrap_or(latest));
-        // Time for one more run than it takes at least.
+        // Time for one run more than necessary.
         let soon = IN_TIME_TICKS + RUN_TICKS + PAUSE_TICKS;
         let moment = later(planned, self.maker.output.now().wrapping_add(soon));
         self.maker.beam.resume_at(moment);
         self.prepare(moment);
     }
 
-    /// No more pulses, beam off, everything queued is void.
+    /// Executes requested stops: ends the pulses, switches off the laser, and discards everything queued.
     #[cold]
     fn stop(&mut self) {
         let halted_at = self.maker.output.now();
         let undone = self.halt();
         let mut net = undone.net;
         self.maker.begins.pass(halted_at);
-        // What has not come out at all has moved nothing.
+        // A motion of which nothing was output has moved nothing.
         let is_still = self.is_before_motion() && !undone.fault;
         self.maker.beam.switch_off(&mut self.maker.output);
         if undone.fault {
-            // Whatever the stop is for, the position is lost: a stop of its own, before it.
+            // The position is lost, whatever the reason for the requested stop: report this first, as a separate stop.
             self.give_up(core::mem::take(&mut net), true);
         }
         self.maker.take_back_segments();
@@ -333,38 +345,38 @@ impl Step {
             self.stops_done = self.stops_done.wrapping_add(1);
             let mut event = self.maker.stepper.stop(core::mem::take(&mut net));
             if let StepEvent::Stopped { moving, .. } = &mut event {
-                // Without a count that can be trusted the position is as lost as in motion.
+                // With an unreliable count the position is as lost as after a stop in motion.
                 *moving = !is_still && (*moving || undone.events > 0 || undone.fault);
-                // The newest counts; that something was moving at an older one must not be forgotten.
+                // Only the newest stop is reported, so it must keep that the machine was moving at an older one.
                 if let Some(StepEvent::Stopped { moving: before, .. }) = self.reports.stopped {
                     *moving |= before;
                 }
             }
             self.reports.stopped = Some(event);
         }
-        // A pulse that is out has been counted: it gets its full length.
+        // A pulse that has begun was counted, so it gets its full length.
         self.maker.break_off();
         self.state = State::Ending;
         self.call_again();
     }
 
-    /// Events are made, and not put out yet.
+    /// Returns whether events are generated but not output yet.
     fn is_preparing(&self) -> bool {
         matches!(self.state, State::Preparing(_))
     }
 
-    /// Nothing has come out of the motion yet, which begins at rest.
+    /// Returns whether a motion from rest is being started and nothing of it has been output yet.
     fn is_before_motion(&self) -> bool {
         self.latest.is_none() && matches!(self.state, State::Starting(_) | State::Preparing(_))
     }
 
-    /// Says when to be called next, if no other task calls before.
+    /// Schedules the next run.
     #[inline(never)]
     fn call_again(&mut self) {
         self.call_again_here();
     }
 
-    /// The same without a call, for runs that make events.
+    /// Like [`Step::call_again`], but inlined, for runs that generate events.
     #[inline(always)]
     fn call_again_here(&mut self) {
         if let Some(at) = self.next_call() {
@@ -373,7 +385,7 @@ impl Step {
         }
     }
 
-    /// The same, unless that is later than what has been asked for already.
+    /// Like [`Step::call_again`], unless the next run is already scheduled for an earlier time.
     #[inline(never)]
     fn call_sooner(&mut self) {
         if let Some(at) = self.next_call()
@@ -397,7 +409,7 @@ impl Step {
         Some(later(at, now.wrapping_add(PAUSE_TICKS)))
     }
 
-    /// An event is out, one by one.
+    /// Checks the probe after an event that was output by itself.
     #[inline(never)]
     fn look_at_probe(&mut self) {
         let Maker { stepper, output, .. } = &mut self.maker;
@@ -406,8 +418,9 @@ impl Step {
         }
     }
 
-    /// Whether a message that is queued now must not wait for the next call: events put out, the moment of that call
-    /// counts with what is in the queue, and only one that finds it empty where a segment is needed makes it sooner.
+    /// Returns whether a message queued now must not wait for the next scheduled run. While events are output, the time
+    /// of that run takes queued segments into account, so only a message for an empty queue is urgent, if a segment is
+    /// needed.
     #[inline(always)]
     fn wants_message(&self) -> bool {
         let Maker { stepper, one_by_one, .. } = &self.maker;
@@ -417,7 +430,7 @@ impl Step {
         }
     }
 
-    /// Lets the other tasks know how it goes.
+    /// Publishes the state to the other tasks, updates the laser power, and sends reports.
     #[inline(always)]
     fn tell(&mut self) {
         let (is_preparing, wants) = (self.is_preparing(), self.wants_message());

@@ -1,19 +1,16 @@
-//! `Reports`: what the step task tells `control`, kept until it has been sent. `touched` (the probe), `underrun` (or a
-//! miscount) and `stopped` each have a place of their own; `send_all` sends them in the order in which they happen, as
-//! far as the queue of `StepEvent` has room (`try_send`), `any` says that something is left, and `wake` runs the
-//! control task.
+//! Reports of the step task to `control`, kept until they have been sent ([`Reports`]).
 
 use crate::boards::AXES;
 use crate::shared::Wake;
 use oxmill_controller::messages::{EVENTS_DEPTH, StepEvent};
 use rtic_sync::channel::Sender;
 
-/// Events that have not been sent yet, in the order in which they happen. Each kind has a place of its own and cannot
-/// happen twice before it has been sent: after a contact or an underrun nothing moves until `control` has answered, and
-/// it answers what it has received; of several stops the newest count is what it has to answer.
+/// Events that have not been sent yet. One slot per kind suffices: after a contact or an underrun nothing moves until
+/// `control` has received and answered the report, and of several stops only the newest must be answered.
 pub struct Reports {
-    /// The probe has been seen.
+    /// The probe's contact was seen.
     pub touched: bool,
+    /// An underrun or a miscount.
     pub underrun: Option<StepEvent<AXES>>,
     pub stopped: Option<StepEvent<AXES>>,
     events: Sender<'static, StepEvent<AXES>, EVENTS_DEPTH>,
@@ -33,13 +30,14 @@ impl Reports {
         self.wake.write(());
     }
 
-    /// Sends what there is to report, as far as there is room; of a contact, this.
+    /// Sends the reports in the order in which their events happen, while the queue has room. `contact` returns the
+    /// report of a contact.
     #[inline(never)]
     pub fn send_all(&mut self, contact: impl FnOnce() -> StepEvent<AXES>) {
         if self.touched {
             self.touched = !self.send(contact());
         }
-        // No event overtakes another.
+        // An event must not overtake an earlier one.
         if !self.touched
             && let Some(event) = self.underrun
             && self.send(event)

@@ -1,4 +1,5 @@
-// Makes the page: one HTML file that needs nothing else; and the same page as a site that can be installed. Called by `cargo xtask web`, which has built the module.
+// Builds the page: one self-contained HTML file, and the same page as a site that can be installed. `cargo xtask web`
+// builds the module and then calls this.
 import { build } from "esbuild";
 import { createHash } from "node:crypto";
 import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
@@ -9,14 +10,14 @@ import { brotliCompressSync, constants } from "node:zlib";
 const here = dirname(fileURLToPath(import.meta.url));
 const root = join(here, "../../..");
 const target = join(root, "target/web");
-/** Examples that are part of the page. The others can be dropped on it. */
+/** Examples that are built into the page. The others can be dropped onto it. */
 const EXAMPLES = ["five_circles.nc", "house.nc", "pocket_mm.nc", "pocket_inch.nc", "pcb_isolation.nc"];
 
 const bundle = async (entry, define = {}) => {
   const options = { define, entryPoints: [join(here, "src", entry)], bundle: true, minify: true, write: false, format: "iife", target: "es2022" };
   return (await build(options)).outputFiles[0].text;
 };
-// `</script` would end the element that a script is in.
+// `</script` would end the `script` element.
 const script = text => `<script>${text.replaceAll("</script", "<\\/script")}</script>`;
 
 const wasm = readFileSync(join(target, "oxmill.wasm"));
@@ -33,7 +34,7 @@ mkdirSync(target, { recursive: true });
 const whole = page.replace("<script></script>", () => script(app));
 writeFileSync(join(target, "oxmill.html"), whole);
 
-// A site that a browser installs: a manifest and a service worker have to have addresses of their own.
+// A site that a browser installs: manifest and service worker need addresses of their own.
 const icon = `<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 64 64"><rect width="64" height="64" fill="#12161c"/><circle cx="32" cy="32" r="14" fill="none" stroke="#58a2ff" stroke-width="9"/><path d="M32 13v12M32 39v12M13 32h12M39 32h12" stroke="#12161c" stroke-width="3"/></svg>\n`;
 const manifest = {
   name: "Oxmill", short_name: "Oxmill", description: "Checks, forecasts and runs G-code", id: "./", start_url: "./", scope: "./", display: "standalone", background_color: "#f3f4f6", theme_color: "#12161c",
@@ -53,7 +54,7 @@ files["offline.js"] = await bundle("offline.ts", { VERSION: JSON.stringify(versi
 mkdirSync(join(target, "site"), { recursive: true });
 for (const [name, text] of Object.entries(files)) writeFileSync(join(target, "site", name), text);
 
-/** Sizes may grow by this part before somebody has to accept it. */
+/** Maximum growth of a size (factor) before it must be accepted explicitly. */
 const TOLERANCE = 1.02;
 const sizes = join(here, "sizes.txt");
 const measured = { "oxmill.wasm": wasm, "oxmill.html": readFileSync(join(target, "oxmill.html")) };

@@ -26,7 +26,7 @@ impl Model {
                     self.spindle_stopped = true;
                 }
             }
-            // Oxmill: at any time, and to Grbl's dialect it is nothing.
+            // Oxmill: at any time; ignored in Grbl's dialect.
             action::SINGLE_BLOCK if !self.setup.grbl => self.toggle_single_block(also),
             action::FLOOD_TOGGLE if matches!(self.mode, Mode::Free | Mode::Hold) => self.flood = !self.flood,
             // Oxmill: also in an alarm that only a reset ends.
@@ -34,7 +34,7 @@ impl Model {
         }
     }
 
-    /// A line that has not ended when it is switched off is answered as if it had never been on.
+    /// Toggles single block. A line in progress when it is switched off is answered as if it had never been on.
     pub(super) fn toggle_single_block(&mut self, also: &mut Vec<Model>) {
         self.single_block = !self.single_block;
         self.say(if self.single_block { "[MSG:Single block on]" } else { "[MSG:Single block off]" });
@@ -74,7 +74,7 @@ impl Model {
         self.slow_down(ratio(0).min(ratio(1)).min(1.0), ratio(0).max(ratio(1)).max(1.0));
     }
 
-    /// What is left of a motion takes longer by a factor between these.
+    /// Extends the rest of a motion by a factor between `least` and `most`.
     pub(super) fn slow_down(&mut self, least: f64, most: f64) {
         let Some(motion) = self.motion.as_mut().filter(|_| self.mode != Mode::Jog && least != most) else { return };
         let now = if motion.held { Span::at(0.0) } else { self.now };
@@ -84,7 +84,7 @@ impl Model {
         motion.speed *= most.max(1.0 / least);
     }
 
-    /// 0x19. Oxmill: brakes, forgets the job, keeps position and modal state; to Grbl's dialect it is nothing.
+    /// 0x19. Oxmill: brakes, drops the job, keeps position and modal state; ignored in Grbl's dialect.
     pub(super) fn stop(&mut self, also: &mut Vec<Model>) {
         if self.setup.grbl {
             return;
@@ -100,7 +100,7 @@ impl Model {
             }
             Mode::Home(_) => self.fail_homing(6, also),
             Mode::Door { .. } => {
-                // Answered behind the door.
+                // The line is answered after the door.
                 self.work = self.work.take().map(|_| Work::Pause);
                 if self.braking.is_some() {
                     self.forgets = true;

@@ -1,9 +1,9 @@
-//! Faults, of inputs, of the spindle and of the host: Oxmill stops for each as its setting says.
+//! Faults of inputs, spindle and host: Oxmill reacts to each as its setting says.
 
 use super::super::action::{HOST, Pin, SLOW};
 use super::{Mode, Model, Work};
 
-/// The input of an alarm, as its message names it.
+/// Returns the input of an alarm, as its message names it.
 fn input(alarm: u8) -> &'static str {
     match alarm {
         101 => "Emergency stop",
@@ -12,13 +12,13 @@ fn input(alarm: u8) -> &'static str {
     }
 }
 
-/// Of several faults the heaviest is told.
+/// Returns the more severe of two alarms; only that one is reported.
 fn heavier(one: u8, other: u8) -> u8 {
     [101, 102, 1, SLOW].into_iter().find(|alarm| [one, other].contains(alarm)).unwrap_or(one)
 }
 
 impl Model {
-    /// An input stops everything, at once or within the accelerations.
+    /// An input stops everything, at once or by braking.
     pub(super) fn fault(&mut self, alarm: u8, also: &mut Vec<Model>) {
         let braking_for = if let Mode::Fault { alarm, .. } = self.mode { Some(alarm) } else { None };
         let told = braking_for.map_or(alarm, |other| heavier(alarm, other));
@@ -32,7 +32,7 @@ impl Model {
         }
     }
 
-    /// Homing and what is not a motion of lines have no room to brake.
+    /// Returns whether the machine can brake. Homing, and motion that does not come from lines, stop at once.
     fn can_brake(&self) -> bool {
         match self.mode {
             Mode::Free | Mode::Jog | Mode::Hold | Mode::Stop | Mode::Fault { .. } => true,
@@ -41,19 +41,19 @@ impl Model {
         }
     }
 
-    /// It says which input and where, if not in Grbl's dialect.
+    /// Names the input and its axis, except in Grbl's dialect.
     fn name_input(&mut self, alarm: u8) {
         if !self.setup.grbl && ![HOST, SLOW].contains(&alarm) {
             self.say(format!("[MSG:{}*", input(alarm)));
         }
     }
 
-    /// The input is named at once, the alarm follows at rest.
+    /// Brakes for a fault: the input is named at once, the alarm follows at rest.
     fn brake_for(&mut self, alarm: u8) {
         self.name_input(alarm);
         self.brake();
         if matches!(self.mode, Mode::Door { .. }) {
-            // No spindle turns there; the coolant flows until the machine rests.
+            // The spindle is off at a door; the coolant stays on until the machine is at rest.
             self.spindle_stopped = true;
         }
         self.mode = Mode::Fault { alarm, later: false };
@@ -65,7 +65,7 @@ impl Model {
         }
     }
 
-    /// A machine that braked for a fault has come to rest.
+    /// Call when a machine that brakes for a fault has come to rest.
     pub(super) fn rest_for(&mut self, alarm: u8, later: bool) {
         self.forget_motion();
         self.say(format!("ALARM:{alarm}"));
@@ -77,7 +77,7 @@ impl Model {
     }
 
     fn lock_until_reset(&mut self, alarm: u8) {
-        // What a door or the operator has stopped stays off; and at an open door nothing stays on.
+        // Outputs that a door or the operator has stopped stay off; at an open door all are off.
         let at_door = self.on(Pin::Door) || matches!(self.mode, Mode::Door { .. });
         let stopped = self.spindle_stopped || self.stops_at_rest || self.outputs_off || at_door;
         if self.setup.reaction(alarm) < 3 || stopped {
@@ -94,7 +94,7 @@ impl Model {
         }
         self.stop_dead();
         self.say(format!("ALARM:{alarm}"));
-        // Oxmill: a homing cycle is answered at once, any other line when the reset comes.
+        // Oxmill: a homing cycle is answered at once, any other line at the reset.
         if self.work == Some(Work::Homing) {
             self.work = None;
             self.say("ok");
@@ -109,14 +109,14 @@ impl Model {
         self.fault(SLOW, also);
     }
 
-    /// It has not been heard for too long.
+    /// The host timeout has expired.
     pub(super) fn host_is_silent(&mut self, also: &mut Vec<Model>) {
         self.say("[MSG:The host is silent]");
-        // It is told once; for lines behind a jog the time begins again.
+        // Reported once; for lines after a jog the timeout restarts.
         self.heard = self.now;
         self.host_fails(also);
         if self.mode == Mode::Jog && self.braking.is_some_and(|rest| rest.from <= self.now.to) {
-            // A jog that has not moved may be over before a line that waits is read.
+            // A jog that has not moved may be over before a waiting line is read.
             let mut rested = self.clone();
             rested.braking = None;
             rested.rest(also);
@@ -124,7 +124,7 @@ impl Model {
         }
     }
 
-    /// A job waits for a host, and can be resumed; a jog ends.
+    /// A job waits for a host and can be resumed; a jog ends.
     pub(super) fn host_fails(&mut self, also: &mut Vec<Model>) {
         self.end_received_jogs();
         let reaction = self.setup.reaction(HOST);

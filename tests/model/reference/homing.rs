@@ -1,9 +1,9 @@
-//! Homing: each cycle seeks its switches, pulls off, finds them once more and pulls off.
+//! Homing: each cycle seeks its switches, pulls off, locates them again and pulls off.
 
 use super::super::action::{Pin, TRAVEL};
 use super::{Mode, Model, Span, Work};
 
-/// Seek rate (`$25`), locate rate (`$24`) in mm/s and debounce (`$26`) in s of [`Setup::settings`].
+/// Rates of [`Setup::settings`]: seek (`$25`) and locate (`$24`) in mm/s, and debounce (`$26`) in s.
 const SEEK: f64 = 2000.0 / 60.0;
 const LOCATE: f64 = 10.0;
 const DEBOUNCE: f64 = 0.05;
@@ -20,7 +20,7 @@ pub(super) enum Phase {
 }
 
 impl Phase {
-    /// How long its motion takes by itself.
+    /// Returns the duration of the phase's motion if no switch ends it.
     fn length(self) -> Span {
         match self {
             Phase::Seek => Span::length(SEEK_DISTANCE / SEEK, 0.2),
@@ -30,16 +30,16 @@ impl Phase {
     }
 }
 
-/// What a homing cycle does, and when that ends by itself.
+/// State of a homing cycle, and when its phase ends by itself.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Homing {
-    /// Z, then X and Y.
+    /// 0: Z; 1: X and Y.
     cycle: usize,
     phase: Phase,
-    /// The motion of the phase has ended and the switches settle.
+    /// Whether the motion of the phase has ended and the switches settle.
     settles: bool,
     touched: [bool; 3],
-    /// When the motion, or what the switches need to settle, is over.
+    /// End of the motion, or of the settling time.
     pub(super) time: Span,
 }
 
@@ -81,7 +81,7 @@ impl Model {
             homing.settles = true;
             homing.time = now.plus(Span::length(DEBOUNCE, 0.0));
         } else if is_new {
-            // Oxmill: the other axis has all of the distance before it once more.
+            // Oxmill: the other axis again has the whole distance available.
             homing.time = now.plus(homing.phase.length());
         }
     }

@@ -1,14 +1,14 @@
-//! Lines: which are read, what each is answered, and what it sets going.
+//! Lines: when they are read, how each is answered, and what it starts.
 
 use super::super::action::{self, Line, Pin, TRAVEL};
 use super::{MANY, Mode, Model, Motion, Places, SLACK, Span, Work};
 
 impl Model {
-    /// Looks at the lines that have come, as long as nothing keeps them waiting.
+    /// Reads the received lines, as long as nothing makes them wait.
     pub(super) fn read(&mut self, also: &mut Vec<Model>) {
         while self.reads() && !self.waiting.is_empty() {
             if self.next_silence().is_some_and(|span| span.from <= self.now.to) {
-                // That may be noticed first.
+                // The timeout may be noticed first.
                 let mut silent = self.clone();
                 silent.host_is_silent(also);
                 silent.read(also);
@@ -92,7 +92,7 @@ impl Model {
                 self.say("[MSG:Sleeping]");
                 self.mode = Mode::Sleep;
                 self.switch_off();
-                // The drivers are off.
+                // Because the drivers are switched off.
                 self.trusted = false;
             }
             Line::Home => match self.forbids_unlocking() {
@@ -102,11 +102,11 @@ impl Model {
             },
             _ if matches!(self.mode, Mode::Alarm | Mode::Jog) => self.refuse(9),
             Line::Wrong(_, error) => self.refuse(error),
-            // The dialect of Oxmill has longer lines.
+            // Oxmill's dialect allows longer lines.
             Line::TooLong => self.refuse(25),
             Line::Move(axis, to, feed) => self.travel(axis, f64::from(to), feed, also),
             Line::Outside => self.travel(0, action::OUTSIDE, true, also),
-            // Oxmill: Grbl knows no M6, and every T.
+            // Oxmill: in Grbl M6 is unknown, and T has no effect.
             Line::Tool(..) | Line::Change if self.setup.grbl => self.refuse(20),
             Line::Select(tool) => {
                 self.selected = tool;
@@ -129,7 +129,7 @@ impl Model {
         self.say(format!("error:{error}"));
     }
 
-    /// A line in check mode that is not refused.
+    /// A valid line in check mode.
     pub(super) fn check(&mut self, line: Line) {
         self.forget_selected();
         match line {
@@ -140,7 +140,7 @@ impl Model {
         self.say("ok");
     }
 
-    /// Words that change an output wait for the end of the motion before them; those that change nothing do not.
+    /// Returns whether a line waits for the end of the preceding motion: only if it changes an output.
     pub(super) fn waits_for_rest(&self, line: Line) -> bool {
         match line {
             Line::Spindle(on) => self.spindle != on,
@@ -151,12 +151,12 @@ impl Model {
         }
     }
 
-    /// Whether the program stops until somebody has put this tool into the spindle.
+    /// Returns whether the program waits until the operator has loaded this tool.
     pub(super) fn changes_tool(&self, tool: u8) -> bool {
         self.setup.tool_changes && tool != self.tool
     }
 
-    /// T and M6, the motion before them has ended. `spindle`: and M3.
+    /// Carries out T and M6 after the end of the preceding motion. `spindle`: M3 is in the same line.
     pub(super) fn change_tool(&mut self, tool: u8, spindle: bool) {
         if self.changes_tool(tool) {
             self.spindle = false;
@@ -171,21 +171,21 @@ impl Model {
         }
     }
 
-    /// To Grbl a line without T is one with T0.
+    /// In Grbl's dialect a line without T counts as one with T0.
     pub(super) fn forget_selected(&mut self) {
         if self.setup.grbl {
             self.selected = 0;
         }
     }
 
-    /// Modal words of spindle, coolant and tool; those of a program that is only checked but for its tool are left open.
+    /// Answers `$G`. In check mode the words of spindle and coolant may be anything; the tool must be right.
     pub(super) fn tell_modal_state(&mut self) {
         let words = format!("M{} M{} ", if self.spindle { 3 } else { 5 }, if self.flood { 8 } else { 9 });
         let words = if self.mode == Mode::Check { "*" } else { &words };
         self.answer(&[&format!("[GC:* {words}T{} *]", self.selected)]);
     }
 
-    /// A line for which the machine is at rest.
+    /// Carries out a line that waits for the machine to be at rest.
     pub(super) fn carry_out(&mut self, line: Line) {
         self.forget_selected();
         match line {
@@ -228,7 +228,7 @@ impl Model {
             }
             self.mode = Mode::Free;
             self.say("[MSG:Caution: Unlocked]");
-            // Oxmill: it says what Grbl leaves to the operator to know.
+            // Oxmill: reports that the position may be lost; in Grbl the operator has to know.
             if !self.trusted && !self.setup.grbl {
                 self.say("[MSG:The position may be lost*");
             }
@@ -236,7 +236,7 @@ impl Model {
         self.say("ok");
     }
 
-    /// A target beyond the soft limits.
+    /// Handles a target beyond the soft limits.
     pub(super) fn forbid(&mut self) {
         self.checked = None;
         self.work = Some(Work::Forbidden);
@@ -246,12 +246,13 @@ impl Model {
         }
     }
 
-    /// Where the queued moves end; in check mode where they would.
+    /// Returns the end position of the queued moves; in check mode, of the lines checked.
     pub(super) fn target(&self) -> Places {
         self.checked.or(self.motion.as_ref().map(|motion| motion.target)).unwrap_or(self.place)
     }
 
-    /// Whether soft limits forbid a target. Where that depends on how far a motion got, `also` gets a model in which they do.
+    /// Returns whether soft limits forbid a target. If that depends on how far a motion got, `also` gets a model in
+    /// which they do.
     pub(super) fn is_forbidden(&self, target: Places, also: &mut Vec<Model>, refuse: impl Fn(&mut Model)) -> bool {
         let outside = |mm: f64| !(-TRAVEL - 1e-6..=1e-6).contains(&mm);
         if !self.setup.soft_limits {
@@ -282,7 +283,7 @@ impl Model {
             self.checked.get_or_insert(self.place)[axis] = Some(to);
         } else {
             if self.motion.is_none() && self.place[axis].is_none() {
-                // It may have come to rest just there.
+                // The machine may have come to rest exactly at the target.
                 let mut there = self.clone();
                 there.place[axis] = Some(to);
                 there.end_move();
@@ -296,7 +297,8 @@ impl Model {
         self.say("ok");
     }
 
-    /// A move is queued, or leads to where the machine is. Oxmill: in single block it is answered when the pause behind it ends.
+    /// Answers a move that has been queued or that leads to the current position. Oxmill: in single block it is
+    /// answered when the pause after it ends.
     pub(super) fn end_move(&mut self) {
         self.forget_selected();
         if !self.single_block {
@@ -322,7 +324,8 @@ impl Model {
         self.say("ok");
     }
 
-    /// Puts a move behind the others. `to` or else `distance`: how far it is, mm; `speed` in mm/s.
+    /// Appends a move to the queue. Its length is `distance`, mm; if that is `None`, it follows from the target `to`.
+    /// `speed` in mm/s.
     pub(super) fn queue(&mut self, axis: usize, to: Option<f64>, distance: Option<f64>, speed: f64) {
         let mut target = self.target();
         let length = distance.or_else(|| Some((to? - target[axis]?).abs()));
@@ -334,7 +337,7 @@ impl Model {
         let time = match length {
             Some(mm) if mm < 1e-9 => Span::at(0.0),
             Some(mm) => Span { from: (mm / speed - 0.005).max(0.001), to: seconds(mm) + SLACK },
-            // From nowhere that is known: at most twice the travel and a jog.
+            // The start is unknown: the length is at most twice the travel and a jog.
             None => Span { from: 0.0, to: seconds(4.0 * TRAVEL) + SLACK },
         };
         match &mut self.motion {

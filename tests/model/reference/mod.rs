@@ -1,15 +1,15 @@
-//! The reference: a plain model of what a Grbl controller does with what a host and an operator do.
+//! Reference model: a plain description of how a Grbl controller reacts to a host and an operator.
 //!
-//! Written from Grbl's interface and from what Oxmill's book says that it does otherwise, not from the controller; such a
-//! place is marked "Oxmill:". It knows no steps: a motion is a stretch of time at whose end the machine is at a place.
-//! Times are known to within a [`Span`], from what rate and acceleration allow. Where an instant decides and the span
-//! covers it, the model becomes two, one for each outcome, and what the machine does next tells which of them holds. It is
-//! open about nothing else but this:
-//! * how far a motion got that was stopped: the place is taken from the report;
-//! * whether a motion of which no step has been seen yet is one to a reset, an emergency and a hold;
-//! * whether a silence of the host or a line that waits comes first, of two in the same moment;
-//! * whether a target is within the soft limits while it is not known where a motion came to rest;
-//! * numbers within messages and listings (`*`), and how many lines a listing has ([`MANY`]).
+//! It was written from Grbl's interface and from the differences that Oxmill's book lists, not from the controller;
+//! such a difference is marked "Oxmill:". It models no steps: a motion is a period at whose end the machine is at a
+//! position. Times are known to within a [`Span`], derived from rate and acceleration. Where an instant decides and the
+//! span contains it, the model splits in two, one for each outcome; what the machine does next shows which one holds.
+//! Apart from that the model leaves only this open:
+//! * how far an interrupted motion got: the position is taken from the report;
+//! * whether a motion without any step so far counts as one at a reset, an emergency or a hold;
+//! * the order of a host timeout and a waiting line that are due at the same time;
+//! * whether a target is within the soft limits while the end position of a motion is unknown;
+//! * numbers within messages and listings (`*`), and the number of lines of a listing ([`MANY`]).
 
 mod commands;
 mod faults;
@@ -21,14 +21,14 @@ use super::action::{self, Action, Line, PINS, Pin, Setup};
 use homing::Homing;
 use std::collections::VecDeque;
 
-/// In place of any number of lines of a listing.
+/// Pattern for any number of lines of a listing.
 pub const MANY: &str = "[listing]";
-/// Slack of all times, s: what is queued for the step task, and the end of a segment.
+/// Tolerance of all times, s: segments queued for the step task, and the end of a segment.
 const SLACK: f64 = 0.035;
-/// Spindle on to coolant on, coolant on to motion after a door, s.
+/// Delays after a door, s: from spindle on to coolant on, and from coolant on to motion.
 const RESTORE: [f64; 2] = [4.0, 1.0];
 
-/// A stretch of time in which something happens, s; also a length of time that is not known exactly.
+/// A period in which something happens, s; also a duration that is not known exactly.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Span {
     pub from: f64,
@@ -44,48 +44,48 @@ impl Span {
         Span { from: self.from + length.from, to: self.to + length.to }
     }
 
-    /// A length of `seconds` that may take `more`.
+    /// Returns a duration of `seconds`, or up to `more` longer.
     fn length(seconds: f64, more: f64) -> Span {
         Span { from: (seconds - 0.005).max(0.0), to: seconds + more + SLACK }
     }
 }
 
-/// mm, as far as it is known.
+/// Positions in mm; `None` where unknown.
 type Places = [Option<f64>; 3];
 
-/// Moves that are queued or carried out.
+/// Moves that are queued or in progress.
 #[derive(Clone, Debug, PartialEq)]
 struct Motion {
-    /// When it ends, or while it is held: how much is left.
+    /// End time; while held, the remaining duration.
     time: Span,
     held: bool,
     target: Places,
-    /// Greatest speed of its moves, mm/s.
+    /// Maximum speed of the moves, mm/s.
     speed: f64,
-    /// A step has been seen since it began or was resumed.
+    /// Whether a step has been seen since the motion started or was resumed.
     stepped: bool,
 }
 
-/// What the line is doing that is carried out and not answered.
+/// Activity of the line that is in progress and unanswered.
 #[derive(Clone, Debug, PartialEq)]
 enum Work {
     /// Waits for the end of the motion.
     Drain(Line),
-    /// Ends then; while held, the rest of the time.
+    /// `time`: the end; while held, the remaining duration.
     Dwell { time: Span, held: bool },
     /// M0, until the next cycle start.
     Pause,
-    /// Oxmill: the motion of the line, behind which single block pauses.
+    /// Oxmill: the motion of the line, after which single block pauses.
     SingleBlock,
-    /// Oxmill: M6 asks for this tool, until the next cycle start. `spindle`: its line turns the spindle on then.
+    /// Oxmill: M6 waits for this tool and the next cycle start. `spindle`: its line then turns the spindle on.
     Tool { tool: u8, spindle: bool },
-    /// A jog behind one that 0x85 has ended.
+    /// A jog that follows a jog ended by 0x85.
     LaterJog(Line),
-    /// A target that is forbidden: locks where the machine has come to rest, and a hold or a door is over.
+    /// A forbidden target: locks when the machine has come to rest and a hold or a door is over.
     Forbidden,
     /// `$H`.
     Homing,
-    /// Cannot be ended: answered when a reset comes.
+    /// Cannot be ended: answered at a reset.
     Owed,
 }
 
@@ -95,19 +95,20 @@ enum Mode {
     Free,
     Jog,
     Hold,
-    /// Oxmill: brakes for a fault, whose alarm follows at rest, and with it the name of another limit switch that closed `later`.
+    /// Oxmill: brakes for a fault; the alarm follows at rest. `later`: another limit switch closed meanwhile, and its
+    /// name follows the alarm.
     Fault {
         alarm: u8,
         later: bool,
     },
-    /// 0x19 brakes; then everything is forgotten. Oxmill: Grbl has no such command.
+    /// 0x19 brakes, then drops everything. Oxmill: Grbl has no such command.
     Stop,
     Door {
         restoring: Option<Span>,
     },
     Home(Homing),
     Alarm,
-    /// Only a reset is heard.
+    /// Only a reset is accepted.
     Critical,
     Check,
     Sleep,
@@ -119,54 +120,55 @@ pub struct Model {
     now: Span,
     mode: Mode,
     motion: Option<Motion>,
-    /// When a motion that is being stopped rests.
+    /// Time at which a motion that is being stopped comes to rest.
     braking: Option<Span>,
-    /// No host is there.
+    /// Whether the host is disconnected.
     absent: bool,
-    /// When the host was heard last, or there was nothing yet to watch it for.
+    /// Time of the last byte from the host, or the last time when the host timeout was not active.
     heard: Span,
-    /// Since when the spindle has been below its speed.
+    /// Time since when the spindle has been below its speed.
     slow: Option<Span>,
-    /// The override of a spindle that turns, as it was looked at last while lines could be carried out, and until when
-    /// that speed is given time.
+    /// Override of the running spindle when last checked in a state that carries out lines, and the end of its time to
+    /// reach that speed.
     given: Option<(u32, Span)>,
-    /// Oxmill: a door that stands for a host that has gone leaves the outputs on.
+    /// Oxmill: in a door state that replaces a disconnected host the outputs stay on.
     keeps_outputs: bool,
-    /// What it has not carried out at rest behind a door will not be carried out.
+    /// Whether motion and lines that are still pending in a door state will be dropped.
     forgets: bool,
     work: Option<Work>,
-    /// Lines not looked at yet.
+    /// Lines that have not been read.
     waiting: VecDeque<Line>,
-    /// How many of them came before a command that ends jogs.
+    /// Number of these lines that arrived before a command that ends jogs.
     cancelled: usize,
-    /// That command was 0x85: a jog behind it begins where the one before it comes to rest.
+    /// Whether that command was 0x85: then a later jog starts where the previous one comes to rest.
     keeps_later_jogs: bool,
     place: Places,
-    /// Where the lines of check mode would have led.
+    /// Position to which the lines of check mode would have moved.
     checked: Option<Places>,
     pins: [bool; PINS.len()],
-    /// Whether the counters agree with the machine.
+    /// Whether the counted position agrees with the machine.
     trusted: bool,
     spindle: bool,
-    /// The operator has stopped the spindle in a hold.
+    /// Whether the operator has stopped the spindle in a hold.
     spindle_stopped: bool,
-    /// That has been asked for, and the hold still brakes.
+    /// Whether the operator has requested that while the hold was still braking.
     stops_at_rest: bool,
     flood: bool,
-    /// Oxmill: 0x89, a pause behind each line that moves.
+    /// Oxmill: 0x89, a pause after each line that moves.
     single_block: bool,
-    /// The tools of T and M6.
+    /// Tool selected by T.
     selected: u8,
+    /// Tool loaded by M6.
     tool: u8,
-    /// Door, sleep and alarms switch both off.
+    /// Whether a door, sleep or an alarm has switched spindle and coolant off.
     outputs_off: bool,
-    /// Feed, rapid, spindle; percent.
+    /// Feed, rapid, spindle overrides; percent.
     overrides: [u32; 3],
-    /// What has been said since the last action, as patterns.
+    /// Expected output since the last action, as patterns.
     pub said: Vec<String>,
-    /// A step may come in this action.
+    /// Whether a step may occur in this action.
     pub may_step: bool,
-    /// Steps must come in this action.
+    /// Whether steps must occur in this action.
     pub must_step: bool,
 }
 
@@ -191,7 +193,7 @@ impl Model {
             place: [Some(0.0); 3],
             checked: None,
             pins: [false; PINS.len()],
-            // Where there are switches, only they can tell.
+            // With switches, the position is trusted only after homing.
             trusted: !setup.homing,
             spindle: false,
             spindle_stopped: false,
@@ -208,9 +210,9 @@ impl Model {
         }
     }
 
-    // What is seen from outside
+    // Visible behaviour
 
-    /// The first field of a report.
+    /// Returns the first field of a report.
     pub fn state(&self) -> &'static str {
         let braking = self.braking.is_some();
         match &self.mode {
@@ -232,7 +234,7 @@ impl Model {
         }
     }
 
-    /// The active pins, as a report has them.
+    /// Returns the letters of the active pins, as in a report.
     pub fn reported_pins(&self) -> String {
         let letter = |(index, on): (usize, &bool)| on.then_some(PINS[index].1);
         self.pins.iter().enumerate().filter_map(letter).collect()
@@ -242,23 +244,23 @@ impl Model {
         self.overrides
     }
 
-    /// Spindle speed, rpm.
+    /// Returns the spindle speed, rpm.
     pub fn spindle_speed(&self) -> u32 {
         if self.turns() { (action::SPINDLE * f64::from(self.overrides[2]) / 100.0) as u32 } else { 0 }
     }
 
-    /// Spindle and flood coolant, as a report has them.
+    /// Returns the letters of spindle and flood coolant, as in a report.
     pub fn accessories(&self) -> String {
         let flood = self.flood && !self.outputs_off && (self.keeps_outputs || !self.restores_spindle());
         [(self.turns(), 'S'), (flood, 'F')].into_iter().filter(|(on, _)| *on).map(|(_, letter)| letter).collect()
     }
 
-    /// Where it rests; `None` while it moves.
+    /// Returns the position at rest; `None` while the machine moves.
     pub fn place(&self) -> Option<[Option<f64>; 3]> {
         (!self.moves()).then_some(self.place)
     }
 
-    /// Where it came to rest and whether a step came, of which only the machine knows.
+    /// Takes over from the machine where it came to rest and whether a step occurred, which the model cannot predict.
     pub fn adopt(&mut self, place: [f64; 3], stepped: bool) {
         if let Some(motion) = &mut self.motion {
             motion.stepped |= stepped && !motion.held;
@@ -272,7 +274,7 @@ impl Model {
         self.spindle && !self.spindle_stopped && !self.outputs_off
     }
 
-    /// The spindle gets up to speed behind a door, and the coolant is still off.
+    /// Returns whether the spindle spins up after a door, with the coolant still off.
     fn restores_spindle(&self) -> bool {
         let Mode::Door { restoring: Some(end) } = self.mode else { return false };
         self.spindle && end.from - self.now.to > RESTORE[1]
@@ -294,7 +296,8 @@ impl Model {
 
     // Actions and time
 
-    /// Whether a host that counts characters would send this now, and hands press one button at a time.
+    /// Returns whether the action is realistic: a host that counts characters would send this line, or an operator
+    /// would press this button.
     pub fn is_sensible(&self, action: &Action) -> bool {
         match action {
             Action::Line(_) => self.waiting.len() < 4,
@@ -304,17 +307,17 @@ impl Model {
                 self.on(*pin) != *on && !(*on && stops.contains(pin) && other)
             }
             Action::Byte(_) | Action::Pass(_) => true,
-            // Lines that turn it on, and delays of doors, would wait for it.
+            // Lines that turn the spindle on, and the delays of doors, would wait for the at-speed signal.
             Action::SlowSpindle(_) => {
                 let waits = !self.waiting.is_empty() || !matches!(self.work, None | Some(Work::SingleBlock));
                 self.mode == Mode::Free && self.motion.is_some() && !waits
             }
-            // What would be answered meanwhile is answered to nobody.
+            // With no host connected, nobody would receive the answers.
             Action::Absent(_) => self.waiting.is_empty() && self.work.is_none(),
         }
     }
 
-    /// What may come of an action.
+    /// Returns the possible models after an action.
     pub fn act(&self, action: &Action) -> Vec<Model> {
         let mut model =
             Model { said: Vec::new(), may_step: self.moves(), must_step: false, heard: self.now, ..self.clone() };
@@ -354,14 +357,14 @@ impl Model {
             if model.slow.take().is_some()
                 && let Some((_, given)) = &mut model.given
             {
-                // It has told that it is up to speed.
+                // The spindle has signalled that it is at speed.
                 *given = model.now;
             }
         }
         all
     }
 
-    /// Whatever happens until then.
+    /// Advances to a time, with everything that happens until then.
     fn advance(mut self, end: f64, all: &mut Vec<Model>) {
         self.may_step |= self.moves();
         let ends = [self.next_end(), self.next_silence(), self.next_slowness()];
@@ -395,7 +398,7 @@ impl Model {
         }
     }
 
-    /// When something ends by itself; there is never more than one such thing.
+    /// Returns the time of the event that will end by itself; there is never more than one.
     fn timer(&mut self) -> Option<&mut Span> {
         if let Some(span) = &mut self.braking {
             return Some(span);
@@ -413,7 +416,7 @@ impl Model {
         self.timer().map(|span| *span)
     }
 
-    /// Oxmill: how long the host may be silent now, s: in mid-job and during a jog.
+    /// Oxmill: returns the host timeout that applies, s: during a job and during a jog.
     fn watched(&self) -> Option<f64> {
         match self.mode {
             Mode::Free if self.setup.watch && self.is_at_work() => Some(action::JOB_SILENCE),
@@ -422,7 +425,7 @@ impl Model {
         }
     }
 
-    /// Oxmill: after another direction or override a spindle has some time to come up to speed.
+    /// Oxmill: gives the spindle time to reach its speed after it was turned on or its override changed.
     fn look_at_spindle(&mut self) {
         if !self.turns() {
             self.given = None;
@@ -436,7 +439,7 @@ impl Model {
         self.motion.is_some() || self.work.is_some()
     }
 
-    /// Oxmill: a spindle may be below its speed for so long in mid-job.
+    /// Oxmill: returns when the spindle will have been below its speed for too long during a job.
     fn next_slowness(&self) -> Option<Span> {
         let needs_speed = self.mode == Mode::Free && self.is_at_work() && self.turns() && self.setup.at_speed;
         let slow = self.slow.filter(|_| needs_speed)?;
@@ -461,7 +464,7 @@ impl Model {
         }
     }
 
-    /// A line that waits for that is carried out.
+    /// Carries out a line that was waiting for the end of the motion.
     fn motion_has_ended(&mut self) {
         match self.work.take() {
             Some(Work::Drain(line)) => self.carry_out(line),
@@ -470,7 +473,7 @@ impl Model {
         }
     }
 
-    /// What [`Model::timer`] tells has ended.
+    /// The event of [`Model::timer`] has occurred.
     fn happen(&mut self, also: &mut Vec<Model>) {
         if self.braking.take().is_some() {
             self.rest(also);

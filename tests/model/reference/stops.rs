@@ -1,10 +1,10 @@
-//! Holds, doors, alarms and resets: what brakes, what is forgotten, and what continues.
+//! Holds, doors, alarms and resets: what brakes, what is dropped, and what continues.
 
 use super::super::action::{self, Line, Pin};
 use super::{Mode, Model, RESTORE, SLACK, Span, Work};
 
 impl Model {
-    /// A motion is stopped. Without one nothing brakes.
+    /// Stops a motion; without a motion nothing brakes.
     pub(super) fn brake(&mut self) {
         let now = self.now;
         if let Some(motion) = self.motion.as_mut().filter(|motion| !motion.held) {
@@ -24,7 +24,7 @@ impl Model {
         }
     }
 
-    /// What is queued will not be carried out.
+    /// Drops queued motion.
     pub(super) fn forget_motion(&mut self) {
         self.forgets = false;
         if self.motion.take().is_some_and(|motion| !motion.held) {
@@ -32,7 +32,7 @@ impl Model {
         }
     }
 
-    /// A motion that was stopped has come to rest.
+    /// Call when a motion that was stopped has come to rest.
     pub(super) fn rest(&mut self, also: &mut Vec<Model>) {
         self.spindle_stopped |= std::mem::take(&mut self.stops_at_rest);
         if let Mode::Fault { alarm, later } = self.mode {
@@ -47,7 +47,7 @@ impl Model {
         match self.mode {
             Mode::Jog | Mode::Stop => {
                 self.forget_motion();
-                // What the operator has stopped stays off.
+                // A spindle that the operator has stopped stays off.
                 self.spindle &= !std::mem::take(&mut self.spindle_stopped);
                 let jogs = self.mode == Mode::Jog;
                 self.mode = Mode::Free;
@@ -69,11 +69,11 @@ impl Model {
         }
     }
 
-    /// The end of a hold or a door.
+    /// Ends a hold or a door.
     pub(super) fn go_on(&mut self, also: &mut Vec<Model>) {
         let now = self.now;
         if self.motion.as_ref().is_some_and(|motion| motion.time.from <= 0.0) {
-            // It may have come to its end while it braked.
+            // The motion may have ended while it braked.
             let mut ended = self.clone();
             ended.place = ended.target();
             ended.motion = None;
@@ -126,7 +126,7 @@ impl Model {
         self.read(also);
     }
 
-    /// Oxmill: a job is held whose host has gone, or goes while a door resumes it; a jog ends.
+    /// Oxmill: when the host disconnects, a job is held, also one that is being resumed after a door; a jog ends.
     pub(super) fn host_goes(&mut self, also: &mut Vec<Model>) {
         self.absent = matches!(self.mode, Mode::Door { restoring: Some(_) });
         if self.motion.is_some() && matches!(self.mode, Mode::Free | Mode::Jog) {
@@ -134,7 +134,7 @@ impl Model {
         }
     }
 
-    /// Another has come. It is told what it has to know.
+    /// Another host has connected; it gets the greeting and the messages that it needs.
     pub(super) fn host_comes(&mut self) {
         self.absent = false;
         self.said.clear();
@@ -150,7 +150,7 @@ impl Model {
         }
     }
 
-    /// Oxmill: what no report shows.
+    /// Oxmill: sends the state that no report shows.
     fn tell_inherited(&mut self) {
         if self.single_block {
             self.say("[MSG:Single block on]");
@@ -163,7 +163,7 @@ impl Model {
         }
     }
 
-    /// Alarm, after which only a reset is heard.
+    /// Raises an alarm after which only a reset is accepted.
     pub(super) fn lock_for(&mut self, alarm: u8) {
         self.say(format!("ALARM:{alarm}"));
         self.say("[MSG:Reset to continue]");
@@ -176,7 +176,7 @@ impl Model {
         self.switch_off();
     }
 
-    /// The machine stops in mid-motion.
+    /// Stops the machine abruptly.
     pub(super) fn stop_dead(&mut self) {
         if self.moves() {
             self.place = [None; 3];
@@ -196,13 +196,13 @@ impl Model {
         self.outputs_off = false;
     }
 
-    /// The same with a motion that has not begun to move the machine, if that may be.
+    /// Returns the alternative model in which the motion has not yet moved the machine, if that is possible.
     pub(super) fn unmoved(&self) -> Option<Model> {
         let may_be = self.moves() && self.motion.as_ref().is_some_and(|motion| !motion.stepped);
         may_be.then(|| Model { motion: None, braking: None, place: [None; 3], ..self.clone() })
     }
 
-    /// Everything begins again; the position is kept.
+    /// Resets everything except the position.
     pub(super) fn reset(&mut self, also: &mut Vec<Model>) {
         if let Some(mut unmoved) = self.unmoved() {
             unmoved.reset(also);
@@ -223,7 +223,7 @@ impl Model {
         self.cancelled = 0;
     }
 
-    /// Homing has failed: as a reset. Oxmill: lines that wait are answered, in the alarm that this ends in.
+    /// Homing has failed: like a reset. Oxmill: waiting lines are answered in the alarm that follows.
     pub(super) fn fail_homing(&mut self, alarm: u8, also: &mut Vec<Model>) {
         self.end_all(Some(alarm));
         self.initialise(true, also);
@@ -240,7 +240,7 @@ impl Model {
         }
     }
 
-    /// What every reset ends with.
+    /// The common end of every reset.
     pub(super) fn initialise(&mut self, mut locked: bool, also: &mut Vec<Model>) {
         self.switch_off();
         self.overrides = [100; 3];
@@ -254,7 +254,7 @@ impl Model {
             self.say("[MSG:Check Limits]");
             locked = true;
         }
-        // Oxmill: an emergency stop and a driver at fault lock for as long as they are active.
+        // Oxmill: an active emergency stop or driver fault keeps the machine locked.
         for (pin, alarm, text) in [(Pin::EmergencyStop, 101, "Emergency stop"), (Pin::DriverFault, 102, "Driver fault")]
         {
             if self.on(pin) {
@@ -273,8 +273,8 @@ impl Model {
         }
     }
 
-    /// Oxmill: what ends a jog also ends those that have been received and not begun, wherever they wait. They are
-    /// answered as if they had been carried out; so are those behind a hold, as long as it brakes.
+    /// Oxmill: an event that ends a jog also ends jogs that have been received and not started, wherever they wait,
+    /// including those after a hold that still brakes. They are answered as if they had been carried out.
     pub(super) fn end_jogs(&mut self, keeps_later_jogs: bool) {
         self.cancelled = self.waiting.len();
         self.keeps_later_jogs = keeps_later_jogs;
@@ -295,7 +295,7 @@ impl Model {
         }
     }
 
-    /// A hold or a door ends jogs. Oxmill: also those that have not begun; to Grbl they come behind the hold.
+    /// A hold or a door ends jogs. Oxmill: also jogs that have not started; in Grbl these run after the hold.
     pub(super) fn end_received_jogs(&mut self) {
         if self.mode == Mode::Jog || !self.setup.grbl {
             self.end_jogs(false);
@@ -316,7 +316,7 @@ impl Model {
                 }
             }
             Mode::Door { .. } => {}
-            // Oxmill: no spindle that a fault has left on turns at an open door.
+            // Oxmill: a spindle that a fault has left on does not turn at an open door.
             Mode::Fault { .. } | Mode::Critical => return self.switch_off(),
             Mode::Home(_) => return self.fail_homing(7, also),
             Mode::Alarm | Mode::Check | Mode::Sleep => return,
@@ -335,7 +335,7 @@ impl Model {
                 self.go_on(also);
             }
             Mode::Door { restoring: None } if self.braking.is_none() && !self.on(Pin::Door) => {
-                // Oxmill: also where a fault has left them on.
+                // Oxmill: also where a fault has left the outputs on.
                 let seconds =
                     RESTORE[0] * f64::from(u8::from(self.spindle)) + RESTORE[1] * f64::from(u8::from(self.flood));
                 self.outputs_off = false;

@@ -1,13 +1,14 @@
-//! Time-stamps every edge at three input pins, without the processor: a timer captures its count, DMA writes it to memory.
+//! Time-stamps every edge at three input pins without the CPU: a timer captures its count, and DMA writes it to memory.
 //!
 //! ```text
 //!  PB6 ── TIM4 channel 1 ── DMA1 stream 0 ──▶ first line
 //!  PB7 ── TIM4 channel 2 ── DMA1 stream 3 ──▶ second line
 //!  PB8 ── TIM4 channel 3 ── DMA1 stream 7 ──▶ third line
 //! ```
-//! TIM4 counts the same clock as the step timer, so a count is a tick of the step clock (10 to 12 ns) and nothing here sees
-//! an error of that clock. It has 16 bits and comes round every 650 to 780 us: differences of counts hold modulo 2^16.
-//! An input takes on a level once it has been the same at four ticks, for rising and falling edges alike.
+//! TIM4 counts the same clock as the step timer, so its unit is a tick of the step clock (10 to 12 ns), and errors of
+//! that clock are not visible here. It has 16 bits and wraps every 650 to 780 us: differences of counts are valid
+//! modulo 2^16. An input changes its level once four ticks in a row have sampled the new one, for rising and falling
+//! edges alike.
 //!
 //! Every STM32F4 of these boards has these pins, channels and streams (RM0383, RM0368, RM0390: DMA request mapping, and
 //! the data sheets' tables of alternate functions).
@@ -15,49 +16,50 @@
 use core::sync::atomic::{AtomicU16, Ordering, fence};
 use oxmill_boards::pac;
 
-/// Edges of a line that are kept; those after them are counted as lost.
+/// Maximum number of edges recorded for a line; later ones are lost.
 pub const DEPTH: usize = 2048;
-/// Pins on port B, of the lines in their order.
+/// Pin numbers on port B of the three lines.
 const PINS: [u32; 3] = [6, 7, 8];
+/// Streams of DMA1 of the three lines.
 const STREAMS: [usize; 3] = [0, 3, 7];
-/// TIM4's number as the alternate function of these pins.
+/// Number of TIM4's alternate function at these pins.
 const FUNCTION: u32 = 2;
 
 static EDGES: [[AtomicU16; DEPTH]; 3] = [const { [const { AtomicU16::new(0) }; DEPTH] }; 3];
 
-/// A whole register as a number.
+/// Writes a whole register as a number.
 macro_rules! raw {
     ($register:expr, $bits:expr) => {{
-        // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because each is explained
-        // where it is written, and the one address among them is that of a static that is large enough.
+        // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because each is
+        // explained where it is written, and the one address among them is that of a static that is large enough.
         unsafe { $register.bits($bits) }
     }};
 }
 
-/// The recorder of the three lines.
+/// Records the edges of the three lines.
 pub struct Capture {
     timer: pac::TIM4,
     dma: pac::DMA1,
 }
 
-/// What a line has recorded.
+/// Recorded edges of a line.
 #[derive(Clone, Copy)]
 pub struct Edges(&'static [AtomicU16]);
 
 impl Edges {
-    /// How many.
+    /// Returns the number of edges.
     pub fn count(&self) -> usize {
         self.0.len()
     }
 
-    /// Count of the timer at an edge.
+    /// Returns the count of the timer at an edge.
     pub fn at(&self, edge: usize) -> u16 {
         self.0[edge].load(Ordering::Relaxed)
     }
 }
 
 impl Capture {
-    /// Turns the pins into inputs of the timer, with pull-downs, and starts it.
+    /// Makes the pins inputs of the timer, with pull-downs, and starts the timer.
     pub fn new(timer: pac::TIM4, dma: pac::DMA1, port: &pac::GPIOB, rcc: &pac::RCC) -> Capture {
         rcc.apb1enr().modify(|_, w| w.tim4en().set_bit());
         rcc.ahb1enr().modify(|_, w| w.dma1en().set_bit());
@@ -84,12 +86,12 @@ impl Capture {
         Capture { timer, dma }
     }
 
-    /// The timer's count.
+    /// Returns the timer's count.
     pub fn now(&self) -> u16 {
         self.timer.cnt().read().bits() as u16
     }
 
-    /// Forgets what was recorded, and records.
+    /// Discards earlier edges and starts recording.
     pub fn start(&mut self) {
         self.timer.dier().write(|w| raw!(w, 0));
         let sources = [self.timer.ccr1().as_ptr(), self.timer.ccr2().as_ptr(), self.timer.ccr3().as_ptr()];
@@ -106,17 +108,17 @@ impl Capture {
             stream.par().write(|w| raw!(w, source as u32));
             stream.m0ar().write(|w| raw!(w, edges.as_ptr() as u32));
             stream.ndtr().write(|w| raw!(w, DEPTH as u32));
-            // Channel 2; 16 bits from the register to 16 bits of memory, whose address counts up; on.
+            // Channel 2; 16 bits from the register to 16 bits of memory, with incrementing memory address; enable.
             stream.cr().write(|w| raw!(w, 2 << 25 | 1 << 13 | 1 << 11 | 1 << 10 | 1));
         }
-        // Flags of captures that nobody has fetched.
+        // Clears the flags of captures that were not fetched.
         self.timer.sr().write(|w| raw!(w, 0));
         // DMA requests of channels 1 to 3.
         self.timer.dier().write(|w| raw!(w, 0b111 << 9));
     }
 
-    /// Ends the record: the edges of the three lines. `None` if one came before the one before it had been fetched, or if
-    /// there were too many.
+    /// Ends recording and returns the edges of the three lines. Returns `None` if an edge arrived before DMA had
+    /// fetched the previous one, or if there were too many edges.
     pub fn stop(&mut self) -> Option<[Edges; 3]> {
         let flags = self.timer.sr().read().bits();
         self.timer.dier().write(|w| raw!(w, 0));
@@ -126,7 +128,7 @@ impl Capture {
             let left = self.dma.st(stream).ndtr().read().bits() as usize;
             *line = Edges(&edges[..DEPTH - left.min(DEPTH)]);
         }
-        // CCxOF; and CCxIF, which stays only when DMA has come to its end.
+        // CCxOF: a capture was overwritten. CCxIF stays set only if DMA has reached the end of its memory.
         (flags & (0b111 << 9 | 0b111 << 1) == 0).then_some(lines)
     }
 }

@@ -1,10 +1,10 @@
-//! Units of work, one after the other, to be counted from outside: `cargo xtask count` runs this program in QEMU, follows
-//! each instruction, and takes those between the entry of a function `unit_*` and its return for the row that the last
-//! `row_*` named.
+//! Benchmark program: units of work whose instructions `cargo xtask count` counts. It runs this program in QEMU and
+//! traces each instruction. The instructions between entry and return of a function `unit_*` count for the row named by
+//! the last call of a function `row_*`.
 //!
-//! The step interrupt is the firmware's own code (`step_timer`), with the registers of an STM32F4 that is not there in
-//! a piece of memory: the same instructions, whatever answers at the addresses. What a row needs is written into those
-//! registers before the call, so each row has the same input in each run.
+//! The step interrupt is the firmware's own code (`step_timer`), with plain memory in place of the STM32F4's registers,
+//! which this machine does not have: the executed instructions are the same. Before each call, the values that a row
+//! needs are written into this memory, so each row has the same input in every run.
 #![no_std]
 #![no_main]
 
@@ -28,14 +28,15 @@ use rtic_sync::channel::{Channel, Sender};
 use rtic_sync::signal::Signal;
 use step_timer::Step;
 
-// The step task is compiled once more, for the board below: it takes its timer and its pins as types of `crate::boards`.
+// The step task is compiled again for the board below, since it takes the types of its timer and pins from
+// `crate::boards`.
 #[allow(dead_code, reason = "the benchmark calls the step task only")]
 #[path = "../../../src/step_task/shared.rs"]
 mod shared;
 #[path = "../../../src/step_task/step_timer/mod.rs"]
 mod step_timer;
 
-/// The board that the step task is built for here: pins on one port, a step clock of 96 MHz, as on the Black Pill.
+/// The board for which the step task is built here: pins on one port and a step clock of 96 MHz, as on the Black Pill.
 mod boards {
     use oxmill_boards::stm32f4::registers::Map;
     use oxmill_boards::stm32f4::step;
@@ -57,11 +58,12 @@ mod boards {
         most_baud: 1_000_000,
         has_store: false,
     };
+    // Addresses of large objects in memory that nothing else uses.
     pub const FAR_PLANNER: usize = 0x2120_0000;
     pub const CONTROLLER: usize = 0x2130_0000;
     pub const FAR_RINGS: usize = 0x2140_0000;
     pub const RING: usize = 0x2150_0000;
-    /// Memory of the emulated machine that nothing else uses.
+    /// Replaces the registers: memory of the emulated machine that nothing else uses.
     pub struct Memory;
     // SAFETY: unsafe because writes go there; safe because nothing else uses this memory.
     unsafe impl Map for Memory {
@@ -76,12 +78,12 @@ mod boards {
     pub type StepPins = step::StepPins<Memory, 1, ()>;
 }
 
-/// Names the row that the following units belong to.
+/// Defines the functions `row_*`. A call of one assigns the following units to its row.
 macro_rules! rows {
     ($($row:ident)*) => { $(
         #[unsafe(no_mangle)]
         #[unsafe(naked)]
-        // unsafe because the name is taken on trust; safe because it is nobody else's, and all it does is return.
+        // unsafe because the name is taken on trust; safe because it is unique, and the function only returns.
         extern "C" fn $row() {
             core::arch::naked_asm!("bx lr")
         }
@@ -97,13 +99,13 @@ rows! {
 
 static mut STEP: MaybeUninit<Step> = MaybeUninit::uninit();
 
-/// The interrupt handler as RTIC makes it: the task between saving and restoring the priority threshold.
+/// The interrupt handler as RTIC generates it: the task between saving and restoring the priority threshold.
 #[unsafe(no_mangle)]
 #[inline(never)]
 // unsafe because of the name, as above.
 extern "C" fn unit_step() {
     let before = cortex_m::register::basepri::read();
-    // SAFETY: unsafe because a static is changed; safe because `main` has put the task there and nothing interrupts.
+    // SAFETY: unsafe because a static is changed; safe because `main` has initialized it and nothing interrupts.
     unsafe { (&raw mut STEP).cast::<Step>().as_mut_unchecked().run() };
     // SAFETY: unsafe because a critical section might end; safe because there is none.
     unsafe { cortex_m::register::basepri::write(before) };
@@ -113,9 +115,9 @@ fn register(address: usize) -> *mut u32 {
     address as *mut u32
 }
 
-/// The registers behind which there is no hardware, and as much of it as puts events out.
+/// The memory in place of registers, and an emulation of the hardware that outputs events.
 struct Registers {
-    /// Events that are out, and the moment of the last.
+    /// Number of events that have been output, and the time of the last one.
     out: usize,
     last: u32,
 }
@@ -126,16 +128,17 @@ impl Registers {
     const CNT: usize = boards::Memory::TIM5 + 0x24;
     const CCR1: usize = boards::Memory::TIM5 + 0x34;
     const CCR2: usize = boards::Memory::TIM5 + 0x38;
-    /// NDTR of the stream of edges; NDTR and M0AR of that of moments.
+    /// NDTR of the stream of edges.
     const EDGES_LEFT: usize = boards::Memory::DMA2 + 0x10 + 0x18 + 0x04;
     /// NDTR of the stream that ends pulses.
     const ENDS_LEFT: usize = boards::Memory::DMA2 + 0x10 + 4 * 0x18 + 0x04;
+    /// NDTR and M0AR of the stream of event times.
     const MOMENTS_LEFT: usize = boards::Memory::DMA1 + 0x10 + 2 * 0x18 + 0x04;
     const MOMENTS_AT: usize = boards::Memory::DMA1 + 0x10 + 2 * 0x18 + 0x0C;
 
     fn read(&self, address: usize) -> u32 {
-        // SAFETY: unsafe because of the raw address; safe because it is in memory that only these registers use, or in the ring
-        // whose address they hold.
+        // SAFETY: unsafe because of the raw address; safe because it is in the memory that only this type uses, or in
+        // the ring whose address this memory holds.
         unsafe { register(address).read_volatile() }
     }
 
@@ -144,20 +147,21 @@ impl Registers {
         unsafe { register(address).write_volatile(value) }
     }
 
-    /// The interrupt, with these flags, at a moment of the step clock.
+    /// Calls the interrupt with these flags, at time `now` of the step clock.
     fn interrupt(&mut self, flags: Due, now: u32) {
         self.write(Self::CNT, now);
         self.write(Self::SR, flags.0);
         unit_step();
-        // So that it is called and not jumped to.
+        // Prevents a tail call: the trace needs a call and its return.
         cortex_m::asm::nop();
     }
 
+    /// Returns the time of an event in the ring.
     fn moment(&self, event: usize) -> u32 {
         self.read(self.read(Self::MOMENTS_AT) as usize + 4 * (event % Self::RING))
     }
 
-    /// Events that are ahead: behind the last one is the moment right before its own.
+    /// Returns the number of events ahead. The slot after the last event holds a time just before that event's own.
     fn ahead(&self) -> usize {
         let mut last = self.last;
         (self.out..self.out + Self::RING)
@@ -170,7 +174,7 @@ impl Registers {
             .count()
     }
 
-    /// Events come out until so many are left.
+    /// Outputs events until `left` are left.
     fn put_out(&mut self, left: usize) {
         for _ in left..self.ahead() {
             self.last = self.moment(self.out);
@@ -181,14 +185,14 @@ impl Registers {
         self.write(Self::MOMENTS_LEFT, (Self::RING - (self.out + 1) % Self::RING) as u32);
     }
 
-    /// From a rest to the first events, all of which are ahead.
+    /// Starts the step task from rest, until its first events are queued.
     fn start(&mut self) {
         self.interrupt(Due::CALLED, 0);
-        // It says when it wants to be called next, until it has begun.
+        // The task schedules its next call in CCR2, until its output has started.
         self.write(Self::MOMENTS_AT, 0);
         let mut calls = 0;
         while self.read(Self::MOMENTS_AT) == 0 {
-            // A task that does not start, as after an underrun, is not to be waited for: its trace would fill the disk.
+            // Stops waiting if the task does not start, as after an underrun: the trace would fill the disk.
             assert!(calls < 20, "the step task does not start");
             calls += 1;
             self.interrupt(Due::MORE, self.read(Self::CCR2));
@@ -197,7 +201,7 @@ impl Registers {
         self.put_out(Self::RING);
     }
 
-    /// The call that the task has asked for, at its moment: what was to come out before it has done so.
+    /// Calls the task at the time that it has scheduled, after outputting the events up to that time.
     fn called(&mut self) {
         let now = self.read(Self::CCR2);
         let ahead = self.ahead();
@@ -206,7 +210,7 @@ impl Registers {
         self.interrupt(Due::MORE, now);
     }
 
-    /// All comes out, and the task comes to rest.
+    /// Outputs all events until the task is at rest.
     fn finish(&mut self) {
         while !shared::STEP.at_rest.load(Ordering::Relaxed) {
             self.called();
@@ -214,7 +218,7 @@ impl Registers {
     }
 }
 
-/// A block and one segment of it.
+/// Returns the messages of a block and of its first segment.
 fn block(steps: [u32; 3], directions: u8, ticks: u16, level: u8, flags: u8) -> [ToStep; 2] {
     let flags = flags | Segment::FLAG_NEW_BLOCK;
     let segment = Segment { interval: 200 << INTERVAL_FRACTION_BITS, ramp: 7, ticks, power: 500, level, flags };
@@ -236,12 +240,13 @@ fn step_task() {
     let (mut wiring_in, wiring_out) = wiring.split();
     let (events_in, mut events_out) = events.split();
     let pin = |pin| Place::new(0, pin);
-    // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses, and this runs once.
+    // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses, and this runs
+    // once.
     let rings = unsafe { (boards::FAR_RINGS as *mut MaybeUninit<Rings<1>>).as_mut_unchecked() }.write(Rings::EMPTY);
     let clocks = Clocks { pulse_mhz: 96, pwm_hz: 96_000_000 };
     let pins = boards::StepPins::at([1, 2, 3, 8].map(pin), [4, 5, 6, 9].map(pin), pin(15), clocks, rings, ());
     let step = Step::new(pins, from_control, wiring_out, events_in, wake.writer());
-    // SAFETY: unsafe because a static is changed; safe because nothing else has seen it yet.
+    // SAFETY: unsafe because a static is changed; safe because no other code uses it yet.
     unsafe { (&raw mut STEP).cast::<Step>().write(step) };
     let mut registers = Registers { out: 0, last: 0 };
     row_none();
@@ -249,7 +254,8 @@ fn step_task() {
     registers.interrupt(Due::CALLED, 0);
     shared::Power { level: 100, from_segments: true }.want();
 
-    // Runs that make 32 events each, with 31 ahead. Of the three axes two count down, the third steps at each tick.
+    // Runs that generate 32 events each, with 31 ahead. With three axes, two have counters and the third steps at each
+    // tick.
     let rows: [(extern "C" fn(), [u32; 3]); 2] = [(row_batch_3, [900, 700, 500]), (row_batch_1, [900, 0, 0])];
     for (row, steps) in rows {
         send(&mut to_step, &block(steps, 0, 900, 0, Segment::FLAG_LAST));
@@ -264,9 +270,9 @@ fn step_task() {
         registers.finish();
     }
 
-    // The longest runs: in each a block begins in another direction and with other power, both of its messages are received,
-    // and the rest of the batch is made. Before them as much is ahead as a run needs, or more, and messages for more than a run
-    // wait.
+    // The longest runs: each starts a block with another direction and another power, receives both of its messages,
+    // and generates the rest of the batch. Before each run at least as many events are ahead as it needs, and messages
+    // for more than one run wait.
     let mut turning = |turn: u8, last: u8| {
         let ticks = 17 + u16::from(turn) * 29 % 97;
         let [first, second] = block([ticks.into(), 15, 10], if turn & 1 == 0 { 0 } else { 7 }, ticks, 0, last);
@@ -292,7 +298,7 @@ fn step_task() {
     turning(sent, Segment::FLAG_LAST);
     registers.finish();
 
-    // One by one, with the probe watched, which does not touch.
+    // Events one by one, while the probe is watched, but not triggered.
     registers.write(boards::Memory::GPIO + 0x10, u32::MAX);
     send(&mut to_step, &[ToStep::Watch { probe: Some(true), braking: 1.0 }]);
     send(&mut to_step, &block([100; 3], 0, 100, 0, Segment::FLAG_LAST));
@@ -312,7 +318,7 @@ fn step_task() {
         row_none();
     }
 
-    // A stop at speed, with a full ring.
+    // Stops at full speed, with a full ring.
     shared::ask_for_stop();
     registers.interrupt(Due::CALLED, registers.last);
     for stops in 1..10 {
@@ -347,7 +353,7 @@ const SHORT_PULSES: Wiring = Wiring {
     ganged_motors: GangedMotors::Both,
 };
 
-/// 80 steps/mm, 10 m/min, 500 mm/s²: the settings that the peers' figures were taken with.
+/// 80 steps/mm, 10 m/min, 500 mm/s²: the settings with which the figures of comparable controllers were measured.
 fn motion_settings() -> MotionSettings<3> {
     MotionSettings {
         steps_per_mm: PerAxis::all(StepsPerMm::new(80.0).expect("in range")),
@@ -400,7 +406,7 @@ fn line_to(x: i64, y: i64, speed: f32) -> Move<3> {
 }
 
 fn planning(motion: &mut Planner) {
-    // Blocks in which speed can be braked off: no entry before the newest depends on it.
+    // Each block is long enough to stop within it: a new block changes no entry speed of those before it.
     for k in 0..40 {
         let line = line_to(10_000 * (k + 1), if k & 1 == 0 { 3_000 } else { 0 }, 60.0);
         if k == 4 {
@@ -413,7 +419,7 @@ fn planning(motion: &mut Planner) {
     let mut observed = Observed::default();
     let mut handed = 0;
     while let Some(message) = unit_prepare(motion, black_box(&observed)) {
-        // The first message of a block is the block itself.
+        // The first message of a block is the block itself, not a segment.
         match message {
             ToStep::Segment(_) => {
                 handed += 1;
@@ -428,7 +434,8 @@ fn planning(motion: &mut Planner) {
     row_none();
     run_out(motion, &mut observed);
 
-    // Blocks so short that each one changes the entries of all before it: the first segment waits for the walk over them.
+    // Blocks so short that each new one changes the entry speeds of all before it: the first segment waits until the
+    // planner has walked over all of them.
     for (from, blocks, row) in [(400_000, 40, row_walk_near as extern "C" fn()), (500_000, 120, row_walk_far)] {
         motion.line(&line_to(from, 0, 160.0));
         motion.start();
@@ -437,7 +444,7 @@ fn planning(motion: &mut Planner) {
             motion.line(&line_to(from + 100 * (k + 1), 0, 160.0));
         }
         motion.start();
-        // The block itself.
+        // Takes the message of the block itself.
         motion.next(&observed);
         row();
         let segment = unit_prepare(motion, black_box(&observed));
@@ -447,7 +454,7 @@ fn planning(motion: &mut Planner) {
     }
 }
 
-/// Hands all that is queued over.
+/// Takes all messages of the queued blocks.
 fn run_out(motion: &mut Planner, observed: &mut Observed) {
     while let Some(message) = motion.next(observed) {
         observed.segments_begun += u32::from(matches!(message, ToStep::Segment(_)));
@@ -457,7 +464,7 @@ fn run_out(motion: &mut Planner, observed: &mut Observed) {
     observed.step_idle = false;
 }
 
-/// A look-ahead as on the large boards.
+/// A planner with the look-ahead of the large boards.
 type FarPlanner = Motion<3>;
 
 #[unsafe(no_mangle)]
@@ -474,9 +481,9 @@ fn unit_prepare_far(motion: &mut FarPlanner, observed: &Observed) -> Option<ToSt
     motion.next(observed)
 }
 
-/// The same with a jerk limit, on axes that are not alike.
+/// The same as [`planning`] with a jerk limit that differs between the axes.
 fn planning_with_jerk(motion: &mut FarPlanner) {
-    // Shorter ones, for all of this is traced.
+    // Shorter blocks than in [`planning`], because every instruction is traced.
     for k in 0..40 {
         let line = line_to(2_000 * (k + 1), if k & 1 == 0 { 600 } else { 0 }, 60.0);
         if k == 4 {
@@ -498,7 +505,7 @@ fn planning_with_jerk(motion: &mut FarPlanner) {
     observed.step_idle = true;
     motion.observe(&observed);
 
-    // Blocks of four steps on a wide curve: all of the queue is one ramp.
+    // Blocks of four steps on a wide curve: the whole queue is one ramp.
     let far = 400_000;
     let mut next = 0;
     let mut line = || {
@@ -566,10 +573,11 @@ fn text_and_arcs() {
     }
 }
 
-/// With the look-ahead of the smallest board.
+/// A controller with the look-ahead of the smallest board.
 type Whole = Controller<3>;
 
-/// Segments that the step task has been given with one line each, their clocks, and all segments that have begun.
+/// The lines that wait in the step task, each as (number of segments, step-clock ticks); the sum of their ticks; and
+/// the number of all segments that have begun.
 #[derive(Default)]
 struct Waiting {
     lines: heapless::Deque<(u32, u32), 64>,
@@ -578,7 +586,8 @@ struct Waiting {
 }
 
 impl Waiting {
-    /// Takes over what came with a line, and begins the oldest while more than 12 ms wait: as on a machine that keeps up.
+    /// Adds the segments of a line, and begins the oldest lines while more than 12 ms wait, as on a machine that keeps
+    /// up.
     fn add(&mut self, segments: u32, clocks: u32) {
         self.clocks += clocks;
         self.lines.push_back((segments, clocks)).expect("lines of 12 ms");
@@ -591,7 +600,8 @@ impl Waiting {
     }
 }
 
-/// What a line has led to: segments and their clocks, an answer to the host, another block.
+/// Results of a line: number of segments and their step-clock ticks, whether it was answered, whether another block was
+/// sent.
 #[derive(Default)]
 struct Outcome {
     segments: u32,
@@ -600,7 +610,7 @@ struct Outcome {
     block: bool,
 }
 
-/// The bytes of a line, and outputs until the step task has been told of another block.
+/// Feeds the bytes of a line to the controller, and takes outputs up to the next block for the step task.
 #[unsafe(no_mangle)]
 #[inline(never)]
 // unsafe because of the name, as above.
@@ -637,7 +647,7 @@ fn unit_line(controller: &mut Whole, line: &[u8], segments_begun: u32) -> Outcom
     }
 }
 
-/// Chords of 0.1 mm at 100 mm/s, with a full look-ahead: one block goes for each line that comes.
+/// Runs lines of 0.1 mm at 100 mm/s with a full look-ahead: each new line makes the controller send one block.
 fn whole_line(place: &'static mut MaybeUninit<Whole>, memory: Memory<3>) -> &'static Whole {
     const PROFILE: Profile =
         Profile { rates: StepRates { safe_hz: 1_000_000, ..boards::PROFILE.rates }, ..boards::PROFILE };
@@ -660,7 +670,7 @@ fn whole_line(place: &'static mut MaybeUninit<Whole>, memory: Memory<3>) -> &'st
     }
     for k in 1..=600_u32 {
         text.clear();
-        // A gentle curve, in three decimals as post-processors write them.
+        // A gentle curve, with three decimals as post-processors write them.
         let (x, y) = (k * 98, k * k / 10);
         let _ =
             core::fmt::write(&mut text, format_args!("X{}.{:03}Y{}.{:03}\n", x / 1000, x % 1000, y / 1000, y % 1000));
@@ -682,7 +692,7 @@ fn whole_line(place: &'static mut MaybeUninit<Whole>, memory: Memory<3>) -> &'st
 
 type Ring = Recorder<&'static mut [Page]>;
 
-/// The text of a line, which the control task gives in one piece, and its end, behind which more wait.
+/// Records a line: its text, which the control task passes in one piece, and its end, with more bytes waiting.
 #[unsafe(no_mangle)]
 #[inline(never)]
 // unsafe because of the name, as above.
@@ -692,7 +702,7 @@ fn unit_recorded_line(recorder: &mut Ring, now: Instant, text: &[u8], controller
     recorder.more_waits();
 }
 
-/// A message that goes to the step task.
+/// Records a message to the step task.
 #[unsafe(no_mangle)]
 #[inline(never)]
 // unsafe because of the name, as above.
@@ -700,7 +710,7 @@ fn unit_recorded_block(recorder: &mut Ring, message: &ToStep) {
     recorder.handed(message);
 }
 
-/// A pass of the control task in which nothing is under way.
+/// Records a pass of the control task at rest.
 #[unsafe(no_mangle)]
 #[inline(never)]
 // unsafe because of the name, as above.
@@ -708,9 +718,10 @@ fn unit_recorded_rest(recorder: &mut Ring, now: Instant, controller: &Whole) {
     recorder.at_rest(now, controller);
 }
 
-/// Lines, round the ring, each at a time of its own; turns of pages are among them.
+/// Records enough lines to wrap around the ring, each at a different time; some of them start a new page.
 fn recording(controller: &Whole) {
-    // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses, and pages are plain numbers.
+    // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses, and pages are
+    // plain numbers.
     let pages = unsafe { (boards::RING as *mut [Page; 8]).as_mut_unchecked() };
     let mut recorder = Recorder::begin(pages.as_mut_slice(), &Restart::POWER);
     row_recorded_line();

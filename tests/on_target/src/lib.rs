@@ -1,6 +1,8 @@
-//! What the suites need on the target: a log, an end after a failure, and a controller with a step generator in a loop.
+//! Common parts of the suites on the target: a log, an exit after a failure, and a controller and a step generator in a
+//! loop.
 //!
-//! In QEMU the log goes through semihosting, on a board through RTT; a failure ends the run with a status of its own.
+//! The log goes through semihosting in QEMU and through RTT on a board; a failure ends the run with a status of its
+//! own.
 #![cfg_attr(target_os = "none", no_std)]
 #![cfg(target_os = "none")]
 
@@ -20,15 +22,15 @@ pub mod rig;
 #[cfg(feature = "board")]
 use oxmill_boards::SettingsFlash;
 
-/// The board's settings sectors, for one owner after another.
+/// Returns access to the board's settings sectors. Only one owner may exist at a time.
 #[cfg(feature = "board")]
 pub fn settings_flash() -> SettingsFlash {
     #[cfg(feature = "qemu_mps2")]
     return SettingsFlash::new();
     #[cfg(not(feature = "qemu_mps2"))]
     {
-        // SAFETY: unsafe because the peripherals are taken without asking for their owner; safe because no test uses the
-        // flash interface but through what this gives it, one after the other.
+        // SAFETY: unsafe because the peripherals are taken without asking their owner; safe because the tests use the
+        // flash interface only through the value returned here, one after the other.
         let device = unsafe { oxmill_boards::pac::Peripherals::steal() };
         SettingsFlash::new(device.FLASH, || {})
     }

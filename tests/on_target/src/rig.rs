@@ -1,4 +1,5 @@
-//! A controller and a step generator in a loop, without tasks: as fast as the CPU goes, with time that jumps.
+//! A controller and a step generator in a loop, without tasks. It runs at the CPU's full speed; simulated time jumps
+//! from tick to tick.
 
 use core::sync::atomic::{AtomicBool, Ordering};
 use oxmill_controller::axes::PerAxis;
@@ -9,14 +10,14 @@ use oxmill_controller::pump::{Pump, Source, round};
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile, StepRates, Stepper};
 
-/// Axes.
+/// Number of axes.
 pub const AXES: usize = 3;
-/// A short look-ahead is enough here.
+/// Depth of the look-ahead; a short one is enough here.
 pub const BLOCKS: usize = 32;
-/// Step clock.
+/// Frequency of the step clock.
 const STEP_CLOCK_HZ: u32 = 25_000_000;
 
-/// The pair, and what came out of it.
+/// Controller and step generator, with their results.
 pub struct Rig {
     controller: Controller<AXES>,
     stepper: Stepper<AXES>,
@@ -26,16 +27,16 @@ pub struct Rig {
     directions: u8,
     /// Digest of the steps.
     pub digest: Digest,
-    /// Steps counted at the outputs.
+    /// Net steps at the outputs.
     pub net: [i32; AXES],
-    /// `ok` and `error` seen.
+    /// Numbers of `ok` and of `error` replies.
     pub answers: (u32, u32),
     reply: heapless::Vec<u8, 300>,
-    /// What is left of it.
+    /// The part of the program that has not been read yet.
     program: &'static [u8],
 }
 
-/// Whether there is a rig: the storage is there once.
+/// Whether a rig exists: there is storage for one only.
 static LIVES: AtomicBool = AtomicBool::new(false);
 
 impl Drop for Rig {
@@ -45,7 +46,7 @@ impl Drop for Rig {
 }
 
 impl Rig {
-    /// After power-up.
+    /// Creates a machine after power-up.
     pub fn new() -> Rig {
         let profile = Profile {
             name: "rig",
@@ -60,8 +61,8 @@ impl Rig {
         };
         static mut STORAGE: Storage<AXES, BLOCKS> = Storage::EMPTY;
         assert!(!LIVES.swap(true, Ordering::Relaxed), "one rig at a time");
-        // SAFETY: unsafe because the storage is lent again for each rig; safe because the flag is cleared when a rig is dropped,
-        // and its controller, which has what was lent, with it.
+        // SAFETY: unsafe because the storage is lent again for each rig; safe because the flag is cleared only when a
+        // rig is dropped, and with it its controller, which holds the loan.
         let storage = unsafe { (&raw mut STORAGE).as_mut_unchecked() };
         *storage = Storage::EMPTY;
         let mut controller = Controller::new(profile, storage.lend(&profile));
@@ -81,7 +82,8 @@ impl Rig {
         }
     }
 
-    /// What comes of a program on a new machine: steps, hash of all of them with their times, `ok` and `error`.
+    /// Runs a program on a new machine. Returns net steps, the hash of all steps with their times, and the numbers of
+    /// `ok` and `error`.
     #[inline(never)]
     pub fn outcome(program: &'static str) -> ([i32; AXES], u64, (u32, u32)) {
         let mut rig = Rig::new();
@@ -89,7 +91,7 @@ impl Rig {
         (rig.net, rig.digest.time_hash(), rig.answers)
     }
 
-    /// Runs a program to its end; `each` sees every step event with the position after it.
+    /// Runs a program to its end; calls `each` at every step event with the position after it.
     pub fn run(&mut self, program: &'static str, mut each: impl FnMut([i32; AXES])) {
         self.program = program.as_bytes();
         loop {
@@ -142,7 +144,7 @@ impl Rig {
         self.moving = tick.interval != 0;
     }
 
-    /// The step generator's own count.
+    /// Returns the position counted by the step generator itself.
     pub fn position(&self) -> PerAxis<i32, AXES> {
         self.stepper.position()
     }
@@ -170,7 +172,7 @@ impl Pump<AXES> for Rig {
         }
     }
 
-    /// Neither stops nor inputs nor a store.
+    /// There are no stops, inputs or stored settings.
     fn next_event(&mut self, _source: Source) -> Option<Event<AXES>> {
         None
     }
@@ -181,7 +183,7 @@ impl Pump<AXES> for Rig {
         Some(LineByte { byte: *byte, epoch: 0, damaged: false })
     }
 
-    /// As many at a time as in a message of the firmware.
+    /// At most as many bytes at a time as a message of the firmware holds.
     fn give_text(&mut self, _now: Instant) -> bool {
         let ahead = self.program.get(..LineBytes::MOST).unwrap_or(self.program);
         let taken = self.controller.take_text(0, ahead);

@@ -1,4 +1,4 @@
-//! The controller on the target: the same answers and the same steps as on a desk.
+//! Tests that the controller gives the same answers and steps on the target as on a host.
 #![no_std]
 #![no_main]
 #![allow(missing_docs, reason = "code that defmt-test generates")]
@@ -29,7 +29,7 @@ mod suite {
 
     #[test]
     fn millimetres_become_steps_by_integer_arithmetic() {
-        // 64-bit division is software here; the results must be the exact ones.
+        // 64-bit division is done in software here; the results must be exact.
         for (per_mm, tenth_nm, steps) in [
             (250.0, 10_000_000_i64, 250),
             (80.0, 62_500, 1),
@@ -44,8 +44,8 @@ mod suite {
         defmt::assert_eq!(Coordinate::from_inches(Decimal(10_000_000)).0, 254_000_000);
     }
 
-    /// Each axis must stay within half a step of the straight line, in exact integers: for a line to (dx, dy) and a place
-    /// (x, y) that is |x dy - y dx| <= max(dx, dy), half a step for either axis.
+    /// Each axis must stay within half a step of the straight line, in exact integers. For a line to (dx, dy) and a
+    /// position (x, y) this means |x dy - y dx| <= max(dx, dy).
     #[test]
     fn a_line_stays_within_half_a_step_of_itself() {
         for (program, dx, dy) in [
@@ -69,7 +69,7 @@ mod suite {
     #[test]
     fn a_job_with_arcs_comes_back_and_repeats_bit_for_bit() {
         let job = "G21G91F800\nG1X2\nG2X1Y1I1J0\nG3X-1Y-1I0J-1\nG1X-2Z0.5\nZ-0.5\n";
-        // One after the other: the stack has no room for two controllers.
+        // One after the other: there is storage for one controller only.
         let first = Rig::outcome(job);
         let second = Rig::outcome(job);
         let (net, _, answers) = first;

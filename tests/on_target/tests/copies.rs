@@ -1,5 +1,5 @@
-//! What the firmware does with memory. Its own copy routines, at all small lengths and at all alignments: nothing beside the target
-//! changes. The pages for the recording: they are lent once.
+//! Tests of the firmware's memory handling. Its own copy routines, at all small lengths and all alignments, change
+//! nothing but the target. The pages for the recording are lent only once.
 #![no_std]
 #![no_main]
 #![allow(missing_docs, reason = "code that defmt-test generates")]

@@ -1,10 +1,10 @@
-//! Step pulses as they leave the pins, measured by the board itself over three wires: docs/bench.md.
+//! Measures the step pulses at the pins; the board itself records them over three wires: docs/bench.md.
 //!
-//! The firmware's own set-up of the board and its own step task run here, called by the step timer's interrupt; a
-//! recorder without software (`oxmill_on_target::capture`) time-stamps the edges that come back. Nothing else runs: what
-//! other tasks add to a delay is not in these figures.
+//! The firmware's own board set-up and step task run here, called by the interrupt of the step timer. A recorder
+//! without software (`oxmill_on_target::capture`) time-stamps the edges that return over the wires. No other tasks run,
+//! so the figures exclude delays that they would cause.
 //!
-//! Each figure is a row of a table in the log, and a figure beyond its bound fails the test.
+//! Each figure is a row of a table in the log. A figure beyond its bound fails the test.
 #![no_std]
 #![no_main]
 #![allow(missing_docs, reason = "code that defmt-test generates")]
@@ -27,12 +27,12 @@ use oxmill_on_target::capture::{Capture, Edges};
 use rtic_sync::channel::{Channel, Receiver, Sender};
 use rtic_sync::signal::Signal;
 
-/// What a board asks of the program that it is in.
+/// The callback that `setup` requires.
 fn low_voltage() -> ! {
     defmt::panic!("the supply is below 2.9 V")
 }
 
-/// A wire: what the output does, its name, the input's name.
+/// A wire: function of the output, name of its pin, name of the input's pin.
 struct Wire(&'static str, &'static str, &'static str);
 
 /// The wires in the order of the recorder's lines.
@@ -47,47 +47,48 @@ const STEP_Y: usize = 2;
 
 const TICKS_PER_US: i32 = (boards::PROFILE.step_clock_hz / 1_000_000) as i32;
 
-/// A pulse is longer than `$0` by this at most, and shorter by no more than [`EDGE_NS`]: both edges are transfers of DMA, which may
-/// wait for others.
+/// A pulse may be longer than `$0` by at most this, and shorter by at most [`EDGE_NS`]: DMA outputs both edges and may
+/// have to wait for other transfers.
 const LATEST_PULSE_END_US: i32 = 1;
-/// How much later one edge may be: the recorder's own transfers are among those that it waits for.
+/// Maximum delay of an edge; the recorder's own transfers are among those that it may have to wait for.
 const EDGE_NS: i32 = 250;
-/// How far a period may be off, for the same reason.
+/// Maximum error of a period, for the same reason.
 const PERIOD_ERROR_US: i32 = 1;
-/// How far the last pulse but one of a train may be from where it belongs: no error adds up.
+/// Maximum error of the time of a train's last pulse but one: errors must not accumulate.
 const DRIFT_US: i32 = 1;
-/// How far apart pulses of one tick may be: ports are written one after the other.
+/// Maximum distance between the pulses of one tick: ports are written one after the other.
 const SKEW_NS: i32 = 500;
-/// Drivers want this even if `$29` asks for less.
+/// Minimum set-up time of the direction, required by drivers even if `$29` is less.
 const LEAST_SETUP_US: i32 = 2;
 
-/// Ticks in a segment: short ones, so that messages are taken in between the pulses of the fastest train as well.
+/// Ticks in a segment. Segments are short, so that the step task also receives messages between the pulses of the
+/// fastest train.
 const SEGMENT_TICKS: u32 = 50;
-/// Pulses of the longest train: all of its segments wait in the queue when it begins, as nobody is there to send them.
+/// Pulses of the longest train. All of its segments must fit in the queue before it starts, as no task sends more.
 const LONGEST_TRAIN: u32 = 1_000;
 const _: () = assert!(LONGEST_TRAIN / SEGMENT_TICKS + 2 < SEGMENTS_DEPTH as u32);
 
 static mut STEP: MaybeUninit<Step> = MaybeUninit::uninit();
 
-/// The step task as RTIC calls it: between saving and restoring the priority threshold.
+/// Calls the step task as RTIC does: between saving and restoring the priority threshold.
 #[interrupt]
 fn TIM5() {
     let before = cortex_m::register::basepri::read();
-    // SAFETY: unsafe because a static is changed; safe because the task has been put there before its interrupt was unmasked,
-    // nobody else uses it, and the interrupt does not preempt itself.
+    // SAFETY: unsafe because a static is changed; safe because the task was stored there before its interrupt was
+    // unmasked, no other code uses it, and the interrupt does not preempt itself.
     unsafe { (&raw mut STEP).cast::<Step>().as_mut_unchecked().run() };
-    // SAFETY: unsafe because a critical section might end; safe because the value is that from before.
+    // SAFETY: unsafe because a critical section might end; safe because it restores the earlier value.
     unsafe { cortex_m::register::basepri::write(before) };
 }
 
-/// A straight piece: axes that step (bit 0 for X), axes that go backwards, how many steps.
+/// A straight piece: axes that step (bit 0 for X), axes that move backwards, number of steps.
 struct Piece {
     axes: u8,
     backwards: u8,
     steps: u32,
 }
 
-/// The step task's partner.
+/// The test's side of the step task's queues, and the recorder.
 struct Bench {
     segments: Sender<'static, ToStep, SEGMENTS_DEPTH>,
     wiring: Sender<'static, Wiring, 2>,
@@ -97,7 +98,7 @@ struct Bench {
 }
 
 impl Bench {
-    /// `$0` and `$29`, from the next move on.
+    /// Sets `$0` and `$29` for the next moves.
     fn set(&mut self, pulse_us: u8, direction_setup_us: u8) {
         let wiring = Wiring {
             pulse_tenths: 10 * u16::from(pulse_us),
@@ -120,7 +121,7 @@ impl Bench {
         defmt::assert!(self.segments.try_send(message).is_ok(), "the queue to the step task is full");
     }
 
-    /// Steps at an even rate, from rest to rest; the edges that came back.
+    /// Moves at a constant step rate, from rest to rest. Returns the recorded edges.
     fn step(&mut self, interval: u32, pieces: &[Piece]) -> [Edges; 3] {
         self.capture.start();
         let mut ticks = 0;
@@ -149,7 +150,7 @@ impl Bench {
             let waited = boards::clock_ticks().wrapping_sub(begin) / boards::CLOCK_TICKS_PER_US;
             defmt::assert!(waited < longest_us, "the step task is not done after {} us", waited);
         }
-        // Whatever may still be on its way through a wire.
+        // Waits for the last edges to pass through the wires.
         cortex_m::asm::delay(boards::CORE_HZ / 100_000);
         defmt::assert!(self.events.try_recv().is_err(), "the step task ran dry");
         let Some(edges) = self.capture.stop() else { defmt::panic!("more edges than the recorder takes: noise?") };
@@ -168,7 +169,7 @@ impl defmt::Format for Us {
     }
 }
 
-/// The least and the greatest of something measured.
+/// Minimum and maximum of a measured quantity, in ticks.
 #[derive(Clone, Copy)]
 struct Seen {
     least: i32,
@@ -184,7 +185,7 @@ impl Seen {
     }
 }
 
-/// Writes rows of the table, and remembers whether one was beyond its bound.
+/// Writes rows of the table and records whether all were within their bounds.
 struct Table {
     rate: u32,
     pulse_us: u8,
@@ -193,7 +194,7 @@ struct Table {
 }
 
 impl Table {
-    /// A row; measured and bounds in ticks.
+    /// Writes a row; measured values and bounds are in ticks.
     fn row(&mut self, what: &'static str, seen: Seen, bounds: RangeInclusive<i32>) {
         let good = bounds.contains(&seen.least) && bounds.contains(&seen.most);
         self.good &= good;
@@ -233,7 +234,7 @@ impl Table {
     }
 }
 
-/// A number of pulses that came back, against what was sent.
+/// Asserts that the number of recorded pulses equals the number sent.
 fn assert_pulses(wire: usize, edges: Edges, pulses: u32) {
     let Wire(output, from, to) = &WIRES[wire];
     let edges = edges.count() as u32;
@@ -252,8 +253,8 @@ fn us(us: i32) -> i32 {
     us * TICKS_PER_US
 }
 
-/// Time between two edges, which must be less than half a round of the recorder's timer (320 us); negative if the second
-/// came first.
+/// Returns the time between two edges in ticks, negative if the second came first. It must be less than half a period
+/// of the recorder's timer (320 us).
 fn between(first: u16, second: u16) -> i32 {
     i32::from(second.wrapping_sub(first) as i16)
 }
@@ -266,12 +267,12 @@ fn fall(edges: &Edges, pulse: u32) -> u16 {
     edges.at(2 * pulse as usize + 1)
 }
 
-/// Interval of the ticks of a rate, in fixed point.
+/// Returns the interval of a step rate, in fixed-point ticks.
 fn interval(rate: u32) -> u32 {
     ((u64::from(boards::PROFILE.step_clock_hz) << INTERVAL_FRACTION_BITS) / u64::from(rate)) as u32
 }
 
-/// Width of the pulses of a line.
+/// Returns the widths of the pulses of a line.
 fn widths(edges: &Edges) -> Seen {
     let mut seen = Seen::NOTHING;
     for pulse in 0..edges.count() as u32 / 2 {
@@ -280,13 +281,13 @@ fn widths(edges: &Edges) -> Seen {
     seen
 }
 
-/// How far each period of a train is off, and how far the last pulse but one is from where it belongs.
+/// Returns the errors of a train's periods, and the error of the time of its last pulse but one.
 fn periods(edges: &Edges, interval: u32) -> (Seen, i32) {
     let whole = interval >> INTERVAL_FRACTION_BITS;
     let (mut errors, mut sum) = (Seen::NOTHING, 0);
     let pulses = edges.count() as u32 / 2;
     for pulse in 1..pulses {
-        // A period may be longer than a round of the timer, but how far it is off is not.
+        // A period may be longer than that of the timer, but its error is not.
         let period = rise(edges, pulse).wrapping_sub(rise(edges, pulse - 1));
         let error = i32::from(period.wrapping_sub(whole as u16) as i16);
         errors.see(error);
@@ -299,7 +300,7 @@ fn periods(edges: &Edges, interval: u32) -> (Seen, i32) {
     (errors, sum - fractions)
 }
 
-/// A train of even pulses, X and Y together.
+/// Runs a train of evenly spaced pulses on X and Y together, and checks it.
 fn train(bench: &mut Bench, rate: u32, pulses: u32, pulse_us: u8) {
     let setup_us = 10;
     bench.set(pulse_us, setup_us);
@@ -324,7 +325,7 @@ fn train(bench: &mut Bench, rate: u32, pulses: u32, pulse_us: u8) {
     table.judge();
 }
 
-/// Back, forth, back, forth, without a pause.
+/// Moves X back, forth, back and forth without a pause, and checks set-up and hold of the direction.
 fn zigzag(bench: &mut Bench, rate: u32, pulse_us: u8, setup_us: u8) {
     const STEPS: u32 = 20;
     const PIECES: u32 = 4;
@@ -334,7 +335,7 @@ fn zigzag(bench: &mut Bench, rate: u32, pulse_us: u8, setup_us: u8) {
     let [x, direction, y] = bench.step(interval(rate), &pieces);
     assert_pulses(STEP_X, x, STEPS * PIECES);
     assert_pulses(STEP_Y, y, 0);
-    // It rises and falls twice.
+    // The direction signal rises and falls twice.
     assert_pulses(DIR_X, direction, PIECES / 2);
     let (mut setup, mut hold) = (Seen::NOTHING, Seen::NOTHING);
     for piece in 0..PIECES {
@@ -351,13 +352,13 @@ fn zigzag(bench: &mut Bench, rate: u32, pulse_us: u8, setup_us: u8) {
     table.judge();
 }
 
-/// All of a wire's edges come at its own input and none at another.
+/// Asserts that all of a wire's edges arrive at its own input and none at another.
 fn check_wire(wire: usize, edges: [Edges; 3], expected: u32) {
     let Wire(output, from, to) = &WIRES[wire];
     let seen = edges.map(|line| line.count() as u32);
     defmt::info!("{=str}: {} edges at the three inputs, {} at {=str} wanted", output, seen, expected, to);
     for (other, Wire(_, _, place)) in WIRES.iter().enumerate() {
-        // The X axis steps while its direction is tried.
+        // The X axis steps while its direction is tested.
         let steps_too = wire == DIR_X && other == STEP_X;
         defmt::assert!(
             other == wire || steps_too || seen[other] == 0,
@@ -386,8 +387,9 @@ mod suite {
     fn init() -> Bench {
         let Some(device) = pac::Peripherals::take() else { defmt::panic!("somebody else has the board") };
         let parts = boards::setup(device, low_voltage);
-        // SAFETY: unsafe because the peripherals are taken a second time; safe because the board has no use for TIM4 and the recorder's streams of DMA1
-        // (one of them is that of a beam, which no test here has), and of port B and the clocks only what the recorder's own pins and timer need is changed.
+        // SAFETY: unsafe because the peripherals are taken a second time; safe because the board uses neither TIM4 nor
+        // the recorder's streams of DMA1 (one of them is that of the laser's power, which no test here uses), and of
+        // port B and the clocks only the parts of the recorder's pins and timer are changed.
         let again = unsafe { pac::Peripherals::steal() };
         let capture = Capture::new(again.TIM4, again.DMA1, &again.GPIOB, &again.RCC);
 
@@ -399,8 +401,8 @@ mod suite {
         let (wiring_in, wiring_out) = wiring.split();
         let (events_in, events_out) = events.split();
         let step = Step::new(parts.step_pins, segments_out, wiring_out, events_in, wake.writer());
-        // SAFETY: unsafe because a static is changed and an interrupt is let in; safe because the interrupt is masked until the
-        // task is in its place, and the tests share nothing with it but channels and atomics.
+        // SAFETY: unsafe because a static is changed and an interrupt is unmasked; safe because the interrupt is masked
+        // until the task is stored, and the tests share nothing with it but channels and atomics.
         unsafe {
             (&raw mut STEP).cast::<Step>().write(step);
             pac::NVIC::unmask(pac::Interrupt::TIM5);
@@ -408,7 +410,7 @@ mod suite {
         Bench { segments: segments_in, wiring: wiring_in, events: events_out, capture, segments_sent: 0 }
     }
 
-    /// One output after the other.
+    /// Tests one output after the other.
     #[test]
     fn each_output_is_wired_to_its_input(bench: &mut Bench) {
         bench.set(10, 10);
@@ -423,7 +425,7 @@ mod suite {
         check_wire(DIR_X, edges, 2);
     }
 
-    /// The figures are worth nothing if the recorder counts another clock than the step timer.
+    /// The figures are valid only if the recorder counts the clock of the step timer.
     #[test]
     fn the_recorder_counts_step_clock_ticks(bench: &mut Bench) {
         // SAFETY: unsafe because the register is read without owning the timer; safe because reading CNT has no effect.
@@ -435,7 +437,7 @@ mod suite {
             cortex_m::asm::delay(boards::CORE_HZ / 10_000);
             seen.see(apart() - first);
         }
-        // Two reads over a bus, one after the other.
+        // Allowance for two successive reads over a bus.
         defmt::assert!(seen.most - seen.least < 20, "{} to {} ticks apart", seen.least, seen.most);
     }
 
@@ -462,7 +464,7 @@ mod suite {
     #[test]
     fn directions_change_between_pulses(bench: &mut Bench) {
         zigzag(bench, 5_000, 10, 10);
-        // The set-up takes longer than the pause between two pulses: the pulse has to wait for it.
+        // The set-up time is longer than the pause between two pulses: the pulse has to wait for it.
         zigzag(bench, 20_000, 10, 50);
         zigzag(bench, 50_000, 10, 10);
         zigzag(bench, 50_000, 10, 0);

@@ -1,4 +1,4 @@
-//! What crosses between tasks: the channels and the input filter, as the firmware uses them.
+//! Tests of the channels between tasks and of the input filter, as the firmware uses them.
 #![no_std]
 #![no_main]
 #![allow(missing_docs, reason = "code that defmt-test generates")]
@@ -27,7 +27,7 @@ mod suite {
         for round in 0..3_u8 {
             let mut inside = 0_u16;
             let byte = |place: u16| LineByte { byte: place as u8, epoch: round.into(), damaged: false };
-            // One at a time, as from a UART.
+            // One byte at a time, as from a UART.
             while sender.push(byte(inside), |message| send.try_send(message).is_ok()) {
                 sender.flush(send.is_empty(), |message| send.try_send(message).is_ok());
                 inside += 1;
@@ -44,7 +44,7 @@ mod suite {
         }
     }
 
-    /// A stop wins over everything that is queued, before and after it, until it is answered.
+    /// A stop overrides all queued messages, those before and those after it, until it is answered.
     #[test]
     fn nothing_queued_survives_a_stop() {
         let mut channel: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new();
@@ -72,7 +72,7 @@ mod suite {
         let StepEvent::Stopped { stops, moving, position } = stepper.stop([0; 3]) else { defmt::panic!("no stop") };
         defmt::assert!(moving);
         defmt::assert_eq!(position.0, [2, 1, 0]);
-        // A second stop before the first is answered: the answer to the first opens nothing.
+        // After a second stop, the answer to the first must not resume motion.
         stepper.stop([0; 3]);
         defmt::assert!(send.try_send(ToStep::Resume { stops }).is_ok());
         load(&mut stepper, &mut receive);
@@ -100,7 +100,7 @@ mod suite {
             defmt::assert_eq!(filter.sample(0b101), 0);
         }
         defmt::assert_eq!(filter.sample(0b001), 0b001);
-        // Bit 2 was disturbed by one sample: its count begins anew.
+        // One sample interrupted bit 2: its count starts again.
         for _ in 0..7 {
             defmt::assert_eq!(filter.sample(0b101), 0b001);
         }

@@ -1,5 +1,5 @@
-//! The settings log in the flash of the target. On a board this takes the place of the settings that were there, and
-//! erases a sector some ten times.
+//! Tests of the settings log in the flash of the target. On a board this overwrites its settings and erases a sector
+//! about ten times.
 #![no_std]
 #![no_main]
 #![allow(missing_docs, reason = "code that defmt-test generates")]
@@ -61,7 +61,7 @@ mod suite {
         defmt::assert!(matches!(flash.read(Sector::B, last), Ok(u32::MAX)));
         defmt::assert!(flash.erase(Sector::B).is_ok());
         defmt::assert!(matches!(flash.read(Sector::A, last), Ok(0x1234_5678)), "the sectors are apart");
-        // Read before the erase and after it: no cache may answer for the memory.
+        // Read before and after the erase, to detect stale words from a cache.
         defmt::assert!(flash.erase(Sector::A).is_ok());
         defmt::assert!(matches!(flash.read(Sector::A, last), Ok(u32::MAX)));
     }
@@ -95,7 +95,7 @@ mod suite {
                 defmt::assert!(log.erase_spare().is_ok());
             }
         }
-        // A record of 12 bytes: three sectors hold about four thousand.
+        // A record has 12 bytes, so three sectors hold about four thousand.
         defmt::assert!(counter > 3_000, "{} changes", counter);
         let mut log = open();
         defmt::assert!(value(&mut log, 7).as_deref() == Some(b"stays"));

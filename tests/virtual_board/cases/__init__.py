@@ -1,5 +1,5 @@
-"""What must hold on the virtual boards. Each case gets a board that was just switched on, prints what it measured, and
-fails with a `Failure`."""
+"""Test cases on the virtual boards. Each case gets a board that was just switched on, prints its measurements, and
+raises `Failure` if it does not hold."""
 
 from .beam import brown_out_of_a_beam, laser_start, raster
 from .commands import flood, override_bursts
@@ -41,7 +41,7 @@ from .usb import usb_answers, usb_flood, usb_lines, usb_port, usb_reset, usb_set
 KNOWN = {
     ("nucleo_f446re", "turns at full rate"): "at 1 MHz a ring lasts 96 us: behind a turn 38 us are left, and 51 are wanted",
 }
-"""Faults of the firmware that are known, by board and case: shown, and no failure."""
+"""Known faults of the firmware, by board and case: they are shown, but do not count as failures."""
 
 
 def all_cases(root):

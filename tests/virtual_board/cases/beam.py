@@ -1,4 +1,4 @@
-"""The power of a laser, against the steps that it belongs to."""
+"""The laser's power, compared with the steps at which it should change."""
 
 from random import Random
 
@@ -10,11 +10,11 @@ from .failures import tell
 from .stops import StopWatch
 
 BEHIND_CYCLES = 400
-"""From there to where the beam is off: a change of power that is about to come is awaited."""
+"""Maximum cycles from the last edge to the laser being off: an imminent change of power is awaited first."""
 
 
 def laser_start(bench):
-    """From rest so hard that many segments begin, each with a power of its own (M4), before the first step."""
+    """Starts with such acceleration that many segments, each with its own power (M4), begin before the first step."""
     bench.boot()
     fast(bench, 10_000)
     bench.settings(s100=1280, s110=9000, s30=1000, s31=0, s32=1)
@@ -29,16 +29,16 @@ def laser_start(bench):
         raise Failure(f"the motor is at {scope.counts()}: {bytes(bench.host.text[-200:])}")
 
 BEAM_S = 0.2 * US
-"""Between the edge of the step that begins a segment and the change of its power."""
+"""Maximum time between the edge of the step that begins a segment and the change to its power."""
 
 
 class BeamWatch:
-    """The changes of the PWM's compare register, whoever writes it."""
+    """Records the changes of the PWM's compare register, by the program or by DMA."""
 
     def __init__(self, board):
         self.board, self.pwm = board, board.peripherals["TIM3"]
         self.changes = []
-        """(cycle, share of the period)."""
+        """(cycle, new duty cycle)."""
         self.last = self.pwm.values[timer.CCR2]
         by_program, by_dma = self.pwm.write, self.pwm.store_by_dma
 
@@ -60,8 +60,9 @@ class BeamWatch:
 
 
 def raster(bench):
-    """A laser draws rows of 20 pixels/mm at 12 m/min, each pixel of another power: it changes with the edge of the step that begins
-    the pixel, also while interrupts are masked at random moments. And it is off after a stop, wherever that comes."""
+    """A laser draws rows of 20 pixels/mm at 12 m/min, each pixel with a different power. The power must change at the
+    edge of the step that begins the pixel, also while interrupts are masked at random times, and must be off after a
+    stop at any time."""
     bench.boot()
     fast(bench, 10_000)
     bench.settings(s100=80, s110=12_000, s30=1000, s31=0, s32=1)
@@ -73,18 +74,19 @@ def raster(bench):
 
 
 def raster_rows(bench, mode, rows, masked_s):
-    """Rows, each with a way without power at both ends that is long enough for the speed, and for the pixels to come."""
+    """Draws rows; each has a section without power at both ends, long enough to reach the speed and to receive the
+    pixels."""
     board, hz, random = bench.board, bench.wiring.core_hz, Random(12)
     scope, beam, pixels, masks = Scope(board), BeamWatch(board), 70, 0
     begins = []
-    """The step with which each pixel begins, and its share."""
+    """The step with which each pixel begins, and its power as a share."""
     for row in range(rows):
         shares = [0]
         while len(shares) <= pixels:
             share = random.choice((0, 1000, random.randrange(50, 950)))
             if share != shares[-1] and (share or 1 < len(shares) < pixels):
                 shares.append(share)
-        # With the step that brings the tool to its edge.
+        # A pixel begins with the step that brings the tool to its edge.
         first = row * (80 * (14 + 4) + 4 * pixels) + 80 * 14 - 1
         begins += [(first + 4 * k, share / 1000) for k, share in enumerate([*shares[1:], 0])]
         text = "".join(f"X.05S{share}\n" for share in shares[1:])
@@ -116,8 +118,8 @@ def raster_rows(bench, mode, rows, masked_s):
 
 
 def raster_starts(bench):
-    """Interrupts are masked where a motion begins, up to and beyond its first step: it is put off, and each step has the power that it
-    has else."""
+    """Interrupts are masked when a motion begins, up to and beyond its first step: the motion must be delayed, and each
+    step must have the same power as without the mask."""
     bench.settings(s110=6_000)
     bench.settings(s100=1280)
     board, hz = bench.board, bench.wiring.core_hz
@@ -127,12 +129,12 @@ def raster_starts(bench):
         return (clock.values[timer.CCR2] - clock.count() & 0xFFFF_FFFF) * clock.cycles / hz
 
     def start(until_s=None):
-        """When the first step comes after the first segment is to begin, when the first power after that, and the power right behind
-        each step."""
+        """Starts a move. Returns the time from the planned begin of the first segment to the first step, the time from
+        that step to the first power, and the power right after each step."""
         board.run(seconds=0.002)
         scope, known = Scope(board), len(beam.changes)
         bench.host.send("G91G1X.1F6000M4S1000\n")
-        # The step task has itself called 450 us before the first event.
+        # The step task schedules its call 450 us before the first event.
         bench.wait(lambda: 1.3e-3 < away() < 1.6e-3, 0.1, "the first segment")
         first = board.now + (away() + 450 * US) * hz
         if until_s is not None:
@@ -169,12 +171,13 @@ def raster_starts(bench):
 
 
 def raster_stops(bench):
-    """0x18 so that the beam goes off right before, at and behind the moment of a change, and emergency stops."""
+    """0x18 timed so that the laser goes off just before, at and just after a scheduled change of power; also emergency
+    stops."""
     bench.settings(s100=80, s30=10, s912=1)
     board, hz, random = bench.board, bench.wiring.core_hz, Random(18)
     clock, beam, worst, near, takes = board.peripherals["TIM5"], BeamWatch(board), {}, [], None
     watch, behind = StopWatch(board), 0
-    # The host's line is free again before the first of these pixels.
+    # Short enough that the host has sent all of it before the first of these pixels.
     row = "M3S0\nX.6\n" + "".join(f"X.05S{2 + 6 * (k % 2)}\n" for k in range(10)) + "X9S7\n"
 
     def are_near():
@@ -185,7 +188,8 @@ def raster_stops(bench):
             break
         what = "emergency stop" if k % 5 == 4 else "0x18"
         bench.ask("$X")
-        # At one feed all changes may come while the step task is at its next batch, and a stop then at the end of that.
+        # With a single feed all changes might coincide with the step task's next batch, and every stop would come at
+        # the end of that run.
         feed = 6000 if k < 15 else random.randrange(4000, 6000)
         bench.host.send(f"G91G1F{feed}" + row)
         goal = len(beam.changes) + 2 + k % 4
@@ -199,9 +203,9 @@ def raster_stops(bench):
         bench.wait(is_due, 0.1, "a change of power that is due")
         moment = board.now + away()
         if what == "0x18":
-            # The last bit of a byte is read 9.5 bits after it begins. From there, or from the sample of the inputs that finds it, it takes as
-            # long as it took at least so far: the first three tell. Where a run of the step task is under way then, it takes longer: by
-            # any time up to that of a run.
+            # The board reads the last bit of a byte 9.5 bits after the byte's start. From then on (with DMA, from the
+            # next sample of the inputs on) a stop takes at least the shortest time so far, which the first three stops
+            # measure. A run of the step task in progress delays it by up to one run.
             lead = 40 * US * hz if k < 3 else takes + 240 - 30 * k if k < 15 else takes + random.uniform(-300, 3000)
             seen = heard = round(moment - lead)
             if bench.wiring.uart_irq is None:
@@ -240,10 +244,11 @@ def raster_stops(bench):
 
 
 def raster_stops_at_full_rate(bench):
-    """0x18 at the board's greatest rate, obeyed right before a change of power: the parts that count events agree, as at any other stop."""
+    """0x18 at the board's maximum rate, executed just before a change of power: the event counters must agree, as at
+    any other stop."""
     board, hz, random, beam = bench.board, bench.wiring.core_hz, Random(103), BeamWatch(bench.board)
     bench.ask("$X")
-    # The pulse first: with a longer one the rate would be refused.
+    # The pulse first: with a longer pulse the rate would be rejected.
     bench.settings(s0=bench.wiring.least_pulse_us, s110=6000)
     bench.settings(s100=bench.wiring.safe_step_hz // 100)
     clock, tim1, obeyed = step_clock(board), board.peripherals["TIM1"], []
@@ -251,7 +256,7 @@ def raster_stops_at_full_rate(bench):
     to_tim1 = tim1.write
 
     def away():
-        """Ticks from now to the next change."""
+        """Returns the ticks from now to the next change."""
         ticks = clock.values[timer.CCR3] - clock.count() & 0xFFFF_FFFF
         return ticks - (ticks >> 31 << 32)
 
@@ -269,13 +274,13 @@ def raster_stops_at_full_rate(bench):
         wanted = 96 - 6 * len(obeyed)
         bench.ask("$X")
         bench.host.send("G91G1F6000" + row)
-        # All lines have come before the first of their pixels.
+        # All lines have arrived before the first of their pixels.
         bench.wait(lambda: bench.host.free_at < board.now, 0.1, "the lines")
         goal = len(beam.changes) + 2 + stops % 4
         stops += 1
         bench.wait(lambda goal=goal: len(beam.changes) >= goal, 0.1, "a change of power")
         after = len(bench.host.text)
-        # A byte that DMA has received is found by the next sample of the inputs.
+        # The next sample of the inputs finds a byte that DMA has received.
         lead_s = random.uniform(5, 110) * US
         # A pixel lasts 500 us.
         heard = bench.host.send(b"\x18", at=beam.changes[-1][0] + (500 * US - 9.5 / 115_200 - lead_s) * hz)
@@ -299,8 +304,8 @@ def raster_stops_at_full_rate(bench):
 
 
 def brown_out_of_a_beam(bench):
-    """The supply sinks in mid-raster, and the next change of power comes while outputs are being made safe: no beam behind it, no
-    pulse."""
+    """The supply falls during a raster, and the next change of power comes while the outputs are being made safe:
+    neither power nor a pulse may follow."""
     bench.boot()
     board, hz = bench.board, bench.wiring.core_hz
     fast(bench, 10_000)

@@ -1,4 +1,4 @@
-"""A board with a host, and what the cases of several rooms share: bounds, settings, watching the outputs."""
+"""A board with a host, and the common parts of the cases: bounds, settings, observation of the outputs."""
 
 import csv
 import subprocess
@@ -14,38 +14,40 @@ from ..usb import UsbHost
 US = 1e-6
 
 JITTER_S = 0.1 * US
-"""How far a period may be off: edges wait for other transfers of DMA, and for nothing that the program does."""
+"""Maximum error of a period: edges wait for other transfers of DMA, but never for the program."""
 
 SAMPLE_S, FILTER_SAMPLES = 50 * US, 8
 
 STOP_S = 20 * US
-"""From the moment a stop is known to the last rising edge."""
+"""Maximum time from the detection of a stop to the last rising edge."""
 
 BYTE_STOP_S = 75 * US
-"""From the last bit of a byte that stops the machine to the last rising edge: up to a sample of the inputs, which looks at what has
-come, and a run of the step task."""
+"""Maximum time from the last bit of a byte that stops the machine to the last rising edge: up to one period of the
+input samples, which read received bytes, and a run of the step task."""
 
 BEAM_STOP_S = {"blackpill_f401": 130 * US}
-"""The same to the end of a beam, on a board that takes longer, which docs/limits.md says: it is built for size."""
+"""The same up to the laser's end, for a board that takes longer (docs/limits.md) because its image is built for
+size."""
 
 RUN_CYCLES = 4450
-"""The longest run of the step task (`run_cycles` in profiles.rs)."""
+"""Longest run of the step task (`run_cycles` in profiles.rs)."""
 
 HOLD_S = 25e-3
-"""From `!` to the beginning of the ramp."""
+"""Maximum time from `!` to the beginning of the ramp."""
 
 TRIP_S = FILTER_SAMPLES * SAMPLE_S + SAMPLE_S + STOP_S
-"""From a contact to the last rising edge: the filter, up to a sample before it begins, and the stop."""
+"""Maximum time from a contact to the last rising edge: up to one sample until the filter starts, the filter, and the
+stop."""
 
 STACK_LEFT = 4096
-"""Bytes of the stack that no case may have used."""
+"""Bytes of the stack that must stay unused in all cases."""
 
 LATEST_PULSE_END_S = 0.15 * US
-"""How much longer than $0 a pulse may be: its end is a transfer of DMA, which may wait for others."""
+"""How much longer than `$0` a pulse may be: DMA outputs its end and may have to wait for other transfers."""
 
 
 class Bench:
-    """A board with a host, and what the cases share."""
+    """A board with a host, for one case after another."""
 
     def __init__(self, wiring, image, oxmill):
         self.wiring, self.image, self.oxmill = wiring, image, oxmill
@@ -55,32 +57,32 @@ class Bench:
         self.fresh()
 
     def fresh(self):
-        """Another board, not yet running."""
+        """Creates a new board, not yet running."""
         self.note_stack()
         self.board = Board(self.wiring, self.image)
         self.host = Host(self.board)
         return self.board
 
     def sample_at(self, cycle):
-        """Has the inputs sampled at a cycle, and in their period before and behind it."""
+        """Shifts the samples of the inputs so that one is at the given cycle; their period does not change."""
         nvic, period = self.board.nvic, self.board.nvic.reload + 1
         nvic.zero_at = cycle - (cycle - nvic.zero_at) // period * period
         nvic.plan(nvic.zero_at)
 
     def note_stack(self):
-        """Keeps the deepest stack; a board that was made to fail says nothing of it."""
+        """Records the deepest stack, except of a board that was made to fail."""
         if self.board is not None and not self.board.faults_expected:
             used, size = self.board.stack_used()
             self.deepest = max(self.deepest, (used, size, self.case))
 
     def boot(self):
         self.fresh()
-        # With DMA it goes out while flash is erased, with an interrupt behind that.
+        # With DMA the greeting is sent while flash is erased; its interrupt follows the erase.
         self.wait_text("Grbl 1.1h ['$' for help]\r\n", 1.1)
         self.forget_masks()
 
     def boot_with_usb(self):
-        """Another board, with a host that has opened its USB port. The host at the UART is `uart`."""
+        """Starts a new board, with a host that has opened its USB port. The host at the UART is `uart`."""
         self.fresh()
         self.uart, self.host = self.host, UsbHost(self.board)
         self.wait(lambda: self.host.is_set_up, 1.0, "the set-up of the USB device")
@@ -99,7 +101,7 @@ class Bench:
         self.wait(lambda: self.host.has_said(text, after), limit, repr(text))
 
     def ask(self, line, limit=1.0):
-        """Sends a line and waits for its answer; the lines up to it."""
+        """Sends a line and waits for its answer, which must be `ok`. Returns the lines up to it."""
         begin, answers = len(self.host.lines), len(self.host.answers)
         self.host.send(line + "\n")
         self.wait(lambda: len(self.host.answers) > answers, limit, f"an answer to {line}")
@@ -109,9 +111,9 @@ class Bench:
 
     def settings(self, **values):
         for name, value in values.items():
-            # Flash may have to be erased first.
+            # Flash may have to be erased first, hence the long limit.
             self.ask(f"${name[1:]}={value}", 2.0)
-        # Whatever the store does ahead of need, it does now.
+        # Gives the store time for work that it does in advance.
         self.board.run(seconds=0.01)
 
     def status(self):
@@ -121,7 +123,7 @@ class Bench:
         return next(line for _, line in self.host.lines[after:] if line.startswith("<"))
 
     def wait_state(self, state, limit):
-        """Polls like a sender; the report that had the state."""
+        """Polls like a sender until the state is reached. Returns the report with that state."""
         for _ in range(round(limit / 0.02)):
             status = self.status()
             if status.startswith(f"<{state}"):
@@ -130,7 +132,7 @@ class Bench:
         raise Failure(f"the state is {status} and not {state} after {limit} s")
 
     def at_rest(self, seconds):
-        """Runs for a time in which nothing may step."""
+        """Runs for a time and fails if a step is output."""
         scope = Scope(self.board)
         self.board.run(seconds=seconds)
         if scope.steps():
@@ -142,7 +144,7 @@ class Bench:
         self.board.state.masked_longest = 0
 
     def longest_mask(self):
-        """Longest time with interrupts masked since the last question, in s, and where it ended."""
+        """Returns the longest time with interrupts masked since the last call, in s, and where it ended."""
         state = self.board.state
         cycles, where = state.masked_longest, self.image.place(state.slowest_to)
         state.masked_longest = 0
@@ -154,7 +156,7 @@ def us(seconds):
 
 
 def duty(board):
-    """Share of the time that the spindle's PWM is high; 0 where its pin is not driven by the timer."""
+    """Returns the share of time for which the spindle's PWM is high; 0 if the timer does not drive its pin."""
     if board.shown(board.wiring.pwm) != "AF":
         return 0
     return board.peripherals["TIM3"].duty(2)
@@ -163,7 +165,7 @@ JOB_SETTINGS = {"s110": 3000, "s111": 3000, "s112": 3000, "s120": 1000, "s121": 
 
 
 def in_simulator(bench, job, settings, *options):
-    """Runs a job in the simulator, as this board; what it says."""
+    """Runs a job in the simulator with this board's profile. Returns the output."""
     command = [bench.oxmill, "run", str(job), "--board", bench.wiring.name, *options]
     for name, value in settings.items():
         command += ["--set", f"{name[1:]}={value}"]
@@ -174,7 +176,7 @@ def in_simulator(bench, job, settings, *options):
 
 
 def simulated(bench, job, settings=JOB_SETTINGS):
-    """(axes, negative) of each step event of the job in the simulator."""
+    """Returns (axes, negative) of each step event of the job in the simulator, and the end position in steps."""
     with tempfile.TemporaryDirectory() as folder:
         trace = Path(folder) / "trace.csv"
         in_simulator(bench, job, settings, "--trace", str(trace))
@@ -191,36 +193,39 @@ def simulated(bench, job, settings=JOB_SETTINGS):
 
 
 def fast(bench, acceleration, pulse_us=2):
-    """1000 steps/mm, and axes as fast as the board's safe rate and the pulse allow. A greater rate would be refused."""
+    """Sets 1000 steps/mm and the maximum rate that the board's safe rate and the pulse allow; a higher rate would be
+    rejected."""
     rate = int(bench.wiring.greatest_hz(pulse_us)) * 60 // 1000
     bench.settings(s0=pulse_us, s110=rate, s111=rate, s112=rate)
     bench.settings(s100=1000, s101=1000, s102=1000, s120=acceleration, s121=acceleration, s122=acceleration)
 
 
 def hard(bench, acceleration):
-    """An acceleration that brings a board of a greater rate than 490 kHz to it in the same time, mm/s²."""
+    """Scales an acceleration, mm/s², so that a board with a safe rate above 490 kHz reaches that rate in the same
+    time."""
     return round(acceleration * max(1, bench.wiring.safe_step_hz / 490_000))
 
 
 def step_load(board, begin, end):
-    """Share of the processor that the step task takes between two cycles, and its longest run there."""
+    """Returns the share of the processor that the step task takes between two cycles, and its longest run there."""
     runs = [(entry, left) for entry, left in board.step_runs if begin <= entry < end]
     return sum(left - entry for entry, left in runs) / (end - begin), max(left - entry for entry, left in runs)
 
 
 def moving(bench, feed=3000, way=100):
-    """Begins a long move of X and waits until it is at speed."""
+    """Starts a long move of X and waits until it is at speed."""
     bench.ask(f"G91 G1 X{way} F{feed}")
     bench.board.run(seconds=feed / 60 / 1000 + 0.05)
 
 
 def step_clock(board):
-    """The timer whose compare events are the moments of the steps."""
+    """Returns the timer whose compare events time the steps."""
     return next(timer for timer in board.peripherals.values() if getattr(timer, "slaves", None))
 
 
 def joins_for(board):
-    """Cycles for which an event may still follow on those that are out or ahead: up to the last moment but one."""
+    """Returns for how many cycles the next event can still be committed so that it follows the queued ones: until the
+    time of the last queued event but one."""
     clock = step_clock(board)
     name, stream, _ = next(place for place, who in REQUESTS.items() if who == f"{clock.name}_CH1")
     registers = 0x10 + 0x18 * stream
@@ -228,7 +233,7 @@ def joins_for(board):
     ring = dma.values[registers + M0AR]
     places = dma.whole[stream]
     moments = [board.word(ring + 4 * place) for place in range(places)]
-    # The stream is a moment ahead of what is out. Behind the last is one that has passed.
+    # The stream is one event time ahead of the output. The slot after the last event holds a past time.
     at = (places - dma.values[registers + NDTR] - 1) % places
     while (moments[(at + 1) % places] - moments[at] & 0xFFFF_FFFF) < 1 << 31:
         at = (at + 1) % places
@@ -236,7 +241,8 @@ def joins_for(board):
 
 
 def stand_once(board, until):
-    """The processor stands as the next motion is about to begin, until so long after the first event."""
+    """Stalls the processor when the next motion is about to begin, until `until` seconds after the time of the first
+    event."""
     tim5, moments = board.peripherals["TIM5"], board.dma[0]
     write = moments.write
 
@@ -251,7 +257,7 @@ def stand_once(board, until):
 
 
 def error_of(bench, line):
-    """The error that a line is answered by."""
+    """Returns the answer to a line, normally an error."""
     answers = len(bench.host.answers)
     bench.host.send(line + "\n")
     bench.wait(lambda: len(bench.host.answers) > answers, 1, f"an answer to {line}")
@@ -259,7 +265,7 @@ def error_of(bench, line):
 
 
 def busy(bench):
-    """Full motion, spindle, coolant and the outputs of programs on."""
+    """Starts motion at full speed, with spindle, coolant and the outputs for programs on."""
     fast(bench, 1000)
     all_on(bench)
     moving(bench)
@@ -268,7 +274,7 @@ def busy(bench):
 
 
 def switched(wiring):
-    """Outputs that `all_on` switches on."""
+    """Returns the outputs that `all_on` switches on."""
     return (wiring.spindle, wiring.flood, *wiring.program_outputs)
 
 
@@ -280,7 +286,8 @@ def all_on(bench):
 
 
 def us_off(bench, begin):
-    """When all that `all_on` switches on, and the PWM, were off after a moment."""
+    """Returns the time from `begin` (a cycle) until all outputs of `all_on` were off, as text. Fails if one of them or
+    the PWM is still on."""
     board, wiring = bench.board, bench.wiring
     moments = []
     for name in switched(wiring):
@@ -301,4 +308,4 @@ def with_usb(bench):
 
 
 class LeftOut(Exception):
-    """The board does not have it, by its row in parts.py; not a failure and not a pass."""
+    """The board lacks the tested feature according to its entry in parts.py: neither a failure nor a pass."""

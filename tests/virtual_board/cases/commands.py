@@ -1,4 +1,4 @@
-"""Realtime commands by the hundred: none is lost, and reports come in time."""
+"""Bursts of realtime commands: none is lost, and reports come in time."""
 
 import math
 import tempfile
@@ -10,11 +10,13 @@ from .bench import JOB_SETTINGS, fast, moving, simulated, us
 from .patching import hang, unpatch
 
 ANSWER_S = 20e-3
-"""From a `?` behind a burst of overrides, with which a full queue is planned, to the first byte of its report."""
+"""Maximum time from a `?` after a burst of overrides, which makes the controller replan a full queue, to the first byte
+of its report."""
 
 
 def flood(bench):
-    """More realtime commands than their queue holds while the control task stands still, the last of them a reset: obeyed."""
+    """Sends more realtime commands than their queue holds while the control task hangs, the last of them a reset or a
+    hold: it must be executed."""
     for last, name in ((b"\x18", "0x18"), (b"\x85", "0x85"), (b"!", "!")):
         bench.boot()
         board, host = bench.board, bench.host
@@ -22,7 +24,7 @@ def flood(bench):
         moving(bench)
         after = len(host.text)
         hang(bench)
-        # A `?` behind one that waits would be dropped.
+        # The firmware drops a `?` that follows another unanswered one: separate them.
         host.send(45 * b"?\x91" + last)
         board.run(seconds=0.012)
         unpatch(bench)
@@ -31,7 +33,7 @@ def flood(bench):
             yield "90 commands and !: held"
             continue
         bench.wait_text("Grbl 1.1h", 1, after)
-        # The byte after the loss says so.
+        # The next byte after the loss reports it.
         host.send("\n")
         board.run(seconds=0.01)
         bench.ask("$X")
@@ -39,12 +41,12 @@ def flood(bench):
         yield f"90 commands and {name}: a reset, and the link goes on"
 
 FASTER, SLOWER = 9 * b"\x91" + 8 * b"\x93", 9 * b"\x92" + 8 * b"\x94"
-"""From 100 to 198 percent and back, ten and then one at a time."""
+"""Overrides from 100 to 198 percent and back, in steps of ten and then of one percent."""
 
 
 def override_bursts(bench):
-    """Overrides back to back while the ring is full of short chords on a circle: nothing runs dry, no step is lost, and `?`
-    is answered in time with the override that holds."""
+    """Sends overrides back to back while the look-ahead is full of short chords on a circle: the step queue must not
+    run dry, no step may be lost, and `?` must be answered in time with the present override."""
     angles = [k * 0.1 / 5 for k in range(1, 901)]
     job = "G90 G1 F1200\n" + "".join(f"X{5 * math.sin(angle):.3f}Y{5 - 5 * math.cos(angle):.3f}\n" for angle in angles)
     for jerk in (0, 10_000):
@@ -87,7 +89,7 @@ def blocks_free(status):
 
 
 def overrides_of(bench, status):
-    """Of the first report that tells them."""
+    """Returns the overrides from the first report that includes them."""
     for _ in range(4):
         if "|Ov:" in status:
             return status.split("|Ov:")[1].rstrip(">").split("|")[0]
@@ -96,7 +98,8 @@ def overrides_of(bench, status):
 
 
 def answered_behind(bench, burst):
-    """Sends commands and a `?`: s from its last bit to the first of the report, and the report."""
+    """Sends commands and a `?`. Returns the time in s from the last bit of `?` to the first bit of its report, and the
+    report."""
     host, hz = bench.host, bench.wiring.core_hz
     before = len(host.lines)
     heard = host.send(burst + b"?")
@@ -106,7 +109,8 @@ def answered_behind(bench, burst):
 
 
 def same_steps(bench, scope, job, settings):
-    """The steps of each axis are those of the simulator, whatever the overrides were. How many."""
+    """Checks that the steps of each axis are those of the simulator, whatever the overrides were. Returns their
+    number."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "job.nc"
         file.write_text(job)

@@ -1,4 +1,5 @@
-"""Faults, hung tasks, clocks and supplies that fail: outputs go off, and the board tells of it after the reset."""
+"""Faults, hung tasks, failing clocks and supplies: the outputs must go off, and the board must report the cause after
+the reset."""
 
 import subprocess
 import tempfile
@@ -11,8 +12,8 @@ from .patching import control_body, hang, patch, put, unpatch
 
 
 def left_loader(bench):
-    """The chip's boot loader jumps into the program, as a host may order (`:leave` of dfu-util), with its own vectors and clocks: the
-    program starts over from a reset."""
+    """The chip's boot loader jumps into the program, as a host may order (`:leave` of dfu-util), with its own vectors
+    and clocks: the program must restart by a reset."""
     for resets_clocks in (False, True):
         board = bench.fresh()
         board.jump_from_loader(resets_clocks)
@@ -28,8 +29,8 @@ def left_loader(bench):
 
 
 def lost_clock(bench):
-    """The oscillator fails in full motion with the spindle on, also while interrupts are masked: everything safe at once, and the cause
-    is told once there is a clock again."""
+    """The oscillator fails in full motion with the spindle on, also while interrupts are masked: everything must be
+    safe at once, and the cause must be reported after the reset."""
     for masked in (False, True):
         bench.boot()
         board = bench.board
@@ -50,7 +51,8 @@ def lost_clock(bench):
 
 
 def low_at_power_up(bench):
-    """A supply that rises slowly is no failure, and nothing is begun before it is good: neither the full clock nor a task."""
+    """A slowly rising supply: it must not count as a failure, and neither the full clock nor a task may start before
+    the supply is good."""
     for low_s in (0.12, 1.2):
         board = bench.fresh()
         board.set_supply(1.8)
@@ -66,7 +68,8 @@ def low_at_power_up(bench):
 
 
 def overflowed(bench):
-    """The stack runs out of its memory in full motion with the spindle on: everything safe, and the cause is told."""
+    """The stack overflows in full motion with the spindle on: everything must be safe, and the cause must be
+    reported."""
     bench.boot()
     board, wiring = bench.board, bench.wiring
     busy(bench)
@@ -87,7 +90,7 @@ def overflowed(bench):
 
 
 def failed_twice(bench):
-    """A second failure while the first one is being logged: a reset, and the first one is told."""
+    """A second failure while the first one is being logged: the board must reset and report the first one."""
     bench.boot()
     board, image = bench.board, bench.image
     names = [start for start, _, name in image.functions if "stm32f4" in name and "restart" in name]
@@ -108,7 +111,7 @@ def failed_twice(bench):
 
 
 def hung(bench):
-    """The control task never comes back: the chip is reset, outputs are safe from before the reset on, the cause is told."""
+    """The control task hangs: the chip must reset, with outputs safe even before the reset, and report the cause."""
     bench.boot()
     board, wiring = bench.board, bench.wiring
     if not board.iwdg.started:
@@ -128,13 +131,14 @@ def hung(bench):
 
 
 def unserved(bench):
-    """The interrupts of a task are off, as by a disturbed interrupt controller: the others see that it does not answer."""
+    """The interrupts of a task are disabled, as if noise had changed the interrupt controller: the other tasks must
+    detect that it does not respond."""
     for task, interrupts in (("serial", (bench.wiring.serial_irq, 67)), ("step", (bench.wiring.step_irq,))):
         yield f"{task} task: {without_interrupts(bench, interrupts)}"
 
 
 def without_interrupts(bench, numbers):
-    """What comes of it when these are off in full motion."""
+    """Disables these interrupts in full motion. Returns a description of the result."""
     bench.boot()
     board = bench.board
     if not board.iwdg.started:
@@ -149,7 +153,8 @@ def without_interrupts(bench, numbers):
 
 
 def recorded(bench):
-    """A control task that hangs in mid-job: what the board has recorded leads the simulator to the place and line of the failure."""
+    """The control task hangs during a job: the board's recording must lead the simulator to the position and line of
+    the failure."""
     bench.boot()
     bench.settings(**JOB_SETTINGS)
     board = bench.board
@@ -185,7 +190,7 @@ def recorded(bench):
 
 
 def deaf(bench):
-    """Interrupts are masked for ever: only the independent watchdog can help."""
+    """Interrupts are masked forever: only the independent watchdog can reset the chip."""
     bench.boot()
     board, wiring = bench.board, bench.wiring
     if not board.iwdg.started:
@@ -201,7 +206,7 @@ def deaf(bench):
 
 
 def brown_out(bench):
-    """The supply sinks below the detector's threshold in full motion with the spindle on."""
+    """The supply falls below the detector's threshold in full motion with the spindle on."""
     bench.boot()
     board, wiring = bench.board, bench.wiring
     if not board.peripherals["PWR"].values[0] >> 4 & 1:
@@ -226,7 +231,7 @@ def brown_out(bench):
     tell(bench, "oltage", "upply")
     told = cause(bench)
     place, counted = float(told.split("at machine ")[1].split(",")[0]), whole.counts()[0] / 1000
-    # The control task looks every 2 ms, and the pieces that it knows of last a millisecond: 3 ms of 50 mm/s, and a margin.
+    # The control task updates the position every 2 ms, in pieces of a millisecond: 3 ms at 50 mm/s, and a margin.
     if not -0.1 <= counted - place <= 0.4:
         raise Failure(f"X{place} is reported after {counted} mm: {told}")
     yield f"the place is the one {(counted - place) * 1e3:.0f} um before the last step"
@@ -234,7 +239,7 @@ def brown_out(bench):
 
 
 def tell(bench, *words):
-    """After the reset the welcome tells why, and nothing is on."""
+    """Checks that after the reset the greeting is followed by the cause, and that nothing is on."""
     board = bench.board
     bench.wait_text("Grbl 1.1h", 2, bench.host.text.rfind(b"Grbl 1.1h") + 1)
     board.run(seconds=0.05)
@@ -245,14 +250,15 @@ def tell(bench, *words):
 
 
 def cause(bench):
-    """What was said since the last welcome."""
+    """Returns the messages since the last greeting."""
     lines = [text for _, text in bench.host.lines]
     last = max(k for k, text in enumerate(lines) if text.startswith("Grbl 1.1h"))
     return " ".join(text for text in lines[last + 1 :] if text.startswith("[MSG"))
 
 
 def faulted(bench):
-    """An undefined instruction in the control task, in full motion with the spindle on: everything safe at once."""
+    """An undefined instruction in the control task in full motion, with the spindle on: everything must be safe at
+    once."""
     bench.boot()
     board, wiring = bench.board, bench.wiring
     busy(bench)
@@ -269,7 +275,7 @@ def faulted(bench):
         raise Failure(f"pulses for {us(late)} after the fault, step pins left high: {stuck}")
     yield f"HardFault: spindle and coolant off after {us_off(bench, at)}, last rising edge after {us(late)}"
     if board.resets:
-        # The injected instruction belongs to the emulation, not to what the firmware does about it.
+        # The injected instruction must not affect the restarted firmware.
         unpatch(bench)
         tell(bench, "ault")
         yield f"then a reset; {cause(bench)}"

@@ -1,15 +1,16 @@
-"""Settings written to flash, and power that goes meanwhile."""
+"""Settings written to flash, also with a power cut during the write."""
 
 from ..board import Failure
 from .bench import us
 
 
 def settings_write(bench):
-    """Settings written and sectors erased while lines keep coming: each byte is answered for; all survives a power cycle."""
+    """Writes settings and erases sectors while lines keep arriving: each line must be answered, and all settings must
+    survive a reset."""
     bench.boot()
     board, host = bench.board, bench.host
     before, operations, erases = len(host.answers), board.flash.operations, board.flash.erases
-    # Until a sector is full and the next one has been erased.
+    # Enough lines to fill a sector, so that the next one is erased.
     lines = [f"${130 + k % 3}={200 + k}.5" if k % 8 else "G4P0" for k in range(1600)]
     bench.forget_masks()
     host.stream("\n".join(lines))
@@ -34,7 +35,7 @@ def settings_write(bench):
 
 
 def power_cut(bench):
-    """The power fails at each of the flash operations of a settings write: old or new, never anything else."""
+    """Cuts the power at each flash operation of a settings write: the value must be the old or the new one."""
     bench.boot()
     board = bench.board
     bench.ask("$130=321.5")

@@ -7,7 +7,8 @@ from .patching import hang
 
 
 def trips(bench):
-    """Limit, emergency stop ($912), reset button and driver fault end the pulses without the control task, which hangs."""
+    """Limit switch, emergency stop (`$912`), reset button and driver fault must end the pulses even while the control
+    task hangs."""
     wiring = bench.wiring
     for what, pin, settings in (
         ("limit switch", wiring.limits[1], {"s21": 1}),
@@ -27,7 +28,7 @@ def trips(bench):
             hang(bench)
             begin = board.now
             board.drive(pin, 0)
-            # Less than what is queued lasts: it would go on.
+            # Shorter than the queued motion, which would otherwise continue.
             board.run(seconds=0.006)
             rising = [step.at for step in scope.steps()]
             worst = max(worst, (rising[-1] - begin) / wiring.core_hz)
@@ -37,7 +38,8 @@ def trips(bench):
 
 
 def emergency_stop(bench):
-    """Pressed in full motion: all off, drivers on, latched, reported with place and line; and not trusted afterwards."""
+    """Emergency stop in full motion: everything off except the drivers, latched, reported with position and line;
+    afterwards the position must not be trusted."""
     bench.boot()
     board, wiring, host = bench.board, bench.wiring, bench.host
     bench.settings(s912=1)
@@ -74,7 +76,8 @@ def emergency_stop(bench):
 
 
 def noise(bench):
-    """Disturbances of a limit pin shorter than the filter: nothing stops, and each is counted. And resistors."""
+    """Glitches at a limit pin that are shorter than the filter: nothing may stop, and each must be counted. Also checks
+    the pull resistors."""
     bench.boot()
     board, wiring = bench.board, bench.wiring
     bench.settings(s21=1)
@@ -85,7 +88,7 @@ def noise(bench):
         board.drive(wiring.limits[0], 0)
         board.run(seconds=length)
         board.drive(wiring.limits[0], None)
-        # A sample may wait for a run of the step task: a shorter pause might not be seen.
+        # A sample may be delayed by a run of the step task, so a shorter pause might be missed.
         board.run(seconds=(110 + 37 * k % 60) * US)
     bench.wait_state("Idle", 3)
     shown = {line[5:].split(",")[0]: line[:-1].split(",")[1:] for line in bench.ask("$PINS") if line.startswith("[PIN:")}
@@ -113,7 +116,7 @@ def noise(bench):
 
 
 def probe(bench):
-    """The place of a contact is that of the step at which it comes, and braking begins there."""
+    """The reported position of a contact must be that of the step at which it occurs, and braking must begin there."""
     bench.boot()
     board, wiring, host = bench.board, bench.wiring, bench.host
     fast(bench, 1000)
@@ -134,10 +137,10 @@ def probe(bench):
         end = before - len(steps)
         overshoot = latched - end
         bound = (feed / 60 * 1000) ** 2 / 2 / acceleration + 1
-        # The pin is looked at after the step of a tick: the one that is under way, or the next.
+        # The pin is read after the step of a tick, so the latched step is the present or the next one.
         if not 0 <= at_contact - latched <= 1 or not report.endswith(":1]"):
             raise Failure(f"F{feed}: contact after step {at_contact}, latched {latched}: {report}")
-        # The ramp's series, in single precision, may be a step or two longer in 5000 (84 MHz).
+        # The ramp is computed in single precision and may be a step or two longer in 5000 (84 MHz).
         if not 0 <= overshoot <= 1.0005 * bound + 1:
             raise Failure(f"F{feed}: {overshoot} steps beyond the contact, v²/2a + 1 = {bound:.0f}")
         worst = max(worst, at_contact - latched)
@@ -146,5 +149,5 @@ def probe(bench):
 
 
 def scope_of_z(bench):
-    """Where Z stands by the report, in steps."""
+    """Returns the reported position of Z in steps."""
     return round(float(bench.status().split("MPos:")[1].split("|")[0].split(",")[2]) * 1000)

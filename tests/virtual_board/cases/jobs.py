@@ -1,4 +1,4 @@
-"""The start of a board, and whole jobs, step for step as in the simulator."""
+"""The start of a board, and whole jobs, compared step by step with the simulator."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from .bench import JOB_SETTINGS, LeftOut, duty, simulated, us
 
 
 def boot(bench):
-    """The welcome line, and outputs that never leave their safe levels on the way there."""
+    """Boot: the greeting must come, and the outputs must never leave their safe levels before it."""
     bench.boot()
     board, wiring = bench.board, bench.wiring
     cycle, line = next(entry for entry in bench.host.lines if entry[1])
@@ -36,7 +36,7 @@ def boot(bench):
 
 
 def tasks(bench):
-    """The exceptions that the firmware has enabled, with their priorities, the highest first: of its tasks the step task is above all others."""
+    """Lists the enabled exceptions by priority, highest first; the step task must be above all other tasks."""
     bench.boot()
     nvic, image, step = bench.board.nvic, bench.image, 16 + bench.wiring.step_irq
     flash = next(data for at, data in image.segments if at == bench.board.part.flash_start)
@@ -51,7 +51,7 @@ def tasks(bench):
 
 
 def streamed(bench, job):
-    """A job by character counting: the steps of the simulator, in its order."""
+    """Streams a job by character counting: its steps must be those of the simulator, in the same order."""
     bench.boot()
     bench.settings(**JOB_SETTINGS)
     scope, host, board = Scope(bench.board), bench.host, bench.board
@@ -84,8 +84,9 @@ def streamed(bench, job):
 
 
 def waiting_line(bench):
-    """A line that comes a byte at a time in a hold: its last bytes are gathered in the serial task, and once the control task has
-    taken the first, nothing but that calls it: no answer is on its way out and no byte comes."""
+    """A line that arrives one byte at a time during a hold: its last bytes wait in the serial task. When the control
+    task has taken the first ones, nothing else calls the serial task, as no answer is being sent and no byte arrives:
+    the control task must call it."""
     bench.boot()
     board, host = bench.board, bench.host
     for line in ("G1X.01F600", "G1X.125F600"):
@@ -95,7 +96,7 @@ def waiting_line(bench):
             board.run(seconds=0.05)
         if len(host.answers) != before:
             raise Failure("a hold takes lines: this proves nothing")
-        # The watchdog calls the task, too, but seldom.
+        # The watchdog also calls the task, but only rarely.
         resumed = board.seconds(host.send("~"))
         bench.wait(lambda wanted=before + 1: len(host.answers) >= wanted, 1, f"the answer to {line}")
         took = board.seconds(host.lines[-1][0]) - resumed

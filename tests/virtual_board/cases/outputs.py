@@ -1,4 +1,4 @@
-"""Second motor, fourth axis, spindle, outputs and inputs of programs, inverted levels."""
+"""Second motor, fourth axis, spindle, outputs and inputs for programs, inverted levels."""
 
 from ..board import Failure
 from ..scope import Scope, steady
@@ -7,7 +7,8 @@ from .failures import tell
 
 
 def inverted_outputs(bench):
-    """$2 and $4: step pins rest high, the enable output is high while the drivers are on; and so it is after a failure."""
+    """`$2` and `$4`: step pins must be high at rest and the enable output high while the drivers are on, also after a
+    failure."""
     bench.boot()
     board, wiring = bench.board, bench.wiring
     bench.settings(s2=7, s4=1)
@@ -35,7 +36,8 @@ def inverted_outputs(bench):
 
 
 def second_motor(bench):
-    """The second motor of an axis ($905): steps with it and with no other, turns the other way, is squared by its own switch."""
+    """The second motor of an axis (`$905`) must step with that axis and no other, support inversion, and be squared by
+    its own switch."""
     bench.boot()
     board, wiring, host = bench.board, bench.wiring, bench.host
     rest = {"s110": 1000, "s111": 1000, "s112": 1000, "s120": 500, "s121": 500, "s122": 500}
@@ -65,7 +67,7 @@ def second_motor(bench):
     bench.settings(s907=1, s22=1, s44=1, s45=0, s46=0, s24=120, s25=600, s26=5, s27=1)
     scope = Scope(board, second=True)
     host.send("$H\n")
-    # Motor by motor the switch closes here.
+    # Positions, in steps, at which the switches of the first and the second motor close.
     places, answered = (400, 460), len(host.answers)
     begin = board.now
     while len(host.answers) == answered and board.seconds(board.now) - board.seconds(begin) < 20:
@@ -80,8 +82,8 @@ def second_motor(bench):
 
 
 def fourth_axis(bench):
-    """An axis that turns ($930=4) on the pins of the second motor: steps, polarities, the safe rate on all four, its switch. A board
-    without it locks motion."""
+    """A rotary axis (`$930=4`) on the pins of the second motor: steps, polarities, the safe rate on all four axes, its
+    switch. A board without it must lock motion."""
     bench.boot()
     board, wiring, host = bench.board, bench.wiring, bench.host
     bench.settings(s930=4)
@@ -130,7 +132,7 @@ def fourth_axis(bench):
 
 
 def all_four_fast(bench):
-    """Back and forth at the safe rate, all four together: no period is off."""
+    """Moves all four axes back and forth at the safe rate: no period may be off."""
     safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
     acceleration = hard(bench, 6_000)
     bench.boot()
@@ -141,7 +143,7 @@ def all_four_fast(bench):
     bench.forget_masks()
     scope, steps = Scope(bench.board, second=True), round(1.1 * safe**2 / acceleration / 1000 + 2000)
     way = steps / 1000
-    # F is along X, Y and Z.
+    # F applies to the distance along X, Y and Z.
     for sign in ("", "-"):
         bench.ask(f"G91 G1 X{sign}{way:.3f} Y{sign}{way:.3f} Z{sign}{way:.3f} A{sign}{way:.3f} F{greatest * 3**0.5:.3f}")
     bench.wait_state("Idle", 5)
@@ -158,7 +160,8 @@ def all_four_fast(bench):
 
 
 def spindle_pwm(bench):
-    """Frequency and share of the spindle's PWM, from an opto-coupler's to a laser's, also when it is changed while it turns."""
+    """Frequency and duty cycle of the spindle's PWM, from those for an opto-coupler to those for a laser, also when
+    changed while the spindle turns."""
     bench.boot()
     bench.settings(s30=1000)
     pwm = bench.board.peripherals["TIM3"]
@@ -184,11 +187,13 @@ def spindle_pwm(bench):
         yield f"$33={hz}: {found:.2f} Hz, shares {', '.join(f'{share:.4f}' for _, share in shares)}"
 
 OUTPUT_S = 2.5e-3
-"""From the first step of a motion to the output that changes with it (M62, M63): a look each millisecond, and the work in hand."""
+"""Maximum time from the first step of a motion to the output that changes with it (M62, M63): the controller checks
+each millisecond, and may be busy meanwhile."""
 
 
 def program_outputs(bench):
-    """M64 and M65 at once, M62 and M63 where their motion begins; off after a reset and an alarm. A board without refuses them."""
+    """M64 and M65 must act at once, M62 and M63 where their motion begins; a reset and an alarm must switch the outputs
+    off. A board without outputs must refuse these commands."""
     bench.boot()
     board, wiring, host = bench.board, bench.wiring, bench.host
     outputs = wiring.program_outputs
@@ -221,7 +226,7 @@ def program_outputs(bench):
     if [level for _, level in changes] != [1, 0] or len(steps) != 20_000:
         raise Failure(f"{outputs[1]} changes to {changes} in {len(steps)} steps")
     late = [(at - steps[first]) / wiring.core_hz for (at, _), first in zip(changes, (5_000, 10_000), strict=True)]
-    # A block begins with the pause before its first step, in the middle of a path that does not stop a period of it.
+    # A block begins with the interval before its first step: within a path without stops, one step period.
     if not all(-1e-3 <= seconds <= OUTPUT_S for seconds in late):
         raise Failure(f"changes {us(late[0])} and {us(late[1])} after the first steps of their motions")
     yield f"M62 and M63 {us(late[0])} and {us(late[1])} after the first step of their motions, allowed {us(OUTPUT_S)}"
@@ -250,7 +255,7 @@ def program_outputs(bench):
 
 
 def program_inputs(bench):
-    """M66 reads an input, or waits for it in each of its modes, a limited time."""
+    """M66 must read an input, or wait for it in each of its modes, with a time limit."""
     bench.boot()
     board, wiring, host = bench.board, bench.wiring, bench.host
     inputs = wiring.program_inputs
@@ -275,7 +280,7 @@ def program_inputs(bench):
             if read() != active:
                 raise Failure(f"inputs {levels}: M66 P{number} reads {read()}")
     worst = 0
-    # What the input does before, and the change that the mode waits for.
+    # Number of the input, mode, state before, and the state that the mode waits for.
     for number, mode, before, after in ((0, 1, 0, 1), (1, 2, 1, 0), (1, 3, 0, 1), (0, 4, 1, 0)):
         put_to(number, before)
         put_to(1 - number, 1 - before)

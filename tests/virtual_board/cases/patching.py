@@ -1,16 +1,16 @@
-"""Code of the image that is replaced while it runs, so that a task hangs or fails."""
+"""Replaces code of the running image, so that a task hangs or fails."""
 
 from ..board import Failure
 
 
 def patch(bench, address, code):
-    """Other instructions from now on, until `unpatch`."""
+    """Replaces instructions until `unpatch`."""
     bench.patched = (address, bench.board.read_memory(address, len(code)))
     put(bench, address, code)
 
 
 def unpatch(bench):
-    """The image as it was: what was put in stands for a fault of the program, not of the flash."""
+    """Restores the image: the replaced code emulates a fault of the program, not of the flash."""
     put(bench, *bench.patched)
 
 
@@ -21,7 +21,7 @@ def put(bench, address, code):
 
 
 def hang(bench):
-    """From now on the control task's body is an endless loop."""
+    """Makes the control task's body an endless loop."""
     patch(bench, control_body(bench.image), b"\xfe\xe7")  # b .
 
 

@@ -1,4 +1,4 @@
-"""Pulses, periods and directions: what the outputs do at all rates, and when the step task or its data come late."""
+"""Pulses, periods and directions of the step outputs at all rates, also when the step task or its data are late."""
 
 from itertools import pairwise
 from random import Random
@@ -27,18 +27,18 @@ from .patching import hang, unpatch
 
 
 LONGEST_RUN = (RUN_CYCLES, 5200)
-"""Cycles of a run of the step task at most, and on the board with four axes (`run_cycles` in profiles.rs)."""
+"""Maximum cycles of a run of the step task, on boards with three and with four axes (`run_cycles` in profiles.rs)."""
 
 
 def pulses(bench):
-    """Width, direction set-up and period at 1, 10, 50 and 100 kHz (or the safe rate), all three axes together; and with the
-    longest pulse, which is longer than the time between ticks of which not each makes a step."""
+    """Pulse width, direction set-up and period at 1, 10, 50 and 100 kHz (or the safe rate), all three axes together;
+    also with the longest pulse, which is longer than the time between ticks that do not all have a step."""
     yield from at_rates(bench, (1_000, 60, 10), (10_000, 400, 10), (50_000, 2500, 10), (100_000, 5000, 2), (3_000, 180, 255))
 
 
 def safe_rate(bench):
-    """The same with the shortest pulse at the rate that the board calls safe, together and with three rates, of which none divides
-    another."""
+    """The same with the shortest pulse at the board's safe rate, with equal rates of all axes and with three rates none
+    of which divides another."""
     safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
     acceleration = hard(bench, 6_000)
     steps = round((1.1 * safe**2 / acceleration / 1000 + 2000) / 9) * 9
@@ -47,7 +47,8 @@ def safe_rate(bench):
 
 
 def disturbed(bench):
-    """At the safe rate, interrupts masked for 20 us at random moments, and a USB host that floods: no period is off."""
+    """At the safe rate, with interrupts masked for 20 us at random times and a host that floods USB: no period may be
+    off."""
     if bench.wiring.usb:
         with_usb(bench)
     else:
@@ -65,7 +66,7 @@ def disturbed(bench):
 
 
 def flooded_at_safe_rate(bench, meanwhile):
-    """The safe rate under a flood of lines and status requests; how many lines there were."""
+    """Runs at the safe rate under a flood of lines and status requests. Returns the number of lines."""
     safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
     acceleration = hard(bench, 6_000)
     asked = len(bench.host.answers)
@@ -83,7 +84,7 @@ def flooded_at_safe_rate(bench, meanwhile):
 
 
 def tight(bench):
-    """Longer pulses at the greatest rate that the settings allow with them."""
+    """Longer pulses at the maximum rate that the settings allow with them."""
     for pulse_us in (0.6, 0.9, 1.1, 2, 2.5, 3, 4, 5, 6, 7, 9, 10):
         if pulse_us < bench.wiring.least_pulse_us:
             continue
@@ -93,7 +94,8 @@ def tight(bench):
 
 
 def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, boots=True):
-    """Back and forth at each (steps/s, steps one way, $0), the axes with these shares of the first one's steps."""
+    """Moves back and forth at each of `rates` (steps/s, steps one way, `$0`); `ways` are the relative distances of the
+    axes. Checks widths, set-up, hold and periods."""
     if boots:
         bench.boot()
     board, hz = bench.board, bench.wiring.core_hz
@@ -117,7 +119,7 @@ def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, 
             board.run(seconds=0.1)
         bench.wait_state("Idle", 5)
         events, widths, setups, holds = scope.read()
-        # Those of the fastest axis: at low rates the others step between its steps, too.
+        # Only steps of the fastest axis: at low rates the others also step between these.
         events = [event for event in events if event.axes & 1]
         if scope.counts() != [0, 0, 0] or len(events) != 2 * steps:
             raise Failure(f"{rate} steps/s: {len(events)} steps, ends at {scope.counts()}")
@@ -130,7 +132,7 @@ def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, 
             raise Failure(f"{line}: the rate is never reached")
         busy, run = step_load(board, events[ramp].at, events[steps - ramp].at)
         yield f"{line}; period error {us(found['period_error'])}, drift over {found['steps']} steps {us(found['drift'])}, masked {us(mask)} ({where}); step task {busy:.0%}, longest run {run} cycles"
-        # A pulse below 1 us is followed by a pause as short.
+        # A pulse below 1 us is followed by a pause of about the same length.
         latest = LATEST_PULSE_END_S if pulse_us >= 1 else JITTER_S
         if least < pulse_us * US or most > pulse_us * US + latest:
             raise Failure(f"pulse width {us(least)} to {us(most)} with $0={pulse_us}")
@@ -148,7 +150,7 @@ def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, 
 
 
 def hard_start(bench):
-    """From rest with 10 m/s², several times: the step task must not outrun what is prepared for it."""
+    """Starts from rest with 10 m/s², several times: the step task must not run out of segments."""
     bench.boot()
     fast(bench, 10_000)
     rate = min(6006, int(bench.wiring.greatest_hz(5)) * 60 // 1000)
@@ -157,7 +159,7 @@ def hard_start(bench):
     for attempt in range(8):
         bench.board.run(seconds=attempt * 7e-6)
         way = f"{'-' if attempt % 2 else ''}4"
-        # A sender asks for the state as soon as it has the answer, in the midst of the first segments.
+        # A sender asks for the state as soon as it has the answer, while the first segments are output.
         bench.ask(f"G91 G1 X{way} Y{way} Z{way} F{rate * 3**0.5:.4f}")
         bench.status()
         bench.board.run(seconds=0.005)
@@ -173,8 +175,9 @@ def hard_start(bench):
 
 
 def turns(bench):
-    """Directions change in full motion: a zigzag whose corners are passed at speed; with long set-up times that put ticks
-    off. Those behind come later by as much: none comes closer to the one before it than was planned."""
+    """Directions change at speed: a zigzag whose corners are passed without stopping, also with long set-up times that
+    delay ticks. Later ticks must be delayed by the same amount: no step may follow the one before sooner than
+    planned."""
     for pulse_us, setup_us in ((2, 10), (1, 60), (1, 200), (4, 60)):
         bench.boot()
         fast(bench, 10_000, pulse_us)
@@ -196,15 +199,16 @@ def turns(bench):
             raise Failure("a pulse or the pause after it is too short")
         if fastest > 20 * US:
             raise Failure("the corners were not passed at speed: this proves nothing")
-        # X has 0.2 mm of the path's 0.2 mm * sqrt(1 + 2/16), and a step is 0.001 mm.
+        # X moves 0.2 mm of the path's 0.2 mm * sqrt(1 + 2/16), and a step is 0.001 mm.
         planned = 60 / 4600 / 1000 * (1 + 2 / 16) ** 0.5
         if fastest < planned - JITTER_S:
             raise Failure(f"a step comes {us(fastest)} after the one before, {us(planned)} are planned")
 
 
 def turns_at_full_rate(bench):
-    """Directions change at the greatest rate, with interrupts masked for 20 us at random moments: the runs that make few events, as they
-    begin a segment and turn, leave enough ahead for the next one to come a mask later."""
+    """Directions change at the maximum rate, with interrupts masked for 20 us at random times. Runs of the step task
+    that begin a segment and change a direction generate few events: even these must leave enough events ahead for the
+    next run to be late by one mask."""
     bench.boot()
     board, hz, random = bench.board, bench.wiring.core_hz, Random(25)
     rate = at_full_rate(bench)
@@ -214,7 +218,7 @@ def turns_at_full_rate(bench):
 
     def call(offset, value):
         write(offset, value)
-        # The end of a run that has made events.
+        # Here ends a run that has generated events.
         if offset == timer.CCR2 and is_at_speed:
             rests.append(joins_for(board))
 
@@ -223,7 +227,7 @@ def turns_at_full_rate(bench):
         lines = round(80 / way)
         scope, after = Scope(board), len(bench.host.text)
         zigzag = "\n".join(f"X{way} Y{'-' if k % 2 else ''}.05" for k in range(lines))
-        # All lines have come before it goes fast.
+        # A slow move first, so that all lines have arrived before the fast ones.
         bench.host.stream(f"G91 G1 F60 X.2\nF{rate}\n{zigzag}\n")
         bench.wait(lambda scope=scope: len(board.edges) - scope.first > 2 * 26_000, 1, "the rate")
         is_at_speed = True
@@ -248,7 +252,8 @@ def turns_at_full_rate(bench):
 
 
 def called_at_turns(bench):
-    """Calls of other tasks right before ticks, in a zigzag that turns at every corner: no direction changes within a pulse."""
+    """Other tasks call the step task right before ticks, in a zigzag that turns at every corner: no direction may
+    change within a pulse."""
     for pulse_us, lead_us in ((10, 1.0), (10, 2.5), (10, 3.75), (2, 1.0), (2, 2.5)):
         bench.boot()
         fast(bench, 10_000)
@@ -281,19 +286,20 @@ def called_at_turns(bench):
 
 
 def at_full_rate(bench, acceleration=10_000):
-    """X as fast as the board calls safe, with the shortest pulse: 490 mm/s or more, after 49 ms of 10,000 mm/s²."""
+    """Sets the board's safe rate for X, with the shortest pulse: 490 mm/s or more, reached after 49 ms at 10,000 mm/s².
+    Returns the rate in mm/min."""
     safe = bench.wiring.safe_step_hz
     fast(bench, hard(bench, acceleration))
     rate = safe * 60 // 1000
-    # The pulse first: with a longer one the rate would be refused.
+    # The pulse first: with a longer pulse the rate would be rejected.
     bench.settings(s0=bench.wiring.least_pulse_us)
     bench.settings(s110=rate)
     return rate
 
 
 def masked_long(bench):
-    """Interrupts are masked for longer than events are ahead: slow moves go on later, with no step lost and none too soon; at
-    rates at which motors would not follow the machine stops and says so."""
+    """Interrupts are masked for longer than the queued events last: slow moves must continue later, with no step lost
+    and none too soon; at rates that motors could not follow, the machine must stop and report it."""
     bench.boot()
     board, hz = bench.board, bench.wiring.core_hz
     fast(bench, 10_000)
@@ -336,11 +342,13 @@ def masked_long(bench):
 
 
 def late_segments(bench):
-    """The control task hangs until the step task has nothing left but the events that are ahead. A segment that comes then is taken in
-    at once, and not when the last of these are coming out: interrupts that are masked behind it put no step off."""
+    """The control task hangs until the step task has nothing left but the queued events. A segment that arrives then
+    must be received at once, not only when the last of these events are output: interrupts that are masked afterwards
+    must not delay a step."""
 
     def late(released_s=None):
-        """The step that comes last, and the longest time between two, if the control task goes on so long before that."""
+        """Without `released_s`, returns the time of the last step, in cycles. Otherwise lets the control task continue
+        that long before it, and returns the longest time between two steps, in s."""
         bench.boot()
         board, hz = bench.board, bench.wiring.core_hz
         fast(bench, 10_000)
@@ -369,7 +377,7 @@ def late_segments(bench):
 
 
 def late_starts(bench):
-    """Interrupts are masked right before a motion begins: it begins later, whole, and nothing is said about it."""
+    """Interrupts are masked right before a motion begins: the motion must begin later, complete, without a message."""
     bench.boot()
     board = bench.board
     fast(bench, 10_000)
@@ -377,8 +385,8 @@ def late_starts(bench):
     tim5, hz = board.peripherals["TIM5"], bench.wiring.core_hz
 
     def start(before_s=None, masked_s=0.0, stands_until=None):
-        """How long after the first event the first step comes."""
-        # Until the next, and all there is to do at rest is done.
+        """Starts a move. Returns the time from the planned first event to the first step, in s."""
+        # Until the work at rest is done.
         board.run(seconds=0.002)
         scope, after = Scope(board), len(bench.host.text)
         bench.host.send("G91 G1 X0.02 F3000\n")
@@ -386,7 +394,7 @@ def late_starts(bench):
         def away():
             return (tim5.values[timer.CCR2] - tim5.count() & 0xFFFF_FFFF) * tim5.cycles / hz
 
-        # The step task has itself called 450 us before the first event, which is 2 ms after the first segment.
+        # The first event comes 2 ms after the first segment; the step task schedules its call 450 us before it.
         bench.wait(lambda: 1.3e-3 < away() < 1.6e-3, 0.1, "the first segment")
         begin = away() + 450 * US
         moment = board.now + begin * hz
@@ -408,8 +416,8 @@ def late_starts(bench):
     harmless = [start(6 * k * US, 100 * US) - max(usual) for k in range(1, 81)]
     if max(harmless) > US:
         raise Failure(f"masked for 100 us up to 480 us before, a start is put off by {us(max(harmless))}")
-    # Masked from before the task is called, or while it makes the first events, to right before or after the moment itself, and
-    # to right after the first step: the first event is at one of these, or in between.
+    # Masked from before the call of the task, or while it generates the first events, until just before or after the
+    # time of the first event, or just after the first step. The first event is at one of these times, or in between.
     delays = {}
     for before in range(200, 500, 6):
         for end in (-60 * US, -2 * US, 5 * US, max(usual) + 5 * US):
@@ -432,8 +440,8 @@ def late_starts(bench):
 
 
 def miscounts(bench):
-    """A trigger that TIM1 misses, a request too many, an error of a stream, at a slow pace and at the greatest rate: the motion ends soon,
-    and ALARM:103 says why."""
+    """A trigger missed by TIM1, an additional request, or an error of a stream, at a slow and at the maximum rate: the
+    motion must end soon, with ALARM:103."""
 
     def miss(tim1):
         trigger = tim1.trigger

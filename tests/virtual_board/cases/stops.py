@@ -1,4 +1,4 @@
-"""Holds, resets and stops: how soon the pulses end, and that the position reported is that of the pins."""
+"""Holds, resets and stops: the pulses must end in time, and the reported position must be that of the pins."""
 
 import os
 from itertools import pairwise
@@ -13,14 +13,15 @@ from .bench import BYTE_STOP_S, HOLD_S, TRIP_S, US, fast, moving, us
 from .stepping import at_full_rate
 
 CALL_CYCLES = 140
-"""From the call of the step task to where no event begins any more, when it is not running: less than 2 us on all boards."""
+"""Maximum cycles from the call of an idle step task until no event can begin: less than 2 us on all boards."""
 
 SERIAL_S = 100e-6
-"""From the last bit of a command that stops the machine to the serial task: the longest runs of the tasks above it."""
+"""Maximum time from the last bit of a command that stops the machine to the run of the serial task: the longest runs of
+the tasks above it."""
 
 
 def hold(bench):
-    """`!` brakes along a ramp, `~` goes on, and no step is lost."""
+    """`!` must brake along a ramp, `~` must continue, and no step may be lost."""
     bench.boot()
     fast(bench, 1000)
     board, hz = bench.board, bench.wiring.core_hz
@@ -38,7 +39,7 @@ def hold(bench):
     steps = [step.at for step in scope.steps()]
     later = [at for at in steps if at > heard]
     intervals = [(b - a) / hz for a, b in pairwise(later)]
-    # Single intervals carry the jitter of the interrupt: the ramp begins where twenty of them are longer by 1 % on average.
+    # Single intervals have jitter: the ramp begins where twenty of them are longer by 1 % on average.
     begin = next((k for k in range(len(intervals) - 20) if sum(intervals[k : k + 20]) > 20.2 / speed), None)
     if begin is None:
         raise Failure("there is no ramp")
@@ -59,7 +60,7 @@ def hold(bench):
 
 
 def stops(bench):
-    """0x18 and a limit switch stop the pulses in time, at several moments of a motion."""
+    """0x18 and a limit switch must stop the pulses in time, at several times during a motion."""
     bench.boot()
     fast(bench, 1000)
     bench.settings(s21=1)
@@ -106,8 +107,8 @@ def stops(bench):
 
 
 class StopWatch:
-    """From the call of the step task to where no event begins any more, and the place of the ring at which that was. `halts`: how
-    often that was, for a stop or because the ring ran dry."""
+    """Records for each stop the cycles from the call of the step task until no event can begin, and the position in the
+    ring. `halts` counts the ends of output, by a stop or because the ring ran dry."""
 
     def __init__(self, board):
         self.board, self.called, self.stopped, self.halts, self.halted_at = board, None, [], 0, None
@@ -118,7 +119,8 @@ class StopWatch:
             if offset == EGR and value & 16:
                 self.called = board.now
             elif offset == timer.CCR2:
-                # A run has ended: the call before it is not the one for a stop, which a later run may see before it is called.
+                # A run has ended: forget its call. A later run may notice a stop before it is called for it, and must
+                # not be timed from this call.
                 self.called = None
             to_tim5(offset, value)
 
@@ -135,19 +137,21 @@ class StopWatch:
 
 
 def ring_stops(bench):
-    """0x18 at random moments up to the safe rate, at every place of the ring: what is reported has come out, to the step."""
+    """0x18 at random times at up to the safe rate, at every slot of the ring: the reported position must equal the
+    steps output."""
     bench.boot()
     board, hz, random = bench.board, bench.wiring.core_hz, Random(64)
     rate = at_full_rate(bench, 50_000)
     worst, place, watch, most = 0, 0, StopWatch(board), int(os.environ.get("OXMILL_RANDOM_STOPS", "48"))
     for k in range(most):
         bench.ask("$X")
-        # A long run would keep all edges there have ever been.
+        # Limits the memory of long runs.
         board.edges.clear()
         scope, watch.halts = Scope(board), 0
         sign = "-" if k % 2 else ""
         bench.ask(f"G91 G1 X{sign}100 Y{sign}77 Z{sign}55 F{rate * 1.378:.0f}" if k % 4 < 2 else f"G91 G1 X{sign}100 F{rate}")
-        # At speed after 2 ms of waiting and 10 of acceleration; an event each 2.04 us. Some on the way there, or while it begins.
+        # At speed after 2 ms of waiting and 10 ms of acceleration, with an event each 2.04 us. Some stops come during
+        # acceleration or at its beginning.
         early = (1.5e-3, 2.6e-3) if k % 8 == 7 else (2.5e-3, 9e-3)
         board.run(seconds=random.uniform(*early) if k % 2 else 0.013 + random.uniform(0, 140 * US))
         after = len(bench.host.text)
@@ -169,7 +173,7 @@ def ring_stops(bench):
         f"{most} stops, half of them at {bench.wiring.safe_step_hz} steps/s, at {places} of 128 places of the ring: counts exact; at most {us(slowest)} "
         f"from the call, pulses end at most {us(max(worst, 0))} after the byte"
     )
-    # Of 24 stops at random 22 places are to be expected, of 48 40.
+    # Expected number of different slots: 22 for 24 random stops, 40 for 48.
     if places < min(30, most // 2):
         raise Failure("too few places: this proves little")
     if cycles > CALL_CYCLES:
@@ -180,7 +184,8 @@ def ring_stops(bench):
 
 
 def stops_with_backlash(bench, random, rate, most):
-    """The tool is told where it is: behind the motor by the slack, which has been taken up long before."""
+    """With backlash, the reported position must be that of the tool: it lags the motor by the backlash, which was taken
+    up long before the stop."""
     board, slack = bench.board, 20
     bench.ask("$X")
     bench.settings(s160=slack / 1000)
@@ -205,13 +210,13 @@ def stops_with_backlash(bench, random, rate, most):
 
 
 def lines_at_stops(bench):
-    """Emergency stops in lines of 0.2 ms: the line that is told is the one that the last step belongs to, also where it has begun
-    since the step task was called last."""
+    """Emergency stops in lines of 0.2 ms: the reported line must be that of the last step, even if that line began
+    after the last call of the step task."""
     bench.boot()
     board, random = bench.board, Random(21)
     fast(bench, 10_000)
     bench.settings(s11=0.1, s912=1)
-    # Small turns keep lines from being joined.
+    # Small turns prevent the lines from being joined.
     job = "".join(f"N{line}X.02Y{'-' * (line % 2)}.002\n" for line in range(1, 121))
     stops, wrong, runs = 14, [], []
     for _ in range(stops):

@@ -12,14 +12,14 @@ from .stepping import flooded_at_safe_rate
 from .usb import BELTS, many_lines
 
 UART_LINES_S = {"blackpill_f411": 700, "blackpill_f401": 700, "nucleo_f446re": 5700, "nucleo_f411re": 4000, "nucleo_f401re": 2600}
-"""Short lines a second that a board takes over the UART at its greatest rate, while it moves."""
+"""Short lines per second that a board accepts over the UART at its maximum rate while it moves."""
 
 LONGEST_GAP_S = 125 * US
-"""Between two samples of the inputs: a run of the step task may be in between."""
+"""Maximum time between two samples of the inputs: a run of the step task may delay a sample."""
 
 
 def restart_at(bench, baud):
-    """The board starts anew, with a host at this rate."""
+    """Restarts the board, with a host at this rate."""
     host = bench.host
     host.baud = baud
     bench.board.request_reset(None, "power")
@@ -29,14 +29,15 @@ def restart_at(bench, baud):
 
 
 def boot_fast(bench):
-    """The board at the greatest rate of its UART."""
+    """Starts the board at the maximum rate of its UART."""
     bench.boot()
     bench.ask(f"$931={bench.wiring.most_baud}")
     restart_at(bench, bench.wiring.most_baud)
 
 
 def baud_rates(bench):
-    """$931: another rate from the next start on, but with hold and start both active then; and settings that are stored while bytes come."""
+    """`$931` sets the rate from the next start on, except if hold and start are both active then. Also stores settings
+    while bytes arrive."""
     bench.boot()
     board, host = bench.board, bench.host
     fast_baud = bench.wiring.most_baud
@@ -45,9 +46,10 @@ def baud_rates(bench):
     restart_at(bench, fast_baud)
     bench.ask("$I")
     yield f"after a start at {board.usart.baud():.0f} baud"
-    # As many bytes as the board says that it takes (`Bf:`).
+    # As many bytes as the board announces (`Bf:`).
     host.window = 255
-    # Remarks of any length, so that a store finds any number of bytes waiting: of text, and of bytes of which few are read at once.
+    # Comments of various lengths, so that a store happens with any number of bytes waiting: bytes of text, and other
+    # bytes, of which a look reads fewer.
     random, overruns = Random(931), board.usart.overruns
     for letter, count in ("a", 300), ("\u00e4", 200):
         lines = [f"${130 + k % 3}={200 + k}.5({random.randrange(40) * letter})" for k in range(count)]
@@ -65,7 +67,7 @@ def baud_rates(bench):
             board.drive(getattr(bench.wiring, pin), None)
         yield f"started with {' and '.join(pins)} active: {board.usart.baud():.0f} baud"
     board.run(seconds=0.05)
-    # Switches that open when they are pressed, as $14 says.
+    # Normally closed switches, as set by `$14`.
     bench.ask("$14=6")
     for baud, level in (fast_baud, 0), (115_200, None):
         for pin in ("hold", "start"):
@@ -75,16 +77,16 @@ def baud_rates(bench):
 
 
 class Disturbed:
-    """Now and then a digit of what the host sends becomes another byte, and is seen to be wrong."""
+    """Replaces digits that the host sends, now and then, by another byte with a framing error."""
 
     def __init__(self, usart, become):
         self.usart, self.become, self.receive = usart, become, usart._receive
         self.ends, self.lines = 0, []
-        """Numbers of the lines in which that was."""
+        """Numbers of the lines with a replaced digit."""
         usart._receive = self
 
     def __call__(self, byte, error, at):
-        # The loss before has been told by then.
+        # Ten lines apart, so that the firmware has reported the previous loss.
         is_due = not self.lines or self.ends >= self.lines[-1] + 10
         if is_due and chr(byte).isdigit():
             self.lines.append(self.ends)
@@ -100,8 +102,8 @@ class Disturbed:
 
 
 def disturbed_line(bench):
-    """A byte is wrong, and seen to be: none of the lines that come then is carried out with another value than was sent, nor as two, and each
-    is answered."""
+    """Bytes arrive with a detected error: no line may be executed with a wrong value or as two lines, and each must be
+    answered."""
     boot_fast(bench)
     board, host = bench.board, bench.host
     disturbed = Disturbed(board.usart, lambda byte: byte ^ 1)
@@ -115,7 +117,7 @@ def disturbed_line(bench):
     yield f"{len(disturbed.lines)} bytes of {len(values)} lines disturbed, {refused} lines refused"
     if carried_out := [line for line in disturbed.lines if answers[line] == "ok"]:
         raise Failure(f"disturbed lines {carried_out} were carried out")
-    # The line itself, and at a fast rate those before and behind it within two samples of the inputs.
+    # The line itself and, at a high rate, the lines before and after it within two samples of the inputs.
     if refused > 3 * len(disturbed.lines):
         raise Failure("more lines are refused than were disturbed")
     listing = bench.ask("$$")
@@ -123,7 +125,7 @@ def disturbed_line(bench):
         right = [value for value, answer in zip(values[number::3], answers[number::3], strict=True) if answer == "ok"][-1]
         if f"${130 + number}={right}" not in listing:
             raise Failure(f"${130 + number} is not {right}: {listing[-12:]}")
-    # Of a line that is cut in two the second half would move.
+    # The second half of a line cut in two would move.
     bench.ask("$X")
     scope = Scope(board)
     disturbed = Disturbed(board.usart, lambda byte: ord("\n"))
@@ -137,11 +139,11 @@ def disturbed_line(bench):
 
 
 FLOODS = {"?": b"?", "ends of lines": b"\n", "ends by CR LF": b"\r\n", "0xFF": b"\xff", "NUL": b"\0", "comments": b"(a)\n"}
-"""What a host, or a wire on which there is noise, may say at the greatest rate without flow control."""
+"""Bytes that a host, or noise on the wire, may send at the maximum rate without flow control."""
 
 
 def sampled(bench):
-    """A UART that is flooded at its greatest rate keeps no input from being sampled, and motion goes on."""
+    """A UART that is flooded at its maximum rate must not delay the samples of the inputs, and motion must continue."""
     boot_fast(bench)
     board, host, hz = bench.board, bench.host, bench.wiring.core_hz
     safe, acceleration = bench.wiring.safe_step_hz, hard(bench, 6_000)
@@ -156,7 +158,7 @@ def sampled(bench):
         board.begins[SYSTICK].clear()
         after = len(host.text)
         begin = board.now
-        # For 60 ms: longer than the step task has segments for.
+        # For 60 ms: longer than the queued segments of the step task last.
         host.send(text * round(0.006 * host.baud / len(text)))
         board.run(seconds=0.06)
         samples = [begin, *board.begins[SYSTICK], board.now]
@@ -174,13 +176,13 @@ def sampled(bench):
 
 
 def torn_line(bench):
-    """A line that has not ended goes with the reset button: what comes behind is no part of it."""
+    """The reset button must discard an unfinished line: later bytes must not continue it."""
     for text in ("G91G1X1F1000", "G91 G1 X1 F1000 (a remark that is longer than what waits)"):
         bench.boot()
         board, host = bench.board, bench.host
         scope = Scope(board)
         host.send(text)
-        # Soon: from time to time all that waits is read anyway.
+        # Soon, because the firmware reads all waiting bytes from time to time.
         board.run(seconds=len(text) * 10 / host.baud + 0.0005)
         after = len(host.text)
         board.drive(bench.wiring.reset, 0)
@@ -195,7 +197,7 @@ def torn_line(bench):
 
 
 def uart_lines(bench):
-    """Short lines over the UART at its greatest rate, by character counting: as over USB."""
+    """Sends short lines over the UART at its maximum rate by character counting, as over USB."""
     bench.boot()
     bench.settings(**BELTS, s931=bench.wiring.most_baud)
     restart_at(bench, bench.wiring.most_baud)
@@ -205,8 +207,8 @@ def uart_lines(bench):
 
 
 def fast_flood(bench):
-    """At the safe rate, a host that floods the UART at its greatest rate: no period is off, and no byte is lost. Nothing takes time from the
-    step task."""
+    """At the safe rate, with a host that floods the UART at its maximum rate: no period may be off and no byte lost, as
+    nothing interrupts the step task."""
     boot_fast(bench)
     lines = yield from flooded_at_safe_rate(bench, lambda: bench.board.run(seconds=200 * US))
     yield f"{lines} lines meanwhile at {bench.board.usart.baud():.0f} baud, {bench.host.bytes_sent} bytes"

@@ -12,11 +12,11 @@ from .bench import JOB_SETTINGS, in_simulator, us, with_usb
 from .patching import hang, unpatch
 
 LINES_S = {"blackpill_f411": 4200, "blackpill_f401": 2850}
-"""Short lines a second that a board takes over USB while it moves."""
+"""Short lines per second that a board accepts over USB while it moves."""
 
 
 def usb_port(bench):
-    """Enumeration, the welcome line when the port is opened, a job by character counting, and a second host at the UART."""
+    """Enumeration, the greeting when the port is opened, a job by character counting, and a second host at the UART."""
     board, host = with_usb(bench)
     device = host.descriptors[1, 0]
     number = host.descriptors[3, 3][2:].decode("utf-16-le")
@@ -33,11 +33,11 @@ def usb_port(bench):
     host.stream("\n".join(["G91 F3000"] + [f"G1 X{'-' if k % 2 else ''}0.5 Y0.25" for k in range(20)]))
     polls, moving, masks = 0, True, []
     while moving:
-        # The log is written at rest only, and masks for longer than anything in motion.
+        # The log is written only at rest, and masks interrupts longer than any code during motion.
         masks.append(bench.longest_mask())
         moving = not (bench.status().startswith("<Idle") and host.all_answered)
         polls += 1
-        # Somebody else wants to drive: refused as long as this one has something to do.
+        # The second host tries to move: it must be refused while the first one has work in progress.
         if polls == 5:
             bench.uart.send("G0X50\n")
         board.run(seconds=0.01)
@@ -58,12 +58,13 @@ def usb_port(bench):
 
 
 SENT_AHEAD = 64
-"""Bytes of the ring between the serial task and the UART."""
+"""Bytes of the queue between the serial task and the UART."""
 
 
 def usb_waits_for_answers(bench):
-    """All is done that the UART's host has asked for, and its answer still on the way: a line of USB's host is refused, and no byte goes
-    astray. What is left of the answer in the ring of the UART (boards/sent.rs) goes out whatever follows: then it may be taken."""
+    """The commands of the UART's host are done, but its answer is still being sent: a line of USB's host must be
+    refused, and no byte may be lost or misrouted. The rest of the answer in the UART's own queue is sent in any case:
+    with only that left, the line may be accepted."""
     host, uart = bench.host, bench.uart
     bench.host = uart
     bench.ask("G4P0")
@@ -85,10 +86,11 @@ def usb_waits_for_answers(bench):
 
 
 def usb_flood(bench):
-    """A host that does not count: it is told to wait, loses nothing, and commands within the promise act at once."""
+    """A host without character counting: it must be held back and lose nothing, and commands within the limits must act
+    at once."""
     board, host = with_usb(bench)
     bench.settings(**JOB_SETTINGS)
-    # 255 bytes fill the queue, 128 more wait behind it; a dwell keeps the controller from reading them.
+    # 255 bytes fill the queue, 128 more wait after it; a dwell prevents the controller from reading them.
     host.send("G4P0.3\n" + "G4P0\n" * 75)
     board.run(seconds=0.02)
     if len(host.answers) > 10 or host.waits:
@@ -112,7 +114,7 @@ def usb_flood(bench):
     yield f"{len(text)} bytes poured in: {host.waits} times told to wait, nothing lost, {(board.now - begin) / bench.wiring.core_hz:.2f} s; longest time masked {us(mask)} ({where})"
     if not host.waits:
         raise Failure("the host was never told to wait: this proves nothing")
-    # The port is closed while the host waits: DTR must be heard, and the next one find a free way.
+    # The port is closed while the host is held back: DTR must be noticed, and the next host must find a working link.
     host.send("G1X3F300\n" + "G4P0.01\n" * 100)
     board.run(seconds=0.3)
     if not host.packets:
@@ -134,7 +136,7 @@ def usb_flood(bench):
 
 
 def chords(count, chord_mm, feed):
-    """A program that moves along a circle of 100 mm in chords."""
+    """Returns a program that moves along a circle of radius 100 mm in chords."""
     lines = [f"G90G1F{feed:.0f}"]
     for k in range(1, count + 1):
         angle = k * chord_mm / 100
@@ -142,21 +144,23 @@ def chords(count, chord_mm, feed):
     return "\n".join(lines)
 
 BELTS = {"s0": 2, "s29": 0, "s100": 80, "s101": 80, "s110": 60000, "s111": 60000, "s120": 4000, "s121": 4000}
-"""A machine for many lines a second, whose motors have few steps to do for each."""
+"""Settings of a machine for many lines per second: each line takes few steps."""
 
 
 def usb_lines(bench):
-    """Short lines over USB by character counting: up to the rate that is promised a job takes the time of its motion, because the
-    look-ahead never runs low. And how many a second there are when the motion would take more."""
+    """Sends short lines over USB by character counting: up to the promised rate a job must take only the time of its
+    motion, because the look-ahead never runs low. Also measures the lines per second when the motion would take
+    more."""
     with_usb(bench)
     bench.settings(**BELTS)
     yield from many_lines(bench, LINES_S[bench.wiring.name])
 
 
 def many_lines(bench, promised, begin_s=0.0):
-    """`begin_s`: what may be lost where motion begins before the look-ahead is full, as lines come no faster than they are read."""
+    """Sends many short lines at several rates and compares the duration with the simulator's. `begin_s`: time that may
+    be lost at the start, when motion begins before the look-ahead is full."""
     board, host = bench.board, bench.host
-    # Far more lines than the look-ahead has in advance. Lines that end by CR LF have a byte more.
+    # Far more lines than the look-ahead holds. Lines that end with CR LF have one more byte.
     for rate, count, end in ((promised, 4000, "\n"), (4 * promised, 1200, "\n"), (0.85 * promised, 1500, "\r\n")):
         text = chords(count, 0.05, 0.05 * rate * 60)
         with tempfile.TemporaryDirectory() as folder:
@@ -180,7 +184,7 @@ def many_lines(bench, promised, begin_s=0.0):
 
 
 def usb_stop(bench):
-    """A command that stops the machine does not wait for long behind other commands, nor behind lines that are refused."""
+    """A command that stops the machine must not wait long after other commands or after lines that are refused."""
     board, usb = with_usb(bench)
     bench.settings(**JOB_SETTINGS)
     refused = b"G1 X1 Y2 Z3\n" * 21
@@ -204,7 +208,8 @@ def usb_stop(bench):
 
 
 def usb_answers(bench):
-    """Answers of lines that wait one behind the other share packets, and none is held while the line behind it takes its time."""
+    """Answers of consecutive waiting lines must share packets, and none may be held back while the next line takes
+    time."""
     board, host = with_usb(bench)
     bench.settings(**BELTS)
     text = chords(200, 0.05, 6000)
@@ -230,7 +235,7 @@ def usb_answers(bench):
 
 
 def usb_unplugged(bench):
-    """The cable is pulled in mid-job: a hold, and the UART or the next host takes over."""
+    """The cable is pulled during a job: the machine must hold, and the UART or the next host must get control."""
     board, host = with_usb(bench)
     bench.settings(**JOB_SETTINGS)
     scope = Scope(board)
@@ -264,7 +269,8 @@ def usb_unplugged(bench):
     if scope.counts() != [0, 0, 0]:
         raise Failure(f"with $914=0 the motors are at {scope.counts()}")
     yield "with $914=0 the move was finished"
-    # The processor stands while flash is erased: a line comes, and then the cable is pulled, before either is seen.
+    # While flash is erased and the processor is stalled, a line arrives and then the cable is pulled; the firmware
+    # notices both afterwards.
     host.order("plug")
     bench.wait(lambda: host.is_set_up, 1, "the set-up of the USB device")
     host.order("open")
@@ -283,7 +289,8 @@ def usb_unplugged(bench):
 
 
 def usb_unread(bench):
-    """Packets that wait for room: they keep nobody from running, and go with their host."""
+    """Packets that wait for space must not keep other tasks from running, and must be discarded when their host
+    leaves."""
     board, host = with_usb(bench)
     otg, step = board.otg, Scope(board)
     bench.settings(**JOB_SETTINGS)
@@ -297,7 +304,7 @@ def usb_unread(bench):
         if host.has_said("error", after) or step.steps():
             raise Failure(f"something of the host that went has been read; the next one was told {bytes(host.text[after:])!r}")
 
-    # The queue of commands is full, one more waits, and what stands behind it is not fetched.
+    # The queue of commands is full, one more waits, and the bytes after it are not fetched.
     hang(bench)
     host.send(64 * b"?")
     host.send(b"?G1 X5 F100 Y")
@@ -309,7 +316,7 @@ def usb_unread(bench):
     board.run(seconds=0.05)
     reopen()
     yield "closed with half a line unfetched: the next host begins a line of its own"
-    # Answers that nobody has fetched: a packet of them is with the endpoint already.
+    # Unfetched answers: one packet of them is already in the endpoint.
     host.reads = False
     host.send(b"G4P0\n" * 20)
     board.run(seconds=0.1)
@@ -322,7 +329,7 @@ def usb_unread(bench):
     if not host.text[after:].startswith(b"\r\nGrbl"):
         raise Failure(f"the next host got answers to the one before: {bytes(host.text[after:])!r}")
     yield "closed with answers unread: the next host gets none of them"
-    # A program that pours a file in is ended: its port is closed first, and what it had under way is called back later.
+    # A program that sends a whole file is ended: its port is closed first, and its bytes in flight are cancelled later.
     bench.settings(s914=0)
     host.send("G4P0.01\n" * 400 + "G1 X5 F100\n" * 20)
     board.run(seconds=0.3)
@@ -335,8 +342,8 @@ def usb_unread(bench):
     board.run(seconds=3)
     reopen()
     yield "closed while it waited: what was still under way is thrown away, and the next host is greeted"
-    # Twice the driver has enabled the endpoint before the end of a packet was seen: one packet is with the driver, and one
-    # stays in the FIFO and keeps the interrupt pending.
+    # Twice the driver has enabled the endpoint before the firmware saw the end of a packet: one packet is in the
+    # driver, and one stays in the FIFO and keeps the interrupt pending.
     hang(bench)
     host.send(64 * b"?")
     host.send(b"?")
@@ -356,7 +363,8 @@ def usb_unread(bench):
 
 
 def usb_set_up_again(bench):
-    """A host that sets the device up again, or clears halts, begins with DATA0: no packet is lost, and none waits for ever."""
+    """A host that configures the device again, or clears halts, restarts with DATA0: no packet may be lost or wait
+    forever."""
     board, host = with_usb(bench)
 
     def asks(count):
@@ -370,7 +378,7 @@ def usb_set_up_again(bench):
             board.run(seconds=0.005)
             asks(count)
         yield f"{order}: each packet has come, both ways"
-    # The endpoint waits for room when the configuration is taken back.
+    # The host withdraws the configuration while the endpoint waits for space.
     hang(bench)
     host.send(64 * b"?")
     host.send(b"?G4P0\n")
@@ -391,8 +399,8 @@ def usb_set_up_again(bench):
 
 
 def usb_reset(bench):
-    """A host resets the bus in the middle of a job and sets the device up again, with answers that nobody has fetched: the machine
-    is held, and the port works as before."""
+    """A host resets the bus during a job and configures the device again, also with unfetched answers: the machine must
+    hold, and the port must work as before."""
     board, host = with_usb(bench)
     bench.settings(**JOB_SETTINGS)
     scope = Scope(board)

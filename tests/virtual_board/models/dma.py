@@ -1,20 +1,26 @@
-"""DMA controllers (RM0390 chapter 9, RM0383 chapter 9), as far as a USART receives and sends, a timer captures and steps are put
-out through them.
+"""DMA controllers (RM0390 chapter 9, RM0383 chapter 9), as used for a USART in both directions, for captures of a
+timer, and for the step output.
 
-Modelled: one transfer after the other with a delay, whoever asks for them; a stream that is switched off ends the transfer that it
-is at, and EN tells until then; number of data, end of a transfer with its flag and its interrupt, clearing of flags. For a
-USART: half-words or bytes on both sides from it, once or circular, bytes to it, once; a transfer holds the controller for as long as
-the slower bus takes (`usart_hold`). For compare events of timers: words in direct mode, either direction, either address counting up,
-circular; from memory to a peripheral the next word is fetched right after the one before, and the first at the enable. A
-request that no stream takes stays until its timer is reset. For captures of timers: half-words, once, done at the moment of the
-request.
-Not modelled: other sizes, double-buffer mode, FIFO, the word that a stream to a USART fetches ahead, priorities of streams other than
-by their number, other bus load.
+Modelled: transfers one after the other, each with a delay, whatever requested them; a stream that is switched off
+completes its current transfer, and EN stays set until then; the number of data; the flag and the interrupt at the end
+of a transfer; clearing of flags.
+For a USART: half-words or bytes on both sides from it, once or circular; bytes to it, once. A transfer holds the
+controller for as long as the slower bus takes (`usart_hold`).
+For compare events of timers: words in direct mode, in both directions, incrementing either address, circular. From
+memory to a peripheral, the first word is fetched when the stream is enabled, and each next word right after the one
+before. A request that no stream serves stays pending until its timer is reset.
+For captures of timers: half-words, once, transferred at the time of the request.
+Not modelled: other sizes, double-buffer mode, FIFO, the word that a stream to a USART fetches ahead, priorities of
+streams other than by their number, other bus load.
 
-Misuse is what parts punish without a word: GPIO reached through DMA2's peripheral port, or written by DMA2 while it may serve a
-USART, which is on APB2 (ES0287 2.2.11: data may be corrupted), a peripheral that DMA1 does not reach, CR read right after EN was set (the stream may hang), two streams
-switched on back to back or for one request, a word of memory changed after it was fetched, a request from before that a
-stream would serve at once when it is switched on.
+Misuse is raised for errors that real parts do not report:
+* GPIO reached through DMA2's peripheral port, or written by DMA2 while it may serve a USART, which is on APB2 (ES0287
+  2.2.11: data may be corrupted);
+* a peripheral that DMA1 does not reach;
+* CR read right after EN was set (the stream may hang);
+* two streams switched on back to back, or for one request;
+* a word of memory changed after it was fetched;
+* a stream switched on with a stale request, which it would serve at once.
 """
 
 import functools
@@ -29,22 +35,23 @@ EN, TCIE, MINC, PSIZE, MSIZE, CHANNEL = 1 << 0, 1 << 4, 1 << 10, 1 << 11, 1 << 1
 TO_PERIPHERAL, CIRC, PINC, WORDS, PRIORITY = 1 << 6, 1 << 8, 1 << 9, 2 << 11 | 2 << 13, 3 << 16
 TCIF = 1 << 5
 VECTORS = {("DMA1", 6): 17}
-"""Interrupts of the streams that may call at their end."""
+"""Interrupt numbers of the streams that may interrupt at their end."""
 REQUESTS = {
     ("DMA2", 2, 4): "USART1", ("DMA2", 5, 4): "USART1", ("DMA1", 5, 4): "USART2", ("DMA1", 6, 4): "USART2_TX",
     ("DMA1", 0, 2): "TIM4_CH1", ("DMA1", 3, 2): "TIM4_CH2", ("DMA1", 7, 2): "TIM4_CH3", ("DMA1", 2, 6): "TIM5_CH1",
     ("DMA1", 0, 6): "TIM5_CH3", ("DMA2", 4, 6): "TIM1_CH4",
     ("DMA2", 1, 6): "TIM1_CH1", ("DMA2", 3, 6): "TIM1_CH1", ("DMA2", 2, 6): "TIM1_CH2", ("DMA2", 6, 6): "TIM1_CH3",
 }  # fmt: skip
-"""Who asks, by (controller, stream, channel): RM0383 and RM0390, tables "DMA1 request mapping" and "DMA2 request mapping"; the same in RM0368 (F401)."""
+"""Source of the requests, by (controller, stream, channel): RM0383 and RM0390, tables "DMA1 request mapping" and "DMA2
+request mapping"; the same in RM0368 (F401)."""
 TO_AHB, TO_APB, FETCH, BUSY = 12, 16, 10, 8
-"""Cycles from a request to the store on the AHB or an APB, from there to the next word fetched, and from one store to the
-next (AN4031, tables 4 and 5)."""
+"""Cycles from a request to the store on the AHB or an APB, from that store to the next word fetched, and from one store
+to the next (AN4031, tables 4 and 5)."""
 USART_HOLD = 8
-"""Cycles for which a transfer of a USART holds the controller, and four clocks of its bus."""
+"""Cycles for which a transfer of a USART holds the controller, in addition to four clocks of its bus."""
 SETTLE = 8
-"""Cycles between two stores that switch streams on, and after one before CR may be read. In no manual: measured on STM32F4 by the project brio, which
-saw streams hang."""
+"""Minimum cycles between two stores that switch streams on, and from such a store to a read of CR. In no manual:
+measured on STM32F4 by the project brio, which saw streams hang."""
 GPIO = range(0x4002_0000, 0x4002_2000)
 """Ports A to H: RM0383, RM0390, "Memory map", register boundary addresses."""
 
@@ -64,7 +71,7 @@ class Dma(Peripheral):
     def __init__(self, name, board, bit):
         self.CLOCK = (0x30, bit)
         self.streams = {}
-        """Those that a request may go to."""
+        """Streams that may serve each source of requests."""
         for (controller, stream, _), who in REQUESTS.items():
             if controller == name:
                 self.streams.setdefault(who, []).append(stream)
@@ -75,22 +82,22 @@ class Dma(Peripheral):
         self.next = [0] * 8
         """Memory address of the next datum."""
         self.agenda = []
-        """(cycle, order, action) of transfers under way."""
+        """Heap of the scheduled steps of transfers: (cycle, order, action)."""
         self.order = 0
         self.busy_until = 0
         self.whole = [0] * 8
-        """Number of data that a circular stream begins again with."""
+        """Number of data with which a circular stream restarts."""
         self.fetched = [None] * 8
-        """(index, word) that a stream to a peripheral holds; the index is that of the ring."""
+        """(index, word) that a stream to a peripheral has fetched; the index is that in the ring."""
         self.switched_on = [-SETTLE] * 8
         self.taken = [0] * 8
-        """Requests that each stream has taken and not served."""
+        """Number of requests that each stream has taken, but not served yet."""
         self.ending = [0] * 8
-        """CR of a stream that was switched off with a transfer under way, up to its end."""
+        """CR of a stream that was switched off during a transfer, until that transfer ends."""
         self.under_way = {}
-        """Requests that have been made and not been served, by who made them."""
+        """Number of requests not served yet, by source."""
         self.unserved = set()
-        """Requests that no stream has taken."""
+        """Sources of requests that no stream has taken."""
 
     def read(self, offset):
         if offset >= 0x10:
@@ -100,7 +107,7 @@ class Dma(Peripheral):
             if register == CR and self.ending[stream]:
                 return super().read(offset) | EN
             if register == NDTR and is_chosen("counted-at-fetch") and self.fetched[stream] is not None:
-                # The word that has been fetched is counted, up to the end of the ring.
+                # The fetched word is counted already; at the end of the ring the count restarts.
                 return super().read(offset) - 1 or self.whole[stream]
         return super().read(offset)
 
@@ -142,18 +149,18 @@ class Dma(Peripheral):
                 self.board.peripherals[who.removesuffix("_TX")].ask_dma()
 
     def who(self, stream, cr):
-        """Whose requests a stream serves."""
+        """Returns the source whose requests a stream serves."""
         return REQUESTS.get((self.name, stream, (cr & CHANNEL) >> 25), "")
 
     def _call(self):
-        """The lines of the streams that call at their end."""
+        """Updates the interrupt lines of the streams that may interrupt at their end."""
         for (name, stream), irq in VECTORS.items():
             if name == self.name:
                 flags = self.values[LISR if stream < 4 else HISR] >> self._shift(stream)
                 self.board.nvic.level(irq, bool(flags & TCIF and self.values[0x10 + 0x18 * stream + CR] & TCIE))
 
     def _begin(self, stream, base, cr):
-        """A stream is switched on."""
+        """Switches a stream on, after checking its configuration."""
         who = self.who(stream, cr)
         par = self.values[base + PAR]
         if "_CH" not in who or not cr & CIRC:
@@ -176,7 +183,7 @@ class Dma(Peripheral):
             raise Unmodelled(f"{self.name}: stream {stream} with CR {cr:#x}")
         if self.name == "DMA2" and par in GPIO:
             raise Misuse(f"{self.name}: stream {stream} reaches GPIO through the peripheral port")
-        # RM0383 and RM0390, figure of the bus matrix: the peripheral port of DMA1 leads to APB1 alone.
+        # RM0383 and RM0390, figure of the bus matrix: the peripheral port of DMA1 leads only to APB1.
         if self.name == "DMA1" and not 0x4000_0000 <= par < 0x4001_0000:
             raise Misuse(f"{self.name}: the peripheral port does not reach {par:#x}")
         for other in range(8):
@@ -216,15 +223,15 @@ class Dma(Peripheral):
             self.fetched[stream] = (index, self.board.dma_load(self._place(base, index)))
 
     def _place(self, base, index):
-        """Where a stream has a word in memory."""
+        """Returns the memory address of a stream's word."""
         return self.values[base + M0AR] + (4 * index if self.values[base + CR] & MINC else 0)
 
     def forget(self, timer):
-        """A timer is reset: its requests go."""
+        """Drops the pending requests of a timer that is reset."""
         self.unserved = {who for who in self.unserved if not who.startswith(timer)}
 
     def ask(self, who, at, pulse=None):
-        """A compare event asks for a transfer, at this cycle, unless its pulse has been cut by then."""
+        """Requests a transfer for a compare event at cycle `at`; dropped if the pulse has been cut by then."""
         streams = self.streams.get(who)
         if streams:
             self.under_way[who] = self.under_way.get(who, 0) + 1
@@ -273,13 +280,14 @@ class Dma(Peripheral):
         self.values[base + NDTR] = left or whole
 
     def usart_hold(self, bus):
-        """Cycles for which a transfer of a USART on this bus holds the controller."""
+        """Returns the cycles for which a transfer of a USART on this bus holds the controller."""
         rcc = self.board.rcc
         return USART_HOLD + 4 * (rcc.hclk // getattr(rcc, bus))
 
     def ask_for_usart(self, who, data_address, bus, at, serve):
-        """A USART has a byte, or is free for one, since a cycle that may be a while ago. Whether some stream takes the request:
-        `serve(byte, at)` then gives what was received, or takes what is to be sent."""
+        """Requests a transfer for a USART that has received a byte or can send one, since cycle `at`, which may be a
+        while ago. Returns whether a stream takes the request: `serve(byte, at)` then returns the received byte, or
+        accepts the byte to be sent."""
         for stream in self.streams.get(who, ()):
             base = 0x10 + 0x18 * stream
             cr = self.values[base + CR]
@@ -307,7 +315,7 @@ class Dma(Peripheral):
         if left == 0 and cr & CIRC:
             self.values[base + NDTR], self.next[stream] = self.whole[stream], self.values[base + M0AR]
         elif left == 0:
-            # Before the USART asks for the next byte.
+            # Before the USART requests the next byte.
             self.values[base + CR] &= ~EN
         if cr & TO_PERIPHERAL:
             byte, = self.board.read_memory(memory, 1)
@@ -319,7 +327,7 @@ class Dma(Peripheral):
             self._call()
 
     def request(self, asks, data_address, datum):
-        """A timer has captured. Whether some stream has taken it."""
+        """Requests the transfer of a timer's capture. Returns whether a stream has taken it."""
         for (name, stream, channel), who in REQUESTS.items():
             base = 0x10 + 0x18 * stream
             cr = self.values[base + CR]

@@ -1,7 +1,8 @@
 """External interrupt controller (RM0390 chapter 10, RM0383 chapter 10), as far as the voltage detector uses it.
 
-Modelled: line 16, which follows the detector's output: masks, both edges, software trigger, pending bit cleared by a 1.
-Not modelled: the lines of pins (their bits fail), events.
+Modelled: line 16, which follows the detector's output: masks, both edges, software trigger, clearing the pending bit by
+writing 1.
+Not modelled: the lines of pins (using their bits fails), events.
 """
 
 from .peripheral import Peripheral
@@ -32,7 +33,7 @@ class Exti(Peripheral):
         self._call()
 
     def edge(self, line, rising):
-        """The source of a line has changed."""
+        """Call when the source of a line has changed."""
         if self.values[RTSR if rising else FTSR] & line:
             self.values[PR] |= line
             self._call()

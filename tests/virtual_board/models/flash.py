@@ -1,11 +1,12 @@
 """Flash interface (RM0390 chapter 3, RM0383 chapter 3).
 
-Modelled: wait states against the core clock (2.7 to 3.6 V), key sequence (a wrong one locks until reset), sector erase, programming in
-units of PSIZE, programming can only clear bits, the error flags PGSERR, PGPERR, PGAERR (they stop an operation from
-beginning), BSY; the processor stands still while an operation runs, as code lies in the same bank, and interrupts wait.
-Durations are the typical ones of the data sheets: a word 16 us, sectors of 16/64/128 KiB 250/550/1000 ms at x32.
-Not modelled: caches (a margin stands for them, see core.c), option bytes, mass erase, write protection, interrupts of
-the flash itself, code that runs from RAM during an operation (it stands still as well).
+Modelled: wait states checked against the core clock (2.7 to 3.6 V); key sequence (a wrong one locks until reset);
+sector erase; programming in units of PSIZE, which can only clear bits; the error flags PGSERR, PGPERR, PGAERR, which
+prevent an operation from starting; BSY. The processor and its interrupts stall during an operation, as the code is in
+the same bank. Durations are the typical ones of the data sheets: a word 16 us, sectors of 16/64/128 KiB 250/550/1000 ms
+at x32.
+Not modelled: caches (core.c uses a margin instead), option bytes, mass erase, write protection, interrupts of the flash
+itself, code that runs from RAM during an operation (here it stalls, too).
 """
 
 from .peripheral import Misuse, Peripheral, Unmodelled
@@ -18,9 +19,9 @@ KEYS = (0x4567_0123, 0xCDEF_89AB)
 BASE = 0x0800_0000
 PROGRAM_S = 16e-6
 ERASE_S = {16: 0.25, 64: 0.55, 128: 1.0}
-"""By size in KiB. Data sheet of the STM32F411, "Flash memory programming", typical."""
+"""Duration of an erase by sector size in KiB: data sheet of the STM32F411, "Flash memory programming", typical."""
 SLOWER = {0: 1.6, 1: 1.2, 2: 1.0}
-"""Erasing by PSIZE: at x8 400 ms and at x16 300 ms instead of 250 ms for 16 KiB."""
+"""Factor on the duration of an erase, by PSIZE: 16 KiB take 400 ms at x8 and 300 ms at x16 instead of 250 ms."""
 
 
 class Flash(Peripheral):
@@ -46,7 +47,7 @@ class Flash(Peripheral):
         if offset == KEYR:
             return self._unlock(value)
         if offset == SR:
-            # Written 1 clears.
+            # Writing 1 clears a flag.
             self.values[SR] &= ~(value & 0xF3)
             return None
         if offset == CR:
@@ -62,7 +63,7 @@ class Flash(Peripheral):
         return None
 
     def check(self, hclk):
-        """Enough wait states for a clock?"""
+        """Raises Misuse if the wait states are too few for a core clock."""
         latency = self.values[ACR] & 15
         limit = next((most for states, most in enumerate(self.board.part.wait_states) if states == latency), 1 << 40)
         if hclk > limit:
@@ -91,7 +92,7 @@ class Flash(Peripheral):
         self.values[SR] |= EOP
 
     def program(self, address, size, value):
-        """A store into the flash."""
+        """Programs a store into flash."""
         cr = self.values[CR]
         if cr & LOCK or not cr & PG:
             self.values[SR] |= PGSERR

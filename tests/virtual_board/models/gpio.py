@@ -1,9 +1,10 @@
 """General-purpose input and output (RM0390 chapter 7, RM0383 chapter 8).
 
 Modelled: MODER, OTYPER, OSPEEDR, PUPDR, IDR, ODR, BSRR, AFRL, AFRH; push-pull and open-drain outputs, pull resistors,
-levels from outside, each change of an output with its time. An output changes at the store itself.
-Not modelled: LCKR, slew rates, the one or two AHB cycles from a store to the pin and from a pin to IDR, contention between
-an output and a level from outside, analogue mode other than "no output". A floating input reads 1 and is counted.
+external levels, and the time of each change of an output. An output changes at the store itself.
+Not modelled: LCKR, slew rates, the one or two AHB cycles from a store to the pin and from a pin to IDR, contention
+between an output and an external level, analogue mode other than "no output". A floating input reads 1; such reads are
+counted.
 """
 
 from .peripheral import Misuse, Peripheral, Unmodelled
@@ -12,7 +13,7 @@ MODER, OTYPER, OSPEEDR, PUPDR, IDR, ODR, BSRR, AFRL, AFRH = 0x00, 0x04, 0x08, 0x
 INPUT, OUTPUT, ALTERNATE, ANALOGUE = range(4)
 FLOATING = None
 
-# GPIOx_MODER, OSPEEDR, PUPDR: reset values of ports A and B, whose pins the debug port has.
+# GPIOx_MODER, OSPEEDR, PUPDR: reset values of ports A and B, which have the pins of the debug port.
 RESET = {
     "GPIOA": {MODER: 0xA800_0000, OSPEEDR: 0x0C00_0000, PUPDR: 0x6400_0000},
     "GPIOB": {MODER: 0x0000_0280, OSPEEDR: 0x0000_00C0, PUPDR: 0x0000_0100},
@@ -35,7 +36,7 @@ class Gpio(Peripheral):
     def __init__(self, name, board):
         self.port = name[-1]
         self.outside = [FLOATING] * 16
-        """Level that the world drives each pin to."""
+        """External level at each pin."""
         super().__init__(name, board)
 
     def reset(self):
@@ -44,7 +45,7 @@ class Gpio(Peripheral):
         self.floating_reads = 0
         self.word = self.floats = 0
         self.at = None
-        """The cycle of a store that is not the processor's."""
+        """Cycle of a store by DMA in progress, otherwise None."""
         self.shown = [FLOATING] * 16
         """Level that the chip drives each pin to; "AF" while a peripheral drives it."""
         self._show(0xFFFF)
@@ -61,7 +62,7 @@ class Gpio(Peripheral):
 
     def write(self, offset, value):
         if offset == BSRR:
-            # Low half sets, high half resets; where both are asked for, setting wins.
+            # The low half sets, the high half resets; setting takes precedence.
             before = self.values[ODR]
             after = (before & ~(value >> 16) | value) & 0xFFFF
             if after != before:
@@ -77,7 +78,7 @@ class Gpio(Peripheral):
         self._sense()
 
     def store_by_dma(self, offset, value, at):
-        """A DMA stream writes a register, at a cycle that may be an instruction ago."""
+        """Writes a register for a DMA stream, at cycle `at`, which may be one instruction ago."""
         self.at = at
         self.write(offset, value)
         self.at = None
@@ -86,13 +87,13 @@ class Gpio(Peripheral):
         return self.values[MODER] >> 2 * pin & 3
 
     def function(self, pin):
-        """Number of the alternate function, if the pin is in that mode."""
+        """Returns the number of the alternate function, or None if the pin is not in that mode."""
         if self.mode(pin) != ALTERNATE:
             return None
         return self.values[AFRL if pin < 8 else AFRH] >> 4 * (pin & 7) & 15
 
     def level(self, pin):
-        """What a meter at the pin would show: 0, 1, or None where nothing decides."""
+        """Returns the level at the pin: 0, 1, or None if nothing drives or pulls it."""
         shown = self.shown[pin]
         if shown in (0, 1):
             return shown
@@ -101,19 +102,19 @@ class Gpio(Peripheral):
         return {1: 1, 2: 0}.get(self.values[PUPDR] >> 2 * pin & 3)
 
     def drive(self, pin, level):
-        """The world drives a pin (0, 1) or lets go of it (None)."""
+        """Drives a pin from outside (0, 1), or stops driving it (None)."""
         self.outside[pin] = level
         self._sense()
 
     def _follow(self, pins):
-        """The same as `_sense` after a change of these outputs alone: what is an input stays as it is."""
+        """Updates IDR like `_sense`, for a change of these outputs only; inputs keep their level."""
         for pin in range(16):
             if pins >> pin & 1:
                 level = self.level(pin)
                 self.word = self.word & ~(1 << pin) | (1 if level is None else level) << pin
 
     def _sense(self):
-        """What IDR shows from now on."""
+        """Updates IDR for all pins."""
         self.word = self.floats = 0
         for pin in range(16):
             level = self.level(pin)

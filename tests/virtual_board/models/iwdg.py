@@ -1,7 +1,7 @@
 """Independent watchdog (RM0390 chapter 20, RM0383 chapter 15).
 
-Modelled: keys, prescaler, reload, counting by the 32 kHz of the LSI (17 to 47 kHz on parts), reset. SR is 0: prescaler and reload act
-at once, where hardware takes up to five LSI cycles.
+Modelled: keys, prescaler, reload, counting with the 32 kHz of the LSI (17 to 47 kHz on real parts), reset. SR is 0:
+prescaler and reload take effect at once; real hardware takes up to five LSI cycles.
 Not modelled: start by option byte, freezing by a debugger.
 """
 
@@ -41,7 +41,7 @@ class Iwdg(Peripheral):
         super().write(offset, value)
 
     def seconds(self):
-        """From a feed to the reset."""
+        """Returns the timeout: seconds from a feed to the reset."""
         return (self.values[RLR] + 1) * (4 << min(self.values[PR], 6)) / LSI_HZ
 
     def _reload(self):
@@ -52,7 +52,7 @@ class Iwdg(Peripheral):
             raise Misuse("the watchdog is started before the clocks are set: its model cannot follow")
 
     def slowed_down(self, ratio):
-        """Core cycles are longer from here on."""
+        """Adapts the timeout to a slower core clock; `ratio` is new clock / old clock."""
         if self.started:
             now = self.board.now
             self.plan(now + round((self.due - now) * ratio))

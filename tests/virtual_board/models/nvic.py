@@ -1,19 +1,20 @@
 """The core's own peripherals: NVIC, system control block, SysTick, cycle counter (ARMv7-M architecture manual, part B).
 
-Modelled: enable, pending, active and 4-bit priorities of interrupts, level-sensitive lines (a line that is still up at the
-return pends again), preemption, tail-chaining, PRIMASK, BASEPRI, software pending, SysTick from the core clock, the
-reset request, the NMI, FPU access control, the fault registers as plain words, DWT_CYCCNT.
-Not modelled: priority grouping, late arrival (a higher interrupt that comes during entry is taken after it), faults other than HardFault, SLEEPONEXIT and
-deep sleep, MPU, ITM, the reference clock of SysTick, FPU access before it is enabled (works here, faults on a part).
+Modelled: enable, pending, active and 4-bit priorities of interrupts; level-sensitive lines (a line that is still high
+at the return pends again); preemption, tail-chaining, PRIMASK, BASEPRI, software pending, SysTick from the core clock,
+the reset request, the NMI, FPU access control, the fault registers as plain words, DWT_CYCCNT.
+Not modelled: priority grouping; late arrival (a higher interrupt that arrives during entry is taken after it); faults
+other than HardFault; SLEEPONEXIT and deep sleep; MPU; ITM; the reference clock of SysTick; FPU access before it is
+enabled (works here, faults on a real part).
 """
 
 from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
 
 PRIORITY_BITS = 0xF0
-"""Of eight bits an STM32F4 has the upper four: PM0214, "Interrupt priority registers"."""
+"""An STM32F4 implements the upper four of eight bits: PM0214, "Interrupt priority registers"."""
 NMI, HARD_FAULT, SVCALL, PENDSV, SYSTICK = 2, 3, 11, 14, 15
 THREAD = 256
-"""Priority of a processor that runs no exception."""
+"""Priority of a processor that runs no exception: lower than all others."""
 
 CSR, RVR, CVR = 0x010, 0x014, 0x018
 ISER, ICER, ISPR, ICPR, IABR, IPR = 0x100, 0x180, 0x200, 0x280, 0x300, 0x400
@@ -34,22 +35,23 @@ class Nvic(Peripheral):
         self.enabled = {NMI, HARD_FAULT, SVCALL, PENDSV, SYSTICK}
         self.pending = set()
         self.lines = set()
-        """Exceptions whose source asks for them now."""
+        """Exceptions whose line is high."""
         self.active = []
-        """The stack of exceptions that run, as (number, priority); the newest last."""
+        """Stack of the active exceptions, as (number, priority); the newest last."""
         self.plain = dict(PLAIN)
         self.vectors = self.board.part.flash_start
         self.csr = self.reload = 0
         self.zero_at = NEVER
         self.counted = False
         self.entries = {}
-        """How often each exception was entered, and how often without going back in between."""
+        """How often each exception was entered."""
+        # How often an exception was entered directly from another one (tail-chaining).
         self.chained = 0
 
     # The lines of the peripherals.
 
     def level(self, irq, up):
-        """A peripheral's line goes up or down."""
+        """Sets the level of a peripheral's line."""
         number = 16 + irq
         if up:
             if number not in self.lines:
@@ -57,23 +59,23 @@ class Nvic(Peripheral):
                 self.pending.add(number)
                 self.board.look()
         else:
-            # Hardware keeps what is pending, but a line that falls before anyone looked was seen by nobody: it stays pending.
+            # Hardware keeps a pending interrupt even if its line falls before it is taken: do not clear `pending`.
             self.lines.discard(number)
 
     def priority(self, number):
         return {NMI: -2, HARD_FAULT: -1}.get(number, self.priorities[number])
 
     def running(self):
-        """Priority of what runs, masks apart."""
+        """Returns the priority of the running code, without masks."""
         return min((p for _, p in self.active), default=THREAD)
 
     def best(self):
-        """The pending exception that comes first, whatever runs now."""
+        """Returns the most urgent pending exception, whatever runs at present."""
         ready = [n for n in self.pending if n in self.enabled]
         return min(ready, key=lambda n: (self.priority(n), n)) if ready else None
 
     def takeable(self, primask, basepri):
-        """The exception to take now, if any; and whether a mask alone keeps one back."""
+        """Returns the exception to take now, or None; and whether only a mask holds one back."""
         if not self.pending:
             return None, False
         best = self.best()
@@ -87,13 +89,13 @@ class Nvic(Peripheral):
         return best, False
 
     def begin(self, number):
-        """An exception is entered."""
+        """Enters an exception."""
         self.pending.discard(number)
         self.active.append((number, self.priority(number)))
         self.entries[number] = self.entries.get(number, 0) + 1
 
     def end(self):
-        """The newest one returns."""
+        """Returns from the newest exception."""
         number, _ = self.active.pop()
         if number in self.lines:
             self.pending.add(number)
@@ -215,6 +217,6 @@ class Nvic(Peripheral):
         if self.csr & 2:
             self.pending.add(SYSTICK)
             self.board.look()
-        # The counter stays at 0 for one cycle and is loaded in the next.
+        # The counter stays at 0 for one cycle and is reloaded in the next.
         self.zero_at = self.due + self.reload + 1
         self.plan(self.zero_at)

@@ -1,12 +1,12 @@
-"""OTG_FS as a full-speed device (RM0383 chapter 22), with the host at the other end of the cable.
+"""OTG_FS as a full-speed device (RM0383 chapter 22), with an interface for the host at the other end of the cable.
 
-Modelled: soft connect, bus reset and end of enumeration, suspend and wake-up, the receive FIFO with its status entries (a packet
-and, a moment later, its end), NAK and enable of endpoints, transmit FIFOs, transfer-complete of IN endpoints, the interrupt. An OUT
-endpoint answers NAK from the end of a packet until it is enabled again; a SETUP packet is always taken. A packet that
-comes while its predecessor is still unread stays in the FIFO. Each data endpoint has its data toggle: an OUT packet with
-the wrong one is answered ACK and thrown away, as one that was sent again.
-Not modelled: the host role, isochronous transfers, SOF, VBUS sensing (which must be off), errors on the bus, FIFO sizes beyond their
-sum, EP0's STALL for more than the transfer at hand, transfers of more than one packet, CRC.
+Modelled: soft connect; bus reset and end of enumeration; suspend and wake-up; the receive FIFO with its status entries
+(a packet and, a moment later, its end); NAK and enable of endpoints; transmit FIFOs; transfer-complete of IN endpoints;
+the interrupt. After a packet, an OUT endpoint answers NAK until it is enabled again; a SETUP packet is always accepted.
+A packet that arrives while its predecessor is unread stays in the FIFO. Each data endpoint has its data toggle: an OUT
+packet with the wrong one is answered by ACK and dropped, as a repetition.
+Not modelled: the host role, isochronous transfers, SOF, VBUS sensing (which must be off), errors on the bus, FIFO sizes
+except their sum, EP0's STALL beyond the current transfer, transfers of more than one packet, CRC.
 """
 
 from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
@@ -24,7 +24,7 @@ OUT_DATA, OUT_DONE, SETUP_DONE, SETUP_DATA = 2, 3, 4, 6
 ENDPOINTS, FIFO_WORDS = 4, 320
 """RM0383, "OTG_FS main features": endpoint 0 and three more, 1.25 Kbytes of FIFO."""
 END_S = 0.5e-6
-"""From a packet to the entry that says that it has ended."""
+"""Seconds from a packet to the entry that marks its end."""
 
 
 class OtgFs(Peripheral):
@@ -34,7 +34,7 @@ class OtgFs(Peripheral):
 
     def __init__(self, name, board):
         self.host = None
-        """The other end of the cable: `step()` is called when `due` has come."""
+        """The host; its `step()` is called when its `due` time has come."""
         super().__init__(name, board)
 
     def reset(self):
@@ -45,11 +45,12 @@ class OtgFs(Peripheral):
         self.flags = 0
         self.suspended = False
         self.fifo, self.words = [], []
-        """Entries (cycle, endpoint, bytes, status), and the words of the data entry that was popped last."""
+        """`fifo`: entries (cycle, endpoint, bytes, status). `words`: unread words of the data entry that was popped
+        last."""
         self.control = {(side, n): 0 for side in (IN, OUT) for n in range(ENDPOINTS)}
         self.size = dict(self.control)
         self.toggle = dict(self.control)
-        """0 for DATA0, which a data endpoint sends or expects next."""
+        """Toggle that each data endpoint sends or expects next: 0 for DATA0."""
         self.complete = [0] * ENDPOINTS
         self.sending = [bytearray() for _ in range(ENDPOINTS)]
 
@@ -180,7 +181,7 @@ class OtgFs(Peripheral):
             if side == IN:
                 self.complete[number] &= ~value
         elif register == 0x10:
-            # The driver does so with endpoint 0 at a bus reset, for its next SETUP packets.
+            # Endpoint 0 is exempt: the driver writes its size at a bus reset, for the next SETUP packets.
             if side == OUT and number and self.control[side, number] & EPENA:
                 raise Misuse(f"OTG_FS: the size of OUT endpoint {number} is written while it is enabled")
             self.size[side, number] = value
@@ -199,7 +200,8 @@ class OtgFs(Peripheral):
         self.call()
 
     def setup(self, data):
-        """A SETUP packet: always taken. Both sides of the control endpoint answer NAK from here on."""
+        """Delivers a SETUP packet, which is always accepted. Afterwards both directions of the control endpoint answer
+        NAK."""
         now = self.board.now
         self.fifo += [(now, 0, bytes(data), SETUP_DATA), (now + self.board.cycles(END_S), 0, b"", SETUP_DONE)]
         self.control[IN, 0] &= ~STALL
@@ -207,7 +209,8 @@ class OtgFs(Peripheral):
         self.call()
 
     def out(self, number, data, toggle=None):
-        """An OUT packet: True for ACK, False for NAK, None for STALL. Without a toggle it is one that is right."""
+        """Delivers an OUT packet. Returns True for ACK, False for NAK, None for STALL. Without `toggle`, the toggle is
+        assumed to be right."""
         control = self.control[OUT, number]
         if control & STALL:
             return None
@@ -224,7 +227,8 @@ class OtgFs(Peripheral):
         return True
 
     def in_(self, number):
-        """An IN token: the packet, False for NAK, None for STALL. Its toggle is the one before that of the next."""
+        """Sends an IN token. Returns the packet, False for NAK, None for STALL. The packet's toggle is the value of
+        `toggle` before the call."""
         control = self.control[IN, number]
         if control & STALL:
             return None

@@ -1,32 +1,32 @@
-"""What the models share: a table of registers, and loud failure for all that is not in it."""
+"""Base of the models: a table of registers; any access to something that is not in the table fails."""
 
 NEVER = 1 << 62
 
 
 class Unmodelled(Exception):
-    """The firmware touched something that the emulation knows nothing of."""
+    """The firmware used something that is not modelled."""
 
 
 class Misuse(Exception):
-    """The firmware did what the reference manual forbids."""
+    """The firmware did something that the reference manual forbids."""
 
 
 class Peripheral:
     """A block of registers.
 
-    `REGISTERS` maps an offset to (name, value after reset, bits that are modelled). A write that changes another bit
-    fails, so does every access to an offset that is not listed.
+    `REGISTERS` maps an offset to (name, value after reset, modelled bits). A write that changes any other bit fails; so
+    does every access to an offset that is not listed.
     """
 
     REGISTERS = {}
     CLOCK = None
-    """Where RCC switches its clock: (offset of the enable register, bit), or None if it is always on."""
+    """Bit in RCC that enables the clock: (offset of the enable register, bit), or None if the clock is always on."""
 
     def __init__(self, name, board):
         self.name = name
         self.board = board
         self.due = NEVER
-        """Core cycle at which `advance` wants to be called."""
+        """Core cycle of the next call of `advance`."""
         self.reset()
 
     def reset(self):
@@ -34,10 +34,10 @@ class Peripheral:
         self.due = NEVER
 
     def advance(self, now):
-        """Time has come to `due`."""
+        """Called when `due` has come."""
 
     def clock_changed(self):
-        """Core or bus clocks are about to change."""
+        """Called before core or bus clocks change."""
 
     def row(self, offset):
         row = self.REGISTERS.get(offset)
@@ -57,7 +57,7 @@ class Peripheral:
         self.values[offset] = value
 
     def plan(self, due):
-        """Sets when to be called next."""
+        """Sets the time of the next call of `advance`."""
         if due != self.due:
             self.due = due
             self.board.replan()

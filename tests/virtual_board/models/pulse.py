@@ -1,11 +1,11 @@
 """The advanced timer TIM1 as a one-pulse slave of TIM5 (RM0390 chapter 16, RM0383 chapter 12).
 
-Modelled: one-pulse mode started by a trigger (SMS = 110, TS = 000: TIM5), compare events of four channels with their DMA
-requests, the stop at the update event, reset, a stop by software. A trigger has its effect some clocks late
+Modelled: one-pulse mode started by a trigger (SMS = 110, TS = 000: TIM5), compare events of four channels with their
+DMA requests, the stop at the update event, reset, a stop by software. A trigger has its effect some clocks late
 (`SYNCHRONIZE`), each time the same.
 Not modelled: all other modes, prescaler, repetition, outputs, dead time, interrupts, reading the status.
 
-A trigger that comes while the counter runs is ignored by the part: a step would be lost. Here it is misuse.
+On a real part a trigger that arrives while the counter runs is ignored, and a step is lost. Here it is misuse.
 """
 
 from .peripheral import Misuse, Peripheral, Unmodelled
@@ -15,13 +15,13 @@ CR1, CR2, SMCR, DIER, EGR, CNT, ARR = 0x00, 0x04, 0x08, 0x0C, 0x14, 0x24, 0x2C
 COMPARE = (0x34, 0x38, 0x3C, 0x40)
 CEN, OPM = 1 << 0, 1 << 3
 TRIGGERED_BY_TIM5 = 0b110 | 0b000 << 4
-"""SMS and TS of TIM1_SMCR; its table "TIMx internal trigger connection" has TIM5 as ITR0 of TIM1."""
+"""SMS and TS of TIM1_SMCR; the table "TIMx internal trigger connection" there has TIM5 as ITR0 of TIM1."""
 SYNCHRONIZE, QUICKER, SLOWER = 4, 1, 8
-"""Clocks from the trigger's event to the first count, and by the other readings."""
+"""Clocks from the trigger's event to the first count; `QUICKER` and `SLOWER` are those of the other readings."""
 
 
 def synchronize():
-    """The clocks that count."""
+    """Returns these clocks for the chosen reading."""
     return QUICKER if is_chosen("quick-trigger") else SLOWER if is_chosen("slow-trigger") else SYNCHRONIZE
 
 
@@ -58,7 +58,7 @@ class PulseTimer(Peripheral):
     pulse = None
 
     def runs(self):
-        """Whether a pulse is out."""
+        """Returns whether a pulse is being output."""
         return self.pulse is not None and self.pulse.cut_at is None and self.board.now < self.pulse.ends
 
     def cut(self):
@@ -85,7 +85,7 @@ class PulseTimer(Peripheral):
             self.values[EGR] = 0
 
     def trigger(self, at):
-        """TIM5 has come to a compare value, at this cycle."""
+        """Called when TIM5 has reached a compare value, at cycle `at`."""
         if not self.values[SMCR] & 7:
             return
         if not self.values[CR1] & OPM:

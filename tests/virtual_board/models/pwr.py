@@ -1,7 +1,7 @@
 """Power controller (RM0390 chapter 5, RM0383 chapter 5).
 
-Modelled: voltage scaling with the core clock that each scale carries, over-drive of the STM32F446, both ready at once; the
-voltage detector, its threshold and its line to EXTI.
+Modelled: voltage scaling with the maximum core clock of each scale, over-drive of the STM32F446 (both ready at once);
+the voltage detector, its threshold and its line to EXTI.
 Not modelled: sleep modes, regulator modes, the detector's hysteresis of 100 mV.
 """
 
@@ -12,7 +12,7 @@ CR, CSR = 0x00, 0x04
 VOS, ODEN, ODSWEN = 3 << 14, 1 << 16, 1 << 17
 PVDE, PLS, PVDO = 1 << 4, 7 << 5, 1 << 2
 THRESHOLDS_V = (2.0, 2.1, 2.3, 2.5, 2.6, 2.7, 2.8, 2.9)
-"""By PLS of PWR_CR."""
+"""Thresholds of the voltage detector, by PLS of PWR_CR."""
 
 
 class Pwr(Peripheral):
@@ -54,7 +54,7 @@ class Pwr(Peripheral):
             self.board.exti.edge(PVD_LINE, low)
 
     def limit(self):
-        """Greatest core clock that the core's supply carries now."""
+        """Returns the maximum core clock for the present voltage scale."""
         part, cr = self.board.part, self.values[CR]
         if part.over_drive_hz and cr & ODEN and cr & ODSWEN:
             return part.over_drive_hz

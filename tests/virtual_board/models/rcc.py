@@ -1,10 +1,12 @@
 """Reset and clock control (RM0390 chapter 6, RM0383 chapter 6).
 
-Modelled: HSI, HSE (crystal or bypass, as the board has it: with the wrong one it never becomes ready), the main PLL with
-its limits, the system clock and the bus prescalers with their limits, peripheral clock enables, which take a few cycles to
-arrive (errata sheets, "Delay after an RCC peripheral clock enabling"), and resets, LSI, the reset flags, a failing HSE with clock security (without it: a failure of the emulation). Oscillators and PLL are ready at once; the waiting loops of the firmware see the bit at the first read.
-Not modelled: the other PLLs, MCO, RTC and the backup domain, start-up times. The processor may not sleep while a clock that is on
-would stand by the low-power enables.
+Modelled: HSI; HSE (crystal or bypass, as on the board: with the wrong one it never becomes ready); the main PLL with
+its limits; the system clock and the bus prescalers with their limits; peripheral clock enables, which take a few cycles
+to take effect (errata sheets, "Delay after an RCC peripheral clock enabling"), and resets; LSI; the reset flags; a
+failing HSE with clock security (without it, the emulation fails). Oscillators and PLL are ready at once: the firmware's
+waiting loops see the bit at the first read.
+Not modelled: the other PLLs, MCO, RTC and the backup domain, start-up times. It is misuse if the processor sleeps while
+the low-power enables would stop a clock that is on.
 """
 
 from .nvic import NMI
@@ -22,7 +24,7 @@ LSI_HZ = 32_000
 
 HSE_ON, CLOCK_SECURITY, PLL_ON = 1 << 16, 1 << 19, 1 << 24
 SOFTWARE_RESET, WATCHDOG_RESET, POWER_ON_RESET = 1 << 28 | 1 << 26, 1 << 29 | 1 << 26, 1 << 27 | 1 << 26 | 1 << 25
-"""RCC_CSR: the cause, and the reset pin, which every reset pulls; BORRSTF at power-up."""
+"""RCC_CSR: the cause of the reset, and the flag of the reset pin, which every reset pulls; at power-up also BORRSTF."""
 
 
 class Rcc(Peripheral):
@@ -57,13 +59,13 @@ class Rcc(Peripheral):
         self.values[CSR] = self.flags
         self.values.update(zip(SLEEP_ENABLES, self.board.part.asleep, strict=True))
         self.arrives = {}
-        """The cycle from which on each clock is there that has been enabled, by its (offset, bit)."""
+        """The cycle from which each enabled clock runs, by its (offset, bit)."""
         self.all_there = 0
-        """From this cycle on all of them are."""
+        """The cycle from which all of them run."""
         self.hclk, self.pclk1, self.pclk2 = HSI_HZ, HSI_HZ, HSI_HZ
 
     def note_reset(self, flags):
-        """The cause of the reset that comes next; the flags add up until RMVF clears them."""
+        """Records the cause of the coming reset; flags add up until RMVF clears them."""
         self.flags = self.values[CSR] & 0xFE00_0000 | flags
 
     def read(self, offset):
@@ -83,7 +85,7 @@ class Rcc(Peripheral):
 
     def write(self, offset, value):
         if offset == CR:
-            # Ready bits and calibration are read-only; PLL and oscillators must not go while they are in use.
+            # Ready bits and calibration are read-only. The PLL must not be switched off while it is in use.
             value &= 0x010D_00F9
             if self.values[CFGR] & 3 == 2 and not value >> 24 & 1:
                 raise Misuse("RCC_CR: the PLL is switched off while it is the system clock")
@@ -108,7 +110,8 @@ class Rcc(Peripheral):
             self._clocks()
 
     def _enable(self, offset, bits):
-        """Clocks are switched on: on the AHB they take two of its cycles, on another bus one of its own and one of the AHB."""
+        """Switches clocks on. On the AHB they take two of its cycles, on another bus one of its own and one of the
+        AHB."""
         bus = {APB1ENR: self.pclk1, APB2ENR: self.pclk2}.get(offset)
         self.all_there = self.board.now + (2 if bus is None else 1 + self.hclk // bus)
         for bit in range(32):
@@ -116,7 +119,7 @@ class Rcc(Peripheral):
                 self.arrives[offset, bit] = self.all_there
 
     def check_clock(self, peripheral):
-        """A peripheral is used: its clock must be there."""
+        """Raises Misuse if a peripheral is used whose clock does not run."""
         offset, bit = peripheral.CLOCK
         if not self.values[offset] >> bit & 1:
             raise Misuse(f"{peripheral.name} is used while its clock is off")
@@ -124,7 +127,8 @@ class Rcc(Peripheral):
             raise Misuse(f"{peripheral.name} is used before its clock, which has just been switched on, is there")
 
     def check_sleep(self):
-        """The processor goes to sleep: what is clocked then goes on. The firmware leaves all that it uses to itself meanwhile."""
+        """Called when the processor goes to sleep: raises Misuse if an enabled clock would stop, as the firmware relies
+        on its peripherals during sleep."""
         for enable, asleep in zip(ENABLES, SLEEP_ENABLES, strict=True):
             if standing := self.values[enable] & ~self.values[asleep]:
                 names = {p.name: p.CLOCK for p in self.board.peripherals.values() if p.CLOCK}
@@ -132,7 +136,7 @@ class Rcc(Peripheral):
                 raise Misuse(f"the processor sleeps, and the clock of {', '.join(names)} stands (RCC, {asleep:#x})")
 
     def lose_hse(self):
-        """The oscillator fails in operation, the PLL with it: the system clock is HSI from here on, and the NMI is taken."""
+        """Makes the oscillator fail, and the PLL with it: the system clock becomes HSI, and the NMI is taken."""
         self.hse_stands = True
         if not self.values[CR] & CLOCK_SECURITY:
             self.board.failure = "the core has no clock any more: outputs stay as they are until the watchdog resets"
@@ -144,15 +148,16 @@ class Rcc(Peripheral):
         self.board.look()
 
     def _slow_down(self):
-        """The system clock is HSI from here on, whatever runs. Ratios of clocks stay. The watchdog's time does; what else has been
-        planned in core cycles for a moment of another clock comes later."""
+        """Makes HSI the system clock, whatever runs. Ratios of clocks do not change. The watchdog keeps its time; other
+        events that are scheduled in core cycles come later in real time."""
         divider1, divider2 = self.hclk // self.pclk1, self.hclk // self.pclk2
         self.hclk = HSI_HZ
         self.pclk1, self.pclk2 = HSI_HZ // divider1, HSI_HZ // divider2
         self.board.slow_down(HSI_HZ)
 
     def timer_clock(self, bus_clock):
-        """Clock of the timers of a bus: twice the bus clock if that is divided; TIMPRE makes it the core's, up to 4."""
+        """Returns the clock of the timers of a bus: twice the bus clock if that is divided; with TIMPRE the core's
+        clock if the divider is at most 4."""
         divider = self.hclk // bus_clock
         if self.values[DCKCFGR] >> 24 & 1:
             return self.hclk if divider <= 4 else 4 * bus_clock

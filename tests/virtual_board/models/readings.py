@@ -1,7 +1,8 @@
-"""Facts that the manuals leave open, and their second readings: under which of them a part works only a bench can tell.
+"""Facts that the manuals leave open, each with a first and a second reading; only a test on hardware can decide between
+them.
 
-The models follow the first reading of each. `--reading NAME` has them follow the second one, and the same cases must pass: the firmware may
-not depend on it.
+The models follow the first reading of each fact; with `--reading NAME` they follow the second one. The same cases must
+pass: the firmware must not depend on the reading.
 """
 
 READINGS = {
@@ -20,18 +21,18 @@ _chosen = set()
 
 
 def choose(name):
-    """Has the models follow the second reading of a fact from now on."""
+    """Makes the models follow the second reading of a fact from now on."""
     if name not in READINGS:
         raise SystemExit(f"there is no reading {name}; there are {', '.join(READINGS)}")
     _chosen.add(name)
 
 
 def is_chosen(name):
-    """Whether the models follow the second reading of a fact."""
+    """Returns whether the models follow the second reading of a fact."""
     assert name in READINGS, name
     return name in _chosen
 
 
 def forget():
-    """The first readings again."""
+    """Restores the first readings."""
     _chosen.clear()

@@ -1,13 +1,13 @@
-"""System configuration controller (RM0390 chapter 8, RM0383 chapter 7), as far as it tells what is mapped at address 0.
+"""System configuration controller (RM0390 chapter 8, RM0383 chapter 7), as far as it selects the memory at address 0.
 
-Modelled: MEMRMP, which after a reset has what the boot pins choose. Not modelled: all else.
+Modelled: MEMRMP; after a reset it is 0 (flash), as the boot pins select. Not modelled: everything else.
 """
 
 from .peripheral import Peripheral
 
 MEMRMP = 0x00
 SYSTEM_MEMORY = 1
-"""MEM_MODE of SYSCFG_MEMRMP."""
+"""Value of MEM_MODE in SYSCFG_MEMRMP."""
 
 
 class Syscfg(Peripheral):

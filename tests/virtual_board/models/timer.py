@@ -1,30 +1,32 @@
 """General-purpose timers TIM2 to TIM5 (RM0390 chapter 17, RM0383 chapter 13).
 
-Modelled: counting up from the internal clock, prescaler (taken over at an update), auto-reload, compare flags of channels
-1 to 4 (set when the counter arrives at CCRx, not when CCRx is written to where it is), flags by EGR, flags cleared by
-writing 0, interrupt enables, PWM mode 1 as a duty cycle of the output, and that forced low; capture of both edges of a channel's own pin, with
-its DMA request, and overcapture; the DMA requests of the compare events of channels 1 and 3; that of channel 1 as the trigger
-of other timers (CR2, MMS = 011).
-Not modelled: capture of one edge or of another channel's pin, the delay of synchronizer and filter (the same for every
-edge) and what the filter removes, slave and one-pulse mode (TIM1's are in `pulse.py`), preload of compare registers, other
-triggers, DMA of other channels' compare events and of updates, counting down, edges of PWM outputs.
+Modelled: counting up from the internal clock; prescaler (loaded at an update); auto-reload; compare flags of channels 1
+to 4 (set when the counter reaches CCRx, not when CCRx is written to the current count), flags by EGR, clearing flags by
+writing 0; interrupt enables; PWM mode 1 as a duty cycle of the output, and an output forced low; capture of both edges
+of a channel's own pin, with its DMA request, and overcapture; the DMA requests of the compare events of channels 1 and
+3; the compare event of channel 1 as the trigger of other timers (CR2, MMS = 011).
+Not modelled: capture of one edge or of another channel's pin; the delay of synchronizer and filter (the same for every
+edge), and the pulses that the filter removes; slave and one-pulse mode (`pulse.py` has those of TIM1); preload of
+compare registers; other triggers; DMA of other channels' compare events and of updates; counting down; edges of PWM
+outputs.
 """
 
 from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
 from .readings import is_chosen
 
 FORCED_LOW = 4
-"""OC1M of TIMx_CCMR1: the output is inactive, whatever is compared."""
+"""OC1M of TIMx_CCMR1: the output is inactive, independent of the comparison."""
 CR1, CR2, SMCR, DIER, SR, EGR, CCMR1, CCMR2, CCER = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14, 0x18, 0x1C, 0x20
 CNT, PSC, ARR, CCR1, CCR2, CCR3, CCR4 = 0x24, 0x28, 0x2C, 0x34, 0x38, 0x3C, 0x40
 COMPARE = (CCR1, CCR2, CCR3, CCR4)
 OWN_PIN, FILTERS, BOTH_EDGES = 1, (0, 2), 0b1011
-"""CCxS and the values of ICxF that are taken for nothing (TIMx_CCMR1), and CCxNP, CCxP and CCxE (TIMx_CCER)."""
+"""CCxS for a channel's own pin and the values of ICxF whose effect is ignored (TIMx_CCMR1); CCxNP, CCxP and CCxE for
+both edges (TIMx_CCER)."""
 INPUTS = {("B", 6): ("TIM4", 1), ("B", 7): ("TIM4", 2), ("B", 8): ("TIM4", 3)}
 """Timer and channel by pin, as alternate function 2 (data sheets, table of alternate functions)."""
 FUNCTION = 2
 COMPARE_PULSE = 0b011 << 4
-"""MMS of TIMx_CR2: the event of channel 1 is the trigger output, also where its flag is set already."""
+"""MMS of TIMx_CR2: the event of channel 1 is the trigger output, even if its flag is already set."""
 
 
 class Timer(Peripheral):
@@ -52,34 +54,35 @@ class Timer(Peripheral):
         self.irq = irq
         self.top = 0xFFFF_FFFF if wide else 0xFFFF
         self.slaves = []
-        """Timers that it may trigger."""
+        """Timers that this timer may trigger."""
         super().__init__(name, board)
 
     def reset(self):
         super().reset()
         self.values[ARR] = self.top
         self.since = 0
-        """Core cycle at which the counter was `began`."""
+        """Core cycle at which the counter had the value `began`."""
         self.began = 0
         self.prescaler = 0
         self.cycles = 1
-        """Core cycles in a count."""
+        """Core cycles per count."""
         self.matched = [NEVER] * 5
-        """Cycle of the next event of each flag of SR."""
+        """Core cycle of the next event of each flag of SR."""
 
     @property
     def running(self):
         return self.values[CR1] & 1
 
     def count(self, now=None):
-        """The counter, brought up to date; `began` and `since` may be of an earlier round."""
+        """Returns the present count; `began` and `since` may be from an earlier period."""
         if not self.running:
             return self.began
         counts = ((self.board.now if now is None else now) - self.since) // self.cycles
         return (self.began + counts) % (self.values[ARR] + 1)
 
     def _hold(self, value=None):
-        """Starts to count anew from here; the fraction of a count is kept."""
+        """Sets the reference for the count to the present time, keeping the fraction of a count; with `value`, sets the
+        count."""
         now = self.board.now
         if value is None:
             value = self.count(now)
@@ -111,11 +114,11 @@ class Timer(Peripheral):
         return super().read(offset)
 
     def captures(self, channel):
-        """Whether a channel is an input."""
+        """Returns whether a channel is an input."""
         return self.values[CCMR1 if channel <= 2 else CCMR2] >> 8 * (channel - 1 & 1) & 3
 
     def edge(self, channel):
-        """The level of a channel's pin has changed."""
+        """Called when the level of a channel's pin has changed."""
         mode = self.values[CCMR1 if channel <= 2 else CCMR2] >> 8 * (channel - 1 & 1) & 0xFF
         enable = self.values[CCER] >> 4 * (channel - 1) & 0xF
         if not mode & 3 or not enable & 1:
@@ -181,7 +184,7 @@ class Timer(Peripheral):
             self._compare_written(COMPARE.index(offset) + 1, self.board.now)
 
     def store_by_dma(self, offset, value, at):
-        """A DMA stream writes a compare register, at a cycle that may be an instruction ago."""
+        """Writes a compare register for a DMA stream, at cycle `at`, which may be one instruction ago."""
         if offset not in COMPARE:
             raise Unmodelled(f"{self.name}: DMA to the register at {offset:#x}")
         self.values[offset] = value
@@ -194,16 +197,16 @@ class Timer(Peripheral):
         self._plan()
 
     def _check_requests(self, off, on):
-        """DMA requests of compare events are switched off and on."""
+        """Checks a change of the DMA requests of compare events; `off` and `on` are the changed bits."""
         for channel in range(1, 5):
             if off >> 8 + channel & 1 and any(dma.under_way.get(f"{self.name}_CH{channel}") for dma in self.board.dma):
                 raise Misuse(f"{self.name}: a request of DMA is taken back while it is under way")
-            # Channel 1 asks for its first word by hand right after it: whether its flag asks, too, does not matter there.
+            # Channel 1 is exempt: software requests its first word right afterwards anyway.
             if channel == 3 and on >> 8 + channel & 1 and self.values[SR] >> channel & 1 and not self.captures(channel):
                 raise Misuse(f"{self.name}: requests of channel 3 are switched on while its flag is set")
 
     def _compare(self, channel, at):
-        """The event of a channel: its DMA request, and of the first one the trigger that others get."""
+        """Raises the event of a channel: its DMA request and, for channel 1, the trigger of other timers."""
         if self.captures(channel):
             return
         if self.values[DIER] >> 8 + channel & 1:
@@ -217,7 +220,7 @@ class Timer(Peripheral):
         self.board.nvic.level(self.irq, bool(self.values[SR] & self.values[DIER] & 0x1F))
 
     def _schedule_flag(self, flag, now):
-        """When the counter next arrives at a value, after this moment."""
+        """Schedules the counter's next arrival at the value of a flag, after `now`."""
         if not self.running:
             self.matched[flag] = NEVER
             return
@@ -239,7 +242,7 @@ class Timer(Peripheral):
         self._plan()
 
     def _plan(self):
-        # Only what may interrupt has to be on time; other flags are brought up to date with it.
+        # Every event is scheduled, even if it does not interrupt.
         self.plan(min(self.matched))
 
     def advance(self, now):
@@ -253,16 +256,16 @@ class Timer(Peripheral):
         self._plan()
 
     def until_tick(self):
-        """Core cycles until the counter comes to CCR1; None while nothing comes of it or it is long past."""
+        """Returns the core cycles until the counter reaches CCR1; None if that has no effect or has passed long ago."""
         counts = (self.values[CCR1] - self.count()) & 0xFFFF_FFFF
         return counts * self.cycles if self.values[DIER] & (2 | 1 << 9) and counts < 1 << 20 else None
 
     def frequency(self):
-        """Overflows in a second."""
+        """Returns the number of overflows per second."""
         return self.board.rcc.hclk / (self.cycles * (self.values[ARR] + 1))
 
     def duty(self, channel):
-        """Share of the time that a PWM output is high, 0 to 1; None if the channel is not a PWM output."""
+        """Returns the share of time for which a PWM output is high, 0 to 1; None if the channel is not a PWM output."""
         mode = self.values[CCMR1 if channel <= 2 else CCMR2] >> (8 * ((channel - 1) & 1)) + 4 & 7
         if mode == FORCED_LOW:
             return 0.0

@@ -1,10 +1,11 @@
 """USART (RM0390 chapter 25, RM0383 chapter 19), 8 bits, no parity, one stop bit, 16-fold oversampling.
 
-Modelled: baud rate from BRR; bytes of a sender whose rate is more than 2.5 % apart, and those that had begun when the receiver was
-switched on, are sampled bit by bit from the levels of the line, which gives other bytes and framing errors; a byte becomes readable in the middle of its stop
-bit, overrun when the one before has not been read (the new byte is lost, ORE stays until SR and DR are read), TXE, TC, IDLE, transmit data register
-and shift register with the time of each frame, interrupt enables, that of errors while DMA receives among them, DMA requests of both
-halves. A DMA stream that reads DR reads no SR: what it clears of flags that nobody has seen, the manuals do not say (`readings`).
+Modelled: baud rate from BRR. Bytes whose rate differs by more than 2.5 %, and bytes that had begun when the receiver
+was switched on, are sampled bit by bit from the levels of the line, which gives wrong bytes and framing errors. A byte
+becomes readable in the middle of its stop bit; overrun if the previous byte is unread (the new byte is lost, ORE stays
+until SR and DR are read). TXE, TC, IDLE; transmit data register and shift register with the duration of each frame;
+interrupt enables, including the one for errors while DMA receives; DMA requests in both directions. A DMA stream that
+reads DR does not read SR: the manuals do not say which unread flags this clears (`readings`).
 Not modelled: parity, hardware flow control, synchronous and LIN modes, noise, IDLE as an interrupt.
 """
 
@@ -15,7 +16,7 @@ SR, DR, BRR, CR1, CR2, CR3, GTPR = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14, 0x18
 FE, ORE, IDLE, RXNE, TC, TXE = 1 << 1, 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7
 RE, TE, IDLEIE, RXNEIE, TCIE, TXEIE, UE = 1 << 2, 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7, 1 << 13
 EIE, DMAR, DMAT = 1 << 0, 1 << 6, 1 << 7
-"""USART_SR, USART_CR1, USART_CR3."""
+"""Bits of USART_SR, USART_CR1 and USART_CR3."""
 
 
 class Usart(Peripheral):
@@ -34,32 +35,33 @@ class Usart(Peripheral):
         self.irq = irq
         self.bus = bus
         self.wire = None
-        """What hangs on the line: `next_byte()` gives (core cycle of the middle of its stop bit, byte) or None, `taken()`, `sent(byte, cycle)`;
-        `next_fall(cycle)` and `level(cycle)` tell of the line itself."""
+        """The device on the line. `next_byte()` returns (core cycle of the middle of its stop bit, byte) or None;
+        `taken()` removes that byte; `sent(byte, cycle)` receives a byte; `next_fall(cycle)` and `level(cycle)` describe
+        the line itself."""
         super().__init__(name, board)
 
     def reset(self):
         super().reset()
         self.received = 0
         self.seen = 0
-        """Flags that the last read of SR saw: a read of DR clears those."""
+        """Flags that the last read of SR returned: a read of DR clears them."""
         self.waiting = None
         self.asked_to_read = self.asked_to_write = False
-        """A request of DMA is under way."""
+        """DMA requests that are not served yet."""
         self.shifting = None
         self.shift_ends = NEVER
         self.overruns = 0
         self.listens_from = 0
-        """Since when it listens at this rate."""
+        """Cycle from which the receiver is on at this rate."""
         self.searches_from = 0
-        """From where it looks for a start bit, if bits are sampled one by one."""
+        """Cycle from which the receiver searches for a start bit, when it samples bit by bit."""
 
     def clock_changed(self):
         if self.values[CR1] & UE:
             raise Unmodelled(f"{self.name} is on while clocks change")
 
     def bit_cycles(self):
-        """Core cycles in a bit."""
+        """Returns the core cycles per bit."""
         rcc = self.board.rcc
         return self.values[BRR] * (rcc.hclk // getattr(rcc, self.bus))
 
@@ -107,7 +109,7 @@ class Usart(Peripheral):
             self.listen()
 
     def _fill(self, value, at):
-        """The data register gets a byte to be sent."""
+        """Puts a byte to be sent into the data register."""
         self.values[SR] &= ~(TXE | TC)
         self.waiting = value & 0xFF
         if self.shifting is None:
@@ -122,7 +124,7 @@ class Usart(Peripheral):
         self._plan()
 
     def listen(self):
-        """The wire has something new, or the receiver has changed."""
+        """Called when there are new bytes on the wire, or the receiver has changed."""
         self._plan()
 
     @property
@@ -131,7 +133,7 @@ class Usart(Peripheral):
 
     @property
     def samples(self):
-        """Whether the sender's bits are not its own."""
+        """Returns whether the receiver must sample bit by bit, because it is out of step with the sender."""
         if not self.hears or not self.values[BRR]:
             return False
         arriving = self.wire.next_byte()
@@ -142,7 +144,7 @@ class Usart(Peripheral):
         return self.board.rcc.hclk / self.wire.baud
 
     def _start(self):
-        """When the next start bit begins, as far as is known."""
+        """Returns the cycle at which the next known start bit begins, or None."""
         bit, search = self.bit_cycles(), self.searches_from
         while (fall := self.wire.next_fall(search)) is not None:
             if not any(self.wire.level(fall + share * bit) for share in (5 / 16, 9 / 16)):
@@ -167,12 +169,12 @@ class Usart(Peripheral):
                 self._shift(ended)
             else:
                 self.values[SR] |= TC
-            # At another rate the host makes nothing of it that counts.
+            # At another rate the host receives no valid byte.
             if self.wire and abs(self.wire.baud / self.baud() - 1) <= 0.025:
                 self.wire.sent(byte, ended)
         if self.wire:
             self._sample(now)
-        # One at a time: where the processor has stood, DMA fetches it before the next one comes.
+        # One byte per call: after a stall of the processor, DMA must fetch it before the next one arrives.
         if self.wire and (arriving := self.wire.next_byte()) and arriving[0] <= now:
             sampled = self.samples
             self.wire.taken()
@@ -183,7 +185,7 @@ class Usart(Peripheral):
         self._plan()
 
     def _sample(self, now):
-        """Receives what has come bit by bit."""
+        """Receives, bit by bit, the bytes that have arrived."""
         bit = self.bit_cycles()
         while self.samples and (start := self._start()) is not None and start + 9.6 * bit <= now + 1:
             levels = [self.wire.level(start + (k + 9 / 16) * bit) for k in range(10)]
@@ -202,7 +204,7 @@ class Usart(Peripheral):
             self.ask_dma(at)
 
     def ask_dma(self, at=None):
-        """Asks for a transfer where one is due and none is under way."""
+        """Requests a DMA transfer for each direction that needs one and has none pending."""
         at = self.board.now if at is None else at
         sr, cr, cr3 = self.values[SR], self.values[CR1], self.values[CR3]
         if cr3 & DMAR and sr & RXNE and not self.asked_to_read:

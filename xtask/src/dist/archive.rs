@@ -1,4 +1,4 @@
-//! Archives (tar, packed with gzip) whose bytes depend on their contents alone: in the order of names, without times and
+//! Archives (tar, packed with gzip) whose bytes depend only on their contents: sorted by name, without times and
 //! owners.
 
 use super::{Failure, read};
@@ -16,18 +16,18 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// A file to be read.
+    /// Returns an entry for a file without execute permission.
     pub fn text(name: &str, bytes: Vec<u8>) -> Entry {
         Entry { name: name.into(), mode: 0o644, bytes }
     }
 
-    /// A file to be run.
+    /// Returns an entry for an executable file.
     pub fn program(name: &str, bytes: Vec<u8>) -> Entry {
         Entry { name: name.into(), mode: 0o755, bytes }
     }
 }
 
-/// All files below a folder.
+/// Returns all files below a folder.
 pub fn tree(folder: &Path) -> Result<Vec<Entry>, Failure> {
     let mut entries = Vec::new();
     collect(folder, "", &mut entries)?;
@@ -46,7 +46,7 @@ fn collect(folder: &Path, before: &str, entries: &mut Vec<Entry>) -> Result<(), 
     Ok(())
 }
 
-/// The archive, with all files in one folder.
+/// Returns the archive, with all files in one folder.
 pub fn packed(folder: &str, mut entries: Vec<Entry>) -> Result<Vec<u8>, Failure> {
     entries.sort_by(|a, b| a.name.cmp(&b.name));
     let failed = |error: std::io::Error| format!("{folder}: {error}");
@@ -61,7 +61,7 @@ pub fn packed(folder: &str, mut entries: Vec<Entry>) -> Result<Vec<u8>, Failure>
         tar.append_data(&mut header, format!("{folder}/{}", entry.name), &entry.bytes[..]).map_err(failed)?;
     }
     let tar = tar.into_inner().map_err(failed)?;
-    // The time of a gzip file is 0 unless it is set.
+    // The time of a gzip file is 0 by default.
     let mut gzip = GzBuilder::new().write(Vec::new(), Compression::best());
     gzip.write_all(&tar).map_err(failed)?;
     gzip.finish().map_err(failed)

@@ -1,4 +1,4 @@
-//! The book of a release: a copy of `docs/` that needs nothing outside of its folder, as HTML where mdBook is installed.
+//! The book of a release: a self-contained copy of `docs/`, as HTML if mdBook is installed.
 
 use super::archive::{self, Entry};
 use super::{Failure, read, root, write};
@@ -7,13 +7,13 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// The mdBook that makes the book; another one makes other pages of it.
+/// Required version of mdBook; other versions produce different pages.
 const MDBOOK: &str = "0.5.4";
 
-/// The folder in the book for files from outside of `docs/` that it links to.
+/// The folder in the book for linked files from outside `docs/`.
 const FILES: &str = "files";
 
-/// Kind and files of the book: its pages as HTML, on a machine without mdBook as they are.
+/// Returns kind and files of the book: HTML pages, or the Markdown pages on a machine without mdBook.
 pub fn make() -> Result<(&'static str, Vec<Entry>), Failure> {
     let pages = root().join("target/book-pages");
     prepare(&pages)?;
@@ -32,13 +32,13 @@ pub fn make() -> Result<(&'static str, Vec<Entry>), Failure> {
     }
 }
 
-/// The version of mdBook, if it is installed.
+/// Returns the version of mdBook, if it is installed.
 fn mdbook() -> Option<String> {
     let told = Command::new("mdbook").arg("--version").output().ok()?.stdout;
     Some(String::from_utf8_lossy(&told).trim().trim_start_matches("mdbook v").to_owned())
 }
 
-/// Writes the pages into a folder, with the files from outside of `docs/` that they link to.
+/// Writes the pages to a folder, with the files from outside `docs/` that they link to.
 fn prepare(folder: &Path) -> Result<(), Failure> {
     tree::copy(&root().join("docs"), folder)?;
     let entries = fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
@@ -56,8 +56,9 @@ fn prepare(folder: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A page whose links out of `docs/` lead to files within the book, and those files, by their paths in the workspace.
-/// A Markdown file is only named: its own links would lead to nothing there.
+/// Returns a page whose links out of `docs/` point to files within the book, and the paths of those files in the
+/// workspace. A link to a Markdown file is replaced by its name, because the links of that file would be broken in the
+/// book.
 fn inward(page: &str) -> (String, Vec<String>) {
     let (mut text, mut files, mut rest) = (String::new(), Vec::new(), page);
     while let Some((before, from)) = rest.split_once("](../") {

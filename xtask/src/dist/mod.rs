@@ -16,16 +16,16 @@ use std::process::Command;
 
 pub use reproducible::check;
 
-/// The version of everything.
+/// Version of all parts.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
-/// What every archive has with it.
+/// Text files in every archive.
 const TEXTS: [&str; 4] = ["README.md", "CHANGELOG.md", "LICENSE-APACHE", "LICENSE-MIT"];
-/// The file of the page.
+/// File name of the page.
 const PAGE: &str = "oxmill.html";
-/// The file of the program.
+/// File name of the program.
 const PROGRAM: &str = if cfg!(windows) { "oxmill.exe" } else { "oxmill" };
 
-/// What can be asked for.
+/// A part of a release.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Part {
     Board(&'static str),
@@ -35,9 +35,9 @@ enum Part {
 }
 
 impl Part {
-    /// The parts of these names; all if there are none.
+    /// Returns the parts of these names; all if there are none.
     fn named(names: &[&str]) -> Result<Vec<Part>, Failure> {
-        // QEMU's machine is no board that somebody could flash.
+        // QEMU's machine cannot be flashed.
         let boards = || boards::BOARDS.into_iter().filter(|board| *board != QEMU_BOARD).map(Part::Board);
         let mut parts = Vec::new();
         for name in if names.is_empty() { &["boards", "program", "page", "book"] } else { names } {
@@ -55,7 +55,7 @@ impl Part {
         Ok(parts)
     }
 
-    /// Makes its files.
+    /// Makes the files of this part.
     fn make(self, folder: &Path, compiler: &Compiler) -> Result<(), Failure> {
         match self {
             Part::Board(board) => make_board(board, folder, compiler),
@@ -66,12 +66,12 @@ impl Part {
     }
 }
 
-/// Where the files of a release are.
+/// Returns the folder for the files of a release.
 fn folder() -> PathBuf {
     root().join("target/dist")
 }
 
-/// Refuses a tag that is not the one of this version.
+/// Rejects a tag that does not match this version.
 pub fn tagged(tag: &str) -> Result<(), Failure> {
     if tag.strip_prefix('v') == Some(VERSION) {
         Ok(())
@@ -80,7 +80,7 @@ pub fn tagged(tag: &str) -> Result<(), Failure> {
     }
 }
 
-/// Makes parts of a release, and nothing else is left in the folder.
+/// Makes parts of a release; removes all other files from the folder.
 pub fn make(names: &[&str]) -> Result<(), Failure> {
     let parts = Part::named(names)?;
     let compiler = Compiler::found()?;
@@ -91,7 +91,7 @@ pub fn make(names: &[&str]) -> Result<(), Failure> {
     fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     parts.iter().try_for_each(|part| part.make(&folder, &compiler))?;
     let made = files(&folder)?;
-    // Machines of several kinds make parts of one release: each has a list of its own.
+    // Several kinds of machines make parts of one release: each writes its own list.
     write(&folder.join(format!("SHA256SUMS-{}.txt", compiler.host)), sums(&made).as_bytes())?;
     println!("{} files and their checksums in {}", made.len(), folder.display());
     Ok(())
@@ -110,7 +110,7 @@ fn make_board(board: &'static str, folder: &Path, compiler: &Compiler) -> Result
     Sbom::of_board(board).write(compiler, &folder.join(format!("{board}.cdx.json")))
 }
 
-/// Has dfu-util read the suffix of a file.
+/// Checks the suffix of a file with dfu-util.
 fn check_suffix(path: &Path) -> Result<(), Failure> {
     let checked = Command::new("dfu-suffix").arg("--check").arg(path).output();
     let checked = checked.map_err(|error| format!("dfu-suffix, part of Debian's package dfu-util: {error}"))?;
@@ -130,7 +130,8 @@ fn make_program(folder: &Path, compiler: &Compiler) -> Result<(), Failure> {
     Sbom::of_program(&compiler.host).write(compiler, &folder.join(format!("{name}.cdx.json")))
 }
 
-/// What is in the archive of the program: the page, which `serve --web` looks for beside it, and the texts.
+/// Returns the contents of the program's archive: program, page (which `serve --web` looks for beside the program), and
+/// texts.
 fn beside_program(program: Vec<u8>, page: Vec<u8>) -> Result<Vec<Entry>, Failure> {
     let mut entries = vec![Entry::program(PROGRAM, program), Entry::text(PAGE, page)];
     for text in TEXTS {
@@ -139,7 +140,7 @@ fn beside_program(program: Vec<u8>, page: Vec<u8>) -> Result<Vec<Entry>, Failure
     Ok(entries)
 }
 
-/// The archive of the program, as `cargo binstall` looks for it.
+/// Returns the name of the program's archive, in the form that `cargo binstall` expects.
 fn program_name(target: &str) -> String {
     format!("oxmill-{VERSION}-{target}")
 }
@@ -158,7 +159,7 @@ fn make_book(folder: &Path) -> Result<(), Failure> {
     write(&folder.join(format!("{name}.tar.gz")), &archive::packed(&name, entries)?)
 }
 
-/// All files of a folder by name, without folders in it.
+/// Returns name and contents of all files of a folder, sorted; the folder must contain no folders.
 fn files(folder: &Path) -> Result<Vec<(String, Vec<u8>)>, Failure> {
     let entries = fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     let mut paths: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
@@ -167,7 +168,7 @@ fn files(folder: &Path) -> Result<Vec<(String, Vec<u8>)>, Failure> {
     paths.iter().map(|path| Ok((name(path), read(path)?))).collect()
 }
 
-/// Checksums as `sha256sum --check` reads them.
+/// Returns checksums in the format of `sha256sum --check`.
 fn sums(files: &[(String, Vec<u8>)]) -> String {
     files.iter().map(|(name, bytes)| format!("{}  {name}\n", hex(&Sha256::digest(bytes)))).collect()
 }
@@ -228,7 +229,7 @@ mod tests {
         assert_eq!(binstall["pkg-fmt"].as_str(), Some("tgz"));
     }
 
-    /// `serve --web` looks there.
+    /// `serve --web` looks for the page there.
     #[test]
     fn the_page_is_beside_the_program() {
         let packed = archive::packed("oxmill", beside_program(b"run".to_vec(), b"page".to_vec()).unwrap()).unwrap();
@@ -250,7 +251,7 @@ mod tests {
         assert!(text.lines().any(|line| line.starts_with(&format!("## {VERSION} - "))));
     }
 
-    /// All commands of the workflows, as they are.
+    /// All commands that the workflows run.
     const CALLED: [&str; 10] = [
         "bash .ci/run",
         "cargo xtask dist program",
@@ -265,7 +266,8 @@ mod tests {
          --notes \"What is new - CHANGELOG.md. How to check and flash it - docs/release.md.\" dist/*",
     ];
 
-    /// What a workflow does can be done by hand, with the same commands; and it runs no code that can change under its name.
+    /// Everything a workflow does can be done by hand with the same commands; and no workflow runs code that can change
+    /// under the same name.
     #[test]
     fn workflows_call_only_what_can_be_called_by_hand() {
         let mut called = BTreeSet::new();

@@ -1,5 +1,5 @@
-//! `cargo xtask dist --check`: the same files are made from a copy of the tree on another path, with another folder of cargo,
-//! and have to have the same bytes.
+//! `cargo xtask dist --check`: makes the same files from a copy of the tree in another path, with another cargo folder;
+//! they must have the same bytes.
 
 use super::{Failure, files, folder, make, root};
 use crate::paths::cargo_home;
@@ -8,13 +8,13 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// What of the tree no build is made from.
+/// Parts of the tree that builds do not use.
 const LEFT_OUT: [&str; 2] = ["target", ".git"];
 
 /// Makes parts of a release twice and compares them.
 pub fn check(names: &[&str]) -> Result<(), Failure> {
     make(names)?;
-    // Longer than the path of the tree itself, which it begins with.
+    // Longer than the path of the tree itself, and starts with it.
     let second = root().join("target/reproducible");
     let (copy, home) = (second.join("on/another/path"), second.join("another-cargo-home"));
     if second.exists() {
@@ -46,7 +46,7 @@ fn copy_tree(to: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Another folder for cargo, with the same downloads in it.
+/// Makes another cargo folder with the same downloads.
 #[cfg(unix)]
 fn link_home(home: &Path, to: &Path) -> Result<(), Failure> {
     fs::create_dir_all(to).map_err(|error| format!("{}: {error}", to.display()))?;
@@ -64,7 +64,7 @@ fn link_home(_: &Path, _: &Path) -> Result<(), Failure> {
     Err("`dist --check` needs the symbolic links of Unix".into())
 }
 
-/// What differs between two sets of files.
+/// Returns the differences between two sets of files.
 fn differences(here: &[(String, Vec<u8>)], there: &[(String, Vec<u8>)]) -> Vec<String> {
     let missing = |these: &[(String, Vec<u8>)], name: &str| !these.iter().any(|(other, _)| other == name);
     let alone = here

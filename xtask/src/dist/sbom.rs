@@ -1,7 +1,8 @@
-//! Bills of materials (SBOM) in CycloneDX 1.5 JSON: what is linked into a file, with licence and checksum of each crate.
+//! Bills of materials (SBOM) in CycloneDX 1.5 JSON: the crates linked into a file, each with licence and checksum.
 //!
-//! Made from `cargo tree` (which crates are linked, for this target and these features, and which of them needs which),
-//! `cargo metadata` (what they are) and the lock files. No time and no random number is in them: the same sources give the same bytes.
+//! They are made from `cargo tree` (the linked crates for this target and these features, and their dependencies),
+//! `cargo metadata` (properties of the crates) and the lock files. They contain no time and no random number: the same
+//! sources give the same bytes.
 
 use super::{Failure, VERSION, read, write};
 use crate::paths::Compiler;
@@ -10,16 +11,16 @@ use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// What a bill is about.
+/// Subject of a bill.
 pub struct Sbom {
-    /// The name of what is made.
+    /// Name of the file or image.
     name: String,
-    /// Its kind, as CycloneDX has it.
+    /// CycloneDX component type.
     kind: &'static str,
     package: &'static str,
     target: String,
     features: Option<String>,
-    /// Packages of npm that are bundled.
+    /// Whether npm packages are bundled.
     npm: bool,
 }
 
@@ -42,14 +43,15 @@ impl Sbom {
         Sbom { name, kind: "application", package, target: web::MODULE.into(), features: None, npm: true }
     }
 
-    /// Writes it.
+    /// Writes the bill to a file.
     pub fn write(&self, compiler: &Compiler, path: &Path) -> Result<(), Failure> {
         let bill = self.bill(&compiler.version)?;
         let json = serde_json::to_string_pretty(&bill).map_err(|error| error.to_string())?;
         write(path, format!("{json}\n").as_bytes())
     }
 
-    /// All crates that are linked, each below the one that needs it, with the depth in front of its name.
+    /// Returns the output of `cargo tree`: all linked crates, each below the one that needs it, with the depth before
+    /// its name.
     fn tree(&self) -> Result<String, Failure> {
         let mut arguments = vec!["tree", "--locked", "--package", self.package, "--target", &self.target];
         arguments.extend(["--edges", "normal,no-proc-macro", "--prefix", "depth", "--no-dedupe", "--format", "{p}"]);
@@ -60,7 +62,7 @@ impl Sbom {
     }
 
     fn crates(&self) -> Result<Crates, Failure> {
-        // Without its feature a board's own crates are not in it.
+        // All features: otherwise the metadata would lack the board's own crates.
         let metadata = parsed(&told(&["metadata", "--locked", "--all-features", "--format-version", "1"])?)?;
         let lock: toml::Table = text(&root().join("Cargo.lock"))?.parse().map_err(|e| format!("Cargo.lock: {e}"))?;
         Crates::new(&metadata, &lock, linked(&self.tree()?)?)
@@ -100,7 +102,7 @@ impl Sbom {
     }
 }
 
-/// What cargo answers.
+/// Returns the output of cargo.
 fn told(arguments: &[&str]) -> Result<String, Failure> {
     let output = cargo().args(arguments).output().map_err(|error| format!("cargo: {error}"))?;
     if !output.status.success() {
@@ -117,7 +119,7 @@ fn parsed(text: &str) -> Result<Value, Failure> {
     serde_json::from_str(text).map_err(|error| error.to_string())
 }
 
-/// The text of a value, empty if it is none.
+/// Returns the text of a value, empty if it is not a string.
 fn word(value: &Value) -> &str {
     value.as_str().unwrap_or_default()
 }
@@ -125,7 +127,7 @@ fn word(value: &Value) -> &str {
 /// Name and version of a crate: `heapless@0.9.1`.
 type Name = String;
 
-/// Which crates each crate needs, from lines of `cargo tree`: `2heapless v0.9.1`, two levels below the root.
+/// Returns the dependencies of each crate, from lines of `cargo tree`: `2heapless v0.9.1`, two levels below the root.
 fn linked(tree: &str) -> Result<BTreeMap<Name, BTreeSet<Name>>, Failure> {
     let mut needs = BTreeMap::<Name, BTreeSet<Name>>::new();
     let mut above: Vec<Name> = Vec::new();
@@ -141,14 +143,14 @@ fn linked(tree: &str) -> Result<BTreeMap<Name, BTreeSet<Name>>, Failure> {
     Ok(needs)
 }
 
-/// Depth and name of the crate in a line of `cargo tree`.
+/// Returns depth and name of the crate in a line of `cargo tree`.
 fn placed(line: &str) -> Option<(usize, Name)> {
     let (depth, package) = line.split_at(line.find(|c: char| !c.is_ascii_digit())?);
     let mut words = package.split(' ');
     Some((depth.parse().ok()?, format!("{}@{}", words.next()?, words.next()?.strip_prefix('v')?)))
 }
 
-/// What is known of the crates that are linked.
+/// Properties of the linked crates.
 struct Crates {
     packages: BTreeMap<Name, Value>,
     needs: BTreeMap<Name, BTreeSet<Name>>,
@@ -180,10 +182,10 @@ impl Crates {
             let licence = package["license"].as_str().ok_or_else(|| format!("{name} does not say its licence"))?;
             let mut component = json!({
                 "type": "library", "bom-ref": name, "name": package["name"], "version": package["version"],
-                // An old way to write it.
+                // Some manifests use the old separator `/`.
                 "licenses": [{ "expression": licence.replace('/', " OR ") }],
             });
-            // Crates of the workspace are in no registry.
+            // Crates of the workspace are not in a registry.
             if !package["source"].is_null() {
                 let sum = self.checksums.get(name).ok_or_else(|| format!("Cargo.lock has no checksum of {name}"))?;
                 component["purl"] = json!(purl("cargo", word(&package["name"]), word(&package["version"])));
@@ -199,8 +201,8 @@ impl Crates {
     }
 }
 
-/// The address of a package as package-url has it: a slash parts namespace and name, and `%` and two digits stand for
-/// what is neither letter nor digit nor one of `.`, `-`, `_` and `~`.
+/// Returns the package-url of a package: namespace and name are separated by a slash; all characters except letters,
+/// digits, `.`, `-`, `_` and `~` are percent-encoded.
 fn purl(kind: &str, name: &str, version: &str) -> String {
     let encoded = |text: &str| -> String {
         let plain = |byte: u8| byte.is_ascii_alphanumeric() || b".-_~".contains(&byte);
@@ -212,7 +214,7 @@ fn purl(kind: &str, name: &str, version: &str) -> String {
     format!("pkg:{kind}/{}@{}", name.join("/"), encoded(version))
 }
 
-/// Packages of npm that are more than tools: those that a bundle may have in it.
+/// Returns the npm packages that may be part of a bundle, without development tools.
 fn npm(lock: &Value) -> Vec<Value> {
     let packages = lock["packages"].as_object().into_iter().flatten();
     let bundled = packages.filter(|(path, package)| !path.is_empty() && package["dev"] != true);
@@ -300,7 +302,7 @@ mod tests {
         assert_eq!(found[0]["purl"], "pkg:npm/%40a/b@2.0.0");
     }
 
-    /// Names of the components of a bill, and those that `needing` needs.
+    /// Returns the names of the components of a bill, and of those that `needing` depends on.
     fn of_bill(sbom: &Sbom, needing: &str) -> (BTreeSet<String>, BTreeSet<String>) {
         let bill = sbom.bill("1.0.0").unwrap();
         let list = |value: &Value| value.as_array().unwrap().clone();
@@ -310,7 +312,7 @@ mod tests {
         (list(&bill["components"]).iter().map(|component| name(&component["bom-ref"])).collect(), needed.collect())
     }
 
-    /// The boards differ in what is linked: USB is not for the Nucleos.
+    /// The linked crates differ between boards: the Nucleos have no USB.
     #[test]
     fn a_bill_of_a_board_has_what_its_feature_links() {
         let (black_pill, needed) = of_bill(&Sbom::of_board("blackpill_f411"), "oxmill-boards");
@@ -322,7 +324,7 @@ mod tests {
             assert!(black_pill.contains(name) && needed.contains(name), "{name}");
             assert!(!nucleo.contains(name) && !needed_there.contains(name), "{name}");
         }
-        // Of the board in QEMU.
+        // Crates of the board in QEMU.
         assert!(!black_pill.iter().chain(&needed).any(|name| name.contains("mps2")));
     }
 

@@ -1,5 +1,5 @@
-//! The jobs that motion is measured with, against other controllers: what each of them does is in the table of
-//! `docs/motion.md`. Points of curves are computed in `f64` with + - * / only, so they too are the same on every machine.
+//! Jobs for comparing motion with other controllers; `docs/motion.md` has a table of them. Points of curves are
+//! computed in `f64` with + - * / only, so they are the same on every machine, too.
 
 use std::io::{Result, Write};
 
@@ -16,10 +16,10 @@ pub const NAMES: &[&str] = &[
     "tight_circle",
 ];
 
-/// Writes one job. `false`, with nothing written: there is no job of this name.
+/// Writes one job. Returns `false`, without output, if there is no job of this name.
 ///
 /// # Errors
-/// Those of `out`.
+/// Errors of `out`.
 pub fn generate(name: &str, out: &mut dyn Write) -> Result<bool> {
     match name {
         "circle_chords" => circle(out, 10, 100, 10.0, 3000)?,
@@ -37,7 +37,8 @@ pub fn generate(name: &str, out: &mut dyn Write) -> Result<bool> {
     Ok(true)
 }
 
-/// Sine and cosine of a number of turns, by their series up to an eighth of a turn: exact to the last digits of an `f64`.
+/// Returns sine and cosine of an angle in turns, by their series up to an eighth of a turn: exact to the last digits of
+/// an `f64`.
 pub fn sine_cosine(turns: f64) -> (f64, f64) {
     let turns = turns - turns.floor();
     let quarter = (turns * 4.0 + 0.5).floor();
@@ -59,7 +60,7 @@ pub fn sine_cosine(turns: f64) -> (f64, f64) {
     }
 }
 
-/// Turns of a circle about the origin in chords, from (radius, 0), to which a first move goes.
+/// Writes turns of a circle about the origin in chords, starting with a move to (radius, 0).
 fn circle(out: &mut dyn Write, turns: u32, chords: u32, radius: f64, feed: u32) -> Result<()> {
     writeln!(out, "G21G90\nG0X{radius:.3}Y0\nF{feed}")?;
     for point in 1..=turns * chords {
@@ -92,7 +93,7 @@ fn relief_rows(out: &mut dyn Write) -> Result<()> {
     Ok(())
 }
 
-/// 60 rows of 50 mm, half a millimetre apart.
+/// 60 rows of 50 mm, 0.5 mm apart.
 fn zigzag(out: &mut dyn Write) -> Result<()> {
     writeln!(out, "G21G90\nF3000")?;
     for row in 0..60_u32 {
@@ -101,7 +102,7 @@ fn zigzag(out: &mut dyn Write) -> Result<()> {
     Ok(())
 }
 
-/// 140 rows of 50 mm, 0.1 mm apart, with another power every 0.5 mm.
+/// 140 rows of 50 mm, 0.1 mm apart, with a change of power every 0.5 mm.
 fn raster(out: &mut dyn Write) -> Result<()> {
     writeln!(out, "G21G90\nM3S0\nF5000")?;
     for row in 0..140_u32 {

@@ -1,7 +1,7 @@
 //! Writes the generated programs of `examples/`: the same bytes on every machine, since all arithmetic is on integers.
 //!
-//! Each program has its own file below; the words and numbers of a line are put together by [`writer`]. Nothing here
-//! knows the controller: the programs are plain G-code that any Grbl 1.1 takes.
+//! Each program has its own file below; [`writer`] formats the words and numbers of a line. Nothing here depends on the
+//! controller: the programs are plain G-code for any Grbl 1.1.
 
 pub mod bench;
 mod pcb;
@@ -14,10 +14,10 @@ use std::io::{Result, Write};
 /// The programs that [`generate`] can write, by the stem of their file in `examples/`.
 pub const NAMES: &[&str] = &["pocket_mm", "pocket_inch", "relief", "pcb_isolation"];
 
-/// Writes one program. `false`, with nothing written: there is no program of this name.
+/// Writes one program. Returns `false`, without output, if there is no program of this name.
 ///
 /// # Errors
-/// Those of `out`.
+/// Errors of `out`.
 pub fn generate(name: &str, out: &mut dyn Write) -> Result<bool> {
     match name {
         "pocket_mm" => pocket::millimetres(out)?,

@@ -1,10 +1,10 @@
-//! Isolation of a printed circuit board: outlines around traces and pads, two passes each, then the drill holes are
-//! spotted and the edge is scored. Short cuts and very many short rapids.
+//! Isolation of a printed circuit board: two passes around the outlines of traces and pads, then spotting of drill
+//! holes and scoring of the edge. Short cuts and very many short rapids.
 
 use super::writer::{Writer, square_root};
 use std::io::{Result, Write};
 
-/// Lengths in µm, feeds in tenths of mm/min.
+/// Heights and lengths are in µm, feeds in tenths of mm/min.
 const CUT: i64 = -80;
 const SPOT: i64 = -300;
 const SCORE: i64 = -250;
@@ -12,20 +12,22 @@ const TRAVEL: i64 = 1_000;
 const CLEAR: i64 = 10_000;
 const FEED: i64 = 4_000;
 const PLUNGE: i64 = 1_000;
-/// Half of what the V-bit cuts at the isolation depth, and how far the second pass lies outside the first.
+/// Half of the V-bit's cutting width at the isolation depth.
 const TOOL_RADIUS: i64 = 100;
+/// Distance between the first and the second pass.
 const PASS: i64 = 150;
 const PASSES: i64 = 2;
 const TRACE_HALF: i64 = 250;
 const PAD_RADIUS: i64 = 800;
 const BOARD: [i64; 2] = [60_000, 44_000];
-/// Centre of the eight-way fan of traces, its upper and lower end, and the pitches there.
+/// Centre of the eight-way fan of traces.
 const FAN_MIDDLE: [i64; 2] = [20_000, 22_000];
+/// Pitch of the traces at the chip, then distance of the chip's pins from the centre; the same for the terminals.
 const CHIP_PITCH: i64 = 2_540;
 const CHIP_ROW: i64 = 3_810;
 const TERMINAL_PITCH: i64 = 4_445;
 const TERMINAL_ROW: i64 = 16_000;
-/// The grid of single pads beside it.
+/// Columns and rows of the grid of single pads beside the fan.
 const GRID: [i64; 2] = [7, 14];
 const GRID_PITCH: i64 = 2_540;
 const GRID_CORNER: [i64; 2] = [41_000, 5_500];
@@ -78,13 +80,13 @@ pub fn write(out: &mut dyn Write) -> Result<()> {
 /// A trace from a terminal to a pin of the chip: down, across, down.
 type Trace = [[i64; 2]; 4];
 
-/// Eight traces above the chip and their mirror images below. Those left of the middle run to the right, so each must
-/// turn below its right neighbour; those right of the middle the other way round.
+/// Returns eight traces above the chip and their mirror images below. Traces left of the middle run to the right, so
+/// each must turn below its right neighbour; right of the middle it is the mirror image.
 fn traces() -> Vec<Trace> {
     let mut all = Vec::new();
     for side in [1, -1] {
         for k in 0..8 {
-            // Twice the distance from the middle in pitches, an odd number from -7 to 7.
+            // Twice the distance from the middle in pitches: an odd number from -7 to 7.
             let odd = 2 * k - 7;
             let terminal = FAN_MIDDLE[0] + odd * TERMINAL_PITCH / 2;
             let pin = FAN_MIDDLE[0] + odd * CHIP_PITCH / 2;
@@ -96,7 +98,7 @@ fn traces() -> Vec<Trace> {
     all
 }
 
-/// The pads of the grid, row by row, to and fro.
+/// Returns the pads of the grid, row by row, in alternating directions.
 fn grid() -> Vec<[i64; 2]> {
     let mut all = Vec::new();
     for row in 0..GRID[1] {
@@ -111,17 +113,17 @@ fn grid() -> Vec<[i64; 2]> {
 fn isolate_pad(w: &mut Writer, [x, y]: [i64; 2], distance: i64) -> Result<()> {
     let r = PAD_RADIUS + distance;
     down_at(w, [x - r, y])?;
-    // Two halves: a full circle leaves no room for the last digit of its start and end to differ.
+    // Two halves: in a full circle the last digits of start and end must not differ.
     w.arc_to("G2", [Some(x + r), Some(y), None], [r, 0], Some(FEED))?;
     w.arc_to("G2", [Some(x - r), Some(y), None], [-r, 0], None)?;
     up(w)
 }
 
-/// Round a trace with a pad at both ends, the copper always to the right.
+/// Cuts around a trace with a pad at both ends, with the copper always on the right.
 fn isolate_trace(w: &mut Writer, trace: &Trace, distance: i64) -> Result<()> {
     let half = TRACE_HALF + distance;
     let r = PAD_RADIUS + distance;
-    // Where the outline of a pad meets that of its trace, measured from the pad along the trace.
+    // Distance from the pad along the trace at which the outlines of pad and trace meet.
     let meet = square_root(r * r - half * half);
     let [first, second, third, last] = *trace;
     let out = direction(first, second);
@@ -144,7 +146,7 @@ fn isolate_trace(w: &mut Writer, trace: &Trace, distance: i64) -> Result<()> {
     let line = |w: &mut Writer, [x, y]: [i64; 2]| w.line_to("G1", [Some(x), Some(y), None], Some(FEED));
     line(w, corner(second, out, across, half))?;
     line(w, corner(third, across, opposite(back), half))?;
-    // The trace arrives at its last pad against `back`, so its left is to the right of `back`.
+    // The trace arrives at its last pad against `back`, so its left is on the right of `back`.
     let arrive = at(last, back, meet, -half);
     line(w, arrive)?;
     let leave = at(last, back, meet, half);
@@ -157,13 +159,13 @@ fn isolate_trace(w: &mut Writer, trace: &Trace, distance: i64) -> Result<()> {
     up(w)
 }
 
-/// With the clock round a pad, the long way.
+/// Cuts clockwise around a pad, the long way.
 fn round_pad(w: &mut Writer, pad: [i64; 2], from: [i64; 2], to: [i64; 2]) -> Result<()> {
     let centre = [pad[0] - from[0], pad[1] - from[1]];
     w.arc_to("G2", [Some(to[0]), Some(to[1]), None], centre, Some(FEED))
 }
 
-/// Unit vector from one point to another on the same grid line.
+/// Returns the unit vector from one point to another on the same grid line.
 fn direction(from: [i64; 2], to: [i64; 2]) -> [i64; 2] {
     [(to[0] - from[0]).signum(), (to[1] - from[1]).signum()]
 }
@@ -182,7 +184,7 @@ fn up(w: &mut Writer) -> Result<()> {
 mod tests {
     use super::*;
 
-    /// Square of the distance of two legs, each parallel to an axis.
+    /// Returns the squared distance of two legs, each parallel to an axis.
     fn gap(a: [[i64; 2]; 2], b: [[i64; 2]; 2]) -> i64 {
         (0..2)
             .map(|i| {

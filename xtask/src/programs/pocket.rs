@@ -1,11 +1,12 @@
-//! Two pockets as CAM programs write them: one in millimetres that enters along a helix, one in inches that enters
-//! along a zigzag ramp. Both step down, clear from the middle outwards in rounded rectangles, and finish the wall with
-//! a pass that arrives and leaves on a quarter circle.
+//! Two pockets as CAM programs write them: one in millimetres with helical entry, one in inches with a zigzag ramp.
+//! Both step down, clear from the middle outwards in rounded rectangles, and finish the wall with a pass that arrives
+//! and leaves on a quarter circle.
 
 use super::writer::Writer;
 use std::io::{Result, Write};
 
-/// A rounded-rectangle pocket. Lengths in whole counts of the last decimal place, feeds in tenths of the unit per minute.
+/// A rounded-rectangle pocket. Lengths in whole counts of the last decimal place, feeds in tenths of the unit per
+/// minute.
 struct Pocket {
     /// Half the size of the pocket.
     half: [i64; 2],
@@ -17,7 +18,7 @@ struct Pocket {
     step_over: i64,
     step_down: i64,
     depth: i64,
-    /// What the finishing pass leaves to do.
+    /// Material that clearing leaves for the finishing pass.
     allowance: i64,
     clear: i64,
     feed: i64,
@@ -25,15 +26,15 @@ struct Pocket {
     finish_feed: i64,
 }
 
-/// How the tool comes down to the next level.
+/// Entry to the next level.
 enum Entry {
-    /// Down a helix of this radius and pitch.
+    /// Along a helix of this radius and pitch.
     Helix { radius: i64, pitch: i64 },
-    /// To and fro along X, by this much each way, down by this much each time.
+    /// Back and forth along X, by `reach` to each side, down by `fall` each time.
     Zigzag { reach: i64, fall: i64 },
 }
 
-/// An 80 x 50 x 6 mm pocket with a 6 mm end mill. Zero is the middle of the pocket, top of the stock.
+/// Writes an 80 x 50 x 6 mm pocket for a 6 mm end mill. Zero is the middle of the pocket, top of the stock.
 pub fn millimetres(out: &mut dyn Write) -> Result<()> {
     let pocket = Pocket {
         half: [40_000, 25_000],
@@ -68,7 +69,7 @@ pub fn millimetres(out: &mut dyn Write) -> Result<()> {
     w.text("M30")
 }
 
-/// A 3 x 1.5 x 0.375 inch pocket with a quarter-inch end mill.
+/// Writes a 3 x 1.5 x 0.375 inch pocket for a quarter-inch end mill.
 pub fn inches(out: &mut dyn Write) -> Result<()> {
     let pocket = Pocket {
         half: [15_000, 7_500],
@@ -100,7 +101,7 @@ pub fn inches(out: &mut dyn Write) -> Result<()> {
 }
 
 impl Pocket {
-    /// The moves between spindle on and spindle off, with the words for rapid, feed and both arcs.
+    /// Writes the moves between spindle on and spindle off. `words`: for rapid, feed and both arcs.
     fn write(&self, w: &mut Writer, words: [&'static str; 4], entry: &Entry) -> Result<()> {
         let [rapid, line, _, _] = words;
         w.line_to(rapid, [None, None, Some(self.clear)], None)?;
@@ -115,8 +116,8 @@ impl Pocket {
             w.line_to(rapid, [Some(0), Some(0), None], None)?;
             level = next;
         }
-        // Finishing: arrive at the wall in the middle of the upper side, go round against the clock (the tool turns
-        // with it: climb milling), and leave the same way.
+        // Finishing: arrive at the wall in the middle of the upper side, go around counter-clockwise (climb milling),
+        // and leave the same way.
         let [x, y] = self.half.map(|half| half - self.tool_radius);
         let radius = self.corner - self.tool_radius;
         let lead = self.tool_radius;
@@ -130,7 +131,7 @@ impl Pocket {
         w.line_to(rapid, [Some(0), Some(0), None], None)
     }
 
-    /// From the middle down to `next`, ending in the middle.
+    /// Writes the entry from `level` down to `next`; starts and ends in the middle.
     fn enter(&self, w: &mut Writer, words: [&'static str; 4], entry: &Entry, level: i64, next: i64) -> Result<()> {
         let [_, line, _, counter_clockwise] = words;
         w.line_to(line, [None, None, Some(level)], Some(self.plunge))?;
@@ -142,7 +143,7 @@ impl Pocket {
                     z = (z - pitch).max(next);
                     w.arc_to(counter_clockwise, [Some(radius), Some(0), Some(z)], [-radius, 0], Some(self.plunge))?;
                 }
-                // Once round on the level, as the helix leaves a slope.
+                // One turn at constant depth, because the helix leaves a slope.
                 w.arc_to(counter_clockwise, [Some(radius), Some(0), None], [-radius, 0], Some(self.feed))?;
             }
             Entry::Zigzag { reach, fall } => {
@@ -158,11 +159,11 @@ impl Pocket {
         w.line_to(line, [Some(0), Some(0), None], Some(self.feed))
     }
 
-    /// Rounded rectangles from the middle outwards, up to the allowance for the finishing pass.
+    /// Writes rounded rectangles from the middle outwards, up to the allowance for the finishing pass.
     fn clear_level(&self, w: &mut Writer, words: [&'static str; 4]) -> Result<()> {
         let last = self.half.map(|half| half - self.tool_radius - self.allowance);
-        // Seen from the wall, each rectangle lies one step-over farther in; the innermost is a slot at most two
-        // step-overs high.
+        // From the wall, each rectangle lies one step-over farther in; the innermost is a slot at most two step-overs
+        // high.
         let rings = (last[1] - 1) / self.step_over;
         for ring in (0..=rings).rev() {
             let size = last.map(|edge| edge - ring * self.step_over);
@@ -175,7 +176,7 @@ impl Pocket {
     }
 }
 
-/// Once round, against the clock, from and to the middle of the upper side.
+/// Writes one rounded rectangle counter-clockwise, from and to the middle of the upper side.
 fn rounded_rectangle(
     w: &mut Writer,
     words: [&'static str; 4],
@@ -185,7 +186,7 @@ fn rounded_rectangle(
 ) -> Result<()> {
     let [_, line, _, arc] = words;
     let ([x, y], r) = (half, radius);
-    // Each corner: where its arc begins, where it ends, and its centre seen from the beginning.
+    // Each corner: start of its arc, end of its arc, and centre relative to the start.
     let corners = [
         ([r - x, y], [-x, y - r], [0, -r]),
         ([-x, r - y], [r - x, -y], [r, 0]),

@@ -1,22 +1,24 @@
-//! A finishing pass over a relief: a rosette on a domed medallion inside a raised frame, cut in rows 0.4 mm apart with a
-//! point every 0.1 mm. Tens of thousands of short moves: what a look-ahead is for.
+//! A finishing pass over a relief: a rosette on a domed medallion inside a raised frame, cut in rows 0.4 mm apart with
+//! a point every 0.1 mm. Its tens of thousands of short moves need look-ahead.
 
 use super::writer::Writer;
 use std::io::{Result, Write};
 
-/// Size of the plate, µm.
+/// Width of the plate, µm.
 const WIDTH: i64 = 60_000;
+/// Height of the plate, µm.
 const HEIGHT: i64 = 40_000;
-/// Distance of points in a row and of rows, µm.
+/// Distance between points in a row, µm.
 const POINT: i64 = 100;
+/// Distance between rows, µm.
 const ROW: i64 = 400;
 /// Rapid height above the plate, µm.
 const CLEAR: i64 = 3_000;
-/// Tenths of mm/min.
+/// Feeds, tenths of mm/min.
 const FEED: i64 = 15_000;
 const PLUNGE: i64 = 3_000;
 
-/// Heights are computed in nm and rounded to µm at the end.
+/// nm per µm: heights are computed in nm and rounded to µm at the end.
 const NM: i64 = 1_000;
 
 /// Directions of the eight petals as (cos, sin) × 1000.
@@ -48,7 +50,7 @@ pub fn write(out: &mut dyn Write) -> Result<()> {
     w.text("M30")
 }
 
-/// Height of the surface at a point, µm, 0 at the top of the stock and negative below.
+/// Returns the height of the surface at a point, µm: 0 at the top of the stock and negative below.
 fn depth(x: i64, y: i64) -> i64 {
     let (u, v) = (x - WIDTH / 2, y - HEIGHT / 2);
     let ground = -3_200 * NM;
@@ -59,7 +61,7 @@ fn depth(x: i64, y: i64) -> i64 {
     let dome = hill(u * 19 / 27, v, 19_000, 1_500 * NM);
     let mut flower = hill(u, v, 4_500, 1_300 * NM);
     for (cos, sin) in PETALS {
-        // Coordinates along the petal and across it; a petal is three times as long as wide.
+        // Coordinates along and across the petal; a petal is longer than wide.
         let along = (u * cos + v * sin) / 1_000 - 8_500;
         let across = (v * cos - u * sin) / 1_000;
         flower = flower.max(hill(along, across * 5 / 2, 5_500, 900 * NM));
@@ -68,7 +70,8 @@ fn depth(x: i64, y: i64) -> i64 {
     (height - NM / 2) / NM
 }
 
-/// A hill of a given radius (µm) and height (nm): height × (1 - d²/r²)², with level tangents at the top and the foot.
+/// Returns a hill's height at a point, for a radius (µm) and a maximum height (nm): height × (1 - d²/r²)², with level
+/// tangents at the top and the foot.
 fn hill(u: i64, v: i64, radius: i64, height: i64) -> i64 {
     let (square, limit) = (u * u + v * v, radius * radius);
     if square >= limit {

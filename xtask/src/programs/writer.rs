@@ -1,11 +1,11 @@
-//! Puts lines together as a post-processor does: motion words and coordinates stand only where they change.
+//! Formats lines as a post-processor does: motion words and coordinates are written only when they change.
 
 use std::io::{Result, Write};
 
 /// Axis letters in the order in which they are written.
 const LETTERS: [char; 3] = ['X', 'Y', 'Z'];
 
-/// Where the lines go, and what the last ones have set.
+/// Output of a program, with the modal state of the last lines.
 pub struct Writer<'a> {
     out: &'a mut dyn Write,
     decimals: u32,
@@ -17,37 +17,38 @@ pub struct Writer<'a> {
 }
 
 impl<'a> Writer<'a> {
-    /// Coordinates are whole counts of the last of `decimals` places: µm with 3 places of a millimetre.
+    /// Returns a writer whose coordinates are whole counts of the last of `decimals` places: µm with 3 places of a
+    /// millimetre.
     pub fn new(out: &'a mut dyn Write, decimals: u32) -> Self {
         Self { out, decimals, numbering: None, separator: " ", modal: "", place: [None; 3], feed: None }
     }
 
-    /// Words without blanks between them.
+    /// Omits blanks between words.
     pub fn compact(mut self) -> Self {
         self.separator = "";
         self
     }
 
-    /// Lines numbered N10, N20, ...
+    /// Numbers lines N10, N20, ...
     pub fn numbered(mut self) -> Self {
         self.numbering = Some(10);
         self
     }
 
-    /// A line as it stands. What it may do to positions or motion words is not followed: coordinates and the motion
-    /// word are written in full next time.
+    /// Writes a line unchanged. Its effect on positions and motion words is unknown, so the next line writes
+    /// coordinates and motion word in full.
     pub fn text(&mut self, line: &str) -> Result<()> {
         self.modal = "";
         self.place = [None; 3];
         self.line(line)
     }
 
-    /// A comment.
+    /// Writes a comment.
     pub fn comment(&mut self, text: &str) -> Result<()> {
         self.line(&format!("({text})"))
     }
 
-    /// A straight move with the word `motion`, to those coordinates that are given.
+    /// Writes a straight move with the word `motion` to the given coordinates.
     pub fn line_to(&mut self, motion: &'static str, to: [Option<i64>; 3], feed: Option<i64>) -> Result<()> {
         let mut words = self.motion_word(motion);
         let before = words.len();
@@ -60,7 +61,7 @@ impl<'a> Writer<'a> {
         self.line(&words.join(self.separator))
     }
 
-    /// An arc in the XY plane to (x, y), with the centre at offset (i, j) from its start, and `z` for a helix.
+    /// Writes an arc in the XY plane to (x, y), with the centre at offset (i, j) from its start, and `z` for a helix.
     pub fn arc_to(
         &mut self,
         motion: &'static str,
@@ -68,7 +69,7 @@ impl<'a> Writer<'a> {
         centre: [i64; 2],
         feed: Option<i64>,
     ) -> Result<()> {
-        // The motion word stands on each arc line: some interpreters do not take it as modal.
+        // Every arc line has its motion word: some interpreters do not treat it as modal.
         let mut words = vec![motion.to_string()];
         self.push_place(&mut words, to, true);
         for (letter, value) in ['I', 'J'].into_iter().zip(centre) {
@@ -109,7 +110,7 @@ impl<'a> Writer<'a> {
     }
 }
 
-/// A whole count of the last of `places` decimal places as text: trailing zeros go, the point stays.
+/// Formats a whole count of the last of `places` decimal places: removes trailing zeros, keeps the point.
 pub fn decimal(value: i64, places: u32) -> String {
     let one = 10_i64.pow(places);
     let sign = if value < 0 { "-" } else { "" };
@@ -117,7 +118,7 @@ pub fn decimal(value: i64, places: u32) -> String {
     format!("{sign}{}.{}", value.abs() / one, digits.trim_end_matches('0'))
 }
 
-/// The whole number nearest to the square root of `n`.
+/// Returns the integer nearest to the square root of `n`.
 pub fn square_root(n: i64) -> i64 {
     let mut root = n.isqrt();
     // Rounded to nearest: (root + 1/2)² = root² + root + 1/4.

@@ -1,50 +1,52 @@
-//! What `rs274` prints: calls of canonical machining functions, in the unit of the program, without the offsets.
+//! Reads the output of `rs274`: calls of canonical machining functions, in the unit of the program, with the offsets
+//! not applied.
 
 use super::{AXES, Event, NO_MOVE, Outcome};
 use crate::Failure;
 use std::path::Path;
 use std::process::Command;
 
-/// The offsets in force, mm and degrees.
+/// State while reading: active offsets and position, in mm and degrees.
 #[derive(Default)]
 struct Reader {
     inches: bool,
     /// First, second and third axis of the plane.
     plane: [usize; 3],
     system: [f64; AXES],
-    /// Of the system, degrees.
+    /// Rotation of the system, degrees.
     rotation: f64,
     g92: [f64; AXES],
     tool: [f64; AXES],
-    /// Where the machine is, without offsets.
+    /// Position in machine coordinates, without offsets.
     machine: [f64; AXES],
-    /// After a spline, of which only the number of control points is printed.
+    /// Whether the position is unknown: after a spline, of which only the number of control points is printed.
     is_place_untold: bool,
-    /// Mm/min, and whether G93 makes it.
+    /// Feed rate, mm/min.
     rate: f64,
+    /// Whether G93 is active.
     is_inverse_time: bool,
-    /// The last call was an event.
+    /// Whether the last call was an event.
     has_moved: bool,
     events: Vec<Event>,
 }
 
-/// Seconds, of `timeout`: a program without end would fill the memory.
+/// Limit for `timeout`, s: an endless program would fill the memory.
 const LONGEST: &str = "20";
 
-/// How to run it.
+/// Options of a run.
 pub struct Settings<'a> {
     /// Rows of a tool table.
     pub tools: &'a str,
-    /// Whether lines that begin with a slash are left out.
+    /// Whether lines that start with a slash are skipped.
     pub deletes_blocks: bool,
-    /// Whether messages, stops and the rates of G93 are wanted.
+    /// Whether to report messages, stops and the rates of G93.
     pub is_told_all: bool,
 }
 
-/// Runs a file. Each process needs a home of its own, in which it keeps a tool table.
+/// Runs a file. Each process needs its own `home`, where it keeps a tool table.
 pub fn interpret(home: &Path, file: &Path, settings: &Settings) -> Result<Outcome, Failure> {
     let home = std::path::absolute(home).map_err(|e| e.to_string())?;
-    // It refuses a tool that has no pocket.
+    // `rs274` rejects a tool that has no pocket.
     std::fs::write(home.join("tools.tbl"), settings.tools).map_err(|e| e.to_string())?;
     let output = Command::new("timeout")
         .args([LONGEST, "rs274"])
@@ -57,9 +59,9 @@ pub fn interpret(home: &Path, file: &Path, settings: &Settings) -> Result<Outcom
         .map_err(|e| format!("rs274: {e}"))?;
     let mut reader = Reader { plane: [0, 1, 2], ..Reader::default() };
     for line in String::from_utf8_lossy(&output.stdout).lines() {
-        // The number of the call, the line's number or dots, the call.
+        // Format: the number of the call, the line's number or dots, the call.
         let Some((_, numbered)) = line.trim_start().split_once(" N") else {
-            // (PRINT, ...)
+            // A message of (PRINT, ...).
             if settings.is_told_all && line.starts_with(super::STATE) {
                 reader.events.push(Event::Message(line.into()));
             }
@@ -77,7 +79,7 @@ pub fn interpret(home: &Path, file: &Path, settings: &Settings) -> Result<Outcom
     Ok(Outcome { events: reader.events, of: Vec::new(), refused: refused.pop().map(str::to_string) })
 }
 
-/// Places in inches, as they are shown in mm.
+/// Converts positions from inches to mm for comparison.
 fn in_mm(places: &str) -> Option<String> {
     let mut text = String::from(super::PLACES_MARK);
     for place in places.split_whitespace() {
@@ -87,7 +89,7 @@ fn in_mm(places: &str) -> Option<String> {
 }
 
 impl Reader {
-    /// The numbers of a call, in mm.
+    /// Returns the numbers of a call, in mm.
     fn lengths(&self, arguments: &str) -> Option<Vec<f64>> {
         let unit = if self.inches { 25.4 } else { 1.0 };
         arguments
@@ -99,7 +101,7 @@ impl Reader {
 
     fn call(&mut self, call: &str) -> Option<()> {
         let (name, arguments) = call.strip_suffix(')')?.split_once('(')?;
-        // Degrees have no unit.
+        // Degrees do not depend on the unit of length.
         let unit = if self.inches { 25.4 } else { 1.0 };
         let place =
             |numbers: &[f64]| Some([*numbers.first()?, *numbers.get(1)?, *numbers.get(2)?, *numbers.get(3)? / unit]);
@@ -144,7 +146,7 @@ impl Reader {
         Some(())
     }
 
-    /// What a call tells beside motion; it has been carried out.
+    /// Records effects of a call other than motion, after it has been carried out.
     fn tell(&mut self, call: &str) -> Option<()> {
         let (name, arguments) = call.strip_suffix(')')?.split_once('(')?;
         match name {

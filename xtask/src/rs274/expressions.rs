@@ -1,27 +1,29 @@
-//! Random expressions of RS274NGC that have a value, on both sides the same.
+//! Random expressions of RS274NGC that have the same value in both interpreters.
 //!
-//! What jumps (`FIX`, `MOD`, `ROUND`, comparisons) must not be told to jump by rounding: LinuxCNC computes with binary numbers,
-//! of which `0.29 * 100` is below 29. So a number is whole, a half, or has five random digits behind the point, of which the
-//! last is odd: sums and products of such numbers do not meet a limit by chance. An angle is no whole number: sine, cosine and
-//! tangent of those are a little beside 0, 0.5 and 1 in LinuxCNC. The `y` of `ATAN` is never 0: of a binary -0 its half turn is
-//! negative. Arguments are within the range of their function, powers and exponents small: a result that is too large is an
-//! error in Oxmill alone, and a binary number has no digits left behind the point from some size on.
+//! Functions that jump (`FIX`, `MOD`, `ROUND`, comparisons) must not jump because of rounding: LinuxCNC computes with
+//! binary numbers, in which `0.29 * 100` is below 29. So a number is an integer, a half, or has five random decimals,
+//! the last of them odd: sums and products of such numbers do not hit a limit by chance. An angle is never an integer:
+//! in LinuxCNC sine, cosine and tangent of some integers are slightly off 0, 0.5 and 1. The `y` of `ATAN` is never 0:
+//! for a binary -0 the angle of half a turn is negative. Arguments are within the range of their function, and powers
+//! and exponents are small: too large a result is an error only in Oxmill, and large binary numbers have no digits left
+//! after the point.
 
 use oxmill_test_support::Random;
 
-/// Parameters with numbers that every program has set.
+/// Parameters that every program sets to numbers.
 pub const NUMBERED: [&str; 10] = ["#1", "#2", "#3", "#4", "#5", "#31", "#32", "#33", "#34", "#35"];
-/// Names that every program and every call has set, the last two for all calls.
+/// Named parameters that every program and every call sets; the last two are global.
 pub const NAMED: [&str; 4] = ["#<u>", "#<v>", "#<_g>", "#<_h k>"];
-/// It holds the number of one of the parameters.
+/// A parameter that holds the number of another one.
 pub const POINTER: &str = "#40";
 
-/// What the machine shows of itself, without units of time. Stored places, from #5161 on, are in the unit of the machine, which
-/// is the inch in `rs274`; `#<_rpm>` has seven digits in Oxmill.
+/// Parameters that show the machine's state and do not depend on the unit of time. Stored positions, from #5161 on, are
+/// excluded: they are in the unit of the machine, which is the inch in `rs274`. So is `#<_rpm>`, which has seven digits
+/// in Oxmill.
 const SHOWN: [&str; 9] =
     ["#5420", "#5421", "#5422", "#5220", "#<_x>", "#<_y>", "#<_z>", "#<_metric>", "#<_call_level>"];
 
-/// A number of the length of a tool's way.
+/// Returns a positive number of the size of a typical tool movement.
 pub fn plain(random: &mut Random) -> String {
     format!("{}.{:04}{}", random.below(30), random.below(10_000), 1 + 2 * random.below(5))
 }
@@ -48,7 +50,7 @@ fn parameter(random: &mut Random) -> String {
     }
 }
 
-/// What may stand between two operators.
+/// Returns an operand of an operator.
 fn operand(random: &mut Random, depth: u32) -> String {
     let sign = random.of(&["", "", "", "", "-", "+"]);
     match random.below(if depth == 0 { 6 } else { 12 }) {
@@ -79,7 +81,7 @@ fn function(random: &mut Random, depth: u32) -> String {
     }
 }
 
-/// Operands and operators, as they stand in a bracket.
+/// Returns operands and operators, as within a bracket.
 pub fn chain(random: &mut Random, depth: u32) -> String {
     let mut text = operand(random, depth);
     for _ in 0..random.below(4) {
@@ -108,13 +110,14 @@ pub fn chain(random: &mut Random, depth: u32) -> String {
     text
 }
 
-/// A value within 20 of 0, of whatever is within: never the cosine of a condition, which is whole.
+/// Returns a value within 20 of 0, made from any expression. It is never the cosine of a condition, which is an
+/// integer.
 fn bounded(random: &mut Random) -> String {
     format!("[20 * {}[[{}] + 0.01357]]", random.of(&["SIN", "COS"]), chain(random, 1))
 }
 
-/// What a word of an axis may have behind it: a length within 50 of 0, and not whole, for `rs274` loses a bit of it when the unit
-/// changes.
+/// Returns the value of an axis word: a length within 50 of 0, and not an integer, because `rs274` loses a bit of
+/// integers when the unit changes.
 pub fn length(random: &mut Random) -> String {
     match random.below(20) {
         0..=7 => plain(random),
@@ -126,7 +129,7 @@ pub fn length(random: &mut Random) -> String {
     }
 }
 
-/// What a parameter is set to.
+/// Returns a value for a parameter.
 pub fn value(random: &mut Random) -> String {
     match random.below(20) {
         0..=6 => bounded(random),
@@ -134,12 +137,12 @@ pub fn value(random: &mut Random) -> String {
         9 => format!("[{}]", random.below(20)),
         10 => format!("[[{}] MOD 13.71317]", chain(random, 2)),
         11 => format!("FIX[10 * SIN[{} + 0.01357]]", chain(random, 1)),
-        // Cut to millionths: a loop would make more and more of what rounding leaves. `ROUND` of LinuxCNC ends at 2^31.
+        // Truncated to millionths, because a loop would amplify rounding errors. LinuxCNC's `ROUND` is limited to 2^31.
         _ => format!("[FIX[[{}] * 1000000 + 0.31713] / 1000000 MOD 913.31713 - {}]", chain(random, 2), plain(random)),
     }
 }
 
-/// What a condition asks.
+/// Returns a condition.
 pub fn condition(random: &mut Random) -> String {
     match random.below(10) {
         0 => format!("[{}]", random.below(2)),

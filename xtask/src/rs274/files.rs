@@ -1,7 +1,8 @@
-//! `cargo xtask rs274 files FOLDER...`: programs that others have written, whole, through both interpreters.
+//! `cargo xtask rs274 files FOLDER...`: runs complete programs by other authors through both interpreters.
 //!
-//! A program counts as alike if both make the same events of it to its end, or to the line that both refuse. What only one of
-//! them refuses is listed with the reason; what both carry out with other events is a difference.
+//! A program counts as equal if both interpreters produce the same events up to its end, or up to the line that both
+//! reject. Programs that only one of them rejects are listed with the reason; different events in a program that both
+//! accept are a difference.
 
 use super::canon::Settings;
 use super::ours::Mill;
@@ -13,17 +14,17 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Lines of a program that are carried out, those of loops as often as they run.
+/// Maximum number of lines of a program that are carried out, counting each pass of a loop.
 const MOST_LINES: usize = 200_000;
 /// Files with this ending are programs.
 const ENDING: &str = "ngc";
-/// Tools that both sides know, without offsets.
+/// Tools that are defined on both sides, without offsets.
 const TOOLS: std::ops::RangeInclusive<u32> = 1..=30;
 
-/// What Oxmill makes of a program.
+/// Result of a program in Oxmill.
 struct Ours {
     events: Vec<Event>,
-    /// The line of the file that was refused, and why.
+    /// The line of the file that was rejected, and the reason.
     refused: Option<(usize, String)>,
 }
 
@@ -109,14 +110,14 @@ fn judge(home: &Path, file: &Path, text: &[u8]) -> Result<(&'static str, String)
     })
 }
 
-/// Carries a program out, to its end or to the first line that is refused.
+/// Carries out a program to its end or to the first line that is rejected.
 fn interpret(text: &[u8]) -> Ours {
     let mut program = Program { mill: Mill::new(), lines: 0, events: Vec::new() };
     for tool in TOOLS {
         let entered = program.mill.run(&format!("G10 L1 P{tool} X0 Y0 Z0"));
         assert!(entered.is_ok(), "the table has room for tool {tool}");
     }
-    // LinuxCNC starts so.
+    // LinuxCNC starts in this mode.
     assert!(program.mill.run("G99").is_ok());
     let rules = || LineRules {
         length: line_filter::LENGTH,
@@ -163,7 +164,7 @@ struct Program {
 }
 
 impl Program {
-    /// A line of the file; true at the end of the program.
+    /// Carries out a line of the file; returns `true` at the end of the program.
     fn line(&mut self, text: &[u8], number: usize) -> Result<bool, String> {
         if text.is_empty() || text.starts_with(b"%") {
             return Ok(false);

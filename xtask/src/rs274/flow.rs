@@ -1,27 +1,29 @@
-//! Random programs with parameters, expressions, names and O words, moves of A, and the words that need them to be told from: G93,
-//! G90.1, messages, stops, block delete, selectors that are computed.
+//! Random programs with parameters, expressions, names and O words, moves of A, and words whose effect shows only with
+//! these: G93, G90.1, messages, stops, block delete, computed G and M numbers.
 //!
-//! A statement is one line or a whole construct. One that Oxmill refuses is left out, but for the last of a batch: `rs274`
-//! has to refuse the same line of it. Lines that show state are among the others, within constructs too.
+//! A statement is one line or a whole construct. Statements that Oxmill rejects are omitted, except for the last of a
+//! batch: `rs274` must reject the same line of it. Lines that show state are mixed in, within constructs, too.
 //!
-//! Left out, beside what is named in `expressions`, as the book names it for a difference:
+//! Not generated, because the book lists it as a difference (see also `expressions`):
 //!
-//! * a label that is used again: to LinuxCNC each belongs to one construct
-//! * a call of what is not there, or comes later: `rs274` reads on to the end of the file and names another line
-//! * a name that the same line sets for the first time: 0 to LinuxCNC
-//! * setting a parameter of the machine other than #5420 and on: LinuxCNC lets it
-//! * what needs more memory or depth than Oxmill has, or a result that is too large: LinuxCNC has no such limit
-//! * `break` and `continue` in a `repeat`: LinuxCNC refuses them
-//! * `do` behind a `break` in a `while`: to `rs274` the `break` ends the next `do` after one pass, too
-//! * `continue` in a `do`: in its last pass, within another loop, `rs274` never leaves that
-//! * `#<_value>` anywhere but behind a call: `rs274` sets it at the definition of a subroutine, too
-//! * G with a number beside a hundredth, such as G0.004: the word next to it in Oxmill, as in Grbl
-//! * `#5401` and on: the offset that acts in Oxmill, that of the tool in the spindle in LinuxCNC
-//! * the spindle behind M6, which LinuxCNC stops: M3 stands beside it
-//! * a message beside words: `rs274` tells it before them, with the values before them
-//! * `#<_feed>` in another unit than F was said in, and in G93: LinuxCNC keeps its number; and F beside G20 or G21
-//! * another unit under a tool offset; M6 unless all axes have moved since the last change of offsets (the command line has no
-//!   machine)
+//! * a label that is used again: in LinuxCNC each label belongs to one construct
+//! * a call of a subroutine that does not exist or comes later: `rs274` reads on to the end of the file and names
+//!   another line
+//! * a name that is first set in the same line: 0 in LinuxCNC
+//! * setting a parameter of the machine other than #5420 and on: LinuxCNC allows it
+//! * anything that needs more memory or depth than Oxmill has, or a result that is too large: LinuxCNC has no such
+//!   limit
+//! * `break` and `continue` in a `repeat`: LinuxCNC rejects them
+//! * `do` after a `break` in a `while`: in `rs274` the `break` also ends the next `do` after one pass
+//! * `continue` in a `do`: in its last pass, within another loop, `rs274` never leaves the loop
+//! * `#<_value>` other than after a call: `rs274` also sets it at the definition of a subroutine
+//! * G with a number near a hundredth, such as G0.004: Oxmill, like Grbl, takes it for the nearest word
+//! * `#5401` and on: in Oxmill the active offset, in LinuxCNC that of the tool in the spindle
+//! * the spindle after M6, which LinuxCNC stops: M3 is written beside it
+//! * a message beside words: `rs274` sends it before the words act, with the values before them
+//! * `#<_feed>` in another unit than that of F, and in G93: LinuxCNC keeps its number; and F beside G20 or G21
+//! * a change of units under a tool offset; M6 unless all axes have moved since the last change of offsets (the command
+//!   line has no machine)
 //! * G53 with G91; a rotation (the other generator has it)
 
 use super::expressions::{self, NAMED, NUMBERED, POINTER};
@@ -31,7 +33,7 @@ use super::{Event, Outcome, PLACES_MARK};
 use oxmill_controller::error::Error;
 use oxmill_test_support::Random;
 
-/// What every program begins with.
+/// Start of every program.
 const BEGIN: &[&str] = &[
     "G49",
     "G21 G90 G17 G94 G98 G40 G80 G61 G91.1",
@@ -51,9 +53,9 @@ const BEGIN: &[&str] = &[
     "G28.1",
     "G30.1",
 ];
-/// What a subroutine begins with: these are its own.
+/// Start of a subroutine: sets its local parameters.
 const OWN: &str = "#<u>=#1 #<v>=[#2 + 1.31713] #4=#3";
-/// Names of the state, of which a line shows some.
+/// Parameters and names of the state; a line shows some of them.
 const STATE: [&str; 30] = [
     "#5420",
     "#5421",
@@ -86,24 +88,24 @@ const STATE: [&str; 30] = [
     "#<_selected_tool>",
     "#<_call_level>",
 ];
-/// Stored places, in the unit of the machine.
+/// Stored positions, in the unit of the machine.
 const PLACES: [&str; 12] =
     ["#5161", "#5162", "#5183", "#5211", "#5212", "#5213", "#5221", "#5222", "#5223", "#5241", "#5322", "#5383"];
-/// Statements more at the end, until one is refused.
+/// Number of extra statements at the end, until one is rejected.
 const MORE: usize = 60;
-/// Beyond this, mm, a target may be out of Oxmill's range.
+/// Positions beyond this, mm, may be out of Oxmill's range.
 const FAR: f64 = 10_000.0;
-/// Longer lines are left out: `rs274` cuts them, at another length.
+/// Maximum line length: longer lines are omitted, because `rs274` truncates them at another length.
 const LONGEST: usize = 200;
-/// And longer messages, which Oxmill cuts.
+/// Maximum message length: longer messages are omitted, because Oxmill truncates them.
 const LONGEST_MESSAGE: usize = 80;
-/// Constructs within each other, without those that are called.
+/// Maximum nesting of constructs, not counting called ones.
 const NESTED: u32 = 2;
 /// Planes: the word, the axes, the letters of the centre.
 const PLANES: [(&str, [char; 3], [char; 2]); 3] =
     [("G17", ['X', 'Y', 'Z'], ['I', 'J']), ("G18", ['Z', 'X', 'Y'], ['K', 'I']), ("G19", ['Y', 'Z', 'X'], ['J', 'K'])];
 
-/// A statement that was refused, the events before, and the line.
+/// A rejected statement, the events before it, and the rejected line.
 struct Refused {
     lines: Vec<String>,
     events: Vec<Event>,
@@ -115,16 +117,16 @@ struct Writer {
     runner: Runner,
     batch: Batch,
     refused: Option<Refused>,
-    /// There are `do` loops, and no `break` in a `while`.
+    /// Whether there are `do` loops, and therefore no `break` in a `while`.
     has_do: bool,
-    /// Labels so far.
+    /// Number of labels so far.
     labels: u64,
-    /// The labels of subroutines that can be called.
+    /// Labels of the subroutines that can be called.
     subroutines: Vec<String>,
 }
 
-/// Programs one after the other, and perhaps a statement in which a line is refused. `deletes_blocks`: lines that begin with a
-/// slash are left out.
+/// Returns programs one after the other, possibly followed by a statement with a rejected line. `deletes_blocks`: lines
+/// that start with a slash are skipped.
 pub fn batch(seed: u64, programs: usize, deletes_blocks: bool) -> Batch {
     let outcome = Outcome { events: Vec::new(), of: Vec::new(), refused: None };
     let mut writer = Writer {
@@ -158,7 +160,8 @@ pub fn batch(seed: u64, programs: usize, deletes_blocks: bool) -> Batch {
     writer.end(between_marks)
 }
 
-/// A line as both sides have it in common: without blanks, remarks and the slash of block delete, in capitals.
+/// Returns a line in the form that both sides share: without blanks, comments and the slash of block delete, in upper
+/// case.
 pub fn without_blanks(line: &str) -> String {
     let mut text = String::new();
     let mut in_remark = false;
@@ -195,7 +198,7 @@ impl Writer {
         batch
     }
 
-    /// Takes a statement over; whether Oxmill does.
+    /// Adds a statement to the program if Oxmill accepts it; returns whether it did.
     fn put(&mut self, lines: Vec<String>) -> bool {
         if lines.iter().any(|line| line.len() > LONGEST || line.starts_with('(') && line.len() > LONGEST_MESSAGE) {
             return false;
@@ -207,7 +210,7 @@ impl Writer {
             let result = runner.run(line, &mut events);
             of.resize(events.len(), self.batch.lines.len() + at);
             match result {
-                // Rounding decides whether it is a move.
+                // Rounding would decide whether this is a move.
                 _ if runner.mill.is_doubtful() => return false,
                 Ok(()) => {}
                 Err(refusal) => {
@@ -232,7 +235,7 @@ impl Writer {
         true
     }
 
-    /// A line as another program would have spelled it.
+    /// Returns a line in another spelling.
     fn spelled(&mut self, line: String) -> String {
         if line.starts_with(['(', '%', '/']) || !self.percent(12) {
             return line;
@@ -274,7 +277,7 @@ impl Writer {
         }
     }
 
-    /// What may stand at the top and within a construct, subroutines too.
+    /// Returns a statement that may occur at the top level and within constructs, including subroutines.
     fn inner(&mut self, depth: u32) -> Vec<String> {
         match self.random.below(if depth == 0 { 70 } else { 100 }) {
             0..=17 => vec![self.assignment()],
@@ -307,7 +310,7 @@ impl Writer {
                     words += &format!(" {axis}{}", expressions::length(&mut self.random));
                 }
             }
-            // Alone, too.
+            // Also as the only axis word.
             if self.percent(20) {
                 words += &format!(" A{}", expressions::length(&mut self.random));
             }
@@ -328,7 +331,7 @@ impl Writer {
             };
             line += &format!("{target} = {value} ");
         }
-        // Set behind the motion, which has the values of before.
+        // The assignment is written before the motion, but takes effect after it: the motion uses the previous values.
         if random.below(5) == 0 {
             line += &format!("G0 X{}", expressions::length(random));
         }
@@ -360,7 +363,7 @@ impl Writer {
         if random.below(20) == 0 { format!("(MSG,state {})", random.below(1000)) } else { line + ")" }
     }
 
-    /// Moves and arcs for which a time is given, and sometimes is not.
+    /// Returns moves and arcs in G93, sometimes without the required time.
     fn inverse_time(&mut self) -> Vec<String> {
         let mut lines = vec!["G93".to_owned()];
         for _ in 0..1 + self.random.below(3) {
@@ -392,7 +395,7 @@ impl Writer {
         lines
     }
 
-    /// In any plane, with the centre from the start or, after G90.1, in the coordinates of the program.
+    /// Returns an arc in any plane, with the centre relative to the start or, after G90.1, in program coordinates.
     fn arc(&mut self) -> Vec<String> {
         let plane = self.random.below(3) as usize;
         let (word, [first, second, third], [i, j]) = PLANES[plane];
@@ -408,7 +411,7 @@ impl Writer {
         let arc = match random.below(6) {
             // A full circle.
             0..=1 => format!("{turn} {i}{a} {j}{b}{helix}{turns}"),
-            // Half of one, in G90 and in G91.
+            // Half a circle, in G90 and in G91.
             2..=3 => format!(
                 "{turn} {first}[{here_first} * #<_absolute> + 2 * {a}] {second}[{here_second} * #<_absolute> + 2 * {b}]{helix} {i}{a} {j}{b}{turns}"
             ),
@@ -424,7 +427,7 @@ impl Writer {
                     lines.push(format!("(DEBUG,state #<_ijk_absolute_mode> {here_first})"));
                 }
                 if random.below(12) == 0 {
-                    // Both have to be said then.
+                    // After G90.1 both centre words are required.
                     lines.push(format!("{turn} {i}[{here_first} + {a}]"));
                 }
                 lines.push("G91.1".into());
@@ -445,7 +448,7 @@ impl Writer {
         let retract = random.of(&["G98 ", "G99 ", ""]);
         let (x, r, z) = (expressions::length(random), expressions::plain(random), expressions::plain(random));
         let times = random.of(&["", "", " L2", " L[1 + 2]"]);
-        // Which a cycle cannot have.
+        // A word that a cycle cannot have.
         let turn = if random.below(40) == 0 { " A#1" } else { "" };
         vec![
             "G17".into(),
@@ -456,7 +459,7 @@ impl Writer {
         ]
     }
 
-    /// Words that a value selects.
+    /// Returns words whose numbers are computed.
     fn selectors(&mut self) -> String {
         let random = &mut self.random;
         match random.below(12) {
@@ -489,7 +492,7 @@ impl Writer {
         lines
     }
 
-    /// Loops that count in a parameter of their own, so that they end.
+    /// Returns a loop that counts in its own parameter, so that it ends.
     fn repetition(&mut self, depth: u32) -> Vec<String> {
         let label = self.label();
         let counter = format!("#{}", 28 + depth);
@@ -533,7 +536,7 @@ impl Writer {
                 let times = match self.random.below(4) {
                     0 => format!("[{most}]"),
                     1 => format!("[{most} - 2]"),
-                    // To the nearest, a half to the even one.
+                    // Rounded to the nearest integer, a half to the even one.
                     2 => format!("[{}.{}]", self.random.below(4), 1 + self.random.below(9)),
                     _ => format!("[ABS[{}] MOD 4]", expressions::value(&mut self.random)),
                 };
@@ -549,7 +552,7 @@ impl Writer {
         (0..self.random.below(4)).map(|_| format!(" [{}]", expressions::chain(&mut self.random, 1))).collect()
     }
 
-    /// A call of one of the subroutines, and perhaps what it has returned.
+    /// Returns a call of one of the subroutines, possibly with a use of its result.
     fn call(&mut self) -> Vec<String> {
         if self.subroutines.is_empty() {
             return vec![self.state()];
@@ -565,7 +568,7 @@ impl Writer {
         lines
     }
 
-    /// A subroutine, a call of it, perhaps one that calls itself.
+    /// Returns a subroutine, possibly recursive, and a call of it.
     fn subroutine(&mut self) -> Vec<String> {
         let label = self.label();
         let mut lines = vec![format!("{label} sub"), OWN.into()];
@@ -586,7 +589,7 @@ impl Writer {
         if calls_itself {
             let inner = self.label();
             lines.extend([
-                // Its body may change #3.
+                // The body may change #3.
                 format!("{inner} if [#3 GT 0 AND #3 LT 4 AND #<_call_level> LT 4]"),
                 format!("{label} call [#1 / 2] [#2 + #3] [#3 - 1]"),
                 "#5=[#<_value> / 2 + #3]".into(),
@@ -605,7 +608,7 @@ impl Writer {
         vec![self.state()]
     }
 
-    /// Another unit, with F said anew.
+    /// Returns a change of units with a new F.
     fn units(&mut self) -> Vec<String> {
         let (unit, feed) = if self.percent(40) { ("G20", 5) } else { ("G21", 200) };
         vec!["G49".into(), unit.into(), format!("F{}", feed + self.random.below(200))]
@@ -657,7 +660,7 @@ impl Writer {
         lines
     }
 
-    /// Lines that are refused, each for another reason, if the state is such.
+    /// Returns a line that should be rejected, each for another reason, depending on the state.
     fn wrong(&mut self) -> Vec<String> {
         const ALONE: [&str; 22] = [
             "G0 X[1 / 0]",

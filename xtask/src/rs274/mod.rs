@@ -1,5 +1,5 @@
-//! `cargo xtask rs274`: random programs through Oxmill's interpreter and through LinuxCNC's (`rs274`, Debian package
-//! `linuxcnc-uspace`), and what both make of them side by side: every end point, arc, dwell, their order, and refusals.
+//! `cargo xtask rs274`: runs random programs through Oxmill's interpreter and through LinuxCNC's (`rs274`, Debian
+//! package `linuxcnc-uspace`) and compares the results: every end point, arc and dwell, their order, and rejections.
 
 mod canon;
 mod expressions;
@@ -16,56 +16,57 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// Programs, unless the command line says otherwise.
+/// Default number of programs.
 const PROGRAMS: usize = 10_000;
-/// Programs that one process of `rs274` runs one after the other.
+/// Number of programs that one process of `rs274` runs one after the other.
 const BATCH: usize = 25;
-/// End points may be this far apart, mm: `rs274` prints four decimals, of inches too.
+/// Maximum difference of end points, mm: `rs274` prints four decimals, also in inches.
 const TOLERANCE: f64 = 0.003;
-/// Values of parameters may be this far apart, as a share of them where they are above 1: `rs274` has five decimals of inches.
+/// Maximum difference of parameter values, relative for values above 1: `rs274` has five decimals of inches.
 const VALUE_TOLERANCE: f64 = 3e-4;
-/// Rates of G93 may be so far apart beside [`TOLERANCE`], as a share.
+/// Maximum relative difference of G93 rates, in addition to [`TOLERANCE`].
 const RATE_TOLERANCE: f64 = 2e-4;
-/// What `rs274` takes for a lower rate of G93: 0.1 in the unit of the program, here in mm/min.
+/// Minimum G93 rate in `rs274`, which replaces lower ones: 0.1 in the unit of the program; here in mm/min for mm and
+/// inches.
 const LEAST_RATES: [f64; 2] = [0.1, 2.54];
-/// What messages of programs begin with.
+/// Prefix of messages in programs.
 const STATE: &str = "state";
-/// And those that show stored places, which are inches in `rs274`.
+/// Prefix of messages that show stored positions, which are in inches in `rs274`.
 const PLACES_MARK: &str = "places";
-/// Moves that are shorter, mm, are left out on both sides.
+/// Moves shorter than this, mm, are ignored on both sides.
 const NO_MOVE: f64 = 0.0075;
-/// Lines that are printed before one that differs.
+/// Number of lines printed before one that differs.
 const BEFORE: usize = 8;
-/// Differences that are printed.
+/// Maximum number of differences printed.
 const SHOWN: usize = 10;
 
-/// X, Y and Z in mm, and A in degrees.
+/// Number of axes: X, Y and Z in mm, and A in degrees.
 pub const AXES: usize = 4;
 
-/// What a program does, in work coordinates.
+/// An action of a program, in work coordinates.
 #[derive(Clone, Debug)]
 pub enum Event {
-    /// A rapid to a place.
+    /// A rapid to a position.
     Rapid([f64; AXES]),
-    /// A feed move to a place.
+    /// A feed move to a position.
     Feed([f64; AXES]),
     /// An arc: its end, its centre in the plane, and its turns, negative when clockwise.
     Arc([f64; AXES], [f64; 2], i64),
-    /// A spline of so many control points.
+    /// A spline with this number of control points.
     Spline(u8),
-    /// Seconds.
+    /// A dwell, s.
     Dwell(f64),
-    /// An output of the program: its number, its value, and whether it changes with the next motion. `true`: an analog one.
+    /// A program output. `true`: analog; then its number, its value, and whether it changes with the next motion.
     Output(bool, i64, f64, bool),
-    /// Of the feed move or arc before, in mm/min, which G93 makes of a time.
+    /// Feed rate of the preceding feed move or arc, mm/min, that G93 derives from its time.
     Rate(f64),
-    /// What the operator is told.
+    /// A message to the operator.
     Message(String),
-    /// The program stops; `true`: if the operator wants it.
+    /// A program stop; `true`: an optional stop.
     Stop(bool),
 }
 
-/// The same words, and numbers. Of stored places `rs274` shows less than 0.0001 inch as 0.
+/// Returns whether words are equal and numbers close. In stored positions `rs274` shows less than 0.0001 inch as 0.
 fn is_same_text(a: &str, b: &str) -> bool {
     let least = if a.starts_with(PLACES_MARK) { TOLERANCE } else { VALUE_TOLERANCE };
     let is_same = |(a, b): (&str, &str)| match (a.parse::<f64>(), b.parse::<f64>()) {
@@ -100,12 +101,12 @@ impl Event {
     }
 }
 
-/// What became of a batch.
+/// Result of a batch.
 pub struct Outcome {
     pub events: Vec<Event>,
-    /// The line of each event, if that is known.
+    /// The line of each event, where known.
     pub of: Vec<usize>,
-    /// The text of the line that was refused, if one was; nothing of it or after it is in `events` of Oxmill.
+    /// Text of the rejected line, if any; Oxmill's `events` contain no event of it or after it.
     pub refused: Option<String>,
 }
 
@@ -159,7 +160,7 @@ struct Totals {
     differences: Vec<String>,
 }
 
-/// What one batch has shown.
+/// Findings of one batch.
 struct Found {
     lines: usize,
     events: usize,
@@ -196,7 +197,7 @@ impl Totals {
 }
 
 fn one_batch(home: &Path, batch: usize, seed: u64, programs: usize) -> Result<Found, Failure> {
-    // Half of them are such with parameters and O words, half of those without the lines that begin with a slash.
+    // Half of the batches have parameters and O words; half of these skip the lines that start with a slash.
     let has_flow = batch % 2 == 1;
     let deletes_blocks = batch % 4 == 3;
     let written = match has_flow {
@@ -219,7 +220,7 @@ fn one_batch(home: &Path, batch: usize, seed: u64, programs: usize) -> Result<Fo
     Ok(Found { lines: lines.len(), events: ours.events.len(), refused: ours.refused.is_some(), difference })
 }
 
-/// The events of Oxmill with their lines, and those of `rs274`.
+/// Returns the events of Oxmill with their lines beside those of `rs274`.
 fn side_by_side(lines: &[String], ours: &Outcome, theirs: &Outcome) -> String {
     let mut text = String::new();
     for at in 0..ours.events.len().max(theirs.events.len()) {
@@ -241,7 +242,7 @@ fn write(home: &Path, lines: &[String]) -> Result<PathBuf, Failure> {
     Ok(file)
 }
 
-/// The first difference.
+/// Returns the first difference.
 fn compare(lines: &[String], ours: &Outcome, theirs: &Outcome) -> Option<String> {
     for (at, event) in ours.events.iter().enumerate() {
         match theirs.events.get(at) {
@@ -254,7 +255,7 @@ fn compare(lines: &[String], ours: &Outcome, theirs: &Outcome) -> Option<String>
             }
         }
     }
-    // In a line that it refuses rs274 may have moved before it finds out.
+    // In a line that it rejects, `rs274` may have moved before the error.
     if ours.refused != theirs.refused {
         return Some(format!("Oxmill refuses {:?}, rs274 {:?}", ours.refused, theirs.refused));
     }

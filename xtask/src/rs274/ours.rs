@@ -1,4 +1,4 @@
-//! What Oxmill's interpreter makes of a line.
+//! Runs lines through Oxmill's interpreter and returns their events.
 
 use super::{AXES, Event, NO_MOVE, TOLERANCE};
 use oxmill_controller::axes::PerAxis;
@@ -13,15 +13,15 @@ use std::f64::consts::TAU;
 /// The clearance of a new controller, 0.01 inch.
 const CLEARANCE: Coordinate = Coordinate(2_540_000);
 
-/// A machine that is only thought.
+/// An interpreter with a simulated position, without a machine.
 #[derive(Clone)]
 pub struct Mill {
     interpreter: Interpreter<AXES>,
-    /// Where the last event has led, machine coordinates.
+    /// End position of the last event, machine coordinates.
     place: [f64; AXES],
-    /// No event has told where the last one ended.
+    /// Whether the events do not show where the last one ended (after a spline).
     is_place_untold: bool,
-    /// Of the last line: a move is so short that rounding decides whether it is one.
+    /// Whether rounding decides if the last line has a move, because it is so short.
     is_doubtful: bool,
 }
 
@@ -38,33 +38,33 @@ impl Mill {
         Mill { interpreter: Interpreter::default(), place: [0.0; AXES], is_place_untold: false, is_doubtful: false }
     }
 
-    /// Whether a move of the last line is one or none by rounding.
+    /// Returns whether rounding decides if the last line has a move.
     pub fn is_doubtful(&self) -> bool {
         self.is_doubtful
     }
 
-    /// Where the program is, in the active system, mm.
+    /// Returns the program's position in the active coordinate system, mm.
     pub fn work(&self) -> [f64; AXES] {
         mm(&self.interpreter.to_program(self.interpreter.position()))
     }
 
-    /// Whether G92 or G52 shifts the coordinates.
+    /// Returns whether G92 or G52 shifts the coordinates.
     pub fn has_g92(&self) -> bool {
         self.interpreter.offsets().g92 != PerAxis::default()
     }
 
-    /// Whether it does, and some system is rotated.
+    /// Returns whether G92 or G52 shifts the coordinates and some system is rotated.
     pub fn is_rotated_under_g92(&self) -> bool {
         let offsets = self.interpreter.offsets();
         self.has_g92() && CoordinateSystem::ALL.into_iter().any(|system| offsets.angle(system) != Angle::ZERO)
     }
 
-    /// What holds the program's subroutines and loops.
+    /// Returns the interpreter, which holds the program's subroutines and loops.
     pub fn interpreter(&mut self) -> &mut Interpreter<AXES> {
         &mut self.interpreter
     }
 
-    /// Carries a line out, which has no blanks within words; of a call the lines that it calls.
+    /// Carries out a line, and for a call the lines called; the line has no blanks within words.
     pub fn run(&mut self, line: &str) -> Result<Vec<Event>, Error> {
         self.is_doubtful = false;
         match self.interpreter.direct(line.replace(' ', "").to_uppercase().as_bytes(), &[], 0)? {
@@ -84,7 +84,7 @@ impl Mill {
         }
     }
 
-    /// The same; and how the program goes on.
+    /// Carries out a line; also returns how the program continues.
     pub fn carry_out(&mut self, line: &str) -> Result<(Vec<Event>, Flow), Error> {
         let text = line.replace(' ', "");
         let mut checked = Action::NOTHING;
@@ -126,7 +126,7 @@ impl Mill {
             MotionCommand::Spline(spline) => {
                 let is_cubic = matches!(checked.modal().motion, MotionMode::Spline(SplineKind::Cubic));
                 events.push(Event::Spline(if is_cubic { 4 } else { 3 }));
-                // `rs274` does not print where it ends: the next move tells.
+                // `rs274` does not print where the spline ends; the next move shows it.
                 self.place = mm(&spline.target);
                 self.is_place_untold = true;
             }
@@ -139,7 +139,7 @@ impl Mill {
                 let mut is_first = true;
                 while let Some(step) = cycle.step(CLEARANCE) {
                     match step {
-                        // `rs274` has no rise where none is needed: it is the next move that tells where a spline has ended.
+                        // `rs274` has no rise where none is needed: then the next move shows where a spline has ended.
                         CycleStep::Rapid(place) if std::mem::take(&mut is_first) && mm(&place) == self.place => {}
                         CycleStep::Rapid(place) => self.go(&place, true, &mut events),
                         CycleStep::Feed(place, _) => self.go(&place, false, &mut events),
@@ -155,13 +155,13 @@ impl Mill {
         Ok((events, checked.flow))
     }
 
-    /// What G93 makes of the length of a motion and its time, in mm/min.
+    /// Returns the feed rate, mm/min, that G93 derives from the length and time of a motion.
     fn inverse_time_rate(&self, motion: &MotionCommand<AXES>) -> Option<f64> {
         let (length, feed) = match motion {
             MotionCommand::Line { target, feed, .. } => {
                 let ([x, y, z, a], [from_x, from_y, from_z, from_a]) = (mm(target), self.place);
                 let way = distance(&[x, y, z], &[from_x, from_y, from_z]);
-                // Degrees have no unit, but the rate that `rs274` makes of them is taken for one of lengths.
+                // Degrees have no unit, but the rate that `rs274` derives from them is treated as one of lengths.
                 let unit = if self.interpreter.modal().units == Units::Inch { 25.4 } else { 1.0 };
                 (if way > 0.0 { way } else { (a - from_a).abs() * unit }, feed)
             }
@@ -205,7 +205,8 @@ impl Mill {
 mod tests {
     use super::*;
 
-    /// A spline does not tell where it ends, and a cycle behind it begins where it has ended: without a rise to R that is none.
+    /// The output for a spline does not contain its end, and a cycle after it starts there: without a rise to R there
+    /// is no event for the rise.
     #[test]
     fn a_cycle_behind_a_spline_has_no_rise_of_no_length() {
         for (spline, moves) in [("G5.1 X4 Y2 I1 J3", 1), ("G5 X4 Y2 I1 J1 P-1 Q1", 1), ("G1 X4 Y2", 1)] {
@@ -225,7 +226,7 @@ mod tests {
             ];
             let found = run("G99 G86 X2 Y1 Z-2 R-1 P0.5");
             assert!(found.len() == expected.len() && found.iter().zip(&expected).all(|(a, b)| a.is_as(b)), "{found:?}");
-            // And one that is needed is there; R counts from where the series began.
+            // A rise that is needed is there; R counts from where the series started.
             let rises = run("G81 X1 Z-2 R3");
             assert!(rises[0].is_as(&Event::Rapid(way(6.0, 8.0))), "{rises:?}");
         }

@@ -1,15 +1,16 @@
-//! Random programs over the words that Oxmill and LinuxCNC share.
+//! Random programs of the words that Oxmill and LinuxCNC share.
 //!
-//! Lines that Oxmill refuses are left out, but for the last line of a batch, which may be one: `rs274` has to refuse it too.
-//! Left out is what the book names as a difference: G88; a change of offsets, of the plane or of G98 and G99 within a series of
-//! cycles; another rotation under G92, of which LinuxCNC loses its place; arcs and cycles outside the plane of a rotation; pecks smaller than their clearance; G53 with G91; another unit, or M70, under a tool
-//! offset; a tool offset along A.
+//! Lines that Oxmill rejects are omitted, except that a batch may end with one: `rs274` must reject it, too. Not
+//! generated, because the book lists them as differences: G88; a change of offsets, of the plane or of G98 and G99
+//! within a series of cycles; another rotation under G92, for which LinuxCNC loses its position; arcs and cycles
+//! outside the plane of a rotation; pecks smaller than their clearance; G53 with G91; a change of units, or M70, under
+//! a tool offset; a tool offset along A.
 
 use super::Outcome;
 use super::ours::Mill;
 use oxmill_controller::error::Error;
 
-/// What every program begins with, so that nothing of the one before is left.
+/// Start of every program: resets the state that the previous one has left.
 const BEGIN: &[&str] = &[
     "G49",
     "G21 G90 G17 G94 G98 G40 G80 G61",
@@ -28,7 +29,7 @@ const BEGIN: &[&str] = &[
     "M70",
 ];
 
-/// Statements more at the end, until one is refused.
+/// Number of extra statements at the end, until one is rejected.
 const MORE: usize = 60;
 
 pub struct Batch {
@@ -42,17 +43,17 @@ struct Writer {
     inches: bool,
     incremental: bool,
     plane: usize,
-    /// Of the state that M70 keeps.
+    /// `inches`, `incremental` and `plane` in the state that M70 has saved.
     kept: (bool, bool, usize),
-    /// M61 has named the tool in the spindle: the machine that `rs274` has looks its offset up at M6 alone.
+    /// Whether M61 has set the tool in the spindle: the machine stub of `rs274` looks up a tool's offset only at M6.
     is_tool_named: bool,
-    /// Subroutines so far.
+    /// Number of subroutines so far.
     subroutines: usize,
     batch: Batch,
     refused: Option<String>,
 }
 
-/// Programs one after the other, and perhaps a last line that is refused.
+/// Returns programs one after the other, possibly followed by a line that is rejected.
 pub fn batch(seed: u64, programs: usize) -> Batch {
     let outcome = Outcome { events: Vec::new(), of: Vec::new(), refused: None };
     let mut writer = Writer {
@@ -69,7 +70,7 @@ pub fn batch(seed: u64, programs: usize) -> Batch {
     };
     for _ in 0..programs {
         for line in BEGIN {
-            // From so near that rounding decides whether it is a move, it is made from farther away.
+            // If the machine is so near that rounding decides whether this is a move, move away first.
             if !writer.put((*line).into()) && line.starts_with("G53") {
                 writer.put("G53 G0 X9 Y9 Z9 A9".into());
                 writer.put((*line).into());
@@ -119,7 +120,7 @@ impl Writer {
         all[self.below(all.len() as u64) as usize]
     }
 
-    /// From `least` to `most` mm, as a word's number.
+    /// Returns a length from `least` to `most` mm as the number of a word.
     fn length(&mut self, least: f64, most: f64) -> String {
         let share = self.below(2001) as f64 / 2000.0;
         let mm = least + (most - least) * share;
@@ -130,7 +131,7 @@ impl Writer {
         if self.incremental { self.length(-10.0, 10.0) } else { self.length(-40.0, 40.0) }
     }
 
-    /// Words of some of the axes, of at least one.
+    /// Returns words of some of the axes, at least one.
     fn axes(&mut self) -> String {
         let words = self.linear_axes();
         if self.percent(25) { format!("{words} A{}", self.degrees()) } else { words }
@@ -149,12 +150,12 @@ impl Writer {
         words
     }
 
-    /// Those of a rotary axis are not of the unit of lengths.
+    /// Returns an angle, which does not depend on the unit of length.
     fn degrees(&mut self) -> String {
         format!("{:.2}", (self.below(2001) as f64 - 1000.0) / if self.incremental { 20.0 } else { 2.0 })
     }
 
-    /// Takes a line over; whether Oxmill does.
+    /// Adds a line to the program if Oxmill accepts it; returns whether it did.
     fn put(&mut self, line: String) -> bool {
         let before = self.mill.clone();
         match self.mill.run(&line) {
@@ -170,7 +171,7 @@ impl Writer {
                 self.refused = None;
                 true
             }
-            // `rs274` lets them through.
+            // `rs274` accepts these lines.
             Err(Error::NotInRotatedPlane) => false,
             Err(_) => {
                 self.refused = Some(line);
@@ -179,7 +180,7 @@ impl Writer {
         }
     }
 
-    /// Another rotation may follow: G92 must not act.
+    /// Call before a possible change of rotation: G92 must not be active.
     fn before_rotation(&mut self) {
         if self.mill.is_rotated_under_g92() {
             self.put("G92.1".into());
@@ -252,7 +253,7 @@ impl Writer {
         }
     }
 
-    /// A modal word that a motion may have before it.
+    /// Returns a modal word that may precede a motion.
     fn modal(&mut self) -> String {
         let which = self.below(20);
         if which < 3 {
@@ -271,7 +272,7 @@ impl Writer {
         }
     }
 
-    /// A word that clears, suspends or restores the offset of G92 before the motion of its line.
+    /// Returns a word that clears, suspends or restores the offset of G92 before the motion of its line.
     fn offset_acts(&mut self) -> &'static str {
         ["G92.1 ", "G92.2 ", "G92.3 "][self.below(3) as usize]
     }
@@ -299,7 +300,7 @@ impl Writer {
         let line = match self.below(4) {
             0 => format!("{word}{helix} {}{i:.5} {}{j:.5}{turns}", CENTRES[first], CENTRES[second]),
             1 => {
-                // The longer the chord for its radius the more the centre depends on the last digit.
+                // The longer the chord relative to the radius, the more the centre depends on the last digit.
                 let share = 0.1 + self.below(80) as f64 / 100.0;
                 let (a, b) = (2.0 * radius * share * angle.cos(), 2.0 * radius * share * angle.sin());
                 let sign = if self.percent(30) { "-" } else { "" };
@@ -313,7 +314,7 @@ impl Writer {
             }
             _ => {
                 let turned = 0.1 + self.below(6000) as f64 / 1000.0;
-                // From the centre: the start lies at -(i, j).
+                // From the centre, the start is at -(i, j).
                 let (a, b) = (i - i * turned.cos() + j * turned.sin(), j - i * turned.sin() - j * turned.cos());
                 format!(
                     "{word} {}{:.5} {}{:.5}{helix} {}{i:.5} {}{j:.5}{turns}",
@@ -329,7 +330,8 @@ impl Writer {
         self.put(line);
     }
 
-    /// Splines in a row, and a move that tells where they end: `rs274` prints of a spline how many control points it has.
+    /// Writes splines in a row, and a move that shows where they end: for a spline `rs274` prints only the number of
+    /// control points.
     fn spline(&mut self) {
         let mut smooth = false;
         for _ in 0..1 + self.below(3) {
@@ -365,11 +367,11 @@ impl Writer {
         self.put(format!("{word} {axis}{to}"));
     }
 
-    /// Control points with a line each, and a move that tells where their curve ends.
+    /// Writes control points, one per line, and a move that shows where their curve ends.
     fn control_points(&mut self) {
         let order = 3 + self.below(3);
         let points = order - 1 + self.below(6);
-        // `rs274` takes the weight of a first line that has a point, but for the start.
+        // If the first line has a point, `rs274` uses its weight for the start; so this first line has none.
         let weight = 1 + self.below(3);
         if !self.put(format!("G5.2 P{weight} L{order}")) {
             return;
@@ -387,7 +389,7 @@ impl Writer {
         self.put(format!("{word} {axis}{to}"));
     }
 
-    /// A series of cycles, and a motion that ends it.
+    /// Writes a series of cycles, and a motion that ends it.
     fn cycle(&mut self) {
         const AXES: [char; 3] = ['X', 'Y', 'Z'];
         let [first, second, third] = self.plane_axes();
@@ -422,7 +424,7 @@ impl Writer {
                 line += &format!(" R{}", number(r));
             }
             if pecks && (begins && self.percent(97) || self.percent(10)) {
-                // No whole number of pecks: `rs274` adds one of no depth where it rounds.
+                // Not an integer number of pecks: rounding in `rs274` would add one of zero depth.
                 line += &format!(" Q{}37", self.length(0.5, 5.0));
             }
             if dwells && (begins && self.percent(97) || self.percent(10)) {
@@ -437,7 +439,7 @@ impl Writer {
         }
         let end = self.one_of(&["G80", "G0", "G1"]);
         let axes = self.axes();
-        // Where that is refused the series has to end all the same: a change of plane may follow.
+        // If that motion is rejected, G80 must end the series: a change of plane may follow.
         if end == "G80" || !self.put(format!("{end}{axes}")) {
             self.put("G80".into());
         }
@@ -510,14 +512,14 @@ impl Writer {
         self.put(line);
     }
 
-    /// A rapid of all axes. The machine that `rs274` has instead of a real one forgets at M6 and M61 what offsets have changed
-    /// since the last move.
+    /// Writes a rapid of all axes. At M6 and M61 the machine stub of `rs274` forgets changes of offsets since the last
+    /// move.
     fn move_all(&mut self) {
         let (x, y, z) = (self.coordinate(), self.coordinate(), self.coordinate());
         self.put(format!("G0 X{x} Y{y} Z{z}"));
     }
 
-    /// Outputs and inputs of programs, also beside a move, and what of them is refused.
+    /// Writes words for program outputs and inputs, also beside a move, and invalid ones.
     fn pins(&mut self) {
         let (number, x, value) = (self.below(5), self.coordinate(), self.below(200) as f64 / 10.0 - 5.0);
         let word = self.one_of(&["M62", "M63", "M64", "M65"]);
@@ -554,7 +556,7 @@ impl Writer {
         self.put(line);
     }
 
-    /// A subroutine that keeps the state of its caller, and calls of it. It has no line that could be refused.
+    /// Writes a subroutine that saves the state of its caller, and calls of it. None of its lines can be rejected.
     fn subroutine(&mut self) {
         self.put("G49".into());
         self.before_rotation();
@@ -585,7 +587,7 @@ impl Writer {
             }
         }
         (self.inches, self.incremental, self.plane) = now;
-        // What nobody has restored is as it was all the same.
+        // State that is not restored explicitly must be unchanged.
         let back = |on: bool, words: [&str; 2]| words[usize::from(on)].to_string();
         let word = if self.percent(30) { "return" } else { "endsub" };
         if word == "return" {

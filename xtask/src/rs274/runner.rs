@@ -1,4 +1,4 @@
-//! Carries text of a program out as a controller does: remarks and blanks are dropped, O words followed, messages told.
+//! Carries out the text of a program as a controller does: drops comments and blanks, follows O words, sends messages.
 
 use super::Event;
 use super::ours::Mill;
@@ -6,16 +6,16 @@ use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{AS_WRITTEN, Direction, Flow, Held, HeldLine, WITH_VALUES, split_remark};
 use oxmill_controller::protocol::line_filter::{self, Line, LineRules, Pushed};
 
-/// Programs one after the other on one machine.
+/// Runs programs one after the other on one machine.
 #[derive(Clone)]
 pub struct Runner {
     pub mill: Mill,
-    /// Lines that begin with a slash are left out.
+    /// Whether lines that start with a slash are skipped.
     deletes_blocks: bool,
     lines: u32,
 }
 
-/// A line that was refused, without blanks and remarks, and why.
+/// A rejected line, without blanks and comments, and the reason.
 pub struct Refusal {
     pub line: String,
     pub error: Error,
@@ -26,7 +26,7 @@ impl Runner {
         Runner { mill: Mill::new(), deletes_blocks, lines: 0 }
     }
 
-    /// Carries a line of the file out, and what it calls. The events before a refusal are in `events`, too.
+    /// Carries out a line of the file, and the lines that it calls. `events` also gets the events before a rejection.
     pub fn run(&mut self, text: &str, events: &mut Vec<Event>) -> Result<(), Refusal> {
         let block_delete = self.deletes_blocks;
         let rules = || LineRules {

@@ -1,16 +1,16 @@
 //! The registers of QEMU's `mps2-an386` that the firmware uses: CMSDK UARTs, CMSDK timers, interrupt numbers.
 //!
-//! Written by hand from ARM's CMSDK technical reference manual (DDI 0479), as no crate describes this machine. Promises
-//! one owner per peripheral and volatile access to its registers; what a value means is left to the board.
+//! Written by hand from ARM's CMSDK technical reference manual (DDI 0479), as no crate describes this machine. Each
+//! peripheral has one owner, and access to registers is volatile; the meaning of values is left to the board.
 
 #![no_std]
 
-// The vector table below is placed by the linker script of cortex-m-rt, even if the program does not name that crate.
+// The linker script of cortex-m-rt places the vector table below, even if the program does not name that crate.
 extern crate cortex_m_rt as _;
 
 pub use cortex_m::peripheral::Peripherals as CorePeripherals;
 
-/// Priority bits of the interrupt controller: 8 levels.
+/// Number of priority bits of the interrupt controller: 8 levels.
 pub const NVIC_PRIO_BITS: u8 = 3;
 
 /// Interrupts of the FPGA image AN386.
@@ -41,7 +41,7 @@ pub enum Interrupt {
     UART4_RX = 20,
     UART4_TX = 21,
 }
-/// The name that cortex-m-rt looks for.
+/// The name that cortex-m-rt expects.
 pub use Interrupt as interrupt;
 
 // SAFETY: unsafe because a wrong number would reach a foreign vector; safe because the numbers are those of the table
@@ -138,8 +138,8 @@ impl Register {
 
     #[inline(always)]
     fn write(self, value: u32) {
-        // SAFETY: unsafe because a raw address is written; safe because only this file makes registers, and none of them
-        // makes the hardware touch memory.
+        // SAFETY: unsafe because a raw address is written; safe because only this file makes registers, and none of
+        // them makes the hardware touch memory.
         unsafe { self.0.write_volatile(value) }
     }
 }
@@ -170,7 +170,7 @@ impl<const BASE: usize> Uart<BASE> {
     pub const RX_FULL: u32 = 2;
     /// INTSTATUS: the sender has become free.
     pub const TX_INTERRUPT: u32 = 1;
-    /// INTSTATUS: a byte has come.
+    /// INTSTATUS: a byte has arrived.
     pub const RX_INTERRUPT: u32 = 2;
     /// CTRL: sender on.
     pub const TX_ENABLE: u32 = 1;
@@ -178,7 +178,7 @@ impl<const BASE: usize> Uart<BASE> {
     pub const RX_ENABLE: u32 = 2;
     /// CTRL: interrupt when the sender becomes free.
     pub const TX_INTERRUPT_ENABLE: u32 = 4;
-    /// CTRL: interrupt when a byte has come.
+    /// CTRL: interrupt when a byte has arrived.
     pub const RX_INTERRUPT_ENABLE: u32 = 8;
 
     registers! {
@@ -188,7 +188,7 @@ impl<const BASE: usize> Uart<BASE> {
         state set_state 0x4;
         /// Control.
         control set_control 0x8;
-        /// Interrupt status; a 1 written clears the bit.
+        /// Interrupt status; writing 1 clears the bit.
         interrupts clear_interrupts 0xC;
         /// Baud rate divider, at least 16.
         divider set_divider 0x10;
@@ -209,9 +209,9 @@ impl<const BASE: usize> Timer<BASE> {
         control set_control 0x0;
         /// Current value.
         value set_value 0x4;
-        /// Value after 0.
+        /// Value loaded after 0.
         reload set_reload 0x8;
-        /// Interrupt status; a 1 written clears it.
+        /// Interrupt status; writing 1 clears it.
         interrupts clear_interrupts 0xC;
     }
 }
@@ -258,7 +258,7 @@ pub struct Peripherals {
 }
 
 impl Peripherals {
-    /// The peripherals, whoever else may own them.
+    /// Returns all peripherals, even if they already have owners.
     ///
     /// # Safety
     /// The caller makes sure that no two owners use one peripheral in ways that disturb each other.

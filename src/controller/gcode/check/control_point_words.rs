@@ -1,6 +1,6 @@
-//! Curves whose control points have a line each: G5.2 begins or continues one, G5.3 ends it. Points are collected in
-//! the interpreter, and G5.3 turns them into a move. A curve that is not begun, not ended, or has too few or too many
-//! points is refused.
+//! Curves whose control points have a line each: G5.2 starts or continues a curve, G5.3 ends it. Points are collected
+//! in the interpreter, and G5.3 turns them into a move. Errors: G5.3 or a point without a G5.2, another motion before
+//! G5.3, too few or too many points.
 
 use super::draft::Draft;
 use crate::axes::{Axis, AxisMask};
@@ -13,24 +13,24 @@ use crate::gcode::word::Claim;
 use crate::image::FULL_IMAGE;
 use crate::units::{Decimal, WeightedPoint};
 
-/// What a line has while control points follow.
+/// Motion mode of the lines between G5.2 and G5.3.
 const POINTS: MotionMode = MotionMode::Spline(SplineKind::Nurbs);
 
 impl<const N: usize> Draft<'_, N> {
-    /// Whether control points have begun, and the tool is still where they begin.
+    /// Whether a curve has been started, and the tool is still at its start.
     fn has_control_points(&self) -> bool {
         let here = in_xy(&self.state.position);
         self.state.modal.motion == POINTS && self.state.control_points.iter().any(|points| points.begin_at(here))
     }
 
-    /// No other motion comes between control points.
+    /// Refuses another motion mode before G5.3.
     pub(super) fn leaves_control_points(&self, mode: MotionMode) -> Result<(), Error> {
         let leaves = !matches!(mode, POINTS | MotionMode::Cancelled);
         if leaves && self.has_control_points() { Err(Error::ControlPointsNotEnded) } else { Ok(()) }
     }
 
-    /// G5.2, or a line after it: a control point by X and Y, with its weight P and the order L. The first line may have none;
-    /// its P is then the weight of the start.
+    /// G5.2, or a line after it: a control point by X and Y, with its weight P and the order L. If the first line has
+    /// no point, its P is the weight of the start.
     #[inline(never)]
     pub(super) fn control_point(&mut self) -> Result<(), Error> {
         let begins = !self.has_control_points();
@@ -59,7 +59,7 @@ impl<const N: usize> Draft<'_, N> {
         let start = in_xy(&self.state.position);
         let target = self.target();
         reachable(&target)?;
-        // The tool is where it was, and what has been written for it holds.
+        // The tool does not move, so the coordinates as written for its position stay valid.
         self.action.rotated.reached = None;
         self.action.rotated.scaled.rest = None;
         let weight_of_start = if has_point { 1.0 } else { weight };
@@ -73,7 +73,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// L, or the order so far.
+    /// Reads L; the default is the order so far.
     fn order(&mut self, begins: bool) -> Result<u8, Error> {
         if !self.take(b'L') {
             return Ok(if begins { ORDER } else { self.order_so_far() });
@@ -89,7 +89,7 @@ impl<const N: usize> Draft<'_, N> {
         self.state.control_points.first().map_or(ORDER, ControlPoints::order)
     }
 
-    /// G5.3: along the curve of the control points. No motion stays in force.
+    /// G5.3: moves along the curve of the control points. The motion mode becomes G80.
     #[inline(never)]
     pub(super) fn nurbs(&mut self) -> Result<(), Error> {
         self.action.modal.motion = MotionMode::Cancelled;

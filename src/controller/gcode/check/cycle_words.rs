@@ -1,6 +1,6 @@
-//! Canned cycles (G73 to G89): reads hole, levels, peck, dwell and repeats from a line, and takes words that the line
-//! lacks from the line before, as long as the series lasts. The result is a [`Cycle`](crate::gcode::Cycle) that the
-//! controller carries out step by step.
+//! Canned cycles (G73 to G89): reads hole, levels, peck, dwell and repeats from a line. Words that the line lacks are
+//! those of the line before, as long as the series lasts. The result is a [`Cycle`](crate::gcode::Cycle) that the
+//! controller executes step by step.
 
 use super::draft::Draft;
 use crate::axes::{Axis, PerAxis};
@@ -12,18 +12,18 @@ use crate::gcode::values::{along, reachable, seconds};
 use crate::messages::SpindleDirection;
 use crate::units::{Coordinate, Decimal};
 
-/// Most repetitions that L may ask for.
+/// Maximum number of repetitions (L).
 const REPEATS_MAX: i32 = 1_000_000;
 
 impl<const N: usize> Draft<'_, N> {
-    /// G73 to G89. Words that are missing are those of the line before, as long as it had the same cycle word in the
-    /// same plane.
+    /// G73 to G89. Words that the line lacks are those of the line before, if it had the same cycle word in the same
+    /// plane.
     pub(super) fn cycle(&mut self, kind: CycleKind) -> Result<(), Error> {
         let modal = self.action.modal;
         if modal.feed_mode == FeedMode::InverseTime {
             return Err(Error::CycleNeedsPerMinute);
         }
-        // M6 in the line may stop it.
+        // An M6 on the line may stop the spindle.
         let stopped = self.action.tool_change && self.line.spindle.is_none();
         if kind.stops_spindle() && (stopped || modal.spindle == SpindleDirection::Off) {
             return Err(Error::SpindleNotTurning);
@@ -70,7 +70,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// From a hole to the next, R and the bottom as places of the machine, and the depth of a peck, all scaled.
+    /// Returns the vector from a hole to the next, R and the bottom as machine coordinates, and the depth of a peck,
+    /// all scaled.
     fn levels(
         &self,
         words: &CycleWords,
@@ -94,7 +95,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// The words of the line over those that are in force.
+    /// Returns the words in force, replaced by those of the line.
     fn cycle_words(&mut self, kind: CycleKind, axes: PlaneAxes) -> Result<CycleWords, Error> {
         let (before, modal) = (&self.state.modal, self.action.modal);
         let series = matches!(before.motion, MotionMode::Cycle(_)) && self.state.cycle.plane == modal.plane;
@@ -130,12 +131,12 @@ impl<const N: usize> Draft<'_, N> {
         Ok(words)
     }
 
-    /// Where the series of cycles began, as a place of the machine.
+    /// Returns the machine coordinate at which the series of cycles began.
     fn level_of(&self, words: &CycleWords, axes: PlaneAxes) -> Coordinate {
         words.level + self.tool_offset(axes.linear)
     }
 
-    /// L: how many holes, all in one place with G90, in a row with G91.
+    /// Reads L: the number of holes, all at the same place with G90, in a row with G91.
     fn repeats(&mut self) -> Result<u32, Error> {
         if !self.take(b'L') {
             return Ok(1);

@@ -1,5 +1,5 @@
 //! A line while it is checked: the words that no step has used yet, and the [`Action`] as far as it is known. The steps
-//! of the check (the other files of this folder) are methods of [`Draft`]. Here are the helpers that several of them
+//! of the check (the other files of this folder) are methods of [`Draft`]. This file has the helpers that several steps
 //! share: lengths in the line's unit, axis words as a target, and the feed of a motion.
 
 use crate::axes::{Axis, LINEAR, PerAxis};
@@ -20,14 +20,14 @@ use oxmill_sqrt::square_root;
 /// Letters of an arc's centre.
 pub(super) const CENTRE: Letters = Letters::of(b"IJK");
 
-/// What a line is checked for.
+/// Kind of line that is checked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::gcode) enum Purpose {
     Program,
     Jog,
 }
 
-/// The squared lengths of a straight way: of X, Y and Z in mm², and of the rotary axes in square degrees.
+/// Returns the squared lengths of a straight move: of X, Y and Z in mm², and of the rotary axes in square degrees.
 fn squared_ways<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coordinate, N>) -> [f32; 2] {
     let mut squares = [0.0; 2];
     let [linear, rotary] = &mut squares;
@@ -38,32 +38,33 @@ fn squared_ways<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coor
     squares
 }
 
-/// Apart, so that the division is left out where F is a speed.
+/// Not inlined, so that lines in which F is a speed do not contain the division.
 #[inline(never)]
 fn inverse_time(feed: Decimal) -> Feed {
     Feed::InverseTime(60.0 / feed.to_f32())
 }
 
-/// A line half checked.
+/// A line while it is checked.
 pub(super) struct Draft<'a, const N: usize> {
     pub(super) state: &'a Interpreter<N>,
     pub(super) line: &'a Parsed<N>,
     pub(super) dialect: Dialect,
     pub(super) purpose: Purpose,
-    /// Who uses the axis words, the implied motion included.
+    /// Command that uses the axis words; an implied motion counts as one.
     pub(super) claim: Claim,
-    /// Value words that no step has asked for yet.
+    /// Letters of value words that no step has used yet.
     pub(super) unused: Letters,
-    /// How the line's coordinates are rotated.
+    /// Rotation of the line's coordinates.
     pub(super) rotated: Option<RotatedPlane>,
-    /// And how they are scaled before.
+    /// Scaling of the line's coordinates, which is applied before the rotation.
     pub(super) scaled: Option<&'a Scaling>,
-    /// The result so far; its modal state is the one that the line's own words have set.
+    /// The result so far; its modal state includes the line's own words.
     pub(super) action: &'a mut Action<N>,
 }
 
 impl<'a, const N: usize> Draft<'a, N> {
-    /// The line's modal words over the modal state; axis words that no command asks for belong to the motion mode.
+    /// Starts with the modal state and applies the line's modal words. Axis words that no command uses belong to the
+    /// motion mode.
     pub(super) fn begin(
         state: &'a Interpreter<N>,
         line: &'a Parsed<N>,
@@ -103,19 +104,20 @@ impl<'a, const N: usize> Draft<'a, N> {
         Self { state, line, dialect, purpose, claim, unused: line.values, rotated: None, scaled: None, action }
     }
 
-    /// Of greater offsets sums would saturate, and one that was stored would not be read back. Grbl takes any.
+    /// Refuses offsets outside the range of coordinates: sums with them would saturate, and a stored one could not be
+    /// read back. Grbl accepts any offset.
     pub(super) fn allow_offset(&self, offset: &PerAxis<Coordinate, N>) -> Result<(), Error> {
         if self.dialect == Dialect::Grbl { Ok(()) } else { reachable(offset) }
     }
 
-    /// Whether the line has a word of this letter that no other command has used; this one uses it.
+    /// Marks the word of this letter as used. Returns whether the line has the word, and no other command has used it.
     pub(super) fn take(&mut self, letter: u8) -> bool {
         let has = self.unused.has(letter);
         self.unused.remove(Letters::of(&[letter]));
         has
     }
 
-    /// `others`, with the axes that have a word replaced by what `place` makes of it.
+    /// Returns `others`, where each axis that has a word is replaced by `place` of the axis and its value.
     pub(super) fn with_axis_words(
         &self,
         others: PerAxis<Coordinate, N>,
@@ -138,7 +140,7 @@ impl<'a, const N: usize> Draft<'a, N> {
         }
     }
 
-    /// The value of an axis word. Degrees stay degrees whatever the unit of lengths.
+    /// Returns the value of an axis word. Degrees do not depend on the unit of lengths.
     pub(super) fn axis_length(&self, axis: Axis) -> Coordinate {
         let value = self.line.axis.get(axis).unwrap_or(Decimal::ZERO);
         match axis {
@@ -151,7 +153,7 @@ impl<'a, const N: usize> Draft<'a, N> {
         along(&self.state.position, axis)
     }
 
-    /// Where the program is along an axis, in its own coordinates, which are scaled already.
+    /// Returns the program's position along an axis, in its own (scaled) coordinates.
     pub(super) fn program_coordinate(&self, axis: Axis) -> Coordinate {
         if FULL_IMAGE && let Some(rotated) = self.rotated {
             let [first, second] = self.state.in_program(rotated, rotated.part_of(&self.state.position));
@@ -165,8 +167,8 @@ impl<'a, const N: usize> Draft<'a, N> {
         self.position(axis) - self.work_offset(axis)
     }
 
-    /// What lies between machine and work coordinates for this line: its own coordinate system and tool length offset,
-    /// and the G92 that acts on it.
+    /// Returns machine coordinate minus work coordinate for this line: with the line's coordinate system, its tool
+    /// length offset, and the G92 that acts on it.
     pub(super) fn work_offset(&self, axis: Axis) -> Coordinate {
         let offsets = &self.state.offsets;
         along(&offsets.system(self.action.modal.coordinate_system), axis)
@@ -186,8 +188,9 @@ impl<'a, const N: usize> Draft<'a, N> {
         }
     }
 
-    /// The same for a straight move. F is along the way of X, Y and Z as if the rotary axes stood still, which come along; where
-    /// these move alone it is degrees per minute (RS274NGC, 2.1.2.5). The path of the result is that of all axes.
+    /// Returns the feed of a straight move. F is the speed along the path of X, Y and Z, and the rotary axes move along
+    /// with it; if only rotary axes move, F is in degrees per minute (RS274NGC, 2.1.2.5). The result is the speed along
+    /// the path of all axes.
     pub(super) fn feed_to(&self, target: &PerAxis<Coordinate, N>) -> Feed {
         match self.feed_of_motion() {
             Feed::PerMinute(feed) if N > LINEAR => {

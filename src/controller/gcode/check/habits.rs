@@ -1,5 +1,5 @@
-//! Words that CAM programs write out of habit: some mean here what they mean on other controls (G54.1 P, G154 P, U V W
-//! of G28), others have no effect. A word without effect is accepted, and a notice tells the host once.
+//! Common words of CAM programs: some mean here what they mean on other controls (G54.1 P, G154 P, U V W of G28),
+//! others have no effect. A word without effect is accepted, and a notice tells the host once.
 
 use super::draft::{CENTRE, Draft};
 use crate::axes::PerAxis;
@@ -11,7 +11,7 @@ use crate::gcode::word::{Group, Groups, Letters};
 use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
-/// How many systems of Grbl come before the first that G54.1 names.
+/// Number of Grbl's systems, which precede the first system that G54.1 selects.
 const BEFORE_THE_FIRST: usize = CoordinateSystem::OF_GRBL;
 
 impl<const N: usize> Draft<'_, N> {
@@ -25,7 +25,7 @@ impl<const N: usize> Draft<'_, N> {
             self.action.modal.coordinate_system = self.system_by_number()?;
         }
         if let Some(number) = extended.look_ahead {
-            // G8 alone is a word of lathes.
+            // G8 without P is a word of lathes.
             if !self.take(b'P') && number == 8 {
                 return Err(Error::NotSupported);
             }
@@ -47,7 +47,7 @@ impl<const N: usize> Draft<'_, N> {
         system.copied().ok_or(Error::UnsupportedCoordinateSystem)
     }
 
-    /// The point by way of which G28 and G30 go; by U, V and W at a distance from where the tool is.
+    /// Returns the point that G28 and G30 pass through; U, V and W give distances from the present position.
     pub(super) fn point_on_the_way(&mut self) -> Result<PerAxis<Coordinate, N>, Error> {
         let distances = self.line.extended.distances;
         if distances.is_empty() {
@@ -62,7 +62,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(point)
     }
 
-    /// Whether D, which is left, may stay unused: beside G40 and G43 to G49, or alone.
+    /// Whether D is the only unused word and is allowed: beside G40 or G43 to G49, or alone.
     #[inline(never)]
     pub(super) fn is_radius_register(&self) -> Result<bool, Error> {
         let mut others = self.line.values;
@@ -75,7 +75,7 @@ impl<const N: usize> Draft<'_, N> {
         whole(self.line.value(b'D')).map(|_| true)
     }
 
-    /// Whether the word of a spline is none: G5.1 with Q, G5 with P, and nothing that leads anywhere.
+    /// Whether a spline word switches the look-ahead instead: G5.1 with Q or G5 with P, without a destination.
     #[inline(never)]
     pub(super) fn is_look_ahead(&self) -> bool {
         let letter = match self.line.modal.motion {
@@ -92,7 +92,7 @@ impl<const N: usize> Draft<'_, N> {
             && !self.unused.has_any(CENTRE)
     }
 
-    /// A line that switches the look-ahead. The motion in force stays.
+    /// Accepts a line that switches the look-ahead. The motion mode stays in force.
     pub(super) fn switch_look_ahead(&mut self) -> Result<(), Error> {
         self.unused.remove(Letters::of(b"PQR"));
         self.action.modal.motion = self.state.modal.motion;

@@ -1,6 +1,6 @@
 //! The second step of G-code: what the words of a line mean in the present modal state. The steps run in the order in
-//! which Grbl checks, and the first error wins. The interpreter calls [`check`] for lines of a program and for jogs;
-//! nothing changes before the line is committed. Steps of few lines are here, the others in files of their own.
+//! which Grbl checks, and the first error is returned. The interpreter calls [`check`] for lines of a program and for
+//! jogs; nothing changes before the line is committed. Short steps are in this file, the others in files of their own.
 
 mod control_point_words;
 mod cycle_words;
@@ -30,7 +30,7 @@ use crate::units::{Decimal, per_second};
 use draft::Draft;
 pub(super) use draft::Purpose;
 
-/// Greatest line number.
+/// Maximum line number.
 const LINE_NUMBER_MAX: i32 = 10_000_000;
 
 /// Checks the words of a line.
@@ -42,7 +42,7 @@ pub(super) fn check<const N: usize>(
     action: &mut Action<N>,
 ) -> Result<(), Error> {
     let mut draft = Draft::begin(state, line, dialect, purpose, action);
-    // Most lines have none of these, and every instruction counts.
+    // Speed matters here, and most lines have none of these words.
     let is_extended = line.extended.any;
     if is_extended {
         draft.sign_of_p()?;
@@ -51,7 +51,7 @@ pub(super) fn check<const N: usize>(
     }
     draft.line_number()?;
     draft.feed()?;
-    // A line without T deselects the tool in Grbl's dialect.
+    // In Grbl's dialect a line without T deselects the tool, so it is not only a move.
     let is_move = line.is_move() && (dialect != Dialect::Grbl || state.modal.tool == 0);
     if !is_move {
         draft.speed();
@@ -88,7 +88,7 @@ pub(super) fn check<const N: usize>(
         ) && matches!(action.after.keeping, Keeping::Leave)
             && action.after.notice.is_none();
     } else {
-        // Grbl finds the target of a line before its G92.1 acts.
+        // Grbl computes the target of a line before its G92.1 acts.
         if dialect == Dialect::Grbl {
             draft.offset_acts();
         }
@@ -109,10 +109,11 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// F holds on in G94 only: with G93 each motion needs its own, and a change of the mode leaves none.
+    /// F stays in force only in G94. With G93 each motion needs its own F, and a change of the feed mode leaves F
+    /// undefined.
     fn feed(&mut self) -> Result<(), Error> {
         if self.line.extended.keep.is_some() {
-            // M72 restores F beside its mode.
+            // M72 restores F together with the feed mode.
             return Ok(());
         }
         let given = self.line.values.has(b'F');
@@ -162,7 +163,7 @@ impl<const N: usize> Draft<'_, N> {
         self.action.coolant = (modal.coolant != before.coolant).then_some(modal.coolant);
     }
 
-    /// As in Grbl and grblHAL: M56 P0 holds parking off; M56 alone or with another P lets the tool park again.
+    /// As in Grbl and grblHAL: M56 P0 disables parking; M56 without P or with another P enables it.
     fn parking_override(&mut self) {
         if self.line.parking_override {
             self.action.modal.no_parking = self.line.values.has(b'P') && self.line.value(b'P') == Decimal::ZERO;
@@ -170,7 +171,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// G61, G61.1, G64 and the tolerances of G64. Without P, or with P0, the path is exact; Q is P if it is not there.
+    /// G61, G61.1, G64 and the tolerances of G64. Without P, or with P0, the path is exact. The default of Q is P.
     fn path_control(&mut self) -> Result<(), Error> {
         let Some(path) = self.line.extended.path else { return Ok(()) };
         self.action.modal.path = path;
@@ -225,18 +226,18 @@ impl<const N: usize> Draft<'_, N> {
         Err(Error::UnusedWords)
     }
 
-    /// O and a number, which are alone in their line but for its own number.
+    /// Whether the line is only an O number, which a line number may precede.
     fn is_program_number(&self) -> bool {
         let mut others = self.unused;
         others.remove(Letters::of(b"N"));
         others == Letters::of(b"O") && self.line.groups == Groups::default() && !self.state.computed.assigns()
     }
 
-    /// The last digit of its words.
+    /// Sets the value of the last digit of the line's words.
     #[inline(always)]
     fn precision(&mut self) {
         let action = &mut *self.action;
-        // A cycle goes through its points exactly, and of a spline all points are known.
+        // A cycle passes exactly through its points, and all points of a spline are known exactly.
         let exact =
             matches!(action.motion, MotionCommand::Cycle(_) | MotionCommand::Spline(_) | MotionCommand::Nurbs(_));
         action.digit = if exact { 0.0 } else { last_digit(action.modal.units, self.line.places) };
@@ -245,7 +246,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// What a line does beside its motion.
+    /// Sets the effects of a line besides its motion.
     fn finish(self) {
         let action = self.action;
         action.flow = match self.line.flow {
@@ -278,7 +279,7 @@ impl<const N: usize> Draft<'_, N> {
     }
 }
 
-/// The last of so many digits behind the point, mm.
+/// Returns the value of the last of `places` decimal places, in mm.
 fn last_digit(units: Units, places: u8) -> f32 {
     match units {
         Units::Mm => match places {

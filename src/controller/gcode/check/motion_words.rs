@@ -1,5 +1,5 @@
-//! Moves of a line: straight lines, arcs by radius or centre, and probing moves. Splines and canned cycles are passed
-//! on to their own files. Targets are in machine coordinates, after offsets, rotation and scaling.
+//! Moves of a line: straight lines, arcs by radius or centre, and probing moves. Splines and canned cycles have files
+//! of their own. Targets are in machine coordinates, after scaling, rotation and offsets.
 
 use super::draft::{CENTRE, Draft};
 use crate::axes::Axis;
@@ -13,7 +13,7 @@ use crate::gcode::word::{Claim, Letters};
 use crate::image::FULL_IMAGE;
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 
-/// Most turns that P may give an arc.
+/// Maximum number of turns of an arc (P).
 const TURNS_MAX: i32 = 1_000_000;
 
 impl<const N: usize> Draft<'_, N> {
@@ -26,7 +26,7 @@ impl<const N: usize> Draft<'_, N> {
             self.leaves_control_points(mode)?;
         }
         if mode == MotionMode::Cancelled {
-            // To Grbl axis words are an error here even if another command uses them.
+            // In Grbl, axis words are an error here even if another command uses them.
             let used = self.dialect != Dialect::Grbl && self.claim != Claim::Motion;
             return if self.line.axes.is_empty() || used { Ok(()) } else { Err(Error::AxisWordsUnused) };
         }
@@ -127,7 +127,7 @@ impl<const N: usize> Draft<'_, N> {
         let turns = self.turns()?;
         let feed = self.feed_of_motion();
         let (i, j) = (Coordinate(centre.first), Coordinate(centre.second));
-        // Without a radius there is nothing to go round; what is left is the way of the other axes.
+        // An arc of radius 0 is only the straight move of the other axes.
         self.action.motion = if arc::is_point(centre) {
             MotionCommand::Line { via: None, target, feed: self.feed_to(&target) }
         } else {
@@ -137,12 +137,12 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// The centre of an arc in centre format, from its start.
+    /// Returns the vector from the start of an arc to its centre, in centre format.
     fn centre(&mut self, axes: PlaneAxes) -> Result<Vector, Error> {
         let (first, second) = (centre_letter(axes.first), centre_letter(axes.second));
         let (has_first, has_second) = (self.line.values.has(first), self.line.values.has(second));
         let absolute = self.dialect != Dialect::Grbl && self.action.modal.arc_distance == ArcDistance::Absolute;
-        // As distances each is 0 unless given; of coordinates none can be guessed.
+        // As distances, I, J and K default to 0; as coordinates they have no default.
         if !(has_first || has_second) || absolute && !(has_first && has_second) {
             return Err(Error::NoPlaneOffsets);
         }
@@ -166,7 +166,8 @@ impl<const N: usize> Draft<'_, N> {
         Vector::new(centre_along(axes.first), centre_along(axes.second)).checked()
     }
 
-    /// The last digit of the words of an arc: 0.01 mm or 0.001 inch at most, for trailing zeros are often left out.
+    /// Returns the value of the last digit in the words of an arc, and at most 0.01 mm or 0.001 inch, because programs
+    /// often omit trailing zeros.
     #[inline(never)]
     fn digit_of_arc(&self, axes: PlaneAxes) -> Coordinate {
         let line = self.line;
@@ -181,7 +182,8 @@ impl<const N: usize> Draft<'_, N> {
         self.length(Decimal(digit))
     }
 
-    /// P of an arc: how many turns it takes, the last of them up to the target.
+    /// Reads P of an arc: the number of turns, of which the last ends at the target. Returns the full turns before the
+    /// arc.
     fn turns(&mut self) -> Result<u32, Error> {
         if self.dialect == Dialect::Grbl || !self.unused.has(b'P') {
             return Ok(0);
@@ -195,7 +197,7 @@ impl<const N: usize> Draft<'_, N> {
     }
 }
 
-/// The letter of an arc's centre along an axis.
+/// Returns the letter of the arc centre along an axis.
 fn centre_letter(axis: Axis) -> u8 {
     match axis {
         Axis::X => b'I',

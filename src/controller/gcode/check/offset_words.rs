@@ -1,5 +1,5 @@
 //! Offsets and stored positions: G10 L2 and L20, G28 and G30 with their .1 forms, G52, G53, and G92 with its .1 to .3
-//! forms. A change is noted in the line's action and acts when the line is committed.
+//! forms. Changes go into the line's action and take effect when the line is committed.
 
 use super::draft::Draft;
 use crate::axes::{Axis, LINEAR, PerAxis};
@@ -47,7 +47,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// G92.1, G92.2 and G92.3. A motion of the line goes by what they leave, as in RS274NGC.
+    /// G92.1, G92.2 and G92.3. A motion on the same line uses the resulting offset, as in RS274NGC.
     pub(super) fn offset_acts(&mut self) {
         match self.line.non_modal {
             Some(word @ (NonModal::ClearOffset | NonModal::SuspendOffset)) => {
@@ -59,14 +59,14 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Takes the offset of G92 back, or away.
+    /// Restores the offset of G92, or clears it.
     pub(super) fn let_offset_act(&mut self, acts: bool) {
         self.action.g92 = if acts { self.state.offsets.g92_kept } else { PerAxis::all(Coordinate::ZERO) };
         self.action.after.g92_acts = acts;
     }
 
     /// G10. L2 gives the system's origin in machine coordinates; L20 moves the origin so that the present position gets
-    /// the given coordinates. Distance mode plays no part.
+    /// the given coordinates. The distance mode has no effect.
     fn set_system(&mut self) -> Result<(), Error> {
         let line = self.line;
         let of_tool = self.dialect != Dialect::Grbl && line.value(b'L') == Decimal::from_int(1);
@@ -77,9 +77,9 @@ impl<const N: usize> Draft<'_, N> {
         if !line.values.has(b'P') && !line.values.has(b'L') {
             return Err(Error::ValueWordMissing);
         }
-        // Grbl looks at P first, and so finds a system that does not exist before an L that it does not know.
+        // Grbl checks P first, so a wrong system is reported before an unknown L.
         if self.dialect != Dialect::Grbl {
-            // Its P belongs to another word of the line.
+            // P belongs to another word of the line.
             if line.values.has(b'P') && !self.unused.has(b'P') {
                 return Err(Error::ValueWordMissing);
             }
@@ -124,7 +124,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// The system of G10's P: 0 is the active one.
+    /// Returns the system that G10's P selects; 0 is the active system.
     fn system_of(&self, p: i32) -> Result<CoordinateSystem, Error> {
         let count = if self.dialect == Dialect::Grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
         match usize::try_from(p) {
@@ -138,7 +138,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// G92: the present position gets the given coordinates in whatever system is active.
+    /// G92: the present position gets the given coordinates, in whichever system is active.
     fn set_offset(&mut self) -> Result<(), Error> {
         if self.line.axes.is_empty() {
             return Err(Error::NoAxisWords);
@@ -158,11 +158,12 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// G28, G30: the named axes by way of the given point to the stored place; without axis words all, directly.
+    /// G28, G30: move the named axes to the stored position, by way of the given point; without axis words all axes,
+    /// directly.
     fn go_to_stored(&mut self, which: StoredOffset) -> Result<(), Error> {
         let stored = self.state.offsets.stored(which);
         let (via, target) = if self.line.axes.is_empty() {
-            // What was stored while the machine had more axes does not move them.
+            // Axes that the machine had when the position was stored, and has no more, do not move.
             let has = |axis: Axis| N <= LINEAR || axis.index() < self.state.axes();
             let of = |axis| if has(axis) { along(&stored, axis) } else { self.position(axis) };
             (None, PerAxis::from_axis(of))

@@ -10,7 +10,7 @@ use crate::image::FULL_IMAGE;
 use crate::units::{Decimal, Duration};
 
 impl<const N: usize> Draft<'_, N> {
-    /// M62 to M68. P may also be that of a dwell or an arc on the line, as in LinuxCNC.
+    /// M62 to M68. The same P may also belong to a dwell or an arc on the line, as in LinuxCNC.
     pub(super) fn pins(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.extended.pins.filter(|_| FULL_IMAGE) else { return Ok(()) };
         let (has_p, has_e) = (self.line.values.has(b'P'), self.line.values.has(b'E'));
@@ -57,14 +57,14 @@ impl<const N: usize> Draft<'_, N> {
         if !self.line.values.has(letter) {
             return Err(Error::ValueWordMissing);
         }
-        // P may be that of a spline.
+        // P may be negative if it also belongs to a spline.
         if value < Decimal::ZERO {
             return Err(Error::NegativeValue);
         }
         Ok(whole(value)?.unsigned_abs())
     }
 
-    /// L of M66; none is L0.
+    /// Reads L of M66; the default is L0.
     fn wait(&self) -> Result<InputWait, Error> {
         Ok(match whole(self.line.value(b'L'))? {
             0 => InputWait::Nothing,

@@ -1,4 +1,4 @@
-//! Where axis words lead to: from the program's coordinates to those of the machine, through scaling, rotation and
+//! Targets of axis words: from the program's coordinates to those of the machine, through scaling, rotation and
 //! offsets, absolute or incremental. Also G68 and G69, and the offset words that are refused while the plane is
 //! rotated.
 
@@ -14,7 +14,8 @@ use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
 impl<const N: usize> Draft<'_, N> {
-    /// How the line's coordinates are rotated. Nothing is where Grbl is spoken, which could not end it.
+    /// Determines rotation and scaling of the line's coordinates. Neither acts in Grbl's dialect, which has no words to
+    /// end it.
     #[inline]
     pub(super) fn rotation(&mut self) -> Result<(), Error> {
         let system = self.action.modal.coordinate_system;
@@ -36,7 +37,7 @@ impl<const N: usize> Draft<'_, N> {
                 self.rotated = self.plane_with(None)?;
                 self.scaling()?;
                 let rotation = self.new_rotation()?;
-                // By no angle nothing is rotated, in whatever plane.
+                // An angle of 0 rotates nothing, in any plane.
                 let rotation = Some(rotation).filter(|rotation| rotation.angle != Angle::ZERO);
                 self.action.rotated.rotation = Some(rotation);
                 self.plane_with(rotation.as_ref()).map(|_| ())
@@ -58,8 +59,8 @@ impl<const N: usize> Draft<'_, N> {
         self.state.offsets.rotated_plane(system, &self.action.g92, &self.action.tool_length, rotation)
     }
 
-    /// G68: R is the angle; an axis of the plane that is not named has the centre where the tool is. Distance mode plays no
-    /// part.
+    /// G68: R is the angle. The centre is the present position for an axis of the plane without a word. The distance
+    /// mode has no effect.
     fn new_rotation(&mut self) -> Result<Rotation, Error> {
         let plane = self.action.modal.plane;
         let axes = plane.axes();
@@ -84,7 +85,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(Rotation { plane, angle: Angle::of(self.line.value(b'R')), centre })
     }
 
-    /// Where the line's axis words lead to, in machine coordinates.
+    /// Returns the target of the line's axis words, in machine coordinates.
     pub(super) fn target(&mut self) -> PerAxis<Coordinate, N> {
         let machine = self.line.non_modal == Some(NonModal::MachineCoordinates);
         if FULL_IMAGE && (self.rotated.is_some() || self.scaled.is_some()) && !machine {
@@ -102,7 +103,7 @@ impl<const N: usize> Draft<'_, N> {
         })
     }
 
-    /// The same in scaled or rotated coordinates. An axis that is not named stays where it is in the program's coordinates.
+    /// Returns the target in scaled or rotated coordinates. An axis without a word keeps its program coordinate.
     /// Distances of jogs are along the axes of the machine, as the buttons and the reports show them.
     #[inline(never)]
     fn transformed_target(&mut self) -> PerAxis<Coordinate, N> {
@@ -118,7 +119,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// `target` is where unrotated axes would lead to.
+    /// Rotates `target`, which is the target for unrotated axes.
     fn rotated_target(
         &mut self,
         rotated: RotatedPlane,
@@ -138,7 +139,7 @@ impl<const N: usize> Draft<'_, N> {
                 *coordinate = if incremental { *coordinate + value } else { value };
             }
         }
-        // Where it already is nothing is rounded: a full circle comes back to its start.
+        // A position that does not change is not rounded: a full circle returns to its start.
         let machine =
             if program == before { rotated.part_of(&self.state.position) } else { rotated.to_machine(program) };
         rotated.put(&mut target, machine);
@@ -146,7 +147,7 @@ impl<const N: usize> Draft<'_, N> {
         target
     }
 
-    /// Arcs and cycles lie in a plane of the machine's axes.
+    /// Refuses arcs, splines and cycles outside the rotated plane: they must be in a plane of the machine's axes.
     pub(super) fn needs_plane(&self, axes: PlaneAxes) -> Result<(), Error> {
         match self.rotated {
             Some(rotated) if FULL_IMAGE && rotated.axes != axes => Err(Error::NotInRotatedPlane),
@@ -154,7 +155,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// What the present position is called cannot be set along axes that G68 has rotated.
+    /// Refuses words that set the coordinates of the present position along axes that G68 has rotated.
     pub(super) fn needs_no_rotation(&self) -> Result<(), Error> {
         let ends = self.line.extended.rotation == Some(false);
         match self.state.rotation {
@@ -167,7 +168,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// The active system does not get an angle while G68 rotates in another plane: every line after it would be refused.
+    /// Refuses an angle for the active system while G68 rotates another plane: every following line would be refused.
     pub(super) fn keeps_planes(&self, system: CoordinateSystem) -> Result<(), Error> {
         let turned = self.action.rotated.angle.is_some_and(|angle| angle != Angle::ZERO);
         let ends = self.line.extended.rotation == Some(false);
@@ -179,7 +180,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Program coordinates of where the tool is, with those of the named axes replaced; `None` if none of the plane is named.
+    /// Returns the program coordinates of the present position, with those of the named axes replaced; `None` if no
+    /// axis of the plane is named.
     fn named_in(&self, rotated: RotatedPlane) -> Option<[Coordinate; 2]> {
         let axes = [rotated.axes.first, rotated.axes.second];
         if !axes.into_iter().any(|axis| self.line.axes.has(axis)) {
@@ -194,7 +196,8 @@ impl<const N: usize> Draft<'_, N> {
         Some(place)
     }
 
-    /// G10 L20 of a system that is rotated: both its axes move so that the tool is where the line says. Whether it was one.
+    /// G10 L20 of a rotated system: moves its origin along both axes so that the tool gets the coordinates of the line.
+    /// Returns whether the system is rotated.
     pub(super) fn moves_rotated_origin(&mut self, system: CoordinateSystem) -> Result<bool, Error> {
         if !FULL_IMAGE || self.dialect == Dialect::Grbl {
             return Ok(false);
@@ -213,7 +216,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(true)
     }
 
-    /// An offset in the machine, moved so that the tool is where the line says.
+    /// Moves an offset, in machine coordinates, so that the tool gets the coordinates of the line.
     fn moved_by(&self, rotated: RotatedPlane, offset: [Coordinate; 2]) -> [Coordinate; 2] {
         match self.named_in(rotated) {
             Some(place) => {
@@ -224,7 +227,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// G10 L10 and L11 in a system that is rotated. Whether it was one.
+    /// G10 L10 and L11 in a rotated system. Returns whether the system is rotated.
     pub(super) fn sets_rotated_tool(&mut self, l: i32, present: &PerAxis<Coordinate, N>) -> Result<bool, Error> {
         self.needs_no_rotation()?;
         let offsets = &self.state.offsets;
@@ -243,7 +246,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(true)
     }
 
-    /// G28 and G30 that name one axis of the rotated plane: the other one stays in the program's coordinates.
+    /// Adjusts the target of a G28 or G30 that names only one axis of the rotated plane: the other axis keeps its
+    /// program coordinate.
     pub(super) fn go_in_rotated_plane(
         &self,
         stored: &PerAxis<Coordinate, N>,

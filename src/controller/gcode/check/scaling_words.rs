@@ -1,5 +1,5 @@
 //! G51 and G50: reads factors and centre of a scaling, and applies the scaling to the values of a line: positions,
-//! distances, arc centres and radii. What cannot be scaled, such as an arc with unequal factors, is refused.
+//! distances, arc centres and radii. Refuses lines that cannot be scaled, such as an arc with unequal factors.
 
 use super::draft::{CENTRE, Draft, Purpose};
 use crate::axes::Axis;
@@ -10,16 +10,16 @@ use crate::gcode::scaling::{NO_REST, Rest, Scaling};
 use crate::image::FULL_IMAGE;
 use crate::units::{Coordinate, Decimal};
 
-/// Greatest factor of G51.
+/// Maximum factor of G51.
 const FACTOR_MAX: Decimal = Decimal::from_int(100);
 
 impl<const N: usize> Draft<'_, N> {
-    /// G51 begins and takes the place of the one before, G50 ends; in other lines what is in force acts.
+    /// G51 starts a scaling and replaces an earlier one, G50 ends it. Other lines use the scaling in force.
     #[inline(never)]
     pub(super) fn scaling(&mut self) -> Result<(), Error> {
         match self.line.extended.scaling {
             Some(true) => {
-                // The axes of a rotation that acts are the ones of the program.
+                // Under a rotation these are the program's axes.
                 let scaling = self.new_scaling()?;
                 let acts = [Axis::X, Axis::Y, Axis::Z].into_iter().any(|axis| scaling.scales(axis));
                 self.action.rotated.scaled.scaling = Some(acts.then_some(scaling));
@@ -34,8 +34,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// G51: P is the factor of X, Y and Z, or each has one by I, J, K, which may mirror X and Y. An axis that is not named
-    /// has the centre where the tool is. Distance mode plays no part.
+    /// G51: P is the factor of X, Y and Z; or I, J and K are one factor each, where I and J may be negative to mirror.
+    /// The centre is the present position for an axis without a word. The distance mode has no effect.
     fn new_scaling(&mut self) -> Result<Scaling, Error> {
         let named = self.line.axes;
         if Axis::of_machine::<N>().skip(3).any(|axis| named.has(axis)) {
@@ -55,7 +55,7 @@ impl<const N: usize> Draft<'_, N> {
         if factors.contains(&Decimal::ZERO) || z < Decimal::ZERO {
             return Err(Error::ValueOutOfRange);
         }
-        // Big controls count in thousandths.
+        // Large controls give factors in thousandths.
         if factors.iter().any(|factor| factor.0.unsigned_abs() > FACTOR_MAX.0.unsigned_abs()) {
             return Err(Error::ThousandfoldScaling);
         }
@@ -64,7 +64,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(Scaling::new(factors, centre))
     }
 
-    /// Jogs by distances go along the machine, as the buttons show them.
+    /// Returns the scaling that acts. Incremental jogs are not scaled: they move along the machine's axes, as the jog
+    /// buttons show.
     fn scaling_of(&self, incremental: bool) -> Option<&Scaling> {
         self.scaled.filter(|_| FULL_IMAGE && !(incremental && self.purpose == Purpose::Jog))
     }
@@ -82,12 +83,12 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// An axis word that says where a motion leads, scaled: a coordinate or a distance.
+    /// Scales an axis word of a motion: a coordinate or a distance.
     pub(super) fn scaled_length(&self, axis: Axis, value: Coordinate, incremental: bool) -> Coordinate {
         self.scaled_word(axis, value, incremental).0
     }
 
-    /// Notes what the roundings of a target have left.
+    /// Keeps the remainders from rounding a target.
     #[inline(never)]
     pub(super) fn keep_rest(&mut self, incremental: bool) {
         // A jog changes the position only.
@@ -103,7 +104,7 @@ impl<const N: usize> Draft<'_, N> {
         self.action.rotated.scaled.rest = Some(rest);
     }
 
-    /// A vector of the program along two axes.
+    /// Scales a vector of the program along two axes.
     #[inline(never)]
     pub(super) fn scaled_vector(&self, axes: [Axis; 2], vector: [Coordinate; 2]) -> [Coordinate; 2] {
         let Some(scaling) = self.scaling_of(false) else { return vector };
@@ -111,13 +112,13 @@ impl<const N: usize> Draft<'_, N> {
         [scaling.way(first, along_first, 0).0, scaling.way(second, along_second, 0).0]
     }
 
-    /// A length of the program along an axis that has no direction: R of an arc, Q of a cycle.
+    /// Scales a length without direction along an axis: R of an arc, Q of a cycle.
     #[inline(never)]
     pub(super) fn scaled_size(&self, axis: Axis, value: Coordinate) -> Coordinate {
         self.scaling_of(false).map_or(value, |scaling| scaling.size(axis, value))
     }
 
-    /// Whether arcs in the plane are mirrored. An ellipse is no arc.
+    /// Returns whether arcs in the plane are mirrored. Unequal factors are an error: the arc would become an ellipse.
     #[inline(never)]
     pub(super) fn mirrors(&self, axes: PlaneAxes) -> Result<bool, Error> {
         let Some(scaling) = self.scaling_of(false) else { return Ok(false) };
@@ -128,16 +129,17 @@ impl<const N: usize> Draft<'_, N> {
         Ok(first != second)
     }
 
-    /// A vector in the plane of an arc as the program would write it, but for its direction.
+    /// Converts a scaled vector in the plane of an arc back to the program's scale. Lengths are right, but a mirrored
+    /// vector may differ in direction.
     #[inline(never)]
     pub(super) fn written_vector(&self, axes: PlaneAxes, vector: Vector) -> Vector {
         let Some(scaling) = self.scaling_of(false) else { return vector };
-        // Of an arc both have the same factor, or the arc is mirrored.
+        // Both axes have the same factor; if the arc is mirrored, its negative.
         let written = |way| scaling.written_way(axes.first, way);
         Vector { first: written(vector.first), second: written(vector.second) }
     }
 
-    /// What the present position is called cannot be set along axes that G51 has scaled.
+    /// Refuses words that set the coordinates of the present position along axes that G51 has scaled.
     #[inline(never)]
     pub(super) fn needs_no_scaling(&self) -> Result<(), Error> {
         match self.scaling_of(false) {

@@ -13,15 +13,15 @@ use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
 impl<const N: usize> Draft<'_, N> {
-    /// P of G5 is a distance; all others are numbers that have no sign.
+    /// Refuses a negative P, unless it is P of G5, which is a distance.
     pub(super) fn sign_of_p(&self) -> Result<(), Error> {
         let is_distance =
             self.claim == Claim::Motion && self.action.modal.motion == MotionMode::Spline(SplineKind::Cubic);
         if self.line.extended.is_p_negative && !is_distance { Err(Error::NegativeValue) } else { Ok(()) }
     }
 
-    /// I and J lead from the start to the control point that the curve heads for, P and Q from the end to the one that it
-    /// comes from; of a curve of second degree I and J lead to the only one. Distances always, as in LinuxCNC.
+    /// For G5, I and J lead from the start to the first control point, P and Q from the end to the second. For G5.1, I
+    /// and J lead from the start to the only control point. They are always distances, as in LinuxCNC.
     #[inline(never)]
     pub(super) fn spline(&mut self, kind: SplineKind) -> Result<(), Error> {
         if !FULL_IMAGE {
@@ -42,12 +42,12 @@ impl<const N: usize> Draft<'_, N> {
             (SplineKind::Quadratic, None) => return Err(Error::ValueWordMissing),
             (SplineKind::Quadratic, Some(middle)) => {
                 let chord = difference(in_xy(&target), in_xy(&start));
-                // The same curve as one of third degree.
+                // The same curve with two control points.
                 (middle.map(two_thirds), difference(middle, chord).map(two_thirds))
             }
             (SplineKind::Cubic | SplineKind::Nurbs, _) => {
                 let arriving = self.vector(b"PQ")?.ok_or(Error::ValueWordMissing)?;
-                // Without I and J where the last G5 has ended, as smoothly as it came there.
+                // Without I and J, the curve continues the last G5 smoothly if it starts at the end of that G5.
                 let last = self.state.tangent.iter().flatten().find(|tangent| tangent.place == in_xy(&start));
                 (near_start.or(last.map(|tangent| tangent.way)).ok_or(Error::ValueWordMissing)?, arriving)
             }
@@ -62,7 +62,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// A distance in the plane by two words, along the axes of the machine; `None` without them.
+    /// Returns the vector that two words give in the plane, along the machine's axes; `None` without the words.
     #[inline(never)]
     fn vector(&mut self, letters: &[u8; 2]) -> Result<Option<[Coordinate; 2]>, Error> {
         let [has_first, has_second] = letters.map(|letter| self.take(letter));

@@ -10,7 +10,7 @@ use crate::gcode::word::{Groups, Letters};
 use crate::units::Decimal;
 
 impl<const N: usize> Draft<'_, N> {
-    /// M48 to M53. P1, or no P, lets the operator's override act; P0 holds it off.
+    /// M48 to M53. P1, or no P, enables the operator's override; P0 disables it.
     pub(super) fn overrides(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.extended.overrides else { return Ok(()) };
         let takes_p = matches!(word, 50..=53);
@@ -32,7 +32,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// M70 to M73, which have a line of their own.
+    /// M70 to M73, which must be alone on their line.
     pub(super) fn keep_state(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.extended.keep else { return Ok(()) };
         let mut others = self.line.values;
@@ -57,7 +57,7 @@ impl<const N: usize> Draft<'_, N> {
                 } else if let Some(measured) = self.state.measured_offset(self.state.spindle_tool) {
                     action.tool_length.set(TOOL_AXIS, measured.get(TOOL_AXIS).unwrap_or_default());
                 }
-                // G92 is not restored, but whether it acts: as by G92.2 or G92.3.
+                // The value of G92 is not restored. Whether it acts is restored, as by G92.2 or G92.3.
                 if action.after.g92_acts != saved.g92_acts {
                     self.let_offset_act(saved.g92_acts);
                 }

@@ -15,7 +15,7 @@ use crate::gcode::word::{Claim, Letters, NonModal, ToolLength};
 use crate::units::{Coordinate, Decimal};
 
 impl<const N: usize> Draft<'_, N> {
-    /// T selects, M6 puts what is selected into the spindle.
+    /// T selects a tool, M6 puts the selected tool into the spindle.
     pub(super) fn tool(&mut self) -> Result<(), Error> {
         let modal = &mut self.action.modal;
         if self.line.values.has(b'T') {
@@ -31,7 +31,7 @@ impl<const N: usize> Draft<'_, N> {
         if self.line.extended.tool_change {
             self.action.tool_change = modal.tool != self.state.spindle_tool;
             self.action.after.spindle_tool = modal.tool;
-            // G28.1 would store the place that the tool has left.
+            // G28.1 and G30.1 store the present position, which a tool change leaves.
             let stores = matches!(self.line.non_modal, Some(NonModal::StorePosition(_)));
             self.action.after.tool_alone = self.claim == Claim::Nobody && self.line.tool_length.is_none() && !stores;
         }
@@ -41,7 +41,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// M61: the tool of this number is in the spindle. It is selected, too, if the line selects no other one.
+    /// M61: names the tool in the spindle, and also selects it unless the line has a T.
     fn name_tool(&mut self) -> Result<(), Error> {
         if !self.take(b'Q') {
             return Err(Error::ValueWordMissing);
@@ -61,7 +61,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// Group 8. Only the axes' next moves are affected.
+    /// Modal group 8: sets the tool length offset, which affects the next moves of the axes.
     pub(super) fn tool_length(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.tool_length else { return Ok(()) };
         let offset = match word {
@@ -81,13 +81,13 @@ impl<const N: usize> Draft<'_, N> {
         self.allow_offset(&offset)
     }
 
-    /// The offset that H names; that of the tool in the spindle without H or with H0.
+    /// Returns the offset of tool H; without H or with H0, of the tool in the spindle.
     fn tool_of_h(&mut self) -> Result<PerAxis<Coordinate, N>, Error> {
         let number = if self.take(b'H') { whole(self.line.value(b'H'))?.unsigned_abs() } else { 0 };
         let number = if number == 0 { self.action.after.spindle_tool } else { number };
         let measured = self.state.measured_offset(number);
         let known = measured.or_else(|| self.state.tools.offset(number));
-        // A table without any entry is one that nobody uses, unless lengths come from elsewhere.
+        // If no tool length is known from any source, the table is not in use: G43 has length 0.
         if known.is_none() && self.state.knows_no_length() {
             self.action.after.notice = Some(Notice::NoTools);
             return Ok(PerAxis::all(Coordinate::ZERO));
@@ -95,7 +95,8 @@ impl<const N: usize> Draft<'_, N> {
         known.ok_or(Error::UnknownTool)
     }
 
-    /// G10 L1, L10, L11: the table's offsets of tool P. They act with the next G43. L1 without axes takes it out.
+    /// G10 L1, L10, L11: set the offset of tool P in the table, for the next G43. L1 without axis words removes the
+    /// tool.
     pub(super) fn set_tool(&mut self, l: i32) -> Result<(), Error> {
         let number = whole(self.line.value(b'P'))?.unsigned_abs();
         if !self.line.values.has(b'P') {
@@ -106,7 +107,7 @@ impl<const N: usize> Draft<'_, N> {
         }
         let known = self.state.tools.offset(number);
         let has_room = self.state.tools.slot(entry_number(number, self.state.is_checking())).is_some();
-        // Radius, angles and orientation of a tool in LinuxCNC's table, which this one does not have.
+        // Radius, angles and orientation: LinuxCNC's table has them, this one does not.
         let unkept = Letters::of(b"IJQR");
         let describes = l == 1 && self.unused.has_any(unkept);
         if l == 1 {
@@ -121,8 +122,8 @@ impl<const N: usize> Draft<'_, N> {
             return Ok(());
         }
         let offsets = &self.state.offsets;
-        // Where the work zero of the tool's tip is: L10 in the active system with its G92, L11 in the ninth, which holds a
-        // fixture.
+        // The machine position that is zero for the tool's tip: with L10, the active system with its G92; with L11, the
+        // ninth system, which holds a fixture.
         let origin = if l == 11 {
             offsets.system(CoordinateSystem::G59_3)
         } else {

@@ -1,5 +1,5 @@
-//! What is wrong with a refused O word, and which parameter of an expression has not been set: the part of
-//! [`refusal`](crate::gcode::refusal) that looks into held text and parameters.
+//! Explains what is wrong with a refused O word, and which parameter of an expression has not been set: the part of
+//! [`refusal`](crate::gcode::refusal) that needs the held text and the parameters.
 
 use super::expression::{self, ParameterReference};
 use super::flow::{FlowState, KEYWORDS, Keyword, OWord, digits};
@@ -10,7 +10,8 @@ use crate::gcode::state::Interpreter;
 use crate::number::{Digits, read};
 
 impl<const N: usize> Interpreter<N> {
-    /// What is wrong with an O word, or with the block that a line belongs to. Whether it is that.
+    /// Writes what is wrong with an O word, or with the block that a line belongs to. Returns `false` if the error has
+    /// another cause.
     #[inline(never)]
     pub(in crate::gcode) fn explain_flow(&self, line: &[u8], error: Error, out: &mut Reason) -> bool {
         let order = OWord::of(line);
@@ -96,7 +97,7 @@ impl<const N: usize> Interpreter<N> {
         say(out, "% has no O% % before it", &[name, label, opening]);
     }
 
-    /// The parameter of a text that has no value, or does not exist.
+    /// Returns the first parameter in a text that has no value or does not exist.
     #[inline(never)]
     pub(in crate::gcode) fn unset_parameter<'t>(&self, text: &'t [u8]) -> Option<&'t [u8]> {
         (0..text.len()).find_map(|at| {

@@ -1,28 +1,29 @@
-//! Values as programs compute them: `[#1 + 2] * 3`, functions and operators of RS274NGC. A `Reader` takes operands one
-//! after the other and keeps what waits for them in a list, so that nothing is recursive.
+//! Values of expressions: `[#1 + 2] * 3`, functions and operators of RS274NGC. A `Reader` reads one operand after the
+//! other, without recursion.
 //!
 //! ```text
 //!  value     = number | [ sum ] | # value | #<name> | function[ sum ] | ATAN[ sum ]/[ sum ] | EXISTS[#...] | - value | + value
 //!  levels    ** first, then * / MOD, then + -, then EQ NE GT GE LT LE, then AND OR XOR; each from left to right
 //! ```
-//! What waits for its right side is kept in a list of bounded length, not on the processor's stack, and every byte is read
-//! once: work and memory are bounded by the line. Truth is 1 and 0; everything but 0 is true.
+//! Operators, brackets and functions that wait for a value are kept in a list of bounded length, not on the processor's
+//! stack, and every byte is read once: work and memory are bounded by the line. True is 1, false is 0; every value
+//! except 0 is true.
 
 use super::real::Real;
 use crate::error::Error;
 use core::cmp::Ordering;
 
-/// Brackets, functions, signs and left sides that may wait at a time.
+/// Maximum number of waiting brackets, functions, signs and left operands.
 const DEPTH: usize = 32;
 
-/// What `#` names. Names are capitals without blanks.
+/// Parameter that `#` refers to. Names consist of capitals without blanks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ParameterReference<'a> {
     Number(i64),
     Name(&'a [u8]),
 }
 
-/// A parameter; `None` for one that has not been set.
+/// Result of looking up a parameter; `None` if it is not set.
 pub(super) type Found = Result<Option<Real>, Error>;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,7 +78,7 @@ enum Binary {
     Xor,
 }
 
-/// A text that begins another comes behind it.
+/// The operators in an order in which a text stands after every text that begins with it.
 const BINARIES: [(&[u8], Binary); 15] = [
     (b"**", Binary::Power),
     (b"*", Binary::Times),
@@ -130,20 +131,20 @@ impl Binary {
     }
 }
 
-/// What waits for a value.
+/// Operation that waits for a value.
 #[derive(Clone, Copy, Debug)]
 enum Waiting {
     Negation,
     Parameter,
     Bracket,
     Function(Function),
-    /// The second bracket of an arc tangent, with the first's value.
+    /// Arc tangent that waits for its second bracket, with the value of the first.
     AtanOver(Real),
-    /// A left side.
+    /// Operator that waits for its right operand, with the left one.
     Operator(Binary, Real),
 }
 
-/// Whether a text is to be computed, and not a plain number or none at all.
+/// Whether a text begins with an expression, as opposed to a plain number or no value.
 pub(super) fn begins(text: &[u8]) -> bool {
     let signs = text.iter().take_while(|byte| matches!(byte, b'-' | b'+')).count();
     let text = text.get(signs..).unwrap_or(&[]);
@@ -153,7 +154,7 @@ pub(super) fn begins(text: &[u8]) -> bool {
         || FUNCTIONS.iter().any(|(name, _)| text.starts_with(name))
 }
 
-/// Reads the value at the start of a text: what it is, and how many bytes it takes.
+/// Reads the value at the start of a text. Returns the value and its length in bytes.
 pub(super) fn value<F: Fn(ParameterReference<'_>) -> Found>(text: &[u8], lookup: F) -> Result<(Real, usize), Error> {
     let mut reader = Reader { rest: text, waiting: heapless::Vec::new(), lookup };
     loop {
@@ -164,7 +165,7 @@ pub(super) fn value<F: Fn(ParameterReference<'_>) -> Found>(text: &[u8], lookup:
     }
 }
 
-/// The name in front of `>`, and what comes behind that. Empty names do not exist.
+/// Splits a text at `>` into a name and the rest. Empty names are an error.
 pub(super) fn name(text: &[u8]) -> Result<(&[u8], &[u8]), Error> {
     let end = text.iter().position(|byte| *byte == b'>').filter(|end| *end > 0).ok_or(Error::ExpressionSyntax)?;
     let (name, rest) = text.split_at_checked(end).ok_or(Error::ExpressionSyntax)?;
@@ -178,7 +179,7 @@ struct Reader<'a, F> {
 }
 
 impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
-    /// Takes the text if it comes next.
+    /// Consumes `text` if it is next. Returns whether it was.
     fn takes(&mut self, text: &[u8]) -> bool {
         match self.rest.strip_prefix(text) {
             Some(rest) => {
@@ -193,7 +194,7 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         self.waiting.push(waiting).map_err(|_| Error::TooDeep)
     }
 
-    /// What comes in front of a value, which waits, and the first value behind it.
+    /// Reads everything in front of an operand into the waiting list, and returns the value of the operand.
     fn operand(&mut self) -> Result<Real, Error> {
         loop {
             if let Some((value, used)) = Real::read(self.rest) {
@@ -228,7 +229,8 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         }
     }
 
-    /// Behind `EXISTS[#`: whether a name has been set, or a number can be. 1 or 0.
+    /// Reads the rest after `EXISTS[#`. Returns 1 if the name is set, or if the number is that of a possible parameter;
+    /// otherwise 0.
     fn exists(&mut self) -> Result<Real, Error> {
         let found = if self.takes(b"<") {
             let (name, rest) = name(self.rest)?;
@@ -242,7 +244,7 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         if self.takes(b"]") { Ok(Real::truth(found)) } else { Err(Error::ExpressionSyntax) }
     }
 
-    /// Gives a value to what waits for it. `None` if another operand is needed.
+    /// Passes a value to the operations that wait for it. Returns `None` if another operand is needed.
     fn complete(&mut self, value: Real) -> Result<Option<Real>, Error> {
         let mut value = value;
         loop {
@@ -271,7 +273,7 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         Ok((self.lookup)(ParameterReference::Number(number))?.unwrap_or(Real::ZERO))
     }
 
-    /// The value within a bracket: left sides up to it are computed, then the function before it. `None` if the second
+    /// Closes a bracket: computes the operators within it, then the function before it. Returns `None` if the second
     /// bracket of an arc tangent follows.
     fn close(&mut self, value: Real) -> Result<Option<Real>, Error> {
         let value = self.left_sides(value, 0)?;
@@ -289,7 +291,7 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         }
     }
 
-    /// The operator behind a value: waiting left sides of its level or a higher one are computed first.
+    /// Reads the operator after a value. Waiting operators of its level or a higher one are computed first.
     fn operator(&mut self, value: Real) -> Result<(), Error> {
         let known = BINARIES.iter().find(|(name, _)| self.rest.starts_with(name));
         let (name, operator) = match (known, self.rest.first()) {
@@ -302,7 +304,7 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         self.wait(Waiting::Operator(*operator, left))
     }
 
-    /// Computes with the left sides that wait, down to a level.
+    /// Computes the waiting operators down to a level.
     fn left_sides(&mut self, value: Real, level: u8) -> Result<Real, Error> {
         let mut value = value;
         while let Some(Waiting::Operator(operator, left)) = self.waiting.last().copied() {

@@ -1,5 +1,5 @@
-//! `FlowControl`, what O words keep: the held text of subroutines and loops, a frame for each block or call that is
-//! open, and whether the program's lines are streamed, recorded, run or skipped.
+//! `FlowControl`, the state of O words: the held text of subroutines and loops, a frame for each open block or call,
+//! and whether the program's lines are streamed, recorded, run or skipped.
 //!
 //! ```text
 //!            sub, while, do, repeat               endsub: kept; endwhile, while, endrepeat: run at once
@@ -7,33 +7,36 @@
 //!      ▲  └── call ──────────────────────────────────────────────────────────────▶ Running ◀──┘
 //!      └─────────────────────────────── the end of the text, M2, an error ────────────┘
 //! ```
-//! A condition needs no memory: the lines of the branch that does not hold are skipped. Subroutines and loops are held as
-//! text of bounded size, for no line comes twice over a serial link. What does not fit is refused to its end, so that no
-//! line of it is taken for one of the program. What runs is given out line by line; nothing here calls itself.
+//! A condition needs no memory: the lines of its false branches are skipped. Subroutines and loops are held as text of
+//! bounded size, because a serial link sends each line only once. A subroutine or loop that does not fit is refused up
+//! to its end, so that none of its lines is executed as a line of the program. Held text is returned line by line,
+//! without recursion.
 
 use crate::error::Error;
 use crate::gcode::m_words::has_m_word;
 use crate::gcode::remark::split_remark;
 use crate::lent::Lent;
 
-/// Bytes of held text, with one more for each line: a probing macro of 150 lines and the loop that calls it.
+/// Bytes of held text, of which each line takes one more than its length: enough for a probing macro of 150 lines and
+/// the loop that calls it.
 const TEXT: usize = 6144;
-/// Bytes of it that macros may take; the rest is for programs.
+/// Bytes of held text that macros may take; the rest is for programs.
 pub(super) const MOST_MACROS: usize = 3072;
-/// Bytes of it that only the first line of something may take, so that its end is known even if it does not fit.
+/// Bytes of held text that only the first line of a subroutine or loop may take, so that its label is held and its end
+/// is recognized even if the rest does not fit.
 pub(super) const SPARE: usize = 64;
-/// Conditions, loops and calls that may be under way within each other: a call in two conditions, sixteen times.
+/// Maximum nesting of conditions, loops and calls: a call within two conditions, sixteen times.
 const DEPTH: usize = 48;
-/// Bytes of their labels.
+/// Total length of the labels of all frames, in bytes.
 pub(super) const LABELS: usize = 384;
-/// Arguments of a call.
+/// Maximum number of arguments of a call.
 pub(super) const ARGUMENTS: usize = 30;
-/// How often held text may go back in one line of the host: a loop that never ends is found out.
+/// Maximum number of jumps back in held text during one line of the host, to detect endless loops.
 pub(super) const PASSES: u32 = 100_000;
-/// Where a call from the stream returns to.
+/// Return position of a call from the stream.
 pub(super) const STREAM: u16 = u16::MAX;
 
-/// A line of held text: words and message.
+/// A line of held text: words, and the message.
 pub type HeldLine = heapless::Vec<u8, 256>;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,7 +60,7 @@ pub(super) enum Keyword {
     Unknown,
 }
 
-/// A text that begins another comes behind it.
+/// The keywords in an order in which a word stands after every word that begins with it.
 pub(super) const KEYWORDS: [(&[u8], Keyword); 15] = [
     (b"SUB", Keyword::Sub),
     (b"ENDSUB", Keyword::EndSub),
@@ -85,8 +88,8 @@ pub(super) struct OWord<'a> {
 }
 
 impl<'a> OWord<'a> {
-    /// `None` for every other line; a message is no part of it. A number without a keyword, such as `O1000`, is one of them.
-    /// A label may be an expression.
+    /// Reads the O word of a line, without its message; `None` for every other line, including a number without a
+    /// keyword, such as `O1000`. The label may be an expression.
     pub(super) fn of(line: &'a [u8]) -> Option<OWord<'a>> {
         let (line, _) = split_remark(line);
         let line = match line.strip_prefix(b"N") {
@@ -107,7 +110,7 @@ impl<'a> OWord<'a> {
         Some(OWord { label, keyword: *keyword, arguments: text.get(name.len()..)? })
     }
 
-    /// The end of what this begins.
+    /// Whether `other` ends the block that this O word begins.
     pub(super) fn is_ended_by(&self, other: &OWord) -> bool {
         let end = match self.keyword {
             Keyword::Sub => Keyword::EndSub,
@@ -118,12 +121,12 @@ impl<'a> OWord<'a> {
         other.keyword == end && other.label == self.label
     }
 
-    /// Whether the label is an expression, which calls may have.
+    /// Whether the label is an expression, which is allowed only in calls.
     pub(super) fn has_computed_label(&self) -> bool {
         matches!(self.label.first(), Some(b'[' | b'#'))
     }
 
-    /// Whether what is behind the keyword may be its own: values in brackets if it takes any, or nothing.
+    /// Whether the text after the keyword is valid: values in brackets if the keyword takes values, otherwise nothing.
     pub(super) fn is_well_formed(&self) -> bool {
         let bracket = self.arguments.first() == Some(&b'[');
         match self.keyword {
@@ -139,14 +142,14 @@ impl<'a> OWord<'a> {
         if self.is_well_formed() { Ok(()) } else { Err(Error::FlowSyntax) }
     }
 
-    /// Whether skipped lines can come to an end with it.
+    /// Whether this O word can end the skipping of lines.
     pub(super) fn ends_skipping(&self) -> bool {
         use Keyword::{Else, ElseIf, EndIf, EndRepeat, EndWhile, While};
         matches!(self.keyword, ElseIf | Else | EndIf | EndWhile | While | EndRepeat)
     }
 }
 
-/// Bytes of a label: a name, digits, or an expression that is `#` and a value, or a bracket.
+/// Returns the length of the label in bytes: a name, digits, or an expression (`#` and a value, or a bracket).
 fn label_length(text: &[u8]) -> Option<usize> {
     let signs = text.iter().take_while(|byte| **byte == b'#').count();
     let text = text.get(signs..)?;
@@ -180,66 +183,66 @@ pub(super) fn ends_program(line: &[u8]) -> bool {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum FrameKind {
-    /// A condition; whether one of its branches has been taken.
+    /// A condition; `true` if one of its branches has been taken.
     If(bool),
     While,
     Do,
-    /// So many passes are left, this one included.
+    /// A repeat loop with its remaining passes, including the current one.
     Repeat(u32),
     Call,
 }
 
-/// A condition, loop or call under way.
+/// An open condition or loop, or an active call.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Frame {
     pub(super) kind: FrameKind,
-    /// Bytes of its label.
+    /// Length of its label in bytes.
     pub(super) label: u8,
-    /// Where a loop goes back to, or a call returns to.
+    /// Position to which a loop jumps back or a call returns.
     pub(super) at: u16,
-    /// The loop is being left.
+    /// The loop ends with this pass.
     pub(super) leaving: bool,
-    /// The line of the host with which it began.
+    /// Number of the host's line at which it began.
     begun: u32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum FlowState {
     Streaming,
-    /// Lines are held; the text of this begins here. With an error they are refused.
+    /// Lines are held; their text begins at this position. With an error they are refused.
     Recording(u16, Option<Error>),
-    /// Text runs; a loop of the stream, which begins here, is dropped at its end.
+    /// Held text runs. If it is a loop of the stream, which begins at this position, its text is dropped at the end.
     Running(Option<u16>),
 }
 
-/// Room for held text.
+/// Buffer of held text.
 pub(super) type HeldText = heapless::Vec<u8, TEXT>;
 
-/// Held text, and what is under way.
+/// Held text, and the open blocks and calls.
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[derive(Debug, PartialEq)]
 pub(super) struct FlowControl {
     pub(super) text: Lent<HeldText>,
-    /// So many bytes at its begin are macros, which no end of a program forgets.
+    /// Number of bytes at the start of the text that are macros, which the end of a program keeps.
     pub(super) macros: u16,
     pub(super) frames: heapless::Vec<Frame, DEPTH>,
     labels: heapless::Vec<u8, LABELS>,
     pub(super) state: FlowState,
-    /// Lines are skipped up to the next O word of the last frame.
+    /// Lines are skipped up to the next O word of the innermost frame.
     pub(super) skipping: bool,
-    /// The next line that runs.
+    /// Position of the next line to run.
     pub(super) next: u16,
-    /// Frames of the stream, below those of what runs.
+    /// Number of frames that belong to the stream; the frames above belong to the running text.
     pub(super) below: u8,
     passes: u32,
     pub(super) skipped: u32,
-    /// Number of the host's line that is read.
+    /// Number of the present line of the host.
     pub(super) line: u32,
-    /// The one with which the text began that is being recorded.
+    /// Number of the host's line at which the recorded text began.
     pub(super) recorded_from: u32,
-    /// The last line was an M2 or M30 that is skipped or recorded.
+    /// The last line was an M2 or M30 that was skipped or recorded.
     pub(super) after_end: bool,
-    /// The line with which the block began that the end of the program has cut short.
+    /// Host's line at which a block began that was still open at the end of the program.
     pub(super) cut: Option<u32>,
 }
 
@@ -263,7 +266,8 @@ impl FlowControl {
         }
     }
 
-    /// Forgets all but the macros. One by one: a new one would be copied here, text and all.
+    /// Forgets everything except the macros. Field by field, because a new value would be copied here with all its
+    /// text.
     pub fn reset(&mut self) {
         self.text.truncate(usize::from(self.macros));
         self.frames.clear();
@@ -280,14 +284,14 @@ impl FlowControl {
         self.cut = None;
     }
 
-    /// The program has ended: all but the block that it ended in is forgotten.
+    /// Ends the program: forgets everything except the line at which a still open block began (`cut`).
     pub fn end_program(&mut self) {
         let cut = self.open_since();
         self.reset();
         self.cut = cut;
     }
 
-    /// The line of the host with which the outermost block began that has not come to its end.
+    /// Returns the host's line at which the outermost open block began.
     pub(super) fn open_since(&self) -> Option<u32> {
         let of_stream = match self.state {
             FlowState::Running(_) => usize::from(self.below),
@@ -308,7 +312,7 @@ impl FlowControl {
         rest.get(..usize::from(*length))
     }
 
-    /// Keeps a line and its message, with so many bytes to spare behind it.
+    /// Appends a line and its message to the held text, if `spare` bytes remain free after it.
     pub(super) fn hold(&mut self, line: &[u8], remark: &[u8], spare: usize) -> Result<(), Error> {
         let length = line.len() + remark.len();
         let prefix = u8::try_from(length).map_err(|_| Error::OutOfMemory)?;
@@ -320,8 +324,8 @@ impl FlowControl {
         self.text.extend_from_slice(remark).map_err(|_| Error::OutOfMemory)
     }
 
-    /// Where a subroutine begins, and where its second line does: one of the program, or else of the macros, if it has an end
-    /// there.
+    /// Finds a subroutine of the program, or else one of the macros that is complete there. Returns the positions of
+    /// its first and second line.
     pub(super) fn find(&self, label: &[u8]) -> Option<(u16, u16)> {
         self.find_own(label).or_else(|| {
             let (at, behind) = self.find_sub(0, label)?;
@@ -330,7 +334,7 @@ impl FlowControl {
         })
     }
 
-    /// The same, of the program alone.
+    /// Like `find`, but only among the subroutines of the program.
     pub(super) fn find_own(&self, label: &[u8]) -> Option<(u16, u16)> {
         self.find_sub(self.macros, label)
     }
@@ -339,13 +343,13 @@ impl FlowControl {
         self.find_from(from, |order| order.keyword == Keyword::Sub && order.label == label)
     }
 
-    /// Where the line behind the end of a subroutine begins.
+    /// Returns the position after the `endsub` line of a subroutine.
     fn end_of_sub(&self, from: u16, label: &[u8]) -> Option<u16> {
         let is_end = |order: &OWord| order.keyword == Keyword::EndSub && order.label == label;
         self.find_from(from, is_end).map(|(_, behind)| behind)
     }
 
-    /// The next line with an O word of some kind: where it begins and the next one does.
+    /// Finds the next line whose O word satisfies `is_it`. Returns the positions of this line and of the next one.
     fn find_from(&self, from: u16, is_it: impl Fn(&OWord) -> bool) -> Option<(u16, u16)> {
         let mut at = from;
         while let Some(line) = self.line(at) {
@@ -358,7 +362,7 @@ impl FlowControl {
         None
     }
 
-    /// Drops a subroutine that has been defined again.
+    /// Drops the first definition of a subroutine of the program.
     pub(super) fn drop_sub(&mut self, label: &[u8]) {
         if let Some((from, behind)) = self.find_own(label)
             && let Some(end) = self.end_of_sub(behind, label)
@@ -368,8 +372,8 @@ impl FlowControl {
         }
     }
 
-    /// Drops a refused subroutine, whose text begins at a position, and an older one. Its label stays, with an end that is an
-    /// error: a call runs neither the older one nor a macro.
+    /// Drops a refused subroutine, whose text begins at `from`, and an older one of the same label. The label is kept
+    /// with an erroneous end, so that a call neither runs the older subroutine nor a macro.
     pub(super) fn refuse_sub(&mut self, from: u16, label: &[u8], end: &[u8]) {
         let opening = 1 + self.line(from).map_or(0, <[u8]>::len);
         self.text.truncate(usize::from(from) + opening);
@@ -424,7 +428,7 @@ impl FlowControl {
         self.passes = 0;
     }
 
-    /// Held text has come to its end, or is given up.
+    /// Stops the running text, at its end or before.
     pub fn stop(&mut self) {
         if let FlowState::Running(of_loop) = self.state {
             if let Some(at) = of_loop {

@@ -1,5 +1,5 @@
-//! Values from outside the program: numbered and named parameters that show positions, offsets, tool and modal state
-//! (#5061, #5400, #<_metric>). Also assigns parameters, and puts values into `(DEBUG, ...)` and `(PRINT, ...)`
+//! Values from outside the program: numbered and named parameters that give positions, offsets, tool and modal state
+//! (#5061, #5400, #<_metric>). Also assigns parameters, and inserts values into `(DEBUG, ...)` and `(PRINT, ...)`
 //! messages.
 
 use super::expression::{self, ParameterReference};
@@ -15,24 +15,25 @@ use crate::messages::SpindleDirection;
 use crate::number;
 use crate::units::{Coordinate, DECIMAL_ONE, DECIMAL_PLACES, Decimal};
 
-/// Letters of numbers that select something: a computed one is meant to have at most two digits behind the point.
+/// Letters of words that select something. Computed values of these words are rounded (see `to_hundredths`).
 const SELECTORS: &[u8] = b"DGHLMNOPT";
 
 impl<const N: usize> Interpreter<N> {
-    /// What M66 has read: #5399; `None` if it has waited in vain.
+    /// Stores the input that M66 has read, for #5399; `None` after a timeout.
     pub fn set_input_read(&mut self, active: Option<bool>) {
         self.computed.input_read = active.map_or(-1, i8::from);
     }
 
-    /// What the last probing move has found, in machine coordinates: #5061 and on, #5070.
+    /// Stores the result of the last probing move, in machine coordinates, for #5061 to #5070.
     pub fn set_probed(&mut self, place: &PerAxis<Coordinate, N>, succeeded: bool) {
         self.computed.probed = self.to_program(place);
         self.computed.probe_succeeded = succeeded;
     }
 
-    /// A remark with the values of its parameters, `#5` and `#<name>`, for `(DEBUG, ...)`: in six decimals, and behind `%d` in
-    /// none, behind `%f` in four, behind `%.2f` in two, which are left out themselves. A name that has not been set becomes
-    /// `######`. What the line sets that is being checked counts as set. What `out` has no room for is cut off.
+    /// Writes a message to `out` with its parameters (`#5`, `#<name>`) replaced by values, for `(DEBUG, ...)`. Values
+    /// have six decimals; after `%d` none, after `%f` four, after `%.2f` two. These formats are removed. A name that is
+    /// not set becomes `######`. Assignments of the line being checked count. Text beyond the capacity of `out` is cut
+    /// off.
     pub fn expand<const LENGTH: usize>(&self, remark: &[u8], out: &mut heapless::Vec<u8, LENGTH>) {
         let (mut rest, mut places) = (remark, 6);
         while let Some((byte, behind)) = rest.split_first() {
@@ -71,7 +72,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// The computed value of a word, and what comes behind it.
+    /// Computes the value of a word. Returns the text after it, too.
     #[inline(never)]
     pub(in crate::gcode) fn compute<'t>(&self, letter: u8, text: &'t [u8]) -> Result<(Word, &'t [u8]), Error> {
         if !expression::begins(text) {
@@ -83,7 +84,8 @@ impl<const N: usize> Interpreter<N> {
         Ok((Word { letter, value, places }, rest))
     }
 
-    /// A parameter is set, once the line is committed. The text is that behind `#`; returns what comes behind the value.
+    /// Assigns a parameter; takes effect when the line is committed. `text` is the text after `#`; returns the text
+    /// after the value.
     #[inline(never)]
     pub(in crate::gcode) fn assign<'t>(&mut self, text: &'t [u8]) -> Result<&'t [u8], Error> {
         let (target, rest) = match text.strip_prefix(b"<") {
@@ -105,14 +107,14 @@ impl<const N: usize> Interpreter<N> {
         Ok(rest)
     }
 
-    // Once in the image: it is long.
+    // Not inlined: the code is long and should be in the image once.
     #[inline(never)]
     pub(super) fn value<'t>(&self, text: &'t [u8]) -> Result<(Real, &'t [u8]), Error> {
         let (value, used) = expression::value(text, |reference| self.parameter(reference))?;
         Ok((value, text.get(used..).unwrap_or(&[])))
     }
 
-    /// A parameter; `None` if it has not been set.
+    /// Returns the value of a parameter; `None` if it is not set.
     pub(super) fn parameter(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
         match self.of_machine(reference)? {
             Some(value) => Ok(Some(value)),
@@ -120,7 +122,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// A parameter in which the machine shows its state; `None` for all others.
+    /// Returns the value of a parameter that shows the machine's state; `None` for all others.
     fn of_machine(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
         match reference {
             ParameterReference::Number(number) => Ok(self.numbered(number)),
@@ -129,8 +131,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// #5061 and on. Stored places are in millimetres, as LinuxCNC has them in the machine's unit; the present position and
-    /// what the probe has found are in the program's.
+    /// Returns a numbered parameter of the machine, from #5061. Stored positions are in millimetres, as LinuxCNC has
+    /// them in the machine's unit; the present and the probed position are in the program's unit.
     fn numbered(&self, number: i64) -> Option<Real> {
         let in_mm = |place: &PerAxis<Coordinate, N>, index: i64| self.length(place, index).map(Real::from_coordinate);
         Some(match number {
@@ -157,7 +159,7 @@ impl<const N: usize> Interpreter<N> {
         })
     }
 
-    /// The names that begin with `_` and are the machine's; `name` is what comes behind that.
+    /// Returns a named parameter of the machine, whose name begins with `_`; `name` is the rest.
     fn named(&self, name: &[u8]) -> Result<Option<Real>, Error> {
         let modal = &self.modal;
         let truth = |holds| Ok(Some(Real::truth(holds)));
@@ -181,7 +183,7 @@ impl<const N: usize> Interpreter<N> {
             b"RETRACT_OLD_Z" => truth(!modal.retract_to_r),
             b"FEED_OVERRIDE" => truth(!modal.overrides_held.feed),
             b"SPEED_OVERRIDE" => truth(!modal.overrides_held.spindle),
-            // What is so in any case. LinuxCNC's preview, where it is not, has 0 for the first.
+            // These are constant here. In LinuxCNC's preview the first one is 0.
             b"TASK" | b"METRIC_MACHINE" | b"SPINDLE_RPM_MODE" | b"LATHE_RADIUS_MODE" | b"FEED_HOLD" => truth(true),
             b"UNITS_PER_REV" | b"SPINDLE_CSS_MODE" | b"LATHE_DIAMETER_MODE" | b"ADAPTIVE_FEED" => truth(false),
             b"FEED" => Ok(Some(self.feed())),
@@ -206,7 +208,7 @@ impl<const N: usize> Interpreter<N> {
         self.to_program(&self.position)
     }
 
-    /// F in the program's unit.
+    /// Returns F in the program's unit.
     fn feed(&self) -> Real {
         let feed = Real::from_decimal(self.modal.feed);
         match self.modal.feed_mode {
@@ -215,21 +217,23 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// A length of a place in the program's unit, or the degrees of a rotary axis; 0 for an axis that the machine lacks.
+    /// Returns a coordinate in the program's unit, or the degrees of a rotary axis; 0 for an axis that the machine
+    /// lacks.
     fn in_units(&self, place: &PerAxis<Coordinate, N>, index: i64) -> Real {
         let value = self.length(place, index).map_or(Real::ZERO, Real::from_coordinate);
         let is_length = index <= Axis::Z.index() as i64;
         if is_length && self.modal.units == Units::Inch { inches(value) } else { value }
     }
 
-    /// A place along an axis in use.
+    /// Returns a coordinate of an axis that the machine has.
     fn length(&self, place: &PerAxis<Coordinate, N>, index: i64) -> Option<Coordinate> {
         let index = usize::try_from(index).ok().filter(|index| *index < self.axes())?;
         place.0.get(index).copied()
     }
 }
 
-/// How many decimals `d`, `f` or `.2f` behind a percent sign ask for, and what comes behind them. `None` for other text.
+/// Reads the format after a percent sign (`d`, `f` or `.2f`). Returns the number of decimals and the text after it;
+/// `None` for other text.
 fn format(text: &[u8]) -> Option<(u32, &[u8])> {
     match text {
         [b'd', rest @ ..] => Some((0, rest)),
@@ -239,7 +243,8 @@ fn format(text: &[u8]) -> Option<(u32, &[u8])> {
     }
 }
 
-/// So many decimals, seven at most, rounded, a half away from zero; what does not exist or is too great is `######`.
+/// Writes a value with `places` decimals, at most seven, rounded half away from zero; `######` if it does not exist or
+/// is too large.
 fn write<const LENGTH: usize>(value: Option<Real>, places: u32, out: &mut heapless::Vec<u8, LENGTH>) {
     use core::fmt::Write;
     let Some(Decimal(value)) = value.filter(|value| value.fits_decimal()).map(Real::to_decimal) else {
@@ -265,18 +270,18 @@ fn tool(number: u32) -> Real {
 }
 
 fn inches(mm: Real) -> Real {
-    // 25.4 is no zero.
+    // 25.4 is not zero, so the division succeeds.
     Real::new(254, -1).and_then(|inch| mm.div(inch)).unwrap_or(Real::ZERO)
 }
 
-/// The number of a word times ten, as LinuxCNC has them: 10 for G1, 382 for G38.2.
+/// Returns the number of a word times ten, as in LinuxCNC: 10 for G1, 382 for G38.2.
 fn tenfold(word: &str) -> Option<Real> {
     let number = number::read(word.as_bytes().get(1..)?, number::Digits::Exact)?;
     Some(Real::from_decimal(Decimal(number.value.0 * 10)))
 }
 
-/// To the nearest hundredth if that is within 0.0001, as LinuxCNC takes computed numbers that select something. Times and
-/// tolerances (P) may be less than that.
+/// Rounds to the nearest hundredth if the difference is at most 0.0001, as LinuxCNC does with computed numbers that
+/// select something. Values below 0.5 are not rounded: P may be a short time or a small tolerance.
 fn to_hundredths(value: Decimal) -> Decimal {
     const HUNDREDTH: i64 = DECIMAL_ONE / 100;
     const NEAR: i64 = DECIMAL_ONE / 10_000;

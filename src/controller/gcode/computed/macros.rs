@@ -1,17 +1,18 @@
-//! Macros (`$Mn=line`): numbered lines that outlive programs, resets and power cycles. A program can call a subroutine
-//! that they define.
+//! Macros (`$Mn=line`): numbered lines that survive programs, resets and power cycles. They may define subroutines,
+//! which a program can call.
 //!
-//! They are the first lines of the held text: what ends a program keeps them. A line that a number has none of is empty.
+//! Macros are the first lines of the held text, which the end of a program keeps. A number without a line below the
+//! last used one holds an empty line.
 
 use super::flow::{FlowControl, FlowState, MOST_MACROS};
 use crate::error::Error;
 use crate::gcode::state::Interpreter;
 
-/// Macros may have so many lines.
+/// Maximum number of macro lines.
 pub(super) const LINES: usize = 64;
 
 impl FlowControl {
-    /// A line of the macros, if it has this number or there are any behind it.
+    /// Returns the macro line of this number, which is empty if only later lines exist; `None` after the last line.
     fn macro_line(&self, index: usize) -> Option<&[u8]> {
         let mut at = 0;
         for _ in 0..index {
@@ -20,7 +21,7 @@ impl FlowControl {
         if at < self.macros { self.line(at) } else { None }
     }
 
-    /// Where the line behind one of the macros begins.
+    /// Returns the position after the macro line that begins at `at`.
     fn behind(&self, at: u16) -> Option<u16> {
         if at >= self.macros {
             return None;
@@ -28,8 +29,8 @@ impl FlowControl {
         Some(at + 1 + self.line(at)?.len() as u16)
     }
 
-    /// Puts a line in the place of the one with this number, with empty ones before it as far as there are none. Subroutines of a
-    /// program are kept behind them; what runs or is recorded must not be moved.
+    /// Replaces the macro line of this number, and adds empty lines before it if they are missing. The text after it,
+    /// with the subroutines of a program, is moved, so nothing may be running or being recorded.
     fn set_macro_line(&mut self, index: usize, line: &[u8]) -> Result<(), Error> {
         if index >= LINES {
             return Err(Error::InvalidStatement);
@@ -79,16 +80,16 @@ impl FlowControl {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// The line of this number, 0 to 63, of the macros; nothing behind the last.
+    /// Returns the macro line of this number, 0 to 63; `None` after the last line.
     pub fn macro_line(&self, index: usize) -> Option<&[u8]> {
         self.computed.flow.macro_line(index)
     }
 
-    /// Sets a line of the macros; an empty one removes it.
+    /// Sets a macro line; an empty one removes the line.
     ///
     /// # Errors
-    /// [`Error::InvalidStatement`] for a number above 63, [`Error::OutOfMemory`] if there is no room, [`Error::NotIdle`] within a
-    /// subroutine, loop or condition that has begun. Nothing has changed then.
+    /// [`Error::InvalidStatement`] for a number above 63, [`Error::OutOfMemory`] if there is no room,
+    /// [`Error::NotIdle`] while a subroutine, loop or condition is open. Nothing is changed in these cases.
     pub fn set_macro_line(&mut self, index: usize, line: &[u8]) -> Result<(), Error> {
         self.computed.flow.set_macro_line(index, line)
     }

@@ -1,6 +1,6 @@
-//! Expressions, parameters and O words of a program. [`Computed`] holds the state of all three; the interpreter begins
-//! it with each line, commits it with the line, and resets it at the end of a program. A build without the feature
-//! `expressions` has `none.rs` instead.
+//! Expressions, parameters and O words of a program. [`Computed`] holds the state of all three. The interpreter
+//! prepares it before each line, commits it with the line, and resets parts of it at the end of a program. A build
+//! without the feature `full` has `none.rs` instead.
 
 #[cfg(feature = "reasons")]
 mod explain;
@@ -23,14 +23,14 @@ use real::Real;
 
 pub use flow::HeldLine;
 
-/// Memory that is lent to it.
+/// Memory lent to [`Computed`].
 #[derive(Debug)]
 pub(super) struct ComputedMemory {
     cells: Lent<Cells>,
     text: Lent<HeldText>,
 }
 
-/// Owns that memory on a board.
+/// Owner of that memory on a board.
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
 pub(super) struct ComputedStorage {
@@ -54,18 +54,18 @@ impl ComputedMemory {
     }
 }
 
-/// What expressions need beside the state of the interpreter.
+/// State for expressions, parameters and O words, in addition to the rest of the interpreter's state.
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[derive(Debug, PartialEq)]
 pub(super) struct Computed<const N: usize> {
     parameters: Parameters,
     flow: FlowControl,
-    /// What the last subroutine has returned.
+    /// Value that the last subroutine has returned.
     returned: Option<Real>,
-    /// Where the last probing move found its contact, in work coordinates of then.
+    /// Work position of the contact of the last probing move, in the work coordinates at that time.
     probed: PerAxis<Coordinate, N>,
     probe_succeeded: bool,
-    /// What M66 has read last: 1, 0, or -1.
+    /// Last input read by M66: 1 (active), 0 (inactive), or -1 (timeout).
     input_read: i8,
 }
 
@@ -81,7 +81,7 @@ impl<const N: usize> Computed<N> {
         }
     }
 
-    /// Forgets all but the macros.
+    /// Forgets everything except the macros.
     pub fn reset(&mut self) {
         self.parameters.reset();
         self.flow.reset();
@@ -91,13 +91,13 @@ impl<const N: usize> Computed<N> {
         self.input_read = 0;
     }
 
-    /// Whether programs have left nothing behind that another could read, but macros and the place of a contact.
+    /// Whether programs have left no state that another program could read, except macros and the last probe position.
     pub fn is_blank(&self) -> bool {
         let text = self.flow.text.len() == usize::from(self.flow.macros);
         text && self.parameters.is_empty() && self.returned.is_none() && self.input_read == 0
     }
 
-    /// A line is going to be checked: what one before it would have set, and did not, is forgotten.
+    /// Prepares for the check of a line: drops the assignments of an earlier line that was not committed.
     pub fn begin(&mut self) {
         self.parameters.drop_staged();
     }
@@ -107,17 +107,17 @@ impl<const N: usize> Computed<N> {
         self.parameters.has_staged()
     }
 
-    /// Takes over what the line sets.
+    /// Applies the assignments of the line.
     pub fn commit(&mut self) {
         self.parameters.commit();
     }
 
-    /// Calls under way.
+    /// Returns the number of active subroutine calls.
     pub fn level(&self) -> u8 {
         self.parameters.level()
     }
 
-    /// M2, M30: forgets what is local to the program, its subroutines among it.
+    /// M2, M30: forgets everything local to the program, including its subroutines.
     pub fn end_program(&mut self) {
         self.flow.end_program();
         self.parameters.end_program();

@@ -1,5 +1,5 @@
-//! Stands in for the folder in builds without the feature `expressions`: the same functions, which do nothing. Lines
-//! that need them are refused with an error of their own.
+//! Replaces this folder in builds without the feature `full`: the same functions, without effect. Lines that
+//! need the feature are refused with an error of their own.
 
 use crate::axes::PerAxis;
 use crate::error::Error;
@@ -8,11 +8,11 @@ use crate::gcode::state::Interpreter;
 use crate::gcode::word::Word;
 use crate::units::Coordinate;
 
-/// There is nothing to be lent.
+/// No memory is lent.
 #[derive(Debug)]
 pub(super) struct ComputedMemory;
 
-/// Owns nothing.
+/// No memory is owned.
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
 pub(super) struct ComputedStorage;
@@ -57,7 +57,7 @@ impl<const N: usize> Computed<N> {
 
     pub fn end_program(&mut self) {}
 
-    /// Nothing can be left behind.
+    /// Always true: programs leave no such state.
     pub fn is_blank(&self) -> bool {
         true
     }
@@ -76,11 +76,11 @@ fn behind_digits(text: &[u8]) -> &[u8] {
     text.get(digits..).unwrap_or_default()
 }
 
-/// A line of held text, of which there is none.
+/// A line of held text; there is no held text.
 pub type HeldLine = heapless::Vec<u8, 1>;
 
 impl<const N: usize> Interpreter<N> {
-    /// Every line is to be checked, but for those with O words. A number alone is that of a program.
+    /// Refuses O words with a keyword; every other line, including a program number such as `O1000`, is to be checked.
     pub fn direct(&mut self, line: &[u8], _: &[u8], _: u32) -> Result<Direction, Error> {
         if is_o_word(line) { Err(Error::ExpressionsLeftOut) } else { Ok(Direction::Check) }
     }
@@ -90,7 +90,7 @@ impl<const N: usize> Interpreter<N> {
         Ok(false)
     }
 
-    /// Nothing is kept.
+    /// No lines are recorded.
     pub fn line_refused(&mut self, _: Error) {}
 
     /// There are no blocks.
@@ -98,13 +98,13 @@ impl<const N: usize> Interpreter<N> {
         None
     }
 
-    /// There are no blocks.
+    /// Begins the next program; there are no open blocks.
     pub fn tape_mark(&mut self) -> Result<(), Error> {
         self.begin_program();
         Ok(())
     }
 
-    /// Lines that a condition has left out.
+    /// Returns 0: no line is skipped.
     pub fn skipped(&self) -> u32 {
         0
     }
@@ -138,19 +138,19 @@ impl<const N: usize> Interpreter<N> {
     /// There are no macros.
     pub fn clear_macros(&mut self) {}
 
-    /// The rest of the program is not run: G68 ends, which no other program expects. There are no conditions.
+    /// Abandons the program: ends G68 and G51, which no other program expects. There are no open blocks.
     pub fn abandon_program(&mut self) {
         self.rotation = None;
         self.scaling = None;
     }
 
-    /// Where parameters exist, they show it.
+    /// Does nothing: no parameter shows the probed position.
     pub fn set_probed(&mut self, _: &PerAxis<Coordinate, N>, _: bool) {}
 
-    /// The same of M66.
+    /// Does nothing: no parameter shows the input read by M66.
     pub fn set_input_read(&mut self, _: Option<bool>) {}
 
-    /// The remark as it is: there are no parameters.
+    /// Copies the message unchanged: there are no parameters.
     pub fn expand<const LENGTH: usize>(&self, remark: &[u8], out: &mut heapless::Vec<u8, LENGTH>) {
         for byte in remark {
             let _ = out.push(*byte);

@@ -1,6 +1,6 @@
 //! O words: decides for each line of the host whether it is run, recorded or skipped, and which held line runs next.
-//! Conditions, loops, subroutines and their calls are here; the open blocks are kept in `flow`. A malformed O word is
-//! refused, and so is whatever else belongs to its block.
+//! Conditions, loops, subroutines and their calls are handled here; the open blocks are stored in `flow`. A malformed O
+//! word is refused, and so is the rest of its block.
 
 use super::Computed;
 use super::flow::{
@@ -15,13 +15,13 @@ use core::fmt::Write;
 /// The label of a call: a name or digits.
 type Label = heapless::Vec<u8, LABELS>;
 
-/// What restores a state.
+/// The line that restores a saved state.
 const RESTORE: &[u8] = b"M72";
 
 impl<const N: usize> Interpreter<N> {
-    /// How a line of the host is to be taken, which has this number among all that have come. After an error nothing of it
-    /// has been done; of a condition whose value is an error no branch will be. `remark` is its message, with its mark; a line
-    /// may have nothing else.
+    /// Returns what to do with a line of the host. `number` is its number among all received lines; `remark` is its
+    /// message with the mark (the line may consist of a message alone). If an error is returned, nothing of the line
+    /// has been done; if the value of a condition is an error, none of its branches will run.
     #[inline]
     pub fn direct(&mut self, line: &[u8], remark: &[u8], number: u32) -> Result<Direction, Error> {
         self.computed.begin();
@@ -34,10 +34,11 @@ impl<const N: usize> Interpreter<N> {
         self.direct_order(line, remark, OWord::of(line))
     }
 
-    /// Whether a line that is none of the program calls a subroutine, whose lines are then next.
+    /// Begins the call of a subroutine from a line that does not belong to the program; its lines are then next.
+    /// Returns whether the line is a call.
     ///
     /// # Errors
-    /// Those of a call; [`Error::FlowSyntax`] for all other O words, [`Error::NotIdle`] within a block that has begun.
+    /// The errors of a call; [`Error::FlowSyntax`] for all other O words; [`Error::NotIdle`] while a block is open.
     pub fn begin_call(&mut self, line: &[u8]) -> Result<bool, Error> {
         match OWord::of(line) {
             None => Ok(false),
@@ -50,24 +51,24 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Lines that a condition has left out.
+    /// Returns the number of lines that conditions have skipped.
     pub fn skipped(&self) -> u32 {
         self.computed.flow.skipped
     }
 
-    /// The line of the host with which the outermost block (sub, loop, condition) began that has not come to its end, or
-    /// that the end of the program has cut short.
+    /// Returns the host's line at which the outermost block (sub, loop, condition) began that is still open, or was
+    /// open at the end of the program.
     pub fn open_since(&self) -> Option<u32> {
         let flow = &self.computed.flow;
         flow.open_since().or(flow.cut)
     }
 
-    /// Whether lines belong to a subroutine, loop or condition that has begun and not come to its end.
+    /// Whether a subroutine, loop or condition is open.
     pub fn is_within_block(&self) -> bool {
         self.computed.flow.open_since().is_some()
     }
 
-    /// A tape mark, between programs: what one of them has left open is an error, and forgotten.
+    /// Handles a tape mark, between programs: a block that is still open is an error, and is dropped.
     pub fn tape_mark(&mut self) -> Result<(), Error> {
         self.begin_program();
         if self.computed.flow.open_since().is_none() {
@@ -77,8 +78,8 @@ impl<const N: usize> Interpreter<N> {
         Err(Error::FlowSyntax)
     }
 
-    /// Behind an M2 or M30 that is skipped or recorded no line of its program can follow but an O word: any other is one of
-    /// the next program.
+    /// Detects that a program has ended within a block. After a skipped or recorded M2 or M30 only O words can belong
+    /// to the same program: any other line is one of the next program.
     fn look_for_end(&mut self, line: &[u8], order: Option<OWord>) -> Result<(), Error> {
         let flow = &mut self.computed.flow;
         let left_out = flow.leaves_lines_out();
@@ -121,7 +122,8 @@ impl<const N: usize> Interpreter<N> {
                 flow.state = FlowState::Recording(from, held.err());
                 flow.recorded_from = flow.line;
                 if held.is_err() {
-                    // What is refused needs its label and kind: without room for them all that follows is refused.
+                    // The refused block needs its label and keyword in the held text; without room for them, all
+                    // following lines are refused.
                     let length = line.len() - order.arguments.len();
                     flow.hold(line.get(..length).unwrap_or(&[]), &[], 0)?;
                 }
@@ -133,7 +135,7 @@ impl<const N: usize> Interpreter<N> {
         Ok(Direction::Done)
     }
 
-    /// A line of a subroutine or loop.
+    /// Records a line of a subroutine or loop.
     fn record(
         &mut self,
         line: &[u8],
@@ -169,7 +171,7 @@ impl<const N: usize> Interpreter<N> {
             }
             (Some(error), _) => Err(error),
             (None, Some(order)) if ends && of_sub => {
-                // The older one is found first.
+                // If there is an older definition, `find_own` returns it.
                 if flow.find_own(order.label).is_some_and(|(at, _)| at < from) {
                     flow.drop_sub(order.label);
                 }
@@ -183,7 +185,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// The next line of held text; empty if it is skipped. An error ends it.
+    /// Returns the next line of held text; empty if the line is skipped. An error stops the text.
     pub fn next_held(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         self.computed.begin();
         let next = self.next_line(line);
@@ -193,14 +195,15 @@ impl<const N: usize> Interpreter<N> {
         next
     }
 
-    /// A held line was refused: the rest is not run.
+    /// Stops the held text after one of its lines was refused.
     pub fn abandon_held(&mut self) {
         self.computed.flow.stop();
         self.computed.parameters.leave_calls();
         self.saved.abandon(0);
     }
 
-    /// A line of the host was refused, maybe before it came here: a subroutine or loop that lacks it is refused to its end.
+    /// Reports that a line of the host was refused, maybe before `direct`: a subroutine or loop that is being recorded
+    /// would lack this line, and is refused up to its end.
     pub fn line_refused(&mut self, error: Error) {
         self.computed.begin();
         let flow = &mut self.computed.flow;
@@ -209,8 +212,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// The rest of the program is not run, or it is another host's: conditions and loops under way are forgotten, and what
-    /// is held. G68 ends, which no other program expects.
+    /// Abandons the program, because its rest will not run or another host has taken over: forgets open conditions and
+    /// loops, and the held text. Ends G68 and G51, which no other program expects.
     pub fn abandon_program(&mut self) {
         self.rotation = None;
         self.scaling = None;
@@ -239,7 +242,7 @@ impl<const N: usize> Interpreter<N> {
             line.clear();
             return Ok(Held::Again);
         };
-        // The end of a subroutine is not skipped: behind it comes another.
+        // The end of a subroutine is not skipped: the next line belongs to another subroutine.
         let ends = order.ends_skipping() && flow.is_of_last(order.label) || order.keyword == Keyword::EndSub;
         if flow.skipping && !ends {
             line.clear();
@@ -261,13 +264,13 @@ impl<const N: usize> Interpreter<N> {
         Ok(Held::Again)
     }
 
-    /// if, elseif, else, endif.
+    /// Executes `if`, `elseif`, `else`, `endif`.
     fn branch(&mut self, order: OWord) -> Result<(), Error> {
         match order.keyword {
             Keyword::If => {
                 let flow = &mut self.computed.flow;
                 flow.push(FrameKind::If(true), order.label, 0)?;
-                // Unless the condition is found to hold no branch does.
+                // All branches are skipped unless the condition turns out to be true.
                 flow.skipping = true;
                 order.must_be_well_formed()?;
                 let holds = self.condition(order.arguments)?;
@@ -294,7 +297,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Whether a branch of the innermost condition has been taken.
+    /// Returns whether a branch of the innermost condition has been taken.
     fn has_taken(&mut self, label: &[u8]) -> Result<bool, Error> {
         match self.computed.flow.last(label)?.kind {
             FrameKind::If(taken) => Ok(taken),
@@ -308,7 +311,7 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
-    /// while, do, repeat and their ends, break, continue; only in held text.
+    /// Executes `while`, `do`, `repeat` and their ends, `break`, `continue`; only in held text.
     fn go_round(&mut self, order: OWord, at: u16) -> Result<(), Error> {
         let next = self.computed.flow.next;
         match order.keyword {
@@ -365,13 +368,13 @@ impl<const N: usize> Interpreter<N> {
         let frame = *flow.last(label)?;
         flow.skipping = false;
         if !again || frame.kind == FrameKind::While {
-            // A while begins its next pass with its first line.
+            // A `while` begins its next pass with its first line, which pushes the frame again.
             flow.pop();
         }
         if again { flow.go_back(frame.at) } else { Ok(()) }
     }
 
-    /// break, continue: what is within the loop is left, and the rest of the pass is skipped.
+    /// Executes `break` and `continue`: closes the blocks within the loop, and skips the rest of the pass.
     fn cut_pass(&mut self, order: OWord) -> Result<(), Error> {
         let flow = &mut self.computed.flow;
         while !flow.is_of_last(order.label) {
@@ -391,7 +394,7 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
-    /// The label of a subroutine that is called, computed if it is an expression, and where its second line begins.
+    /// Returns the label of a called subroutine, computed if it is an expression, and the position of its second line.
     fn called(&self, order: &OWord) -> Result<(Label, u16), Error> {
         let mut label = Label::new();
         if order.has_computed_label() {
@@ -415,7 +418,8 @@ impl<const N: usize> Interpreter<N> {
         pushed
     }
 
-    /// return, endsub: back to the line behind the call, with a value; by way of M72 if M73 wants the state restored.
+    /// Executes `return` and `endsub`: returns to the line after the call, with a value. If M73 requires it, the next
+    /// line is M72, which restores the state.
     fn leave_call(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         let order = OWord::of(line).ok_or(Error::FlowSyntax)?;
         let value = if order.arguments.is_empty() { None } else { Some(self.argument(order.arguments)?) };
@@ -445,7 +449,7 @@ impl<const N: usize> Interpreter<N> {
         self.argument(text).map(|value| !value.is_zero())
     }
 
-    /// The value of a bracket that is all of a text.
+    /// Returns the value of a text that is one bracket.
     fn argument(&self, text: &[u8]) -> Result<Real, Error> {
         if text.first() != Some(&b'[') {
             return Err(Error::FlowSyntax);

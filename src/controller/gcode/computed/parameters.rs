@@ -1,41 +1,42 @@
-//! Parameters that a program sets, in a fixed number of bytes. Values in force come first; behind them are those set by
-//! the line being checked, which count once the line is committed. Local parameters belong to a level of calls and are
-//! forgotten with it.
+//! Parameters that a program sets, in a fixed number of bytes. The values in force come first, then those that the line
+//! being checked assigns, which take effect when the line is committed. Local parameters belong to a level of calls and
+//! are forgotten with it.
 //!
 //! ```text
 //!  cells   | length of key | call level | key: a number in two bytes, or a name | mantissa, 8 bytes | exponent | ...
 //!          |<--------- in force: CAPACITY at most ---------->|<-- set by the line being checked -->|
 //! ```
-//! A parameter with a number takes 13 bytes, one with a name 11 and its length, and one that has never been set none. What
-//! a line sets comes behind what is in force, where its own expressions do not look; [`Parameters::commit`] takes it over,
-//! and the next line's check drops it if that does not come.
+//! A parameter with a number takes 13 bytes, one with a name 11 and its length; one that has never been set takes none.
+//! Assignments of a line are stored after the values in force, where the line's own expressions do not see them.
+//! [`Parameters::commit`] applies them; without a commit, the check of the next line drops them.
 
 use super::expression::ParameterReference;
 use super::real::Real;
 use crate::error::Error;
 use crate::lent::Lent;
 
-/// Bytes of parameters in force: 315 of those with a number, or 132 names of twenty letters.
+/// Bytes of parameters in force: 315 parameters with a number, or 132 with a name of twenty letters.
 const CAPACITY: usize = 4096;
-/// Bytes of parameters that one line may set: 19 of those with a number.
+/// Bytes of parameters that one line may set: 19 parameters with a number.
 const OF_A_LINE: usize = 256;
-/// The longest name.
+/// Maximum length of a name.
 pub(super) const NAME_LENGTH: usize = 32;
-/// Bytes of a cell in front of its key, and behind it.
+/// Bytes of a cell before its key.
 const HEAD: usize = 2;
+/// Bytes of a cell after its key.
 const TAIL: usize = 9;
-/// Level of parameters that all calls share.
+/// Level of the parameters that all calls share.
 const GLOBAL: u8 = u8::MAX;
-/// Parameters up to this number belong to a call.
+/// Maximum number of a parameter that belongs to a call.
 const LOCAL_END: i64 = 30;
 
-/// Greatest number of a parameter.
+/// Maximum number of a parameter.
 const NUMBER_MAX: i64 = 5999;
 
 /// A key as it is stored.
 type Key = heapless::Vec<u8, NAME_LENGTH>;
 
-/// Room for cells.
+/// Buffer of cells.
 pub(super) type Cells = heapless::Vec<u8, { CAPACITY + OF_A_LINE }>;
 
 /// The parameters of a program.
@@ -43,15 +44,15 @@ pub(super) type Cells = heapless::Vec<u8, { CAPACITY + OF_A_LINE }>;
 #[derive(Debug, PartialEq)]
 pub(super) struct Parameters {
     cells: Lent<Cells>,
-    /// Bytes of `cells` that are in force.
+    /// Number of bytes of `cells` that are in force.
     in_force: usize,
-    /// Bytes that `in_force` will grow by.
+    /// Number of bytes by which the commit will increase `in_force`.
     growth: usize,
-    /// Calls under way.
+    /// Number of active calls.
     level: u8,
 }
 
-/// A cell taken apart.
+/// A decoded cell.
 struct Cell<'a> {
     level: u8,
     key: &'a [u8],
@@ -60,7 +61,7 @@ struct Cell<'a> {
 }
 
 impl<'a> Cell<'a> {
-    /// The cell at the start of some bytes.
+    /// Decodes the first cell of some bytes.
     fn first(cells: &'a [u8]) -> Option<Cell<'a>> {
         let [length, level, rest @ ..] = cells else { return None };
         let (key, rest) = rest.split_at_checked(usize::from(*length))?;
@@ -76,14 +77,14 @@ impl Parameters {
         Self { cells, in_force: 0, growth: 0, level: 0 }
     }
 
-    /// The value of a parameter; `None` if it has not been set.
+    /// Returns the value of a parameter; `None` if it is not set.
     pub fn get(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
         let (key, level) = self.stored_as(reference)?;
         let at = find_cell(self.cells.get(..self.in_force).unwrap_or(&[]), &key, level);
         Ok(at.and_then(|at| Cell::first(self.cells.get(at..)?)).map(|cell| cell.value))
     }
 
-    /// The same, once the line being checked is committed.
+    /// Returns the value that a parameter has after the commit of the line being checked; `None` if it is not set.
     pub fn get_staged(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
         let (key, level) = self.stored_as(reference)?;
         let mut latest = None;
@@ -97,7 +98,7 @@ impl Parameters {
         Ok(latest)
     }
 
-    /// Sets a parameter once the line is committed.
+    /// Stores an assignment, which takes effect when the line is committed.
     pub fn stage(&mut self, reference: ParameterReference, value: Real) -> Result<(), Error> {
         let (key, level) = self.stored_as(reference)?;
         let size = HEAD + key.len() + TAIL;
@@ -120,13 +121,13 @@ impl Parameters {
         self.cells.len() > self.in_force
     }
 
-    /// Forgets what a line would have set that was not committed.
+    /// Drops the assignments of a line that was not committed.
     pub fn drop_staged(&mut self) {
         self.cells.truncate(self.in_force);
         self.growth = 0;
     }
 
-    /// Sets what the line sets, from left to right.
+    /// Applies the assignments of the line, from left to right.
     #[inline]
     pub fn commit(&mut self) {
         if self.has_staged() {
@@ -158,20 +159,20 @@ impl Parameters {
         self.in_force == 0
     }
 
-    /// Forgets all.
+    /// Forgets all parameters.
     pub fn reset(&mut self) {
         self.cells.clear();
         (self.in_force, self.growth, self.level) = (0, 0, 0);
     }
 
-    /// The end of the program: what is local to it is forgotten, #31 and the names that begin with `_` stay.
+    /// Ends the program: forgets its local parameters. #31 and above, and names that begin with `_`, remain.
     pub fn end_program(&mut self) {
         self.drop_staged();
         self.level = 0;
         self.forget_locals();
     }
 
-    /// A call begins, with the values of #1 and on.
+    /// Begins a call, and sets #1 and the following to its arguments.
     pub fn enter_call(&mut self, arguments: &[Real]) -> Result<(), Error> {
         self.level += 1;
         for (number, value) in (1..).zip(arguments) {
@@ -182,26 +183,26 @@ impl Parameters {
         Ok(())
     }
 
-    /// The present call ends.
+    /// Ends the present call.
     pub fn leave_call(&mut self) {
         self.drop_staged();
         self.forget_locals();
         self.level = self.level.saturating_sub(1);
     }
 
-    /// All calls end.
+    /// Ends all calls.
     pub fn leave_calls(&mut self) {
         while self.level > 0 {
             self.leave_call();
         }
     }
 
-    /// Calls under way.
+    /// Returns the number of active calls.
     pub fn level(&self) -> u8 {
         self.level
     }
 
-    /// Forgets what belongs to the present call and those within it.
+    /// Forgets the local parameters of the present call and of calls within it.
     fn forget_locals(&mut self) {
         let mut at = 0;
         while let Some(cell) = self.cells.get(at..).and_then(Cell::first) {
@@ -215,7 +216,7 @@ impl Parameters {
         self.in_force = self.cells.len();
     }
 
-    /// Takes bytes out.
+    /// Removes bytes.
     fn cut_cell(&mut self, at: usize, size: usize) {
         let length = self.cells.len();
         if at + size <= length {
@@ -224,11 +225,11 @@ impl Parameters {
         }
     }
 
-    /// Key and level of a parameter.
+    /// Returns key and level of a parameter.
     fn stored_as(&self, reference: ParameterReference) -> Result<(Key, u8), Error> {
         match reference {
             ParameterReference::Number(number) if (1..=NUMBER_MAX).contains(&number) => {
-                // Its first byte is less than that of every name.
+                // The first byte of the key is less than that of every name.
                 let key = Key::from_slice(&(number as u16).to_be_bytes()).unwrap_or_default();
                 Ok((key, if number <= LOCAL_END { self.level } else { GLOBAL }))
             }
@@ -241,7 +242,7 @@ impl Parameters {
     }
 }
 
-/// Where the cell of a key begins.
+/// Returns the position of the cell with this key and level.
 fn find_cell(cells: &[u8], key: &[u8], level: u8) -> Option<usize> {
     let mut at = 0;
     while let Some(cell) = cells.get(at..).and_then(Cell::first) {

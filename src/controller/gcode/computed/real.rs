@@ -1,37 +1,42 @@
 //! The numbers of expressions: decimal floating point with 18 digits, rounded after each operation. Has arithmetic,
-//! comparisons, roots, and the series for sine, arc tangent, logarithm and exponential.
+//! comparisons, roots, and series for sine, arc tangent, logarithm and exponential.
 //!
-//! Sums, differences and products of numbers as programs write them are exact (up to eighteen digits), so `10.1 + 0.2` is
-//! 10.3 and nothing else. A difference below 10⁻¹⁴ of what it is the difference of is rounding and counts as 0, so three
-//! thirds are 1: for comparisons, whole parts and remainders, too. A quotient and a square root are right in eighteen digits; sine, cosine, arc tangent and
-//! logarithm are within 10⁻¹⁵, powers with a fraction in the exponent within 10⁻¹³ of their size. Integer arithmetic only:
-//! the same result on every machine, and every operation takes a bounded number of steps. Results of 10⁴¹ and more are an error,
-//! results below 10⁻³² may be 0. Nothing here is inlined: flash is scarcer than the time of an expression.
+//! * Sums, differences and products with results of up to 18 digits are exact: `10.1 + 0.2` is exactly 10.3.
+//! * A sum or difference below 10⁻¹⁴ of its larger operand is considered a rounding error and becomes 0, so three
+//!   thirds are 1. This also applies to comparisons, whole parts and remainders.
+//! * Quotients and square roots are correct in 18 digits. Sine, cosine, arc tangent and logarithm are within 10⁻¹⁵,
+//!   powers with a fractional exponent within a relative 10⁻¹³.
+//! * All arithmetic is integer arithmetic: results are the same on every machine, and every operation takes a bounded
+//!   number of steps.
+//! * Results of 10⁴¹ and more are an error; results below 10⁻³² may be 0.
+//!
+//! Most functions are not inlined: flash is scarcer than the time of an expression.
 
 use crate::error::Error;
 use crate::units::{Coordinate, DECIMAL_PLACES, Decimal, integer_root};
 use core::cmp::Ordering;
 
-/// Digits that a mantissa keeps.
+/// Number of digits of a mantissa.
 const DIGITS: u32 = 18;
-/// Mantissas are below this.
+/// Exclusive upper limit of a mantissa.
 const MANTISSA_END: i64 = 1_000_000_000_000_000_000;
-/// By so many digits a mantissa can be lengthened in an `i128`.
+/// Number of digits by which a mantissa can be extended in an `i128`.
 const SPARE_DIGITS: u32 = 20;
-/// Numbers of 10 to the power of one more are an error.
+/// Maximum decimal exponent of a number; 10 to the power of one more is an error.
 const EXPONENT_MAX: i32 = 40;
-/// Least exponent; smaller numbers are 0.
+/// Minimum exponent of a mantissa; smaller numbers become 0.
 const EXPONENT_MIN: i32 = -50;
 
 /// A number: mantissa × 10^exponent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Real {
-    /// Without zeros at its end.
+    /// Without trailing zeros.
     mantissa: i64,
     exponent: i8,
 }
 
-/// Of some KB on a processor of 32 bits: once in the image. What is left is smaller than 64 bits hold, as one of the two is.
+/// Returns the remainder of a division. Not inlined: an `i128` division takes some KB on a 32-bit processor. The
+/// remainder fits 64 bits because one of the operands does.
 #[inline(never)]
 fn remainder(dividend: i128, divisor: i128) -> i64 {
     (dividend % divisor) as i64
@@ -41,22 +46,22 @@ impl Real {
     pub const ZERO: Real = Real::int(0);
     pub const ONE: Real = Real { mantissa: 1, exponent: 0 };
 
-    /// A whole number that does not end in 0.
+    /// Creates a whole number, which must not end in 0.
     const fn int(mantissa: i64) -> Real {
         Real { mantissa, exponent: 0 }
     }
 
-    /// 1 or 0.
+    /// Returns 1 for true, 0 for false.
     pub const fn truth(holds: bool) -> Real {
         if holds { Real::ONE } else { Real::ZERO }
     }
 
-    /// `mantissa` × 10^`exponent`, rounded to eighteen digits.
+    /// Returns `mantissa` × 10^`exponent`, rounded to 18 digits.
     pub fn new(mantissa: i128, exponent: i32) -> Result<Real, Error> {
         Self::rounded(mantissa, exponent, DIGITS)
     }
 
-    /// The same with so many digits.
+    /// Returns `mantissa` × 10^`exponent`, rounded to `digits` digits.
     #[inline(never)]
     fn rounded(mantissa: i128, exponent: i32, digits: u32) -> Result<Real, Error> {
         let size = mantissa.unsigned_abs();
@@ -82,23 +87,24 @@ impl Real {
         }
     }
 
-    /// A number of at most eighteen digits that is known to fit.
+    /// Creates a number of at most 18 digits that is known to be in range.
     #[inline(never)]
     fn known(mantissa: i64, exponent: i32) -> Real {
         Self::new(i128::from(mantissa), exponent).unwrap_or(Real::ZERO)
     }
 
-    /// Its parts, to be stored.
+    /// Returns mantissa and exponent, for storage.
     pub fn parts(self) -> (i64, i8) {
         (self.mantissa, self.exponent)
     }
 
-    /// From stored parts.
+    /// Creates a number from stored parts.
     pub fn from_parts(mantissa: i64, exponent: i8) -> Real {
         Real { mantissa, exponent }
     }
 
-    /// The number of a text without sign: digits and at most one point. Digits behind the eighteenth are dropped.
+    /// Reads a number without a sign: digits and at most one decimal point. Digits after the eighteenth are dropped.
+    /// Returns the number of bytes read, too.
     pub fn read(text: &[u8]) -> Option<(Real, usize)> {
         let (mut mantissa, mut exponent, mut digits, mut used) = (0_i64, 0_i32, 0, 0);
         let mut point = false;
@@ -130,18 +136,18 @@ impl Real {
         Self::from_decimal(Decimal(value.0))
     }
 
-    /// The nearest, of the seven digits that a program's number keeps in it.
+    /// Converts an `f32`, rounded to the seven digits that it can keep of a program's number.
     pub fn from_f32(value: f32) -> Real {
         let Real { mantissa, exponent } = Self::from_coordinate(Coordinate::from_mm_f32(value));
         Self::rounded(i128::from(mantissa), exponent.into(), 7).unwrap_or(Real::ZERO)
     }
 
-    /// Whether a number of a program can be as great.
+    /// Whether the number is within the range of [`Decimal`].
     pub fn fits_decimal(self) -> bool {
         self.to_decimal().0.unsigned_abs() < i64::MAX.unsigned_abs()
     }
 
-    /// The nearest number of a program; far ones saturate.
+    /// Converts to the nearest [`Decimal`]; numbers outside its range saturate.
     #[inline(never)]
     pub fn to_decimal(self) -> Decimal {
         let exponent = i32::from(self.exponent) + DECIMAL_PLACES as i32;
@@ -151,12 +157,12 @@ impl Real {
         Decimal(i64::try_from(value).unwrap_or(if wide < 0 { -i64::MAX } else { i64::MAX }))
     }
 
-    /// Digits behind the point that it has as a number of a program.
+    /// Returns the number of decimal places that the number has as a [`Decimal`].
     pub fn places(self) -> u8 {
         (-i32::from(self.exponent)).clamp(0, DECIMAL_PLACES as i32) as u8
     }
 
-    /// The whole number that it is within 0.0001.
+    /// Returns the whole number from which it differs by less than 0.0001, if there is one.
     #[inline(never)]
     pub fn whole(self) -> Option<i64> {
         let nearest = self.round();
@@ -179,11 +185,11 @@ impl Real {
 
     #[inline(never)]
     pub fn order(self, other: Real) -> Ordering {
-        // Only numbers of opposite signs could be too far apart.
+        // The difference can only overflow if the signs are opposite.
         self.sub(other).map_or(self.mantissa.cmp(&0), |off| off.mantissa.cmp(&0))
     }
 
-    /// Equal within 0.0001, as LinuxCNC compares.
+    /// Whether two numbers differ by less than 0.0001, as LinuxCNC compares.
     pub fn is_near(self, other: Real) -> bool {
         self.sub(other).is_ok_and(|off| off.abs().is_below(TOLERANCE))
     }
@@ -232,7 +238,7 @@ impl Real {
         Self::new(quotient, exponent - i32::from(other.exponent))
     }
 
-    /// A mantissa of 38 digits and its exponent.
+    /// Returns the mantissa extended to 38 digits, and its exponent.
     #[inline(never)]
     fn lengthened(self) -> (i128, i32) {
         let mut wide = i128::from(self.mantissa);
@@ -244,7 +250,7 @@ impl Real {
         (wide, exponent)
     }
 
-    /// What is left of a division, from 0 to below the size of the divisor.
+    /// Returns the remainder of a division, from 0 to below the size of the divisor.
     #[inline(never)]
     pub fn modulo(self, divisor: Real) -> Result<Real, Error> {
         if divisor.is_zero() {
@@ -268,7 +274,7 @@ impl Real {
         Ok(if none_is_left { Real::ZERO } else { rest })
     }
 
-    /// Rounded down.
+    /// Rounds down to a whole number.
     #[inline(never)]
     pub fn floor(self) -> Real {
         let nearest = self.round();
@@ -278,18 +284,18 @@ impl Real {
         self.whole_part(|wide, power| wide.div_euclid(power))
     }
 
-    /// Rounded up.
+    /// Rounds up to a whole number.
     pub fn ceiling(self) -> Real {
         self.neg().floor().neg()
     }
 
-    /// To the nearest, a half away from zero.
+    /// Rounds to the nearest whole number, halves away from zero.
     #[inline(never)]
     pub fn round(self) -> Real {
         self.whole_part(divided)
     }
 
-    /// To the nearest whole number, a half to the even one.
+    /// Rounds to the nearest whole number, halves to even.
     pub fn nearest_even(self) -> Real {
         let half = Real { mantissa: 5, exponent: -1 };
         let even = |number: Real| number.mul(half).is_ok_and(|part| part.floor() == part);
@@ -321,7 +327,7 @@ impl Real {
         Self::new(integer_root(wide.unsigned_abs()) as i128, exponent / 2)
     }
 
-    /// `self` to a power. A whole exponent multiplies, so that squares stay exact.
+    /// Raises `self` to a power. For a whole exponent it multiplies, so that squares stay exact.
     pub fn power(self, exponent: Real) -> Result<Real, Error> {
         if exponent.floor() == exponent && exponent.abs().is_below(Self::int(i64::from(i32::MAX))) {
             let count = (exponent.to_decimal().0 / crate::units::DECIMAL_ONE) as i32;
@@ -356,19 +362,19 @@ impl Real {
     }
 }
 
-/// Numbers nearer than this are equal to EQ and NE, and whole.
+/// Numbers that differ by less than this are equal for `EQ` and `NE`, and count as whole.
 const TOLERANCE: Real = Real { mantissa: 1, exponent: -4 };
 
-/// A sum is 0 if it is below this part of its greater side.
+/// A sum is 0 if it is smaller than its larger operand divided by this.
 const ROUNDING: u128 = 100_000_000_000_000;
 
-/// A power of ten; beyond what an `i128` holds, its greatest value.
+/// Returns a power of ten; if it exceeds `i128`, the maximum of that type.
 #[inline(never)]
 fn ten_to(power: u32) -> i128 {
     10_i128.checked_pow(power).unwrap_or(i128::MAX)
 }
 
-/// The nearest quotient, a half away from zero.
+/// Returns the nearest quotient, halves away from zero.
 #[inline(never)]
 fn divided(value: i128, divisor: i128) -> i128 {
     let half = if value < 0 { -(divisor / 2) } else { divisor / 2 };
@@ -383,12 +389,12 @@ const PI: i64 = 3_622_009_729_038_561_421;
 const LN_2: i128 = 799_144_290_325_165_979;
 const LN_10: i128 = 2_654_699_869_899_991_814;
 const ROOT_OF_HALF: i64 = 815_238_614_083_298_888;
-/// Terms after which every series here has ended.
+/// Number of terms after which every series here has converged.
 const TERMS: i64 = 64;
 
-/// Decimal places of a function's result: less than the unit has, so that what should be 0.5 is.
+/// Decimal places of a function's result: fewer than the unit has, so that a result that should be 0.5 is exactly 0.5.
 const PLACES: u32 = 16;
-/// The same of an angle in degrees.
+/// Decimal places of a result that is an angle in degrees.
 const PLACES_OF_DEGREES: u32 = 14;
 
 #[inline(never)]
@@ -401,7 +407,7 @@ fn over(a: i64, b: i64) -> i64 {
     ((i128::from(a) << BITS) / i128::from(b)) as i64
 }
 
-/// `first` × (1 - x²/((n)(n+1)) + ...): the sine from `x` and 2, the cosine from 1 and 1.
+/// Returns `first` × (1 - x²/((n)(n+1)) + ...): the sine for `first` = x and `n` = 2, the cosine for 1 and 1.
 #[inline(never)]
 fn sine_series(first: i64, square: i64, n: i64) -> i64 {
     let (mut term, mut sum) = (first, first);
@@ -416,7 +422,8 @@ fn sine_series(first: i64, square: i64, n: i64) -> i64 {
     sum
 }
 
-/// x ± x³/3 + x⁵/5 ± ...: the arc tangent with `sign` -1, the area tangent with 1. `x` up to 0.2.
+/// Returns x ± x³/3 + x⁵/5 ± ...: the arc tangent for `sign` = -1, the inverse hyperbolic tangent for 1. `x` is at most
+/// 0.2.
 #[inline(never)]
 fn tangent_series(x: i64, sign: i64) -> i64 {
     let square = times(x, x) * sign;
@@ -433,7 +440,7 @@ fn tangent_series(x: i64, sign: i64) -> i64 {
 }
 
 impl Real {
-    /// In units of 2^-60. For numbers up to 2^60 in size.
+    /// Converts to units of 2^-60. The size of the number must be at most 2^60.
     #[inline(never)]
     fn to_fixed(self) -> i128 {
         let power = ten_to(i32::from(self.exponent).unsigned_abs());
@@ -441,24 +448,25 @@ impl Real {
         if self.exponent >= 0 { wide.saturating_mul(power).saturating_mul(1 << BITS) } else { (wide << BITS) / power }
     }
 
-    /// From units of 2^-60, of a size below 2^10, rounded to decimal places.
+    /// Converts from units of 2^-60, rounded to decimal places; the size must be below 2^10.
     #[inline(never)]
     fn from_fixed(value: i128, places: u32) -> Real {
         let wide = value * ten_to(places);
         Self::new((wide + (1 << (BITS - 1))) >> BITS, -(places as i32)).unwrap_or(Real::ZERO)
     }
 
-    /// Of degrees.
+    /// Returns the sine of an angle in degrees.
     pub fn sin(self) -> Result<Real, Error> {
         self.sine(0)
     }
 
-    /// Of degrees.
+    /// Returns the cosine of an angle in degrees.
     pub fn cos(self) -> Result<Real, Error> {
         self.sine(1)
     }
 
-    /// The sine of degrees and so many right angles. The angle is reduced in decimals, so that no turn costs accuracy.
+    /// Returns the sine of the angle in degrees plus `quarters` right angles. The angle is reduced in decimal
+    /// arithmetic, so full turns cost no accuracy.
     #[inline(never)]
     fn sine(self, quarters: u32) -> Result<Real, Error> {
         let right = Self::known(90, 0);
@@ -483,7 +491,7 @@ impl Real {
         self.sin()?.div(self.cos()?).map_err(|_| Error::ArgumentOutOfRange)
     }
 
-    /// The direction of (x, y) in degrees, above -180 and up to 180; `self` is y.
+    /// Returns the direction of (x, y) in degrees, above -180 and up to 180; `self` is y.
     #[inline(never)]
     pub fn atan(self, x: Real) -> Result<Real, Error> {
         let (height, width) = (self.abs(), x.abs());
@@ -507,7 +515,7 @@ impl Real {
         self.other_leg()?.atan(self)
     }
 
-    /// √(1 - x²).
+    /// Returns √(1 - x²).
     #[inline(never)]
     fn other_leg(self) -> Result<Real, Error> {
         Real::ONE.sub(self)?.mul(Real::ONE.add(self)?)?.sqrt()
@@ -528,17 +536,17 @@ impl Real {
         }
         let of_fraction = 2 * tangent_series(over(fraction - UNIT, fraction + UNIT), 1);
         let sum = i128::from(of_fraction) + binary * LN_2 + i128::from(self.exponent) * LN_10;
-        // The sum has errors of up to 2^6 units.
+        // The sum has an error of up to 2^6 units, so one decimal place fewer is kept.
         Ok(Self::from_fixed(sum, PLACES - 1))
     }
 
-    /// e to the power of this.
+    /// Returns e to the power of `self`.
     #[inline(never)]
     pub fn exp(self) -> Result<Real, Error> {
         if Self::known(100, 0).is_below(self) {
             return Err(Error::InvalidResult);
         }
-        // Below 10^-40; a scale of 2^137 would not fit.
+        // The result would be below 10^-40, and a scale of 2^137 would not fit.
         if self.is_below(Self::known(-94, 0)) {
             return Ok(Real::ZERO);
         }
@@ -560,7 +568,8 @@ impl Real {
     }
 }
 
-/// The angle of a slope from 0 to 1 in degrees. Half the angle has the slope t / (1 + √(1 + t²)).
+/// Returns the angle of a slope from 0 to 1, in degrees. Half of an angle with slope t has the slope t / (1 + √(1 +
+/// t²)).
 fn slope(slope: Real) -> Real {
     let mut t = slope.to_fixed() as i64;
     for _ in 0..2 {

@@ -1,4 +1,4 @@
-//! Expressions against `f64`, an evaluation of its own.
+//! Tests expressions against an independent evaluation in `f64`.
 
 use super::expression::{self, ParameterReference};
 use super::real::Real;
@@ -17,7 +17,7 @@ fn compute(text: &str) -> Result<Real, Error> {
 
 fn f64_of(value: Real) -> f64 {
     let (mantissa, exponent) = value.parts();
-    // Through text, for the nearest of all.
+    // By way of text, to get the nearest `f64`.
     format!("{mantissa}e{exponent}").parse().unwrap()
 }
 
@@ -27,7 +27,7 @@ fn number(text: &str) -> Real {
     value
 }
 
-/// The value of a text, equal to a number in all its digits.
+/// Asserts that the value of a text equals a number in all its digits.
 #[track_caller]
 fn exact(text: &str, expected: &str) {
     let wanted = match expected.strip_prefix('-') {
@@ -74,8 +74,7 @@ fn decimals_are_exact() {
     }
 }
 
-/// RS274NGC's order, tried on LinuxCNC's interpreter.
-/// What a quotient lacks in its last digit does not tell.
+/// A quotient whose last digit is rounded still gives whole results: `1/3*3` is 1.
 #[test]
 fn parts_of_a_whole_make_the_whole() {
     for (text, value) in [
@@ -111,6 +110,7 @@ fn parts_of_a_whole_make_the_whole() {
     }
 }
 
+/// RS274NGC's order of operators, tested on LinuxCNC's interpreter.
 #[test]
 fn order_of_operators() {
     for (text, value) in [
@@ -167,7 +167,7 @@ fn errors() {
         ("[-2**0.5]", Error::ArgumentOutOfRange),
         ("EXP[200]", Error::InvalidResult),
         ("[10**60]", Error::InvalidResult),
-        // The power is too small for a number, and what it divides would be too great.
+        // 0.1**200 underflows to 0, and its reciprocal is out of range.
         ("[0.1**-200]", Error::InvalidResult),
         ("[", Error::ExpressionSyntax),
         ("[]", Error::ExpressionSyntax),
@@ -205,7 +205,7 @@ fn depth_is_bounded() {
     assert_eq!(compute(&nested(32)), Ok(Real::ONE));
     assert_eq!(compute(&nested(33)), Err(Error::TooDeep));
     assert_eq!(compute(&("-".repeat(33) + "1")), Err(Error::TooDeep));
-    // Left sides are computed as soon as the level allows.
+    // Left operands are computed as soon as the level of the next operator allows.
     assert_eq!(compute(&format!("[1{}]", "+1".repeat(100))), Ok(number("101")));
 }
 
@@ -221,7 +221,7 @@ fn numbers_of_programs() {
     assert_eq!(Real::read(b"-1"), None);
 }
 
-/// An expression, and what a person with `f64` makes of it.
+/// An expression that can be evaluated in `f64`.
 #[derive(Clone, Debug)]
 enum Tree {
     Number(i64, u32),
@@ -231,7 +231,7 @@ enum Tree {
     Atan(Box<Tree>, Box<Tree>),
 }
 
-/// A value and by how much it may be off: the rounding of every operation, through all that follows.
+/// A value and its maximum error: the rounding of every operation, propagated through all following operations.
 #[derive(Clone, Copy, Debug)]
 struct Estimate {
     value: f64,
@@ -241,10 +241,10 @@ struct Estimate {
 const ROUNDING: f64 = 2e-15;
 
 impl Estimate {
-    /// `None` where the result is no number, or its error would be too large for a comparison.
+    /// Returns `None` if the result is not a number, or if its error is too large for a comparison.
     fn new(value: f64, error: f64) -> Option<Estimate> {
         let error = error + ROUNDING * value.abs();
-        // Much smaller ones are 0.
+        // Much smaller values become 0 in `Real`.
         let in_range = value == 0.0 || (1e-25..1e30).contains(&value.abs());
         (in_range && error < 1e-3 * value.abs().max(1e-6)).then_some(Estimate { value, error })
     }
@@ -281,7 +281,7 @@ impl Tree {
                         let value = a.value / b.value;
                         Estimate::new(value, (a.error + value.abs() * b.error) / b.value.abs())
                     }
-                    // Powers that only a zero or a one survives.
+                    // Powers that only 0 or 1 as a base would keep in range.
                     "**" if b.value.abs() > 1e9 => None,
                     "**" => {
                         let value = a.value.powf(b.value);
@@ -296,9 +296,10 @@ impl Tree {
                 let Estimate { value: x, error } = of.estimate()?;
                 let radians = x.to_radians();
                 let per_degree = 1_f64.to_radians();
-                // What the reduction of a large angle costs `f64`.
+                // The error of `f64` in reducing a large angle.
                 let turned = error * per_degree + radians.abs() * 3e-16;
-                // An angle that differs by less than 10⁻¹⁴ of a turn from a whole number of right angles counts as that.
+                // An angle counts as a whole number of right angles if it differs from that by less than 10⁻¹⁴ of a
+                // turn.
                 let rounding = |value: f64| if value.abs() < 1e-10 { 360e-14 * per_degree } else { ROUNDING };
                 match *name {
                     "SIN" => Estimate::new(radians.sin(), turned + rounding(radians.sin())),
@@ -318,7 +319,7 @@ impl Tree {
             }
             Tree::Atan(y, x) => {
                 let (y, x) = (y.estimate()?, x.estimate()?);
-                // From -180 to 180 degrees: which of the two, an error of the ordinate decides.
+                // Between -180 and 180 degrees the sign depends on the error of the ordinate.
                 if y.value.abs() <= 2.0 * y.error && x.value < 0.0 {
                     return None;
                 }
@@ -347,7 +348,7 @@ fn tree() -> impl Strategy<Value = Tree> {
     })
 }
 
-/// Found at random: the error that was allowed was less than the rounding of differences.
+/// Cases found by random tests, in which the estimated error was less than the rounding of differences.
 #[test]
 fn nearly_no_angle_is_none() {
     exact("[TAN[[SIN[83702]/96956509885]]]", "0");
@@ -396,7 +397,7 @@ proptest! {
         let x = digits as f64 / 10_f64.powi(places as i32);
         let text = Tree::Number(digits, places).text();
         let is = |name: &str| f64_of(compute(&format!("{name}[{text}]")).unwrap());
-        // Of the angle within one turn, for `f64` loses digits of the others.
+        // Uses the angle within one turn, because `f64` loses digits of larger angles.
         let turn = (x % 360.0).to_radians();
         let lost = x * 1e-17;
         prop_assert!((is("SIN") - turn.sin()).abs() < 2e-15 + lost, "{text}");
@@ -410,7 +411,7 @@ proptest! {
         }
     }
 
-    /// Also the discontinuous ones, on numbers in which both count exactly.
+    /// Also tests the discontinuous functions, on numbers for which both evaluations are exact.
     #[test]
     fn whole_numbers_as_integers(a in -100_000_i64..100_000, b in -1000_i64..1000) {
         let is = |text: &str| compute(text).map(f64_of);
@@ -429,7 +430,7 @@ proptest! {
         }
     }
 
-    /// The end of the range does not depend on how many digits a number has.
+    /// The limit of the range does not depend on the number of digits.
     #[test]
     fn the_greatest_numbers(digits in 1..1_000_000_000_000_000_000_i64) {
         let scale = digits.ilog10();
@@ -440,7 +441,7 @@ proptest! {
         }
     }
 
-    /// Whatever comes has an answer, which takes no more of the text than there is.
+    /// Every text gets an answer, which uses at most the whole text.
     #[test]
     fn any_text_has_an_answer(text in "([-+*/#<>=.0-9\\[\\]A-Z]|SIN\\[|ATAN\\[|\\]/\\[|\\*\\*|EXISTS\\[#|MOD|[0-9]{1,20}){0,60}") {
         if let Ok((_, used)) = expression::value(text.as_bytes(), no_parameters) {

@@ -1,4 +1,4 @@
-//! The second half: words that can be read, and mean nothing together or in the state that the program has.
+//! Second half of the explanations: words that can be read, but are wrong together or in the present modal state.
 
 use super::sentence::{digits, millimetres, name, say};
 use super::words::{Text, say_limit};
@@ -17,12 +17,12 @@ use crate::gcode::word::{Claim, NonModal, ToolLength};
 use crate::gcode::{Dialect, Reason};
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal, integer_root};
 
-/// M62 to M68, in tenths.
+/// The words M62 to M68, in tenths.
 const PINS: [u16; 7] = [620, 630, 640, 650, 660, 670, 680];
 /// G words that a jog may have, in tenths.
 const OF_JOGS: [u16; 5] = [200, 210, 530, 900, 910];
 
-/// A line whose words could be read.
+/// A refused line whose words could be read.
 struct ReadableLine<'a, const N: usize> {
     text: &'a Text<'a>,
     parsed: &'a Parsed<N>,
@@ -32,7 +32,7 @@ struct ReadableLine<'a, const N: usize> {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// A line that means nothing in the state that is in force.
+    /// Explains a line whose words are wrong together, or in the present modal state.
     #[inline(never)]
     pub(super) fn explain_meaning(
         &self,
@@ -153,7 +153,7 @@ impl<const N: usize> Interpreter<N> {
 }
 
 impl<'a, const N: usize> ReadableLine<'a, N> {
-    /// A word as it is written, or its letter.
+    /// Returns the word of a letter as it is written, or only the letter.
     #[inline(never)]
     fn word(&self, letter: u8) -> &'a [u8] {
         const LETTERS: &[u8; 26] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZ";
@@ -161,7 +161,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         self.text.word(letter).or_else(|| LETTERS.get(at..=at)).unwrap_or_default()
     }
 
-    /// The motion word in force.
+    /// Returns the motion word in force.
     #[inline(never)]
     fn motion(&self) -> &'static [u8] {
         if self.parsed.extended.ends_control_points {
@@ -170,7 +170,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         self.modal.motion.word().as_bytes()
     }
 
-    /// The word that wants the axis words.
+    /// Returns the word that uses the axis words.
     #[inline(never)]
     fn command(&self) -> &'a [u8] {
         let numbers = [40, 100, 280, 281, 300, 301, 510, 520, 530, 680, 920, 921, 922, 923];
@@ -321,7 +321,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         }
     }
 
-    /// Whether it is a word of M62 to M68 that is missing.
+    /// Reports a missing word of M62 to M68. Returns whether one is missing.
     #[inline(never)]
     fn missing_of_pin(&self, word: &[u8], lacks: &mut impl FnMut(&str, &[u8], &str)) -> bool {
         let has = |letter: u8| self.parsed.values.has(letter);
@@ -347,7 +347,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         digits(out, last as u64, 1);
     }
 
-    /// G10 of a kind that there is not.
+    /// Explains a G10 with an unknown or missing L.
     #[inline(never)]
     fn kind_of_offset(&self, out: &mut Reason) {
         let grbl = self.text.dialect == Dialect::Grbl;
@@ -488,7 +488,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         say(out, " on this board", &[]);
     }
 
-    /// Words that nothing in the line uses.
+    /// Explains words that nothing in the line uses.
     #[inline(never)]
     fn unused(&self, is_jog: bool, out: &mut Reason) {
         let unused = self.action.unused.first().copied().unwrap_or_default();
@@ -548,7 +548,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         along(&system, axis) + along(&self.action.g92, axis) + along(&self.action.tool_length, axis)
     }
 
-    /// Whether program and machine have axes of other directions or sizes.
+    /// Whether a rotation or scaling acts, so that the program's axes differ from the machine's.
     #[inline(never)]
     fn is_turned(&self) -> bool {
         self.state.rotation.is_some()
@@ -556,7 +556,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             || self.state.offsets.angle(self.modal.coordinate_system) != Angle::ZERO
     }
 
-    /// Where an unrotated line leads to, in the machine.
+    /// Returns the target of the line in machine coordinates, without rotation and scaling.
     #[inline(never)]
     fn end(&self) -> PerAxis<Coordinate, N> {
         let machine = self.parsed.non_modal == Some(NonModal::MachineCoordinates);
@@ -571,7 +571,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         })
     }
 
-    /// The axis word that leads too far.
+    /// Returns the axis whose word leads out of range.
     #[inline(never)]
     fn too_far(&self) -> Option<Axis> {
         let end = self.end();
@@ -608,7 +608,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         }
     }
 
-    /// From the start of the arc to its end, along the axes of its plane.
+    /// Returns the vector from the start of the arc to its end, along the axes of its plane.
     #[inline(never)]
     fn chord(&self, axes: PlaneAxes) -> [i64; 2] {
         let end = self.end();
@@ -665,7 +665,7 @@ fn length([x, y]: [i64; 2]) -> i64 {
     i64::try_from(integer_root(square(x).saturating_add(square(y)))).unwrap_or(i64::MAX)
 }
 
-/// The letter of an arc's centre along an axis.
+/// Returns the letter of the arc centre along an axis.
 #[inline(never)]
 fn centre_letter(axis: Axis) -> u8 {
     match axis {

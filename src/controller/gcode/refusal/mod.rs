@@ -1,10 +1,15 @@
-//! What is wrong with a refused line, in a sentence that names the word: "Q is missing in G83". A line that was refused
-//! has changed nothing, so it is read again here, word by word, and looked at in the state in which it was refused.
+//! Explains what is wrong with a refused line, in a sentence that names the word: "Q is missing in G83". A refused line
+//! has changed nothing, so it is read again here, word by word, in the state in which it was refused.
 //!
-//! Promises: accepted lines pay nothing for it; the sentence says what to change without a look into a document; it has
-//! no brackets, which would end a `[MSG:...]`. Words are named as they were received: in capitals, without blanks. The
-//! word that is wrong comes before the first colon, and what may help behind it. Leaves to others: the number of the
-//! error, which is that of the check. Nothing is inlined: flash is scarcer than the time of a refusal. Boards without room for texts (feature `reasons`) have none of it.
+//! Guarantees:
+//! * Accepted lines cost nothing.
+//! * The sentence says what to change, so that the user need not consult a document.
+//! * It contains no brackets, which would end a `[MSG:...]`.
+//! * Words are named as received: in capitals, without blanks. The wrong word comes before the first colon, advice
+//!   after it.
+//!
+//! The error number is that of the check. Nothing is inlined: flash is scarcer than the time of a refusal. Boards
+//! without room for texts lack the feature `reasons` and all of this.
 
 mod meaning;
 mod sentence;
@@ -20,8 +25,8 @@ use words::Text;
 pub(super) use sentence::say;
 
 impl<const N: usize> Interpreter<N> {
-    /// What is wrong with a line that has just been refused, and has changed nothing; nothing if the number of the error says
-    /// all there is. `action` is that of the check.
+    /// Writes to `out` what is wrong with a line that has just been refused; nothing if the error number says
+    /// everything. `action` is that of the check.
     #[cold]
     #[inline(never)]
     pub fn explain(

@@ -1,4 +1,4 @@
-//! In place of `refusal`, on boards without room for texts: the number of the error is all that is said.
+//! Replaces `refusal` on boards without room for texts: a refusal has only its error number.
 
 use super::action::Action;
 use super::state::Interpreter;
@@ -6,7 +6,7 @@ use super::{Dialect, Reason};
 use crate::error::Error;
 
 impl<const N: usize> Interpreter<N> {
-    /// Nothing is said.
+    /// Writes nothing.
     #[inline(always)]
     pub fn explain(&mut self, _: &[u8], _: Dialect, _: Error, _: bool, _: &Action<N>, _: &mut Reason) {}
 }

@@ -1,13 +1,13 @@
-//! The parts of a sentence about a refused line: words of the line, lengths, numbers.
+//! Parts of a sentence about a refused line: words of the line, lengths, numbers.
 
 use crate::gcode::Reason;
 use crate::number::{self, Digits};
 use crate::units::{DECIMAL_ONE, Decimal};
 
-/// Names longer than this are cut: an expression may fill a line.
+/// Maximum length of a name; longer ones are cut, because an expression may fill a line.
 const NAME: usize = 24;
 
-/// Appends a text in which each `%` stands for the next of some others.
+/// Appends `template`, in which each `%` is replaced by the next of `others`.
 #[inline(never)]
 pub(in crate::gcode) fn say(out: &mut Reason, template: &str, others: &[&[u8]]) {
     let mut others = others.iter();
@@ -20,7 +20,7 @@ pub(in crate::gcode) fn say(out: &mut Reason, template: &str, others: &[&[u8]]) 
     }
 }
 
-/// A part of a line. It ends at a bracket, and has nothing in it that is no text.
+/// Appends a part of a line, up to its first bracket; characters outside printable ASCII become `?`.
 #[inline(never)]
 pub(super) fn name(out: &mut Reason, text: &[u8]) {
     let end = text.iter().position(|byte| matches!(byte, b'[' | b']')).unwrap_or(text.len());
@@ -29,7 +29,7 @@ pub(super) fn name(out: &mut Reason, text: &[u8]) {
     }
 }
 
-/// A length in mm with three decimals.
+/// Appends a length in mm with three decimals.
 #[inline(never)]
 pub(super) fn millimetres(out: &mut Reason, units: i64) {
     let thousandths = (units.unsigned_abs() + DECIMAL_ONE as u64 / 2000) / (DECIMAL_ONE as u64 / 1000);
@@ -41,7 +41,7 @@ pub(super) fn millimetres(out: &mut Reason, units: i64) {
     digits(out, thousandths % 1000, 3);
 }
 
-/// So many digits at least.
+/// Appends a number with at least `least` digits.
 #[inline(never)]
 pub(super) fn digits(out: &mut Reason, value: u64, least: usize) {
     let mut rest = u32::try_from(value).unwrap_or(u32::MAX);
@@ -54,7 +54,7 @@ pub(super) fn digits(out: &mut Reason, value: u64, least: usize) {
                 digit += 1;
             }
             let _ = out.push(digit);
-            // The ones behind it are written, too.
+            // The following digits are written, too.
             power /= 10;
             while power > 0 {
                 let mut digit = b'0';
@@ -72,7 +72,7 @@ pub(super) fn digits(out: &mut Reason, value: u64, least: usize) {
     }
 }
 
-/// The number of a word that is written plainly.
+/// Returns the number of a word if it is written as a plain number.
 #[inline(never)]
 pub(super) fn plain_number(word: &[u8]) -> Option<Decimal> {
     let text = word.get(1..)?;

@@ -1,4 +1,4 @@
-//! The first half: words that cannot be read, and words that cannot stand behind those before them.
+//! First half of the explanations: words that cannot be read, and words that conflict with the words before them.
 
 use super::sentence::{digits, millimetres, name, plain_number, say};
 use crate::axes::Axis;
@@ -17,7 +17,7 @@ pub(super) struct Text<'a> {
     pub dialect: Dialect,
 }
 
-/// A word of it, and why it is refused.
+/// A word of a refused line, and the error for which it was refused.
 #[derive(Clone, Copy)]
 pub(super) struct RefusedWord {
     pub start: usize,
@@ -26,7 +26,7 @@ pub(super) struct RefusedWord {
 }
 
 impl<'a> Text<'a> {
-    /// Its words, one after the other.
+    /// Returns the words of the line, one after the other.
     pub fn words(self) -> impl Iterator<Item = &'a [u8]> {
         let mut start = 0;
         core::iter::from_fn(move || {
@@ -36,20 +36,20 @@ impl<'a> Text<'a> {
         })
     }
 
-    /// The first word with a letter.
+    /// Returns the first word with this letter.
     #[inline(never)]
     pub fn word(self, letter: u8) -> Option<&'a [u8]> {
         self.words().find(|word| word.first() == Some(&letter))
     }
 
-    /// The first word with a letter and one of some numbers, in tenths, as `G38.2` is 382.
+    /// Returns the first word with this letter and one of these numbers, in tenths: `G38.2` is 382.
     #[inline(never)]
     pub fn code(self, letter: u8, tenths: &[u16]) -> Option<&'a [u8]> {
         self.words().find(|word| word.first() == Some(&letter) && tenths_of(word).is_some_and(|is| has(tenths, is)))
     }
 }
 
-/// The number of a word in tenths.
+/// Returns the number of a word, in tenths.
 #[inline(never)]
 pub(super) fn tenths_of(word: &[u8]) -> Option<i64> {
     plain_number(word).map(|number| number.0 / (crate::units::DECIMAL_ONE / 10))
@@ -60,21 +60,21 @@ fn has(numbers: &[u16], tenths: i64) -> bool {
     numbers.iter().any(|number| i64::from(*number) == tenths)
 }
 
-/// Which of some names a text begins with.
+/// Returns the one of `names` with which a text begins.
 #[inline(never)]
 fn beginning(text: &[u8], names: &[&'static [u8]]) -> Option<&'static [u8]> {
     names.iter().copied().find(|name| text.starts_with(name))
 }
 
-/// Names that may begin a value, which are no words of their own there.
+/// Functions, which may begin a value; there they are not separate words.
 const FUNCTIONS: [&[u8]; 14] = [
     b"ABS[", b"ACOS[", b"ASIN[", b"ATAN[", b"COS[", b"EXISTS[", b"EXP[", b"FIX[", b"FUP[", b"LN[", b"ROUND[", b"SIN[",
     b"SQRT[", b"TAN[",
 ];
-/// Operators that are words.
+/// Operators that consist of letters.
 const OPERATORS: [&[u8]; 10] = [b"MOD", b"EQ", b"NE", b"GT", b"GE", b"LT", b"LE", b"AND", b"OR", b"XOR"];
 
-/// Where the word ends that begins at a place.
+/// Returns the end of the word that begins at `start`.
 #[inline(never)]
 pub(super) fn end_of(line: &[u8], start: usize) -> usize {
     let (mut at, mut depth) = (start + 1, 0_usize);
@@ -93,7 +93,7 @@ pub(super) fn end_of(line: &[u8], start: usize) -> usize {
             b'A'..=b'Z' => {
                 let rest = line.get(at..).unwrap_or_default();
                 match beginning(rest, &FUNCTIONS).filter(|_| is_operand) {
-                    // Up to the bracket.
+                    // Advance to the bracket.
                     Some(function) => at += function.len() - 2,
                     None => break,
                 }
@@ -106,7 +106,7 @@ pub(super) fn end_of(line: &[u8], start: usize) -> usize {
     at.min(line.len())
 }
 
-/// Words that are refused, by their numbers in tenths, and what to write.
+/// Refused words, by their numbers in tenths, and what to write instead.
 const INSTEAD_OF_G: [(&[u16], &str); 12] = [
     (
         &[330, 331, 740, 760, 840],
@@ -138,7 +138,7 @@ const INSTEAD_OF_M: [(&[u16], &str); 3] = [
 ];
 
 impl<const N: usize> Interpreter<N> {
-    /// The first word that cannot be read or stand behind those before it.
+    /// Returns the first word that cannot be read or that conflicts with the words before it.
     #[inline(never)]
     pub(super) fn refused_word(
         &mut self,
@@ -164,14 +164,15 @@ impl<const N: usize> Interpreter<N> {
         parsed.read_apart(line, dialect, self)
     }
 
-    /// A word that is refused for itself or for those before it.
+    /// Explains a word that is refused for itself or because of the words before it. `told` is the error that the line
+    /// got.
     #[inline(never)]
     pub(super) fn explain_word(&mut self, text: &Text, found: RefusedWord, told: Error, out: &mut Reason) {
         let line = text.line;
         let word = line.get(found.start..found.end).unwrap_or_default();
         let before = line.get(..found.start).unwrap_or_default();
         let letter = word.first().copied().unwrap_or_default();
-        // It was refused for something else before it was read.
+        // The line was refused for another reason, before this word was read.
         if found.error != told {
             return;
         }
@@ -219,7 +220,7 @@ impl<const N: usize> Interpreter<N> {
             Error::ReadOnlyParameter => {
                 say(out, "% belongs to the machine: set one of your own, such as #100", &[word_name(word)]);
             }
-            // What this build leaves out.
+            // Words that this build lacks.
             error => {
                 say(out, "%: ", &[word_name(word)]);
                 let _ = out.extend_from_slice(error.text().as_bytes());
@@ -227,7 +228,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Text that is no word, or has no number.
+    /// Explains text that is not a word, or has no number.
     #[inline(never)]
     fn explain_text(&mut self, text: &Text, found: RefusedWord, word: &[u8], before: &[u8], out: &mut Reason) {
         let (letter, rest) = word.split_first().unwrap_or((&0, &[]));
@@ -236,7 +237,7 @@ impl<const N: usize> Interpreter<N> {
         let grbl = text.dialect == Dialect::Grbl;
         let count = |what: u8| word.iter().filter(|byte| **byte == what).count();
         match (*letter, rest) {
-            // What is left of a remark with parentheses in it.
+            // The rest of a comment that contains parentheses.
             (b')', []) if text.line.len() == 1 => {
                 say(out, "a remark is not closed: each parenthesis needs its other half", &[])
             }
@@ -319,7 +320,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Two words that exclude each other: the second one, and the one before it with which it does.
+    /// Explains two words that exclude each other: `word`, and a word before it.
     #[inline(never)]
     fn explain_pair(&mut self, text: &Text, found: RefusedWord, word: &[u8], error: Error, out: &mut Reason) {
         let mut start = 0;
@@ -352,7 +353,7 @@ impl<const N: usize> Interpreter<N> {
         say(out, "% does not go with the words in front of it: write two lines", &[word]);
     }
 
-    /// A parameter that has not been set, or cannot be.
+    /// Explains a parameter that has not been set, or cannot be set.
     #[inline(never)]
     fn explain_parameter(&mut self, word: &[u8], out: &mut Reason) {
         let value = word.iter().position(|byte| *byte == b'=').and_then(|at| word.get(at..)).unwrap_or_default();
@@ -366,7 +367,7 @@ impl<const N: usize> Interpreter<N> {
     }
 }
 
-/// The word in front, or that there is none.
+/// Returns the last word of `before`, or a text that says that there is none.
 #[inline(never)]
 fn last_word(before: &[u8]) -> &[u8] {
     let mut start = 0;
@@ -380,12 +381,12 @@ fn last_word(before: &[u8]) -> &[u8] {
     b"the beginning"
 }
 
-/// A word without what is behind `=` or computed.
+/// Returns a word without the part after `=` and without a computed value.
 #[inline(never)]
 pub(super) fn word_name(word: &[u8]) -> &[u8] {
     let end = word.iter().position(|byte| matches!(byte, b'=' | b'[')).unwrap_or(word.len());
     let name = word.get(..end).unwrap_or_default();
-    // Not the sign or function in front of the bracket.
+    // Without a sign or function before the bracket.
     if end < word.len() && name.first().is_some_and(u8::is_ascii_uppercase) {
         return name.get(..1).unwrap_or_default();
     }
@@ -396,13 +397,13 @@ fn is_of_number(byte: u8) -> bool {
     matches!(byte, b'0'..=b'9' | b'.' | b'-' | b'+')
 }
 
-/// A text up to a byte.
+/// Returns a text up to a byte.
 #[inline(never)]
 fn up_to(text: &[u8], end: u8) -> &[u8] {
     text.split(|byte| *byte == end).next().unwrap_or_default()
 }
 
-/// What is in brackets, as many of which are opened as closed.
+/// Explains a malformed expression whose brackets are balanced.
 #[inline(never)]
 fn explain_brackets(word: &[u8], out: &mut Reason) {
     let name = word_name(word);
@@ -425,7 +426,7 @@ fn explain_brackets(word: &[u8], out: &mut Reason) {
     say(out, "the expression of % is malformed", &[name]);
 }
 
-/// Whether a comma stands between digits.
+/// Whether a number has a comma beside a digit.
 #[inline(never)]
 fn is_comma(number: &[u8]) -> bool {
     number.windows(2).any(|pair| matches!(pair, [b',', b'0'..=b'9'])) && number.first() != Some(&b',')
@@ -433,14 +434,14 @@ fn is_comma(number: &[u8]) -> bool {
         || number.last() == Some(&b',') && number.len() > 1
 }
 
-/// Whether a number has two points.
+/// Whether a number has more than one decimal point.
 #[inline(never)]
 fn points(number: &[u8]) -> bool {
     let plain = number.iter().take_while(|byte| is_of_number(**byte));
     plain.filter(|byte| **byte == b'.').count() > 1
 }
 
-/// Where an operator stands outside of brackets.
+/// Returns the position of an operator outside of brackets.
 #[inline(never)]
 fn operator_at(value: &[u8]) -> Option<usize> {
     let mut depth = 0_usize;
@@ -454,7 +455,7 @@ fn operator_at(value: &[u8]) -> Option<usize> {
     })
 }
 
-/// A letter or a G or M word that is not known, or not here.
+/// Explains a letter, G word or M word that is unknown, or not available here.
 #[inline(never)]
 fn explain_unknown<const N: usize>(text: &Text, word: &[u8], before: &[u8], error: Error, out: &mut Reason) {
     let letter = word.first().copied().unwrap_or_default();
@@ -501,7 +502,7 @@ fn explain_unknown<const N: usize>(text: &Text, word: &[u8], before: &[u8], erro
     }
 }
 
-/// A name in an expression that is neither a function nor an operator.
+/// Explains a name in an expression that is neither a function nor an operator.
 #[inline(never)]
 fn explain_operation(word: &[u8], out: &mut Reason) {
     let text = word.get(1..).unwrap_or_default();
@@ -527,7 +528,7 @@ fn explain_operation(word: &[u8], out: &mut Reason) {
     say(out, "a function or operator in % is unknown", &[word_name(word)]);
 }
 
-/// Functions that do not take all values.
+/// Explains an argument that a function does not accept.
 #[inline(never)]
 fn explain_argument(word: &[u8], out: &mut Reason) {
     let has = |name: &[u8]| word.windows(name.len()).any(|part| part == name);
@@ -544,7 +545,7 @@ fn explain_argument(word: &[u8], out: &mut Reason) {
     let _ = out.extend_from_slice(takes.as_bytes());
 }
 
-/// A value of a word, and up to where values go.
+/// Appends the limit of lengths, in mm.
 #[inline(never)]
 pub(super) fn say_limit(out: &mut Reason, limit: i64) {
     millimetres(out, limit);

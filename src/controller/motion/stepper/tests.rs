@@ -21,7 +21,7 @@ fn signed(taken: i128, directions: u8, axis: usize) -> i32 {
     signed_add(0, taken as u32, directions >> axis & 1 != 0)
 }
 
-/// Plain ticks of a block of so many units in batches, and one by one.
+/// Compares plain ticks of a block of `total` units executed in batches with the same ticks executed one by one.
 fn compare_batches<const N: usize, const WORDS: usize>(
     mut single: Stepper<N>,
     total: u32,
@@ -52,8 +52,8 @@ fn compare_batches<const N: usize, const WORDS: usize>(
 }
 
 proptest! {
-    /// At every tick of blocks one after the other: one step of an axis at most, what is left in range, the place that
-    /// of the definition and of the pulses.
+    /// At every tick of consecutive blocks: each axis makes at most one step, its remainder is in range, and the
+    /// position equals the definition and the sum of the pulses.
     #[test]
     fn ticks_step_along_true_chords(
         chords in prop::collection::vec((steps_by_axis(300), 0_u8..8), 1..4), level in 0_u8..=4,
@@ -94,7 +94,7 @@ proptest! {
         }
     }
 
-    /// A batch equals its ticks made one by one: the same steps, the same moments, and the same state behind them.
+    /// A batch equals its ticks executed one by one: the same steps, the same times, and the same state afterwards.
     #[test]
     fn a_batch_equals_its_ticks(
         steps_by_axis in steps_by_axis(3000), level in 0_u8..=4, ramp in -300_i32..300, part in prop::collection::vec(0_usize..70, 1..12),
@@ -105,7 +105,7 @@ proptest! {
         compare_batches(single, Measure::of(&steps_by_axis).total, (level, ramp, start), &part, &table)?;
     }
 
-    /// The same with A.
+    /// The same with a fourth axis.
     #[test]
     fn a_batch_of_four_axes_equals_its_ticks(
         steps_by_axis in steps_by_axis(3000), rest in steps_by_axis(3000), level in 0_u8..=4, ramp in -300_i32..300,
@@ -118,7 +118,7 @@ proptest! {
         compare_batches(single, Measure::of(&[x, y, z, a]).total, (level, ramp, start), &part, &table)?;
     }
 
-    /// A stop of ticks that were made ahead leaves the position at those that came out.
+    /// A stop while ticks are generated ahead leaves the position of the ticks that were output.
     #[test]
     fn what_is_undone_is_not_counted(
         chords in prop::collection::vec((steps_by_axis(60), 0_u8..8), 1..4), done in 0_usize..300, ahead in 0_usize..80,
@@ -150,7 +150,7 @@ proptest! {
         prop_assert_eq!(stepper.position().0, out.map(|place| place + 4));
     }
 
-    /// The position of a block that was not entered at its start is that of the steps before.
+    /// In a block that is not entered at its start, the position equals the number of steps taken before that point.
     #[test]
     fn the_position_needs_no_division(
         steps_by_axis in steps_by_axis(Measure::MOST_STEPS), line in any::<bool>(), way in 0.0..1.0_f64, back in 0_u8..8,
@@ -171,7 +171,7 @@ proptest! {
         }
     }
 
-    /// A block that is left before its end for another, and entered again.
+    /// A block that is left before its end for another one, and entered again, ends at its position.
     #[test]
     fn a_detour_leads_back(steps_by_axis in steps_by_axis(300), way in 0.0..1.0_f64, back in 0_u8..8, detour in steps_by_axis(20)) {
         let total = Measure::of(&steps_by_axis).total;
@@ -179,7 +179,7 @@ proptest! {
         let there = Measure::of(&detour).total;
         let mut stepper: Stepper<3> = Stepper::new();
         enter(&mut stepper, steps_by_axis, back, 0, units, 4);
-        // Blocks are loaded ahead: each is begun by the last tick of the one before.
+        // Blocks are loaded ahead: the last tick of each one begins the next.
         let run_to_end = |stepper: &mut Stepper<3>| while stepper.piece.ticks() > 1 { stepper.tick(); };
         run_to_end(&mut stepper);
         stepper.load(ToStep::Block { steps_by_axis: detour, directions: 0 });

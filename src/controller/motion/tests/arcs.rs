@@ -1,4 +1,4 @@
-//! Chords against the exact circle, and through the steps.
+//! Compares the chords of arcs, and the steps made of them, with the exact circle.
 
 use super::super::on_heap;
 use super::super::{Arc, ArcGeometry, Motion, Speed};
@@ -15,7 +15,7 @@ fn f(coordinate: Coordinate) -> f64 {
     coordinate.0 as f64 / DECIMAL_ONE as f64
 }
 
-/// A geometry from polar data.
+/// Returns a geometry from polar coordinates.
 fn geometry(
     plane: usize,
     radius: f64,
@@ -49,7 +49,8 @@ fn geometry(
     }
 }
 
-/// Checks all chords: both ends on the circle, the middle within tolerance, angles in order; gives the number of chords.
+/// Checks that all chords have both ends on the circle, their middle within the tolerance, and angles in order. Returns
+/// the number of chords.
 fn check(geometry: &ArcGeometry<3>, radius: f64, tolerance: f64) -> u32 {
     let centre = [
         f(geometry.start.get(geometry.axis_0).unwrap() + geometry.offset_0),
@@ -63,7 +64,7 @@ fn check(geometry: &ArcGeometry<3>, radius: f64, tolerance: f64) -> u32 {
     let mut last = flat(&geometry.start);
     let mut turned = 0.0;
     let mut end = geometry.start;
-    // The f32 tolerance itself, and the grid of 0.1 nm.
+    // Rounding of the f32 tolerance, and the grid of 0.1 nm.
     let slack = tolerance * 1e-3 + 3e-7 + radius * 3e-9;
     while let Some(point) = arc.next_chord() {
         let here = flat(&point);
@@ -117,7 +118,7 @@ fn helix_of_many_turns() {
     }
 }
 
-/// After very many turns the chords are where they are in the first.
+/// After very many turns the chords have the same ends as in the first turn.
 #[test]
 fn turns_add_no_error() {
     let (from, sweep) = (0.3, 1.0);
@@ -188,12 +189,13 @@ proptest! {
     }
 }
 
-/// How far a step may lie off an arc beside the tolerance of its chords, in steps: each axis is within half a step of where
-/// it is on the chord, whose ends are known to a fourteenth of a step (the nearest seventh, and none is a half). Both axes at
-/// their worst at once are √2 times 1/2 + 1/14 off.
+/// Maximum distance of a step from an arc in addition to the tolerance of its chords, in steps. Each axis is within
+/// half a step of the chord, whose ends are exact to a fourteenth of a step (rounded to the nearest seventh). If both
+/// axes have their maximum error, the distance is √2 times 1/2 + 1/14.
 const MOST_OFF: f64 = std::f64::consts::SQRT_2 * 4.0 / 7.0;
 
-/// Runs an arc to its end, which must be met exactly; the farthest any step is off the circle, in steps beside the tolerance.
+/// Runs an arc to its end, which must be reached exactly. Returns the maximum distance of a step from the circle in
+/// addition to the tolerance, in steps.
 fn farthest_off(geometry: &ArcGeometry<3>, config: super::super::MotionSettings<3>, feed: f32) -> f64 {
     let mut rig = Rig::<3, 64>::new(config);
     rig.motion.set_machine_position(&geometry.start);
@@ -255,7 +257,7 @@ fn steps_of_an_arc_stay_within_tolerance_and_four_fifths_of_a_step() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 150, ..ProptestConfig::default() })]
 
-    /// Wherever the arc begins and ends between two steps, at any feed: at low ones the ticks are finer than steps.
+    /// Holds for any start and end between two steps, and at any feed (at low feeds the ticks are finer than steps).
     #[test]
     fn steps_of_any_arc_stay_near_it(
         plane in 0_usize..3, log in -1.5_f64..1.7, from in -3.2_f64..3.2, sweep in 0.001_f64..6.27, left in any::<bool>(),
@@ -269,17 +271,18 @@ proptest! {
         config.steps_per_mm = PerAxis(scales.map(|scale| crate::units::StepsPerMm::new(scale).unwrap()));
         let worst = farthest_off(&g, config, feed);
         if config.steps_per_mm.0[0] == config.steps_per_mm.0[1] && plane == 0 {
-            // The plane's axes lie across the motors', each of which is off by as much: √2 less.
+            // The plane's axes are diagonal to the motors', and each motor has the same maximum error, so the distance
+            // is smaller by √2.
             config.arrangement = Arrangement::CoreXy;
             let worst = farthest_off(&g, config, feed);
             prop_assert!(worst <= MOST_OFF / std::f64::consts::SQRT_2 + 0.003, "{worst} steps of motors");
         }
-        // What chords themselves may be off for rounding to 0.1 nm and in 32 bits.
+        // The margin is for the chords' rounding to 0.1 nm and to 32 bits.
         prop_assert!(worst <= MOST_OFF + 0.003, "{worst} steps");
     }
 }
 
-/// Beside ramps of a few steps: the segment that ends a constant speed reaches into the ramp behind it.
+/// The segment that ends a constant speed reaches into the ramp after it, which here has only a few steps.
 #[test]
 fn a_short_ramp_behind_a_constant_speed_is_no_steeper() {
     let g = geometry(2, 10.0_f64.powf(0.6588462477398048), -2.276435767022154, -1.2119748809651154, 0.0, 0, [0.0, 0.0]);
@@ -288,7 +291,7 @@ fn a_short_ramp_behind_a_constant_speed_is_no_steeper() {
     farthest_off(&g, config, 3.7653491);
 }
 
-/// A machine that follows an arc, with holds: what is known of its place is the place.
+/// Follows an arc with holds every `every` ticks, and checks that the reported position is the actual one.
 fn run_with_holds<const N: usize>(rig: &mut Rig<N, 16>, every: usize, end: PerAxis<i32, N>) {
     rig.pump();
     rig.motion.start();
@@ -331,7 +334,7 @@ fn the_place_in_the_midst_of_a_chord_is_known() {
     }
 }
 
-/// The ends of a chord reach the step task for six axes, too, and in the direction of motion.
+/// The exact ends of a chord reach the step task for six axes, too, counted in the direction of motion.
 #[test]
 fn six_axes_have_their_ends() {
     let three = settings(10.0, 100.0, 500.0);
@@ -362,14 +365,14 @@ fn six_axes_have_their_ends() {
         turns: 0,
     };
     let arc = Arc::new(&geometry, 0.002);
-    // 5/7 of a step beyond six steps are 2/7 short of seven.
+    // Six steps and 5/7 are seven steps less 2/7.
     let ends = [0.611, -0.611, 0.671, -0.671, 0.0, 0.029];
     motion.chord(&to(ends, Speed::Feed(10.0)), arc.curvature());
     motion.chord(&to([0.0; 6], Speed::Feed(10.0)), arc.curvature());
     motion.line(&to(ends, Speed::Feed(10.0)));
     motion.start();
     let mut blocks = Vec::new();
-    // A step task that has done everything at once.
+    // The step task is simulated as one that is always idle again.
     let mut observed = crate::messages::Observed { step_idle: true, ..Default::default() };
     while let Some(message) = motion.next(&observed) {
         match message {

@@ -1,4 +1,4 @@
-//! Moves that are held back within a tolerance: what is queued of them, and when.
+//! Moves with a tolerance that are held back: which blocks are queued for them, and when.
 
 use super::super::{Move, Observed, Speed, Tolerance};
 use super::rig::{Rig, settings, to};
@@ -9,7 +9,7 @@ fn within(path: f32, target: [f64; 3], speed: Speed) -> Move<3> {
 
 const FEED: Speed = Speed::Feed(50.0);
 
-/// Steps of the blocks that a job becomes.
+/// Runs a job and returns the steps of its blocks.
 fn blocks(moves: &[Move<3>]) -> Vec<[i64; 3]> {
     let mut rig = Rig::<3, 64>::new(settings(100.0, 100.0, 500.0));
     rig.moves.extend(moves);
@@ -22,9 +22,9 @@ fn blocks(moves: &[Move<3>]) -> Vec<[i64; 3]> {
 fn a_square_corner_is_cut_off() {
     let job = |path| blocks(&[within(path, [10.0, 0.0, 0.0], FEED), within(path, [10.0, 10.0, 0.0], FEED)]);
     assert_eq!(job(0.0), [[1000, 0, 0], [0, 1000, 0]]);
-    // 0.05 mm are 0.0707 mm of either move, which are seven steps.
+    // A tolerance of 0.05 mm takes 0.0707 mm of either move, which are seven steps.
     assert_eq!(job(0.05), [[993, 0, 0], [7, 7, 0], [0, 993, 0]]);
-    // More than the acceleration needs is not made use of: four vertices.
+    // Tolerance beyond what the acceleration needs is not used. There are four vertices.
     let far = job(1.0);
     assert!(far.len() == 5 && far[0][0] > 900, "{far:?}");
 }
@@ -53,7 +53,7 @@ fn chords_become_fewer_within_the_tolerance() {
     assert!(blocks(&exact).len() >= 200, "Q0");
 }
 
-/// Both moves of a corner count as queued before they are.
+/// Held moves count as queued: for the planned position, their line numbers and power.
 #[test]
 fn what_is_held_back_is_part_of_the_queue() {
     let mut rig = Rig::<3, 64>::new(settings(100.0, 100.0, 500.0));
@@ -70,7 +70,7 @@ fn what_is_held_back_is_part_of_the_queue() {
     assert_eq!(motion.planned_position(), to([0.0; 3], FEED).target);
 }
 
-/// The corner behind them can still be cut off.
+/// Moves stay held while the queue is long enough, so that the corner after them can still be cut off.
 #[test]
 fn what_is_held_back_waits_while_the_queue_is_long_enough() {
     let mut rig = Rig::<3, 64>::new(settings(100.0, 100.0, 500.0));

@@ -1,11 +1,11 @@
-//! What the queue bounds a braking with, against the blocks one by one.
+//! Compares the planner's bounds for a braking with those of each single block.
 
 use super::super::block::{Block, CurveLoad, OverrideFactors};
 use super::super::planner::Planner;
 use super::rig::planner;
 use proptest::prelude::*;
 
-/// Length, acceleration, and of a bend the speed² that takes all of its acceleration.
+/// Generates a block with a random length and acceleration, and with or without a bend.
 fn block() -> impl Strategy<Value = Block<3>> {
     let bend = prop::option::of((1.0_f32..4.0e4, 20.0_f32..2000.0));
     (0.05_f32..3.0, 20.0_f32..2000.0, bend).prop_map(|(length, acceleration, bend)| Block {
@@ -22,7 +22,7 @@ fn block() -> impl Strategy<Value = Block<3>> {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
-    /// 64 places make groups of two, so some of the blocks are taken as one.
+    /// With 64 slots the groups have two blocks each, so some blocks are summarized.
     #[test]
     fn no_block_on_the_way_leaves_less_than_the_bound(
         blocks in prop::collection::vec(block(), 2..64), begun in 0.0_f32..1.0, reach in 0.0_f32..1.2, speed2 in 0.0_f32..4.0e4,
@@ -49,7 +49,7 @@ proptest! {
     }
 }
 
-/// A wide bend of a slow axis behind a narrow one of a fast axis.
+/// A wide bend of a slow axis follows a narrow bend of a fast axis.
 #[test]
 fn a_wider_bend_of_a_slower_axis_counts() {
     let mut ring = planner(64);

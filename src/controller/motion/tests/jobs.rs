@@ -44,7 +44,7 @@ fn reference_run() {
 
 #[test]
 fn a_long_chain_of_tiny_segments_reaches_its_speed() {
-    // 0.1 mm at F6000 and 200 mm/s²: braking takes 25 mm, so 256 blocks of look-ahead just suffice.
+    // Blocks of 0.1 mm at F6000 and 200 mm/s²: braking takes 25 mm, so a look-ahead of 256 blocks just suffices.
     let mut rig = Rig::<3, 260>::new(settings(80.0, 500.0, 200.0));
     let count = 14_200;
     for k in 1..=count {
@@ -58,7 +58,7 @@ fn a_long_chain_of_tiny_segments_reaches_its_speed() {
 
 #[test]
 fn a_short_look_ahead_brakes_in_time() {
-    // 8 blocks of 0.1 mm: v² = 2·a·0.8 mm at most, and never a stop that the steps cannot follow.
+    // 8 blocks of 0.1 mm: v² is at most 2·a·0.8 mm, and every stop respects the acceleration.
     let mut rig = Rig::<3, 8>::new(settings(80.0, 500.0, 200.0));
     for k in 1..=500 {
         rig.moves.push_back(to([0.1 * f64::from(k), 0.0, 0.0], Speed::Feed(100.0)));
@@ -92,7 +92,7 @@ fn fastest(rig: &Rig<3, 512>) -> f64 {
     rig.trace.iter().map(|r| r.path / r.interval as f64 * f64::from(rig.hz)).fold(0.0, f64::max)
 }
 
-/// Points of a circle about (-radius, 0) from the origin on, to three decimals.
+/// Returns points of a circle around (-radius, 0), starting after the origin, rounded to three decimals.
 fn circle(radius: f64, chord: f64, turns: f64) -> impl Iterator<Item = [f64; 3]> {
     let count = (turns * std::f64::consts::TAU * radius / chord) as u32;
     (1..=count).map(move |k| {
@@ -105,7 +105,7 @@ fn circle(radius: f64, chord: f64, turns: f64) -> impl Iterator<Item = [f64; 3]>
 fn a_circle_of_short_chords_keeps_the_acceleration_of_its_radius() {
     for (radius, chord, turns) in [(5.0, 0.1, 1.2), (1.0, 0.02, 2.0), (20.0, 0.3, 0.6), (60.0, 0.2, 0.4)] {
         for lead in [0.0, 30.0] {
-            // The junction rule alone allows several times as much.
+            // The junction rule alone would allow several times the speed of the circle.
             let mut rig = Rig::<3, 512>::new(settings(80.0, 500.0, 500.0));
             if lead > 0.0 {
                 // Into the circle along its tangent, at full speed.
@@ -129,8 +129,8 @@ fn a_circle_of_short_chords_keeps_the_acceleration_of_its_radius() {
                     (path, seconds) = (0.0, 0.0);
                 }
             }
-            // What noise could explain of the bend: 4 % at R = 1 mm; half of that in speed, 1 % for steps, and what the junction
-            // deviation grants at the ends of the circle, where spans are short.
+            // The margin is for noise, which could explain 4 % of the bend at R = 1 mm (half of that in speed), for
+            // steps (1 %), and for the junction deviation at the ends of the circle, where spans are short.
             assert!(sum < most * (1.01 + 0.035 / radius), "{sum} of {most}, R = {radius}, lead {lead}");
             assert!(sum > most * 0.97, "{sum} of {most}, R = {radius}: slower than it need be");
         }
@@ -141,7 +141,7 @@ fn a_circle_of_short_chords_keeps_the_acceleration_of_its_radius() {
 fn an_arc_keeps_the_acceleration_of_its_own_radius() {
     for (radius, rise) in [(5, 0), (5, 10), (80, 0)] {
         let mut config = settings(80.0, 500.0, 500.0);
-        // An axis outside the plane does not count, and one inside it does for the whole circle.
+        // An axis outside the plane sets no limit; the slower axis in the plane limits the whole circle.
         config.acceleration.0 = [500.0, 700.0, 400.0];
         let mut rig = Rig::<3, 512>::new(config);
         let geometry = ArcGeometry {
@@ -171,7 +171,8 @@ fn an_arc_keeps_the_acceleration_of_its_own_radius() {
 
 #[test]
 fn noise_of_the_last_digit_costs_no_time() {
-    // A slanted line in pieces of 0.1 mm, rounded to 0.001: R = 10 mm if one believes neighbouring points.
+    // A slanted line in pieces of 0.1 mm, rounded to 0.001 mm. Neighbouring points alone would suggest bends of R = 10
+    // mm.
     let mut rig = Rig::<3, 512>::new(settings(80.0, 500.0, 200.0));
     let count = 5000;
     for k in 1..=count {
@@ -188,7 +189,7 @@ fn noise_of_the_last_digit_costs_no_time() {
 
 #[test]
 fn a_corner_between_long_chains_is_no_bend() {
-    // Rows of short pieces with sharp turns: as fast as with one piece for each row.
+    // Rows of short pieces with sharp turns must be as fast as rows of one piece each.
     let row = |pieces: u32| {
         let mut rig = Rig::<3, 512>::new(settings(80.0, 500.0, 200.0));
         for k in 1..=pieces * 4 {
@@ -199,7 +200,7 @@ fn a_corner_between_long_chains_is_no_bend() {
         rig.run();
         rig.seconds()
     };
-    // A span that has a part of the corner in it may take it for a gentle bend: less than 1 % of the time.
+    // A span with a part of the corner in it may look like a gentle bend; this may cost less than 1 % of the time.
     let (short, long) = (row(400), row(1));
     assert!((short / long - 1.0).abs() < 0.01, "{short} and {long}");
 }
@@ -274,7 +275,7 @@ fn reports_follow_the_segments() {
         seen.insert(rig.motion.line_number());
         fastest = fastest.max(rig.motion.speed());
         let steps = rig.motion.machine_steps().0[0];
-        // The end of the segment: 2 ms away at most, at 5 steps/ms.
+        // The reported position is the end of the segment: at most 2 ms ahead, at 5 steps/ms.
         assert!(i64::from(steps) >= rig.position[0] && i64::from(steps) - rig.position[0] <= 11);
     }
     assert!(seen.contains(&7) && seen.contains(&8));
@@ -337,7 +338,7 @@ proptest! {
         }
         rig.run();
         prop_assert!(rig.events.is_empty());
-        // Beyond one step per two clocks the clock itself is the limit.
+        // At step rates near the step clock's frequency, the clock itself is the limit.
         if rate.min(feed) * spm * 2.0 < hz as f32 / 4.0 {
             rig.check_limits();
         }

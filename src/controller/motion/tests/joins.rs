@@ -1,4 +1,5 @@
-//! Short moves that continue a line are one block with it: the same line, all of its points, and a longer look-ahead.
+//! Short moves that continue a line are joined into one block: the line still passes all points, and the look-ahead is
+//! longer.
 
 use super::super::on_heap;
 use super::super::{Motion, MotionSettings, Move, Speed};
@@ -10,7 +11,7 @@ use proptest::prelude::*;
 
 const FEED: Speed = Speed::Feed(100.0);
 
-/// Ends of moves along a straight line, rounded to a digit.
+/// Returns the ends of moves along a straight line, rounded to a digit.
 fn chords(length: f64, angle: f64, chord: f64, digit: f64) -> Vec<[f64; 3]> {
     let (y, x) = angle.to_radians().sin_cos();
     let count = (length / chord).round();
@@ -56,7 +57,7 @@ fn along_an_axis_the_steps_are_those_of_one_line() {
     assert!(pieces.blocks.len() < points.len() / 50);
 }
 
-/// Blocks that short moves straight on along X make, each changed in its own way.
+/// Returns the number of blocks for 40 short moves in a line along X, each modified by `change`.
 fn queued(change: impl Fn(usize, &mut Move<3>)) -> usize {
     let mut motion = Motion::<3>::new(settings(250.0, 100.0, 500.0), on_heap(64));
     for k in 0..40 {
@@ -79,7 +80,7 @@ fn only_moves_of_one_kind_are_joined() {
     assert_eq!(queued(|k, m| m.speed = if k < 15 { FEED } else { Speed::Rapid }), 2);
     assert_eq!(queued(|_, m| m.speed = Speed::Duration(0.1)), 40, "each takes its time");
     assert_eq!(queued(|_, m| m.no_feed_override = true), 40, "a jog or probe");
-    // To and fro, a corner, and longer moves.
+    // Moves back and forth, a corner, and longer moves.
     assert_eq!(queued(|k, m| m.target.0[0].0 *= if k % 2 == 0 { 1 } else { -1 }), 40);
     assert_eq!(
         queued(|k, m| m.target = if k < 20 { m.target } else { to([0.2, 0.01 * (k - 19) as f64, 0.0], FEED).target }),
@@ -96,7 +97,7 @@ fn joined_moves_count_for_the_start() {
         assert!(!motion.has_joined_enough(), "{k} moves");
         assert!(motion.line(&to([f64::from(k + 1) * 0.001, 0.0, 0.0], FEED)));
     }
-    // Four of them make a step.
+    // Four of these moves make one step.
     assert!(motion.queued_blocks() <= 2);
     for k in 64..256 {
         assert!(motion.line(&to([f64::from(k + 1) * 0.001, 0.0, 0.0], FEED)));
@@ -120,7 +121,7 @@ fn a_raster_changes_its_power_where_the_program_does() {
     while let Some(message) = motion.next(&observed) {
         let ToStep::Segment(segment) = message else { continue };
         observed.segments_begun += 1;
-        // A move has 5 steps of 16 units.
+        // Each move has 5 steps of 16 units.
         let begin = units;
         units += u32::from(segment.ticks) * (16 >> segment.level);
         assert_eq!(segment.power, power(begin as usize / 80), "at {begin} units");
@@ -129,7 +130,7 @@ fn a_raster_changes_its_power_where_the_program_does() {
     assert_eq!(units, 300 * 80);
 }
 
-/// A machine of the properties.
+/// A machine for the property tests.
 #[derive(Clone, Debug)]
 struct Machine {
     scales: [f32; 3],
@@ -163,15 +164,15 @@ impl Machine {
         config
     }
 
-    /// Where the motors are for a place, in steps.
+    /// Returns the motors' position for a position of the tool, in steps.
     fn motors(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         let way = if self.core_xy { [x + y, x - y, z] } else { [x, y, z] };
         std::array::from_fn(|motor| way[motor] * f64::from(self.scales[motor]))
     }
 }
 
-/// Lines, bends and corners in short chords, with the noise of a digit: each piece has a direction, a change of it for each
-/// chord, and a length of chords.
+/// Generates lines, bends and corners in short chords, rounded to a digit. Each piece has a direction, a turn per
+/// chord, and a chord length.
 fn polylines() -> impl Strategy<Value = Vec<[f64; 3]>> {
     let piece = (0.0..360.0_f64, prop_oneof![Just(0.0), -3.0..3.0_f64], 0.001..0.05_f64, 1_usize..120, -0.3..0.3_f64);
     (prop::collection::vec(piece, 1..6), prop::sample::select(vec![1e-3, 1e-4, 1e-5])).prop_map(|(pieces, digit)| {
@@ -188,7 +189,7 @@ fn polylines() -> impl Strategy<Value = Vec<[f64; 3]>> {
     })
 }
 
-/// Asserts that places lie along a polyline, both in steps: one after the other, and within so many steps of each axis.
+/// Asserts that `places` follow a polyline in order, within `off` steps in each axis. Both are in steps.
 fn assert_along(places: &[[f64; 3]], corners: &[[f64; 3]], off: f64) {
     let mut first = 0;
     let near = |place: [f64; 3], piece: usize| {
@@ -216,7 +217,7 @@ fn assert_along(places: &[[f64; 3]], corners: &[[f64; 3]], off: f64) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 96, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever is joined: the steps lead along the points and to the end, within the limits; also with a hold on the way.
+    /// Whatever is joined, the steps follow the program's points to the end within the limits, also with a hold.
     #[test]
     fn the_path_is_the_programs(
         machine in Machine::any(), points in polylines(), hold in prop::option::of(0_usize..400), early in 1_usize..600,
@@ -252,7 +253,8 @@ proptest! {
                 }
                 places.push(at);
             }
-            // Half a step for the ends of blocks, half for the line between, half for the points of a joined one.
+            // Half a step for the ends of blocks, half for the line between them, half for the points of a joined
+            // block.
             assert_along(&places, &corners, 1.5 + 1e-6);
             rig.check_acceleration(hold.is_some());
         }
@@ -263,7 +265,7 @@ proptest! {
         }
     }
 
-    /// A stop within joined moves forgets them: the place is exact, and what follows begins there.
+    /// A stop within joined moves discards them: the position is exact, and the next move begins there.
     #[test]
     fn after_a_stop_nothing_is_joined_to_what_was_forgotten(points in polylines(), ticks in 1_usize..3000) {
         let mut rig = Rig::<3, 512>::new(settings(250.0, 100.0, 500.0));

@@ -1,4 +1,4 @@
-//! The rooms of motion against each other and against oracles that share no code with them.
+//! Tests of the modules of motion together, compared with each other and with oracles that share no code with them.
 
 #![allow(clippy::needless_range_loop, reason = "axis numbers index several arrays at once")]
 

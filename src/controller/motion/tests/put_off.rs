@@ -1,5 +1,5 @@
-//! The reverse pass is put off until an entry is asked for that it could change: what is asked for is what it would be if all
-//! were planned at once.
+//! The reverse pass is postponed until an entry is needed that it could change. These tests check that such an entry is
+//! the same as if everything were planned at once.
 
 use super::super::block::{Block, CurveLoad, OverrideFactors};
 use super::super::curvature::Bend;
@@ -14,45 +14,45 @@ type Queue = Planner<3>;
 
 #[derive(Clone, Debug)]
 enum Change {
-    /// So many alike.
+    /// Appends this many equal blocks.
     Append(Block<3>, usize),
-    /// A turn is found among the last blocks.
+    /// Limits some of the last blocks, as if a turn was found.
     Limit {
         nearest: usize,
         farthest: usize,
         speed2: f32,
         curve: CurveLoad,
     },
-    /// The last block is replaced, as by a move that continues it.
+    /// Replaces the last block, as by a move that continues it.
     Replace(Block<3>),
-    /// Blocks are run, as long as there are so many.
+    /// Runs this many blocks.
     Run(usize),
-    /// One is left whose end had been planned before what came last: its last tick was waited for meanwhile.
+    /// Ends a block without planning its end again, as when its last tick was waited for while blocks were appended.
     Leave,
-    /// At a speed of the machine.
+    /// Sets a feed override while the machine has a speed.
     Overrides(f32, f32),
     Clear,
-    /// With a jerk limit, or without one, from now on.
+    /// Switches the jerk limit on or off.
     Configure(bool),
 }
 
-/// What a path is made of.
+/// Kinds of blocks in a path.
 #[derive(Clone, Copy, Debug)]
 enum Path {
     Straight,
-    /// Bends so gentle, of blocks so short, that none is steep.
+    /// Bends so gentle, with blocks so short, that no block is steep.
     Gentle,
-    /// Straight as long as no turn is found, then of the tightest bends.
+    /// Straight until a turn is found, then with the tightest bends.
     Turning,
     Any,
 }
 
-/// The bend of a block.
+/// Generates the bend of an appended block.
 fn curve(path: Path) -> BoxedStrategy<CurveLoad> {
     if matches!(path, Path::Turning) { Just(CurveLoad::NONE).boxed() } else { bend(path) }
 }
 
-/// The bend of a turn that is found.
+/// Generates the bend of a turn that is found.
 fn bend(path: Path) -> BoxedStrategy<CurveLoad> {
     let bend = |speed2: std::ops::Range<f32>, across| {
         let bend = (speed2, across).prop_map(|(speed2, across)| CurveLoad::new(speed2, across));
@@ -107,7 +107,7 @@ fn changes() -> impl Strategy<Value = Vec<Change>> {
         .prop_flat_map(|path| prop::collection::vec(change(path), 1..150))
 }
 
-/// With a jerk limit nothing is put off.
+/// Runs the postponed pass. With a jerk limit nothing is postponed.
 fn settle(queue: &mut Queue) {
     if !queue.jerk_limited {
         queue.settle();
@@ -161,7 +161,7 @@ proptest! {
                     queue.clear();
                 }
             }
-            // Not after each: the more has come since the last walk, the more it may have missed.
+            // Only after some changes: the more changes a pass covers, the more errors it can reveal.
             if number % seldom == 0 {
                 settle(&mut ring);
             }
@@ -170,7 +170,7 @@ proptest! {
     }
 }
 
-/// An entry at its cap by rounding only: in a bend, an exit that is a bit faster may leave an entry that is a bit slower.
+/// An entry reaches its cap only by rounding. In a bend, an exit faster by one bit may lower the entry by one bit.
 #[test]
 fn what_rounding_can_take_away_is_not_settled() {
     let bend = Block { length: 0.1, acceleration: 400.0, curve: CurveLoad::new(1000.0, 400.0), ..straight(1.0) };
@@ -188,7 +188,7 @@ fn what_rounding_can_take_away_is_not_settled() {
     assert_eq!(queue.exit2(), bend.braking_entry2(up(exit2)));
 }
 
-/// A block that is braked in from a speed².
+/// Returns a straight block in which the machine can brake from `speed2` to rest.
 fn straight(speed2: f32) -> Block<3> {
     Block {
         length: 1.0,
@@ -200,8 +200,8 @@ fn straight(speed2: f32) -> Block<3> {
     }
 }
 
-/// Blocks, walked over or not, turn out to be in so tight a bend that a faster exit leaves less to brake with. Wherever
-/// the ring begins.
+/// A block, whether or not a pass has processed it, turns out to lie in such a tight bend that a faster exit leaves
+/// less deceleration. Tested for each start of the ring.
 #[test]
 fn what_is_before_a_bend_that_gets_steep_is_not_settled() {
     for (begin, walked_over) in (0..48).map(|case| (case / 2, case % 2 == 0)) {
@@ -227,7 +227,8 @@ fn what_is_before_a_bend_that_gets_steep_is_not_settled() {
     }
 }
 
-/// Of the entries that a turn lowers the last one stays as it is, and what is settled counts on the one before it.
+/// A turn lowers two blocks. The entry of the second one does not change, but the settled entry depends on the first
+/// one.
 #[test]
 fn what_counts_on_a_lowered_entry_is_lowered() {
     let mut ring = planner(24);
@@ -243,7 +244,7 @@ fn what_counts_on_a_lowered_entry_is_lowered() {
     assert_eq!(queue.exit2(), 80.0);
 }
 
-/// What was settled before a jerk limit came is nothing to it.
+/// Entries that were settled before the jerk limit was switched on have no effect afterwards.
 #[test]
 fn with_a_jerk_limit_nothing_is_settled() {
     let mut ring = planner(24);
@@ -264,8 +265,8 @@ fn with_a_jerk_limit_nothing_is_settled() {
     assert_eq!(queue.block(1).unwrap().entry2, 49.0);
 }
 
-/// A block leaves between the turn that lowers the last ones and the walk for it: nothing behind the queue is walked over, where
-/// blocks lie that have gone. What is left would seem to be braked for by them.
+/// A block leaves the queue between the turn that lowers the last blocks and the pass for it. The pass must not process
+/// the slots after the queue: they hold old blocks, which would change the entries.
 #[test]
 fn what_has_been_lowered_moves_up_with_the_queue() {
     for begin in 0..24 {
@@ -285,7 +286,7 @@ fn what_has_been_lowered_moves_up_with_the_queue() {
         queue.begin();
         queue.pop(true);
         queue.settle();
-        // Its own 100, and 197 of the two in the bend.
+        // 100 for the block itself, and 197 for the two in the bend.
         assert!((296.0..298.0).contains(&queue.exit2()), "{} from {begin}", queue.exit2());
         ring.assert_consistent();
     }

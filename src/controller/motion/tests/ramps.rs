@@ -1,4 +1,4 @@
-//! Ramps with bounded jerk, followed segment by segment without the step task.
+//! Jerk-limited ramps, checked segment by segment without the step task.
 
 use super::super::on_heap;
 use super::super::{Motion, MotionSettings, Move, Speed};
@@ -14,15 +14,17 @@ struct Point {
     seconds: f64,
     speed: f64,
     acceleration: f64,
-    /// Of the block: bounds, nominal speed, mm of a step, and what its entry allows.
+    /// Acceleration bound of the block, mm/s²; `jerk` and `nominal` are those of the block, too.
     bound: f64,
     jerk: f64,
     nominal: f64,
+    /// Step size, mm.
     pitch: f64,
+    /// Speed that the block's entry allows, mm/s.
     corner: f64,
     block: usize,
     last: bool,
-    /// mm of the segment.
+    /// Length of the segment, mm.
     way: f64,
 }
 
@@ -57,7 +59,7 @@ impl<const B: usize> Course<B> {
         }
     }
 
-    /// Fills the queue, at most `most` moves.
+    /// Fills the queue with at most `most` moves.
     fn fill(&mut self, most: usize) {
         for _ in 0..most {
             let Some(m) = &self.next else { break };
@@ -73,7 +75,7 @@ impl<const B: usize> Course<B> {
         self.motion.start();
     }
 
-    /// One message; `false` if there is none.
+    /// Processes one message; returns `false` if there is none.
     fn step(&mut self) -> bool {
         let Some(message) = self.motion.next(&self.observed) else { return false };
         let ToStep::Segment(segment) = message else {
@@ -139,10 +141,10 @@ impl<const B: usize> Course<B> {
         for pair in self.points.windows(2) {
             let [a, b] = pair else { continue };
             let jerk = a.jerk.max(b.jerk);
-            // Within a step ramps need not be smooth.
+            // Changes of speed within one step need not be smooth.
             let crawl = (2.25 * jerk * b.pitch * b.pitch).cbrt() * 1.3;
             if b.last && !a.last && a.speed > crawl && a.speed > 1.1 * (4.5 * jerk * b.way.powi(2)).cbrt() {
-                // From this speed an even jerk does not bring the machine to rest in the last segment.
+                // The speed is too high to reach rest with constant jerk in the last segment.
                 faults.push(format!("end {a:?}\n  {b:?}"));
             }
             if a.last || b.last {
@@ -186,7 +188,7 @@ fn line(length: f64, blocks: u32, feed: f32) -> Vec<Move<3>> {
 
 #[test]
 fn blocks_do_not_show_in_a_ramp() {
-    // The last is too short for the greatest acceleration: four ramps of even jerk.
+    // The last line is too short to reach the maximum acceleration: it has four phases of constant jerk.
     for (length, feed, ideal) in [(50.0, 100.0, 0.75), (10.0, 200.0, 0.337_08), (1.0, 100.0, (32.0e-4_f64).cbrt())] {
         for blocks in [1, 7, 80, 500] {
             if blocks > 80 && length < 10.0 {
@@ -204,7 +206,8 @@ fn blocks_do_not_show_in_a_ramp() {
     }
 }
 
-/// Two blocks of a chain lean on an axis that takes but half of the acceleration, in the middle of the ramps up and down.
+/// Two blocks of a chain, in the middle of the ramps up and down, load an axis that allows only half of the
+/// acceleration.
 #[test]
 fn a_slow_axis_in_one_block_does_not_spoil_the_ramp() {
     let mut config = machine(5.0e3);
@@ -220,7 +223,7 @@ fn a_slow_axis_in_one_block_does_not_spoil_the_ramp() {
     assert!(course.faults(false).is_empty(), "{:?}", course.faults(false));
 }
 
-/// A crawl into a block whose axis takes a hundredth of the jerk is as slow as that block's end asks for.
+/// A very slow entry into a block whose axis has a hundredth of the jerk is slow enough for the end of that block.
 #[test]
 fn a_crawl_knows_the_jerk_of_the_next_block() {
     let mut config = machine(1.0e4);
@@ -238,7 +241,8 @@ fn a_crawl_knows_the_jerk_of_the_next_block() {
     }
 }
 
-/// Long and short moves, chains of blocks with gentle bends, and curves; some pieces lean on Z in all or a few blocks.
+/// Generates long and short moves, chains of blocks with gentle bends, and curves; some pieces move Z in all or a few
+/// blocks.
 fn job() -> impl Strategy<Value = Vec<Move<3>>> {
     let piece = prop_oneof![
         (0_u32..360, 1_u32..4000, 1_u32..60).prop_map(|(turn, length, count)| (f64::from(turn), length, count, 0.0)),
@@ -277,7 +281,7 @@ fn job() -> impl Strategy<Value = Vec<Move<3>>> {
     })
 }
 
-/// A machine with unequal axes, the third slow.
+/// Returns the settings of a machine with unequal axes, of which the third is slow.
 fn unequal(jerk: f32, share: f32, slow: f32) -> MotionSettings<3> {
     let mut config = machine(jerk);
     config.acceleration.0[1] *= share;
@@ -330,8 +334,8 @@ proptest! {
     }
 }
 
-/// A bend up to the end of the queue, and an override that is raised at any moment of the braking: bounds become tighter by
-/// it, for more of the acceleration is counted to the bend, and the machine comes to rest all the same.
+/// On a bend up to the end of the queue, the override is raised at any time during the braking. The bounds become
+/// tighter, because the bend takes more of the acceleration, but the machine still comes to rest.
 #[test]
 fn an_override_raised_in_a_bend_leaves_the_braking() {
     for (jerk, share) in [(20_000.0, 0.5), (20_000.0, 0.7), (100_000.0, 0.7)] {
@@ -356,8 +360,8 @@ fn an_override_raised_in_a_bend_leaves_the_braking() {
     }
 }
 
-/// A host that feeds a bend with coarse digits just in time, and stops sending behind it: the bend is seen by its long spans
-/// only, when the stop at the end of the queue has counted on all of the acceleration.
+/// A host sends a bend with coarse digits just in time, and then stops sending. The bend only shows on long spans,
+/// after the stop at the end of the queue was planned with all of the acceleration.
 #[test]
 fn a_bend_that_is_seen_late_leaves_the_stop_at_the_end() {
     let rounded = |mm: f64| (mm * 100.0).round() / 100.0;
@@ -391,8 +395,8 @@ fn a_bend_that_is_seen_late_leaves_the_stop_at_the_end() {
     assert!(late.is_empty(), "{} of them at {late:?}", late.len());
 }
 
-/// Moves of less and less feed, held; in the fall of the hold the override is lowered. What is behind the place of rest is
-/// entered no faster than it then allows.
+/// Moves of decreasing feed are held, and the override is lowered while the hold brakes. The moves after the stop must
+/// not exceed the new override.
 #[test]
 fn an_override_lowered_in_the_fall_of_a_hold_acts_on_what_follows() {
     let mut too_fast = Vec::new();

@@ -1,4 +1,4 @@
-//! A machine on a desk: pumps `Motion` into `Stepper`, records each tick, and measures speed and acceleration.
+//! Test rig ([`Rig`]): feeds messages of `Motion` to a `Stepper`, records each tick, and checks speed and acceleration.
 
 use super::super::on_heap;
 use super::super::planner::Planner;
@@ -8,26 +8,28 @@ use crate::messages::{AxisSteps, Observed, SEGMENTS_DEPTH, Segment, StepEvent, T
 use crate::units::{Coordinate, DECIMAL_ONE, StepsPerMm};
 use std::collections::VecDeque;
 
-/// An empty queue of so many blocks.
+/// Returns an empty planner for `blocks` blocks.
 pub fn planner(blocks: usize) -> Box<Planner<3>> {
     let memory = on_heap(blocks);
     Box::new(Planner::new(memory.blocks, memory.groups))
 }
 
-/// One expiry of the timer that belonged to a segment.
+/// A tick of a segment that advances.
 #[derive(Clone, Copy, Debug)]
 pub struct Record {
-    /// Time of the tick and the time since the one before that advanced, waits included.
+    /// Time of the tick, step-clock ticks.
     pub time: u64,
+    /// Time since the previous tick that advanced, waits included, step-clock ticks.
     pub interval: u64,
     pub steps: u8,
-    /// Direction levels that had been put out before this tick.
+    /// Direction levels that were output before this tick.
     pub directions: u8,
     /// Path of the tick, mm.
     pub path: f64,
     pub level: u8,
-    /// Limits of the block, mm/s and mm/s².
+    /// Nominal speed of the block, mm/s.
     pub nominal: f64,
+    /// Acceleration of the block, mm/s².
     pub acceleration: f64,
     pub block: usize,
 }
@@ -49,9 +51,9 @@ pub struct Rig<const N: usize, const B: usize> {
     current: Option<(Segment, usize)>,
     pub blocks: Vec<BlockFacts>,
     pub moves: VecDeque<Move<N>>,
-    /// The moves are chords of this.
+    /// If set, the moves are chords of this arc.
     pub arc: Option<Arc<N>>,
-    /// The moves are chords that bend so.
+    /// If not empty, the moves are chords with these curvatures.
     pub bends: VecDeque<Curvature>,
     pub time: u64,
     due: u32,
@@ -61,12 +63,12 @@ pub struct Rig<const N: usize, const B: usize> {
     pub trace: Vec<Record>,
     pub hz: u32,
     pub events: Vec<StepEvent<N>>,
-    /// Whether `Motion` is asked for segments.
+    /// Whether messages are fetched from `motion`.
     pub feeding: bool,
     pub waits: usize,
     pub segments: usize,
     pub last_flags: usize,
-    /// Units of the block handed over.
+    /// Units of the current block handed over so far.
     units: u32,
 }
 
@@ -141,7 +143,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         }
     }
 
-    /// Refills look-ahead and step queue as far as they take.
+    /// Fills the look-ahead and the queue to the step task.
     pub fn pump(&mut self) {
         loop {
             while let Some(m) = self.moves.front() {
@@ -200,7 +202,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         }
     }
 
-    /// One expiry of the step timer; `false` at rest.
+    /// Executes one tick of the step timer; returns `false` at rest.
     pub fn tick(&mut self) -> bool {
         while self.stepper.wants() {
             let Some(message) = self.queue.pop_front() else { break };
@@ -265,14 +267,14 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         self.due = 0;
     }
 
-    /// Stops the step task at once; the control side learns it from the event only.
+    /// Stops the step task at once. The control side must be informed with the returned event ([`Rig::handle_stop`]).
     pub fn stop(&mut self) -> StepEvent<N> {
         let event = self.stepper.stop([0; N]);
         self.after_stop(event);
         event
     }
 
-    /// What control does with the event of a stop.
+    /// Handles the event of a stop like `control`.
     pub fn handle_stop(&mut self, event: StepEvent<N>) {
         let (StepEvent::Stopped { stops, position, .. } | StepEvent::Underrun { stops, position }) = event else {
             return;
@@ -281,13 +283,13 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         self.queue.push_back(ToStep::Resume { stops });
     }
 
-    /// Throws away what went into a shut gate: the shadow of it.
+    /// Discards the messages that a shut gate would discard, and their records.
     pub fn flush(&mut self) {
         self.queue.clear();
         self.shadow.clear();
     }
 
-    /// Ticks until rest or `limit` ticks.
+    /// Runs until rest, at most `limit` ticks. Returns whether rest was reached.
     pub fn run_ticks(&mut self, limit: usize) -> bool {
         for _ in 0..limit {
             self.pump();
@@ -320,16 +322,17 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         self.time as f64 / f64::from(self.hz)
     }
 
-    /// Speed and acceleration along the path from the tick intervals.
+    /// Checks speed and acceleration along the path, computed from the tick intervals.
     ///
-    /// Speed: each tick's path by its interval, within 1 %. Acceleration: the mean speeds of neighbouring windows of at
-    /// least 2 ms and 8 ticks against the time between their middles, within 1 %; at rest the speed is 0. The segment at
-    /// the top of a ramp ends on a whole step behind it and changes its intervals evenly, so beside it a half percent more.
+    /// The speed of each tick is its path divided by its interval; tolerance 1 %. The acceleration is the difference of
+    /// the mean speeds of neighbouring windows (at least 2 ms and 8 ticks), divided by the time between their middles;
+    /// tolerance 1.5 %. Of that, half a percent is for the segment at the top of a ramp, which ends on a whole step
+    /// after the ramp and has linear intervals.
     pub fn check_limits(&self) {
         let hz = f64::from(self.hz);
         for record in &self.trace {
             let interval = record.interval as f64 / hz;
-            // A percent, and the clock tick to which a moment is rounded.
+            // One percent, and the clock tick to which a time is rounded.
             assert!(
                 record.path <= record.nominal * (interval * 1.01 + 1.0 / hz) + 1e-9,
                 "too fast: {} of {} mm/s at {record:?}",
@@ -340,8 +343,8 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         self.check_acceleration(false);
     }
 
-    /// The second half of [`Rig::check_limits`]. Where overrides and holds meet a crawl (`cut_short`), a tick that is
-    /// far away may be dropped or hurried: one unit, so what it could have been accelerated to is allowed.
+    /// Checks the acceleration as in [`Rig::check_limits`]. `cut_short`: overrides or holds at very low speed may drop
+    /// or hurry a pending tick of one unit, so the speed that can be reached within a unit is allowed.
     pub fn check_acceleration(&self, cut_short: bool) {
         let hz = f64::from(self.hz);
         let mut window: Option<(f64, f64, f64)> = None; // middle, speed, acceleration limit
@@ -365,8 +368,9 @@ impl<const N: usize, const B: usize> Rig<N, B> {
                     // One clock tick of rounding in a window of 2 ms.
                     let rounding = speed.max(old) / (0.002 * hz) / (middle - before);
                     let short = if cut_short { (2.0 * most * unit).sqrt() / (middle - before) } else { 0.0 };
-                    // A phase of the curve ends on a whole step, and what is missing to it is in its last segment: an even change
-                    // over the time T, of which the speed stays for t, begins with a·t·(T - t)/2T more, a·T/8 at most.
+                    // A phase of the curve ends on a whole step, so its last segment contains a part with another
+                    // acceleration. A segment of the time T whose speed is constant for t begins with a speed that is
+                    // higher by a·t·(T - t)/2T, at most a·T/8.
                     let edge = most * (step / speed / 2.0).min(0.002 / 8.0) / (middle - before);
                     assert!(
                         seen <= most * 1.015 + rounding * 2.0 + short + edge,

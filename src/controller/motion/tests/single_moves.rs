@@ -1,4 +1,4 @@
-//! A motion in the small memory for single moves does the same as one with a look-ahead of its own.
+//! A motion with the small memory for single moves behaves like one with its own look-ahead.
 
 use super::super::{MotionSettings, Speed, on_heap, on_heap_for_single_moves};
 use super::rig::{settings, to};
@@ -6,14 +6,14 @@ use crate::messages::{Observed, ToStep};
 use crate::motion::Motion;
 use proptest::prelude::*;
 
-/// The step task: begins what it is given, one segment after the other.
+/// Simulated step task: begins the segments that it gets, one after the other.
 struct Taker {
     observed: Observed,
     given: u32,
 }
 
 impl Taker {
-    /// Runs the motion until it rests; it is held after so many messages. Returns what it handed over.
+    /// Runs a motion until it is at rest, with a hold after `hold_after` messages. Returns all messages.
     fn run(&mut self, motion: &mut Motion<3>, hold_after: Option<usize>) -> Vec<ToStep> {
         let mut messages = Vec::new();
         motion.start();
@@ -37,7 +37,7 @@ impl Taker {
     }
 }
 
-/// A move to a height at a feed (mm/s), which may be held after some messages and forgotten.
+/// A move to a height at a feed (mm/s), which may be held after some messages and discarded.
 #[derive(Clone, Debug)]
 struct Single {
     z: f64,
@@ -79,7 +79,7 @@ proptest! {
             });
             prop_assert_eq!(by_whole, by_small);
         }
-        // Two rings that are exchanged leave both motions where they are.
+        // Exchanging the rings changes neither position.
         let before = (lender.machine_steps(), small.machine_steps());
         lender.lend_ring(&mut small);
         prop_assert_eq!(before, (lender.machine_steps(), small.machine_steps()));

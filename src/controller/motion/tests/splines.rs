@@ -1,4 +1,5 @@
-//! Chords against the exact Bezier curve, computed by its polynomial in 64 bits, and through the steps.
+//! Compares the chords of splines, and the steps made of them, with the exact Bezier curve, computed by its polynomial
+//! in 64 bits.
 
 use super::super::{Speed, Spline, SplineGeometry};
 use super::rig::{Rig, mm, settings, to};
@@ -12,7 +13,7 @@ fn f(coordinate: Coordinate) -> f64 {
     coordinate.0 as f64 / DECIMAL_ONE as f64
 }
 
-/// A curve by its control points.
+/// Returns the geometry for four control points.
 fn geometry(points: [Point; 4]) -> SplineGeometry<3> {
     let [start, leaving, arriving, target] = points.map(|point| point.map(mm));
     SplineGeometry {
@@ -23,7 +24,7 @@ fn geometry(points: [Point; 4]) -> SplineGeometry<3> {
     }
 }
 
-/// The control points as they are, rounded to 0.1 nm.
+/// Returns the control points of a geometry, rounded to 0.1 nm.
 fn control(geometry: &SplineGeometry<3>) -> [Point; 4] {
     let place = |place: &PerAxis<Coordinate, 3>| [f(place.0[0]), f(place.0[1])];
     let (start, target) = (place(&geometry.start), place(&geometry.target));
@@ -31,7 +32,7 @@ fn control(geometry: &SplineGeometry<3>) -> [Point; 4] {
     [start, beside(start, geometry.leaving), beside(target, geometry.arriving), target]
 }
 
-/// By Bernstein's polynomials.
+/// Returns the exact point at parameter `t`, by Bernstein's polynomials.
 fn exact(points: &[Point; 4], t: f64) -> Point {
     let s = 1.0 - t;
     let weights = [s * s * s, 3.0 * s * s * t, 3.0 * s * t * t, t * t * t];
@@ -42,7 +43,7 @@ fn distance(a: Point, b: Point) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// From a point to a straight piece.
+/// Returns the distance of a point from a line segment.
 fn from_piece(point: Point, a: Point, b: Point) -> f64 {
     let (way, to) = ([b[0] - a[0], b[1] - a[1]], [point[0] - a[0], point[1] - a[1]]);
     let square = way[0] * way[0] + way[1] * way[1];
@@ -50,7 +51,7 @@ fn from_piece(point: Point, a: Point, b: Point) -> f64 {
     distance(point, [a[0] + way[0] * share, a[1] + way[1] * share])
 }
 
-/// Checks all chords and the extent; gives the number of chords.
+/// Checks all chords and the extent. Returns the number of chords.
 fn check(geometry: &SplineGeometry<3>, tolerance: f64) -> usize {
     let points = control(geometry);
     let mut spline = Spline::new(geometry, tolerance as f32);
@@ -63,14 +64,14 @@ fn check(geometry: &SplineGeometry<3>, tolerance: f64) -> usize {
     let mut before = points[0];
     for (k, end) in ends.iter().enumerate() {
         for axis in 0..3 {
-            // Three roundings.
+            // Three rounding errors.
             let slack = if k + 1 == ends.len() { 0 } else { 4 };
             assert!(end.0[axis].0 >= least.0[axis].0 - slack && end.0[axis].0 <= greatest.0[axis].0 + slack);
         }
         let count = ends.len() as f64;
         let end = [f(end.0[0]), f(end.0[1])];
-        // The parameter has 30 bits, and a side of the polygon is two sizes long at most, three times which is how fast a point
-        // moves with it: 6 / 2^30.
+        // The parameter has 30 bits. A side of the polygon is at most twice `size`, and the point moves three times as
+        // far per parameter: 6 / 2^30.
         let off = distance(end, exact(&points, (k as f64 + 1.0) / count));
         assert!(off < 5e-7 + 6e-9 * size, "chord {k} ends {off} mm off");
         for part in 0..=8 {
@@ -84,14 +85,14 @@ fn check(geometry: &SplineGeometry<3>, tolerance: f64) -> usize {
     }
     for axis in 0..2 {
         let (least, greatest) = (f(least.0[axis]), f(greatest.0[axis]));
-        // The points lie within, and a chord's parameter away from the farthest at most.
+        // The points lie within the extent, and the outermost ones close to its edges.
         assert!(least <= low[axis] + 4e-7 && greatest >= high[axis] - 4e-7, "axis {axis}");
         assert!(low[axis] - least < tolerance + 1e-6 && greatest - high[axis] < tolerance + 1e-6, "axis {axis}");
     }
     ends.len()
 }
 
-/// A quarter of a circle but for 0.03 %.
+/// Returns a quarter of a circle, with an error of 0.03 %.
 fn quarter(radius: f64) -> SplineGeometry<3> {
     const HANDLE: f64 = 0.552_284_75;
     geometry([[radius, 0.0], [radius, radius * HANDLE], [radius * HANDLE, radius], [0.0, radius]])
@@ -122,7 +123,7 @@ fn curves_of_one_point_or_one_line() {
     let chords = |points| check(&geometry(points), 0.002);
     assert_eq!(chords([[3.0, -1.0]; 4]), 1);
     assert_eq!(chords([[0.0, 0.0], [1.0, 2.0], [2.0, 4.0], [3.0, 6.0]]), 1);
-    // Back and forth on a line, a point, a loop, from the other end of the world.
+    // Back and forth on a line, a cusp, a loop, equal control points, maximum coordinates, and a tiny curve.
     for points in [
         [[0.0, 0.0], [20.0, 10.0], [-10.0, -5.0], [6.0, 3.0]],
         [[0.0, 0.0], [10.0, 10.0], [0.0, 10.0], [10.0, 0.0]],
@@ -156,7 +157,7 @@ proptest! {
         check(&geometry(points), tolerance);
     }
 
-    /// Of sides that are one another's mirror images or one another, or nothing.
+    /// Curves on a coarse grid often have sides that are equal, mirrored or of length 0.
     #[test]
     fn chords_of_special_curves(cells in prop::array::uniform8(-2_i32..=2), unit in 0.1_f64..50.0) {
         let at = |k: usize| [f64::from(cells[k]) * unit, f64::from(cells[k + 1]) * unit];
@@ -175,8 +176,8 @@ proptest! {
     }
 }
 
-/// Runs a curve to its end, which must be met exactly, within what the axes can do; the farthest any step is off the exact
-/// curve, mm.
+/// Runs a curve to its end, which must be reached exactly, and checks the limits of the axes. Returns the maximum
+/// distance of a step from the exact curve, mm.
 fn farthest_off(g: &SplineGeometry<3>, scale: f32, feed: f32, every: Option<usize>) -> f64 {
     let mut config = settings(100.0, 100.0, 500.0);
     config.steps_per_mm = PerAxis::all(StepsPerMm::new(scale).unwrap());
@@ -230,8 +231,8 @@ fn farthest_off(g: &SplineGeometry<3>, scale: f32, feed: f32, every: Option<usiz
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
 
-    /// A step lies off by the tolerance of the chords and what a step itself may be off, √2·(1/2 + 1/14) of it, the polygon of
-    /// 2000 points by 3·10^-6 of the size.
+    /// The distance of a step is at most the tolerance of the chords plus √2·(1/2 + 1/14) of a step. The polygon of
+    /// 2000 points adds 3·10^-6 of the curve's size.
     #[test]
     fn steps_of_any_curve_stay_near_it(
         points in anywhere(8.0), scale in prop_oneof![Just(80.0_f32), 40.0_f32..250.0], feed in 5.0_f32..100.0,
@@ -243,7 +244,7 @@ proptest! {
     }
 }
 
-/// The machine is slow where the curve comes to a point, and where it is tight.
+/// The machine is slow at a cusp, and where the curve is tight.
 #[test]
 fn speed_where_a_curve_comes_to_a_point() {
     for points in [
@@ -265,7 +266,7 @@ fn speed_where_a_curve_comes_to_a_point() {
         }
         rig.run();
         rig.check_limits();
-        // Over a window of 0.1 mm at the point, y = 7.5.
+        // Measured over a window of 0.1 mm at the cusp, y = 7.5.
         let (mut y, mut begin, mut end) = (0, None, 0);
         for record in &rig.trace {
             y += i32::from(record.steps >> 1 & 1) * if record.directions >> 1 & 1 != 0 { -1 } else { 1 };
@@ -275,7 +276,8 @@ fn speed_where_a_curve_comes_to_a_point() {
             }
         }
         let seconds = (end - begin.unwrap()) as f64 / f64::from(rig.hz);
-        // From rest 0.05 mm at 500 mm/s² take 14 ms, and as long to rest; to turn round at speed would take 1 ms.
+        // Braking to rest within 0.05 mm at 500 mm/s² takes 14 ms, and so does leaving it; without a stop it would be 1
+        // ms.
         assert!(seconds > 0.02, "{seconds} s");
     }
 }

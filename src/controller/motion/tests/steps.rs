@@ -1,4 +1,4 @@
-//! Which steps are made: against figures worked by hand and against Bresenham's line.
+//! Compares the steps that are made with figures computed by hand, and with Bresenham's line.
 
 use super::super::Speed;
 use super::super::measure::steps_taken;
@@ -7,7 +7,7 @@ use super::rig::{Rig, mm, settings, to};
 use crate::messages::{AxisSteps, Segment, ToStep};
 use proptest::prelude::*;
 
-/// Runs one block at one level and gives the step bits of each tick.
+/// Runs one block at one AMASS level. Returns the step bits of each tick.
 fn bits_of(steps: [u32; 3], level: u8) -> Vec<u8> {
     let most = *steps.iter().max().unwrap();
     let mut stepper = Stepper::<3>::new();
@@ -47,7 +47,7 @@ fn nine_and_three_step_as_bresenham_does() {
     assert_eq!(ticks_of(&bits, 1), [2, 5, 8]);
 }
 
-/// Bresenham's line in integers, one axis against the dominant one: D starts at 2·dy - dx, and y steps when D > 0.
+/// Returns the ticks at which y steps, by Bresenham's line in integers: D starts at 2·dy - dx, and y steps when D > 0.
 fn bresenham(dx: i64, dy: i64) -> Vec<usize> {
     let mut error = 2 * dy - dx;
     let mut at = Vec::new();
@@ -83,7 +83,7 @@ proptest! {
             let done = (tick as i64 + 1) * (16 >> level);
             for axis in 0..3 {
                 taken[axis] += i64::from(bits >> axis & 1);
-                // |taken - steps·done / (16·most)| <= 1/2, in integers.
+                // Checks |taken - steps·done / (16·most)| <= 1/2 in integers.
                 let off = taken[axis] * 16 * most - i64::from(steps[axis]) * done;
                 prop_assert!(off.abs() <= 8 * most);
                 let threshold = most as u32 * 16;
@@ -157,7 +157,7 @@ fn directions_are_out_one_interval_before_the_step() {
         rig.moves.push_back(to([there * 3.0, 0.3 * f64::from(k), -there], Speed::Rapid));
     }
     rig.run();
-    // The rig counts positions with the levels put out by the tick before, and compares after each tick.
+    // The rig counts positions with the direction levels of the previous tick, and compares them after each tick.
     assert_eq!(rig.position, [240, 936, -80]);
     rig.check_limits();
 }
@@ -172,7 +172,7 @@ fn tiny_increments_add_up() {
     }
     rig.run();
     assert_eq!(rig.position, [16_000, 0, 0]);
-    // 200 mm at 10 mm/s, and v/a for the ramps: lengths of stepless moves are not lost.
+    // 200 mm at 10 mm/s, plus v/a for the ramps: the lengths of moves without a step are not lost.
     assert!((rig.seconds() - 20.02).abs() < 0.02, "{}", rig.seconds());
     rig.check_limits();
 }
@@ -203,7 +203,7 @@ fn six_axes_step() {
 
 #[test]
 fn moves_beyond_a_block_are_cut() {
-    // 100 m at 10,000 steps/mm: 10^9 steps. Too many to run here: follow the plan without the step task.
+    // 100 m at 10,000 steps/mm are 10^9 steps, too many to run here: only the messages are checked.
     let mut rig = Rig::<3, 4>::new(settings(10_000.0, 800.0, 5000.0));
     assert!(rig.motion.line(&to([-50_000.0, 1.0, 0.0], Speed::Rapid)));
     assert_eq!(rig.motion.free_blocks(), 0);
@@ -254,8 +254,8 @@ fn slow_feeds_are_exact() {
 
 #[test]
 fn a_step_that_rounding_makes_of_a_hairs_breadth_takes_its_time() {
-    // Alternately 0.002 and 1.998 steps long, one step each: no step may come at a hair's time, and all together take
-    // the time of the way.
+    // The moves are 0.002 and 1.998 steps long in turn, with one step each. No step may take the tiny time of 0.002
+    // steps, and all together must take the time for the total length.
     let mut rig = Rig::<3, 64>::new(settings(80.0, 100.0, 5000.0));
     for k in 0..800 {
         let x = f64::from(2 * k);
@@ -268,6 +268,6 @@ fn a_step_that_rounding_makes_of_a_hairs_breadth_takes_its_time() {
     let whole = 1599.0 / 80.0 / 10.0;
     assert!((rig.seconds() / whole - 1.0).abs() < 0.005, "{} of {whole}", rig.seconds());
     let fastest = rig.trace.iter().map(|r| r.interval << r.level).min().unwrap();
-    // A step takes 120,000 clock ticks at this feed, and half of that at least.
+    // At this feed a step takes 120,000 clock ticks on average; none may take less than half of that.
     assert!(fastest >= 59_000, "{fastest}");
 }

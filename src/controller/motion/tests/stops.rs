@@ -1,4 +1,4 @@
-//! Holds, overrides, stops and an empty queue, at any moment.
+//! Holds, overrides, stops and an empty queue, each at any time.
 
 use super::super::{QUEUED_TIME_MS, Speed};
 use super::rig::{Rig, settings, to};
@@ -42,7 +42,7 @@ fn holds_at_every_segment_resume_to_the_same_step() {
             let observed = rig.observed();
             rig.motion.observe(&observed);
             assert!(rig.motion.is_at_rest() && rig.motion.is_held());
-            // What was queued, one segment, the ramp.
+            // The hold takes the queued time, one segment, and the ramp.
             let speed = rig.trace[from..].iter().map(|r| r.path / r.interval as f64).fold(0.0, f64::max);
             let ramp = speed * f64::from(rig.hz) / f64::from(accel) * 1.5;
             let took = (rig.time - called) as f64 / f64::from(rig.hz);
@@ -77,7 +77,7 @@ fn a_hold_begins_its_ramp_in_time() {
     let latency = slower.time as f64 / f64::from(rig.hz) - called;
     assert!(latency <= 0.020 && latency > f64::from(QUEUED_TIME_MS) * 0.0005, "{latency}");
     rig.check_limits();
-    // v²/2a = 50 mm after it began; the stop is where the ramp ends, not at the end of the move.
+    // The stop is v²/2a = 50 mm after the braking began, not at the end of the move.
     let at = rig.position[0] as f64 / 80.0;
     let begun = slower.time as f64 / f64::from(rig.hz);
     let ideal = 50.0 + (begun - 1.0) * 100.0 + 50.0;
@@ -101,7 +101,7 @@ fn a_hold_acts_between_the_steps_of_a_crawl() {
     let called = rig.seconds();
     assert!(rig.run_ticks(100_000));
     assert!(rig.seconds() - called < 0.025, "{}", rig.seconds() - called);
-    // An override while it waits for its tick a second away.
+    // An override while a tick is pending that is a second away.
     rig.motion.resume();
     rig.run_ticks(10);
     rig.motion.set_overrides(100.0, 1.0);
@@ -160,7 +160,7 @@ fn an_empty_queue_stops_and_says_so() {
         assert!(rested && rig.seconds() - begun < 0.03);
         let [event @ StepEvent::Underrun { stops: 1, position }] = rig.events[..] else { panic!("{:?}", rig.events) };
         assert_eq!(position.0.map(i64::from), rig.position);
-        // Nothing steps before the gate is opened.
+        // No axis steps before the gate is opened.
         rig.feeding = true;
         let held = rig.position;
         assert!(rig.run_ticks(1000));
@@ -185,7 +185,7 @@ fn a_second_stop_keeps_the_gate_shut_for_the_first_resume() {
     let StepEvent::Stopped { stops: 1, moving: true, .. } = first else { panic!("{first:?}") };
     rig.flush();
     rig.handle_stop(first);
-    // The answer to the first is on its way, with a move behind it, when the second comes.
+    // The second stop comes while the answer to the first one is queued, followed by a move.
     rig.moves.clear();
     rig.moves.push_back(to([1.0, 1.0, 1.0], Speed::Rapid));
     rig.pump();
@@ -219,7 +219,7 @@ fn overrides_slow_down_and_speed_up_within_a_block() {
             rig.run_ticks(1);
         }
         rig.motion.set_overrides(factor, 1.0);
-        // 20 ms of queue and the change of speed at 200 mm/s².
+        // 20 ms for the queue, plus the change of speed at 200 mm/s².
         while rig.seconds() < at + 0.6 {
             rig.run_ticks(1);
         }
@@ -296,7 +296,7 @@ proptest! {
     }
 }
 
-/// Moves until so little is left queued up to the rest that ends the first move; then another one comes.
+/// Runs a first move until at most `milliseconds` are queued before its rest, then queues a second move.
 fn second_move_when_left(milliseconds: f64) -> (Rig<3, 16>, bool) {
     let mut rig = Rig::<3, 16>::new(settings(2000.0, 500.0, 4000.0));
     rig.moves.push_back(to([1.0, 0.0, 0.0], Speed::Feed(50.0)));

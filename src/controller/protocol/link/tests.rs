@@ -10,7 +10,7 @@ struct Depths {
     lines: Vec<LineByte>,
     most_commands: usize,
     most_lines: usize,
-    /// The link that is read cannot wait, and resets are owed.
+    /// The link being read cannot wait: its resets are owed, so they always find room.
     owes_resets: bool,
     free: bool,
     stops: usize,
@@ -51,7 +51,7 @@ impl Queues for Depths {
     }
 }
 
-/// Two links: one that holds little, as a UART, and one that holds `HELD`.
+/// Two links: `uart`, which holds one byte, and `usb`, which holds `HELD`.
 struct Both<const HELD: usize> {
     queues: Depths,
     arbiter: HostArbiter,
@@ -88,18 +88,18 @@ impl<const HELD: usize> Both<HELD> {
         self.usb.pass_on(&mut self.arbiter, &mut self.queues) || uart
     }
 
-    /// What is in the queue, with `|` for a cut; the cut before the first byte is of nothing and not shown.
+    /// Returns the text in the queue, with `|` for a cut. A cut at the start voids nothing and is omitted.
     fn text(&self) -> String {
         let shown = |byte: &LineByte| if byte.byte == HOST_CHANGED { '|' } else { char::from(byte.byte) };
         self.queues.lines.iter().map(shown).collect::<String>().trim_start_matches('|').into()
     }
 
-    /// The controller's view: which bytes are of which epoch, and what has it read once all commands have come.
+    /// Returns the epochs of the line bytes in the queue.
     fn epochs(&self) -> Vec<u16> {
         self.queues.lines.iter().filter(|byte| byte.byte != HOST_CHANGED).map(|byte| byte.epoch).collect()
     }
 
-    /// How often each has been refused a line.
+    /// Returns how many lines of each link were refused.
     fn refusals(&self) -> (u16, u16) {
         (self.uart.refusals, self.usb.refusals)
     }
@@ -117,7 +117,7 @@ fn a_link_that_cannot_wait_has_each_command_tried() {
     assert!(both.queues.lines[0].damaged && !both.uart.is_waiting(), "the others are lost, and that is said");
 }
 
-/// What was lost belonged to lines that the reset makes void.
+/// The lost bytes belong to lines that the reset voids.
 #[test]
 fn bytes_lost_before_a_reset_refuse_no_line_behind_it() {
     for is_lost_behind in [false, true] {
@@ -148,7 +148,7 @@ fn realtime_bytes_pass_lines_that_wait() {
     assert!(both.queues.lines.iter().all(|byte| !byte.damaged));
 }
 
-/// A sender that does not count: as the port does it, a packet is fetched only while a whole one fits.
+/// A sender that does not count characters. As on the real port, a packet is fetched only while a whole one fits.
 #[test]
 fn a_flood_is_told_to_wait_and_nothing_is_lost() {
     let mut both = Both::<HELD>::new(64, 255);
@@ -161,7 +161,7 @@ fn a_flood_is_told_to_wait_and_nothing_is_lost() {
             both.usb(packet);
         } else {
             waits += 1;
-            // The controller reads a line or so.
+            // The controller reads about a line.
             taken.extend(both.queues.lines.drain(..9).map(|byte| {
                 assert!(!byte.damaged);
                 char::from(byte.byte)
@@ -178,8 +178,8 @@ fn a_flood_is_told_to_wait_and_nothing_is_lost() {
     assert!(waits > 100 && most_held > HELD - PACKET, "{waits} {most_held}");
 }
 
-/// Character counting keeps at most 255 line bytes under way: with the queue full of them any number of commands
-/// still passes, and there is always room for a packet.
+/// Character counting keeps at most 255 line bytes in transit. With the queue full of these bytes, any number of
+/// commands still passes, and there is always room for a packet.
 #[test]
 fn a_counting_sender_never_waits() {
     let mut both = Both::<HELD>::new(1000, 256);
@@ -227,12 +227,12 @@ fn a_host_that_leaves_in_mid_line_leaves_no_half_line() {
     both.usb(b"G4P0\n");
     assert!(!both.arbiter.owes_cut());
     assert_eq!((both.text().as_str(), both.refusals()), ("G0X1\nG1 X|G4P0\n", (0, 0)));
-    // The cut says how many hosts have gone, so that it is known whose lines are in front of it.
+    // The cut contains the number of disconnected hosts, which shows whose lines precede it.
     let cuts = |both: &Both<16>| {
         both.queues.lines.iter().filter(|b| b.byte == HOST_CHANGED).map(|b| b.epoch).collect::<Vec<_>>()
     };
     assert_eq!((cuts(&both), both.arbiter.gone()), (vec![0, 1], 1));
-    // The other one may be the next.
+    // The next host may be on the other link.
     both.usb(b"G1 Y");
     both.usb.went(&mut both.arbiter);
     both.uart(b"G4\n");
@@ -251,7 +251,7 @@ fn a_cut_goes_before_the_first_line_of_each_host_that_comes() {
     assert_eq!(both.text(), "G4P0\n|G0\n|G0\n");
 }
 
-/// The start of the line is in the queue, its end waits: behind the cut it would be a line of its own.
+/// The start of the line is in the queue and its end waits. After the cut, that end would be a line of its own.
 #[test]
 fn of_a_line_sent_before_the_port_is_opened_nothing_is_read() {
     let mut both = Both::<16>::new(8, 4);
@@ -271,7 +271,7 @@ fn a_host_that_leaves_with_a_full_queue_makes_room_for_the_next() {
     assert_eq!(both.usb.held(), 7);
     both.usb.went(&mut both.arbiter);
     assert_eq!(both.usb.room(), 16);
-    // The cut comes before the first byte of the next host, whichever that is, and that byte waits with it.
+    // The cut precedes the first byte of the next host on either link, and that byte waits with it.
     both.uart(b"$");
     both.queues.most_lines = 100;
     both.pass_on();
@@ -280,14 +280,14 @@ fn a_host_that_leaves_with_a_full_queue_makes_room_for_the_next() {
     assert!(both.queues.lines.iter().all(|byte| !byte.damaged));
 }
 
-/// The rest of a line is refused with it, whoever has the floor when it comes.
+/// If a line is refused, its rest is refused too, whichever host has the floor by then.
 #[test]
 fn the_rest_of_a_refused_line_is_no_line() {
     let mut both = Both::<16>::new(8, 100);
     both.usb(b"G0X1");
     both.uart(b"G1 Y5");
     both.usb(b"0\n");
-    // The machine has done it, and the floor is there for the asking.
+    // The machine is idle, so any host can claim the floor.
     both.queues.free = true;
     both.uart(b"0 Z-9\r\n");
     assert_eq!((both.text().as_str(), both.refusals()), ("G0X10\n", (1, 0)));
@@ -304,7 +304,7 @@ fn a_line_that_another_host_has_cut_is_refused_to_its_end() {
     both.uart(b"0 Z-9\n");
     both.uart(b"G4\n");
     assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G0 Y1\n|G4\n", (1, 0)));
-    // A question takes the floor of an idle machine as well, but cuts no line.
+    // A `?` also takes the floor of an idle machine, but cuts no line.
     both.uart(b"G1 X1");
     both.usb(b"?");
     both.uart(b"0\nG5\n");
@@ -323,14 +323,14 @@ fn a_line_in_which_another_host_resets_is_refused_to_its_end() {
         both.usb.went(&mut both.arbiter);
         both.uart(b"0 Z-9\nG4\n");
         assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G4\n", (1, 0)), "{command:#x}");
-        // One's own reset begins another line.
+        // After its own reset a host begins a new line.
         both.uart(b"G1 X1\x180\n");
         assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G4\nG1 X10\n", (1, 0)));
         assert_eq!(both.epochs().last(), Some(&2));
     }
 }
 
-/// 0x19 means nothing in Grbl's dialect: whole lines stay, also those that wait.
+/// On 0x19 the link must keep whole lines, including those that wait, because Grbl's dialect ignores 0x19.
 #[test]
 fn a_stop_by_another_host_keeps_whole_lines() {
     let mut both = Both::<16>::new(8, 4);
@@ -352,7 +352,7 @@ fn bytes_lost_before_another_host_speaks_refuse_their_own_line_only() {
     both.uart(b"0 Z-9\nG4\n");
     assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G0 Y1\n|G4\n", (1, 0)));
     assert!(both.queues.lines.iter().all(|byte| !byte.damaged));
-    // The beginning of a line was lost.
+    // The start of the line was lost.
     both.uart.lose();
     both.usb(b"$I\n");
     both.uart(b"X5\n");
@@ -365,7 +365,7 @@ fn cr_lf_is_refused_once() {
     both.usb(b"G0\n");
     both.uart(b"G1\r\n\r\nG2\n\nG3\r");
     assert_eq!(both.refusals(), (6 - 1, 0), "two empty lines among them");
-    // The LF of a line that was refused, or read, is no line of its own when the floor has changed.
+    // The LF after the CR of a refused or read line is not a line of its own, even if the floor has changed.
     both.queues.free = true;
     both.uart(b"\nG5\r");
     assert_eq!(both.text(), "G0\n|G5\r");
@@ -374,7 +374,7 @@ fn cr_lf_is_refused_once() {
     assert_eq!((both.text().as_str(), both.refusals()), ("G0\n|G5\r|G6", (5, 0)));
 }
 
-/// A command that opens an epoch and waits for room has not opened it yet: one of the other host may go before it.
+/// A command that waits for room has not opened its epoch yet: a command of the other host may precede it.
 #[test]
 fn epochs_are_counted_in_the_order_of_the_queue() {
     let mut both = Both::<16>::new(1, 100);
@@ -408,7 +408,7 @@ fn a_refusal_is_sent_as_there_is_room() {
     assert_eq!(sent, REFUSAL.repeat(2));
 }
 
-/// The bytes of `Ä` and `à` among them would open the door and start the coolant.
+/// Among these characters, bytes of `Ä` and `à` would open the door and start the coolant.
 #[test]
 fn characters_of_a_remark_are_no_commands() {
     let mut both = Both::<16>::new(8, 100);
@@ -423,7 +423,7 @@ fn characters_of_a_remark_are_no_commands() {
     assert_eq!((both.text().as_str(), &both.queues.commands[..]), ("(uere Kontur)\n", &[SafetyDoor][..]));
 }
 
-/// What becomes of bytes behind which nothing comes for long.
+/// Returns the text, the commands queued at once, and those queued after nothing has followed the bytes for long.
 fn heard(bytes: &[u8], is_grbl: bool) -> (String, Vec<Realtime>, Vec<Realtime>) {
     let mut both = Both::<16>::new(8, 100);
     both.queues.is_grbl = is_grbl;
@@ -475,7 +475,7 @@ fn a_hold_in_a_remark_is_a_hold_where_bytes_are_lost_or_the_host_goes() {
     }
 }
 
-/// What waits for the rest of a character that does not come is not lost with it, and finds room in its order.
+/// Bytes that wait for the rest of a character are not lost if it does not come, and are queued in order.
 #[test]
 fn a_character_that_is_broken_off_is_commands() {
     use Realtime::{FeedReset, JogCancel, SafetyDoor, Status};
@@ -489,7 +489,7 @@ fn a_character_that_is_broken_off_is_commands() {
     both.pass_on();
     assert_eq!(both.queues.commands, [FeedReset, JogCancel, Status]);
     assert_eq!(both.usb.room(), 16);
-    // Bytes were lost: what follows may be of another character, or of no remark.
+    // Bytes were lost: later bytes may belong to another character, or not to a remark.
     let mut both = Both::<16>::new(8, 100);
     both.uart(b"(\xE3\x84");
     both.uart.lose();
@@ -497,7 +497,7 @@ fn a_character_that_is_broken_off_is_commands() {
     assert_eq!(both.queues.commands, [SafetyDoor; 3]);
 }
 
-/// A host may pour its lines in and read later.
+/// A host may send all its lines first and read the answers later.
 #[test]
 fn each_refused_line_is_answered_however_late_the_host_reads() {
     let mut both = Both::<16>::new(8, 100);
@@ -511,19 +511,19 @@ fn each_refused_line_is_answered_however_late_the_host_reads() {
     assert_eq!(sent.len(), 1000 * REFUSAL.len());
 }
 
-/// What may happen to two links.
+/// Events on two links.
 #[derive(Clone, Debug)]
 enum Event {
-    /// Bytes of one of them: text, commands, any ends.
+    /// Bytes on one of the links: text, commands, any line ends.
     Bytes {
         usb: bool,
         bytes: Vec<u8>,
     },
-    /// The host of the second one comes or goes, or bytes of it are lost.
+    /// The host on `usb` connects or disconnects, or bytes of it are lost.
     Came,
     Went,
     Lost,
-    /// So much room has come about; the machine is free or not.
+    /// Room in the queues has been freed; `free`: the machine is idle.
     Room {
         lines: usize,
         commands: usize,
@@ -546,7 +546,7 @@ fn event() -> impl Strategy<Value = Event> {
     ]
 }
 
-/// Of remarks, and of the characters in them.
+/// Generates bytes of remarks, and of the characters in them.
 fn remark_byte() -> impl Strategy<Value = u8> {
     prop_oneof![
         4 => Just(b'('), 1 => Just(b')'), 1 => Just(b';'), 3 => Just(0xC3), 3 => Just(0xE3), 1 => Just(0xF0), 1 => Just(0xC2),
@@ -554,7 +554,7 @@ fn remark_byte() -> impl Strategy<Value = u8> {
     ]
 }
 
-/// What a Grbl makes of all bytes but the text of remarks, whose characters the standard library finds.
+/// Returns the commands in `bytes`: all command bytes except the text of remarks, as the standard library decodes it.
 fn commands_of(bytes: &[u8]) -> Vec<Realtime> {
     let mut commands = Vec::new();
     let mut give = |bytes: &[u8]| {
@@ -581,7 +581,7 @@ fn commands_of(bytes: &[u8]) -> Vec<Realtime> {
 }
 
 impl Both<40> {
-    /// As the serial task reads: runs of text where there are any, or each byte by itself.
+    /// Plays an event as the serial task does: runs of text where there are any, or each byte separately.
     fn play(&mut self, event: &Event, by_run: bool) {
         let Both { queues, arbiter, uart, usb } = self;
         match event {
@@ -616,8 +616,8 @@ impl Both<40> {
 }
 
 proptest! {
-    /// A command is never lost or made up, but for the text of remarks: whatever comes, in whatever pieces,
-    /// and however little room there is.
+    /// No command is lost or invented, except in the text of remarks: for any bytes, in any pieces, with any amount of
+    /// room.
     #[test]
     fn a_stop_byte_is_never_lost(
         mut bytes in proptest::collection::vec(
@@ -626,7 +626,7 @@ proptest! {
             0..200),
         mut pieces in proptest::collection::vec((1_usize..9, 0_usize..3), 1..40),
     ) {
-        // A character that has begun is at its end then.
+        // This ends an incomplete character.
         bytes.push(b'\n');
         pieces.push((1, 1));
         let (mut both, mut left, mut commands) = (Both::<40>::new(0, 1000), bytes.as_slice(), Vec::new());
@@ -647,7 +647,7 @@ proptest! {
         prop_assert_eq!(commands, commands_of(&bytes));
     }
 
-    /// Runs of text and line ends become what the bytes become one by one.
+    /// A run of text and line ends has the same effect as its bytes one by one.
     #[test]
     fn a_run_is_taken_as_its_bytes(events in proptest::collection::vec(event(), 1..80)) {
         let [mut by_run, mut by_byte] = [0; 2].map(|_| Both::<40>::new(8, 100));

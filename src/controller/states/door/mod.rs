@@ -2,8 +2,8 @@
 //! `~` all of that is undone in reverse order, and the job continues. Sleep, a fault that retracts and a lost host go
 //! through the same phases.
 //!
-//! [`Door`] is what this state knows: its phase, what it interrupted, and what comes back. The tool's way to the parking
-//! position is planned in [`parking`].
+//! [`Door`] holds the data of this state: its phase, the interrupted work, and the coolant to restore. [`parking`]
+//! plans the tool's path to the parking position.
 
 pub(crate) mod parking;
 
@@ -23,16 +23,16 @@ pub(crate) struct Door {
     pub phase: DoorPhase,
     pub interrupted: Interrupted,
     pub opening: Opening,
-    /// Coolant that comes back; `None` while nothing has been switched off.
+    /// Coolant to restore; `None` while nothing has been switched off.
     coolant: Option<Coolant>,
 }
 
 /// Phases of the safety door.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-// Else the moments inside make the tag of this and of `State` one of 64 bits.
+// Otherwise the instants inside would make the tags of this enum and of `State` 64 bits wide.
 #[repr(u8)]
 pub(crate) enum DoorPhase {
-    /// Braking; what follows begins once at rest.
+    /// Braking; parking begins at rest.
     Braking,
     /// Parking: slowly out of the cut, the spindle still turning.
     PullingOut,
@@ -40,9 +40,9 @@ pub(crate) enum DoorPhase {
     Parking,
     /// At rest with spindle and coolant off.
     Parked,
-    /// Opened again while parking was undone: braking.
+    /// The door was opened again on the way back to the job: braking.
     Reopened,
-    /// `~` came: fast back towards the cut.
+    /// After `~`: fast back towards the cut.
     Returning,
     /// The spindle runs up until the given time, then the coolant starts.
     SpindleRestoring(Instant),
@@ -57,18 +57,18 @@ pub(crate) enum DoorPhase {
 pub(crate) enum Interrupted {
     /// A job, which resumes when the door is closed.
     Job,
-    /// A jog, which is forgotten at rest. `stopped`: 0x19 came meanwhile.
+    /// A jog, which is dropped at rest.
     Jog {
-        /// 0x19 came meanwhile.
+        /// 0x19 has been received since.
         stopped: bool,
     },
-    /// A job that was stopped (0x19): it is forgotten when the door is closed.
+    /// A job that was stopped (0x19): it is dropped when the door is closed.
     StoppedJob,
     /// Nothing that resumes: the machine falls asleep.
     Sleep,
 }
 
-/// What is done at an open door; a fault may do the same.
+/// How the machine reacts to an open door, or to a fault that acts like one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Opening {
     /// The tool is parked, where the settings and the program allow it.
@@ -80,7 +80,7 @@ pub(crate) struct Opening {
 }
 
 impl Opening {
-    /// By the door itself.
+    /// The reaction to the door itself.
     pub const BY_DOOR: Opening = Opening { retract: true, spindle_on: false, alarm: None };
 }
 
@@ -89,7 +89,7 @@ impl Door {
         Door { phase: DoorPhase::Braking, interrupted, opening, coolant: None }
     }
 
-    /// 0x19 came: the job is forgotten when the door is closed.
+    /// Handles 0x19: the job is dropped when the door is closed.
     pub(crate) fn stop_job(&mut self) {
         self.interrupted = match self.interrupted {
             Interrupted::Job | Interrupted::StoppedJob => Interrupted::StoppedJob,
@@ -98,12 +98,13 @@ impl Door {
         };
     }
 
-    /// Coolant is switched off. What was switched off before, by an opening of the same door, is not forgotten.
+    /// Remembers the coolant that is switched off. Coolant remembered at an earlier opening of the same door takes
+    /// precedence.
     fn keep_coolant(&mut self, coolant: Coolant) {
         self.coolant.get_or_insert(coolant);
     }
 
-    /// The machine has come to rest: a jog is forgotten now. Whether there is one.
+    /// Drops an interrupted jog, at rest. Returns whether there was one.
     fn forget_jog(&mut self) -> bool {
         let Interrupted::Jog { stopped } = self.interrupted else { return false };
         self.interrupted = if stopped { Interrupted::StoppedJob } else { Interrupted::Job };
@@ -123,7 +124,7 @@ impl DoorPhase {
         )
     }
 
-    /// The state as `?` names it. `open`: the door input is active.
+    /// Returns the state's name in the report for `?`. `open`: the door input is active.
     pub(crate) fn name(self, open: bool) -> &'static str {
         match self {
             DoorPhase::Braking | DoorPhase::PullingOut | DoorPhase::Parking | DoorPhase::Reopened => "Door:2",
@@ -135,7 +136,7 @@ impl DoorPhase {
 }
 
 impl<const N: usize> Controller<N> {
-    /// The door input or 0x84.
+    /// Handles the door input or 0x84.
     pub(crate) fn open_door(&mut self) {
         self.switch_off_for_door();
         self.forget_received_jogs();
@@ -146,7 +147,7 @@ impl<const N: usize> Controller<N> {
                 self.open(Interrupted::Jog { stopped: false }, Opening::BY_DOOR);
             }
             State::Normal | State::Hold(_) => self.brake_for_door(Opening::BY_DOOR),
-            // The stop stays one: nothing resumes when the door is closed.
+            // The stop remains a stop: nothing resumes when the door is closed.
             State::Braking { then: AfterBraking::Continue } => self.open(Interrupted::StoppedJob, Opening::BY_DOOR),
             State::Door(door) => match door.phase {
                 DoorPhase::SpindleRestoring(_) | DoorPhase::CoolantRestoring(_) => self.switch_off_and_park(),
@@ -170,7 +171,7 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Door(Door::opened(interrupted, opening)));
     }
 
-    /// The next phase of the door that is open.
+    /// Enters the next phase of an open door.
     #[inline(never)]
     fn enter_phase(&mut self, phase: DoorPhase) {
         if let State::Door(door) = &mut self.state {
@@ -178,7 +179,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// A fault may have left the spindle on (`$924` to `$928`); at an open door it does not turn.
+    /// Switches off a spindle that a fault has left on (`$924` to `$928`): at an open door it must not turn.
     fn switch_off_for_door(&mut self) {
         match &mut self.state {
             State::Door(door) if door.opening.spindle_on => {
@@ -193,7 +194,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Braking; then what the open door does.
+    /// Brakes; at rest the door's phases follow.
     pub(crate) fn brake_for_door(&mut self, opening: Opening) {
         self.m.motion.hold();
         self.task.forget_jog();
@@ -201,13 +202,13 @@ impl<const N: usize> Controller<N> {
         self.open(Interrupted::Job, opening);
     }
 
-    /// A fault has been braked for: the tool retracts, and the alarm follows.
+    /// Retracts the tool after braking for a fault; the alarm follows.
     pub(crate) fn retract_for(&mut self, opening: Opening) {
         self.open(Interrupted::Job, opening);
         self.begin_parking();
     }
 
-    /// `$SLP`: as a door that only a reset closes.
+    /// Handles `$SLP`: like a door that only a reset closes.
     pub(crate) fn fall_asleep(&mut self) {
         if self.state.is_alarm() {
             // A locked machine does not move, not even to park.
@@ -218,7 +219,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// `~` at a closed door.
+    /// Handles `~`: leaves the parked state if the door is closed.
     pub(crate) fn close_door(&mut self) {
         let State::Door(door) = &self.state else { return };
         let opens = door.phase == DoorPhase::Parked
@@ -235,7 +236,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Begins the next phases as the ones before come to their end. One of no length has come to it at once, and nothing
+    /// Starts the next phases as the current ones end. Loops because a phase of no length ends at once, and nothing
     /// would wake the controller for it.
     pub(crate) fn settle_phases(&mut self, mut phase: DoorPhase) {
         loop {
@@ -247,7 +248,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Begins the next phase when one has come to its end.
+    /// Starts the next phase if `phase` has ended.
     #[inline(never)]
     fn settle_door(&mut self, phase: DoorPhase) {
         match phase {
@@ -265,7 +266,7 @@ impl<const N: usize> Controller<N> {
             DoorPhase::Parking if self.m.parking.motion().is_idle() => self.parked(),
             DoorPhase::Reopened if self.m.parking.motion().is_at_rest() => {
                 self.m.parking.discard();
-                // In or near the cut with the spindle on: slowly out, as at first.
+                // In or near the cut with the spindle on: slowly out, as at the first opening.
                 if !self.m.accessories.is_suspended() && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
                 {
                     self.enter_phase(DoorPhase::PullingOut);
@@ -286,7 +287,7 @@ impl<const N: usize> Controller<N> {
                 } else {
                     self.m.settings.seconds(Key::DoorCoolantDelay)
                 };
-                // A phase of no length would leave a wake-up that is now.
+                // A phase of no length would request a wake-up for the current time.
                 if delay == Duration::millis(0) {
                     self.plunge();
                 } else {
@@ -303,7 +304,7 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     fn plunge(&mut self) {
         if self.parking_move(ParkingPoint::Left, Key::ParkingPullOutRate) {
-            // The job's block is entered with the slack where it was.
+            // The job's block must continue with the backlash on the side where it was.
             self.m.parking.end_with_lead(self.m.motion.lead());
             self.enter_phase(DoorPhase::Plunging);
         } else {
@@ -311,7 +312,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// A soft stop has come to its end. The door may have been opened meanwhile.
+    /// Ends a soft stop. The door may have been opened meanwhile.
     pub(crate) fn finish_soft_stop(&mut self, lock: bool) {
         self.end_soft_stop(lock);
         if self.m.inputs.signals().door {
@@ -332,8 +333,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Retracts the tool: the first move of parking. Straight to switching off where there is none: with an untrusted position or
-    /// settings that lock motion, or where a program holds it off (M56 P0), besides what [`Parking::leave_job`] knows.
+    /// Retracts the tool: the first move of parking. Switches off without a move if the position is untrusted, if
+    /// settings lock motion, if the program disables parking (M56 P0), or for the reasons of [`Parking::leave_job`].
     ///
     /// [`Parking::leave_job`]: crate::states::door::parking::Parking::leave_job
     fn begin_parking(&mut self) {
@@ -403,7 +404,8 @@ impl<const N: usize> Controller<N> {
     fn restore_spindle_for_door(&mut self) {
         let laser = self.m.settings.is_on(Key::Laser);
         if !laser {
-            // A beam comes back with the motion: it would burn on one point while the coolant (an air assist) is waited for.
+            // A laser comes back with the motion. Now it would burn one point while the machine waits for the coolant
+            // (an air assist).
             self.m.accessories.restore();
             self.m.replies.overrides_changed();
         }
@@ -416,7 +418,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// A parking move at the rate of this setting. Whether there is parking.
+    /// Starts a parking move at the rate of this setting. Returns whether the tool is being parked at all.
     fn parking_move(&mut self, to: ParkingPoint, rate: Key) -> bool {
         let parking = self.m.parking.move_to(to, rate, &self.m.settings);
         if parking {

@@ -1,8 +1,8 @@
-//! Parking: moves the tool away from the job and back to the position where the job was left. Which move comes when is
-//! decided by the safety door.
+//! Parking: moves the tool away from the job and back to the position where the job was left. The safety door decides
+//! when each move is made.
 //!
-//! The moves have a small motion of their own, so the job's look-ahead stays as it was. Afterwards the job's block continues at
-//! the unit where it was left.
+//! The moves have a small [`Motion`] of their own, so the job's look-ahead stays as it was. Afterwards the job's block
+//! continues at the unit where it was left.
 //!
 //! ```text
 //!  park ────────────────────┐ fast, spindle off
@@ -18,7 +18,7 @@ use crate::motion::{Motion, Move, Speed, Tolerance};
 use crate::settings::{Key, Settings};
 use crate::units::{Coordinate, per_second};
 
-/// The tool's way to the parking position and back.
+/// The tool's path to the parking position and back.
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
 pub struct Parking<const N: usize> {
@@ -50,12 +50,12 @@ pub enum ParkingPoint {
 }
 
 impl<const N: usize> Parking<N> {
-    /// With the tool at the job.
+    /// Returns the state with the tool at the job.
     pub fn new(motion: Lent<Motion<N>>) -> Self {
         Self { route: None, motion }
     }
 
-    /// The tool is back at the job, or a stop has ended the job's `motion`.
+    /// Ends parking: the tool is back at the job, or a stop has ended the job's `motion`.
     pub fn end(&mut self, motion: &mut Motion<N>) {
         if self.route.take().is_some() {
             self.motion.lend_ring(motion);
@@ -67,8 +67,8 @@ impl<const N: usize> Parking<N> {
         self.route.is_some()
     }
 
-    /// Plans where parking leads from the end of the job's `motion`. Whether there is parking: not with homing off, with a
-    /// laser, where it is not `allowed`, and where the tool is beyond the parking point already.
+    /// Plans the parking moves from the end of the job's `motion`. Returns whether the tool will be parked. It will not
+    /// if parking or homing is off, with a laser, if not `allowed`, or if the tool is already beyond the parking point.
     pub fn leave_job(&mut self, allowed: bool, settings: &Settings<N>, motion: &mut Motion<N>) -> bool {
         self.route = if allowed { Route::from(motion.machine_position(), settings) } else { None };
         if self.is_away() {
@@ -79,7 +79,7 @@ impl<const N: usize> Parking<N> {
         self.is_away()
     }
 
-    /// A parking move at the rate (mm/min) of this setting. Whether there is parking.
+    /// Starts a parking move at the rate (mm/min) of this setting. Returns whether the tool is being parked at all.
     pub fn move_to(&mut self, point: ParkingPoint, rate: Key, settings: &Settings<N>) -> bool {
         let Some(route) = &self.route else { return false };
         let target = match point {
@@ -101,17 +101,17 @@ impl<const N: usize> Parking<N> {
         true
     }
 
-    /// The move under way ends with the slack where the job left it.
+    /// Makes the current move end with the backlash on the side where the job left it.
     pub fn end_with_lead(&mut self, lead: [i32; N]) {
         self.motion.end_with_lead(lead);
     }
 
-    /// The door has been opened again in a parking move.
+    /// Brakes a parking move, because the door has been opened again.
     pub fn hold(&mut self) {
         self.motion.hold();
     }
 
-    /// The rest of the move is forgotten.
+    /// Drops the rest of the move.
     pub fn discard(&mut self) {
         self.motion.discard();
     }
@@ -122,19 +122,19 @@ impl<const N: usize> Parking<N> {
         &self.motion
     }
 
-    /// Its next message to the step task.
+    /// Returns the next message of parking to the step task.
     #[inline]
     pub fn next_message(&mut self) -> Option<ToStep> {
         self.motion.next_message()
     }
 
-    /// What is seen of the step task.
+    /// Takes the counters of the step task.
     pub fn observe(&mut self, observed: &Observed) {
         self.motion.observe(observed);
     }
 
-    /// The step task has stopped there. After a parking move the job's `motion` adopts the position, for this one knows on
-    /// which side the slack is.
+    /// Takes the position at which the step task has stopped. After a parking move the job's `motion` adopts it from
+    /// the parking motion, which knows on which side the backlash is.
     pub fn stopped(&mut self, position: &PerAxis<i32, N>, motion: &mut Motion<N>) {
         self.motion.stopped(position);
         if self.is_away() {

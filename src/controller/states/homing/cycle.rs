@@ -1,15 +1,16 @@
 //! The homing cycle as a sequence: which axes seek their switches, pull off, and locate them again, and how an axis
-//! with two motors is squared. It moves nothing itself: it returns an order (move, wait, done, failed) and is told how
-//! that ended.
+//! with two motors is squared. It moves nothing itself: it returns an order (move, wait, done, failed), and is called
+//! again with the closed switches when the order has ended.
 //!
 //! ```text
 //!  each cycle ($44 and on; at first Z, then X and Y together):
 //!    seek at $25 ──switch──▶ wait $26 ──▶ pull off $27 ──▶ wait ──▶ locate at $24 ──switch──▶ wait ──▶ pull off ──▶ wait
 //!                                                                   └──────────────── $43 times ────────────────┘
 //! ```
-//! Motion stops dead at a switch (as the rates of homing allow; a ramp would run into the switch's end). Axes of a cycle
-//! that have not reached theirs continue. The position of an axis is then the pull-off away from its switch, and is so from
-//! the end of its cycle on: what drags it in the cycles of others, such as slack in the belts of both, is known.
+//! At a switch motion stops without a ramp: the rates of homing allow that, and a ramp would run into the switch's end.
+//! Axes of a cycle that have not reached their switch continue. Afterwards an axis is one pull-off away from its
+//! switch. Its position is set at the end of its own cycle, so movement in later cycles, such as backlash in belts that
+//! two axes share, is counted.
 //!
 //! An axis with two motors and two switches is squared: the motor whose switch closes first holds still while the other
 //! moves alone, in each seek and each locate.
@@ -19,60 +20,60 @@ use crate::error::Alarm;
 use crate::messages::{GangedMotors, SECOND_SWITCH};
 use crate::units::{Coordinate, Duration};
 
-/// How far a seek goes, in travels of the longest axis of the cycle: beyond all of it, with a margin.
+/// Length of a seek, in travels of the longest axis of the cycle: all of it, with a margin.
 const SEEK_TRAVELS: f32 = 1.5;
-/// The travel of an axis that turns without end (`$133` = 0): its switch is met within a turn.
+/// Travel that a seek assumes for a rotary axis without ends (`$133` = 0), degrees: the switch is met within a turn.
 const TURN: f32 = 360.0;
-/// How far a locate goes, in pull-offs.
+/// Length of a locate, in pull-offs.
 const LOCATE_PULL_OFFS: f32 = 5.0;
 
 /// The settings that homing needs, lengths in mm and rates in mm/s.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct HomingSettings<const N: usize> {
-    /// `$44` and on: the axes of each cycle; an empty one is none.
+    /// `$44` and on: the axes of each cycle; an empty mask is no cycle.
     pub cycles: [AxisMask; N],
     /// `$43`: how often the switches are located.
     pub passes: u32,
     /// `$23`: axes whose switch is at the negative end.
     pub to_negative: AxisMask,
-    /// `$25`
+    /// Rate of a seek (`$25`).
     pub seek_rate: f32,
-    /// `$24`
+    /// Rate of a locate (`$24`).
     pub locate_rate: f32,
-    /// `$27`
+    /// Length of a pull-off (`$27`).
     pub pull_off: f32,
-    /// `$26`
+    /// Wait after each move (`$26`).
     pub debounce: Duration,
-    /// `$130` and on
+    /// Travel of each axis (`$130` and on).
     pub travel: PerAxis<f32, N>,
     /// `$932`: machine zero is where homing ends.
     pub zero_at_pull_off: bool,
-    /// The axis whose two motors have a switch each, and how far one of them may go alone, mm.
+    /// The axis whose two motors have a switch each, and how far one of the motors may move alone, mm.
     pub squared: Option<(Axis, f32)>,
 }
 
-/// What is to be done next.
+/// The next action of homing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Order<const N: usize> {
-    /// Move by so much (mm) at a rate (mm/s, along the path). If `watch` is not empty, stop as soon as one of its
-    /// switches closes.
+    /// Move by a distance at a rate along the path. If `watch` is not empty, stop as soon as one of its switches
+    /// closes.
     Move {
         /// Distances in mm.
         by: PerAxis<f32, N>,
         /// Rate in mm/s.
         rate: f32,
-        /// Switches that end it.
+        /// Switches that end the move.
         watch: AxisMask,
         /// Motors of the ganged axis that take part.
         motors: GangedMotors,
     },
     /// Wait.
     Wait(Duration),
-    /// The axes of the mask, those of a cycle, stand at the given machine coordinates.
+    /// The axes of the mask, those of one cycle, are at the given machine coordinates.
     Reached(AxisMask, PerAxis<Coordinate, N>),
     /// These axes have been homed; homing is over.
     Done(AxisMask),
-    /// It failed.
+    /// Homing failed.
     Failed(Alarm),
 }
 
@@ -97,9 +98,9 @@ pub(crate) struct HomingCycle<const N: usize> {
     locates_left: u32,
     /// Switches of the current approach that have not closed.
     approaching: AxisMask,
-    /// Those of them that the current move can reach.
+    /// Switches of `approaching` that the current move can reach.
     watched: AxisMask,
-    /// The order given last was a move (else a wait).
+    /// The last order was a move; false: a wait.
     moving: bool,
 }
 
@@ -124,7 +125,7 @@ impl<const N: usize> HomingCycle<N> {
         }
     }
 
-    /// The first order; `switches` are the limit switches that are closed now.
+    /// Returns the first order of a cycle; `switches` are the limit switches that are closed now.
     pub fn begin(&mut self, switches: AxisMask) -> Order<N> {
         if self.cycles.is_empty() {
             return Order::Done(self.homed);
@@ -133,8 +134,8 @@ impl<const N: usize> HomingCycle<N> {
         self.approach_anew(Pass::Seek, switches)
     }
 
-    /// The order after the last one has ended, by itself or because a watched switch closed; `switches` are the limit
-    /// switches that are closed now.
+    /// Returns the next order after the last one has ended, by itself or because a watched switch closed; `switches`
+    /// are the limit switches that are closed now.
     pub fn next(&mut self, switches: AxisMask) -> Order<N> {
         match (self.moving, self.pass) {
             (true, Pass::Seek | Pass::Locate) => {
@@ -175,7 +176,7 @@ impl<const N: usize> HomingCycle<N> {
         }
     }
 
-    /// -1 for an axis whose switch is at its negative end.
+    /// Direction of the switch: -1 for an axis whose switch is at its negative end, otherwise 1.
     fn towards(&self, axis: Axis) -> f32 {
         if self.settings.to_negative.has(axis) { -1.0 } else { 1.0 }
     }
@@ -196,7 +197,7 @@ impl<const N: usize> HomingCycle<N> {
         self.approach(switches)
     }
 
-    /// Moves the axes that have not reached their switch; waits when all have.
+    /// Returns the move of the axes that have not reached their switch; a wait if all have.
     fn approach(&mut self, switches: AxisMask) -> Order<N> {
         self.approaching = AxisMask(self.approaching.0 & !switches.0);
         if self.approaching.is_empty() {
@@ -204,7 +205,7 @@ impl<const N: usize> HomingCycle<N> {
         }
         let rate = if self.pass == Pass::Seek { self.settings.seek_rate } else { self.settings.locate_rate };
         if let Some((axis, motors, most)) = self.lagging() {
-            // The other axes wait: a gantry that is pulled crooked is not left so for longer than it takes.
+            // The other axes wait, so that a skewed gantry is straightened as soon as possible.
             self.watched = AxisMask(match motors {
                 GangedMotors::Second => SECOND_SWITCH,
                 _ => AxisMask::NONE.with(axis).0,
@@ -226,7 +227,8 @@ impl<const N: usize> HomingCycle<N> {
         self.travel(axes, distance, rate, self.watched, GangedMotors::Both)
     }
 
-    /// The motor of the squared axis that has not reached its switch while the other has, and how far it may go.
+    /// Returns the squared axis, its motor that has not reached its switch while the other has, and how far (mm) it may
+    /// move.
     fn lagging(&self) -> Option<(Axis, GangedMotors, f32)> {
         let (axis, most) = self.settings.squared.filter(|(axis, _)| self.cycle().has(*axis))?;
         match (self.approaching.has(axis), self.approaching.0 & SECOND_SWITCH != 0) {
@@ -250,7 +252,7 @@ impl<const N: usize> HomingCycle<N> {
         Order::Move { by, rate: rate * oxmill_sqrt::square_root(count), watch, motors }
     }
 
-    /// Where the axes stand after their last pull-off: at 0, or in the machine's space from -travel to 0.
+    /// Returns the positions of the axes after their last pull-off: 0, or within the machine's range from -travel to 0.
     fn places(&self) -> PerAxis<Coordinate, N> {
         PerAxis::from_axis(|axis| {
             if self.settings.zero_at_pull_off {
@@ -380,7 +382,7 @@ mod tests {
         h.next(AxisMask::NONE);
         expect(h.next(AxisMask::NONE), [10.0, 10.0, 0.0], both, GangedMotors::Both);
         expect(h.next(Y), [0.0, 5.0, 0.0], second, GangedMotors::Second);
-        // It does not come.
+        // The second switch does not close.
         assert_eq!(h.next(Y), Order::Failed(Alarm::HomingSquaring));
     }
 

@@ -1,4 +1,4 @@
-//! The homing state: carries out the orders of [`cycle`]. A closing switch stops the step task; at the end the position
+//! The homing state: carries out the orders of [`cycle`]. A closing switch stops the step task. At the end the position
 //! is set, and the startup lines run.
 
 mod cycle;
@@ -16,14 +16,14 @@ use crate::work::probe::seek;
 use crate::work::task::{Answer, Task};
 use cycle::{HomingCycle, HomingSettings, Order};
 
-/// What it is waiting for.
+/// What homing is waiting for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Wait {
     /// The end of a move, or one of these switches.
     Motion(AxisMask),
-    /// The stop that a switch has asked for.
+    /// The stop that a switch has ordered.
     Stop,
-    /// A moment.
+    /// A point in time.
     Until(Instant),
 }
 
@@ -35,14 +35,14 @@ pub(crate) struct Homing<const N: usize> {
 }
 
 impl<const N: usize> Homing<N> {
-    /// Homes the axes of all cycles, or only one axis. What follows its first order.
+    /// Starts homing: the axes of all cycles, or only one axis. Returns the state, and the result of its first order.
     pub(crate) fn begin(only: Option<Axis>, m: &mut Machine<N>) -> Result<(Self, Next), Error> {
         let cycles = m.settings.homing_cycles().0.map(AxisMask);
         if only.is_none() && cycles.iter().all(|cycle| cycle.is_empty()) {
             return Err(Error::HomingDisabled);
         }
         if m.settings.is_on(Key::Laser) {
-            // A beam of constant power (M3) would burn wherever homing waits, and at its end.
+            // A laser of constant power (M3) would burn wherever homing waits, and at its end.
             m.stop_spindle();
         }
         let settings = HomingSettings {
@@ -63,7 +63,7 @@ impl<const N: usize> Homing<N> {
         Ok((homing, next))
     }
 
-    /// When it has to be asked again.
+    /// When [`Homing::advance`] has to be called again, if homing waits for a time.
     pub(crate) fn wakeup(&self) -> Option<Instant> {
         match self.wait {
             Wait::Until(moment) => Some(moment),
@@ -71,7 +71,7 @@ impl<const N: usize> Homing<N> {
         }
     }
 
-    /// Asked while no stop is awaited: the next order, if what it waits for is over.
+    /// Carries out the next order if the awaited event is over. Call only while no stop is awaited.
     pub(crate) fn advance(&mut self, m: &mut Machine<N>) -> Next {
         let over = match self.wait {
             Wait::Motion(_) => m.motion.is_idle(),
@@ -85,7 +85,7 @@ impl<const N: usize> Homing<N> {
         self.carry_out(order, m)
     }
 
-    /// Whether one of these switches ends the move under way. It then waits for the stop.
+    /// Returns whether one of these switches ends the current move. If so, homing then waits for the stop.
     pub(crate) fn is_reached(&mut self, switches: AxisMask) -> bool {
         let reached = matches!(self.wait, Wait::Motion(watch) if watch.0 & switches.0 != 0);
         if reached {
@@ -128,7 +128,8 @@ impl<const N: usize> Homing<N> {
     }
 }
 
-/// The axis that homing squares, and how far one of its motors may go alone: a share of the travel within bounds.
+/// Returns the axis that homing squares, and how far (mm) one of its motors may move alone: a share of the travel,
+/// within limits.
 fn squared_axis<const N: usize>(m: &Machine<N>) -> Option<(Axis, f32)> {
     let axis = m.settings.ganged_axis().filter(|_| m.settings.is_on(Key::GangedSwitch))?;
     let share = m.settings.value(Key::SquaringShare) / 100.0 * m.settings.axes(AxisKey::Travel).get(axis)?;
@@ -138,7 +139,7 @@ fn squared_axis<const N: usize>(m: &Machine<N>) -> Option<(Axis, f32)> {
 }
 
 impl<const N: usize> Controller<N> {
-    /// Carries out what homing has come to. Returns whether there was anything.
+    /// Acts on the result of a step of homing. Returns whether anything happened.
     pub(crate) fn follow(&mut self, next: Next) -> bool {
         match next {
             Next::Wait => return false,

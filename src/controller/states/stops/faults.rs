@@ -1,6 +1,6 @@
 //! How the machine stops for a fault (`$924` to `$928`): at once, or by braking along the path, perhaps with the tool
 //! retracted. The alarm follows at rest. Faults are limit switches, emergency stop, driver faults, a lost spindle
-//! speed, and a host that is gone or silent.
+//! speed, and a host that has disconnected or is silent.
 //!
 //! ```text
 //!  switch, driver, spindle ──▶ fault ──┬── at once ───────────────────────────▶ stop ──▶ alarm
@@ -37,7 +37,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether it is the switch again for which the tool is being parked, and not that of the axis along which it moves.
+    /// Whether the alarm comes from bounce of the limit switch for which the tool is already being parked. A closed
+    /// switch of the parking axis does not count as bounce.
     fn is_bounce(&self, alarm: Alarm) -> bool {
         matches!(self.state, State::Door(door) if door.opening.alarm == Some(alarm))
             && alarm == Alarm::HardLimit
@@ -54,10 +55,10 @@ impl<const N: usize> Controller<N> {
     }
 
     fn brake_for(&mut self, alarm: Alarm, braking: Braking) {
-        // What rests when the fault comes is not set in motion.
+        // A machine that is at rest when the fault occurs does not start to move.
         let retract = braking == Braking::Retract && !self.m.motion.is_at_rest() && !self.is_parking_blocked();
         if self.m.settings.is_on(Key::Laser) || matches!(self.state, State::Door(_)) {
-            // The segments that are still to come carry the beam's power; and an open door means no spindle.
+            // The remaining segments would carry laser power; and at an open door the spindle must be off.
             self.m.accessories.suspend();
         }
         self.tell_trip(self.m.motion.line_number());
@@ -67,7 +68,7 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Braking { then });
     }
 
-    /// What a controlled stop was for, at rest.
+    /// Continues after a controlled stop, at rest: ends the soft stop, orders the alarm, or retracts the tool.
     pub(crate) fn settle_braking(&mut self, then: AfterBraking) {
         match then {
             AfterBraking::Continue => self.finish_soft_stop(false),
@@ -80,14 +81,14 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether the switch of the axis is closed along which the tool would be parked.
+    /// Whether a limit switch of the parking axis is closed.
     fn is_parking_blocked(&self) -> bool {
         let closed = levels::axes_of_switches(self.m.inputs.signals().limits, &self.m.settings);
         let axis = Axis::ALL.get(self.m.settings.whole(Key::ParkingAxis) as usize);
         axis.is_none_or(|axis| closed & 1 << axis.index() != 0)
     }
 
-    /// A host that is silent or gone in mid-job: what waits can be resumed (`$928`).
+    /// Reacts to a host that is silent or has disconnected during a job (`$928`); suspended work can be resumed.
     pub(crate) fn host_fault(&mut self) {
         self.forget_received_jogs();
         let Reaction { braking, spindle_on } = Reaction::of(Key::HostReaction, &self.m.settings);
@@ -102,7 +103,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// A spindle that tells its speed (`$915`) may lose it in mid-job (`$929`).
+    /// Raises a fault if a spindle with an at-speed input (`$915`) has lost its speed during a job (`$929`).
     pub(crate) fn look_for_spindle(&mut self) {
         if !self.m.accessories.watches_speed(&self.m.settings) {
             return;

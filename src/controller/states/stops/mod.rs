@@ -1,5 +1,5 @@
-//! What follows when the step task has stopped. By the reason of the stop the machine is locked, reset, or continues
-//! from its position. A stop at speed may have lost steps, so the position is no longer trusted afterwards.
+//! What follows a stop of the step task. Depending on the reason, the machine is locked, reset, or continues from its
+//! position. A stop at speed may have lost steps, so the position is no longer trusted afterwards.
 
 mod faults;
 pub(crate) mod orders;
@@ -17,7 +17,7 @@ use crate::states::stops::orders::{Finished, StopReason};
 use crate::work::task::Task;
 
 impl<const N: usize> Controller<N> {
-    /// Stops for an input, unless it has already been done.
+    /// Stops for an input, or, if the input has already stopped the step task, gives that stop its reason.
     pub(crate) fn stop_for(&mut self, reason: StopReason, stopped: &mut Stopped) {
         if stopped.already {
             stopped.answered = true;
@@ -55,7 +55,8 @@ impl<const N: usize> Controller<N> {
         self.finish_stop();
     }
 
-    /// The step task has failed while the machine braked for a fault: that one is told, if it is no lighter.
+    /// Called when the step task has failed. If the machine was already stopping or braking for a reason at least as
+    /// serious, that reason will be reported.
     fn await_what_brakes(&mut self, failure: Alarm) {
         if let Some(reason) = self.stop_under_way()
             && reason.heavier(StopReason::Alarm(failure)) == reason
@@ -64,7 +65,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// A spindle that stays on keeps the speed of the move under way, not that of a line that will not be carried out.
+    /// Keeps the speed of the move in execution for a spindle that stays on, not that of a line that will not be
+    /// executed.
     pub(crate) fn keep_speed(&mut self) {
         if let Some(power) = self.m.motion.running_power() {
             self.m.accessories.set_speed(SpindleRange::of(&self.m.settings).speed_of(power));
@@ -76,7 +78,7 @@ impl<const N: usize> Controller<N> {
         self.m.parking.stopped(position, &mut self.m.motion);
     }
 
-    /// What follows a stop, once every stop that was asked for has happened.
+    /// Handles a stop once all requested stops have happened.
     pub(crate) fn finish_stop(&mut self) {
         let Some(stop) = self.m.stops.finish() else { return };
         self.m.step_supply.end();
@@ -84,7 +86,7 @@ impl<const N: usize> Controller<N> {
         match stop.reason {
             StopReason::Nothing => self.m.motion.discard(),
             StopReason::Contact => {
-                // The probe continues from here, or what has begun meanwhile: a hold, a door.
+                // From here the probe cycle continues, or a hold or a door that has begun meanwhile.
                 self.m.probe.rests_after_contact();
                 self.m.motion.discard();
             }
@@ -109,7 +111,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// What a door, a hold or a probe had interrupted is over.
+    /// Ends parking and the probing move in progress, if any.
     fn end_pauses(&mut self) {
         self.m.parking.end(&mut self.m.motion);
         self.m.probe.forget_move();
@@ -145,7 +147,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// The emergency stop is latched: only a reset ends it, and one that comes while the input is still active says so again.
+    /// Latches the emergency stop: only a reset ends it, and a reset while the input is still active reports it again.
     fn finish_emergency(&mut self, alarm: Alarm, stop: &Finished) {
         let homing = matches!(self.state, State::Homing(_));
         let drivers_off = self.m.settings.is_on(Key::EmergencyDriversOff);
@@ -170,13 +172,13 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Critical(alarm));
     }
 
-    /// A soft reset (Ctrl-X) has taken effect. At rest it is followed by the welcome line; a reset in a motion or in homing aborts a
-    /// cycle: `ALARM:3` or `ALARM:6`, position lost, as in Grbl.
+    /// Completes a soft reset (Ctrl-X). At rest the welcome line follows. In a motion or in homing, the reset raises
+    /// `ALARM:3` or `ALARM:6`, and the position is lost, as in Grbl.
     fn finish_reset(&mut self, moving: bool) {
         self.m.motion.discard();
         self.m.lines.clear();
         if matches!(self.state, State::Hold(_) | State::Door(_)) {
-            // They may have stayed on for whoever changes a tool.
+            // The drivers may have stayed on for a tool change.
             self.m.start_idle_delay();
         }
         let homing = matches!(self.state, State::Homing(_));
@@ -200,7 +202,7 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// Whether an input has stopped the step task itself, and whether the reason for it has been found.
+/// Whether an input has stopped the step task directly (`already`), and whether the reason has been found (`answered`).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stopped {
     pub(crate) already: bool,

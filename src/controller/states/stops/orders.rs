@@ -6,7 +6,7 @@
 //!                                 ▲
 //!  reset, armed input: they have stopped it already, and are only counted
 //! ```
-//! Stops are counted on both sides, so one that has happened is never taken for another that was asked for later.
+//! Both sides count stops, so a stop that has happened is never mistaken for one requested later.
 
 use crate::error::Alarm;
 
@@ -19,24 +19,25 @@ pub enum StopReason {
     Alarm(Alarm),
     /// A homing switch.
     Switch,
-    /// The probe: the step task has braked already.
+    /// A contact of the probe: the step task has already braked.
     Contact,
     /// An armed input of a machine that was locked already.
     Nothing,
 }
 
 impl StopReason {
-    /// The one of two that is told.
+    /// Returns the more serious of two reasons: the one that is reported.
     pub fn heavier(self, other: StopReason) -> StopReason {
         if other.weight() > self.weight() { other } else { self }
     }
 
-    /// A reset wins over everything, an alarm over a homing switch: what they end, the others cannot continue.
+    /// Severity. A reset outranks everything, an alarm a homing switch: a less serious reason cannot continue the work
+    /// that a more serious one ends.
     const fn weight(self) -> u8 {
         match self {
             StopReason::Nothing => 1,
             StopReason::Switch | StopReason::Contact => 2,
-            // Nothing of the motors or the position is wrong.
+            // Motors and position are not affected.
             StopReason::Alarm(Alarm::SpindleSpeed | Alarm::AbortInMotion) => 3,
             StopReason::Alarm(Alarm::DriverFault) => 5,
             StopReason::Alarm(Alarm::EmergencyStop) => 6,
@@ -46,32 +47,32 @@ impl StopReason {
     }
 }
 
-/// A stop that is over: all that were asked for have happened.
+/// A completed stop: all requested stops have happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Finished {
     /// Why it was awaited.
     pub reason: StopReason,
-    /// The machine was stepping when it came.
+    /// The machine was stepping when the stop came.
     pub moving: bool,
-    /// N word of what was running, 0 = none.
+    /// N word of the move in execution, 0 = none.
     pub line: u32,
 }
 
-/// Stops asked for and stops that have happened.
+/// Counts of requested stops and of stops that have happened.
 #[derive(Clone, Copy, Debug)]
 pub struct Stops {
     awaited: Option<StopReason>,
-    /// Stops that must have happened before it is over (wrapping).
+    /// Number of stops that must have happened before the awaited stop is over (wrapping).
     expected: u16,
-    /// Stops that have happened (wrapping).
+    /// Number of stops that have happened (wrapping).
     seen: u16,
     /// The machine was stepping at one of them.
     moving: bool,
-    /// N word of what was running at the last of them, 0 = none.
+    /// N word of the move in execution at the last of them, 0 = none.
     line: u32,
-    /// The step task has to be told to stop.
+    /// A stop order is still to be sent to the step task.
     ordered: bool,
-    /// The step task has to be opened again.
+    /// The step task is still to be reopened.
     resume: bool,
 }
 
@@ -92,34 +93,35 @@ impl Stops {
         self.awaited.is_some()
     }
 
-    /// Whether nothing is awaited and the step task has been told everything.
+    /// Whether no stop is awaited and all orders have been sent to the step task.
     pub fn is_idle(&self) -> bool {
         self.awaited.is_none() && !self.ordered && !self.resume
     }
 
-    /// Whether the step task takes messages. A stop may have happened of which only the step task has told yet.
+    /// Whether the step task takes messages: no stop is awaited, and none has been reported that is not counted as
+    /// expected yet.
     #[inline]
     pub fn is_open(&self) -> bool {
         self.awaited.is_none() && self.seen == self.expected
     }
 
-    /// Armed inputs have stopped the step task so often.
+    /// Counts stops by armed inputs as expected.
     pub fn count(&mut self, stops: u8) {
         self.expected = self.expected.wrapping_add(u16::from(stops));
     }
 
-    /// A stop that is counted already is awaited for this reason.
+    /// Awaits a stop that is already counted, for this reason.
     pub fn wait_for(&mut self, reason: StopReason) {
         self.awaited = Some(self.awaited.map_or(reason, |awaited| awaited.heavier(reason)));
     }
 
-    /// A stop has been asked for by somebody who has also stopped the step task.
+    /// Awaits a stop whose requester has also stopped the step task.
     pub fn begin(&mut self, reason: StopReason) {
         self.count(1);
         self.wait_for(reason);
     }
 
-    /// Asks the step task to stop. Two reasons before it has been told are one stop.
+    /// Orders a stop of the step task. Two orders before the first has been sent are one stop.
     pub fn order(&mut self, reason: StopReason) {
         if !self.ordered {
             self.count(1);
@@ -128,13 +130,13 @@ impl Stops {
         self.wait_for(reason);
     }
 
-    /// Whether the step task is still to be told to stop.
+    /// Whether an order is still to be sent to the step task.
     #[inline]
     pub fn has_order(&self) -> bool {
         self.ordered
     }
 
-    /// Whether the step task has to be told to stop now.
+    /// Returns whether an order has to be sent to the step task, and marks it as sent.
     #[inline]
     pub fn take_order(&mut self) -> bool {
         let ordered = self.ordered;
@@ -144,20 +146,21 @@ impl Stops {
         ordered
     }
 
-    /// The count of stops to open the step task with, if that is due.
+    /// Returns the count of stops with which to reopen the step task, if that is due.
     #[inline]
     pub fn take_resume(&mut self) -> Option<u16> {
         core::mem::take(&mut self.resume).then_some(self.seen)
     }
 
-    /// The step task has stopped, as it was told.
+    /// Takes the step task's report of a stop that was requested.
     pub fn happened(&mut self, stops: u16, moving: bool, line: u32) {
         self.seen = stops;
         self.moving |= moving;
         self.line = line;
     }
 
-    /// The step task has stopped at speed by itself: for want of segments, or as its outputs have failed.
+    /// Takes the step task's report that it has stopped at speed by itself: it had no segments, or its outputs have
+    /// failed.
     pub fn failed(&mut self, stops: u16, alarm: Alarm) {
         self.count(1);
         self.seen = stops;
@@ -170,15 +173,15 @@ impl Stops {
         }
     }
 
-    /// The awaited stop, once every stop that was asked for has happened. The step task is opened again after it.
+    /// Returns the awaited stop once all requested stops have happened. The step task is to be reopened after it.
     pub fn finish(&mut self) -> Option<Finished> {
         let reason = self.awaited?;
-        // An order that is not out yet cannot have been obeyed, whatever else has stopped meanwhile.
+        // An order that has not been sent cannot have been executed, whatever else has stopped meanwhile.
         if self.ordered || (self.seen.wrapping_sub(self.expected) as i16) < 0 {
             return None;
         }
         let finished = Finished { reason, moving: self.moving, line: self.line };
-        // A stop that has happened and has not been counted yet keeps it shut: see `is_open`.
+        // A stop that has happened but is not counted yet keeps the step task closed: see `is_open`.
         *self = Stops { expected: self.expected, seen: self.seen, resume: true, ..Stops::NONE };
         Some(finished)
     }
@@ -257,7 +260,7 @@ mod tests {
     #[test]
     fn a_stop_that_happened_before_its_reason_was_known_is_over_at_once() {
         let mut stops = Stops::NONE;
-        // The step task tells first; the reset that stopped it comes through the other queue.
+        // The step task's report arrives first; the reset that stopped it comes through the other queue.
         stops.happened(1, true, 0);
         assert!(stops.finish().is_none() && !stops.is_open());
         stops.begin(StopReason::Reset);

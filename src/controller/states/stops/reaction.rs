@@ -6,15 +6,15 @@ use crate::settings::{Key, Settings};
 /// How motion ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Braking {
-    /// With the step that is under way; at speed the position is lost.
+    /// With the step in execution; at speed the position is lost.
     AtOnce,
     /// Along the path, within the accelerations; the position is kept.
     Controlled,
-    /// The same, and then the tool is parked as by the safety door.
+    /// As `Controlled`, then the tool is parked as by the safety door.
     Retract,
 }
 
-/// What a fault makes of the motion and of the spindle.
+/// How motion and spindle react to a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reaction {
     /// How motion ends.
@@ -24,7 +24,7 @@ pub struct Reaction {
 }
 
 impl Reaction {
-    /// The reaction to the fault of this alarm. What has no setting stops at once.
+    /// Returns the reaction to the fault of this alarm. Faults without a setting stop at once.
     pub fn to<const N: usize>(alarm: Alarm, settings: &Settings<N>) -> Reaction {
         let key = match alarm {
             Alarm::HardLimit => Key::LimitReaction,
@@ -36,7 +36,7 @@ impl Reaction {
         Reaction::of(key, settings)
     }
 
-    /// The reaction that a setting asks for. A laser is switched off by every fault.
+    /// Returns the reaction set by `key`. Every fault switches a laser off.
     pub fn of<const N: usize>(key: Key, settings: &Settings<N>) -> Reaction {
         let value = settings.whole(key);
         let braking = match value % 3 {
@@ -47,7 +47,7 @@ impl Reaction {
         Reaction { braking, spindle_on: value >= 3 && !settings.is_on(Key::Laser) }
     }
 
-    /// Whether the step task may stop for the fault without being told.
+    /// Whether the step task may stop for the fault without an order.
     pub fn is_at_once(self) -> bool {
         self.braking == Braking::AtOnce
     }

@@ -1,4 +1,4 @@
-//! A controller on no board at all, for tests that call it themselves: its profile, and how it is powered up.
+//! A controller without a board, for tests that call it directly: its profile and its power-up.
 #![allow(dead_code, reason = "what a build leaves out uses a part of it")]
 
 use oxmill_controller::memory::Memory;
@@ -19,10 +19,10 @@ pub const PROFILE: Profile = Profile {
     has_store: false,
 };
 
-/// The moment of the power-up.
+/// Time of power-up.
 pub const NOW: Instant = Instant::from_ticks(0);
 
-/// Powered up, with no input active. What it says then has not been taken.
+/// Returns a powered-up controller with no input active. Its output so far has not been taken.
 pub fn started(profile: Profile, blocks: usize) -> Box<Controller<3>> {
     let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, blocks)));
     controller.start(NOW);

@@ -8,7 +8,7 @@ use oxmill_controller::units::{Coordinate, DECIMAL_ONE};
 
 pub const DIALECTS: [Dialect; 3] = [Dialect::Grbl, Dialect::Oxmill, Dialect::Seed];
 
-/// In millimetres, with a feed, and after the lines of `setup`.
+/// Returns a program in millimetres, with a feed, after the lines of `setup`.
 pub fn ready(setup: &str) -> Program {
     let mut program = Program::new(Dialect::Oxmill);
     program.run_all("G21 G90 F300");
@@ -16,7 +16,7 @@ pub fn ready(setup: &str) -> Program {
     program
 }
 
-/// Runs lines after `setup`, each with the machine position in mm that it leads to.
+/// Runs lines after `setup`. Each comes with the machine position in mm that it must lead to.
 pub fn play(setup: &str, lines: &[(&str, [f64; 3])]) -> Program {
     let mut program = ready(setup);
     for (line, place) in lines {
@@ -27,7 +27,7 @@ pub fn play(setup: &str, lines: &[(&str, [f64; 3])]) -> Program {
     program
 }
 
-/// An interpreter and the dialect it is asked in.
+/// An interpreter and the dialect of its lines.
 #[derive(Clone)]
 pub struct Program {
     pub interpreter: Interpreter<3>,
@@ -74,7 +74,7 @@ impl Program {
         in_mm(self.interpreter.position())
     }
 
-    /// Where a program would say that the tool is, in mm.
+    /// Position of the tool in the coordinates that a program would write, in mm.
     pub fn written(&self) -> [f64; 3] {
         in_mm(&self.interpreter.to_program(self.interpreter.position()))
     }
@@ -85,7 +85,7 @@ impl Program {
     }
 }
 
-/// Numbers of tests have at most seven decimals, so dividing gives the nearest `f64` of each.
+/// Converts to mm. Numbers in tests have at most seven decimals, so dividing gives the nearest `f64` of each.
 pub fn in_mm(place: &PerAxis<Coordinate, 3>) -> [f64; 3] {
     place.0.map(|coordinate| coordinate.0 as f64 / DECIMAL_ONE as f64)
 }

@@ -1,5 +1,5 @@
 //! Carries out a probing move (G38): checks the input, queues the move, and lets the step task watch for the contact.
-//! At rest the contact's position is reported; without a contact the machine locks, if the word asks for that.
+//! At rest the contact's position is reported. Without a contact the machine locks, if the G-code word requires one.
 
 pub(crate) mod phases;
 
@@ -12,7 +12,7 @@ use crate::states::stops::orders::StopReason;
 use crate::units::Coordinate;
 
 impl<const N: usize> Controller<N> {
-    /// Begins a probe at rest. Whether there is one to wait for; if not, the line is to be answered.
+    /// Begins a probing move, at rest. Returns whether there is one to wait for; if not, the line is to be answered.
     #[inline(never)]
     pub(crate) fn begin_probe(
         &mut self,
@@ -22,7 +22,7 @@ impl<const N: usize> Controller<N> {
         line_number: u32,
     ) -> bool {
         if self.m.inputs.signals().probe != away {
-            // It would have to change to what it is.
+            // The input already has the level for which the probe would wait.
             self.lock(Alarm::ProbeInitialState);
             self.m.interpreter.set_position(self.m.motion.machine_position());
             return false;
@@ -33,14 +33,15 @@ impl<const N: usize> Controller<N> {
         true
     }
 
-    /// Once the step task has braked it is asked where it is, and opened again.
+    /// Once the step task has braked for a contact, orders a stop: the stop reports the position, and the step task is
+    /// reopened after it.
     pub(crate) fn settle_probe(&mut self) {
         if self.m.probe.is_braking() && self.m.step_supply.observed().step_idle && !self.m.stops.is_awaited() {
             self.m.stops.order(StopReason::Contact);
         }
     }
 
-    /// Whether the probe is over, and if so, whether it touched. The rest of its move is forgotten.
+    /// Returns whether the probe has touched, once it is over; `None` until then. Drops the rest of its move.
     #[inline(never)]
     pub(crate) fn take_probe(&mut self, must_touch: bool) -> Option<bool> {
         let touched = self.m.probe.outcome(self.m.motion.is_idle())?;
@@ -52,7 +53,7 @@ impl<const N: usize> Controller<N> {
         Some(touched)
     }
 
-    /// Whether the probe is over; then it has been reported.
+    /// Whether the probe is over. If so, reports its result.
     #[inline(never)]
     pub(crate) fn end_probe(&mut self, must_touch: bool) -> bool {
         let Some(touched) = self.take_probe(must_touch) else { return false };
@@ -66,7 +67,7 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// A move that the operator's overrides leave alone.
+/// Returns a move that the operator's overrides do not change.
 pub(crate) fn seek<const N: usize>(target: PerAxis<Coordinate, N>, speed: Speed, line_number: u32) -> Move<N> {
     Move {
         target,

@@ -4,24 +4,24 @@
 //!  begin ──▶ Seeking ──contact──▶ Braking ──stopped──▶ Touched ──▶ finish
 //!               └──── end of the move without a contact ──────────▶ finish
 //! ```
-//! The step task looks for the contact at each tick and brakes by itself. At rest it is stopped, asked for the position and
-//! opened again.
+//! The step task checks the input at each tick and brakes by itself after the contact. At rest it is stopped, which
+//! reports its position, and then reopened.
 
 use crate::axes::PerAxis;
 use crate::messages::ToStep;
 use crate::units::Coordinate;
 
-/// A level of the input, and how hard the step task brakes when it sees it.
+/// The level of the input to look for, and the deceleration with which the step task then brakes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Watched {
     level: bool,
     braking: f32,
 }
 
-/// How far a probe is.
+/// Progress of a probe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
-    /// Moving, no contact yet. What the step task has been told to look for.
+    /// Moving, no contact yet; holds what the step task looks for.
     Seeking(Watched),
     /// Contact has been made; the step task brakes.
     Braking,
@@ -33,35 +33,35 @@ enum Phase {
 #[derive(Clone, Copy, Debug)]
 pub struct Probe<const N: usize> {
     phase: Option<Phase>,
-    /// What the step task has to be told.
+    /// Message still to be sent to the step task.
     watch: Option<ToStep>,
     succeeded: bool,
     position: PerAxis<Coordinate, N>,
 }
 
-/// The probe is of no interest any more.
+/// Ends the step task's watch of the probe.
 const WATCH_ENDS: ToStep = ToStep::Watch { probe: None, braking: 0.0 };
 
 impl<const N: usize> Probe<N> {
-    /// None has been made.
+    /// No probe has been made.
     pub const NONE: Self =
         Self { phase: None, watch: None, succeeded: false, position: PerAxis::all(Coordinate::ZERO) };
 
-    /// A probe move begins. The step task waits for the input to become active (inactive with `away`), and then brakes so
-    /// hard ([`ToStep::Watch`]).
+    /// Begins a probing move. The step task waits for the input to become active (inactive with `away`), and then
+    /// brakes with the deceleration `braking` ([`ToStep::Watch`]).
     pub fn begin(&mut self, away: bool, braking: f32) {
         self.phase = Some(Phase::Seeking(Watched { level: !away, braking }));
         self.watch_again();
     }
 
-    /// The tool is parked: what touches it meanwhile is no contact.
+    /// Ends the watch while the tool is parked: contacts meanwhile do not count.
     pub fn look_away(&mut self) {
         if self.is_seeking() {
             self.watch = Some(WATCH_ENDS);
         }
     }
 
-    /// The tool is back, and seeks on.
+    /// Resumes the watch after parking.
     pub fn watch_again(&mut self) {
         if let Some(Phase::Seeking(Watched { level, braking })) = self.phase {
             self.watch = Some(ToStep::Watch { probe: Some(level), braking });
@@ -72,13 +72,13 @@ impl<const N: usize> Probe<N> {
         matches!(self.phase, Some(Phase::Seeking(_)))
     }
 
-    /// What the step task has to be told now.
+    /// Returns the message to be sent to the step task now, if any.
     #[inline]
     pub fn take_watch(&mut self) -> Option<ToStep> {
         self.watch.take()
     }
 
-    /// The step task has seen the contact, at this position.
+    /// Takes the contact that the step task has seen, and its position.
     pub fn contact(&mut self, position: impl FnOnce() -> PerAxis<Coordinate, N>) {
         if self.is_seeking() {
             self.phase = Some(Phase::Braking);
@@ -86,34 +86,34 @@ impl<const N: usize> Probe<N> {
         }
     }
 
-    /// Whether the step task brakes after a contact: it takes nothing more until it has been stopped.
+    /// Whether the step task brakes after a contact. It takes no messages until it has been stopped.
     #[inline]
     pub fn is_braking(&self) -> bool {
         self.phase == Some(Phase::Braking)
     }
 
-    /// Whether there is none under way, and the step task knows of it.
+    /// Whether no probe is in progress and the end of the watch has been sent to the step task.
     #[inline]
     pub fn is_over(&self) -> bool {
         self.phase.is_none() && self.watch.is_none()
     }
 
-    /// The step task has been stopped, for whatever reason: it has forgotten the watch.
+    /// Reports that the step task has been stopped, for any reason: it has forgotten the watch.
     pub fn stopped(&mut self) {
         self.watch = None;
     }
 
-    /// It was stopped because of the contact.
+    /// Reports that the stop was for the contact.
     pub fn rests_after_contact(&mut self) {
         self.phase = Some(Phase::Touched);
     }
 
-    /// Whether contact has been made: the rest of the move is of no interest.
+    /// Whether contact has been made, so that the rest of the move is void.
     pub fn has_touched(&self) -> bool {
         matches!(self.phase, Some(Phase::Braking | Phase::Touched))
     }
 
-    /// Whether the probe is over, and whether it touched. `idle`: nothing moves, and nothing is queued.
+    /// Returns whether the probe has touched, once it is over. `idle`: nothing moves, and nothing is queued.
     pub fn outcome(&self, idle: bool) -> Option<bool> {
         match self.phase {
             Some(Phase::Touched) => Some(true),
@@ -122,7 +122,8 @@ impl<const N: usize> Probe<N> {
         }
     }
 
-    /// The probe is over. Without a contact that was not required (G38.3, G38.5) its result is where the machine is.
+    /// Ends the probe. Without a contact, if none was required (G38.3, G38.5), the result is the machine's position
+    /// `here`.
     pub fn finish(&mut self, touched: bool, must_touch: bool, here: PerAxis<Coordinate, N>) {
         self.phase = None;
         self.watch = Some(WATCH_ENDS);
@@ -132,23 +133,23 @@ impl<const N: usize> Probe<N> {
         }
     }
 
-    /// Something else has ended it, and the step task has been stopped.
+    /// Ends the probe because of something else; the step task has been stopped.
     pub fn forget_move(&mut self) {
         self.phase = None;
     }
 
-    /// Something else has ended it, and the step task still looks for the contact.
+    /// Ends the probe because of something else; the step task still watches and is told to end that.
     pub fn break_off(&mut self) {
         self.phase = None;
         self.watch = Some(WATCH_ENDS);
     }
 
-    /// Position and success of the last one.
+    /// Position and success of the last probe.
     pub fn result(&self) -> (PerAxis<Coordinate, N>, bool) {
         (self.position, self.succeeded)
     }
 
-    /// As if none had been made.
+    /// Resets the result to that of no probe.
     pub fn forget_result(&mut self) {
         self.position = PerAxis::default();
         self.succeeded = false;

@@ -1,5 +1,6 @@
-//! Carries out M6 as `$918` says. 0: only the number of the tool changes, and nothing stops. 1: the spindle stops, the host is asked for
-//! the tool, and the program waits for `~`. 2: the new tool is then measured at a tool setter, and its length offset is set.
+//! Carries out M6 according to `$918`. 0: only the number of the tool changes, and nothing stops. 1: the spindle stops,
+//! the host is asked for the tool, and the program waits for `~`. 2: as 1, and the new tool is then measured at a tool
+//! setter, and its length offset is set.
 
 pub(crate) mod plan;
 
@@ -22,7 +23,8 @@ impl<const N: usize> Controller<N> {
         self.m.settings.whole(Key::ToolChange) == 2
     }
 
-    /// At rest before the rest of the line: if it asks for another tool, the spindle stops and the program waits for `~`.
+    /// Begins the tool change of a line that asks for one, at rest and before the rest of the line: the spindle stops,
+    /// and the program waits for `~`.
     #[inline(never)]
     pub(crate) fn begin_tool_change(&mut self, job: &mut Job) -> Stage {
         if !(self.line.action.tool_change && self.m.prompts_for_tools()) {
@@ -39,7 +41,7 @@ impl<const N: usize> Controller<N> {
         Stage::ToolChange
     }
 
-    /// What a tool change that is only checked makes of the program's state, which has been taken over from its line.
+    /// In check mode, applies a tool change to the program's state, after the line's state has been committed.
     pub(crate) fn check_tool_change(&mut self) {
         if !(self.line.action.tool_change && self.m.prompts_for_tools()) {
             return;
@@ -60,13 +62,13 @@ impl<const N: usize> Controller<N> {
         self.wait_for_operator();
     }
 
-    /// Until `~`. Whoever pulls at the spindle does not move the axes: the drivers are on.
+    /// Waits for `~`. The drivers are switched on, so that an operator who pulls at the spindle does not move the axes.
     fn wait_for_operator(&mut self) {
         self.m.drivers.switch_on();
         self.enter(State::Hold(Hold::BEGUN));
     }
 
-    /// Why the tool cannot be changed and measured, before anything moves.
+    /// Returns why the tool cannot be changed and measured, if so. Called before anything moves.
     #[inline(never)]
     pub(crate) fn refuse_tool_change(&mut self) -> Option<Error> {
         if !self.line.action.is_tool_change_alone() || self.line.action.motion != MotionCommand::None {
@@ -99,7 +101,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Spindle and coolant off. The program has them on again when the new tool is over the work.
+    /// Switches spindle and coolant off. The program switches them on again when the new tool is over the work.
     fn stop_for_tool(&mut self, job: &mut Job) -> Stage {
         let delay = self.m.accessories.set_spindle(SpindleDirection::Off, &self.m.settings);
         self.m.accessories.switch_off();
@@ -108,14 +110,14 @@ impl<const N: usize> Controller<N> {
         job.wait(Stage::SpinningDown, self.m.now + delay)
     }
 
-    /// The spindle has come to rest: the tool leaves the work.
+    /// Moves the tool away from the work; the spindle has come to rest.
     pub(crate) fn leave_for_tool(&mut self) -> Stage {
         self.line.begin_change(ToolChange::new(self.plan_tool_change()));
         let order = self.line.change().begin();
         self.carry_out_change(order)
     }
 
-    /// What follows when the last order has ended; `None` until then.
+    /// Carries out the next order once the last one has ended. Returns the next stage; `None` until then.
     #[inline(never)]
     pub(crate) fn advance_tool_change(&mut self) -> Option<Stage> {
         let touched = match self.line.change().is_probing() {
@@ -166,7 +168,8 @@ impl<const N: usize> Controller<N> {
         Stage::Measuring
     }
 
-    /// Over the work: spindle and coolant come back with the rest of the line, whose motion is the way down.
+    /// Called with the tool over the work. The rest of the line follows: it switches spindle and coolant on again, and
+    /// its motion is the move down.
     fn return_to_work(&mut self) -> Stage {
         let length = self.m.interpreter.offsets().tool_length;
         let longer = length.zip(&self.line.action.tool_length(), |new, old| new - old);
@@ -184,7 +187,7 @@ impl<const N: usize> Controller<N> {
         Stage::Apply
     }
 
-    /// The machine is locked where it is; its position stays true.
+    /// Locks the machine where it is; its position stays true.
     fn fail_tool_change(&mut self, alarm: Alarm) -> Stage {
         self.m.interpreter.set_position(self.m.motion.machine_position());
         self.lock(alarm);

@@ -1,15 +1,16 @@
 //! A tool change with a tool setter (`$918=2`) as a sequence: retract, go to the change position, wait, measure,
-//! return. It moves nothing itself: it returns an order and is told how that ended.
+//! return. It moves nothing itself: it returns an order and is called again when the order has ended.
 //!
 //! ```text
 //!  height   retract ──▶ to G30 ──▶ prompt ~ ──▶ to the setter       lift ──▶ back ──▶ (spindle on)
 //!              ▲                                   │ seek  ▲ pull off ▲         │
-//!              │                                   ▼ ──────┘    │     │         ▼ to the same work place
+//!              │                                   ▼ ──────┘    │     │         ▼ to the same work position
 //!  setter    left                                contact        └─ locate
 //! ```
-//! All ways between places lie at one height: that of G30, or the one that the tool has if it is higher. Below it nothing but a
-//! probing move goes down, to `$342` below G30 at most, until the tool has been measured. No tool (T0) is not measured. The first tool that is
-//! measured has nothing to be compared with: where its tip would come to is not known, so it stays up and waits for the operator.
+//! All moves between positions are at one height: that of G30, or that of the tool if it is higher. Until the tool has
+//! been measured, only probing moves go below that height, and at most `$342` below G30. Without a tool (T0) nothing is
+//! measured. The first measured tool has no earlier one to be compared with, so the position of its tip over the work
+//! is not known: it stays up and waits for the operator.
 
 use crate::axes::{Axis, PerAxis};
 use crate::error::Alarm;
@@ -17,30 +18,30 @@ use crate::units::Coordinate;
 
 /// The axis along which a tool is measured.
 const ALONG: Axis = Axis::Z;
-/// How far the tool is pulled off the setter between the two passes, mm. Setters give by some 5 mm.
+/// How far the tool is pulled off the setter between the two passes, mm. Setters yield by about 5 mm.
 const PULL_OFF: i32 = 2;
 
-/// Where a change leads, in machine coordinates, and its rates in mm/s.
+/// Positions of a tool change, in machine coordinates, and its rates in mm/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ChangePlan<const N: usize> {
-    /// Where the program was left.
+    /// Where the program was interrupted.
     pub left: PerAxis<Coordinate, N>,
-    /// Where tools are changed (G30): X and Y, and the height of all ways.
+    /// Where tools are changed (G30): X and Y, and the height of all moves between positions.
     pub change: PerAxis<Coordinate, N>,
     /// Where the tool setter is (G59.3): X and Y.
     pub setter: PerAxis<Coordinate, N>,
     /// `$342`: how far below the height of G30 the setter is looked for.
     pub depth: Coordinate,
-    /// `$344`
+    /// Rate of the first pass (`$344`).
     pub seek_rate: f32,
-    /// `$343`
+    /// Rate of the second pass (`$343`).
     pub locate_rate: f32,
-    /// There is a tool to be measured.
+    /// The new tool is to be measured.
     pub measures: bool,
 }
 
 impl<const N: usize> ChangePlan<N> {
-    /// A plan for nothing.
+    /// An empty plan.
     pub const NONE: Self = Self {
         left: PerAxis::all(Coordinate::ZERO),
         change: PerAxis::all(Coordinate::ZERO),
@@ -51,26 +52,26 @@ impl<const N: usize> ChangePlan<N> {
         measures: false,
     };
 
-    /// Whether both places have been stored, and there is a way down to the setter. With `zero_is_clear` tools may be changed
+    /// Whether both positions have been stored and the setter is below G30. With `zero_is_clear` tools may be changed
     /// at machine zero, where homing ends.
     pub fn is_set_up(&self, zero_is_clear: bool) -> bool {
         let nowhere = PerAxis::all(Coordinate::ZERO);
         (self.change != nowhere || zero_is_clear) && self.setter != nowhere && self.depth > Coordinate::ZERO
     }
 
-    /// The height of all ways.
+    /// The height of all moves between positions.
     pub fn height(&self) -> Coordinate {
         along(&self.change).max(along(&self.left))
     }
 
-    /// Ends of the moves: what lies between them lies within the travel if they do.
+    /// Ends of the moves. If they are within the travel, so is everything between them.
     pub fn corners(&self) -> [PerAxis<Coordinate, N>; 4] {
         let at_setter = self.over(&self.setter, self.height());
         let down = self.over(&self.setter, self.lowest());
         [self.over(&self.left, self.height()), self.over(&self.change, self.height()), at_setter, down]
     }
 
-    /// No probing move goes further down, however high the tool comes from.
+    /// The lowest point of a probing move, whatever height it starts from.
     fn lowest(&self) -> Coordinate {
         (along(&self.change) - self.depth).limited()
     }
@@ -87,8 +88,8 @@ impl<const N: usize> ChangePlan<N> {
         target
     }
 
-    /// The way back to the work with a tool that is longer by so much: by a rapid to the first of these places, `clear` above
-    /// the second, which is where the program was left.
+    /// Returns the ends of the two moves back to the work with a tool that is longer by `longer`: a rapid to `clear`
+    /// above the second point, then down to the second point, where the new tip is where the old one was left.
     fn way_back(&self, longer: Coordinate, clear: Coordinate) -> [PerAxis<Coordinate, N>; 2] {
         let end = (along(&self.left) + longer).limited();
         let above = (end + clear).min(self.height()).max(end);
@@ -100,34 +101,34 @@ fn along<const N: usize>(place: &PerAxis<Coordinate, N>) -> Coordinate {
     place.get(ALONG).unwrap_or(Coordinate::ZERO)
 }
 
-/// What is to be done next.
+/// The next action of the tool change.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ChangeOrder<const N: usize> {
     /// A rapid.
     Rapid(PerAxis<Coordinate, N>),
-    /// A move that nothing ends before its target.
+    /// A move that always reaches its target, at a rate in mm/s.
     Move(PerAxis<Coordinate, N>, f32),
-    /// A move that the setter ends.
+    /// A move that ends when the tool touches the setter, at a rate in mm/s.
     Probe(PerAxis<Coordinate, N>, f32),
-    /// The tool is to be changed; continues when the operator says so.
+    /// The operator is to change the tool; continues at their command.
     Prompt,
-    /// With the new tool the setter was touched at this place of the machine.
+    /// The new tool has touched the setter at this machine coordinate.
     Measured(Coordinate),
-    /// The tool is over the place where the program was left, and the first one that was measured; continues when the operator
-    /// says so.
+    /// The tool, the first one measured, is over the position where the program was interrupted; continues at the
+    /// operator's command.
     Confirm,
-    /// The tool is over the place where the program was left.
+    /// The tool is over the position where the program was interrupted.
     Done,
-    /// It failed.
+    /// The tool change failed.
     Failed(Alarm),
 }
 
-/// What the operator is waited for.
+/// What the machine waits for the operator to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ToolWait {
-    /// To put the tool in.
+    /// Put the tool in.
     Change,
-    /// To set the work zero with the first tool that was measured.
+    /// Set the work zero with the first tool that was measured.
     Confirm,
 }
 
@@ -151,28 +152,28 @@ enum ChangePhase {
 pub struct ToolChange<const N: usize> {
     plan: ChangePlan<N>,
     phase: ChangePhase,
-    /// Where the first pass touched.
+    /// Machine coordinate at which the first pass touched.
     touched: Coordinate,
     /// No tool has been measured before.
     is_first: bool,
 }
 
 impl<const N: usize> ToolChange<N> {
-    /// None.
+    /// No tool change.
     pub const NONE: Self =
         Self { plan: ChangePlan::NONE, phase: ChangePhase::Back, touched: Coordinate::ZERO, is_first: false };
 
-    /// One that begins with [`ToolChange::begin`].
+    /// Returns a tool change that begins with [`ToolChange::begin`].
     pub fn new(plan: ChangePlan<N>) -> Self {
         Self { plan, ..Self::NONE }
     }
 
-    /// The tool that is being measured is the first one.
+    /// Marks the tool that is being measured as the first one.
     pub fn is_first_tool(&mut self) {
         self.is_first = true;
     }
 
-    /// The way down to the work: see `ChangePlan::way_back`. The first tool stays up.
+    /// Returns the moves down to the work: see `ChangePlan::way_back`. The first tool stays up.
     pub fn way_back(&self, longer: Coordinate, clear: Coordinate) -> [PerAxis<Coordinate, N>; 2] {
         match self.is_first {
             true => [self.plan.over(&self.plan.left, self.plan.height()); 2],
@@ -180,18 +181,18 @@ impl<const N: usize> ToolChange<N> {
         }
     }
 
-    /// The first order.
+    /// Returns the first order.
     pub fn begin(&mut self) -> ChangeOrder<N> {
         self.phase = ChangePhase::Retract;
         ChangeOrder::Rapid(self.plan.over(&self.plan.left, self.plan.height()))
     }
 
-    /// Whether the order given last is a probing move.
+    /// Whether the last order was a probing move.
     pub fn is_probing(&self) -> bool {
         matches!(self.phase, ChangePhase::Seek | ChangePhase::Locate)
     }
 
-    /// What the operator has to do, if the order given last was for one.
+    /// Returns what the operator has to do, if the last order was for the operator.
     pub fn waits_for(&self) -> Option<ToolWait> {
         match self.phase {
             ChangePhase::Prompt => Some(ToolWait::Change),
@@ -200,7 +201,7 @@ impl<const N: usize> ToolChange<N> {
         }
     }
 
-    /// The order after the last one has ended; `contact` is where a probing move has touched.
+    /// Returns the order after the last one has ended; `contact` is where a probing move has touched.
     pub fn next(&mut self, contact: Option<PerAxis<Coordinate, N>>) -> ChangeOrder<N> {
         let plan = &self.plan;
         let height = plan.height();
@@ -278,7 +279,7 @@ mod tests {
     fn nothing_but_a_probing_move_goes_down_and_none_too_far() {
         let mut change = ToolChange::new(plan());
         let mut order = change.begin();
-        // A setter that is touched with the first way's last hair.
+        // The setter is touched at the very end of the first pass.
         let lowest = Coordinate::mm(-40);
         while order != ChangeOrder::Done {
             match order {

@@ -1,4 +1,4 @@
-// The page: a job, the settings that it is checked with, and the panels that show what the firmware makes of it.
+// The page: a job, the settings that it is checked with, and the panels that show the results of the firmware.
 import { Cable } from "./cable";
 import { listenToConnections } from "./connect";
 import { listenToConsole } from "./console";
@@ -33,7 +33,7 @@ import { clearVerdict, showPlain, showVerdict } from "./verdict";
 import { WhatIf } from "./whatif";
 import { Workspaces } from "./workspaces";
 
-/** How long nothing may change before a job is checked with new settings, ms. */
+/** How long settings must stay unchanged before a job is checked with them, ms. */
 const QUIET = 150;
 
 export class App implements Page {
@@ -50,7 +50,7 @@ export class App implements Page {
   private readonly first: FirstVisit;
   private running?: AbortController;
   private timer?: ReturnType<typeof setTimeout>;
-  /** A line of the job was edited, and its time is kept. */
+  /** The edited line of the job, which is shown again after the check; 0 if none. */
   private keptLine = 0;
 
   constructor(readonly description: Description) {
@@ -90,7 +90,7 @@ export class App implements Page {
     this.settings.onchange(() => this.soon());
     let runs = false;
     this.machine.onchange(() => {
-      // On a telephone, where the card of the job is not always in sight.
+      // On a telephone, the card of the job is not always visible.
       if (this.machine.running && !runs) this.workspaces.part("job");
       runs = this.machine.running !== undefined;
     });
@@ -99,7 +99,7 @@ export class App implements Page {
     this.theme();
     this.listen();
     this.clearJob();
-    // Who has chosen a machine here before goes on with it.
+    // If the user has chosen a machine before, skip the start page.
     if (this.settings.isKept) this.go("check");
     else this.first.show();
   }
@@ -126,7 +126,7 @@ export class App implements Page {
     void this.check();
   }
 
-  /** A file that cannot be read is no job, and leaves none of before. */
+  /** Shows why a file is not a job, and removes the job before it. */
   private refuse(name: string, { head, text }: Refusal): void {
     this.running?.abort(new Error("another file was chosen"));
     clearTimeout(this.timer);
@@ -154,7 +154,7 @@ export class App implements Page {
     this.allowRun();
   }
 
-  /** Another line of the job. */
+  /** Replaces a line of the job. */
   private edit(line: number, text: string): void {
     const lines = [...this.job.lines];
     lines[line - 1] = text;
@@ -166,7 +166,7 @@ export class App implements Page {
     void this.check();
   }
 
-  /** Checks the job, once nothing has changed for a while. */
+  /** Checks the job after the settings have not changed for a while. */
   soon(): void {
     clearTimeout(this.timer);
     if (this.job.lines.length) this.timer = setTimeout(() => void this.check(), QUIET);
@@ -180,7 +180,7 @@ export class App implements Page {
     for (const panel of this.panels) panel.clear();
     this.allowRun();
     const progress = $<HTMLProgressElement>("progress");
-    // A small job needs none.
+    // A small job needs no progress bar.
     const slow = setTimeout(() => (progress.hidden = running.signal.aborted), 200);
     progress.value = 0;
     try {
@@ -206,7 +206,7 @@ export class App implements Page {
     this.player.sketch(path);
   }
 
-  /** Shows nothing of another job, or of other settings. */
+  /** Clears the results of the previous job or settings. */
   private clear(): void {
     clearVerdict();
     for (const panel of this.panels) panel.clear();
@@ -235,7 +235,7 @@ export class App implements Page {
     });
   }
 
-  /** Whether there is a job that may go to the machine. */
+  /** Enables the transfer of the job to the machine if the job may run. */
   private allowRun(): void {
     const { summary } = this.checked ?? {};
     const hindered = summary && hindrance(summary);
@@ -265,7 +265,7 @@ export class App implements Page {
     units.onchange(() => this.checked?.path && this.showFigures(this.checked.summary, this.checked.path));
     file.addEventListener("change", async () => {
       await openFile(file.files?.[0]);
-      // The same file again, edited, is a change, too.
+      // Choosing the same file again must count as a change: the file may have been edited.
       file.value = "";
     });
     const over = (shown: boolean) => document.body.classList.toggle("over-drop", shown);
@@ -282,7 +282,7 @@ export class App implements Page {
     onlaunch(openFile);
   }
 
-  /** Light or dark: as the system has it, until a person chooses. */
+  /** Sets the light or dark theme: that of the system, until the user chooses one. */
   private theme(): void {
     const dark = matchMedia("(prefers-color-scheme: dark)");
     const set = (to: boolean) => {
@@ -295,7 +295,7 @@ export class App implements Page {
   }
 }
 
-/** For programs: the object that `oxmill run --json` prints. */
+/** For programs: returns the object that `oxmill run --json` prints. */
 async function check(text: string, options: Order = {}): Promise<Summary> {
   return (await firmware.check(options, new TextEncoder().encode(text))).summary;
 }

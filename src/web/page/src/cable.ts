@@ -1,12 +1,12 @@
-// Whether the connection is fast enough: the job is sent at several baud rates.
+// Tests whether the connection is fast enough, by simulating the job at several baud rates.
 import { $, button, clock, count, el, minutes, onclick } from "./dom";
 import type { Streamed } from "./engine";
 import * as firmware from "./firmware";
 import type { JobPanel, Page } from "./page";
 
-/** Bits per second that are tried. */
+/** Rates that are tested, in bits per second. */
 const BAUDS = [9_600, 19_200, 38_400, 57_600, 115_200, 250_000, 1_000_000];
-/** A job that takes longer than this part of its time without a limit waits for lines. */
+/** A job that takes longer than its time on an unlimited link by this factor waits for lines. */
 const WAITS = 1.005;
 
 export class Cable implements JobPanel {

@@ -1,15 +1,17 @@
-// A camera that turns around a place. Places are in mm.
+// A camera that orbits a target. Positions are in mm.
 
 export type Vector = [number, number, number];
 const HALF_ANGLE = 0.35;
 const STEEPEST = 1.5707;
-/** How far above the middle of the view the target is, as a part of half its height: the legend is below. In a low view that takes a larger part of it. */
+/** Distance of the target above the middle of the view, as a fraction of half the view's height: the legend is below it. */
 const LIFT = 0.12;
+/** Values for a low view, of which the legend takes a larger part. */
 const LOW = { height: 420, lift: 0.3, farther: 1.2 };
 
 export class Camera {
-  /** Turn around Z from the front, and height above the table, radians. */
+  /** Turn around Z from the front, radians. */
   turn = -0.6;
+  /** Elevation above the table, radians. */
   height = 0.7;
   distance = 100;
   target: Vector = [0, 0, 0];
@@ -23,24 +25,24 @@ export class Camera {
     this.height = Math.max(-STEEPEST, Math.min(STEEPEST, height));
   }
 
-  /** Sees a box whole, in a view of so many pixels. */
+  /** Makes a box completely visible in a view of this size in pixels. */
   fit(low: Vector, high: Vector, width: number, height: number): void {
     const aspect = width / Math.max(1, height);
     const isLow = height > 0 && height < LOW.height;
     this.lift = isLow ? LOW.lift : LIFT;
     this.target = low.map((l, i) => (l + high[i]) / 2) as Vector;
     const size = Math.hypot(...high.map((h, i) => h - low[i])) || 10;
-    // With room for the legend and the numbers along the grid.
+    // Leave room for the legend and the numbers along the grid.
     this.distance = (size * 0.58) / Math.tan(HALF_ANGLE) / Math.min(1, aspect * 0.85) * (isLow ? LOW.farther : 1);
   }
 
-  /** Moves the target by so many pixels of a view of this height. */
+  /** Moves the target by pixels in a view of this height. */
   pan(dx: number, dy: number, viewHeight: number): void {
     const scale = (2 * this.distance * Math.tan(HALF_ANGLE)) / viewHeight;
     this.target = this.target.map((t, i) => t + (-this.right[i] * dx + this.up[i] * dy) * scale) as Vector;
   }
 
-  /** The matrix of view and perspective, for an aspect of width to height. */
+  /** Returns the matrix of view and perspective for an aspect ratio of width to height. */
   view(aspect: number): Float32Array {
     const { turn, height, distance, target } = this;
     const [sin, cos] = [Math.sin(turn), Math.cos(turn)];
@@ -75,7 +77,7 @@ export class Camera {
     return m;
   }
 
-  /** Where a place is seen, in parts of the view from its top left; `undefined` behind the camera. */
+  /** Returns where a position is visible, as fractions of the view from its top left; `undefined` behind the camera. */
   project([x, y, z]: number[]): [number, number] | undefined {
     const m = this.matrix;
     const w = m[3] * x + m[7] * y + m[11] * z + m[15];

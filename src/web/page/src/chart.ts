@@ -1,20 +1,20 @@
-// The speed over the time of a job. It is the scrubber, too.
+// Chart of the speed over the time of a job, also used as the scrubber.
 import { $, clock, css, minutes, rgb } from "./dom";
 import { type Path, ROW } from "./engine";
 import { endOf, isRapid } from "./track";
 
 const RAMP = [0, 1, 2, 3, 4, 5].map(index => `--scale-${index}`);
-/** Steps of the colours along the ramp. */
+/** Number of colour steps along the ramp. */
 const SHADES = 24;
-/** Below the curve: the times. CSS pixels. */
+/** Space for the times below the curve, CSS pixels. */
 const FOOT = 16;
-/** Steps of the marks of time, s. */
+/** Possible distances between time marks, s. */
 const MARKS = [1, 2, 5, 10, 30, 60, 120, 300, 600, 1800, 3600, 7200, 18_000, 36_000];
 
 export class Chart {
-  /** Called with the time that a person wants to see. */
+  /** Called with the time that the user selects. */
   onseek: (seconds: number) => void = () => {};
-  /** Times of refused lines. */
+  /** Times of rejected lines. */
   refused: number[] = [];
   private readonly canvas = $<HTMLCanvasElement>("chart");
   private readonly curve = document.createElement("canvas");
@@ -58,7 +58,7 @@ export class Chart {
     this.redraw();
   }
 
-  /** Shows a time; that of a machine while it is live. */
+  /** Shows a time; `live` if it follows a machine. */
   at(time: number, live: boolean): void {
     [this.time, this.live] = [time, live];
     this.canvas.setAttribute("aria-valuenow", String(time));
@@ -66,7 +66,7 @@ export class Chart {
     this.paint();
   }
 
-  /** Draws the curve anew: another job, another size, other colours. */
+  /** Redraws the curve after a change of job, size or colours. */
   redraw(): void {
     const { canvas, curve, path } = this;
     const ratio = devicePixelRatio || 1;
@@ -84,7 +84,7 @@ export class Chart {
     const pen = canvas.getContext("2d");
     if (!pen || !this.path || !width || this.end === 0) return;
     const x = (this.time / this.end) * width;
-    // What lies ahead is fainter.
+    // The part ahead is fainter.
     pen.globalAlpha = 0.3;
     pen.drawImage(curve, 0, 0);
     pen.globalAlpha = 1;
@@ -141,7 +141,7 @@ function drawCurve(pen: CanvasRenderingContext2D, path: Path, end: number): void
   }
 }
 
-/** A colour of the ramp. */
+/** Returns a colour of the ramp. */
 function mixed(part: number): string {
   const at = Math.min(4, Math.floor(part * 5));
   const [from, to] = [rgb(RAMP[at]), rgb(RAMP[at + 1])];

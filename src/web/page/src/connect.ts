@@ -1,12 +1,12 @@
-// Connecting a machine: at a serial port, in the page, or behind a page that a program has served.
+// Connects a machine: at a serial port, simulated in the page, or behind a page served by `oxmill serve --web`.
 import { $, el, onclick, say } from "./dom";
 import { PageLink, SerialLink, serial, servedMachine, SocketLink } from "./links";
 import type { Machine } from "./machine";
 import type { Page } from "./page";
 
-/** Rates of a board's serial port: the usual one, and what $931 may choose. Over USB they mean nothing. */
+/** Rates of a board's serial port: the default, and the choices of $931. Over USB the rate has no effect. */
 const BAUDS = [115_200, 230_400, 250_000, 460_800, 500_000, 921_600, 1_000_000];
-/** What is fitted to the machine in the page: a switch at the positive end of each axis, and a plate below Z. */
+/** Hardware of the simulated machine: a switch at the positive end of each axis, and a probe plate below Z. */
 const FITTED = {
   switch: ["x", "y", "z"].map(axis => ({ axis, at_mm: 20, side: "positive", bounce_us: 900 })),
   plate: { axis: "z", at_mm: -12.5, side: "negative" },
@@ -26,7 +26,7 @@ export function listenToConnections(machine: Machine, page: Page): void {
     }
   };
   onclick("power", () => {
-    // Homing is on, as its switches are there; a rotary axis has no switch.
+    // Homing is on, as the linear axes have switches. A rotary axis has no switch.
     const settings: Record<string, number> = { "22": 1, ...page.settings.values() };
     const steps_per_mm = [100, 101, 102].map(number => page.settings.value(number));
     machine.attach(new PageLink(page.order({ settings, work_zero: undefined, machine: { ...FITTED, steps_per_mm } })));
@@ -57,7 +57,7 @@ export function listenToConnections(machine: Machine, page: Page): void {
   };
   machine.onchange(update);
   update();
-  // A page that goes leaves the machine in a hold.
+  // Leaving the page puts a moving machine into a hold.
   addEventListener("pagehide", () => machine.moves() && machine.realtime("hold"));
   addEventListener("beforeunload", event => machine.moves() && event.preventDefault());
 }

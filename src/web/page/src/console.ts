@@ -1,8 +1,8 @@
-// The console: what was sent, what was answered, and a line to type.
+// The console: lines that were sent, their answers, and a line to type.
 import { $, el, onclick } from "./dom";
 import type { Machine } from "./machine";
 
-/** Lines that the console keeps. */
+/** Maximum number of lines in the console. */
 const KEPT = 400;
 
 export function listenToConsole(machine: Machine): void {

@@ -1,4 +1,4 @@
-// The rest of a job that was broken off, as a program of its own: from which line on, and how the tool goes there.
+// The rest of an interrupted job as a self-contained program: from which line on, and how the tool moves there.
 import { $, onclick, save } from "./dom";
 import type { Resume } from "./engine";
 import * as firmware from "./firmware";
@@ -23,7 +23,7 @@ export class ContinuePanel implements JobPanel {
     this.draw("", []);
   }
 
-  /** Opens the panel for a job that was stopped at a line. */
+  /** Opens the panel for a job that stopped at a line. */
   from(job: Job, line: number): void {
     if (this.page.job !== job) this.page.open(job.name, job.bytes);
     input("from-line").value = String(line);
@@ -64,7 +64,7 @@ export class ContinuePanel implements JobPanel {
 
 const input = (id: string): HTMLInputElement => $<HTMLInputElement>(id);
 
-/** What is typed; what is left blank is left out. */
+/** The typed values; fields left blank are omitted. */
 function wish(): Resume {
   const typed = (id: string) => (input(id).value === "" ? undefined : input(id).valueAsNumber);
   const whole = (id: string) => Math.max(0, Math.trunc(typed(id) ?? 0));

@@ -1,22 +1,22 @@
-// Cutters that a CAM program has written into its comments.
+// Finds cutters that a CAM program has described in comments.
 import type { Cutter } from "./material";
 
-/** Lines from the start that are looked through. */
+/** Number of lines from the start that are searched. */
 const HEAD = 4000;
 
-/** Words that stand beside the size of a cutter. */
+/** Words that occur beside the size of a cutter. */
 const CUTTER = /\bD(?:ia(?:meter)?)?\.?\s*[=:]|\bDia|Ø|mill\b|drill|cutter|\bbit\b|ball|flat|flute|\btool\b|\bT\s*#?\d/i;
 
-/** Comments of a line, without their marks. */
+/** The text of a line's comments, without their delimiters. */
 const comments = (line: string): string => [...line.matchAll(/\(([^)]*)\)|;(.*)$/g)].map(found => found[1] ?? found[2]).join(" ");
 
-/** What a comment says of a cutter, if it says how wide it is. */
+/** Returns the cutter that a comment describes, if the comment gives its width. */
 export function cutterIn(text: string): Cutter | undefined {
   const number = "(\\d+(?:[.,]\\d+)?)";
   const value = (found: RegExpExecArray | null) => (found ? Number(found[1].replace(",", ".")) : undefined);
   const inch = new RegExp(`${number}\\s*(?:in\\b|inch|")`, "i").exec(text);
   const fraction = /\b(\d+)\/(\d+)\s*(?:in\b|inch|")?/i.exec(text);
-  // The tip of a pointed cutter is told by its width, and where that is.
+  // `wide` and `tip` give the width of a pointed cutter's tip, not its diameter.
   const diameter = /\bwide\b|\btip\b/i.test(text) ? undefined : value(new RegExp(`\\bD(?:ia(?:meter)?)?\\.?\\s*[=:]?\\s*${number}`, "i").exec(text))
     ?? (inch ? (value(inch) as number) * 25.4 : fraction ? (Number(fraction[1]) / Number(fraction[2])) * 25.4 : undefined)
     ?? value(new RegExp(`(?:^|\\s|Ø)${number}\\s*mm\\b`, "i").exec(text));
@@ -24,14 +24,15 @@ export function cutterIn(text: string): Cutter | undefined {
   const isPointed = angle !== undefined && angle > 0 && angle < 179 && !/drill/i.test(text);
   const isV = /v[- ]?bit|v[- ]?carv/i.test(text) || (isPointed && (CUTTER.test(text) || /engrav|chamfer|\bV\b/i.test(text)));
   const isBall = /ball/i.test(text);
-  // A length alone is the one of anything.
+  // A length alone may belong to anything.
   if (diameter === undefined ? !(isV && isPointed) : !(isV || CUTTER.test(text))) return undefined;
   const width = diameter ?? 6;
   if (!(width > 0 && width <= 1000)) return undefined;
   return { shape: isV ? "v" : isBall ? "ball" : "flat", diameter: width, angle: isV && angle !== undefined && angle > 0 ? Math.min(179, angle) : 60 };
 }
 
-/** Cutters by tool, as far as comments tell: one with the tool's number in it, or the one that stands before a change to it. */
+/** Returns the cutters by tool, as described by comments: a comment with the tool's number, or the last one before the
+ * tool change. */
 export function cuttersOf(lines: string[]): Record<number, Cutter> {
   const found: Record<number, Cutter> = {};
   let last: Cutter | undefined;
@@ -48,7 +49,7 @@ export function cuttersOf(lines: string[]): Record<number, Cutter> {
       last = undefined;
     }
   }
-  // Without a change of tools there is one cutter, that of tool 0.
+  // Without a tool change there is one cutter, that of tool 0.
   if (Object.keys(found).length === 0 && last) found[0] = last;
   return found;
 }

@@ -31,7 +31,7 @@ export class Dialog {
     this.before?.focus();
   }
 
-  /** The row of buttons at the end: what closes it comes first. A dialog with no other one has nothing to be cancelled. */
+  /** Appends the row of buttons. The first one closes the dialog; it is called Close if it is alone, otherwise Cancel. */
   actions(...more: Node[]): HTMLElement {
     const row = el("div", { className: "actions-row" }, button(more.length ? "Cancel" : "Close", () => this.close()), ...more);
     this.element.append(row);

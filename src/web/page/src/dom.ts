@@ -1,4 +1,4 @@
-// Elements of the page, and figures as people read them.
+// Helpers for elements of the page, and formatting of figures for users.
 
 export const $ = <T extends HTMLElement = HTMLElement>(id: string): T => {
   const found = document.getElementById(id);
@@ -8,7 +8,7 @@ export const $ = <T extends HTMLElement = HTMLElement>(id: string): T => {
 
 type Child = Node | string;
 
-/** An element with properties and children. Names with a hyphen become attributes. */
+/** Makes an element with properties and children. Names with a hyphen become attributes. */
 export function el<K extends keyof HTMLElementTagNameMap>(tag: K, more: Record<string, unknown> = {}, ...children: Child[]): HTMLElementTagNameMap[K] {
   const made = document.createElement(tag);
   for (const [name, value] of Object.entries(more)) {
@@ -19,14 +19,14 @@ export function el<K extends keyof HTMLElementTagNameMap>(tag: K, more: Record<s
   return made;
 }
 
-/** A button that does something. */
+/** Makes a button with an action. */
 export function button(text: string, act: () => void, className = "btn"): HTMLButtonElement {
   const made = el("button", { type: "button", className, textContent: text });
   made.addEventListener("click", act);
   return made;
 }
 
-/** A picture of the sprite. */
+/** Makes an icon from the sprite. */
 export function icon(name: string, size = ""): SVGSVGElement {
   const made = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   made.setAttribute("class", `ic ${size}`.trim());
@@ -36,23 +36,23 @@ export function icon(name: string, size = ""): SVGSVGElement {
   return made;
 }
 
-/** Calls when a control is clicked. */
+/** Calls `act` when a control is clicked. */
 export const onclick = (id: string, act: () => void): void => $(id).addEventListener("click", act);
 
-/** Shows a text, if it is another one: what stays as it is costs a browser nothing. */
+/** Shows a text if it differs from the present one: unchanged elements cost the browser nothing. */
 export function say(where: string | HTMLElement, text: string): void {
   const shown = typeof where === "string" ? $(where) : where;
   if (shown.textContent !== text) shown.textContent = text;
 }
 
-/** Switches a control off, and says why; without a reason it is on. */
+/** Disables a control and shows the reason; without a reason, enables it. */
 export function allow(control: HTMLElement, why?: string, hint = ""): void {
   const off = why !== undefined;
   if ((control as HTMLButtonElement).disabled !== off) (control as HTMLButtonElement).disabled = off;
   if (control.title !== (why ?? hint)) control.title = why ?? hint;
 }
 
-/** Marks the chosen one of some buttons. */
+/** Marks the chosen button of a group. */
 export function press(buttons: Iterable<Element>, chosen: (button: HTMLElement) => boolean): void {
   for (const one of buttons) {
     const pressed = String(chosen(one as HTMLElement));
@@ -60,7 +60,7 @@ export function press(buttons: Iterable<Element>, chosen: (button: HTMLElement) 
   }
 }
 
-/** Seconds as people say them. */
+/** Formats a duration in words. */
 export function clock(seconds: number): string {
   if (seconds < 60) return `${seconds.toFixed(2)} s`;
   const whole = Math.round(seconds);
@@ -68,32 +68,32 @@ export function clock(seconds: number): string {
   return h ? `${h} h ${m} min ${s} s` : `${m} min ${s} s`;
 }
 
-/** Seconds as a clock shows them. */
+/** Formats a duration like a clock. */
 export function minutes(seconds: number): string {
   const whole = Math.max(0, Math.round(seconds));
   const [h, m, s] = [Math.floor(whole / 3600), Math.floor(whole / 60) % 60, String(whole % 60).padStart(2, "0")];
   return h ? `${h}:${String(m).padStart(2, "0")}:${s}` : `${m}:${s}`;
 }
 
-/** A number with a name in its plural, as `3 lines`. */
+/** A number with a noun, in the plural where needed, such as `3 lines`. */
 export const count = (number: number, name: string): string => `${number.toLocaleString("en")} ${name}${number === 1 ? "" : "s"}`;
 
 export const css = (name: string): string => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-/** A colour of the style sheet as three numbers from 0 to 1. */
+/** Returns a colour of the style sheet as three numbers from 0 to 1. */
 export function rgb(name: string): [number, number, number] {
   const hex = css(name).replace("#", "");
   return [0, 2, 4].map(at => parseInt(hex.slice(at, at + 2), 16) / 255) as [number, number, number];
 }
 
-/** Gives a person a file. */
+/** Offers the user a file to save. */
 export function save(name: string, text: string): void {
   const link = el("a", { href: URL.createObjectURL(new Blob([text], { type: "text/plain" })), download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }
 
-/** What a person has typed into a field for numbers, if it is one. A comma is a point. */
+/** Returns the number that the user has typed into a field, if it is one. A comma counts as a decimal point. */
 export function typed(id: string): number | undefined {
   const text = $<HTMLInputElement>(id).value.trim().replace(",", ".");
   const value = Number(text);

@@ -1,4 +1,4 @@
-// The WebAssembly module: bytes in, bytes out. Its interface is described in src/web/lib.rs.
+// Calls the WebAssembly module: bytes in, bytes out. src/web/lib.rs describes its interface.
 
 export interface Order {
   name?: string;
@@ -7,27 +7,27 @@ export interface Order {
   settings?: Record<string, number>;
   path?: boolean;
   machine?: object;
-  /** Of G54 in mm of machine coordinates, for a machine that is homed before its job. */
+  /** Work zero of G54 in mm of machine coordinates; the machine is then homed before its job. */
   work_zero?: number[];
-  /** Lines that the machine carries out before its job: its offsets and tools. */
+  /** Lines that the machine executes before its job: its offsets and tools. */
   stored?: string[];
   baud?: number;
   resume?: Resume;
 }
 
-/** Where a job goes on: what `oxmill resume` is told. */
+/** Where a job is resumed; like the options of `oxmill resume`. */
 export interface Resume { line: number; clearance?: number; plunge?: number; spin_up?: number }
-/** The rest of a job as a program, and what is in front of its lines. */
+/** The rest of a job as a program, and the prologue before its lines. */
 export interface Rest { program: string; line: number; lines: number; prologue: string[] }
 
 export interface LineError { line: number; code: number; text: string; source: string; advice: string }
-/** A line that is accepted and does what may not be meant. */
+/** A line that is accepted but may not do what was intended. */
 export interface Warning { line: number; text: string }
 export interface AlarmReport { code: number; text: string; line: number | null; advice: string }
 
 export interface ToolTime { tool: number; feed_s: number; rapid_s: number; dwell_s: number; spin_up_s: number }
 
-/** What `oxmill run --json` prints: docs/json.md. */
+/** The output of `oxmill run --json`: docs/json.md. */
 export interface Summary {
   job: string; board: string; dialect: string; lines: number; errors: LineError[]; more_errors: number; warnings: Warning[]; more_warnings: number;
   alarm: AlarmReport | null; complete: boolean; notes: string[]; messages: string[];
@@ -37,25 +37,25 @@ export interface Summary {
   peak_speed_mm_s: number; peak_acceleration_mm_s2: number; trace_hash: string; order_hash: string; host_s: number;
 }
 
-/** What keeps a job from running, if something does: what it is, its line, and what the firmware says of it. */
+/** Returns what keeps a job from running, if anything: a description, its line, and the explanation of the firmware. */
 export function hindrance({ errors, more_errors, alarm, complete }: Summary): { text: string; line?: number; more?: string } | undefined {
   const refused = errors.length + more_errors;
   const [first] = errors;
-  // Behind an alarm lines are refused because of it.
+  // After an alarm, lines are rejected because of it.
   if (alarm && !(first && first.line < (alarm.line ?? 0))) return { text: `the job ends in alarm ${alarm.code}`, line: alarm.line ?? undefined, more: alarm.text };
   if (refused) return { text: `${refused.toLocaleString("en")} line${refused === 1 ? "" : "s"} would be refused`, line: first.line, more: `Line ${first.line}: ${first.text}` };
   return complete ? undefined : { text: "the job does not come to its end" };
 }
 
-/** Where work zero is at the end of a job, mm of machine coordinates. */
+/** Returns the position of work zero at the end of a job, in mm of machine coordinates. */
 export const workZero = (summary: Summary): [number, number, number] =>
   summary.position_mm.map((at, axis) => at - summary.work_position_mm[axis]) as [number, number, number];
 
-/** A row has x, y, z in mm, speed in mm/s, begin and end in s. */
+/** Numbers per row: x, y, z in mm, speed in mm/s, start and end in s. */
 export const ROW = 6;
 export const RAPID = 0x80000000;
 export const ARC = 0x40000000;
-/** For each row also its line, with RAPID or ARC, its tool, and S while the spindle is on. */
+/** Per row also its line with RAPID or ARC, its tool, and its S (0 while the spindle is off). */
 export interface Path { rows: Float32Array; lines: Uint32Array; tools: Uint32Array; speeds: Uint32Array }
 
 export interface Streamed { baud: number; forecast_s: number; complete: boolean; errors: number; lost: { line: number; seconds: number }[] }
@@ -63,9 +63,9 @@ export interface Streamed { baud: number; forecast_s: number; complete: boolean;
 export interface Setting {
   number: number; name: string; unit: string; kind: string; min: number | null; max: number | null;
   values: string; default: number; grbl: boolean; axis: string | null;
-  /** What it does, and when one changes it. */
+  /** What the setting does, and when to change it. */
   explanation: string;
-  /** The name that all axes share, the group, and the names of its choices or bits, from 0 on. */
+  /** The name that all axes share, the group, and the names of the choices or bits, from 0 on. */
   title: string; group: string; labels: string[];
 }
 export interface Meaning { code: number; text: string; advice: string }
@@ -117,7 +117,7 @@ export class Engine {
     return JSON.parse(this.call(() => this.wasm.oxmill_describe()));
   }
 
-  /** Takes a job through the controller. `progress` gets the part of the file that was read, 0 to 1, from time to time. */
+  /** Runs a job through the controller. `progress` is called from time to time with the part of the file read, 0 to 1. */
   check(order: Order, job: Uint8Array, progress: (part: number) => void = () => {}): Summary {
     this.put(encode(JSON.stringify(order)), new Uint8Array(1), job);
     this.call(() => this.wasm.oxmill_check_begin());
@@ -126,10 +126,10 @@ export class Engine {
     return JSON.parse(this.call(() => this.wasm.oxmill_check_summary()));
   }
 
-  /** The path of the job that was checked with `path` in its order. */
+  /** Returns the path of the job that was checked with `path` in its order. */
   path(): Path {
     const count = this.guard(() => this.wasm.oxmill_path());
-    // An address is told as a signed number.
+    // The module returns an address as a signed number.
     const [rows, lines, tools, speeds] = [this.wasm.oxmill_path_rows(), this.wasm.oxmill_path_lines(), this.wasm.oxmill_path_tools(), this.wasm.oxmill_path_speeds()].map(at => at >>> 0);
     const { buffer } = this.wasm.memory;
     return {
@@ -167,7 +167,7 @@ export class Engine {
     return this.call(() => this.wasm.oxmill_machine_pin());
   }
 
-  /** Bytes of memory that the module has. */
+  /** Size of the module's memory, in bytes. */
   memory(): number {
     return this.wasm.memory.buffer.byteLength;
   }

@@ -1,4 +1,4 @@
-// The firmware as the page calls it: each job in a worker of its own.
+// The firmware as the page calls it: each job runs in a worker of its own.
 import type { Description, Order, Path, Rest, Streamed, Summary } from "./engine";
 import type { Block, Cutter, Material } from "./material";
 import type { Task } from "./worker";
@@ -15,7 +15,7 @@ export async function load(): Promise<void> {
   module = await WebAssembly.compile(Uint8Array.from(atob(OXMILL.wasm), c => c.charCodeAt(0)));
 }
 
-/** A worker that has the module. */
+/** Starts a worker with the module. */
 export function worker(): Worker {
   const made = new Worker(source);
   made.postMessage({ task: "module", module } satisfies Task);
@@ -24,7 +24,7 @@ export function worker(): Worker {
 
 type Answer = { is: string; part: number; why: string; path?: Path };
 
-/** Has a task done in a worker of its own, which ends with it, or with the signal. */
+/** Runs a task in a worker of its own, which is terminated after the task or by the signal. */
 function run<T extends Answer>(task: Task, is: string, signal?: AbortSignal, progress?: (part: number) => void, sketch?: (path: Path) => void): Promise<T> {
   return new Promise((resolve, reject) => {
     const one = worker();
@@ -57,7 +57,7 @@ export async function describe(): Promise<Description> {
   return (await run<Answer & { description: Description }>({ task: "describe" }, "described")).description;
 }
 
-/** `sketch` gets the path so far of a job that takes long. */
+/** Checks a job. `sketch` receives the path so far if the check takes long. */
 export function check(order: Order, job: Uint8Array, signal?: AbortSignal, progress?: (part: number) => void, sketch?: (path: Path) => void): Promise<Checked> {
   return run<Answer & Checked>({ task: "check", order, job }, "checked", signal, progress, sketch);
 }
@@ -70,12 +70,12 @@ export async function resume(order: Order, job: Uint8Array, signal?: AbortSignal
   return (await run<Answer & { rest: Rest }>({ task: "resume", order, job }, "resumed", signal)).rest;
 }
 
-/** What the cutters leave of a block up to a time. No firmware in it, but a worker all the same: it takes seconds. */
+/** Computes what the cutters leave of a block up to a time. Needs no firmware, but seconds, and therefore a worker. */
 export async function cutBlock(path: Path, cutters: Record<number, Cutter>, block: Block, until: number, signal: AbortSignal, progress: (part: number) => void): Promise<Material> {
   return (await run<Answer & { material: Material }>({ task: "material", path, cutters, block, until }, "material", signal, progress)).material;
 }
 
-/** Does tasks with as many workers at a time as there are cores, but not more than four. */
+/** Runs tasks in as many workers at a time as there are cores, at most four. */
 export async function each<T>(tasks: (() => Promise<T>)[], done: (index: number, result: T) => void): Promise<void> {
   let next = 0;
   const lanes = Math.max(1, Math.min(navigator.hardwareConcurrency || 2, 4, tasks.length));

@@ -1,4 +1,4 @@
-// The first visit: which machine, which job. Samples tell their time on the machine that is chosen.
+// The start page: which machine, which job. Each sample shows its time on the chosen machine.
 import { $, el, minutes } from "./dom";
 import * as firmware from "./firmware";
 import type { Page } from "./page";
@@ -37,7 +37,7 @@ export class FirstVisit {
     return made;
   }
 
-  /** Arrow keys choose, as in all radio groups. */
+  /** Arrow keys select, as in all radio groups. */
   private move(event: KeyboardEvent): void {
     const step = { ArrowDown: 1, ArrowRight: 1, ArrowUp: -1, ArrowLeft: -1 }[event.key];
     if (!step) return;
@@ -63,12 +63,12 @@ export class FirstVisit {
     if ($("app").dataset.workspace === "first") void this.forecast();
   }
 
-  /** The start page is shown. */
+  /** The start page is being shown. */
   show(): void {
     if (!this.drawn) void this.forecast();
   }
 
-  /** Something else is shown: what is still forecast is not waited for. */
+  /** Another page is being shown: stops pending forecasts. */
   hide(): void {
     this.running?.abort(new Error("the start page is left"));
   }
@@ -88,7 +88,7 @@ export class FirstVisit {
       }), () => {});
     } catch (error) {
       if (signal.aborted) {
-        // What is not done yet is done when the start page is shown again.
+        // Forecasts that are still missing are made when the start page is shown again.
         if (this.running?.signal === signal) this.drawn = false;
         return;
       }

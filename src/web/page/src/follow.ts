@@ -1,27 +1,30 @@
-// Where in its job a machine is. Reports tell a place; the path tells at which times the job is there.
+// Finds the position of a machine in its job: reports give a position; the path gives the times at which the job is
+// there.
 import { type Path, ROW } from "./engine";
 import { endOf, isRapid, lineOf, placeAt, rowAt } from "./track";
 
-/** How much farther than expected the job may have come between two reports: overrides double a speed at most. */
+/** Maximum progress between two reports, relative to the expected one: overrides at most double a speed. */
 const FASTEST = 2.2;
-/** Seconds around the expected time that are searched in any case. */
+/** Seconds after the expected time that are always searched. */
 const SLACK = 1;
-/** A machine that is nearer to the path than this is on it; one that is farther than the other is not, mm. */
+/** A machine nearer to the path than this is on it, mm. */
 const NEAR = 0.3;
+/** In the second search, of everything that was sent, a machine within this distance of the path is on it, mm. */
 const ASTRAY = 1;
-/** What a second off the expected time counts, mm: it decides where the path comes to a place twice, or stands still. */
+/** Weight of the deviation from the expected time, mm per s, where the path passes a position twice or stands still. */
 const SECOND = 0.02;
 
 export interface Overrides { feed: number; rapid: number }
 
 export class Follower {
-  /** Time of the job, s. */
+  /** Time within the job, s. */
   time = 0;
-  /** Seconds of feed, of rapids and of the whole up to the end of each row. */
+  /** Seconds of feed up to the end of each row. */
   private readonly feed: Float32Array;
+  /** Seconds of rapids up to the end of each row. */
   private readonly rapid: Float32Array;
 
-  /** `zero` is the place of work zero on the path, mm. */
+  /** `zero`: position of work zero in the coordinates of the path, mm. */
   constructor(readonly path: Path, private readonly zero: number[]) {
     const count = path.lines.length;
     [this.feed, this.rapid] = [new Float32Array(count), new Float32Array(count)];
@@ -37,22 +40,22 @@ export class Follower {
     return endOf(this.path);
   }
 
-  /** The line that the machine carries out. */
+  /** The line that the machine is executing. */
   get line(): number {
     return Math.max(1, this.path.lines.length ? lineOf(this.path, rowAt(this.path, this.time)) : 0);
   }
 
-  /** Takes a report over: the place in work coordinates, mm, the seconds since the one before, and the last line that was sent. */
+  /** Processes a report: work position (mm), seconds since the last report, and the last line that was sent. */
   report(work: number[], passed: number, sent: number): void {
     const { path, zero } = this;
     if (path.lines.length < 2) return;
     const at = [0, 1, 2].map(axis => work[axis] + zero[axis]);
     const expected = Math.min(this.end, this.time + passed);
-    // A machine that is not found near its time may have been lost sight of: it is looked for on all that was sent.
+    // A machine that is not found near the expected time may have been lost: search everything that was sent.
     if (!this.look(at, expected, Math.min(this.end, this.time + passed * FASTEST + SLACK), sent, SECOND, NEAR)) this.look(at, expected, this.end, sent, 0, ASTRAY);
   }
 
-  /** Looks for a place from the time on that is known until another one. Gives whether it is there. */
+  /** Searches for a position from the present time to `until`. Returns whether the machine was found within `within` mm. */
   private look(at: number[], expected: number, until: number, sent: number, second: number, within: number): boolean {
     const { path } = this;
     let [best, found, off]: [number, number, number] = [Infinity, this.time, Infinity];
@@ -70,7 +73,7 @@ export class Follower {
       const [from, to] = [Math.max(began, this.time), Math.min(ended, until)];
       look(Math.min(until, Math.max(this.time, began)));
       if (to <= from) continue;
-      // The nearest place on a straight row, as a part of its time.
+      // The nearest position on a straight row, as a part of its time.
       const a = [0, 1, 2].map(axis => path.rows[(row - 1) * ROW + axis]);
       const way = [0, 1, 2].map(axis => path.rows[row * ROW + axis] - a[axis]);
       const length2 = way.reduce((sum, v) => sum + v * v, 0);
@@ -86,7 +89,7 @@ export class Follower {
     this.time = this.end;
   }
 
-  /** Seconds that are left with these overrides, as parts of 1. */
+  /** Remaining seconds with these overrides (1 is 100 %). */
   left({ feed, rapid }: Overrides): number {
     const { path, time } = this;
     const count = path.lines.length;

@@ -1,19 +1,20 @@
-// Settings of other controllers: what `$$` of Grbl and grblHAL prints, and configuration files of FluidNC. What each becomes is told.
+// Reads settings of other controllers: the output of `$$` of Grbl and grblHAL, and configuration files of FluidNC.
+// Reports what each line becomes.
 import type { Setting } from "./engine";
 
 export interface Taken { number: number; value: number; from: string }
 export interface Import {
   what: string;
   taken: Taken[];
-  /** What is not taken, and why. */
+  /** Lines that are not imported, with the reason. */
   left: { text: string; why: string }[];
 }
 
-/** Numbers from here on are Oxmill's own. */
+/** Numbers from here on are Oxmill's own settings. */
 const OWN = 900;
-/** Switches that grblHAL has as masks whose lowest bit is the switch. */
+/** Switches that are bit masks in grblHAL; the lowest bit is the switch. */
 const FIRST_BIT = new Set([21, 22]);
-/** What decides on reports and wiring of another board, and not on how it moves. */
+/** Settings that affect only the reports or the wiring of another board, but not how it moves. */
 const OF_THE_BOARD = new Map([[10, "it decides on reports only"], [37, "another board's wiring"]]);
 
 export function readImport(text: string, table: Setting[]): Import {
@@ -39,11 +40,11 @@ function dump(text: string, table: Setting[]): Import {
   return made;
 }
 
-/** Keys of an axis in FluidNC's files, and the number of X. */
+/** Keys of an axis in FluidNC's files, with the setting number for X. */
 const AXIS_KEYS: Record<string, number> = { steps_per_mm: 100, max_rate_mm_per_min: 110, acceleration_mm_per_sec2: 120, max_travel_mm: 130 };
 const KEYS: Record<string, number> = { junction_deviation_mm: 11, arc_tolerance_mm: 12, report_inches: 13 };
 
-/** A file of FluidNC is YAML; of it, keys and values by indentation are enough. */
+/** Reads a FluidNC file. It is YAML, of which keys and values by indentation are sufficient. */
 function fluidNc(text: string): Import {
   const made: Import = { what: "FluidNC", taken: [], left: [] };
   const path: { indent: number; key: string }[] = [];

@@ -1,16 +1,16 @@
-// The page as an app that a browser has installed from a site: it is kept for times without a network, and files of its kind open in it.
+// The page as an app that a browser has installed from a site: it works offline, and G-code files open in it.
 
 interface Launched { files: readonly { getFile(): Promise<File> }[] }
 interface LaunchQueue { setConsumer(call: (launched: Launched) => void): void }
 
-/** Has the site's service worker keep the page. A page that is one file has none, and needs none. */
+/** Has the site's service worker store the page for offline use. The single-file page has no service worker. */
 export function keepOffline(): void {
   const script = document.querySelector<HTMLMetaElement>("meta[name=oxmill-offline]")?.content;
-  // Over http to another computer browsers have no service workers.
+  // Over http from another computer, browsers offer no service workers.
   if (script) navigator.serviceWorker?.register(script).catch(error => console.warn(`not kept for times without a network: ${error}`));
 }
 
-/** Calls with a file that the system opens with the app. */
+/** Calls `call` with each file that the system opens with the app. */
 export function onlaunch(call: (file: File) => Promise<void>): void {
   const queue = (globalThis as unknown as { launchQueue?: LaunchQueue }).launchQueue;
   queue?.setConsumer(async ({ files: [handle] }) => {

@@ -1,15 +1,16 @@
-// Jogging: by steps or as long as a button is held, in all directions, by buttons or by keys.
+// Jogging: by steps or while a button is held, in all directions, by buttons or keys.
 import { $, allow, el, icon, press, say } from "./dom";
 import type { Machine } from "./machine";
 import { REALTIME } from "./sender";
 import { units } from "./units";
 
-/** A held jog is sent as moves of this duration, three of them ahead of the last report: a page that dies stops behind them. */
+/** Duration of each move of a held jog, s. */
 const JOG_SECONDS = 0.2;
+/** Moves of a held jog that are sent ahead of the last report: if the page dies, the machine stops after them. */
 const JOGS_AHEAD = 3;
-/** Steps in the unit that is shown. */
+/** Steps in the displayed unit. */
 const STEPS = { mm: [0.001, 0.01, 0.1, 1, 10], inch: [0.0005, 0.005, 0.05, 0.5] };
-/** Keys that jog switch themselves off after so long without a jog, ms. */
+/** Jogging by keys switches itself off after this time without a jog, ms. */
 const FORGETFUL = 5 * 60_000;
 
 /** Directions by axis letter. */
@@ -23,12 +24,13 @@ const WAYS: { way: Way; turn: number; label: string }[] = [
 const named = (way: Way): string => Object.entries(way).map(([axis, sign]) => `${axis} to ${sign > 0 ? "plus" : "minus"}`).join(" and ");
 
 export class JogPanel {
-  /** The step in mm; 0 moves as long as a button is held. */
+  /** The step in mm; 0 jogs while a button is held. */
   private step = 1;
   private pads: HTMLButtonElement[] = [];
   private axes = "";
-  /** The button or key that is held to jog, and the end of the last such jog. */
+  /** Identifies the button or key that is held to jog. */
   private jogging?: object;
+  /** Resolved when the last held jog has ended. */
   private jogged = Promise.resolve();
   private used = 0;
 
@@ -58,7 +60,7 @@ export class JogPanel {
     $<HTMLInputElement>("key-jog").checked = false;
   }
 
-  /** The next smaller or larger step. */
+  /** Changes to the next smaller or larger step. */
   changeStep(by: number): void {
     const steps = STEPS[units.name].map(step => step * units.size);
     const at = steps.findIndex(step => Math.abs(step - this.step) < 1e-9);
@@ -87,7 +89,7 @@ export class JogPanel {
     this.update();
   }
 
-  /** The feed as a share of the greatest rate; without one, that which is shown in the new unit. */
+  /** Sets the feed to a share of the maximum rate; without `share`, shows the chosen share in the new unit. */
   private chooseFeed(share?: number): void {
     const chosen = share ?? Number($("feeds").querySelector<HTMLElement>('[aria-pressed="true"]')?.dataset.share ?? 0);
     if (!chosen) return;
@@ -96,11 +98,11 @@ export class JogPanel {
     press($("feeds").children, button => Number(button.dataset.share) === chosen);
   }
 
-  /** The feed for these axes in mm/min: what is typed may be more than they can do. */
+  /** Returns the feed for these axes in mm/min. The typed feed may exceed their maximum. */
   private feed(way: Way): number {
     const typed = units.parse($<HTMLInputElement>("jog-feed").value) ?? 1;
     const most = Object.keys(way).map(axis => this.machine.settings[110 + "XYZABC".indexOf(axis)] ?? Infinity);
-    // Along a diagonal both axes run at their share.
+    // On a diagonal, each axis runs at its share.
     return Math.max(1, Math.min(typed, Math.min(...most) * Math.sqrt(most.length)));
   }
 
@@ -152,7 +154,7 @@ export class JogPanel {
     for (const end of ["pointerup", "pointercancel", "lostpointercapture", "keyup", "blur"]) button.addEventListener(end, () => this.end());
   }
 
-  /** A step, or a jog until `end`. */
+  /** Makes a step, or jogs until `end` is called. */
   press(way: Way, step = this.step): void {
     this.used = performance.now();
     if (this.machine.whyNot !== undefined) return;
@@ -162,7 +164,7 @@ export class JogPanel {
     this.jogged = this.jogged.then(() => this.hold(way, press));
   }
 
-  /** A key: a step, and what it does while it is held. */
+  /** Handles a key: a press makes a step, holding it jogs. */
   key(way: Way, held: boolean): void {
     if (held) this.press(way, 0);
     else this.press(way, this.step || STEPS[units.name][2] * units.size);
@@ -183,12 +185,12 @@ export class JogPanel {
     say("jog-why", `Not done: ${this.machine.explain(answer)}`);
   }
 
-  /** Short jogs one after the other, as long as the button is held. */
+  /** Sends short jogs while the button is held. */
   private async hold(way: Way, press: object): Promise<void> {
     const { machine } = this;
     const { sender } = machine;
     const held = () => this.jogging === press && machine.sender === sender;
-    // A machine that does as it is told has its settings; one that has refused them may give them now.
+    // The settings are usually known. If the machine has refused them before, it may report them now.
     if (sender && held() && machine.settings[110] === undefined) await machine.readSettings();
     if (!sender || !held()) return;
     const axes = Object.keys(way).map(axis => "XYZABC".indexOf(axis));
@@ -198,14 +200,14 @@ export class JogPanel {
     const at = () => machine.status?.machine[axes[0]] ?? 0;
     const from = at();
     for (let sent = 0; held(); ) {
-      // Answers come when a jog is planned, not when it is done: the reports tell how far it has come.
+      // The answer arrives when a jog is planned, not when it is done: only the reports show the progress.
       if (sent * distance >= Math.abs(at() - from) + JOGS_AHEAD * distance) {
         await new Promise(resolve => setTimeout(resolve, 20));
         continue;
       }
       sent++;
       const answer = await sender.command(text);
-      // A line that was on its way when the button was released came behind the end of the jog on some machines.
+      // On some machines, a line that was being sent when the button was released arrives after the jog cancel.
       if (!held() && machine.sender === sender) sender.realtime(REALTIME.jogCancel);
       if (answer !== "ok") {
         this.refused(text, answer);
@@ -215,7 +217,7 @@ export class JogPanel {
     if (held()) this.end();
   }
 
-  /** Ends a jog that lasts. */
+  /** Ends a held jog. */
   end(): void {
     if (!this.jogging) return;
     this.jogging = undefined;
@@ -227,7 +229,7 @@ export class JogPanel {
     if (machine.axes.join("") !== this.axes && machine.status) this.build(machine.axes);
     if (this.keys && performance.now() - this.used > FORGETFUL) this.switchKeysOff();
     const why = machine.whyNot;
-    // A button that is switched off does not tell of its release.
+    // A disabled button does not report its release.
     if (why) this.end();
     if (why && machine.phase !== "jog") this.switchKeysOff();
     $("jog-card").hidden = !machine.isConnected;

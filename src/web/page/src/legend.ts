@@ -1,4 +1,4 @@
-// The legend of the picture: the scale of its colours, and each mark that is drawn, and no other.
+// The legend of the picture: its colour scale, and only the kinds of marks that are drawn.
 import { $, el } from "./dom";
 import type { Legend } from "./track";
 

@@ -1,10 +1,10 @@
-// Where a machine is: in the page, or at a serial port. Both are written to and heard alike.
+// Links to a machine: simulated in the page, at a serial port, or at a WebSocket. All have the same interface.
 import type { Order } from "./engine";
 import { worker } from "./firmware";
 import type { Link } from "./sender";
 import type { Task } from "./worker";
 
-/** A machine in the page. */
+/** A simulated machine in the page. */
 export class PageLink implements Link {
   onsaid: (text: string) => void = () => {};
   onlost: (why: string) => void = () => {};
@@ -23,12 +23,12 @@ export class PageLink implements Link {
     this.tell({ task: "send", bytes });
   }
 
-  /** Moves an input pin, as `probe 1`. */
+  /** Sets an input pin, such as `probe 1`. */
   pin(line: string): void {
     this.tell({ task: "pin", line });
   }
 
-  /** How many times faster than real time. */
+  /** Sets the ratio of machine time to real time. */
   speed(times: number): void {
     this.tell({ task: "speed", times });
   }
@@ -42,7 +42,7 @@ export class PageLink implements Link {
   }
 }
 
-/** Calls at an interval, ms, in a hidden page too, whose own timers a browser lets sleep. Gives what ends it. */
+/** Calls `call` every `interval` ms, even in a hidden page, where browsers suspend timers. Returns the stop function. */
 export function every(interval: number, call: () => void): () => void {
   const timer = new Worker(URL.createObjectURL(new Blob(["onmessage = ({ data }) => setInterval(() => postMessage(0), data)"], { type: "text/javascript" })));
   timer.onmessage = call;
@@ -50,7 +50,7 @@ export function every(interval: number, call: () => void): () => void {
   return () => timer.terminate();
 }
 
-/** How long a port that is closed waits for its last bytes to be taken, ms. */
+/** Maximum time to wait for the last bytes when a port is closed, ms. */
 const LONGEST_CLOSE = 1000;
 
 interface SerialPort {
@@ -90,9 +90,10 @@ export class SerialLink implements Link {
     this.writer.write(bytes).catch(error => this.onlost(String(error)));
   }
 
-  /** Closes the port when all is written. */
+  /** Closes the port after all bytes have been written. */
   async close(): Promise<void> {
-    // Each may fail where the board has gone, and the port is closed all the same; a board that takes no bytes is not waited for.
+    // Each step may fail if the board is gone; the port is closed all the same. Do not wait for a board that takes no
+    // bytes.
     await Promise.race([this.writer.close(), new Promise(resolve => setTimeout(resolve, LONGEST_CLOSE))]).catch(() => {});
     this.writer.releaseLock();
     await this.reader.cancel().catch(() => {});
@@ -115,7 +116,7 @@ export class SerialLink implements Link {
   }
 }
 
-/** Where the machine of `oxmill serve --web` is, in a page that it has served. */
+/** Returns the address of the machine if the page was served by `oxmill serve --web`. */
 export function servedMachine(): string | undefined {
   const path = document.querySelector<HTMLMetaElement>("meta[name=oxmill-machine]")?.content;
   return path && `ws://${location.host}${path}`;

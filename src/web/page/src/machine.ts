@@ -1,4 +1,4 @@
-// The machine that the page drives: its connection, what it reports, and what may be ordered of it.
+// The machine that the page drives: its connection, its reports, and which commands are possible.
 import type { Meaning, Summary } from "./engine";
 import { Follower } from "./follow";
 import { every, PageLink, SerialLink } from "./links";
@@ -9,26 +9,27 @@ import { parseSettings } from "./settings";
 import { brakingTime, Stopping } from "./stopping";
 import { workZero } from "./engine";
 
-/** How often the machine is asked for its state, ms. */
+/** Interval between status requests, ms. */
 const POLL = 200;
-/** A machine that has said nothing for so long may be gone, and is, ms. */
+/** After this time without output, the machine counts as not responding, ms. */
 const SILENT = 2000;
+/** After this time without output, the connection counts as lost, ms. */
 const GONE = 6000;
 
 export type Phase = "none" | "connecting" | "idle" | "jog" | "home" | "run" | "hold" | "stopping" | "alarm" | "door" | "sleep" | "check" | "silent" | "lost";
 
-/** A job that is under way, or was. */
+/** A job that is running. */
 export interface Running {
   job: Job;
   summary: Summary;
   follower: Follower;
-  /** When it began, by the page's clock, ms. */
+  /** Start time on the page's clock, ms. */
   began: number;
   holds: number;
 }
-/** A job that has ended before its last line. */
+/** A job that ended before its last line. */
 export interface Stopped { job: Job; line: number; seconds: number; why: string; at: number[]; lifted?: boolean }
-/** A job that has come to its end. */
+/** A job that was completed. */
 export interface Finished { name: string; took: number; forecast: number; holds: number; times: number }
 /** An alarm, from its report until the machine may work again. */
 export interface Trouble { code?: number; text: string; advice: string; at: number[]; line?: number; limits: string; unlocked: boolean; positionLost: boolean }
@@ -36,38 +37,41 @@ export interface Trouble { code?: number; text: string; advice: string; at: numb
 export class Machine {
   sender?: Sender;
   status?: Status;
-  /** What the machine has said of its settings. */
+  /** The settings that the machine has reported. */
   settings: Record<string, number> = {};
-  /** Words of `$G`, and what `$#` tells of offsets and tools. */
+  /** Words of `$G`. */
   modes: string[] = [];
+  /** Lines of `$#`: offsets and tools. */
   stored: string[] = [];
-  /** Whether it has been homed, if that is known. */
+  /** Whether the machine has been homed, if known. */
   homed?: boolean;
   running?: Running;
   stopped?: Stopped;
   finished?: Finished;
   trouble?: Trouble;
-  /** What M6 or another pause waits for. */
+  /** The message of the pause in progress, such as a tool change (M6). */
   pause = "";
   firmware = "";
-  /** Overrides of feed, rapids and spindle in percent; what is on: S, C, F, M. */
+  /** Overrides of feed, rapids and spindle, in percent. */
   overrides = [100, 100, 100];
+  /** Spindle and coolant that are on: letters S, C, F, M. */
   accessories = "";
   onsay: (text: string, kind?: string) => void = () => {};
   onnote: (text: string) => void = () => {};
   private link?: Link;
   private endPoll = () => {};
   private stopping?: Stopping;
-  /** How often Stop was pressed, or a connection ended: what was begun before goes no further. */
+  /** Number of presses of Stop and of lost connections: sequences that started before must not continue. */
   stopCalls = 0;
   private heard = 0;
   private reported = 0;
-  /** Why there is no connection any more, if it was lost. */
+  /** Why the connection was lost, if it was. */
   private lostWhy = "";
-  /** Reports in a row that said that the machine does nothing, with no line under way. */
+  /** Number of consecutive reports of an idle machine without a pending line. */
   private rests = 0;
-  /** Modes and offsets may have changed, and are being asked for. */
+  /** Modes and offsets may have changed and must be requested. */
   private stale = true;
+  /** Modes and offsets have been requested. */
   private asking = false;
   private limits = "";
   private readonly listeners: (() => void)[] = [];
@@ -75,7 +79,7 @@ export class Machine {
 
   constructor(private readonly alarms: Meaning[]) {}
 
-  /** Calls after each report, and whenever something has changed. */
+  /** Calls `call` after each report and each change. */
   onchange(call: () => void): void {
     this.listeners.push(call);
   }
@@ -113,12 +117,12 @@ export class Machine {
     return this.isConnected && this.phase !== "lost";
   }
 
-  /** Seconds since the machine has said something. */
+  /** Seconds since the last output of the machine. */
   get silence(): number {
     return (performance.now() - this.heard) / 1000;
   }
 
-  /** Letters of its axes, by the places that it reports. */
+  /** Letters of the machine's axes, according to the number of reported positions. */
   get axes(): string[] {
     return [..."XYZABC"].slice(0, Math.max(3, this.status?.machine.length ?? 3));
   }
@@ -127,18 +131,18 @@ export class Machine {
     return this.link instanceof PageLink;
   }
 
-  /** Whether the position that is shown can be trusted. */
+  /** Whether the displayed position may be wrong. */
   get isUnsure(): boolean {
     return this.trouble?.positionLost ?? false;
   }
 
-  /** The coordinate system in force, from 1 for G54 on; 0 for one that is not known. */
+  /** The coordinate system in force, from 1 for G54; 0 if unknown. */
   get system(): number {
     const word = this.modes.find(mode => /^G5[4-9](\.[1-3])?$/.test(mode));
     return word === undefined ? 0 : Number(word.slice(1, 3)) - 53 + Number(word.split(".")[1] ?? 0);
   }
 
-  /** Whether a program that moves by jogs or lines of its own may move now; if not, why. */
+  /** Why the page must not send jogs or lines of its own now; `undefined` if it may. */
   get whyNot(): string | undefined {
     switch (this.phase) {
       case "none": return "Connect a machine first.";
@@ -157,12 +161,13 @@ export class Machine {
     }
   }
 
-  /** As `whyNot`, and a jog has to be over. */
+  /** Like `whyNot`, but a running jog is a reason, too. */
   get whyNotAtRest(): string | undefined {
     return this.phase === "jog" ? "Off while the machine jogs." : this.whyNot;
   }
 
-  /** Whether a job may begin: a single report may be older than the last move, and what a line has changed is known. */
+  /** Whether a job may start: two reports are needed, as a single one may be older than the last move, and modes and
+   * offsets must be known. */
   get isAtRest(): boolean {
     return this.rests >= 2 && !this.stale && !this.asking;
   }
@@ -172,7 +177,7 @@ export class Machine {
     return (await this.ask(text)).answer;
   }
 
-  /** As `line`, with what was said before the answer. */
+  /** Like `line`, but also returns the output before the answer. */
   async ask(text: string): Promise<Answer> {
     const { sender } = this;
     if (!sender) return { answer: "not sent: no machine is connected", said: [] };
@@ -181,13 +186,13 @@ export class Machine {
     this.onsay(answered.answer, answered.answer === "ok" ? "" : "wrong");
     this.stale = true;
     if (answered.answer === "ok") this.after(text.trim().toUpperCase());
-    // A setting may decide on the unit of reports, or on speeds.
+    // The setting may change the unit of reports, or speeds.
     if (/^\s*\$(\d|RST)/i.test(text)) await this.readSettings();
     this.changed();
     return answered;
   }
 
-  /** Sends a line that only asks; nothing of it is shown. */
+  /** Sends a query, which is not shown in the console. */
   query(text: string): Promise<Answer> {
     return this.sender?.ask(text, true) ?? Promise.resolve({ answer: "not sent: no machine is connected", said: [] });
   }
@@ -197,7 +202,7 @@ export class Machine {
     this.sender?.realtime(REALTIME[command]);
   }
 
-  /** What is typed: a realtime command has no line. */
+  /** Sends typed text; a realtime command is sent without a line. */
   typed(text: string): void {
     const command = ({ "!": "hold", "~": "resume", "?": "status" } as const)[text.trim()];
     if (command === undefined) return void this.line(text);
@@ -205,7 +210,7 @@ export class Machine {
     this.realtime(command);
   }
 
-  /** A report that was made from now on. */
+  /** Requests a report and returns it. */
   async report(): Promise<Status | undefined> {
     if (!this.sender) return undefined;
     const next = new Promise<Status>(resolve => this.waiting.push(resolve));
@@ -213,7 +218,7 @@ export class Machine {
     return next;
   }
 
-  /** What was answered has consequences. */
+  /** Updates the state after a line was accepted. */
   private after(line: string): void {
     if (/^\$H/.test(line)) {
       this.homed = true;
@@ -223,7 +228,7 @@ export class Machine {
       this.trouble.unlocked = true;
       if (!this.trouble.positionLost) this.trouble = undefined;
     }
-    // Places have other names than homing gave them.
+    // Positions no longer match the homed coordinates.
     if (/^\$(3|23|10\d|904|930)=/.test(line)) this.homed = undefined;
   }
 
@@ -235,7 +240,7 @@ export class Machine {
     this.changed();
   }
 
-  /** Reads the settings of the machine, which refuses that in motion. Gives whether it did so. */
+  /** Reads the machine's settings, which it refuses in motion. Returns whether it succeeded. */
   async readSettings(): Promise<boolean> {
     const { sender } = this;
     if (!sender) return false;
@@ -247,7 +252,7 @@ export class Machine {
     return true;
   }
 
-  /** Asks for modes, offsets and tools. */
+  /** Requests modes, offsets and tools. */
   private async refresh(): Promise<void> {
     const { sender } = this;
     if (!sender) return;
@@ -290,7 +295,7 @@ export class Machine {
     this.changed();
   }
 
-  /** Disconnects; a machine that moves is held. A homing cycle takes no hold, and ends at its switches. */
+  /** Disconnects, and puts a moving machine into a hold. A homing cycle ignores the hold and ends at its switches. */
   leave(): void {
     const homes = this.phase === "home";
     const moves = this.moves();
@@ -299,12 +304,12 @@ export class Machine {
     this.onnote(homes ? "Disconnected. The machine is homing, and goes on with it." : moves ? "Disconnected. The machine was moving, and is held." : "Disconnected.");
   }
 
-  /** Whether the machine has something to do: all lines may be answered while it still moves. */
+  /** Whether the machine has work: all lines may be answered while it still moves. */
   moves(): boolean {
     return this.sender !== undefined && (this.sender.busy || /^(Run|Jog|Home)/.test(this.status?.state ?? ""));
   }
 
-  /** A connection that has failed in one direction may still work in the other. */
+  /** Handles a lost connection. It may still work in the other direction, so a moving machine is put into a hold. */
   private lost(why: string): void {
     const moves = this.moves();
     if (moves) this.realtime("hold");
@@ -326,13 +331,13 @@ export class Machine {
     this.changed();
   }
 
-  /** A lost connection has been taken note of. */
+  /** The user has acknowledged a lost connection. */
   dismissLost(): void {
     this.lostWhy = "";
     this.changed();
   }
 
-  /** How many times faster than real time a simulated machine is. */
+  /** Sets the speed of a simulated machine as a multiple of real time. */
   speed(times: number): void {
     if (this.link instanceof PageLink) this.link.speed(times);
   }
@@ -361,7 +366,7 @@ export class Machine {
     this.changed();
   }
 
-  /** Takes the job on by a report. */
+  /** Updates the progress of the job from a report. */
   private follow(name: string, passed: number): void {
     const { running, sender, status } = this;
     if (!running || !sender || !status) return;
@@ -378,7 +383,7 @@ export class Machine {
     }
   }
 
-  /** Times real time of a simulated machine. */
+  /** Speed of a simulated machine as a multiple of real time. */
   times = 1;
 
   private message(text: string): void {
@@ -401,7 +406,7 @@ export class Machine {
     this.changed();
   }
 
-  /** The machine is locked, and has not said by which alarm: since it was switched on, or since a reset. */
+  /** The machine is locked without having reported an alarm: since power-up or a reset. */
   private locked(): void {
     this.trouble = { text: "the machine is locked until it is homed or unlocked", advice: "Home it, or unlock it if you know where it is.",
       at: this.status?.work ?? [], limits: "", unlocked: false, positionLost: this.homed === false };
@@ -413,14 +418,14 @@ export class Machine {
     this.onnote(/refused/.test(why) ? `The job has ended: ${why}. The machine is held: Stop drops what it has received, Resume carries it out.` : `The job has ended: ${why}.`);
   }
 
-  /** A job has ended before its last line. */
+  /** Ends a job before its last line. */
   private end({ job, follower }: Running, why: string): void {
     this.stopped ??= { job, line: Math.max(1, follower.line), seconds: follower.time, why, at: this.status?.work ?? [] };
     this.running = undefined;
     this.stale = true;
   }
 
-  /** Starts a job that was checked. Throws, and sends nothing of it, if it cannot be sent as it is. */
+  /** Starts a checked job. If the job cannot be sent unchanged, throws and sends nothing of it. */
   start(job: Job, { summary, path }: Checked): void {
     const { sender } = this;
     if (!sender || !this.isAtRest) throw new Error("the machine is not idle");
@@ -432,7 +437,7 @@ export class Machine {
     this.changed();
   }
 
-  /** Stops whatever moves: a jog by its own end, all else by braking and a reset at rest. Pressed again, it resets at once. */
+  /** Stops any motion: a jog by a jog cancel, all else by braking and a reset at rest. A second press resets at once. */
   stop(): void {
     const { sender } = this;
     if (!sender) return;
@@ -451,7 +456,7 @@ export class Machine {
       this.onnote(atRest ? "Stopped. Spindle and coolant are off." : "Reset in motion: the position may be lost.");
       this.changed();
     };
-    // Nothing moves, or a homing cycle does, which takes no hold.
+    // Either nothing moves, or a homing cycle, which ignores a hold.
     if (["idle", "alarm", "home", "sleep", "check", "connecting"].includes(phase)) {
       if (this.running) this.end(this.running, "stopped");
       sender.reset();
@@ -463,7 +468,7 @@ export class Machine {
     this.changed();
   }
 
-  /** Lines one after the other, until one is refused or Stop is pressed. Gives what went wrong, if something did. */
+  /** Sends lines one after the other, until one is rejected or Stop is pressed. Returns what went wrong, if anything. */
   async sequence(lines: string[]): Promise<string | undefined> {
     const calls = this.stopCalls;
     for (const line of lines) {
@@ -474,15 +479,15 @@ export class Machine {
     return this.stopCalls === calls ? undefined : "stopped";
   }
 
-  /** An answer in words. */
+  /** Returns an answer in words. */
   explain(answer: string): string {
     return this.meanings?.(answer) ?? answer;
   }
 
-  /** Texts of errors. */
+  /** Returns the explanation of an error answer. */
   meanings?: (answer: string) => string | undefined;
 
-  /** Unlocks after an alarm. An alarm has to be reset first. */
+  /** Unlocks the machine; resets it first if there was an alarm. */
   async unlock(): Promise<void> {
     if (this.trouble?.code !== undefined) this.sender?.reset();
     await this.line("$X");

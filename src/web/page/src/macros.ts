@@ -1,4 +1,4 @@
-// Macros: lines with a name. The firmware checks them before they are kept.
+// Macros: lines with a name. The firmware checks the lines before they are saved.
 import { $, allow, button, el, onclick } from "./dom";
 import { Dialog } from "./dialogs";
 import * as firmware from "./firmware";
@@ -15,7 +15,7 @@ export class Macros {
   private readonly name = el("input", { type: "text", id: "macro-name" });
   private readonly text = el("textarea", { id: "macro-lines", rows: 6, spellcheck: false });
   private readonly note = el("p", { className: "note", id: "macro-note", role: "status" });
-  /** The one that is edited; -1 for a new one. */
+  /** Index of the macro being edited; -1 for a new one. */
   private at = -1;
 
   constructor(private readonly machine: Machine, private readonly page: Page) {
@@ -42,12 +42,12 @@ export class Macros {
     this.edit(0);
   }
 
-  /** Keeps what is typed if the firmware accepts each line. */
+  /** Saves the typed macro if the firmware accepts each line. */
   private async keep(): Promise<void> {
     const macro = { name: this.name.value.trim(), lines: this.text.value.trim() };
     if (!macro.name || !macro.lines) return void (this.note.textContent = "A macro needs a name and lines.");
     this.note.textContent = "Checking";
-    // Lines with $ are for the machine alone.
+    // Lines with $ are for the real machine only.
     const program = macro.lines.split("\n").map(line => (line.trim().startsWith("$") ? "" : line)).join("\n");
     const { summary } = await firmware.check({ ...this.page.order(), name: macro.name }, new TextEncoder().encode(program));
     const [error] = summary.errors;
@@ -62,7 +62,7 @@ export class Macros {
     try {
       localStorage.setItem(STORED, JSON.stringify(this.all));
     } catch {
-      // A page without storage forgets.
+      // Without storage, the page forgets.
     }
     this.show();
   }
@@ -91,8 +91,8 @@ function stored(): Macro[] {
     const kept: unknown = JSON.parse(localStorage.getItem(STORED) ?? "null");
     if (Array.isArray(kept)) return kept.filter(one => typeof one?.name === "string" && typeof one?.lines === "string");
   } catch {
-    // What another page may have kept is not taken.
+    // Ignore data that another page may have stored.
   }
-  // None is there from the start: what is safe depends on the machine.
+  // There are no predefined macros: what is safe depends on the machine.
   return [];
 }

@@ -1,33 +1,33 @@
-// What cutters leave of a block: a map of heights, each the exact one over the middle of its cell. Pure geometry: rows of a
-// path in, heights and collisions out.
+// What cutters leave of a block: a height map, each height exact for the middle of its cell. Pure geometry: computes
+// heights and collisions from the rows of a path.
 import { ARC, type Path, RAPID, ROW } from "./engine";
 
 export type Shape = "flat" | "ball" | "v";
-/** Diameter in mm; `angle` is the whole one of a V, in degrees. */
+/** Diameter in mm; `angle` is the full angle of a V, in degrees. */
 export interface Cutter { shape: Shape; diameter: number; angle: number }
-/** In mm of machine coordinates. */
+/** A block, in mm of machine coordinates. */
 export interface Block { low: number[]; high: number[] }
-/** A rapid that went through material: when it began to, and how deep at most, mm. */
+/** A rapid that went through material: its start and its maximum depth in material, mm. */
 export interface Crash { line: number; rows: number[]; seconds: number; depth: number }
 export interface Material {
   block: Block; cell: number; nx: number; ny: number; heights: Float32Array; crashes: Crash[];
-  /** mm³ that were taken away. */
+  /** Removed volume, mm³. */
   removed: number;
 }
 
-/** Cells of the map, at most. */
+/** Maximum number of cells in the map. */
 const CELLS = 360_000;
-/** Cells that are looked at, over all moves, at most: a second or two. */
+/** Maximum number of cells examined for all moves together: takes a second or two. */
 const WORK = 80_000_000;
 const SMALLEST_CELL = 0.02;
-/** What a rapid may be in material without being told, sideways and downwards, mm: the path itself is no more exact in a long job. */
+/** Tolerance for rapids in material, sideways and downwards, mm: in a long job the path itself is no more exact. */
 export const SLACK = 0.05;
-/** Rows between two words on the progress. */
+/** Rows between two progress reports. */
 const ROWS_AT_A_TIME = 2000;
-/** Cells along a side, at most: every graphics processor takes a texture of this size. */
+/** Maximum number of cells along a side: every graphics processor supports a texture of this size. */
 const LONGEST = 4000;
 
-/** The edge of a cell with which map and work stay within bounds. */
+/** Returns the edge length of a cell that keeps the map and the work within their limits. */
 export function cellFor(path: Path, cutters: Record<number, Cutter>, block: Block): number {
   const area = (block.high[0] - block.low[0]) * (block.high[1] - block.low[1]);
   let swept = 0;
@@ -43,7 +43,7 @@ export function cellFor(path: Path, cutters: Record<number, Cutter>, block: Bloc
 
 export const cutterOf = (cutters: Record<number, Cutter>, tool: number): Cutter => cutters[tool] ?? cutters[0] ?? { shape: "flat", diameter: 3, angle: 60 };
 
-/** The block that a job seems to be cut from: what it cuts below its work zero, and the cutter's radius around it. */
+/** Returns the block that a job seems to be cut from: the extents of its cuts below work zero, plus the cutter's radius. */
 export function blockOf(path: Path, cutters: Record<number, Cutter>, zero: number): Block {
   const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
   const take = (below: number) => {
@@ -72,8 +72,9 @@ export function blockOf(path: Path, cutters: Record<number, Cutter>, zero: numbe
 }
 
 /**
- * Cuts a block, up to a time of the job. Over a cell, a move leaves the lowest height that the cutter had there: the cutter's profile above its tip is
- * convex, so the place of the move where this is, follows from the slope in closed form.
+ * Cuts a block, up to a time of the job. A move leaves, over each cell, the lowest height that the cutter had there.
+ * The cutter's profile above its tip is convex, so the position of that height on the move follows from the slope in
+ * closed form.
  */
 export function cut(path: Path, cutters: Record<number, Cutter>, block: Block, cell: number, progress: (part: number) => void = () => {}, until = Infinity): Material {
   const nx = Math.max(1, Math.round((block.high[0] - block.low[0]) / cell));
@@ -93,7 +94,7 @@ export function cut(path: Path, cutters: Record<number, Cutter>, block: Block, c
     if (Math.min(az, bz) >= block.high[2]) continue;
     const length = Math.hypot(bx - ax, by - ay);
     if (length < 1e-6) {
-      // Straight up or down: what counts is the lower end.
+      // Straight up or down: only the lower end matters.
       [az, bz] = [Math.min(az, bz), Math.min(az, bz)];
     }
     const [ux, uy] = length < 1e-6 ? [1, 0] : [(bx - ax) / length, (by - ay) / length];
@@ -121,7 +122,7 @@ export function cut(path: Path, cutters: Record<number, Cutter>, block: Block, c
         const reach2 = radius * radius - aside2;
         if (reach2 < 0) continue;
         const reach = Math.sqrt(reach2);
-        // Where on the move the cutter is over the cell: from `nearest` to `farthest`.
+        // The part of the move on which the cutter is over the cell: from `nearest` to `farthest`.
         const nearest = Math.max(0, along - reach);
         const farthest = Math.min(length, along + reach);
         if (nearest > farthest) continue;

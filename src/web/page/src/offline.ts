@@ -1,18 +1,19 @@
-// The service worker of the site: keeps the page, so that it opens without a network. It has one file for each version of the page.
+// The service worker of the site: stores the page for offline use. Each version of the page has its own service worker
+// file.
 export {};
 
 interface Extended extends Event { waitUntil(done: Promise<unknown>): void }
 interface Fetched extends Event { request: Request; respondWith(answer: Promise<Response>): void }
 const worker = globalThis as unknown as { skipWaiting(): Promise<void>; clients: { claim(): Promise<void> }; addEventListener(kind: string, call: (event: Event) => void): void };
 
-/** Names the contents of the site. */
+/** Identifies the contents of the site. */
 declare const VERSION: string;
 declare const FILES: string[];
 const PREFIX = "oxmill-";
 const kept = `${PREFIX}${VERSION}`;
 
 worker.addEventListener("install", event => {
-  // From the server, and not from what the browser has kept of a version before.
+  // Load from the server, bypassing the browser's cache of an earlier version.
   const all = FILES.map(file => new Request(file, { cache: "reload" }));
   (event as Extended).waitUntil(caches.open(kept).then(cache => cache.addAll(all)).then(() => worker.skipWaiting()));
 });

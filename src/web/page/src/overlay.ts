@@ -1,18 +1,21 @@
-// What lies over the picture: axes with their letters, numbers along the grid, and marks of tool, machine and refused lines.
+// Draws over the picture: axes with their letters, numbers along the grid, and marks for tool, machine and rejected
+// lines.
 import { css } from "./dom";
 import type { Picture } from "./picture";
 import { units } from "./units";
 
-/** Numbers along one side of the grid, at most, and the least distance between two, px. */
+/** Maximum count of numbers along one side of the grid. */
 const NUMBERS = 14;
+/** Minimum distance between two numbers, px. */
 const APART = 26;
 
-/** What is marked, in mm of machine coordinates. */
+/** The marks, in mm of machine coordinates. */
 export interface Marks {
-  /** Where the job is at the time that is shown. */
+  /** Position of the job at the displayed time. */
   tool?: number[];
-  /** Where the machine is, and whether all is well with it. */
+  /** Position of the machine. */
   machine?: number[];
+  /** Whether the machine works normally and its position is certain. */
   machineIsFine?: boolean;
   refused: number[][];
 }
@@ -50,7 +53,7 @@ function numbers(pen: CanvasRenderingContext2D, picture: Picture, [width, height
   pen.font = `11px ${css("--sans")}`;
   pen.textAlign = "center";
   pen.textBaseline = "middle";
-  // What the edge would cut is left out.
+  // Omit numbers that the edge would cut off.
   const write = (text: string, [x, y]: Place) => {
     const half = pen.measureText(text).width / 2;
     if (x >= half && x <= width - half && y >= 6 && y <= height - 6) pen.fillText(text, x, y);

@@ -51,7 +51,7 @@ export class OverridesPanel {
     say("over-why", why ?? this.effect());
   }
 
-  /** What the overrides save or cost of what is left of the job. */
+  /** Returns how much time the overrides save or cost in the rest of the job. */
   private effect(): string {
     const { running, overrides } = this.machine;
     if (!running) return "";

@@ -1,4 +1,4 @@
-// What the panels know of the page: the job, what the firmware has made of it, and the settings that it was checked with.
+// The interface of the page to its panels: the job, its results, and the settings that it was checked with.
 import type { Description, Order, Path, Summary } from "./engine";
 import type { Checked } from "./firmware";
 import type { Material } from "./material";
@@ -8,18 +8,19 @@ export const NO_JOB: Job = { name: "", bytes: new Uint8Array(0), text: "", lines
 
 export type Workspace = "first" | "check" | "run" | "settings";
 
-/** Values of settings, as the forecast has them. */
+/** Values of settings, as used by the forecast. */
 export interface Values {
   value(number: number): number;
-  /** Those that differ from a new controller's. */
+  /** The values that differ from a new controller's. */
   values(): Record<string, number>;
   replace(values: Record<string, number>): void;
 }
 
-/** The picture, the time and the list of lines. */
+/** Picture, time and list of lines. */
 export interface Timeline {
-  /** The time that is shown, s, and the line that the tool is at. */
+  /** The displayed time, s. */
   readonly time: number;
+  /** The line that the tool is at. */
   readonly line: number;
   seek(seconds: number): void;
   goToLine(line: number): void;
@@ -33,17 +34,17 @@ export interface Page {
   readonly checked?: Checked;
   readonly settings: Values;
   readonly player: Timeline;
-  /** What a check is made with. */
+  /** Returns the order for a check. */
   order(more?: Order): Order;
-  /** Opens a job, and checks it. */
+  /** Opens a job and checks it. */
   open(name: string, bytes: Uint8Array): void;
   go(workspace: Workspace): void;
 }
 
-/** A panel that shows what was made of a job. */
+/** A panel that shows results of a job. */
 export interface JobPanel {
   /** A job has been checked. */
   show?(path: Path, summary: Summary): void;
-  /** Another job, or other settings: what is shown is void. */
+  /** The job or the settings have changed: clears the results. */
   clear(): void;
 }

@@ -5,29 +5,34 @@ import { type Path, ROW } from "./engine";
 import type { Material } from "./material";
 import { BLOCK_FRAGMENT, BLOCK_VERTEX, FRAGMENT, VERTEX } from "./shaders";
 
-/** Floats of a row on the graphics processor: place, begin and end, shade. */
+/** Floats of a row on the graphics processor: position, start and end time, shade. */
 const STRIDE = 6;
-/** Rows up to which thick lines are drawn at once. Beyond, a strip of thin ones until the view has come to rest. */
+/** Paths up to this number of rows are always drawn as thick lines. Longer ones are a strip of thin lines while the view
+ * moves. */
 const QUICK = 20_000;
-/** Rows that are drawn while the view moves, at most; and where thick lines are slow. */
+/** Maximum number of rows drawn while the view moves. */
 const MOVING = 60_000;
+/** The same, where thick lines are slow. */
 const MOVING_SLOWLY = 10_000;
-/** Thick lines that would take longer than this are not drawn, ms. So many rows are tried. */
+/** Thick lines are not drawn if they would take longer than this, ms. */
 const SLOW = 250;
+/** Number of rows that are drawn for measuring the time. */
 const TRIED = 4_000;
-/** How long after its last move a view is at rest, ms; and where thick lines are slow. */
+/** Time after the last move until a view counts as at rest, ms. */
 const REST = 200;
+/** The same, where thick lines are slow. */
 const REST_SLOWLY = 700;
-/** Where the arrow keys point, right and up. */
+/** Directions of the arrow keys, right and up. */
 const ARROWS: Record<string, readonly [number, number]> = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
-/** How far an arrow key with Shift moves the picture, CSS pixels. */
+/** Distance that an arrow key with Shift moves the picture, CSS pixels. */
 const PAN = 40;
-/** Quads of a block that are drawn at rest, and while the view moves. */
+/** Maximum number of quads of a block drawn at rest. */
 const QUADS = 250_000;
+/** Maximum number of quads of a block drawn while the view moves. */
 const QUADS_MOVING = 40_000;
 
 interface Lines { thick: WebGLVertexArrayObject; thin: WebGLVertexArrayObject; buffer: WebGLBuffer; count: number }
-/** The path with fewer rows, for a view that moves. */
+/** The path with fewer rows, for a moving view. */
 interface Thinned { array: WebGLVertexArrayObject; indices: WebGLBuffer; count: number }
 
 interface Box { low: Vector; high: Vector }
@@ -36,17 +41,17 @@ export class Picture {
   readonly camera = new Camera();
   /** Time up to which the path is drawn as done, s. */
   now = Infinity;
-  /** Called after each picture. */
+  /** Called after each redraw. */
   onpaint = () => {};
-  /** Called when somebody points at a row. */
+  /** Called when the user clicks a row. */
   onpick: (row: number) => void = () => {};
   /** Whether rapids are drawn. */
   rapids = true;
-  /** Millimetres of the unit in which the grid counts. */
+  /** Millimetres per unit of the grid. */
   unit = 1;
-  /** The grid in work coordinates, mm: where it begins and ends along X and Y, and its step. */
+  /** The grid in work coordinates, mm: start and end along X and Y, and its step. */
   lattice = { from: [0, 0], to: [0, 0], step: 10 };
-  /** With a block: whether the whole path is drawn, or rapids through material alone. */
+  /** With a block: whether the whole path is drawn, or only rapids through material. */
   withPath = false;
   private readonly gl: WebGL2RenderingContext;
   private readonly lineProgram: WebGLProgram;
@@ -67,11 +72,11 @@ export class Picture {
   /** The limits, while they are shown. */
   private travel?: Box;
   private asked = false;
-  /** What a row of thick lines takes, ms, once it was tried. */
+  /** Time for a row of thick lines, ms, after it was measured. */
   private perRow?: number;
   private lastMove = -Infinity;
   private later?: ReturnType<typeof setTimeout>;
-  /** Whether the view fits its canvas: one that is hidden has no size to fit. */
+  /** Whether the view was fitted to its canvas: a hidden canvas has no size to fit. */
   private fits = false;
 
   constructor(private readonly canvas: HTMLCanvasElement) {
@@ -108,7 +113,7 @@ export class Picture {
       }
     }
     if (count === 0) [this.low, this.high] = [[0, 0, 0], [10, 10, 10]];
-    // A block and limits were of the path before.
+    // Block and limits belonged to the path before.
     this.material = this.travel = undefined;
     this.load(this.box, new Float32Array(0));
     this.shade(shades);
@@ -131,7 +136,7 @@ export class Picture {
     this.draw();
   }
 
-  /** Leaves rows out that a view in motion does not miss: of a run of one shade of rapid or feed, all but every so many. */
+  /** Selects the rows for a moving view: every n-th row, and each row at which rapids and feeds change. */
   private thin(): void {
     const { gl, shades, thinned } = this;
     const stride = Math.ceil(shades.length / (this.thickIsSlow ? MOVING_SLOWLY : MOVING));
@@ -149,7 +154,7 @@ export class Picture {
     thinned.count = kept.length;
   }
 
-  /** Shows what is left of a block, or takes it away. */
+  /** Shows the rest of a block, or removes it. */
   block(material?: Material): void {
     const gl = this.gl;
     const first = material && !this.material;
@@ -157,7 +162,7 @@ export class Picture {
     if (material) {
       gl.bindTexture(gl.TEXTURE_2D, this.heights);
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32F, material.nx, material.ny, 0, gl.RED, gl.FLOAT, material.heights);
-      // Floats are not blended between.
+      // Float textures are not interpolated.
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
     }
@@ -165,7 +170,7 @@ export class Picture {
     this.draw();
   }
 
-  /** Shows the limits of the machine, or takes them away. */
+  /** Shows the limits of the machine, or removes them. */
   limits(box?: Box): void {
     if (!box && !this.travel) return;
     this.travel = box;
@@ -180,7 +185,7 @@ export class Picture {
     this.fit();
   }
 
-  /** Sees all that is drawn: the path, a block, the limits. */
+  /** Makes everything visible that is drawn: the path, a block, the limits. */
   fit(): void {
     const boxes = [this.material?.block, this.travel].filter(box => box !== undefined);
     const low = this.low.map((value, axis) => Math.min(value, ...boxes.map(box => box.low[axis]))) as Vector;
@@ -192,21 +197,21 @@ export class Picture {
     this.draw();
   }
 
-  /** Counts the grid in another unit. */
+  /** Changes the unit of the grid. */
   measureIn(unit: number): void {
     this.unit = unit;
     this.load(this.grid, this.gridLines());
     this.draw();
   }
 
-  /** Where work zero is, mm of machine coordinates. */
+  /** Position of work zero, mm of machine coordinates. */
   get workZero(): Vector {
     return this.zero;
   }
 
-  /** Shows the path as it is done up to a time. */
+  /** Shows the path as done up to a time. */
   showTime(now: number): void {
-    // Where drawing is slow, time passes as a view moves: with fewer rows.
+    // Where drawing is slow, a change of time is drawn like a moving view: with fewer rows.
     if (now !== this.now && this.thickIsSlow) this.lastMove = performance.now();
     this.now = now;
     this.draw();
@@ -216,7 +221,7 @@ export class Picture {
     return (this.perRow ?? 0) * this.path.count > SLOW;
   }
 
-  /** How long after its last move the view is at rest, ms. */
+  /** Time after the last move until the view is at rest, ms. */
   private get rest(): number {
     return this.thickIsSlow ? REST_SLOWLY : REST;
   }
@@ -235,7 +240,7 @@ export class Picture {
     });
   }
 
-  /** Where a place is on the canvas, in CSS pixels. */
+  /** Returns a position on the canvas, in CSS pixels. */
   place(at: number[]): [number, number] | undefined {
     const seen = this.camera.project(at);
     return seen && [seen[0] * this.canvas.clientWidth, seen[1] * this.canvas.clientHeight];
@@ -257,8 +262,8 @@ export class Picture {
   }
 
   /**
-   * Vertices that are read twice: two neighbours as a quad, or all of them as a strip. From one quad to the next it is one
-   * row in a path, and two where lines are apart.
+   * Vertex arrays that read each row twice: two neighbours as a quad (thick), or all rows as a strip (thin). The quads
+   * advance by one row in a path, and by two rows for separate lines.
    */
   private lines(rows: number): Lines {
     const gl = this.gl;
@@ -287,7 +292,7 @@ export class Picture {
     lines.count = data.length / STRIDE;
   }
 
-  /** A grid on the plane of work zero under the path, and the axes at work zero. */
+  /** Returns the lines of the grid on the plane of work zero under the path, and of the axes at work zero. */
   private gridLines(): Float32Array {
     const { low, high, zero } = this;
     const step = this.unit * 10 ** Math.floor(Math.log10((Math.hypot(high[0] - low[0], high[1] - low[1]) || 10) / this.unit / 3));
@@ -326,7 +331,7 @@ export class Picture {
     gl.uniform1i(uniforms.strip, 0);
     gl.uniform1f(uniforms.width, 0.7 * ratio);
     gl.uniform4f(uniforms.ink, ...rgb("--grid"), 1);
-    // It would float in the block.
+    // With a block, the grid would seem to float inside it.
     if (!this.material) this.separate(this.grid);
     gl.uniform4f(uniforms.ink, ...rgb("--accent"), 0.8);
     this.separate(this.box);
@@ -345,7 +350,7 @@ export class Picture {
     gl.useProgram(program);
     gl.enable(gl.DEPTH_TEST);
     gl.depthFunc(gl.LEQUAL);
-    // The path lies on what it has cut: it is seen.
+    // The offset keeps the path visible on the surface that it has cut.
     gl.enable(gl.POLYGON_OFFSET_FILL);
     gl.polygonOffset(1, 2);
     gl.uniformMatrix4fv(at("view"), false, view);
@@ -377,7 +382,7 @@ export class Picture {
     if (path.count > QUICK && !moving && this.perRow === undefined) {
       this.perRow = this.tryThick();
       this.thin();
-      // What was tried is in the picture.
+      // The measurement has drawn into the picture: draw again.
       return this.draw();
     }
     if (path.count > QUICK && (moving || this.thickIsSlow)) {
@@ -394,7 +399,7 @@ export class Picture {
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, path.count - 1);
   }
 
-  /** Draws some rows as thick lines. Gives what one takes, ms. */
+  /** Measures some rows drawn as thick lines. Returns the time per row, ms. */
   private tryThick(): number {
     const { gl, path } = this;
     const wait = (): number => {
@@ -407,14 +412,14 @@ export class Picture {
     return (wait() - waited - (waited - begun)) / TRIED;
   }
 
-  /** Lines that are pairs of rows. */
+  /** Draws lines that are pairs of rows. */
   private separate(lines: Lines): void {
     const gl = this.gl;
     gl.bindVertexArray(lines.thick);
     if (lines.count > 1) gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, lines.count / 2);
   }
 
-  /** The row that is drawn nearest to a place on the canvas, within so many pixels. */
+  /** Returns the drawn row nearest to a position on the canvas within `within` pixels; -1 if there is none. */
   private nearest(x: number, y: number, within = 12): number {
     let [best, found] = [within * within, -1];
     for (let i = 1; i < this.shades.length; i++) {
@@ -491,7 +496,7 @@ export class Picture {
   }
 }
 
-/** The two rows of a straight line. */
+/** Returns the two rows of a straight line. */
 function segment(from: Vector, to: Vector): number[] {
   const row = (at: Vector) => [...at, 0, 0, 0];
   return [...row(from), ...row(to)];

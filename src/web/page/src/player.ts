@@ -1,4 +1,4 @@
-// One clock for the picture, the chart and the lines: that of the machine while it works, else that of the scrubber.
+// One clock for the picture, the chart and the lines: the machine's while it runs a job, otherwise the scrubber's.
 import { Chart } from "./chart";
 import { $, icon, minutes, say } from "./dom";
 import { type Path, ROW, type Summary, workZero } from "./engine";
@@ -14,7 +14,7 @@ import { beginOfLine, type Coloring, endOf, isArc, isPlunge, isRapid, type Legen
 import { units } from "./units";
 
 const NO_PATH: Path = { rows: new Float32Array(0), lines: new Uint32Array(0), tools: new Uint32Array(0), speeds: new Uint32Array(0) };
-/** Refused lines that are marked in the picture. */
+/** Maximum number of rejected lines that are marked in the picture. */
 const MARKED = 50;
 
 export class Player implements Timeline {
@@ -22,14 +22,14 @@ export class Player implements Timeline {
   readonly program: Program;
   time = 0;
   line = 0;
-  /** Called when the block has to be as it is at another time. */
+  /** Called when another time is shown, for the state of the block at that time. */
   ontime: (seconds: number) => void = () => {};
-  /** The same path from above, once it was asked for. */
+  /** The second view, from above; `undefined` until it is shown the first time. */
   private second?: Picture;
   private machinePlace?: number[];
-  /** Where the machine was marked. */
+  /** State of the machine when it was last marked. */
   private seen = "";
-  /** What of the list was marked for it. */
+  /** State of the job when its line was last marked in the list. */
   private marked = "";
   private live = false;
   private material?: Material;
@@ -37,7 +37,7 @@ export class Player implements Timeline {
   private summary?: Summary;
   private legend: Legend = { caption: "", ticks: [] };
   private refused: number[][] = [];
-  /** Kinds of moves that the path has. */
+  /** Kinds of moves in the path. */
   private has = { rapid: false, arc: false, plunge: false, line: false };
   private playing = false;
   private readonly chart = new Chart();
@@ -82,7 +82,7 @@ export class Player implements Timeline {
     this.seek(endOf(path));
   }
 
-  /** Shows the path of a job as far as its check has come. */
+  /** Shows the path of a job as far as its check has progressed. */
   sketch(path: Path): void {
     if (this.path || !this.picture || path.lines.length < 2) return;
     this.picture.unit = units.size;
@@ -90,7 +90,7 @@ export class Player implements Timeline {
     this.picture.show(path, shades(path, "speed").shades);
   }
 
-  /** No path: its job was not checked. */
+  /** Shows no path, as the job has not been checked. */
   clear(): void {
     if (this.playing) this.play();
     this.summary = this.path = undefined;
@@ -120,7 +120,7 @@ export class Player implements Timeline {
     this.program.mark(line);
   }
 
-  /** Picture, chart and clock at a time of the job. */
+  /** Shows a time of the job in picture, chart and clock. */
   private showTime(seconds: number): void {
     if (!this.path) return;
     const end = endOf(this.path);
@@ -136,13 +136,13 @@ export class Player implements Timeline {
     }
   }
 
-  /** While a job runs, the machine has the clock. */
+  /** While a job runs, follows the machine's progress. */
   private followMachine(): void {
     const { machine, path } = this;
     const { running, status, sender } = machine;
     const place = status?.machine;
     const own = this.summary ? workZero(this.summary) : [0, 0, 0];
-    // The picture has the job's work zero; the machine is where it is as seen from its own.
+    // The picture uses the job's work zero, the machine its own: convert via work coordinates.
     this.machinePlace = place && status ? [0, 1, 2].map(axis => status.work[axis] + own[axis]) : undefined;
     const live = running !== undefined && path !== undefined && running.job === this.page.job;
     if (live !== this.live) {
@@ -155,7 +155,7 @@ export class Player implements Timeline {
       this.marked = "";
       if (live) this.showTime(running?.follower.time ?? 0);
       if (!live && path) {
-        // A job that is done is at its end, however long before that its last report came.
+        // A completed job is shown at its end, even if the last report came earlier.
         this.showTime(machine.finished ? endOf(path) : this.time);
         this.program.mark(this.line);
       }
@@ -169,7 +169,7 @@ export class Player implements Timeline {
       this.marked = marked;
     }
     say("dock-note", live ? "Follows the machine." : "Click a line to see its place.");
-    // A picture that is drawn anew marks it, too.
+    // Redrawing the picture also draws the machine mark.
     const seen = `${this.machinePlace} ${machine.phase} ${machine.isUnsure}`;
     if (seen !== this.seen) this.mark();
     this.seen = seen;
@@ -188,7 +188,7 @@ export class Player implements Timeline {
     return made.shades;
   }
 
-  /** What is drawn, in words. */
+  /** Returns the legend entries for what is drawn. */
   private keys(): Key[] {
     const { picture, material, has } = this;
     if (!picture || !this.path) return [];
@@ -210,7 +210,7 @@ export class Player implements Timeline {
     return keys;
   }
 
-  /** At the end of the job the whole path is seen: a mark says no more. */
+  /** Whether the tool is marked: not at the end of the job, where the whole path is visible anyway. */
   private get toolIsShown(): boolean {
     return this.path !== undefined && !this.live && this.path.lines.length > 1 && this.time < endOf(this.path);
   }
@@ -219,7 +219,7 @@ export class Player implements Timeline {
     return ["idle", "run", "jog", "home"].includes(this.machine.phase) && !this.machine.isUnsure;
   }
 
-  /** Shows what is left of a block, with rapids through it in red; or the path alone again. */
+  /** Shows the rest of a block, with rapids through it in red; without a block, shows only the path. */
   showBlock(material?: Material, withPath = false): void {
     if (!material && !this.material) return;
     const sameJob = material && this.material && material.crashes === this.material.crashes;
@@ -254,7 +254,7 @@ export class Player implements Timeline {
     if (!this.path) return;
     const travel = [130, 131, 132].map(number => this.page.settings.value(number));
     const shown = $<HTMLInputElement>("limits").checked;
-    // Homing names the travel so, whichever ends have the switches.
+    // Homing assigns these coordinates to the travel, whichever ends have the switches.
     const box = shown ? { low: travel.map(v => -v) as [number, number, number], high: [0, 0, 0] as [number, number, number] } : undefined;
     for (const picture of [this.picture, this.second]) picture?.limits(box);
   }
@@ -286,7 +286,7 @@ export class Player implements Timeline {
     if (this.playing) requestAnimationFrame(step);
   }
 
-  /** Colours have changed. */
+  /** Redraws everything after a change of colours. */
   recolor(): void {
     this.chart.redraw();
     if (!this.path) return this.picture?.draw();
@@ -295,7 +295,7 @@ export class Player implements Timeline {
     this.mark();
   }
 
-  /** For keys. */
+  /** For the keyboard. */
   togglePlay(): void {
     if (!this.live) this.play();
   }
@@ -320,7 +320,7 @@ export class Player implements Timeline {
       this.showSecond();
       this.limits();
       this.seek(this.time);
-      // The first view has another width from now on.
+      // The first view has a different width after this.
       picture?.fit();
     });
     $("show-rapids").addEventListener("change", () => {
@@ -346,7 +346,7 @@ export class Player implements Timeline {
   }
 }
 
-/** An outline of a path from above, as it fits a small picture. */
+/** Returns the outline of a path from above, scaled to a small picture. */
 export function outline(path: Path, width: number, height: number): SVGSVGElement {
   const points: [number, number][] = [];
   const [low, high] = [[Infinity, Infinity], [-Infinity, -Infinity]];

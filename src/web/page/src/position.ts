@@ -1,16 +1,16 @@
-// Where the machine is: work and machine coordinates of each axis, and the work zero.
+// The position of the machine: work and machine coordinates of each axis, and the work zero.
 import { $, allow, el, onclick, press, say } from "./dom";
 import type { Machine } from "./machine";
 import { type Unit, units } from "./units";
 
 const SYSTEMS = ["G54", "G55", "G56", "G57", "G58", "G59"];
-/** How near to X0 Y0 the tool has to be before it goes down to Z 0, mm. */
+/** Maximum distance from X0 Y0 at which the tool may move down to Z0, mm. */
 const OVER_ZERO = 0.5;
 
 export class PositionPanel {
   private rows: { letter: string; work: HTMLInputElement; at: HTMLElement; zero: HTMLButtonElement }[] = [];
 
-  /** `safeHeight` is the lowest Z of the work at which nothing is in the way. */
+  /** `safeHeight` returns the lowest Z in work coordinates at which nothing is in the way. */
   constructor(private readonly machine: Machine, private readonly safeHeight: () => number) {
     $("system").append(...SYSTEMS.map((textContent, index) => el("option", { textContent, value: String(index + 1) })));
     $("system").addEventListener("change", () => void machine.line(SYSTEMS[Number($<HTMLSelectElement>("system").value) - 1]));
@@ -24,17 +24,17 @@ export class PositionPanel {
     this.update();
   }
 
-  /** Sets the work zero of these axes here. */
+  /** Sets the work zero of these axes to the present position. */
   zero(axes: string[]): void {
     void this.machine.line(`G10 L20 P${this.machine.system} ${axes.map(axis => `${axis}0`).join(" ")}`);
   }
 
-  /** Gives the place where the tool is another name. */
+  /** Sets the work coordinate of the present position for an axis. */
   private async name(axis: string, text: string): Promise<void> {
     const value = axis < "X" ? Number(text.replace(",", ".")) : units.parse(text);
     this.update();
     if (value === undefined || !Number.isFinite(value)) return;
-    // The machine takes the number in the unit that is in force.
+    // The machine interprets the number in the unit in force.
     const unit = axis >= "X" && this.machine.modes.includes("G20") ? 25.4 : 1;
     await this.machine.line(`G10 L20 P${this.machine.system} ${axis}${Number((value / unit).toFixed(5))}`);
   }

@@ -1,4 +1,4 @@
-// What is looked at before a job starts: nothing begins that would fail.
+// Checks before a job starts, so that a job that would fail is not started.
 import { hindrance, type Order, type Path, type Summary } from "./engine";
 import * as firmware from "./firmware";
 import type { Machine } from "./machine";
@@ -6,7 +6,7 @@ import type { Page } from "./page";
 import { storedLines } from "./tooltable";
 import { isRapid, lineOf } from "./track";
 
-/** `yes`: fine. `look`: worth a look. `ask`: has to be confirmed. `wait`: not known yet. `no`: the job would fail. */
+/** `yes`: fine. `look`: worth a look. `ask`: needs confirmation. `wait`: not known yet. `no`: the job would fail. */
 export type Grade = "yes" | "look" | "ask" | "wait" | "no";
 export interface Finding { grade: Grade; text: string; more?: string; line?: number }
 
@@ -14,7 +14,7 @@ export interface Finding { grade: Grade; text: string; more?: string; line?: num
 const QUIET = 250;
 
 export class Preflight {
-  /** What the firmware says of the job on this machine: with its settings, offsets and tools. */
+  /** Result of the job on this machine, with its settings, offsets and tools. */
   private trial?: { key: string; summary?: Summary; why?: string };
   private running?: AbortController;
   private timer?: ReturnType<typeof setTimeout>;
@@ -22,7 +22,7 @@ export class Preflight {
 
   constructor(private readonly machine: Machine, private readonly page: Page, private readonly onchange: () => void) {}
 
-  /** The order for a trial with what the machine has told of itself. */
+  /** Returns the order for a trial with the values that the machine has reported. */
   private order(): Order {
     const { machine, page } = this;
     const known = new Set(page.description.settings.map(({ number }) => number));
@@ -33,7 +33,7 @@ export class Preflight {
     return { ...page.order(), settings, work_zero, stored };
   }
 
-  /** Has the job tried on the machine as it is, if it is at rest and anything has changed. */
+  /** Tries the job with the present state of the machine, if the machine is at rest and anything has changed. */
   update(): void {
     const { machine, page } = this;
     if (!page.checked || !machine.isAtRest || Object.keys(machine.settings).length === 0 || machine.phase !== "idle") return;
@@ -85,13 +85,13 @@ export class Preflight {
     if (!status) return [];
     const none = [0, 1, 2].filter(axis => Math.abs(status.machine[axis] - status.work[axis]) < 1e-6);
     if (none.length === 0) return [{ grade: "yes", text: "Work zero set in X, Y and Z" }];
-    // Without homing the machine's own zero is where it was switched on: often that is meant.
+    // Without homing, machine zero is where the machine was switched on: that is often intended.
     const homed = machine.homed === true;
     const axes = none.map(axis => "XYZ"[axis]).join(", ");
     return [{ grade: homed ? "ask" : "look", text: `Work zero is not set in ${axes}`, more: homed ? "It is where the machine was homed: at its end of travel." : "It is where the machine was switched on." }];
   }
 
-  /** What the firmware has found on the machine as it is, and not with the settings of the forecast. */
+  /** Findings of the trial on the real machine's settings, as opposed to those of the forecast. */
   private fits(): Finding[] {
     const { trial, wanted, page } = this;
     const own = page.checked?.summary;
@@ -112,10 +112,10 @@ export class Preflight {
 
 const sentence = (text: string): string => text.charAt(0).toUpperCase() + text.slice(1);
 
-/** Of each path, the first row that cuts and the first that does so with the spindle on. */
+/** Per path: the first row that cuts with the spindle on, and whether any row cuts. */
 const looked = new WeakMap<Path, { first?: number; feeds: boolean }>();
 
-/** Whether the spindle, or the laser, is on where the job cuts. */
+/** Checks whether the spindle or the laser is on where the job cuts. */
 export function spindleFindings(path: Path, laser: boolean): Finding[] {
   let found = looked.get(path);
   if (!found) {

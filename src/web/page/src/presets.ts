@@ -1,8 +1,8 @@
-// Machines that a forecast can be made for, with where their figures come from.
+// Machines for forecasts, with the sources of their values.
 
 export interface Preset { id: string; name: string; values: Record<string, number>; source: string }
 
-/** Resolution, greatest rate, acceleration and travel of X, Y and Z. */
+/** Makes settings from resolution, maximum rate, acceleration and travel of X, Y and Z. */
 function machine(steps: number[], rate: number[], acceleration: number[], travel: number[], more: Record<string, number> = {}): Record<string, number> {
   const each = (first: number, values: number[]) => values.map((value, axis) => [String(first + axis), value]);
   return { ...Object.fromEntries([...each(100, steps), ...each(110, rate), ...each(120, acceleration), ...each(130, travel)]), ...more };
@@ -22,6 +22,6 @@ export const PRESETS: Preset[] = [
   { id: "new", name: "New Oxmill board", values: {}, source: "What a board has before anything is set: slow and careful." },
 ];
 
-/** What a machine is, in a line. */
+/** A machine's maximum rate and acceleration, in one line. */
 export const summary = (value: (number: number) => number): string => `${value(110).toLocaleString("en")} mm/min · ${value(120).toLocaleString("en")} mm/s²`;
 export const travel = (value: (number: number) => number): string => `${[130, 131, 132].map(number => value(number).toLocaleString("en")).join(" × ")} mm`;

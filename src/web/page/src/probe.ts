@@ -3,9 +3,9 @@ import { $, allow, button, el, onclick, press, typed } from "./dom";
 import { Dialog } from "./dialogs";
 import type { Machine } from "./machine";
 
-/** How far the tool goes back from a contact, mm. */
+/** Distance that the tool retracts after a contact, mm. */
 const BACK = 2;
-/** How far the tool goes down beside a corner plate, from two such ways above it, mm. */
+/** Distance that the tool moves down beside a corner plate, starting 2 * BACK above it, mm. */
 const BESIDE = 8;
 
 type Kind = "z" | "edge" | "corner" | "hole";
@@ -15,11 +15,11 @@ const KINDS: Record<Kind, [name: string, text: string]> = {
   corner: ["Corner", "Finds the top and two sides with a corner plate, and sets X, Y and Z. Put the cutter over the plate, near its corner."],
   hole: ["Hole", "Finds the middle of a hole, and sets X and Y there. Put the cutter into the hole."],
 };
-/** Ways to an edge: the axis, and the direction of the tool. */
+/** Probing directions to an edge: the axis, and the direction of the tool. */
 const EDGES = ["X+", "X-", "Y+", "Y-"] as const;
 const CORNERS: Record<string, [number, number]> = { "front left": [1, 1], "front right": [-1, 1], "back left": [1, -1], "back right": [-1, -1] };
 
-/** What ends a probing cycle before it is done. */
+/** Thrown to end a probing cycle early. */
 class Ended extends Error {}
 
 export class ProbePanel {
@@ -29,10 +29,11 @@ export class ProbePanel {
   private readonly kinds = el("div", { className: "seg mc", role: "group", "aria-label": "What to find" });
   private readonly contact = el("p", { id: "probe-contact", className: "finding", role: "status" });
   private readonly go = button("Probe now", () => void this.probe(), "btn go");
-  /** The circuit has been seen closed, and open again. */
+  /** Whether the probe circuit was seen closed. */
   private closed = false;
+  /** Whether the probe circuit was seen open after it was closed. */
   private opened = false;
-  /** Stops that there were before the cycle began. */
+  /** `stopCalls` of the machine when the cycle began. */
   private stops = 0;
 
   constructor(private readonly machine: Machine) {
@@ -94,7 +95,8 @@ export class ProbePanel {
     allow(this.go, machine.whyNotAtRest ?? turning ?? (touching ? "The probe is in contact already." : undefined));
   }
 
-  /** Sends a line of the cycle, and gives what was said before its answer. Behind a Stop or a refused line there is no further one. */
+  /** Sends a line of the cycle and returns the output before its answer. Throws after a Stop or a rejected line, so that
+   * no further line is sent. */
   private async send(line: string): Promise<string[]> {
     const { machine } = this;
     const stopped = () => machine.stopCalls !== this.stops;
@@ -105,7 +107,7 @@ export class ProbePanel {
     return said;
   }
 
-  /** Moves until the probe touches; the place of the contact in machine coordinates. */
+  /** Moves until the probe touches. Returns the contact position in machine coordinates, or `undefined` without contact. */
   private async touch(axis: number, way: number, most: number, feed: number): Promise<number | undefined> {
     const said = await this.send(`G38.3 ${"XYZ"[axis]}${Number((way * most).toFixed(3))} F${feed}`);
     const found = /\[PRB:([^\]]*):([01])\]/.exec(said.join(" "));
@@ -120,17 +122,17 @@ export class ProbePanel {
     return found;
   }
 
-  /** A move away from what was touched. */
+  /** Moves away from a touched surface. */
   private async move(by: Record<number, number>): Promise<void> {
     await this.send(`G0 ${Object.entries(by).map(([axis, mm]) => `${"XYZ"[Number(axis)]}${Number(mm.toFixed(3))}`).join(" ")}`);
   }
 
-  /** A move where nothing should be: it ends at a contact. */
+  /** Moves where nothing should be in the way; a contact ends the cycle. */
   private async guarded(axis: number, mm: number, feed: number): Promise<void> {
     if ((await this.touch(axis, Math.sign(mm), Math.abs(mm), feed)) !== undefined) throw new Ended("The tool has touched something on its way: the work zero is as it was.");
   }
 
-  /** Where the machine is, at rest. */
+  /** Returns the machine position at rest. */
   private async here(): Promise<number[]> {
     await this.send("G4 P0.05");
     const status = await this.machine.report();
@@ -138,14 +140,14 @@ export class ProbePanel {
     return status.machine;
   }
 
-  /** Sets work zero at places of the machine, by axis. */
+  /** Sets work zero to machine positions, by axis. */
   private async setZero(places: Record<number, number>): Promise<void> {
     const here = await this.here();
     const words = Object.entries(places).map(([axis, place]) => `${"XYZ"[Number(axis)]}${Number((here[Number(axis)] - place).toFixed(4))}`);
     await this.send(`G10 L20 P0 ${words.join(" ")}`);
   }
 
-  /** The units and modes of before are in force again behind it, whatever becomes of it. */
+  /** Runs a probing cycle and restores units and modes afterwards, even if it fails. */
   private async probe(): Promise<void> {
     const { machine } = this;
     this.dialog.close();
@@ -181,7 +183,7 @@ export class ProbePanel {
           const one = await this.find(axis, 1, depth, feed);
           const other = await this.find(axis, -1, 2 * depth, feed);
           places[axis] = (one + other) / 2;
-          // Into the middle, from which the other axis is probed.
+          // Move to the middle, from which the other axis is probed.
           await this.move({ [axis]: places[axis] - (other + BACK) });
         }
         return this.setZero(places);
@@ -191,7 +193,7 @@ export class ProbePanel {
         const places: Record<number, number> = { 2: (await this.find(2, -1, depth, feed)) - plate };
         const start = await this.here();
         for (const axis of [0, 1]) {
-          // Round the corner, down beside the plate, back towards it, and up again to where it began.
+          // Around the corner, down beside the plate, back towards it, and up to the start again.
           await this.move({ 2: BACK });
           await this.move({ [axis]: -ways[axis] * depth });
           await this.guarded(2, -BESIDE, feed * 2);

@@ -1,22 +1,23 @@
-// The lines of the job: those in sight are in the document. A line can be edited.
+// The list of the job's lines; only visible lines are in the document. A line can be edited.
 import { $, allow, el, onclick, save } from "./dom";
 import type { Page } from "./page";
 
-/** Height of a line, px, and the greatest height that browsers draw. */
+/** Height of a line, px. */
 const LINE = 22;
+/** Maximum height of an element that browsers draw, px. */
 const TALLEST = 15_000_000;
 
 export class Program {
-  /** Called with a line that somebody points at. */
+  /** Called with a line that the user clicks. */
   onpick: (line: number) => void = () => {};
   /** Called with a line and its new text. */
   onedit: (line: number, text: string) => void = () => {};
   refused = new Set<number>();
   warned = new Set<number>();
-  /** Why nothing may be edited now. */
+  /** Why editing is disabled, if it is. */
   locked?: string;
   private line = 0;
-  /** Lines up to this one have been sent to the machine that carries out `line`; 0 without a machine. */
+  /** The last line that was sent to the machine, which is executing `line`; 0 without a machine. */
   private sent = 0;
   private editing = 0;
   private readonly list = $("lines");
@@ -46,7 +47,7 @@ export class Program {
     onclick("save-job", () => save(page.job.name, page.job.text));
   }
 
-  /** Another job, or another text of it. */
+  /** Shows another job, or a changed text of the job. */
   show(): void {
     ($("lines-all") as HTMLElement).style.height = `${Math.min(TALLEST, this.page.job.lines.length * LINE)}px`;
     this.editing = 0;
@@ -57,7 +58,7 @@ export class Program {
     this.list.scrollTop = 0;
   }
 
-  /** Marks a line; with `sent`, the machine is there. */
+  /** Marks a line. `sent`: last line sent to the machine that is executing `line`; 0 without a machine. */
   mark(line: number, sent = 0, follow = true): void {
     [this.line, this.sent] = [line, sent];
     if (follow) this.scrollTo(line || 1);
@@ -89,7 +90,7 @@ export class Program {
     if (at < scrollTop || at + LINE > scrollTop + clientHeight) this.list.scrollTop = at - clientHeight / 2 + LINE / 2;
   }
 
-  /** What a pixel of a line is in the list, where all lines would be taller than a browser draws. */
+  /** Returns the scale of the list, which is compressed if all lines would be taller than a browser draws. */
   private scale(): number {
     return Math.min(1, TALLEST / Math.max(1, this.page.job.lines.length * LINE));
   }
@@ -114,7 +115,7 @@ export class Program {
       line.dataset.line = String(number);
       return line;
     });
-    // What stays in sight stays in the document: an element that is taken out of it between press and release is not clicked.
+    // Visible elements stay in the document: an element that is removed between press and release receives no click.
     for (const line of drawn.values()) if (!shown.includes(line)) line.remove();
     for (const [index, line] of shown.entries()) if (all.children[index] !== line) all.insertBefore(line, all.children[index] ?? null);
     if (shown.some(line => line.id === `line-${this.line}`)) this.list.setAttribute("aria-activedescendant", `line-${this.line}`);

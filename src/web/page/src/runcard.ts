@@ -1,21 +1,21 @@
-// The card of the job on the machine: before it starts, while it runs, and what comes after an alarm or a stop.
+// The card of the job on the machine: before the start, during the run, and after an alarm or a stop.
 import { $, allow, button, clock, el, icon, minutes, onclick, say } from "./dom";
 import type { Machine, Trouble } from "./machine";
 import type { Page } from "./page";
 import { type Finding, type Grade, Preflight } from "./preflight";
 
 const ICONS: Record<Grade, string> = { yes: "check", look: "warn", ask: "warn", wait: "turn", no: "cross" };
-/** How far Z is lifted after a stop, mm. */
+/** Distance that Z is lifted after a stop, mm. */
 const LIFT = 10;
 
 export interface Continuing {
-  /** Opens what is left of a job from a line on. */
+  /** Opens the rest of a job from a line on. */
   from(line: number): void;
 }
 
 export class RunCard {
   private readonly preflight: Preflight;
-  /** What was agreed to despite a question. */
+  /** Key of the findings that the user has confirmed. */
   private agreed = "";
   private shown = "";
 
@@ -29,13 +29,13 @@ export class RunCard {
     this.update();
   }
 
-  /** Another job, or another verdict. */
+  /** The job or its verdict has changed. */
   jobChanged(): void {
     this.agreed = "";
     this.update();
   }
 
-  /** Why the job cannot start, if it cannot; `asked` tells that it may all the same. */
+  /** Returns why the job cannot start, if it cannot; with `asked`, the user may confirm and start it. */
   private get hindered(): { why?: string; asked?: boolean } {
     const { machine } = this;
     if (machine.whyNotAtRest !== undefined) return { why: machine.whyNotAtRest };
@@ -47,7 +47,7 @@ export class RunCard {
     return machine.isAtRest ? {} : { why: "Waiting for the machine to be at rest." };
   }
 
-  /** A job that has ended, as long as no other one is open. */
+  /** The job that has ended, while its file is still open. */
   private get ended(): Pick<Machine, "stopped" | "finished"> {
     const { stopped, finished } = this.machine;
     const { name } = this.page.job;
@@ -119,7 +119,7 @@ export class RunCard {
     $("hold-row").hidden = !going && !["run", "hold", "door", "jog", "stopping"].includes(phase) && machine.isConnected;
   }
 
-  /** What was asked for is meant. */
+  /** The user confirms the questions. */
   private agree(): void {
     this.agreed = keyOf(this.preflight.findings().filter(({ grade }) => grade === "ask"));
     this.update();
@@ -144,7 +144,7 @@ export class RunCard {
       el("dl", {}, ...row("Done", "run-done"), ...row("Ends at", "run-end"), ...row("Line", "run-line"), ...row("Now", "run-now"))];
   }
 
-  /** Figures that change with each report. */
+  /** Updates the figures that change with each report. */
   private tick(): void {
     const { running, overrides, status } = this.machine;
     if (!running) return;
@@ -202,7 +202,7 @@ export class RunCard {
       el("p", { className: "note", textContent: `${stopped.job.name}: ${why} ${minutes(stopped.seconds)} of the job are done.` }), actions];
   }
 
-  /** After an alarm: one step at a time is open. */
+  /** Returns the steps after an alarm, of which one at a time is active. */
   private steps(trouble: Trouble): Node[] {
     const { machine } = this;
     const { phase, stopped } = machine;

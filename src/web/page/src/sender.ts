@@ -1,18 +1,18 @@
-// A sender for Grbl's protocol over any link: it counts characters, so that the controller's receive buffer is never too
-// full, and realtime commands go past all lines.
+// A sender for Grbl's protocol over any link. It counts characters, so that the controller's receive buffer never
+// overflows; realtime commands overtake all lines.
 
 export interface Link {
   write(bytes: Uint8Array): void;
-  /** Called with what the machine says. */
+  /** Called with output of the machine. */
   onsaid: (text: string) => void;
-  /** Called when the machine is gone. */
+  /** Called when the connection is lost. */
   onlost: (why: string) => void;
   close(): Promise<void> | void;
-  /** Whether the machine is just being powered up, and will greet. */
+  /** Whether the machine is just being powered up, so that a welcome message will follow. */
   readonly greets?: boolean;
 }
 
-/** A report of state; positions in mm. */
+/** A status report; positions in mm. */
 export interface Status {
   state: string;
   machine: number[];
@@ -28,19 +28,20 @@ export const REALTIME = {
   feedPlus1: 0x93, feedMinus1: 0x94, spindlePlus1: 0x9c, spindleMinus1: 0x9d,
 } as const;
 
-/** Longest time until a controller greets, ms: after a reset, and after power-up. */
+/** Maximum time until a controller sends its welcome after a reset, ms. */
 const LONGEST_RESET = 2000;
+/** Maximum time until a controller sends its welcome after power-up, ms. */
 const LONGEST_START = 60_000;
-/** No line is written for so long after a greeting that nothing here has ordered, ms. */
+/** After an unexpected welcome, no line is written for this time, ms. */
 const SETTLING = 300;
-/** Axes that have lengths: X, Y and Z. */
+/** Number of linear axes: X, Y and Z. */
 const LINEAR = 3;
-/** Receive buffer of a controller that has not told its own. */
+/** Assumed size of the receive buffer if the controller does not report it, bytes. */
 const SMALLEST_BUFFER = 128;
 
 const UNCHECKED = "with checked lines each line has a number, a length and a checksum, and this page sends plain ones";
 
-/** What a line was answered with, and what the controller said between the answer before and that one. */
+/** The answer to a line, and the output between the previous answer and this one. */
 export interface Answer { answer: string; said: string[] }
 interface Command { text: string; quiet: boolean; answered: (answer: Answer) => void }
 interface Sent { length: number; line?: number; command?: Command; said: string[] }
@@ -50,16 +51,17 @@ export class Sender {
   onmessage: (text: string) => void = () => {};
   onprogress: () => void = () => {};
   onrefused: (line: number, answer: string) => void = () => {};
-  /** Called when a job ends before its last line, with the number of its last line that was sent. */
+  /** Called when a job ends before its last line, with the number of the last line that was sent. */
   onstopped: (line: number, why: string) => void = () => {};
-  /** Called when the machine has started without an order of this sender: by a reset button, a fall of the supply, or another host. */
+  /** Called when the machine restarts without a reset by this sender: by a reset button, a supply dip or another host. */
   ongreeting: () => void = () => {};
-  /** Lines of the job, and how many of them have been answered. */
+  /** Lines of the job. */
   lines: string[] = [];
+  /** Number of answered lines of the job. */
   done = 0;
-  /** Bytes of the controller's receive buffer. */
+  /** Size of the controller's receive buffer, bytes. */
   room = SMALLEST_BUFFER;
-  /** Millimetres of the unit in which the controller reports positions (`$13`). */
+  /** Millimetres per unit in which the controller reports positions (`$13`). */
   unit = 1;
   private next = 0;
   private stopped = false;
@@ -84,12 +86,13 @@ export class Sender {
     this.link.write(new Uint8Array([command]));
   }
 
-  /** Lines of the job that have been sent. */
+  /** Number of lines of the job that have been sent. */
   get sent(): number {
     return this.next;
   }
 
-  /** Sends a line between those of the job, and gives its answer with what was said before it. Of a quiet one, no message is told but `[MSG:`. */
+  /** Sends a line between those of the job. Returns its answer with the output before it. With `quiet`, `onmessage`
+   * receives only lines that begin with `[MSG:`, `ALARM:` or `Grbl `. */
   ask(text: string, quiet = false): Promise<Answer> {
     const why = unsendable(text);
     if (why) return Promise.resolve({ answer: `not sent: ${why}`, said: [] });
@@ -99,17 +102,17 @@ export class Sender {
     });
   }
 
-  /** Sends a line between those of the job, and gives its answer. */
+  /** Sends a line between those of the job and returns its answer. */
   async command(text: string): Promise<string> {
     return (await this.ask(text)).answer;
   }
 
-  /** Whether nothing waits to be sent or answered but lines that only ask. */
+  /** Whether only queries wait to be sent or answered, or nothing. */
   get free(): boolean {
     return !this.busy && this.flight.every(({ command }) => command?.quiet) && this.commands.every(({ quiet }) => quiet);
   }
 
-  /** Begins a job. Throws, and sends nothing of it, if another is under way or a line cannot be sent as it is. */
+  /** Starts a job. Throws, and sends nothing of it, if another job is in progress or a line cannot be sent unchanged. */
   stream(text: string): void {
     if (!this.free) throw new Error("the lines before it are not answered yet");
     const lines = text.replace(/^\uFEFF/, "").split(/\r\n|\r|\n/);
@@ -123,7 +126,7 @@ export class Sender {
     this.pump();
   }
 
-  /** Resets the controller. What was sent is void. */
+  /** Resets the controller, which discards everything that was sent. */
   reset(): void {
     this.realtime(REALTIME.reset);
     this.forget();
@@ -131,7 +134,7 @@ export class Sender {
     this.onprogress();
   }
 
-  /** Sends no more of the job and of the lines that wait; what was sent is still to be answered. */
+  /** Stops sending the job and the waiting lines. Lines already sent are still answered. */
   private stop(why: string): void {
     for (const command of this.commands.splice(0)) command.answered({ answer: `not sent: ${why}`, said: [] });
     if (!this.busy || this.stopped) return;
@@ -140,7 +143,7 @@ export class Sender {
     this.onstopped(this.next, why);
   }
 
-  /** The controller has forgotten all lines. */
+  /** The controller has discarded all lines. */
   private forget(): void {
     const commands = [...this.flight.splice(0).map(sent => sent.command), ...this.commands.splice(0)];
     for (const command of commands) command?.answered({ answer: "reset", said: [] });
@@ -148,7 +151,7 @@ export class Sender {
     [this.next, this.done, this.stopped] = [0, 0, false];
   }
 
-  /** Writes no line until the controller greets: what it answers before belongs to lines that are void. */
+  /** Writes no line until the controller's welcome: earlier answers belong to discarded lines. */
   private expectGreeting(longest: number): void {
     this.resetting = true;
     this.pause(longest);
@@ -171,7 +174,7 @@ export class Sender {
     const line = this.done;
     const cut = this.busy;
     this.forget();
-    // An answer may still come that was under way to a line of before.
+    // An answer to an earlier line may still be on its way.
     this.pause(SETTLING);
     if (cut) this.onstopped(line, "the machine was reset");
     this.ongreeting();
@@ -187,7 +190,7 @@ export class Sender {
       const text = command?.text ?? this.lines[this.next];
       if (text === undefined) return;
       if (!command && TAPE_MARK.test(text)) {
-        // A tape mark is no line for the controller.
+        // A tape mark is not a line for the controller.
         this.next++;
         this.done++;
         continue;
@@ -208,7 +211,7 @@ export class Sender {
       try {
         this.line(line.trim());
       } catch (error) {
-        // What is shown of one line may fail: the answers behind it count all the same.
+        // Displaying one line may fail; the answers after it must still be counted.
         console.error(error);
       }
     }
@@ -238,7 +241,7 @@ export class Sender {
     }
   }
 
-  /** A refused line ends the job: those behind it were meant for a machine that has carried it out. */
+  /** Ends the job after a rejected line: the following lines assume that it was executed. */
   private refuse(line: number, answer: string): void {
     this.onrefused(line, answer);
     if (!this.busy || this.stopped) return;
@@ -253,21 +256,21 @@ export class Sender {
     this.offset = numbers(fields.WCO) ?? this.offset;
     const machine = numbers(fields.MPos) ?? numbers(fields.WPos)?.map((v, i) => v + (this.offset[i] ?? 0)) ?? [0, 0, 0];
     const work = machine.map((v, i) => v - (this.offset[i] ?? 0));
-    // An axis that turns is told in degrees, whatever the unit.
+    // Rotary axes are reported in degrees, whatever the unit.
     const mm = (v: number, axis: number) => (axis < LINEAR ? v * this.unit : v);
     return { state, machine: machine.map(mm), work: work.map(mm), fields };
   }
 }
 
-/** Whether the machine would answer in checked lines from here on. */
+/** Whether the line would make the machine answer in checked lines. */
 function beginsChecks(text: string): boolean {
   return /^\$LC=ON([A-Z]{4})?$/i.test(text.replace(/\([^)]*\)|;.*|\s/g, ""));
 }
 
-/** A `%` with nothing but remarks behind it. */
+/** A `%` followed only by comments. */
 const TAPE_MARK = /^\s*%\s*(\([^()]*(\)\s*|$))*(;.*)?$/;
 
-/** Why a line is not sent, if it is not: it may never become another one on its way. */
+/** Returns why a line must not be sent, if so: a line must never change its meaning on its way. */
 function unsendable(text: string): string | undefined {
   const found = foreign(text);
   if (found === undefined) return beginsChecks(text) ? UNCHECKED : undefined;
@@ -277,8 +280,9 @@ function unsendable(text: string): string | undefined {
 }
 
 /**
- * The first character outside comments that cannot go over the wire, or would be a realtime command there. Some machines
- * take parentheses in comments in pairs, to the others the first `)` ends them: a comment is what is one to both.
+ * Returns the first character outside comments that cannot be sent, or would be a realtime command. In comments, some
+ * machines match nested parentheses, while others end the comment at the first `)`: only text that is a comment for
+ * both counts as one.
  */
 function foreign(text: string): string | undefined {
   let [first, pairs] = [false, 0];
@@ -292,7 +296,7 @@ function foreign(text: string): string | undefined {
   return undefined;
 }
 
-/** A line as it goes over the wire: no byte of it is a realtime command. */
+/** Returns the bytes of a line as sent: none of them is a realtime command. */
 function plain(text: string): Uint8Array<ArrayBuffer> {
   return new TextEncoder().encode(text.replace(/[^\x20-\x7e]|[!?~]/g, " ").trimEnd() + "\n") as Uint8Array<ArrayBuffer>;
 }

@@ -1,4 +1,5 @@
-// The settings that a forecast is made with, from the firmware's own table: number, name, unit and range are never written here again.
+// The settings of the forecast. Numbers, names, units and ranges come from the firmware's own table and are not
+// repeated here.
 import type { Description, Setting } from "./engine";
 import type { Values } from "./page";
 import { type Preset, PRESETS } from "./presets";
@@ -6,15 +7,15 @@ import { type Preset, PRESETS } from "./presets";
 const STORED = "oxmill settings";
 const STORED_PRESET = "oxmill machine";
 
-/** `$$` of a machine as numbers and values. */
+/** Parses the output of `$$` into numbers and values. */
 export function parseSettings(text: string): Record<string, number> {
   return Object.fromEntries([...text.matchAll(/^\s*\$(\d+)=(-?[\d.]+)(?=[\s(;]|$)/gm)].map(match => [match[1], Number(match[2])]));
 }
 
 export class Settings implements Values {
-  /** The machine that was chosen. */
+  /** The chosen machine. */
   preset: Preset;
-  /** Work zero in mm of machine coordinates, for a machine that is homed before its job. */
+  /** Work zero in mm of machine coordinates; the machine is then homed before its job. */
   zero: (number | undefined)[] = [undefined, undefined, undefined];
   private changed: Record<string, number>;
   private readonly table: Map<number, Setting>;
@@ -27,7 +28,7 @@ export class Settings implements Values {
     this.changed = this.known(Object(kept ?? this.preset.values));
   }
 
-  /** Whether a person has chosen a machine here before. */
+  /** Whether the user has chosen a machine here before. */
   get isKept(): boolean {
     return stored(STORED) !== null;
   }
@@ -44,7 +45,7 @@ export class Settings implements Values {
     return this.changed[number] ?? this.default(number) ?? 0;
   }
 
-  /** What the preset has. */
+  /** Returns the preset's value of a setting. */
   presetValue(number: number): number {
     return this.preset.values[number] ?? this.default(number) ?? 0;
   }
@@ -53,7 +54,7 @@ export class Settings implements Values {
     return this.value(number) !== this.presetValue(number);
   }
 
-  /** Numbers that differ from the preset. */
+  /** Returns the numbers of the settings that differ from the preset. */
   changes(): number[] {
     return [...this.table.keys()].filter(number => this.isChanged(number));
   }
@@ -77,7 +78,7 @@ export class Settings implements Values {
     this.replace({ ...this.changed, [number]: value });
   }
 
-  /** Another machine, with its settings. */
+  /** Selects another machine with its settings. */
   choose(id: string): void {
     this.preset = PRESETS.find(preset => preset.id === id) ?? this.preset;
     this.replace(this.preset.values);
@@ -87,7 +88,8 @@ export class Settings implements Values {
     return this.table.get(number)?.default;
   }
 
-  /** Those that this firmware has, and that differ from a new controller: another page may have kept others. */
+  /** Returns the values of settings that this firmware has and that differ from its defaults: another version of the
+   * page may have stored others. */
   private known(values: Record<string, number>): Record<string, number> {
     const entries = Object.entries(values).filter(([number, value]) => Number.isFinite(value) && this.default(Number(number)) !== undefined);
     return Object.fromEntries(entries.filter(([number, value]) => value !== this.default(Number(number))));
@@ -102,7 +104,7 @@ export class Settings implements Values {
       localStorage.setItem(STORED, JSON.stringify(this.changed));
       localStorage.setItem(STORED_PRESET, JSON.stringify(this.preset.id));
     } catch {
-      // A page without storage forgets.
+      // Without storage, the page forgets.
     }
   }
 }

@@ -1,4 +1,5 @@
-// The settings as a person sees them: X, Y and Z of one in a row, groups, search, what differs, and a sentence on each.
+// The settings panel: X, Y and Z of a setting in one row, groups, search, differences, and an explanation of each
+// setting.
 import { $, allow, button, clock, el, onclick, press, save, say } from "./dom";
 import { Dialog } from "./dialogs";
 import type { Description, Setting } from "./engine";
@@ -12,10 +13,11 @@ import { differences, written } from "./transfer";
 
 type Filter = "all" | "changed" | "differs";
 interface Row { title: string; settings: Setting[]; perAxis: boolean; element: HTMLTableRowElement; text: string }
-/** Groups that decide on time come first; the others as the firmware has them. */
+/** Groups that affect the time come first; the others follow in the firmware's order. */
 const FIRST_GROUPS = ["Axes", "Motion", "Homing", "Limits"];
-/** The setting of how many axes there are, and that of the dialect: 0 is Grbl's. */
+/** Number of the setting for the number of axes. */
 const AXES = 930;
+/** Number of the setting for the dialect; its value 0 is Grbl's. */
 const DIALECT = 900;
 
 export class SettingsPanel {
@@ -60,7 +62,7 @@ export class SettingsPanel {
     const byGroup = new Map<string, Map<string, Setting[]>>();
     for (const setting of this.description.settings) {
       const group = byGroup.get(setting.group) ?? byGroup.set(setting.group, new Map()).get(setting.group) as Map<string, Setting[]>;
-      // A homing cycle has no axis of its own.
+      // The setting of a homing cycle belongs to no single axis.
       const key = setting.axis && setting.kind !== "axes" ? setting.title : setting.name;
       group.set(key, [...(group.get(key) ?? []), setting]);
     }
@@ -164,7 +166,7 @@ export class SettingsPanel {
     say("differs", `Differs from machine ${differ.size}`);
   }
 
-  /** What is said of a setting. */
+  /** Shows the details of a setting. */
   private about(row: Row): void {
     this.chosen?.element.classList.remove("chosen");
     this.chosen = row;
@@ -242,7 +244,7 @@ export class SettingsPanel {
     return dialog;
   }
 
-  /** Shows what an import would become. */
+  /** Shows the result of an import before it is applied. */
   private look(text: string): void {
     const made = (this.imported = readImport(text, this.description.settings));
     const name = new Map(this.description.settings.map(setting => [setting.number, setting]));
@@ -252,7 +254,7 @@ export class SettingsPanel {
     say("take-note", made.taken.length ? `${made.what}: ${made.taken.length} settings, ${made.left.length} lines are not taken.` : "");
   }
 
-  /** Takes over what was pasted; if nothing of it can be, nothing is changed. */
+  /** Applies the pasted settings; changes nothing if none can be used. */
   private take(): void {
     this.look($<HTMLTextAreaElement>("paste").value);
     const { taken = [], left = [] } = this.imported ?? {};
@@ -275,7 +277,7 @@ export class SettingsPanel {
   private update(): void {
     const { machine } = this;
     const why = machine.isConnected ? machine.whyNotAtRest : "Connect a machine first.";
-    // A machine in motion is asked all the same, and refuses: the page says so.
+    // The buttons stay enabled in motion: the machine then refuses, and the page says so.
     allow($("read"), machine.isConnected ? undefined : why);
     allow($("compare"), machine.isConnected ? undefined : why);
     $("differs").hidden = !machine.isConnected;
@@ -312,7 +314,7 @@ export class SettingsPanel {
     return dialog;
   }
 
-  /** Shows what of the forecast's settings the machine has otherwise, to be written to it. */
+  /** Shows the settings of the forecast that differ from the machine's, for writing them to the machine. */
   private async toMachine(): Promise<void> {
     const { machine, settings } = this;
     if (!(await machine.readSettings())) return this.note("The machine does not tell its settings now: nothing is written.");

@@ -1,4 +1,4 @@
-// Setting a machine up: homing, unlocking, the outline of the job.
+// Setup of a machine: homing, unlocking, the outline of the job.
 import { $, allow, button, el, onclick, say } from "./dom";
 import { Dialog } from "./dialogs";
 import type { Summary } from "./engine";
@@ -6,11 +6,12 @@ import { workZero } from "./engine";
 import type { Machine } from "./machine";
 import type { Page } from "./page";
 
-/** The least height above work zero, mm; and the one where there is no job. */
+/** Minimum safe height above work zero, mm. */
 const LEAST = 5;
+/** Safe height above work zero if there is no job, mm. */
 const NO_JOB = 10;
 
-/** Least and greatest work coordinates of a job. */
+/** Returns minimum and maximum work coordinates of a job. */
 export function extents(summary: Summary): { min: number[]; max: number[] } {
   const zero = workZero(summary);
   const { min, max } = summary.extents_mm;
@@ -35,20 +36,20 @@ export class SetupPanel {
     this.update();
   }
 
-  /** Asks before something that a key has ordered. */
+  /** Asks for confirmation of an action that was triggered by a key. */
   confirm(question: string, act: () => void): void {
     this.question.textContent = question;
     this.asked = act;
     this.ask.open();
   }
 
-  /** The lowest Z of the work at which nothing of the job is in the way, as far as the job tells. */
+  /** Returns the lowest Z in work coordinates that clears the whole job, as far as the job shows. */
   safeHeight(): number {
     const { checked } = this.page;
     return checked ? Math.max(LEAST, extents(checked.summary).max[2]) : NO_JOB;
   }
 
-  /** Why there is no homing, if there is none. */
+  /** Why homing is not possible, if so. */
   get whyNoHome(): string | undefined {
     const { machine } = this;
     if (machine.settings[22] === 0) return "Homing is switched off ($22).";

@@ -1,7 +1,8 @@
-// What the graphics processor does with the rows of a path. Both shaders say `highp`: an integer uniform that they share
-// would otherwise have two precisions, and the program would not link.
+// The shaders that draw the rows of a path. Both declare `highp`: an integer uniform that they share would otherwise
+// have two precisions, and the program would not link.
 
-/** Kinds of a row that are told in its shade: below 0, no place on the scale. A line and an arc have the ends of the scale but one. */
+/** Shades for kinds of rows: values below 0 are not on the scale; a line and an arc have the values one step from the
+ * ends of the scale. */
 export const SHADE = { rapid: -1, plunge: -2, crash: -3, line: 0.2, arc: 0.8 } as const;
 
 export const VERTEX = `#version 300 es
@@ -49,7 +50,8 @@ void main() {
   color = vec4(c * alpha, alpha);
 }`;
 
-/** A map of heights as a block: one quad between four neighbouring cells, and around the map a wall down to the bottom. */
+/** Draws a height map as a block: one quad between four neighbouring cells, and around the map a wall down to the
+ * bottom. */
 export const BLOCK_VERTEX = `#version 300 es
 precision highp float; precision highp int; precision highp sampler2D;
 uniform mat4 view; uniform sampler2D heights; uniform ivec2 size; uniform int stride; uniform vec4 frame; uniform float bottom;

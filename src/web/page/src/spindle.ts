@@ -1,4 +1,4 @@
-// Spindle and coolant by hand, while no job has them.
+// Manual control of spindle and coolant while no job uses them.
 import { $, allow, el, onclick, press, say, typed } from "./dom";
 import type { Machine } from "./machine";
 

@@ -1,4 +1,4 @@
-// What is always in sight: the state of the machine, Stop, and the banner of an alarm or a lost connection.
+// The bar that is always visible: the state of the machine, Stop, and the banner of an alarm or a lost connection.
 import { $, button, el, icon, onclick, say } from "./dom";
 import type { Machine, Phase } from "./machine";
 import type { Page } from "./page";
@@ -15,7 +15,7 @@ export class StatusBar {
 
   constructor(private readonly machine: Machine, private readonly page: Page) {
     for (const id of ["stop", "stop-below"]) {
-      // Pressing is enough: a hand that slips off the button has stopped the machine all the same.
+      // Stop acts on press: it must work even if the hand slips off the button.
       $(id).addEventListener("pointerdown", event => event.button === 0 && machine.stop());
       $(id).addEventListener("click", event => event.detail === 0 && machine.stop());
     }

@@ -1,4 +1,4 @@
-// The panel of the material: cutters, a block, and what is left of it.
+// The material panel: cutters, a block, and what the job leaves of it.
 import { cuttersOf } from "./cutters";
 import { $, el, onclick } from "./dom";
 import { type Path, type Summary, workZero } from "./engine";
@@ -7,28 +7,28 @@ import { type Block, blockOf, type Cutter, cutterOf, type Material, type Shape }
 import type { JobPanel, Page } from "./page";
 import { endOf } from "./track";
 
-/** How long a time stays before the block is cut up to it, ms. */
+/** How long a time must stay selected before the block is computed for it, ms. */
 const QUIET = 120;
-/** Rapids through material that are listed. */
+/** Maximum number of rapids through material in the list. */
 const SHOWN = 200;
 const NEW: Cutter = { shape: "flat", diameter: 3, angle: 60 };
 
 export class MaterialPanel implements JobPanel {
   material?: Material;
   private cutters: Record<number, Cutter> = {};
-  /** Cutters that a person has chosen for the job of this name. */
+  /** Cutters that the user has chosen for the job `name`. */
   private chosen: Record<number, Cutter> = {};
   private name = "";
   private path?: Path;
   /** Work zero in machine coordinates, mm. */
   private zero = [0, 0, 0];
-  /** The job turns an axis: what is left of a block is not known then. */
+  /** Whether the job turns the axis A: the rest of a block is then not known. */
   private turns = false;
   private running?: AbortController;
-  /** The block at another time than the end of the job. */
+  /** Aborts the computation of the block at a time before the end of the job. */
   private following?: AbortController;
   private timer?: ReturnType<typeof setTimeout>;
-  /** The block was typed in: it stays when the cutter changes. */
+  /** Whether the user has typed in the block, which then stays when the cutter changes. */
   private typed = false;
 
   constructor(private readonly page: Page) {
@@ -50,7 +50,7 @@ export class MaterialPanel implements JobPanel {
   show(path: Path, summary: Summary): void {
     this.path = path;
     this.zero = workZero(summary);
-    // The fourth motor turns A, unless it is the second one of another axis.
+    // The fourth motor turns A, unless it is the second motor of another axis.
     this.turns = (summary.pulses[3] ?? 0) > 0 && this.page.settings.value(930) >= 4;
     const { name, lines } = this.page.job;
     if (name !== this.name) this.chosen = {};
@@ -58,7 +58,7 @@ export class MaterialPanel implements JobPanel {
     const tools = [...new Set(path.tools.subarray(1))];
     const written = cuttersOf(lines);
     const known = Object.values(written);
-    // A job that changes no tool is cut with the one that is clamped: the only one that is written of.
+    // A job without tool changes uses the cutter in the spindle: the only one that the comments describe.
     if (tools.every(tool => tool === 0) && known.length === 1) [written[0]] = known;
     this.cutters = {};
     for (const tool of tools) this.cutters[tool] = this.chosen[tool] ?? written[tool] ?? { ...NEW };
@@ -70,7 +70,7 @@ export class MaterialPanel implements JobPanel {
     this.ownBlock();
   }
 
-  /** What was cut is not of this job. */
+  /** Removes the results of the previous job. */
   clear(): void {
     this.running?.abort(new Error("the job has changed"));
     this.following?.abort(new Error("the job has changed"));
@@ -84,7 +84,7 @@ export class MaterialPanel implements JobPanel {
     $("no-block").title = "There is no block yet.";
   }
 
-  /** Shows the block as it is at a time of the job, once that stays. */
+  /** Shows the block at a time of the job, after that time has stayed selected for a while. */
   at(seconds: number): void {
     const { material, path } = this;
     this.following?.abort(new Error("another time is shown"));
@@ -95,7 +95,7 @@ export class MaterialPanel implements JobPanel {
       const { signal } = (this.following = new AbortController());
       try {
         const part = await firmware.cutBlock(path, this.cutters, material.block, seconds, signal, () => {});
-        // Rapids through material are those of the whole job.
+        // Rapids through material are always those of the whole job.
         if (this.material === material) this.page.player.showBlock({ ...part, crashes: material.crashes }, $<HTMLInputElement>("with-path").checked);
       } catch (error) {
         if (!signal.aborted) throw error;
@@ -171,7 +171,7 @@ export class MaterialPanel implements JobPanel {
     } catch (error) {
       if (!running.signal.aborted) this.note((error as Error).message, "bad");
     }
-    // A run that another has taken the place of leaves the bar to that.
+    // If a newer run has replaced this one, the progress bar belongs to the newer run.
     if (this.running === running) progress.hidden = true;
   }
 

@@ -1,4 +1,4 @@
-// Tabs as the accessibility guidelines describe them: arrow keys move, one panel is shown.
+// Tabs according to the accessibility guidelines: arrow keys switch, and one panel is visible.
 import { $ } from "./dom";
 
 const all = (list: HTMLElement): HTMLElement[] => [...list.querySelectorAll<HTMLElement>("[role=tab]")];

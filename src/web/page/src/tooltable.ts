@@ -1,18 +1,18 @@
-// The tool table of the machine: lengths by number, as `$#` tells them.
+// The tool table of the machine: lengths by tool number, as reported by `$#`.
 import { $, allow, button, el, onclick, typed } from "./dom";
 import { Dialog } from "./dialogs";
 import type { Machine } from "./machine";
 
 export interface Tool { number: number; offset: number[] }
 
-/** The tools of what `$#` has told. */
+/** Returns the tools in the output of `$#`. */
 export const toolsOf = (stored: string[]): Tool[] =>
   stored.flatMap(line => {
     const found = /^\[T:(\d+)\|([^\]]*)\]$/.exec(line);
     return found ? [{ number: Number(found[1]), offset: found[2].split(",").map(Number) }] : [];
   });
 
-/** The lines that give another machine these offsets and tools. */
+/** Returns lines that set these offsets and tools on another machine. */
 export function storedLines(stored: string[], unit: number): string[] {
   const words = (values: string) => values.split(",").slice(0, 4).map((value, axis) => `${"XYZA"[axis]}${Number((Number(value) * (axis < 3 ? unit : 1)).toFixed(4))}`).join(" ");
   const systems = stored.flatMap(line => {
@@ -51,7 +51,7 @@ export class ToolTable {
     });
   }
 
-  /** G20 would take a length in inches. */
+  /** Under G20, the machine would interpret a length in inches. */
   private get unit(): number {
     return this.machine.modes.includes("G20") ? 25.4 : 1;
   }

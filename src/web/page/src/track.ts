@@ -1,12 +1,11 @@
-// What the page reads out of the rows of a path. No row is interpreted as G-code: places, times and lines come from the
-// firmware.
+// Evaluates the rows of a path. No row is interpreted as G-code: positions, times and lines come from the firmware.
 import { ARC, type Path, RAPID, ROW } from "./engine";
 import { SHADE } from "./shaders";
 
 export type Coloring = "speed" | "acceleration" | "power" | "kind" | "depth" | "tool" | "line";
-/** What the scale means, and what stands at its marks from left to right; without marks there is no scale. */
+/** The meaning of the scale, and the labels of its marks from left to right. Without labels there is no scale. */
 export interface Legend { caption: string; ticks: string[] }
-/** Marks of a scale. */
+/** Number of marks on a scale. */
 const TICKS = 5;
 
 export const isRapid = (path: Path, row: number): boolean => path.lines[row] >= RAPID;
@@ -14,7 +13,7 @@ export const lineOf = (path: Path, row: number): number => path.lines[row] % ARC
 export const isArc = (path: Path, row: number): boolean => path.lines[row] % RAPID >= ARC;
 export const endOf = (path: Path): number => (path.lines.length ? path.rows[(path.lines.length - 1) * ROW + 5] : 0);
 
-/** The first row that has not ended at a time. */
+/** Returns the first row that has not ended at a time. */
 export function rowAt(path: Path, seconds: number): number {
   let [low, high] = [0, Math.max(0, path.lines.length - 1)];
   while (low < high) {
@@ -25,13 +24,13 @@ export function rowAt(path: Path, seconds: number): number {
   return low;
 }
 
-/** The time at which a line begins: that of the next move if it makes none, and the end of the job where no move comes any more. */
+/** Returns the start time of a line: of the next move if the line makes none, or the end of the job if none follows. */
 export function beginOfLine(path: Path, line: number): number {
   const row = rowOfLine(path, line);
   return row === undefined ? endOf(path) : path.rows[row * ROW + 4];
 }
 
-/** Where the tool is at a time. */
+/** Returns the position of the tool at a time. */
 export function placeAt(path: Path, seconds: number): number[] {
   const row = rowAt(path, seconds);
   const before = Math.max(0, row - 1);
@@ -43,7 +42,7 @@ export function placeAt(path: Path, seconds: number): number[] {
   });
 }
 
-/** The first row of a line, or else of the next line that has any. Behind the last of them there is none. */
+/** Returns the first row of a line, or of the next line that has rows; `undefined` after the last one. */
 function rowOfLine(path: Path, line: number): number | undefined {
   let [best, found]: [number, number | undefined] = [Infinity, undefined];
   for (let row = 1; row < path.lines.length; row++) {
@@ -66,7 +65,7 @@ export function isPlunge(path: Path, row: number): boolean {
   return down > 1e-4 && down > 0.98 * length(path, row);
 }
 
-/** Change of speed per time from the row before, mm/s². */
+/** Returns the change of speed per time from the row before, mm/s². */
 function acceleration(path: Path, row: number): number {
   if (row < 2) return 0;
   const middle = (of: number) => (path.rows[of * ROW + 4] + path.rows[of * ROW + 5]) / 2;
@@ -74,18 +73,18 @@ function acceleration(path: Path, row: number): number {
   return time > 0 ? Math.abs(path.rows[row * ROW + 3] - path.rows[(row - 1) * ROW + 3]) / time : 0;
 }
 
-/** Which part of the values lies below: a single piece must not set the scale. */
+/** Returns the value below which the fraction `part` of the values lies: a single outlier must not set the scale. */
 function top(values: number[], part = 0.995): number {
   const sorted = values.filter(value => value > 0).sort((a, b) => a - b);
   return sorted[Math.min(sorted.length - 1, Math.floor(sorted.length * part))] || 1;
 }
 
-/** The colour of each row, and what the scale means. `zero` is the height of work zero, and `inch` shows inches. */
+/** Returns the shade of each row, and the legend. `zero`: height of work zero; `inch`: whether the legend is in inches. */
 export function shades(path: Path, coloring: Coloring, zero = 0, inch = false): { shades: Float32Array; legend: Legend } {
   const count = path.lines.length;
   const made = new Float32Array(count);
   const feeds = Array.from({ length: count }, (_, row) => row).filter(row => row > 0 && !isRapid(path, row));
-  // In the order in which they come.
+  // In the order of use.
   const tools = [...new Set(feeds.map(row => path.tools[row]))];
   const value = {
     speed: (row: number) => path.rows[row * ROW + 3],

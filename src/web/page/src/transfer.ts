@@ -1,25 +1,26 @@
-// Settings of the machine that is driven, and those of the forecast: which of them differ, and how they go to the machine.
+// Settings of the connected machine and of the forecast: finds the differences and writes them to the machine.
 import type { Setting } from "./engine";
 
-/** What a machine tells of a value has this many decimals at least: a smaller difference cannot be seen. */
+/** A machine reports values with at least this many decimals, so smaller differences cannot be detected. */
 const DECIMALS = 3;
 
 export interface Difference { setting: Setting; there: number; here: number }
 
-/** Settings that both have, with other values. */
+/** Returns the settings that both have with different values. */
 export function differences(table: Setting[], there: Record<string, number>, here: (number: number) => number): Difference[] {
   const all = table.filter(({ number }) => number in there).map(setting => ({ setting, there: there[setting.number], here: here(setting.number) }));
   return all.filter(one => Math.abs(one.there - one.here) > 0.5 * 10 ** -DECIMALS + 1e-9);
 }
 
-/** Writes settings, and says what became of them. One may have to wait for another, as soft limits for homing: what is refused is tried once more behind the rest. */
+/** Writes settings and returns a summary. A setting may depend on another one (soft limits on homing), so rejected
+ * settings are tried once more after the others. */
 export async function written(lines: string[], write: (line: string) => Promise<string>): Promise<string> {
   let left = lines;
   for (let tries = 0; tries < 2; tries++) {
     const refused: string[] = [];
     for (const line of left) {
       const answer = await write(line);
-      // A machine that was reset, or is in an alarm, is written no further.
+      // Stop writing if the machine was reset or is in an alarm.
       if (answer !== "ok" && !answer.startsWith("error:")) return `The machine has stopped it: ${answer}. Look at the differences again.`;
       if (answer !== "ok") refused.push(line);
     }

@@ -1,4 +1,4 @@
-// Millimetres or inches: what a person reads and types. Everything else is in millimetres.
+// Millimetres or inches for display and input. Everything else is in millimetres.
 export type Unit = "mm" | "inch";
 
 const STORED = "oxmill unit";
@@ -17,7 +17,7 @@ export const units = {
   get name(): Unit {
     return unit;
   },
-  /** Millimetres of the unit. */
+  /** Millimetres per unit. */
   get size(): number {
     return unit === "mm" ? 1 : 25.4;
   },
@@ -26,19 +26,19 @@ export const units = {
     try {
       localStorage.setItem(STORED, to);
     } catch {
-      // A page without storage forgets.
+      // Without storage, the page forgets.
     }
     for (const call of listeners) call();
   },
   onchange(call: () => void): void {
     listeners.push(call);
   },
-  /** A length as it is shown. */
+  /** Formats a length for display. */
   length(mm: number, decimals = unit === "mm" ? 3 : 4): string {
     const text = (mm / this.size).toFixed(decimals);
     return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "\u2212");
   },
-  /** Millimetres of a length that was typed, if it is a number. */
+  /** Converts a typed length to millimetres; `undefined` if it is not a number. */
   parse(text: string): number | undefined {
     const value = Number(text.trim().replace(",", ".").replace("\u2212", "-"));
     return text.trim() !== "" && Number.isFinite(value) ? value * this.size : undefined;

@@ -1,16 +1,16 @@
-// The verdict, the problems and the figures of a job.
+// Shows the verdict, the problems and the figures of a job.
 import { $, button, clock, count, el, icon, minutes } from "./dom";
 import { hindrance, type LineError, type Path, ROW, type Summary, workZero } from "./engine";
 import { extents } from "./setup";
 import { isArc, isPlunge, isRapid } from "./track";
 import { units } from "./units";
 
-/** Problems that are listed before the rest is folded. */
+/** Number of problems that are listed before the rest is folded. */
 const SHOWN = 5;
 
 type Tone = "good" | "warn" | "bad" | "";
 
-/** Shows one sentence in place of a verdict: nothing of a job is known. */
+/** Shows a sentence instead of a verdict, as nothing is known of a job. */
 export function showPlain(head: string, text = "", tone: Tone = ""): void {
   $("verdict-card").className = `verdict ${tone}`;
   const parts: HTMLElement[] = [];
@@ -22,7 +22,7 @@ export function showPlain(head: string, text = "", tone: Tone = ""): void {
 
 export interface Context {
   lines: string[];
-  /** Whether soft limits act: the machine is homed before the job. */
+  /** Whether soft limits act, because the machine is homed before the job. */
   travelIsChecked: boolean;
   goTo: (line: number) => void;
   giveZero: () => void;
@@ -54,14 +54,14 @@ export function showVerdict(summary: Summary, path: Path, context: Context): voi
   facts(summary);
 }
 
-/** No figures of a job that was not checked. */
+/** Clears the figures, as the job has not been checked. */
 export function clearVerdict(): void {
   for (const id of ["bar", "kinds", "facts", "errors", "messages", "warnings"]) $(id).replaceChildren();
   $("bar").setAttribute("aria-label", "Time by kind");
   for (const id of ["by-tool-part", "problems", "said", "time-card", "size-card"]) $(id).hidden = true;
 }
 
-/** Parts of the forecast: name, seconds and colour. Lines, arcs and plunges are told apart by the path. */
+/** Returns the parts of the forecast: name, seconds and colour. The path is used to separate lines, arcs and plunges. */
 export function kinds(summary: Summary, path: Path): (readonly [string, number, string])[] {
   let [lines, arcs, plunges] = [0, 0, 0];
   for (let row = 1; row < path.lines.length; row++) {
@@ -71,7 +71,7 @@ export function kinds(summary: Summary, path: Path): (readonly [string, number, 
     else if (isArc(path, row)) arcs += took;
     else lines += took;
   }
-  // The path is rounded; the sum is the firmware's.
+  // The path is rounded, so scale its parts to the firmware's sum.
   const whole = lines + arcs + plunges || 1;
   const [line, arc, plunge] = [lines, arcs, plunges].map(part => (part / whole) * summary.feed_s);
   const other = summary.standing_s - summary.dwell_s - summary.spin_up_s;
@@ -100,7 +100,7 @@ function shares(summary: Summary, path: Path): void {
     el("li", {}, el("span", {}, colored(color), name), el("b", { textContent: time(seconds) }), el("em", { textContent: percent(seconds) }))));
 }
 
-/** A row for each tool. */
+/** Shows a row for each tool. */
 function byTool({ tools }: Summary): void {
   $("by-tool-part").hidden = tools.length < 2;
   const cell = (seconds: number) => el("td", { className: "n", textContent: seconds ? seconds < 60 ? `${seconds.toFixed(2)} s` : minutes(seconds) : "–" });
@@ -136,12 +136,12 @@ function facts(summary: Summary): void {
   $("facts").replaceChildren(...rows.flatMap(([name, value]) => [el("dt", { textContent: name }), el("dd", { textContent: value })]));
 }
 
-/** The text of a line with the word that is wrong underlined, if the error names one. */
+/** Returns the text of a line; if exactly one word can be the faulty one, it is underlined. */
 function marked(source: string, error?: LineError): HTMLElement {
   const code = el("code");
   const unknown = error && /^(the command is unknown|the word is known)/.test(error.text) ? /\b[GM]\d+(\.\d+)?\b/gi : undefined;
   const words = unknown ? [...source.matchAll(unknown)] : [];
-  // One word alone can be told from a line: with several it may be any of them.
+  // With several words, any of them may be the faulty one.
   const [word] = words;
   if (words.length !== 1 || word.index === undefined) code.textContent = source || "(empty)";
   else code.append(source.slice(0, word.index), el("mark", { textContent: word[0] }), source.slice(word.index + word[0].length));
@@ -184,7 +184,7 @@ function remarks(summary: Summary, { goTo }: Context): void {
   const warnings = shown.map(({ line, text }) => el("li", {}, icon("warn", "sm"), button(`Line ${line.toLocaleString("en")}: ${text}`, () => goTo(line), "link")));
   if (rest > 0) warnings.push(el("li", { className: "more", textContent: `and ${rest.toLocaleString("en")} more` }));
   $("warnings").replaceChildren(...warnings);
-  // That a program has ended is no news.
+  // The end of the program is not worth a message.
   const said = new Set([...summary.messages, ...summary.notes].filter(message => message !== "[MSG:Pgm End]"));
   $("messages").replaceChildren(...[...said].map(textContent => el("li", { textContent })));
   $("said").hidden = warnings.length + said.size === 0;

@@ -1,10 +1,10 @@
-// What if: the whole job again, with other settings.
+// What if: runs the whole job again with other settings.
 import { $, clock, el, minutes, onclick } from "./dom";
 import type { Summary } from "./engine";
 import * as firmware from "./firmware";
 import type { JobPanel, Page } from "./page";
 
-/** What may be varied: the settings that a value goes to, and the parts of today's values that are tried. */
+/** A parameter to vary: the settings that receive a value, and the multiples of the present values that are tried. */
 interface Parameter { name: string; unit: string; numbers: number[]; parts: number[]; least: number }
 const PARTS = [0.25, 0.5, 1, 2, 4, 8];
 const PARAMETERS: Parameter[] = [
@@ -16,16 +16,17 @@ const PARAMETERS: Parameter[] = [
   { name: "Acceleration in curves ($917)", unit: "%", numbers: [917], parts: [0.5, 0.75, 1, 1.5, 2, 4], least: 10 },
   { name: "Jerk X, Y ($220, $221)", unit: "mm/s³", numbers: [220, 221], parts: [0, 0.25, 0.5, 1, 2, 4], least: 10_000 },
 ];
-/** A further step that saves less than this part of the time gains little. */
+/** A further step that saves less than this fraction of the time gains little. */
 const LITTLE = 0.04;
 
-/** A part of today's value of an axis, rounded unless it is today's itself; of the least where there is none today. */
+/** Returns a multiple of the present value of an axis, rounded unless it is the present value itself. If there is no
+ * present value, returns a multiple of `least`. */
 function partOf(today: number, part: number, least: number): number {
   if (part === 1 && today > 0) return today;
   return Number(((today > 0 ? today : least) * part).toPrecision(3));
 }
 
-/** Why the time of a job is none of the whole job, if it is not. */
+/** Returns why the time of a job is not that of the complete job, if so. */
 function whyNot({ errors, alarm, complete, messages }: Summary): string | undefined {
   if (errors.length === 0 && !alarm && complete) return undefined;
   const locked = messages.find(message => message.startsWith("[MSG:Motion is locked"));
@@ -109,13 +110,13 @@ export class WhatIf implements JobPanel {
 
 const nowOf = ({ values, today }: Results): number => values.findIndex(value => value.every((one, axis) => one === today[axis]));
 
-/** In a sentence: from which value on little is gained. */
+/** Describes in a sentence from which value on little is gained. */
 function finding(results: Results): string {
   const { values, times } = results;
   const now = times[nowOf(results)];
   const whole = `${values.length} whole jobs were run.`;
   if (now === undefined) return whole;
-  // From the slowest on: the value behind which the next ones gain little.
+  // From the slowest on: find the value after which further ones gain little.
   const order = times.map((time, index) => ({ time, index })).filter(({ time }) => time > 0).toSorted((a, b) => b.time - a.time);
   const best = order.at(-1);
   const knee = order.find(({ time }) => best !== undefined && time - best.time < LITTLE * now);

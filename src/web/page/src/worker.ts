@@ -1,4 +1,4 @@
-// Runs the firmware beside the page: whole jobs, or one machine in real time.
+// Runs the firmware in a worker: whole jobs, or one machine in real time.
 import { Engine, type Order, type Path } from "./engine";
 import { type Block, cellFor, cut, type Cutter } from "./material";
 
@@ -15,13 +15,13 @@ export type Task =
   | { task: "speed"; times: number };
 
 const worker = globalThis as unknown as { postMessage(message: unknown, transfer?: Transferable[]): void; onmessage: unknown };
-/** The machine looks at its clock so often, ms. */
+/** Interval at which the machine follows the clock, ms. */
 const PERIOD = 4;
 /** Machine time between two batches of bytes, ms. */
 const SLICE = 2;
-/** When the path so far is told of a check that lasts, ms: then, and each time it has lasted twice as long. */
+/** Time after which a running check sends the path so far, ms; again each time this time has doubled. */
 const SKETCH = 500;
-/** A worker that was asleep does not catch up more than this, ms. */
+/** Maximum time that the machine catches up after the worker was suspended, ms. */
 const MOST = 100;
 
 let module: WebAssembly.Module;
@@ -40,7 +40,7 @@ function tick(): void {
   for (let left = passed * speed; left > 0 && machine; left -= SLICE) {
     const bytes = pending.shift() ?? new Uint8Array(0);
     said += machine.turn(bytes, Math.round(Math.min(left, SLICE) * 1000));
-    // A host that answers what it hears must hear it in time.
+    // Pass output on in time for a host that reacts to it.
     if (said && speed > 1 && performance.now() - now > PERIOD * 4) break;
   }
   if (said) worker.postMessage({ is: "said", text: said });

@@ -1,10 +1,10 @@
-// Which of Check, Run and Settings is shown, and what a narrow screen does with their cards.
+// Shows one of Check, Run and Settings, and arranges their cards on narrow screens.
 import { $ } from "./dom";
 import type { Workspace } from "./page";
 import { choose, tabs } from "./tabs";
 
 type Part = "control" | "job" | "picture" | "more";
-/** Cards that a screen of medium width has below the picture. */
+/** Cards that are below the picture on screens of medium width. */
 const CARDS = [["card-over", "run-left", "pane-over"], ["card-spindle", "run-left", "pane-spindle"], ["card-setup", "run-right", "pane-setup"]] as const;
 const BELOW = ["tab-over", "tab-spindle", "tab-setup"];
 
@@ -43,7 +43,7 @@ export class Workspaces {
     this.onchange();
   }
 
-  /** What of Run a telephone shows. */
+  /** Selects the part of Run that a telephone shows. */
   part(part: Part): void {
     $("app").dataset.part = part;
     for (const button of document.querySelectorAll<HTMLElement>(".parts button")) {
@@ -55,7 +55,7 @@ export class Workspaces {
     this.onchange();
   }
 
-  /** The part of Run that a telephone shows is its main one. */
+  /** The part of Run that a telephone shows becomes its main landmark. */
   private landmarks(): void {
     const { part } = $("app").dataset;
     for (const [id, shows] of [["run-left", "job"], ["run-right", "control"]]) {

@@ -1,4 +1,4 @@
-// What the page promises to a person at a machine, one test for each promise.
+// What the page promises to a user at a machine: one test per promise.
 import assert from "node:assert/strict";
 import { checked, open, openJob, PATIENCE, tab } from "./browser.mjs";
 import { example, page as file } from "./program.mjs";
@@ -7,8 +7,8 @@ const SIZES = [[1440, 900], [1024, 768], [390, 844]];
 const BAD = "G21 G90\nG1 X10 F600\nG999\nG1 Y10\n";
 
 /**
- * Puts a machine into the page that says what it is told to, and notes what it hears. Settings are those of a small mill; with
- * `now` of a line or a command, its time.
+ * Connects a simulated machine that follows the test's instructions and records what it receives. Its settings are
+ * those of a small mill; `now` of a line or command is the time at which it arrived.
  */
 const attach = (page, more = {}) => page.evaluate(more => {
   const settings = { 13: 0, 20: 0, 21: 0, 22: 1, 30: 10000, 32: 0, 110: 3000, 111: 3000, 112: 600, 120: 300, 121: 300, 122: 100, 130: 300, 131: 180, 132: 45, 922: 1, ...more.settings };
@@ -39,7 +39,7 @@ const idle = page => page.waitForFunction(() => oxmill.app.machine.isAtRest && o
 const lines = page => page.evaluate(() => fake.lines.filter(line => !/^\$[$GI#]$/.test(line)));
 const commands = page => page.evaluate(() => fake.commands.map(({ byte }) => byte));
 
-/** With a machine that is homed, zeroed and at rest. */
+/** Opens the page with a machine that is homed, zeroed and at rest. */
 async function withMachine(browser, more = {}) {
   const opened = await open(browser, file, more);
   await tab(opened.page, "run");
@@ -49,7 +49,7 @@ async function withMachine(browser, more = {}) {
   return opened;
 }
 
-/** Starts the job that is open, as a machine that takes all lines and stays where it is told to be. */
+/** Starts the open job on a machine that accepts all lines and stays at the position that the test sets. */
 async function running(page) {
   await page.waitForFunction(() => !document.getElementById("start").disabled, null, { timeout: PATIENCE });
   await page.evaluate(() => {
@@ -59,7 +59,7 @@ async function running(page) {
   await page.waitForFunction(() => oxmill.app.machine.phase === "run");
 }
 
-/** States of the page, each as a person comes to it. */
+/** States of the page, each reached like by a user. */
 const STATES = {
   first: page => page.evaluate(() => oxmill.app.go("first")),
   check: page => tab(page, "whatif"),
@@ -161,7 +161,7 @@ export async function a_job_that_would_be_refused_does_not_start(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** One sentence each: nothing of such a file looks as if it had been checked. */
+/** Each such file gets one sentence, and nothing looks as if it had been checked. */
 export async function files_that_are_no_jobs_get_a_sentence(browser) {
   const { page, faults } = await open(browser, file);
   const give = async (name, bytes) => {
@@ -176,7 +176,7 @@ export async function files_that_are_no_jobs_get_a_sentence(browser) {
     assert.equal(await page.locator("#verdict-time:visible, #problems:visible, #time-card:visible, #legend:visible").count(), 0, name);
     assert(await page.locator("#nothing").isVisible() && await page.locator("#to-run").isDisabled(), name);
   }
-  // UTF-16 is a program like any other.
+  // A UTF-16 file is a valid program.
   const found = await openJob(page, "wide.nc", Buffer.from("\uFEFFG21 G91\nG1 X3 F300\n", "utf16le"));
   assert.deepEqual([found.errors, found.position_mm[0]], [[], 3]);
   assert(await page.locator("#nothing").isHidden());
@@ -202,7 +202,7 @@ export async function clock_picture_chart_and_lines_follow_the_machine(browser) 
     return { end: summary.forecast_s, zero: summary.position_mm.map((at, axis) => at - summary.work_position_mm[axis]), at: [0.03, 0.05, 0.08].map(part => ({ seconds: part * summary.forecast_s, place: oxmill.placeAt(path, part * summary.forecast_s) })) };
   });
   for (const { seconds, place } of job.at) {
-    // The reports lead the page from where it is to there. A report between the two would tell of a place somewhere else on the path.
+    // Change both values together: a report between the two changes would give another position on the path.
     await page.evaluate(([place, zero]) => ([fake.at, fake.offset] = [place.map((v, axis) => v - zero[axis]), [0, 0, 0]]), [place, job.zero]);
     await page.waitForFunction(place => {
       const at = oxmill.placeAt(oxmill.app.checked.path, oxmill.app.player.time);
@@ -215,7 +215,7 @@ export async function clock_picture_chart_and_lines_follow_the_machine(browser) 
     assert(Math.abs(of(shown.clock) + of(shown.left) - Math.round(job.end)) <= 1, `${shown.clock} and ${shown.left} of ${job.end} s`);
     assert.equal(shown.clock, await page.textContent("#clock"));
   }
-  // With another feed what is left changes, and what is done does not.
+  // Another feed override changes the remaining time, but not the progress.
   const left = () => page.evaluate(() => oxmill.app.machine.running.follower.left({ feed: oxmill.app.machine.overrides[0] / 100, rapid: 1 }));
   const before = await left();
   await page.evaluate(() => (fake.fields = "|FS:0,0|Ov:50,100,100"));
@@ -247,12 +247,12 @@ export async function a_step_is_one_jog_and_keys_jog_only_when_they_are_switched
   assert.deepEqual(await sent(() => page.keyboard.press("PageUp")), ["$J=G91 G21 Z0.1 F600"]);
   await page.focus("#jog-feed");
   assert.deepEqual(await sent(() => page.keyboard.press("ArrowLeft")), [], "in a field");
-  // A step of one's own, finer than a hundredth.
+  // A custom step, finer than a hundredth.
   await page.fill("#own-step", "0.025");
   await page.press("#own-step", "Enter");
   await page.keyboard.press("Tab");
   assert.deepEqual(await sent(() => page.getByRole("button", { name: "jog Z to minus", exact: true }).click()), ["$J=G91 G21 Z-0.025 F600"]);
-  // Leaving the page's window switches them off.
+  // Leaving the window switches jogging by keys off.
   await page.evaluate(() => dispatchEvent(new Event("blur")));
   assert.equal(await page.isChecked("#key-jog"), false);
   assert.deepEqual(faults, []);
@@ -267,7 +267,7 @@ export async function zero_is_set_in_the_system_that_is_in_force(browser) {
   await page.press("#work-0", "Enter");
   await page.waitForFunction(() => fake.lines.filter(line => line.startsWith("G10")).length === 4);
   assert.deepEqual(await lines(page), ["G10 L20 P1 X0 Y0", "G10 L20 P1 X0 Y0 Z0", "G10 L20 P1 Z0", "G10 L20 P1 X12.5"]);
-  // Down to Z 0 only over the zero; to the zero only with Z lifted first.
+  // Down to Z0 only above the zero; to the zero only after lifting Z.
   assert(await page.locator("#go-z").isDisabled());
   await page.click("#go-xy");
   await page.waitForFunction(() => fake.lines.filter(line => line.startsWith("$J")).length === 2);
@@ -286,7 +286,7 @@ export async function stop_brakes_first_and_resets_at_rest(browser) {
     document.getElementById("stop").dispatchEvent(new PointerEvent("pointerdown", { button: 0, bubbles: true }));
     return began;
   });
-  // In one go: a page that waits for nobody.
+  // In one evaluation: the page does not wait in between.
   const braking = await page.evaluate(() => {
     fake.commands.length = 0;
     const began = performance.now();
@@ -306,7 +306,8 @@ export async function stop_brakes_first_and_resets_at_rest(browser) {
   assert.deepEqual(await commands(page), [0x21, 0x18]);
   await page.waitForFunction(() => oxmill.app.machine.phase === "idle");
   assert.match(await page.textContent("#jobcard-body"), /^Stopped at line \d+/);
-  // One that never comes to rest is reset all the same: after 3000 mm/min at 300 mm/s², and half a second.
+  // A machine that never comes to rest is reset anyway: after braking from 3000 mm/min at 300 mm/s², plus half a
+  // second.
   await page.evaluate(() => {
     fake.oncommand = undefined;
     fake.state = "Run";
@@ -322,7 +323,7 @@ export async function stop_brakes_first_and_resets_at_rest(browser) {
   await page.waitForFunction(() => oxmill.app.machine.phase === "jog");
   await stop();
   assert.deepEqual(await commands(page), [0x85]);
-  // In a homing cycle, which takes no hold, it resets at once.
+  // A homing cycle ignores a hold, so Stop resets immediately.
   await page.evaluate(() => (fake.state = "Home"));
   await page.waitForFunction(() => oxmill.app.machine.phase === "home");
   await stop();
@@ -372,10 +373,10 @@ export async function a_lost_connection_is_said_and_stop_says_what_to_do_instead
   await page.waitForFunction(() => document.querySelector("#banner b")?.textContent.startsWith("No answer from the board for"));
   assert(await page.locator("#stop").isDisabled());
   assert.equal(await page.getAttribute("#stop", "title"), "No connection: use the emergency stop of the machine.");
-  // It answers again: all is as it was.
+  // When the machine answers again, everything is as before.
   await page.evaluate(() => (fake.answers = true));
   await page.waitForFunction(() => oxmill.app.machine.phase === "run" && document.getElementById("banner").hidden && !document.getElementById("stop").disabled);
-  // The cable is pulled.
+  // Pull the cable.
   await page.evaluate(() => fake.onlost("the port is closed"));
   assert.equal(await page.textContent("#state"), "Connection lost");
   assert.match(await page.textContent("#jobcard-body"), /Stopped at line \d+/);
@@ -410,7 +411,8 @@ export async function words_are_those_that_people_use(browser) {
     await reach(page);
     for (const word of (await page.locator("body").innerText()).match(/\b(link|rest|take away|desk|starved?)\b/gi) ?? []) found.add(word.toLowerCase());
   }
-  // The board of the simulator is called so by the firmware; it is chosen in Settings. "The rest" of a job is English.
+  // The firmware names the simulator's board "desk"; it is chosen in Settings. "Rest", as in the rest of a job, is
+  // plain English.
   assert.deepEqual([...found].filter(word => !["desk", "rest"].includes(word)), []);
 }
 
@@ -423,7 +425,7 @@ export async function settings_are_one_row_for_all_axes(browser) {
   assert.deepEqual([of("Maximum rate"), of("Acceleration"), of("Maximum travel")], [["$110", "$111", "$112"], ["$120", "$121", "$122"], ["$130", "$131", "$132"]]);
   const seen = rows.filter(row => row.seen).length;
   assert(seen >= 14, `${seen} settings are seen`);
-  // What is changed is marked, and can be taken back.
+  // A changed value is marked and can be reverted.
   await page.fill('[aria-label^="$121 "]', "55");
   await page.keyboard.press("Tab");
   await page.click('[data-filter="changed"]');
@@ -451,7 +453,7 @@ export async function settings_of_other_controllers_become_these(browser) {
   const fluid = await taken("board: x\narc_tolerance_mm: 0.004\naxes:\n  shared_stepper_disable_pin: gpio.13\n  x:\n    steps_per_mm: 80\n    max_rate_mm_per_min: 6000 # fast\n    acceleration_mm_per_sec2: 250\n    max_travel_mm: 400\n    soft_limits: true\n    homing:\n      cycle: 2\n      positive_direction: false\n  y:\n    steps_per_mm: 81\n");
   assert.deepEqual(fluid.values, { 12: 0.004, 20: 1, 22: 1, 23: 1, 100: 80, 101: 81, 110: 6000, 120: 250, 130: 400 });
   assert(fluid.rows.some(row => row.startsWith("axes/shared_stepper_disable_pin") && row.includes("not taken")));
-  // What was backed up is there again.
+  // A backup restores the values.
   const [download] = await Promise.all([page.waitForEvent("download"), page.click("#backup")]);
   const text = await (await import("node:fs/promises")).readFile(await download.path(), "utf8");
   await page.evaluate(() => oxmill.app.settings.choose("new"));
@@ -489,7 +491,7 @@ export async function the_legend_names_what_is_drawn(browser) {
   assert.equal(await page.textContent("#legend-caption"), "Spindle or laser power, S");
 }
 
-/** The colours of a laser job are those of its power. */
+/** The colours of a laser job show its power. */
 export async function the_power_of_a_laser_has_a_colour(browser) {
   const { page } = await open(browser, file);
   await openJob(page, "laser.nc", "G21 G91 F600\nM4 S1000\nG1 X5\nS500\nG1 Y5\nM5\nG1 X-5\n");
@@ -559,7 +561,7 @@ export async function a_job_that_turns_gets_no_verdict_on_its_material(browser) 
   assert.deepEqual(faults, []);
 }
 
-/** What the machine as it is would stop at is said before the start; a question may be answered, a failure may not. */
+/** Reasons why the machine would stop the job are shown before the start; questions can be confirmed, failures cannot. */
 export async function nothing_starts_that_would_fail(browser) {
   const { page, faults } = await open(browser, file);
   await openJob(page, "tool.nc", "G21 G90 G10 L1 P5 Z1\nG43 H5\nG0 X1\n");
@@ -567,7 +569,7 @@ export async function nothing_starts_that_would_fail(browser) {
   await attach(page, { settings: { 20: 1, 22: 1 } });
   await idle(page);
   const checks = () => page.locator(".checks li").evaluateAll(all => all.map(item => [item.className, item.querySelector("span").firstChild.textContent]));
-  // Where it is homed is not known here; nor is the travel watched then.
+  // The page does not know whether the machine is homed; then the travel is not checked either.
   await page.evaluate(() => (oxmill.app.machine.homed = false));
   await page.waitForFunction(() => document.getElementById("start-why").textContent.startsWith("Not homed"), null, { timeout: PATIENCE });
   assert(await page.locator("#start").isDisabled());
@@ -585,7 +587,7 @@ export async function nothing_starts_that_would_fail(browser) {
   await page.waitForFunction(() => !document.getElementById("start").disabled, null, { timeout: PATIENCE });
   assert((await checks()).some(([grade, text]) => grade === "yes" && text === "The job fits the travel from here"), JSON.stringify(await checks()));
   assert(!(await checks()).some(([, text]) => text === "The tool table is empty"));
-  // A job that needs tools, on a machine that has none: it is said, and with other tools refused.
+  // A job that needs tools: on a machine without tools the page says so, and with the wrong tools it refuses the job.
   await openJob(page, "needs.nc", "G21 G90\nG43 H5\nG0 X1\n");
   await page.waitForFunction(() => [...document.querySelectorAll(".checks li.look")].some(item => item.textContent.startsWith("The tool table is empty")) && !document.getElementById("start").disabled, null, { timeout: PATIENCE });
   await page.evaluate(() => {
@@ -596,7 +598,7 @@ export async function nothing_starts_that_would_fail(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** A line that is edited is checked at once, and the whole can be saved. */
+/** An edited line is checked immediately, and the whole job can be saved. */
 export async function a_line_is_edited_in_place(browser) {
   const { page, faults } = await open(browser, file);
   await openJob(page, "edit.nc", BAD);
@@ -615,7 +617,7 @@ export async function a_line_is_edited_in_place(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** A cutter that the CAM program has written into a comment is taken. */
+/** A cutter that the CAM program has described in a comment is used. */
 export async function cutters_are_read_from_comments(browser) {
   const { page } = await open(browser, file);
   await openJob(page, "cam.nc", "(T3 D=3.175 CR=0. - ZMIN=-1. - flat end mill)\n(Tool 4: 60 deg V-bit 6 mm)\nG21 G91 F600\nT3 M6\nG1 Z-1\nG1 X5\nT4 M6\nG1 X5\n");
@@ -624,19 +626,20 @@ export async function cutters_are_read_from_comments(browser) {
   assert.deepEqual([await page.inputValue("#shape"), await page.inputValue("#diameter")], ["flat", "3.175"]);
   await page.selectOption("#cutter-tool", "4");
   assert.deepEqual([await page.inputValue("#shape"), await page.inputValue("#diameter"), await page.inputValue("#angle")], ["v", "6", "60"]);
-  // Of a job that changes no tool, the one cutter; what a person has chosen instead stays while the job is edited, and not for another one.
+  // A job without tool changes uses the only cutter described. A cutter chosen by the user stays while the job is
+  // edited, but not for another job.
   const shown = async () => [await page.inputValue("#shape"), await page.inputValue("#diameter")];
   await openJob(page, "one.nc", "(T1 D=6. CR=0. - ZMIN=-6. - flat end mill)\nG21 G91 F600\nT1\nG1 Z-1\nG1 X5\n");
   assert.deepEqual(await shown(), ["flat", "6"]);
   await page.selectOption("#shape", "ball");
   await page.evaluate(() => oxmill.app.check());
   assert.deepEqual(await shown(), ["ball", "6"]);
-  // A length beside a move is none of a cutter.
+  // A length beside a move does not describe a cutter.
   await openJob(page, "other.nc", "G21 G91 F600\nG1 Z-1 (down by 1 mm)\n(turned by 60 deg)\nG1 X5\n");
   assert.deepEqual(await shown(), ["flat", "3"]);
 }
 
-/** A work of which the page knows nothing: `touches(x, y, z)` tells where a tool would touch, in mm of the machine. */
+/** A workpiece that the page cannot see: `touches(x, y, z)` returns whether a tool touches at a machine position in mm. */
 const withWork = (page, touches) => page.evaluate(touches => {
   const inside = new Function("x", "y", "z", `return ${touches};`);
   fake.online = line => {
@@ -651,7 +654,7 @@ const withWork = (page, touches) => page.evaluate(touches => {
       fake.at = from.map((at, axis) => at + ((words[axis] ?? 0) / length) * way);
       found = inside(...fake.at);
     }
-    // A machine needs a little way to stop.
+    // A machine needs a short distance to stop.
     const contact = [...fake.at];
     fake.at = fake.at.map((at, axis) => at + (found ? Math.sign(words[axis] ?? 0) * 0.02 : 0));
     fake.say(`[PRB:${contact.map(at => at.toFixed(3))}:${Number(found)}]`);
@@ -660,7 +663,7 @@ const withWork = (page, touches) => page.evaluate(touches => {
   };
 }, touches);
 
-/** Each cycle finds its place on a work of known size, and goes nowhere else. */
+/** Each cycle finds its position on a workpiece of known size, and moves nowhere else. */
 export async function edges_corners_and_holes_are_found(browser) {
   const { page, faults } = await withMachine(browser);
   const probed = async (kind, fields, touches, from) => {
@@ -679,7 +682,7 @@ export async function edges_corners_and_holes_are_found(browser) {
     await page.waitForFunction(() => fake.lines.includes("G21 G90 G94"), null, { timeout: PATIENCE });
     const { at, lines, crashed } = await page.evaluate(() => ({ at: fake.at, lines: fake.lines, crashed: fake.crashed }));
     const set = lines.find(line => line.startsWith("G10"));
-    // Work zero in machine coordinates, as the line puts it.
+    // Work zero in machine coordinates, as set by the line.
     const zero = Object.fromEntries([...(set ?? "").matchAll(/([XYZ])(-?[\d.]+)/g)].map(([, axis, value]) => [axis, at["XYZ".indexOf(axis)] - Number(value)]));
     return { zero, crashed, note: await page.textContent("#machine-note") };
   };
@@ -687,26 +690,26 @@ export async function edges_corners_and_holes_are_found(browser) {
     assert.deepEqual(Object.keys(zero).toSorted(), Object.keys(wanted).toSorted());
     for (const [axis, place] of Object.entries(wanted)) assert(Math.abs(zero[axis] - place) < 0.03, `${axis}: ${zero[axis]} instead of ${place}`);
   };
-  // A hole of 20 mm by 12 mm around -50, -40; its wall is touched half a cutter before.
+  // A hole of 20 mm by 12 mm around -50, -40; contact occurs half a cutter before its wall.
   const hole = await probed("hole", { "probe-depth": "15" }, "Math.abs(x + 50) >= 8.5 || Math.abs(y + 40) >= 4.5", [-47, -38, -10]);
   near(hole, { X: -50, Y: -40 });
-  // The left side of a work at X -30, with a cutter of 3 mm.
+  // The left side of a workpiece at X -30, with a cutter of 3 mm.
   const edge = await probed("edge", { "probe-edge": "X+", "probe-cutter": "3", "plate-side": "0" }, "x >= -31.5", [-40, 0, -10]);
   near(edge, { X: -30 });
-  // The corner of a work at -30, -20, -15, with a plate of 10 mm on it and 5 mm at its sides.
+  // The corner of a workpiece at -30, -20, -15, with a plate of 10 mm on it and 5 mm at its sides.
   for (const [corner, sx, sy] of [["front left", 1, 1], ["back right", -1, -1]]) {
     const plate = `z <= -5 && ${sx} * (x + 30) >= -6.5 && ${sy} * (y + 20) >= -6.5`;
     const found = await probed("corner", { "probe-corner": corner, plate: "10", "plate-side": "5", "probe-cutter": "3", "probe-depth": "25" }, plate, [-30 + sx * 3, -20 + sy * 3, 0]);
     near(found, { Z: -15, X: -30, Y: -20 });
   }
-  // Nothing there: nothing is set.
+  // Without a contact, nothing is set.
   const none = await probed("edge", { "probe-edge": "Y-", "probe-depth": "5" }, "false", [-40, 0, -10]);
   assert.deepEqual([none.zero, none.note], [{}, "No contact within 5 mm: the work zero is as it was."]);
   for (const { crashed } of [hole, edge, none]) assert.equal(crashed, undefined);
   assert.deepEqual(faults, []);
 }
 
-/** Stop ends a cycle for good: nothing that would move is sent behind it. */
+/** Stop ends a cycle for good: no move is sent after it. */
 export async function a_probing_cycle_that_is_stopped_moves_no_more(browser) {
   const { page, faults } = await withMachine(browser);
   for (const at of ["G38.3", "G0", "G4"]) {
@@ -742,7 +745,7 @@ export async function a_probing_cycle_that_is_stopped_moves_no_more(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Macros, tools, spindle and coolant: what is sent, and what is refused before. */
+/** Macros, tools, spindle and coolant: which lines are sent, and which are rejected beforehand. */
 export async function macros_tools_spindle_and_outline_send_their_lines(browser) {
   const { page, faults } = await withMachine(browser);
   const sent = async act => {
@@ -765,7 +768,7 @@ export async function macros_tools_spindle_and_outline_send_their_lines(browser)
   assert.equal(round.length, 6);
   assert(Number(/^\$J=G90 G21 Z([\d.]+) F/.exec(round[0])[1]) >= 8, round[0]);
   assert.deepEqual(round.slice(1).map(line => /X(\S+) Y(\S+)/.exec(line).slice(1).map(Number)), [[0, 0], [30, 0], [30, 25], [0, 25], [0, 0]]);
-  // Macros: none is there, one that the firmware refuses is not kept, one that it accepts is.
+  // Macros: there are none at first; one that the firmware rejects is not saved, one that it accepts is.
   assert.equal(await page.locator("#macros button").count(), 0);
   await page.click("#edit-macros");
   await page.fill("#macro-name", "Away");
@@ -790,7 +793,7 @@ export async function on_a_telephone_a_job_that_starts_is_shown(browser) {
   await page.click(".parts [data-part=control]");
   await running(page);
   assert(await page.locator("#run-left-time").isVisible());
-  // Whoever looks at another part then stays there.
+  // After that, the user stays on the part that they have chosen.
   await page.click(".parts [data-part=picture]");
   await page.evaluate(() => oxmill.app.machine.report());
   assert(await page.locator("#view").isVisible());
@@ -799,13 +802,13 @@ export async function on_a_telephone_a_job_that_starts_is_shown(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** From the answer to a line until all that it has changed is known Start is off; then it stays on. */
+/** After the answer to a line, Start is disabled until all its effects are known; then it stays enabled. */
 export async function start_waits_for_what_a_line_has_changed(browser) {
   const { page, faults } = await withMachine(browser);
   await openJob(page, "pocket_mm.nc", example("pocket_mm.nc"));
   await page.waitForFunction(() => !document.getElementById("start").disabled, null, { timeout: PATIENCE });
   const off = await page.evaluate(async () => {
-    // As over a cable: an answer takes its time.
+    // As over a cable: an answer takes time.
     const { say } = fake;
     fake.say = text => (text.startsWith("<") ? say.call(fake, text) : setTimeout(() => say.call(fake, text), 30));
     const start = document.getElementById("start");
@@ -827,7 +830,7 @@ export async function start_waits_for_what_a_line_has_changed(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** A machine that falls silent switches the buttons off, and a button that is off does not tell of its release. */
+/** If the machine falls silent, the buttons are disabled, and a disabled button does not report its release. */
 export async function a_held_jog_ends_when_its_button_is_switched_off(browser) {
   const { page, faults } = await withMachine(browser);
   const jogs = async () => (await lines(page)).filter(line => line.startsWith("$J")).length;
@@ -838,7 +841,7 @@ export async function a_held_jog_ends_when_its_button_is_switched_off(browser) {
   await page.evaluate(() => (fake.answers = false));
   await page.waitForFunction(() => fake.commands.some(({ byte }) => byte === 0x85), null, { timeout: PATIENCE });
   assert.match(await page.evaluate(() => oxmill.app.machine.phase), /silent|lost/);
-  // Nobody holds anything when it speaks again.
+  // When the machine answers again, no button counts as held.
   const before = await jogs();
   await page.mouse.up();
   await page.evaluate(() => ([fake.answers, fake.at] = [true, [0, -20, -5]]));
@@ -848,7 +851,7 @@ export async function a_held_jog_ends_when_its_button_is_switched_off(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** By keys alone: what moves or zeroes asks, and nothing does so in a field. */
+/** By keys alone: keys that move or zero the machine ask first, and do nothing while a field has the focus. */
 export async function keys_drive_the_machine(browser) {
   const { page, faults } = await withMachine(browser);
   await openJob(page, "pocket_mm.nc", example("pocket_mm.nc"));
@@ -866,17 +869,17 @@ export async function keys_drive_the_machine(browser) {
   await yes();
   await page.waitForFunction(() => fake.lines.includes("$H"));
   assert.deepEqual(await lines(page), ["G10 L20 P1 X0 Y0", "$H"]);
-  // In a field they are letters; a dialog that is open takes none for the machine.
+  // In a field, keys are text; while a dialog is open, keys do not reach the machine.
   await page.keyboard.press("/");
   for (const key of ["z", "h", "[", " "]) await page.keyboard.press(key);
   assert.equal(await page.inputValue("#command"), "zh[ ");
   assert(await page.locator("#ask").isHidden());
   await page.evaluate(() => document.activeElement.blur());
   assert.deepEqual(await commands(page), []);
-  // Start by its button; hold and resume from wherever the focus is; Esc stops.
+  // Start by its button; hold and resume with the focus anywhere; Esc stops.
   await page.waitForFunction(() => !document.getElementById("start").disabled, null, { timeout: PATIENCE });
   await page.focus("#start");
-  // The machine runs from the first line on, and not before: Start is off while it does.
+  // The machine runs from the first line on, not before: Start is disabled while it runs.
   await page.evaluate(() => (fake.online = line => (line.startsWith("$") || (fake.state = "Run"), "ok")));
   await page.keyboard.press("Enter");
   await page.waitForFunction(() => oxmill.app.machine.phase === "run" && oxmill.app.machine.running);

@@ -1,10 +1,10 @@
-// A page in headless Chromium, as the tests want it: from the disk, with everything heard that goes wrong.
+// A page in headless Chromium for the tests: loaded from the disk, with all faults recorded.
 import assert from "node:assert/strict";
 import { chromium } from "playwright-core";
 import { pathToFileURL } from "node:url";
 
 const PROGRAMS = { executablePath: process.env.OXMILL_CHROMIUM ?? "/usr/bin/chromium" };
-// WebGL without a graphics processor, and nothing that asks the network by itself.
+// WebGL without a graphics processor, and no network requests by the browser itself.
 const ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-background-networking",
   "--disable-component-update", "--disable-sync", "--no-first-run", "--disable-quic"];
 
@@ -12,10 +12,10 @@ export async function launch(more = []) {
   return chromium.launch({ ...PROGRAMS, args: [...ARGUMENTS, ...more] });
 }
 
-/** How long a check may take on a machine that is busy with other things, ms: no test measures time. */
+/** Maximum time for a check on a busy computer, ms: no test measures time. */
 export const PATIENCE = Number(process.env.OXMILL_PATIENCE ?? 600_000);
 
-/** Opens the page; `faults` collects what must not happen. */
+/** Opens the page; `faults` collects everything that must not happen. */
 export async function open(browser, file, { viewport = { width: 1440, height: 900 }, colorScheme = "light", reducedMotion = "no-preference", prepare, first = false } = {}) {
   const context = await browser.newContext({ viewport, colorScheme, reducedMotion });
   context.setDefaultTimeout(PATIENCE);
@@ -31,7 +31,7 @@ export async function open(browser, file, { viewport = { width: 1440, height: 90
   return { page, faults, context };
 }
 
-/** Waits for the page. But for a first visit, the machine is a new board, and a job is open. */
+/** Waits for the page. Except on a first visit, selects a new board as the machine and closes the start page. */
 export async function ready(page, first = false) {
   await page.waitForFunction(() => globalThis.oxmill?.app, null, { timeout: PATIENCE });
   if (first) return;
@@ -50,29 +50,30 @@ export async function tab(page, name) {
   await page.click(`#tab-${name}`);
 }
 
-/** Waits until the job that is shown has been checked; gives its summary. */
+/** Waits until the displayed job has been checked; returns its summary. */
 export async function checked(page, name = "") {
-  // In one look: another check may begin right behind it.
+  // In one evaluation: another check may begin immediately after it.
   const found = await page.waitForFunction(name => globalThis.oxmill?.app.checked && oxmill.app.job.name.startsWith(name) && oxmill.app.checked.summary,
     name, { timeout: PATIENCE });
   return found.jsonValue();
 }
 
-/** Drops a job on the page. */
+/** Loads a job into the page. */
 export async function openJob(page, name, text) {
   await page.evaluate(() => (oxmill.app.checked = undefined));
   await page.setInputFiles("#file", { name, mimeType: "text/plain", buffer: Buffer.from(text) });
   return checked(page, name);
 }
 
-/** The time that the scrubber shows, and the one at which a line begins by the rows of the path, s. */
+/** Returns the time of the scrubber, and the start time of a line according to the rows of the path, s. */
 export const timeOf = (page, line) => page.evaluate(line => {
   const { lines, rows } = oxmill.app.checked.path;
   const row = lines.findIndex((of, row) => row > 0 && of % 2 ** 30 === line);
   return { shown: oxmill.app.player.time, begins: rows[row * 6 + 4] };
 }, line);
 
-/** Tells that the page is at the begin of a line, which is not that of the job: by its scrubber and its list, in which another line may be chosen. */
+/** Asserts that the page is at the start of a line other than the first: by its scrubber, and by its list, in which the
+ * line `chosen` is selected. */
 export async function isAt(page, line, chosen = line) {
   const { shown, begins } = await timeOf(page, line);
   assert(begins > 0 && Math.abs(shown - begins) < 1e-6, `line ${line} begins at ${begins} s; ${shown} s is shown`);

@@ -1,9 +1,9 @@
-// Check, forecast and picture, against the program of this host.
+// Check, forecast and picture, compared with the `oxmill` program of this host.
 import assert from "node:assert/strict";
 import { checked, isAt, open, openJob, tab } from "./browser.mjs";
 import { BOARDS, example, examples, MILL, page as file, run, same, traced } from "./program.mjs";
 
-/** Chooses settings and waits for the check with them. */
+/** Sets settings and waits for the check with them. */
 async function settings(page, values) {
   await page.evaluate(values => {
     oxmill.app.settings.replace(values);
@@ -24,7 +24,7 @@ export async function every_example_is_as_in_the_program(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** The way of a user: a file chosen, a board chosen, settings typed. */
+/** Like a user: choose a file, choose a board, type settings. */
 export async function what_the_page_shows_is_what_the_program_says(browser) {
   const { page, faults } = await open(browser, file);
   const text = example("pcb_isolation.nc");
@@ -44,7 +44,7 @@ export async function what_the_page_shows_is_what_the_program_says(browser) {
   const found = await typed(120, 500);
   const expected = run("pcb_isolation.nc", text, { board: "blackpill_f411", settings: { 110: 6000, 120: 500 } });
   same(found, expected);
-  // And what a person reads.
+  // The texts for the user.
   const whole = Math.round(expected.forecast_s);
   assert.equal(await page.textContent("#verdict-time"), `${Math.floor(whole / 60)} min ${whole % 60} s`);
   assert.match(await page.textContent("#verdict"), /^Ready to run.*All 1,745 lines are accepted\. Travel is not checked/);
@@ -54,12 +54,12 @@ export async function what_the_page_shows_is_what_the_program_says(browser) {
   assert.deepEqual([facts.Trace, facts.Lines], [expected.trace_hash, expected.lines.toLocaleString("en")]);
   const { min, max } = expected.extents_mm;
   for (const [axis, name] of ["X", "Y", "Z"].entries()) assert.equal(facts[`Machine ${name}, mm`], `${min[axis].toFixed(3)} to ${max[axis].toFixed(3)}`);
-  // A value that the firmware refuses is named, and the job is not shown as checked.
+  // A value that the firmware rejects is named, and the job does not count as checked.
   await page.fill('[aria-label^="$0 "]', "256");
   await page.keyboard.press("Tab");
   await page.waitForFunction(() => document.getElementById("refused").textContent.includes("error:6"));
   assert(await page.evaluate(() => oxmill.app.checked === undefined));
-  // Nor are the figures of the job before shown under its name, or under that of another.
+  // The results of the previous job are not shown either, under its own name or another.
   for (const id of ["facts", "kinds", "errors", "messages", "warnings", "bar", "clock"]) assert.equal(await page.textContent(`#${id}`), "", id);
   assert.equal(await colorsOn(page, "view"), 0);
   await page.setInputFiles("#file", { name: "other.nc", mimeType: "text/plain", buffer: Buffer.from("G0 X1\n") });
@@ -92,7 +92,7 @@ export async function refused_lines_are_listed_with_what_helps(browser) {
       for (const part of [`line ${error.line}`, `error:${error.code}`, error.text, error.advice]) assert(shown[index].toLowerCase().includes(part.toLowerCase()), `${name}: ${shown[index]}`);
     }
   }
-  // What the page takes for text and the firmware's check does not.
+  // Files that the page accepts as text, but the firmware's check does not.
   for (const [name, bytes, what] of [["control.nc", [0x47, 0x30, 1, 2, 3, 10], "a binary file"], ["blank.nc", [0xef, 0xbb, 0xbf, 32, 13, 10], "empty"]]) {
     await page.setInputFiles("#file", { name, mimeType: "text/plain", buffer: Buffer.from(bytes) });
     await page.waitForFunction(what => document.getElementById("verdict").textContent.includes(`Not checkedthe job is not read: it is ${what}`), what);
@@ -102,7 +102,8 @@ export async function refused_lines_are_listed_with_what_helps(browser) {
   assert.match(await page.locator("#errors button").last().innerText(), /^Alarm 5: [^]*\nline 2\nG38\.2 Z-1\n/);
   assert(await page.locator("#to-run").isDisabled());
   assert.equal(await page.textContent("#to-run-why"), "Off: the job ends in alarm 5.");
-  // All that the report keeps, folded, and how many there are beyond; most of the lines are refused, which is said first.
+  // All errors of the report are listed, folded, with the number of further ones. Most of the lines are rejected, which
+  // is said first.
   await openJob(page, "many.nc", "bad\n".repeat(1005));
   assert.match(await page.locator("#errors button").first().innerText(), /^This does not look like G-code/);
   assert.equal(await page.locator("#errors .more button").innerText(), "and 1,000 more");
@@ -115,7 +116,7 @@ export async function refused_lines_are_listed_with_what_helps(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** A job that fits into the travel, and one that does not: by the firmware's own soft limits, behind its own homing. */
+/** A job that fits into the travel and one that does not, by the firmware's own soft limits after its own homing. */
 export async function soft_limits_act_on_a_homed_machine(browser) {
   const { page, faults } = await open(browser, file);
   const own = { ...MILL, 20: 1, 22: 1, 130: 60, 131: 50, 132: 40 };
@@ -129,7 +130,7 @@ export async function soft_limits_act_on_a_homed_machine(browser) {
       await page.fill(`[aria-label="Work zero ${"XYZ"[axis]}, machine mm"]`, String(value));
       await page.keyboard.press("Tab");
     }
-    // A check with some of the three may have ended meanwhile.
+    // A check with only some of the three values may have ended meanwhile.
     await page.evaluate(() => void oxmill.app.check());
     const found = await checked(page);
     same(found, run("limits.nc", text, { settings: own, work_zero: place }));
@@ -141,7 +142,7 @@ export async function soft_limits_act_on_a_homed_machine(browser) {
   assert.deepEqual([outside.alarm.code, outside.alarm.line], [2, 4]);
   assert.match(await page.textContent("#verdict"), /Do not run yetThe job ends in alarm 2/);
   assert.match(await page.locator("#errors button").innerText(), /^Alarm 2: [^]*line 4/);
-  // What hinders homing is told, and nothing is shown as checked.
+  // The reason why homing is not possible is shown, and nothing counts as checked.
   await page.evaluate(() => oxmill.app.settings.set(22, 0));
   await page.waitForFunction(() => document.getElementById("verdict").textContent.includes("homing is needed ($22=1)"));
   await page.fill('[aria-label="Work zero Y, machine mm"]', "");
@@ -157,7 +158,7 @@ export async function a_million_lines_are_checked_within_bounds(browser) {
   const body = example("relief.nc").split("\n").filter(line => !/M30|M2|%/.test(line)).join("\n");
   const text = Array(17).fill(body).join("\n");
   const opened = openJob(page, "million.nc", text);
-  // The path so far is seen long before the verdict.
+  // The path so far is visible long before the verdict.
   const early = await page.waitForFunction(() => oxmill.app.job.name === "million.nc" && (oxmill.app.checked ? "checked" : oxmill.app.player.picture.path.count > 1000 && "drawn"));
   assert.equal(await early.jsonValue(), "drawn");
   const found = await opened;
@@ -165,13 +166,13 @@ export async function a_million_lines_are_checked_within_bounds(browser) {
   const { memory, rows } = await page.evaluate(() => ({ memory: oxmill.app.checked.memory, rows: oxmill.app.checked.path.lines.length }));
   assert(memory < 300 * 2 ** 20, `${memory} bytes`);
   assert(rows > 10_000 && rows <= 300_000, `${rows} rows`);
-  // The list of lines is no longer than a browser draws, and still shows the last line.
+  // The list of lines is not taller than a browser draws, and still shows the last line.
   await page.evaluate(() => oxmill.app.player.goToLine(oxmill.app.job.lines.length));
   assert(await page.locator(`#line-${found.lines}`).isVisible());
   assert.deepEqual(faults, []);
 }
 
-/** A job that is checked again while its picture is out of sight fits the picture when it is seen. */
+/** A job that is checked again while its picture is hidden fits the picture when it becomes visible. */
 export async function the_picture_fits_when_it_comes_into_sight(browser) {
   const { page, faults } = await open(browser, file);
   await openJob(page, "square.nc", "G21 G91 F6000\nG1 X50\nG1 Y50\nG1 X-50\nG1 Y-50\n");
@@ -205,19 +206,19 @@ export async function the_picture_is_where_the_machine_was(browser) {
     const expected = at(seconds);
     for (let axis = 0; axis < 3; axis++) assert(Math.abs(place[axis] - expected[axis]) < 0.06, `${seconds} s: ${place} and ${expected}`);
   }
-  // The line under the tool is the one of the circle.
+  // The line under the tool is that of the circle.
   await page.evaluate(() => oxmill.app.player.goToLine(29));
   await isAt(page, 29);
   await page.evaluate(() => oxmill.app.player.seek(oxmill.app.player.time + 0.001));
   assert.equal(await page.evaluate(() => oxmill.app.player.line), 29);
-  // Pixels: the path has colours of the scale, and a scrubbed job has fewer of them.
+  // Pixels: the path has colours of the scale, and a job scrubbed back has fewer of them.
   const colored = () => colorsOn(page, "view");
   await page.evaluate(() => oxmill.app.player.seek(Infinity));
   const whole = await colored();
   await page.evaluate(() => oxmill.app.player.seek(oxmill.app.player.time / 3));
   const part = await colored();
   assert(whole > 300 && part > 20 && part < whole / 2, `${whole}, ${part}`);
-  // A click on the path finds its line.
+  // A click on the path selects its line.
   await page.evaluate(() => {
     oxmill.app.player.picture.look(0, 1.5707);
     oxmill.app.player.goToLine(29);
@@ -236,12 +237,12 @@ export async function the_picture_is_where_the_machine_was(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Pixels on the edges of the travel; and without the limits, the view is that of the path again. */
+/** There are pixels on the edges of the travel; without the limits, the view is that of the path again. */
 export async function the_limits_are_drawn_where_the_travel_ends(browser) {
   const { page, faults } = await open(browser, file);
   await settings(page, { ...MILL, 20: 1, 22: 1, 130: 60, 131: 50, 132: 40 });
   await openJob(page, "small.nc", "G21 G91\nG1 X-20 Y-20 Z-20 F600\n");
-  // Once it stays: the picture is drawn again when its place on the page has its size.
+  // Wait until the view is stable: the picture is redrawn when its element gets its size.
   const view = () => page.evaluate(async () => {
     const now = () => JSON.stringify(oxmill.app.player.picture.camera);
     let before;
@@ -253,7 +254,7 @@ export async function the_limits_are_drawn_where_the_travel_ends(browser) {
   });
   const [without, colors] = [await view(), await colorsOn(page, "view")];
   await page.check("#limits");
-  // The middle of an edge below the grid, which is fainter.
+  // The middle of edges below the grid; the grid is fainter.
   const edges = [];
   for (const place of [[-60, -50, -20], [0, -25, -40], [-30, 0, -40]]) edges.push(await inkAt(page, place));
   assert(edges.every(ink => ink > 60), `${edges}`);
@@ -268,7 +269,7 @@ export async function the_limits_are_drawn_where_the_travel_ends(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** A set of settings that the board cannot keep: the job is refused for it, and the setting is named as the program names it. */
+/** Settings that the board cannot keep up with: the job is rejected, and the message is that of the program. */
 export async function a_setting_out_of_reach_is_named(browser) {
   const { page, faults } = await open(browser, file);
   await settings(page, { ...MILL, 110: 1e6 });
@@ -280,14 +281,14 @@ export async function a_setting_out_of_reach_is_named(browser) {
   assert(expected.messages.some(message => message.includes(why)), `${expected.messages}`);
   assert((await page.locator("#messages").innerText()).includes(why));
   assert.match(await page.locator("#errors button").first().innerText(), /error:9[^]*line 2/);
-  // It stands before the lines that it locks, however many they are.
+  // The message precedes the lines that it locks, however many there are.
   assert(await page.evaluate(() => document.getElementById("messages").compareDocumentPosition(document.getElementById("errors")) & Node.DOCUMENT_POSITION_FOLLOWING));
   await settings(page, MILL);
   assert.equal(await page.textContent("#messages"), "");
   assert.deepEqual(faults, []);
 }
 
-/** How far a pixel near a place of the first view is from the background, 0 to 255. */
+/** Returns how much a pixel near a position of the first view differs from the background, 0 to 255. */
 const inkAt = (page, place) => page.evaluate(async place => {
   const canvas = document.getElementById("view");
   await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
@@ -301,7 +302,7 @@ const inkAt = (page, place) => page.evaluate(async place => {
 
 export async function the_axes_are_at_work_zero(browser) {
   const { page, faults } = await open(browser, file);
-  // From the front the axis Z is the only line above the grid.
+  // From the front, the axis Z is the only line above the grid.
   await openJob(page, "offset.nc", "G21 G90 G10 L2 P1 X30 Y10 Z20\nG1 X-40 Y-5 Z-30 F6000\nG1 X40\n");
   await page.click("text=Front");
   await page.evaluate(() => oxmill.app.player.seek(0));
@@ -311,7 +312,7 @@ export async function the_axes_are_at_work_zero(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Colours of the scale on a canvas: so many pixels. */
+/** Returns the number of pixels on a canvas that have a colour of the scale. */
 const colorsOn = (page, id) => page.evaluate(async id => {
   const canvas = document.getElementById(id);
   await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
@@ -333,7 +334,7 @@ export async function two_views_show_one_time(browser) {
   for (const view of [0, 1]) assert(whole[view] > 200 && part[view] > 0 && part[view] < whole[view] / 2, `${whole}, ${part}`);
   await openJob(page, "line.nc", "G21 G91\nG1 X50 Y5 F600\n");
   assert(await colorsOn(page, "second") > 50);
-  // The limits are in both.
+  // Both views show the limits.
   const without = await colorsOn(page, "second");
   await page.check("#limits");
   assert(await colorsOn(page, "second") > without + 300);
@@ -342,7 +343,7 @@ export async function two_views_show_one_time(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** What is varied, in the order of the list, and the parts of today's values; today's jerk is 0. */
+/** The varied parameters, in the order of the list, with the multiples of the present values; the present jerk is 0. */
 const PARTS = [0.25, 0.5, 1, 2, 4, 8];
 const VARIED = [
   { numbers: [120, 121], parts: PARTS }, { numbers: [122], parts: PARTS }, { numbers: [110, 111], parts: PARTS }, { numbers: [112], parts: PARTS },
@@ -350,7 +351,7 @@ const VARIED = [
   { numbers: [220, 221], parts: [0, 2500, 5000, 10_000, 20_000, 40_000], absolute: true },
 ];
 
-/** A program ends with a message; it is no reason. */
+/** The message at the end of a program is not a reason. */
 export async function a_job_without_a_time_has_a_reason_instead(browser) {
   const { page, faults } = await open(browser, file);
   const shown = async (text, settings = {}) => {
@@ -358,7 +359,7 @@ export async function a_job_without_a_time_has_a_reason_instead(browser) {
       oxmill.app.checked = undefined;
       oxmill.app.settings.replace(settings);
     }, settings);
-    // Behind it no check comes any more that would end the forecast.
+    // After this, no further check can abort the forecast.
     await checked(page);
     await openJob(page, "without.nc", text);
     await page.click("#vary");
@@ -372,7 +373,7 @@ export async function a_job_without_a_time_has_a_reason_instead(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Each parameter, with values of today that no rounding leaves as they are, and that differ from axis to axis. */
+/** Each parameter, with present values that any rounding would change, and that differ from axis to axis. */
 export async function forecasts_are_those_of_single_runs(browser) {
   const { page, faults } = await open(browser, file);
   const text = "G21 G91 F1200\nG0 X9 Z2\nG1 X12 Y3\nG2 X8 Y8 J8\nG1 X-3 Z-4\nG1 Y7\nG0 X-20 Z2\n";
@@ -437,13 +438,13 @@ export async function time_is_shown_by_kind_and_by_tool(browser) {
   const rows = await page.locator("#by-tool tbody tr").evaluateAll(all => all.map(row => [...row.cells].map(cell => cell.textContent)));
   const cell = seconds => (seconds ? `${seconds.toFixed(2)} s` : "–");
   assert.deepEqual(rows, found.tools.map(row => [`T${row.tool}`, cell(row.feed_s), cell(row.rapid_s), cell(row.dwell_s), cell(row.spin_up_s)]));
-  // One tool needs no table.
+  // A job with one tool has no table.
   await openJob(page, "one.nc", "G21 G91\nG1 X3 F600\n");
   assert(await page.locator("#by-tool-part").isHidden());
   assert.deepEqual(faults, []);
 }
 
-/** What the picture is told of each row, by its line. */
+/** Compares the shade of each row, by its line. */
 export async function arcs_plunges_rapids_and_tools_are_told_apart(browser) {
   const { page, faults } = await open(browser, file);
   await openJob(page, "kinds.nc", "G21 G91\nG0 X5\nG1 Z-1 F600\nG1 X5\nG2 X5 Y5 J5\nT3 M6\nG1 Y5\n");
@@ -462,13 +463,13 @@ export async function arcs_plunges_rapids_and_tools_are_told_apart(browser) {
   assert.deepEqual((await marks()).slice(0, 4), ["line", "arc", "plunge", "rapid"]);
   assert.deepEqual(await shown("tool"), { 2: [-1], 3: [0], 4: [0], 5: [0], 7: [1] });
   assert.deepEqual([await page.textContent("#scale-low"), await page.textContent("#scale-high")], ["T0", "T3"]);
-  // By line: its number, as a part of that of the last one.
+  // By line: the line number divided by that of the last line.
   assert.deepEqual(await shown("line"), { 2: [-1], 3: [0.429], 4: [0.571], 5: [0.714], 7: [1] });
   assert.deepEqual([await page.textContent("#scale-low"), await page.textContent("#scale-high")], ["line 1", "line 7"]);
   assert.deepEqual(faults, []);
 }
 
-/** By acceleration: a straight move has its ends at the machine's own, and between them none. */
+/** By acceleration: a straight move has the machine's acceleration at its ends, and none between them. */
 export async function acceleration_has_the_colours_of_its_value(browser) {
   const { page, faults } = await open(browser, file);
   await settings(page, MILL);

@@ -1,4 +1,4 @@
-// The machine: in the page, and behind a serial port, where the firmware of this host answers.
+// The machine: simulated in the page, and behind a serial port at which the firmware on this host answers.
 import assert from "node:assert/strict";
 import net from "node:net";
 import { open, openJob, PATIENCE, tab } from "./browser.mjs";
@@ -7,15 +7,15 @@ import { example, MILL, page as file, run, serve } from "./program.mjs";
 const state = (page, wanted) => page.waitForFunction(wanted => new RegExp(wanted).test(oxmill.app.machine.status?.state ?? ""), wanted, { timeout: PATIENCE });
 const place = page => page.evaluate(() => oxmill.app.machine.status.machine);
 const near = (a, b) => assert(a.every((v, i) => Math.abs(v - b[i]) < 0.011), `${a} and ${b}`);
-/** Waits until the job has been answered and the machine has reported behind that that it is idle: another job may begin. */
+/** Waits until the job has been answered and the machine has then reported that it is idle: another job may start. */
 const jobDone = page => page.waitForFunction(() => oxmill.app.machine.finished && oxmill.app.machine.isAtRest, null, { timeout: PATIENCE });
-/** Has the machine watch its host. The button stands below what is found before a job: a press while that grows would miss it. */
+/** Enables the host timeout of the machine, after the findings above its button have stopped growing. */
 const watch = async page => {
   await page.waitForFunction(() => oxmill.app.machine.isAtRest && !document.querySelector(".checks .wait"), null, { timeout: PATIENCE });
   await page.click("#watch");
   await page.waitForFunction(() => document.getElementById("silent").hidden);
 };
-/** Starts the job that is open, whatever is asked before: a machine that is not homed may run one. */
+/** Starts the open job and confirms all questions: a machine that is not homed may run a job. */
 const start = async page => {
   await allowed(page);
   await page.click("#start");
@@ -55,7 +55,7 @@ export async function a_machine_in_the_page_does_the_job(browser) {
   await state(page, "^Run");
   await jobDone(page);
   near(await place(page), found.position_mm);
-  // The clock is at the end of the job, which may be later than its last report in motion.
+  // The clock shows the end of the job, which may be later than the last report in motion.
   const clocks = await page.evaluate(() => ["clock", "clock-end"].map(id => document.getElementById(id).textContent));
   assert.equal(`of ${clocks[0]}`, clocks[1]);
   assert.equal(await page.locator("#console .wrong").count(), 0);
@@ -74,7 +74,7 @@ export async function a_job_that_is_started_twice_runs_once(browser) {
     start.disabled = true;
   });
   await press();
-  // All lines are answered at once, and the machine moves for 0.6 s.
+  // All lines are answered immediately, and the machine moves for 0.6 s.
   await state(page, "^Run");
   await press();
   await jobDone(page);
@@ -98,14 +98,15 @@ export async function hold_resume_overrides_and_reset_act(browser) {
   near(await place(page), held);
   await page.click("[data-realtime=resume]");
   await state(page, "^Run");
-  // It brakes before the reset: the position stays true, and nothing has to be unlocked.
+  // The machine brakes before the reset: its position stays valid, and it need not be unlocked.
   await page.click("#stop");
   await state(page, "^Idle");
   assert.equal(await page.evaluate(() => oxmill.app.machine.sender.lines.length), 0);
   assert.deepEqual(faults, []);
 }
 
-/** The page does not know answers in checked lines: it asks for none, typed or in a job. No more does it send characters that would become others on their way. */
+/** The page does not support answers in checked lines and never requests them, typed or in a job. It also never sends
+ * characters that would change on their way. */
 export async function lines_that_the_page_cannot_send_are_refused_before_the_job(browser) {
   const { page, faults } = await powered(browser);
   const wrong = () => page.locator("#console .wrong").allInnerTexts();
@@ -118,7 +119,7 @@ export async function lines_that_the_page_cannot_send_are_refused_before_the_job
   for (const answer of await wrong()) assert.match(answer, /^not sent: with checked lines each line has a number/);
   for (const [line, why] of [["$LC=ON", /with checked lines each line has a number/], ["G1 X\u22122 F600", /"\u2212" \(U\+2212\) has no place/]]) {
     await openJob(page, "refused.nc", `G21 G91\n${line}\nG1 X2 F600\n`);
-    // What the firmware refuses cannot be started at all; and no other way sends it either.
+    // A job that the firmware rejects cannot be started at all, by any way.
     const start = () => page.evaluate(() => {
       try {
         oxmill.app.machine.start(oxmill.app.job, oxmill.app.checked);
@@ -158,7 +159,8 @@ export async function a_jog_ends_however_the_button_is_left(browser) {
   await page.click("#tab-log");
   await page.click("#steps .hold-step");
   const button = page.getByRole("button", { name: "jog Y to minus", exact: true });
-  // A typed feed that the axis cannot reach: moves are made for what it can, and no more of them are ahead.
+  // A typed feed that the axis cannot reach: the jogs use the feed that it can reach, and no more of them are sent
+  // ahead.
   await page.evaluate(() => oxmill.app.machine.line("$111=600"));
   await page.fill("#jog-feed", "60000");
   const key = name => [() => page.keyboard.down(name), () => page.keyboard.up(name)];
@@ -173,14 +175,14 @@ export async function a_jog_ends_however_the_button_is_left(browser) {
     const left = (await place(page))[1];
     await state(page, "^Idle");
     const to = await place(page);
-    // Behind the report of a moment before: less than what was ahead and a report's time.
+    // Measured from a slightly older report: less than the jogs ahead plus the distance within one report interval.
     assert(left - to[1] < 10, `${left} to ${to[1]}`);
     await page.waitForTimeout(300);
     near(await place(page), to);
     await page.keyboard.up("Enter");
     await page.keyboard.up(" ");
   }
-  // Another button of the mouse jogs nothing.
+  // Another mouse button does not jog.
   await page.evaluate(() => (Element.prototype.setPointerCapture = () => {}));
   const at = await place(page);
   await pointer("pointerdown", { button: 2 })();
@@ -204,7 +206,7 @@ export async function positions_are_in_millimetres_whatever_the_machine_reports_
   await page.waitForFunction(() => document.getElementById("work-1").value === "0.000");
   await line("$13=1");
   await line("G4 P0.5");
-  // Inches are told with four decimals: 0.0001 inch is 0.0025 mm.
+  // Inches are reported with four decimals: 0.0001 inch is 0.0025 mm.
   near(await place(page), [-5, 3, 0]);
   near(await page.evaluate(() => oxmill.app.machine.status.work), [-5, 0, 0]);
   assert.deepEqual(faults, []);
@@ -223,7 +225,7 @@ export async function a_probe_that_finds_nothing_changes_no_zero_and_no_mode(bro
   const modes = (await page.evaluate(() => oxmill.app.machine.sender.ask("$G"))).said.join();
   assert.match(modes, /G20 G90/);
   near(await page.evaluate(() => oxmill.app.machine.status.work), [0, 0, -10]);
-  // In contact from the start: it would be an alarm.
+  // A probe that is already in contact would cause an alarm.
   await line("G21 G38.2 Z-20 F300");
   await state(page, "^Idle");
   await page.waitForFunction(() => oxmill.app.machine.status.fields.Pn?.includes("P"));
@@ -244,7 +246,7 @@ export async function the_console_takes_realtime_commands(browser) {
   await page.evaluate(() => oxmill.app.settings.replace({ ...oxmill.app.settings.values(), 120: 321 }));
   await type("G91 G1 X19 F100");
   await state(page, "^Run");
-  // In motion a machine does not tell its settings: those of the forecast stay.
+  // In motion, a machine does not report its settings: those of the forecast stay.
   await tab(page, "settings");
   await page.click("#read");
   await page.waitForFunction(() => /does not tell its settings/.test(document.getElementById("settings-note").textContent));
@@ -274,7 +276,7 @@ export async function homing_and_probing_find_switch_and_plate(browser) {
   await state(page, "^Home");
   await state(page, "^Idle");
   near(await place(page), [-1, -1, -1]);
-  // What the machine says of its settings, the forecast takes over.
+  // The forecast adopts the settings that the machine reports.
   await page.evaluate(() => oxmill.app.machine.line("$120=777"));
   await tab(page, "settings");
   await page.click("#read");
@@ -282,10 +284,10 @@ export async function homing_and_probing_find_switch_and_plate(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** A serial port of the browser behind which a TCP port is. */
+/** Simulates a serial port in the browser, connected to a TCP port. */
 async function fakeSerial(page, port) {
   const socket = net.connect(port, "127.0.0.1");
-  // What a board's receive buffer would hold: lines sent and not yet answered. Realtime commands take no room.
+  // Bytes in a board's receive buffer: lines that were sent and not yet answered. Realtime commands use no space.
   const wire = (socket.wire = { lengths: [], most: 0, realtime: [], said: "" });
   socket.on("data", data => {
     const lines = (wire.said + data).split("\n");
@@ -299,9 +301,10 @@ async function fakeSerial(page, port) {
     socket.write(Buffer.from(bytes));
   });
   await page.exposeFunction("__listen", () => {
-    // A port that is opened again hears what comes from then on.
+    // A reopened port receives only bytes that arrive from then on.
     socket.off("data", wire.hear ?? (() => {}));
-    // What comes while the page is told goes with the next telling: on a busy machine each takes its time.
+    // Bytes that arrive during a transfer to the page are sent with the next transfer: on a busy computer each transfer
+    // takes time.
     const heard = [];
     let telling = false;
     wire.hear = async data => {
@@ -323,7 +326,7 @@ async function fakeSerial(page, port) {
           globalThis.__said = bytes => to.enqueue(new Uint8Array(bytes));
           globalThis.__unplug = (why = "NetworkError") => to.error(new DOMException("The device has been lost.", why));
         } });
-        // As a port with a buffer of its own: a write does not wait for the other side.
+        // Like a port with its own buffer: a write does not wait for the other side.
         this.writable = new WritableStream({ write: bytes => void __write([...bytes]) });
         await __listen();
       },
@@ -334,7 +337,7 @@ async function fakeSerial(page, port) {
   return socket;
 }
 
-/** A page with a board at a serial port, which is the firmware of this host at a speed. */
+/** Opens a page with a board at a serial port: the firmware on this host, at the given speed. */
 async function connected(browser, speed, test) {
   const order = { board: "blackpill_f411", settings: MILL };
   const device = await serve(order, speed);
@@ -361,8 +364,8 @@ export async function a_board_at_a_serial_port_does_the_job(browser) {
     await jobDone(page);
     near(await place(page), run("pocket_mm.nc", text, order).position_mm);
     assert(wire.most <= 255, `${wire.most} bytes were under way`);
-    // A refused line in mid-job is named, and ends the job in a hold.
-    // The board of the forecast has the outputs of M62; this one has none.
+    // A line that is rejected during a job is named, and ends the job in a hold. The board of the forecast has the
+    // outputs of M62; this board does not.
     await openJob(page, "bad.nc", `G21 G91\nG1 X2 F600\nM62 P0\n${"G1 X2\n".repeat(200)}`);
     await start(page);
     await page.waitForFunction(() => [...document.querySelectorAll("#console .wrong")].some(line => line.textContent === "line 3: error:133"));
@@ -400,7 +403,8 @@ export async function a_board_obeys_with_full_buffers_and_may_be_unplugged(brows
     await openJob(page, "long.nc", `G21 G91\n${"G1 X0.5 F60\nG1 X-0.5\n".repeat(400)}`);
     await start(page);
     await state(page, "^Run");
-    // The queue of blocks is full long before the job ends, and then the line buffer fills: no more than it holds is under way.
+    // The queue of blocks is full long before the job ends; then the line buffer fills. The bytes in flight never
+    // exceed its size.
     for (let waited = 0; wire.most <= 200 && waited < PATIENCE; waited += 10) await page.waitForTimeout(10);
     assert(wire.most <= 255 && wire.most > 200, `${wire.most} bytes were under way`);
     await page.click("[data-realtime=hold]");
@@ -409,7 +413,7 @@ export async function a_board_obeys_with_full_buffers_and_may_be_unplugged(brows
     await page.click("#stop");
     await state(page, "^Idle");
     assert.equal(await page.evaluate(() => oxmill.app.machine.sender.busy), false);
-    // Unplugged in mid-job: the page says so, closes the port, and a board may be connected again.
+    // Unplugged during a job: the page reports it, closes the port, and a board may be connected again.
     await start(page);
     await state(page, "^Run");
     await page.evaluate(() => __unplug());
@@ -451,7 +455,7 @@ export async function buttons_send_their_realtime_commands(browser) {
     await page.mouse.down();
     await state(page, "^Jog");
     await page.mouse.up();
-    // A jog has come to rest for a moment where its next move was late: its end is that of the button.
+    // The jog has stopped for a moment where its next move was late: it must end only when the button is released.
     for (let waited = 0; !wire.realtime.includes(0x85) && waited < PATIENCE; waited += 5) await page.waitForTimeout(5);
     assert(wire.realtime.includes(0x85), "a jog cancel");
     await state(page, "^Idle");
@@ -460,7 +464,7 @@ export async function buttons_send_their_realtime_commands(browser) {
 
 export async function a_board_that_is_left_in_motion_is_held(browser) {
   await connected(browser, "1", async (page, order, wire) => {
-    // Who has a UART can have the machine watch its host.
+    // With a UART, the machine can watch its host.
     await watch(page);
     const settings = (await page.evaluate(() => oxmill.app.machine.sender.ask("$$"))).said.join("\n");
     assert.match(settings, /^\$922=2(\.0*)?$/m);
@@ -479,7 +483,7 @@ export async function a_board_that_is_left_in_motion_is_held(browser) {
   });
 }
 
-/** A byte that is damaged on its way to the page, as the browser tells it: the other way still works. */
+/** A byte that is damaged on its way to the page, as the browser reports it: the other direction still works. */
 export async function a_board_that_cannot_be_heard_any_more_is_held(browser) {
   await connected(browser, "1", async (page, order, wire) => {
     await openJob(page, "long.nc", "G21 G91\nG1 X50 F60\n");
@@ -509,7 +513,8 @@ export async function a_page_that_goes_leaves_the_machine_in_a_hold(browser) {
     await openJob(page, "long.nc", "G21 G91\nG1 X50 F60\n");
     await start(page);
     await state(page, "^Run");
-    // What the browser tells a page that it leaves; whether the last byte gets out is the browser's affair.
+    // The events that the browser sends to a page that is being closed; whether the last byte is sent depends on the
+    // browser.
     assert(await page.evaluate(() => !dispatchEvent(new Event("beforeunload", { cancelable: true }))), "the user is asked");
     await page.evaluate(() => dispatchEvent(new Event("pagehide")));
     await state(page, "^Hold");
@@ -517,7 +522,7 @@ export async function a_page_that_goes_leaves_the_machine_in_a_hold(browser) {
   });
 }
 
-/** Ends the process of a page, as a browser's fault or the memory's end would: nothing of the page runs any more. */
+/** Ends the process of a page, as a browser fault or a lack of memory would: no code of the page runs any more. */
 async function crash(page) {
   const gone = new Promise(resolve => page.once("crash", resolve));
   const browser = await page.context().newCDPSession(page);
@@ -525,7 +530,7 @@ async function crash(page) {
   await gone;
 }
 
-/** On a UART nobody sees it, but for the machine's own watch. */
+/** On a UART, only the machine's own watch notices the crash. */
 export async function a_tab_that_crashes_leaves_a_board_that_watches_in_a_hold(browser) {
   await connected(browser, "1", async (page, order, wire, socket) => {
     await watch(page);
@@ -536,7 +541,7 @@ export async function a_tab_that_crashes_leaves_a_board_that_watches_in_a_hold(b
     await crash(page);
     let said = "";
     socket.on("data", data => (said += data));
-    // A question is a sign of life: it comes when the machine has had the time to miss one.
+    // A `?` is a sign of life, so it is sent only after the machine has had time to miss one.
     for (let tries = 0; !/<Hold:0/.test(said) && tries < 30; tries++) {
       await new Promise(resolve => setTimeout(resolve, 2500));
       socket.write("?");
@@ -573,7 +578,7 @@ export async function settings_go_to_the_machine_when_they_have_been_looked_at(b
     assert(await page.locator("#differences").isHidden());
     await page.click("#compare");
     await note("has all of these settings already");
-    // What the machine refuses is named, and what is left as it is is not written.
+    // A setting that the machine rejects is named, and unchanged settings are not written.
     await page.evaluate(() => oxmill.app.settings.set(0, 256));
     await page.click("#compare");
     await page.click("#write");
@@ -582,11 +587,11 @@ export async function settings_go_to_the_machine_when_they_have_been_looked_at(b
     await page.click("#keep");
     assert(await page.locator("#differences").isHidden());
     assert.match(await there(), /^\$0=10(\.0+)?$/m);
-    // A machine in the dialect of Grbl does not tell that: its settings do.
+    // A machine in Grbl's dialect does not report its dialect by a message, only by its settings.
     await page.evaluate(() => oxmill.app.machine.line("$900=0"));
     await page.click("#read");
     await page.waitForFunction(() => oxmill.app.settings.value(900) === 0 && oxmill.app.settings.value(120) === 321.5);
-    // In that dialect soft limits are refused (error:10) until homing is on, which has the greater number.
+    // In Grbl's dialect, soft limits are rejected (error:10) until homing is on, which has the higher setting number.
     for (const value of [0, 1]) {
       await page.evaluate(value => oxmill.app.settings.replace({ ...oxmill.app.settings.values(), 20: value, 22: value }), value);
       await page.click("#compare");
@@ -598,7 +603,7 @@ export async function settings_go_to_the_machine_when_they_have_been_looked_at(b
   });
 }
 
-/** The status of an attempt to open a WebSocket, as a browser would make it. */
+/** Returns the status of an attempt to open a WebSocket, made like by a browser. */
 const upgrade = (port, headers) => new Promise((resolve, reject) => {
   const socket = net.connect(port, "127.0.0.1");
   const all = { Host: `127.0.0.1:${port}`, Origin: `http://127.0.0.1:${port}`, Connection: "Upgrade", Upgrade: "websocket",
@@ -626,7 +631,7 @@ export async function a_served_page_drives_the_machine_and_no_other_does(browser
     await start(page);
     await jobDone(page);
     near(await place(page), run("pocket_mm.nc", text, order).position_mm);
-    // A second page is told.
+    // A second page gets a message.
     const second = await open(browser, url);
     await tab(second.page, "run");
     await second.page.click("#served");
@@ -635,7 +640,7 @@ export async function a_served_page_drives_the_machine_and_no_other_does(browser
     await page.click("#leave");
     assert(await page.locator("#served").isVisible());
     assert.deepEqual([...faults, ...second.faults], []);
-    // Pages of other sites, and names that were made to lead here.
+    // Pages of other sites, and host names that resolve to this computer.
     assert.equal(await upgrade(device.port, { Origin: "http://evil.example" }), 403);
     assert.equal(await upgrade(device.port, { Origin: "null" }), 403);
     assert.equal(await upgrade(device.port, { Origin: undefined }), 403);
@@ -648,7 +653,7 @@ export async function a_served_page_drives_the_machine_and_no_other_does(browser
   }
 }
 
-/** The program behind a page sees that the page is gone, as the firmware does on USB. */
+/** The program that serves the page notices the crash, as the firmware does on USB. */
 export async function a_tab_that_crashes_leaves_the_machine_in_a_hold(browser) {
   const device = await serve({ settings: MILL }, "1", ["--web", "0", "--page", file]);
   const url = `http://127.0.0.1:${device.port}/`;

@@ -1,4 +1,4 @@
-// What a cutter leaves, against geometry that was worked out by hand; and in the page.
+// What cutters leave of a block, compared with geometry worked out by hand; and the material panel in the page.
 import assert from "node:assert/strict";
 import { build } from "esbuild";
 import { join } from "node:path";
@@ -12,7 +12,7 @@ const RAPID = 2 ** 31;
 const FLAT = { shape: "flat", diameter: 6, angle: 60 };
 const BALL = { shape: "ball", diameter: 6, angle: 60 };
 const V = { shape: "v", diameter: 6, angle: 60 };
-/** A path through places; a place with a fourth number, 1, is reached at rapid. Lines count from 1. */
+/** Returns a path through positions; a position with a fourth number, 1, is reached by a rapid. Lines count from 1. */
 function through(places, tool = 0) {
   const rows = Float32Array.from(places.flatMap(([x, y, z], i) => [x, y, z, 1, i, i + 1]));
   return { rows, lines: Uint32Array.from(places, (place, i) => i + (place[3] ? RAPID : 0)), tools: new Uint32Array(places.length).fill(tool), speeds: new Uint32Array(places.length) };
@@ -20,7 +20,7 @@ function through(places, tool = 0) {
 const BLOCK = { low: [-10, -10, -5], high: [30, 10, 0] };
 const CELL = 0.1;
 const made = (places, cutter, block = BLOCK, cell = CELL) => cut(through(places), { 0: cutter }, block, cell);
-/** The height over the cell whose middle is nearest. */
+/** Returns the height of the cell whose middle is nearest. */
 const at = (material, x, y) => {
   const { block, nx, ny, heights } = material;
   const index = (value, axis, count) => Math.round(((value - block.low[axis]) / (block.high[axis] - block.low[axis])) * count - 0.5);
@@ -31,14 +31,14 @@ const close = (a, b, within = 1e-5) => assert(Math.abs(a - b) <= within, `${a} a
 export async function a_flat_cutter_leaves_a_slot_of_its_width() {
   const slot = made([[0, 0, -1], [20, 0, -1]], FLAT);
   for (const [y, z] of [[0.05, -1], [2.95, -1], [-2.95, -1], [3.05, 0], [-3.05, 0]]) close(at(slot, 10.05, y), z);
-  // Round ends: over a corner of its square nothing is cut.
+  // The ends are round: nothing is cut at the corner of the surrounding square.
   close(at(slot, 22.95, 0.05), -1);
   close(at(slot, 22.95, 2.95), 0);
   const area = 20 * 6 + Math.PI * 9;
   close(slot.removed, area, area * 0.005);
-  // Through the block: no lower than its bottom.
+  // Through the block: never below its bottom.
   close(at(made([[0, 0, -9], [20, 0, -9]], FLAT), 10, 0), -5);
-  // Up a slope of one half, the edge of the cutter that is behind is the lower one.
+  // Up a slope of one half, the trailing edge of the cutter is the lower one.
   close(at(made([[0, 0, -5], [10, 0, 0]], FLAT), 6.05, 0.05), -5 + (6.05 - Math.sqrt(9 - 0.05 ** 2)) / 2);
 }
 
@@ -47,7 +47,7 @@ export async function a_ball_leaves_cusps() {
   // Between two passes 1 mm apart: R - sqrt(R² - (1/2)²).
   close(at(passes, 10.05, 0.5), -1 + 3 - Math.sqrt(9 - 0.25));
   close(at(passes, 10.05, 0), -1);
-  // Along 45°, the ball touches beside its tip: R (√2 - 1) below the tip's line.
+  // Along 45°, the ball touches beside its tip: R (√2 - 1) below the line of the tip.
   close(at(made([[0, 0.05, -4.5], [4, 0.05, -0.5]], BALL), 2.25, 0.05), -4.5 + 2.25 - 3 * (Math.SQRT2 - 1));
 }
 
@@ -55,10 +55,10 @@ export async function a_v_leaves_a_groove() {
   const groove = made([[0, 0.05, -2], [20, 0.05, -2]], V);
   const slope = 1 / Math.tan(Math.PI / 6);
   for (const off of [0, 0.5, 1]) close(at(groove, 10.05, 0.05 + off), -2 + off * slope);
-  // 2 · depth · tan(30°) wide at the top: 2.309 mm.
+  // The top is 2 · depth · tan(30°) wide: 2.309 mm.
   const cells = Array.from({ length: 200 }, (_, j) => at(groove, 10.05, -9.95 + j / 10)).filter(height => height < 0).length;
   close(cells * CELL, 2 * 2 * Math.tan(Math.PI / 6), 2 * CELL);
-  // Straight down it leaves a cone.
+  // Straight down, the cutter leaves a cone.
   const cone = made([[5.05, 0.05, 1], [5.05, 0.05, -2]], V);
   close(at(cone, 5.05, 0.05), -2);
   close(at(cone, 5.85, 0.65), -2 + 1 * slope);
@@ -66,11 +66,11 @@ export async function a_v_leaves_a_groove() {
 
 export async function rapids_through_material_are_found() {
   const lines = places => made(places, FLAT).crashes.map(crash => crash.line);
-  // Above; along what has been cut, and straight up out of it; and where the block is not.
+  // No crash: above the block, along a slot and straight up out of it, and beside the block.
   assert.deepEqual(lines([[0, 0, 5], [10, 0, 5, 1], [10, 0, 0, 1]]), []);
   assert.deepEqual(lines([[0, 0, 1], [0, 0, -1], [20, 3.3, -1], [0, 0, -1, 1], [0, 0, 5, 1]]), []);
   assert.deepEqual(lines([[50, 0, 1], [50, 0, -1, 1], [50, 5, -1, 1]]), []);
-  // Sideways out of a slot; straight down; across the block on a slope.
+  // Crashes: sideways out of a slot, straight down, and across the block on a slope.
   const found = made([[0, 0, 1], [0, 0, -2], [20, 0, -2], [20, 8, -2, 1], [20, 8, 5, 1]], FLAT).crashes;
   assert.deepEqual(found.map(crash => crash.line), [3]);
   close(found[0].depth, 2);
@@ -85,7 +85,7 @@ export async function map_and_work_have_bounds() {
   const cell = cellFor(through([[0, 0, 1], [1, 0, 1]]), { 0: FLAT }, wide);
   const { nx, ny } = cut(through([[0, 0, 1], [1, 0, 1]]), { 0: FLAT }, wide, cell);
   assert(nx * ny <= 400_000, `${nx} x ${ny}`);
-  // No side is longer than a texture may be.
+  // No side has more cells than a texture may have.
   const thin = { low: [0, 0, -1], high: [2000, 1, 0] };
   const narrow = cut(through([[0, 0, 1], [1, 0, 1]]), { 0: FLAT }, thin, cellFor(through([[0, 0, 1], [1, 0, 1]]), { 0: FLAT }, thin));
   assert(narrow.nx <= 4096 && narrow.ny >= 1, `${narrow.nx} x ${narrow.ny}`);
@@ -97,7 +97,7 @@ export async function map_and_work_have_bounds() {
   const material = cut(two, { 0: { ...FLAT, diameter: 2 }, 7: FLAT }, BLOCK, CELL);
   close(at(material, 5.05, 2.05), 0);
   close(at(material, 15.05, 2.05), -1);
-  // A block from the job: what is cut below zero, with the radius around it and 1 mm under it.
+  // The block of a job: its cuts below zero, plus the radius around them and 1 mm below them.
   assert.deepEqual(blockOf(through([[0, 0, 5], [5, 2, 5, 1], [5, 2, -3], [20, 4, -3]]), { 0: FLAT }, 0), { low: [2, -1, -4], high: [23, 7, 0] });
 }
 
@@ -113,14 +113,14 @@ const cutNow = async page => {
 
 export async function the_page_lists_rapids_through_material(browser) {
   const { page, faults } = await open(browser, file);
-  // The third line forgets to lift the tool.
+  // The program fails to lift the tool before the rapid.
   const text = "G21 G90 F600\nG0 Z2\nG1 Z-2\nG1 X20\nG0 Y10\nG0 Z2\nG0 X0 Y0\n";
   await openJob(page, "crash.nc", text);
   await tab(page, "material");
   await page.fill("#diameter", "6");
   await page.keyboard.press("Tab");
   assert.equal(await page.inputValue("#block-low-0"), "-3");
-  // Within the job's own block the rapid shears the corners that the round end of the slot has left.
+  // Within the job's own block, the rapid cuts the corners that the round end of the slot has left.
   const found = await cutNow(page);
   assert.deepEqual(found.crashes.map(crash => crash.line), [5]);
   await page.fill("#block-high-1", "20");
@@ -131,7 +131,7 @@ export async function the_page_lists_rapids_through_material(browser) {
   const item = page.locator("#crashes button");
   assert.match(await item.innerText(), /^line 5: rapid 2\.00 mm deep[^]*G0 Y10/);
   assert.match(await page.textContent("#material-note"), /^1 rapid through material/);
-  // Keys reach it, and lead to the line; the picture has it in red.
+  // The item can be reached by keys and leads to the line; the picture shows it in red.
   await item.focus();
   await page.keyboard.press("Enter");
   assert.equal(await page.evaluate(() => oxmill.app.player.line), 5);
@@ -141,7 +141,7 @@ export async function the_page_lists_rapids_through_material(browser) {
     return [...new Set([...path.lines].flatMap((line, row) => (line % 2 ** 30 === 5 ? [oxmill.app.player.picture.shades[row]] : [])))];
   });
   assert(shades.includes(-3), String(shades));
-  // With the tool lifted first there is none; and of the first job nothing is left.
+  // If the tool is lifted first, there is no crash; and no result of the first job remains.
   await openJob(page, "lifted.nc", "G21 G90 F600\nG0 Z2\nG1 Z-2\nG1 X20\nG0 Z2\nG0 X0 Y10\n");
   assert.equal(await page.locator("#crashes button").count(), 0);
   assert.equal(await page.textContent("#material-note"), "");
@@ -158,7 +158,7 @@ export async function a_sound_job_has_no_rapid_through_material(browser) {
     assert(removed > 0, name);
     assert.match(await page.textContent("#material-note"), /^No rapid goes through material/);
   }
-  // The block is in the picture: its colour is there, and gone when it is taken away.
+  // The block is drawn: its colour appears, and disappears when the block is removed.
   const brown = () => page.evaluate(async () => {
     await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
     const canvas = document.getElementById("view");

@@ -1,4 +1,4 @@
-// The module alone, as another program would use it.
+// The module alone, as other programs use it.
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
 import { existsSync, readFileSync, writeFileSync } from "node:fs";
@@ -35,10 +35,10 @@ export async function any_program_can_use_the_module() {
   assert.deepEqual({ ...JSON.parse(output()), host_s: 0 }, { ...expected, host_s: 0 });
 }
 
-/** With the packages that tests/senders/install has put there. */
+/** Python with the packages that tests/senders/install has installed. */
 const PYTHON = join(root, "target/tools/senders/python/bin/python");
 
-/** The examples for other programs: without a browser, and the same figures. */
+/** The example programs call the module without a browser and get the same values. */
 export async function examples_of_programs_call_the_module() {
   const callers = [["node", "module.mjs"], [PYTHON, "module.py"]];
   const runs = ([by, caller], ...rest) => spawnSync(by, [join(root, "examples", caller), wasm, ...rest], { encoding: "utf8", maxBuffer: 1 << 26 });
@@ -83,12 +83,12 @@ export async function refusals_and_panics_have_a_text() {
     assert.equal(x.oxmill_check_begin(), 1);
     assert.match(output(), new RegExp(why));
   }
-  // After other calls, and as the first call of all: without an input before it.
+  // After other calls, and as the first call of an instance, without an input before it.
   for (const one of [x, (await instance()).x]) {
     assert.throws(() => one.oxmill_fail(), WebAssembly.RuntimeError);
     const text = () => new TextDecoder().decode(new Uint8Array(one.memory.buffer, one.oxmill_panic(), one.oxmill_panic_len()));
     assert.match(text(), /oxmill_fail was called/);
-    // The instance has ended: any further call says so, and does not answer.
+    // The instance has ended: any further call reports that instead of answering.
     assert.throws(() => one.oxmill_describe(), WebAssembly.RuntimeError);
     assert.match(text(), /already.*borrowed/);
   }

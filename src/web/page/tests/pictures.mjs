@@ -1,4 +1,4 @@
-// The screenshots of the README, taken in headless Chromium, and a note of what they were taken of.
+// Takes the screenshots of the README in headless Chromium, and records what they were taken of.
 import { writeFileSync } from "node:fs";
 import { join } from "node:path";
 import { launch } from "./browser.mjs";
@@ -9,7 +9,7 @@ const pictures = {};
 for (const [name, scene] of Object.entries(SCENES)) {
   const { page, says } = await ready(browser, scene);
   await scene.go(page);
-  // A view comes to rest, and shows all of a long path.
+  // Wait until the view is at rest and shows all of a long path.
   await page.waitForTimeout(1500);
   const picture = await page.screenshot();
   writeFileSync(join(FOLDER, name), picture);

@@ -1,4 +1,5 @@
-// The screenshots of the README: of this page. Pixels differ from browser to browser; what the page says, and what makes its look, do not.
+// The screenshots of the README must match this page. Pixels differ between browsers, so the texts of the page and the
+// sources of its look are compared.
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";

@@ -1,4 +1,4 @@
-// The program of this host, for comparison: what the page gives has to be the same.
+// The `oxmill` program of this host, for comparison: the page must give the same results.
 import assert from "node:assert/strict";
 import { execFileSync, spawn, spawnSync } from "node:child_process";
 import { mkdtempSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
@@ -15,7 +15,7 @@ export const folder = mkdtempSync(join(tmpdir(), "oxmill-page-"));
 /** A small mill. */
 export const MILL = { 110: 5000, 111: 5000, 112: 2000, 120: 300, 121: 300, 122: 200 };
 export const BOARDS = ["desk", "blackpill_f411", "nucleo_f446re"];
-/** Two summaries are one, but for the name of the job and how long it took. */
+/** Asserts that two summaries are equal, except for the name of the job and the duration of the check. */
 export const same = (a, b, what) => assert.deepEqual({ ...a, host_s: 0, job: "" }, { ...b, host_s: 0, job: "" }, what);
 
 export const examples = () => readdirSync(join(root, "examples")).filter(name => name.endsWith(".nc"));
@@ -32,19 +32,19 @@ function write(name, text) {
   return file;
 }
 
-/** What `oxmill run --json` prints. */
+/** Returns the output of `oxmill run --json`. */
 export function run(name, text, order = {}) {
   const done = spawnSync(oxmill, ["run", write(name, text), "--json", ...options(order)], { encoding: "utf8", maxBuffer: 1 << 26 });
   if (!done.stdout) throw new Error(done.stderr);
   return JSON.parse(done.stdout);
 }
 
-/** What `oxmill resume` writes. */
+/** Returns the output of `oxmill resume`. */
 export function resumed(name, text, more) {
   return execFileSync(oxmill, ["resume", write(name, text), ...more], { encoding: "utf8", stdio: ["ignore", "pipe", "ignore"] });
 }
 
-/** Where the machine is at a time after the first step, mm: from the trace of every step. */
+/** Returns the machine position at a time after the first step, mm, from the trace of all steps. */
 export function traced(name, text, order, steps_per_mm) {
   const csv = join(folder, "trace.csv");
   execFileSync(oxmill, ["run", write(name, text), "--trace", csv, ...options(order)], { stdio: "ignore" });
@@ -52,7 +52,7 @@ export function traced(name, text, order, steps_per_mm) {
   return seconds => (rows.findLast(row => row[0] <= seconds) ?? [0, 0, 0, 0]).slice(1).map(v => v / steps_per_mm);
 }
 
-/** The firmware as a Grbl device on a TCP port. */
+/** Starts the firmware as a Grbl device on a TCP port. */
 export async function serve(order, speed, link = ["--tcp", "127.0.0.1:0"]) {
   const child = spawn(oxmill, ["serve", ...link, "--speed", speed, ...options(order)]);
   const port = await new Promise((resolve, reject) => {

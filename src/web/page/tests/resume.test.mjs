@@ -1,4 +1,4 @@
-// The rest of a job that was broken off, against the program of this host.
+// The rest of an interrupted job, compared with the `oxmill` program of this host.
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { open, openJob, tab } from "./browser.mjs";
@@ -20,16 +20,16 @@ export async function the_rest_of_a_job_is_that_of_the_program(browser) {
   assert.match(await page.textContent("#prologue"), /^G21 G90 G94 G17 G54\nM5 M9\n/);
   const [, other] = await written({ "from-line": "300", clearance: "12.5", plunge: "60", "spin-up": "2" });
   assert.equal(other, resumed("pocket_mm.nc", example("pocket_mm.nc"), ["--line", "300", "--clearance", "12.5", "--plunge", "60", "--spin-up", "2"]));
-  // The line of the picture.
+  // The line selected in the picture.
   await page.evaluate(() => oxmill.app.player.goToLine(150));
   await page.click("#this-line");
   assert.equal(await page.inputValue("#from-line"), "150");
-  // What hinders it is told.
+  // The reason why the job cannot be resumed is shown.
   await page.fill("#from-line", "466");
   await page.click("#write-rest");
   await page.waitForFunction(() => document.getElementById("continue-note").textContent.includes("there is no line 466"));
   assert(await page.locator("#prologue").isHidden());
-  // Another job: nothing of the one before stays.
+  // Another job: no result of the previous job remains.
   await openJob(page, "other.nc", "G21 G91\nX1\nX2\n");
   assert.equal(await page.textContent("#continue-note"), "");
   await page.fill("#from-line", "3");

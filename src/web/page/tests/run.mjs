@@ -1,4 +1,4 @@
-// The tests of the page, in headless Chromium, from the disk. Names of tests as arguments; without any, all.
+// Runs the tests of the page in headless Chromium, from the disk. Arguments: names of tests; without any, all.
 import assert from "node:assert/strict";
 import { launch } from "./browser.mjs";
 import * as accept from "./accept.test.mjs";

@@ -1,4 +1,4 @@
-// What the screenshots of the README show: how the page comes to it, and what of it is the same on every machine.
+// The screenshots of the README: how the page gets to each scene, and which parts of it are the same on every computer.
 import { createHash } from "node:crypto";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
@@ -6,14 +6,14 @@ import { open, openJob, tab } from "./browser.mjs";
 import { example, MILL, page as file, root } from "./program.mjs";
 
 export const FOLDER = join(root, "docs/pictures");
-/** What each picture was taken of. */
+/** Records what each picture was taken of. */
 export const TAKEN = join(FOLDER, "taken.json");
-/** Sources that make the look. What they say is told apart. */
+/** Sources that determine the look. The texts of the page are compared separately. */
 const LOOK = ["index.html", "style.css", "camera.ts", "chart.ts", "overlay.ts", "picture.ts", "shaders.ts"];
-/** What differs from run to run. */
+/** Elements that differ from run to run. */
 const RESTLESS = ".dro, #console, #pill { visibility: hidden }";
 
-/** Each with the page ready (`set`), and what happens until the picture (`go`). */
+/** Each scene with its preparation (`set`) and the actions until the picture is taken (`go`). */
 export const SCENES = {
   "page.png": {
     options: { viewport: { width: 1440, height: 900 } },
@@ -52,7 +52,7 @@ export const SCENES = {
   },
 };
 
-/** Opens the page of a scene, ready; gives it with what it says there. */
+/** Opens and prepares the page of a scene; returns the page and its text. */
 export async function ready(browser, { options, set }) {
   const { page } = await open(browser, file, options);
   await set(page);
@@ -64,7 +64,7 @@ export async function ready(browser, { options, set }) {
     style.remove();
     return text;
   }, RESTLESS);
-  // How long it took is this machine's affair.
+  // The duration of the check depends on this computer.
   const lines = says.replace(/(Checked in\s+)[\d.]+ s/g, "$1").split("\n").map(line => line.trim());
   return { page, says: lines.filter(Boolean) };
 }

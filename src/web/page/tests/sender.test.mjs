@@ -1,4 +1,4 @@
-// The sender alone, without a page: what it writes to its link, and what it makes of the answers.
+// The sender alone, without a page: what it writes to its link, and how it handles the answers.
 import assert from "node:assert/strict";
 import { build } from "esbuild";
 import { fileURLToPath } from "node:url";
@@ -7,7 +7,7 @@ const entry = fileURLToPath(new URL("../src/sender.ts", import.meta.url));
 const bundled = (await build({ entryPoints: [entry], bundle: true, write: false, format: "esm" })).outputFiles[0].text;
 const { Sender } = await import(`data:text/javascript;base64,${Buffer.from(bundled).toString("base64")}`);
 
-/** A sender with a link that keeps what is written; realtime commands apart. */
+/** Returns a sender with a link that records what is written; realtime commands separately. */
 function connected() {
   const link = { lines: [], realtime: [], onsaid: () => {}, onlost: () => {}, close: () => {},
     write: bytes => bytes.length === 1 && bytes[0] !== 0x0a ? link.realtime.push(bytes[0]) : link.lines.push(Buffer.from(bytes).toString("latin1").trimEnd()) };
@@ -43,7 +43,7 @@ export async function a_second_job_is_refused_until_the_first_is_answered() {
   assert.deepEqual(link.lines, ["G91", "G0 X1", "G0 X2"]);
 }
 
-/** 40 lines of which so many are under way as a buffer of 128 bytes takes. */
+/** Returns a sender with a job of 40 lines, of which as many are in flight as fit into a buffer of 128 bytes. */
 function inMidJob() {
   const all = connected();
   all.sender.stream("G1 X1 F100\n".repeat(40));
@@ -62,7 +62,7 @@ export async function a_refused_line_holds_the_machine_and_ends_the_job() {
   say("error:33");
   assert(!sender.busy && sender.free);
   assert.deepEqual([refused, link.realtime.length, stopped.length], [["3 error:20", "13 error:33"], 1, 1]);
-  // The last line of a job has none behind it.
+  // The last line of a job has no line after it.
   sender.stream("G1 X1\nG999\n");
   say("ok\r\nerror:20");
   assert.deepEqual([refused[2], link.realtime.length, stopped.length], ["2 error:20", 1, 1]);
@@ -83,7 +83,7 @@ export async function a_reset_that_the_page_did_not_order_ends_the_job() {
   sender.ongreeting = () => greetings++;
   say("\r\nGrbl 1.1h ['$' for help]");
   assert.deepEqual([sender.lines, sender.free, stopped, greetings], [[], true, ["2 the machine was reset"], 1]);
-  // An answer that was under way belongs to no line of after.
+  // An answer that was on its way belongs to no later line.
   const unlocked = sender.command("$X");
   say("ok");
   assert.equal(link.lines.length, 13);
@@ -91,7 +91,7 @@ export async function a_reset_that_the_page_did_not_order_ends_the_job() {
   assert.deepEqual(link.lines.slice(13), ["$X"]);
   say("ok");
   assert.equal(await unlocked, "ok");
-  // One that it did order ends the job as well, and the next line waits for the greeting alone.
+  // A reset by the sender itself ends the job, too, and the next line waits only for the welcome.
   sender.stream("G4 P1\n");
   sender.reset();
   const after = sender.command("$X");

@@ -1,4 +1,4 @@
-// The page from a web server, which is a site; and in Firefox, where it is installed.
+// The page from a web server, as a site; and in Firefox, if that is installed.
 import assert from "node:assert/strict";
 import { existsSync, readdirSync, readFileSync } from "node:fs";
 import { createServer } from "node:http";
@@ -11,7 +11,7 @@ import { BOARDS, example, examples, MILL, page as file, root, run, same } from "
 
 const FIREFOX = [process.env.OXMILL_FIREFOX, "/usr/bin/firefox-esr", "/usr/bin/firefox"].find(path => path && existsSync(path));
 
-/** Any web server: it knows the page, and notes what else it is asked for. */
+/** Any web server: it serves the page, and records all other requests. */
 async function site() {
   const others = [];
   const server = createServer((request, response) => {
@@ -28,7 +28,7 @@ export async function the_page_is_the_same_as_a_site(browser) {
   const { url, others, stop } = await site();
   try {
     const { page, faults } = await open(browser, url);
-    // Once it is loaded, it needs the server no more.
+    // Once loaded, the page does not need the server any more.
     stop();
     const text = example("pocket_mm.nc");
     same(await openJob(page, "pocket_mm.nc", text), run("pocket_mm.nc", text), "from a web server");
@@ -45,7 +45,7 @@ export async function the_page_is_the_same_as_a_site(browser) {
   }
 }
 
-/** The folder of the site on a web server; `change` makes another version of it. */
+/** Serves the folder of the site; `change` turns it into another version. */
 async function folder() {
   const at = join(root, "target/web/site");
   const types = { html: "text/html; charset=utf-8", js: "text/javascript", svg: "image/svg+xml", webmanifest: "application/manifest+json" };
@@ -67,7 +67,7 @@ async function folder() {
   return { url: `http://127.0.0.1:${server.address().port}/`, stop, change };
 }
 
-/** As an app: it opens without a network, comes with its next version when there is one, and opens files of its kind. */
+/** As an app: it opens offline, updates to the next version, and opens G-code files. */
 export async function the_site_can_be_installed_and_opens_without_a_network(browser) {
   const { url, stop, change } = await folder();
   try {
@@ -77,12 +77,12 @@ export async function the_site_can_be_installed_and_opens_without_a_network(brow
     const { errors, data } = await devtools.send("Page.getAppManifest");
     assert.deepEqual([errors, JSON.parse(data).name], [[], "Oxmill"]);
     const { installabilityErrors } = await devtools.send("Page.getInstallabilityErrors");
-    // A context of the tests is one that keeps nothing.
+    // The tests use a context without storage, which counts as incognito.
     assert.deepEqual(installabilityErrors.map(({ errorId }) => errorId).filter(id => id !== "in-incognito"), []);
     const kept = () => page.evaluate(async () => [(await caches.keys()).length, Boolean(navigator.serviceWorker.controller)]);
     await page.waitForFunction(() => navigator.serviceWorker.controller?.state === "activated", null, { timeout: PATIENCE });
     assert.deepEqual(await kept(), [1, true]);
-    // Another version is there at a later visit.
+    // A later visit finds another version.
     change();
     const first = await page.evaluate(() => caches.keys());
     await page.evaluate(async () => (await navigator.serviceWorker.getRegistration()).update());
@@ -113,13 +113,14 @@ export async function the_site_can_be_installed_and_opens_without_a_network(brow
   }
 }
 
-/** Firefox by WebDriver BiDi, as Debian and Mozilla build it. Without it there is nothing to test, and the run says so. */
+/** Starts Firefox by WebDriver BiDi, as built by Debian and Mozilla. Without Firefox, the test is skipped, and the run
+ * says so. */
 async function firefox() {
   if (FIREFOX) return puppeteer.launch({ browser: "firefox", executablePath: FIREFOX, protocolTimeout: PATIENCE, defaultViewport: null, args: ["--width=1440", "--height=1000"] });
   console.log("skipped: no Firefox is installed (Debian: firefox-esr)");
 }
 
-/** A page in it, and what goes wrong there. */
+/** Opens a page in Firefox; records faults. */
 async function opened(browser, place) {
   const page = await browser.newPage();
   const faults = [];
@@ -157,7 +158,7 @@ export async function firefox_says_the_same() {
   }
 }
 
-/** The way of a newcomer in Chromium, in Firefox. */
+/** The newcomer's walk of the Chromium test, in Firefox. */
 export async function firefox_goes_from_a_job_to_its_end() {
   const browser = await firefox();
   if (!browser) return;

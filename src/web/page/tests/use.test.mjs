@@ -1,4 +1,4 @@
-// How the page is used: by keys alone, on a telephone, without WebGL, without a serial port, by a screen reader.
+// Ways to use the page: by keys alone, on a telephone, without WebGL, without a serial port, with a screen reader.
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
@@ -9,7 +9,7 @@ import { walk } from "./walk.mjs";
 
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 
-/** Something in each panel that a job, a run or a fault can put there. */
+/** Fills each panel with something that a job, a run or a fault can put there. */
 const FILLED = {
   settings: async page => {
     await page.fill('[aria-label^="$0 "]', "256");
@@ -50,14 +50,14 @@ const FILLED = {
 
 export async function axe_finds_nothing(browser) {
   for (const [colorScheme, width] of [["light", 1440], ["dark", 1440], ["light", 1024], ["light", 390], ["dark", 390]]) {
-    // A button that has just been switched on still changes its colour where motion is wanted.
+    // Reduced motion: otherwise a button that has just been enabled would still be changing its colour.
     const { page } = await open(browser, file, { colorScheme, reducedMotion: "reduce", viewport: { width, height: 900 } });
     await page.evaluate(axe);
     const audit = async where => {
       const { violations } = await page.evaluate(() => axe.run());
       assert.deepEqual(violations.map(found => `${where}: ${found.id}: ${found.nodes[0].html}`), [], `${colorScheme}, ${width} px`);
     };
-    // Two tools, a refused line, an alarm, a message, and a rapid through material.
+    // Two tools, a rejected line, an alarm, a message, and a rapid through material.
     await openJob(page, "bad.nc", "G21 G90 F600\n(MSG,hello)\nM3 S1000\nG4 P1\nT1 M6\nG0 Z2\nG1 Z-2\nG1 X20\nG999\nT2 M6\nG0 Y10\nG38.2 Z-9\n");
     for (const part of ["#errors .h", "#by-tool td", "#messages li"]) assert(await page.locator(part).count() > 0, part);
     for (const coloring of ["kind", "tool"]) await page.selectOption("#coloring", coloring);
@@ -74,7 +74,7 @@ export async function axe_finds_nothing(browser) {
   }
 }
 
-/** Own job checked, machine jogged and zeroed, the job run, held, stopped at a line and continued from it. */
+/** Check a job, jog and zero the machine, run the job, hold it, stop it at a line, and continue it from there. */
 export async function a_newcomer_comes_from_a_job_to_its_end(browser) {
   const { page, faults } = await open(browser, file, { first: true });
   await walk(page);
@@ -172,7 +172,7 @@ export async function the_same_file_again_is_checked_again(browser) {
   await openJob(page, "a.nc", "G21\nG0 X1\n");
   const found = await openJob(page, "a.nc", "G21\nG0 X2\n");
   assert.equal(found.position_mm[0], 2);
-  // A browser tells of a file only if another one was chosen before.
+  // A browser reports a chosen file only if another one was chosen before.
   assert.equal(await page.inputValue("#file"), "");
   assert.deepEqual(faults, []);
 }
@@ -182,11 +182,11 @@ export async function a_job_is_played_at_a_thousand_times_its_speed(browser) {
   const { forecast_s } = await openJob(page, "long.nc", "G21 G91\nG1 X3000 F60\nG1 X-3000\n");
   await page.selectOption("#rate", "1000");
   const began = performance.now();
-  // Two pictures at least 1 s apart: wall time and job time, s.
+  // Two frames at least 1 s apart: elapsed wall time and job time, s.
   const between = page.evaluate(() => new Promise(done => {
     let first;
     let before;
-    // The time is the one that the picture before has set: this is called ahead of the player.
+    // The time is that set by the previous frame, as this runs before the player.
     const look = now => {
       const at = [before / 1000, oxmill.app.player.time];
       before = now;
@@ -208,7 +208,7 @@ export async function a_job_is_played_at_a_thousand_times_its_speed(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Such as a folder: nothing of the job before is shown, or run, in its place. */
+/** Such as a folder: no part of the previous job is shown or run instead. */
 export async function a_file_that_cannot_be_read_is_named(browser) {
   const { page, faults } = await open(browser, file);
   await page.evaluate(() => {
@@ -223,7 +223,7 @@ export async function a_file_that_cannot_be_read_is_named(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** A file that is dropped, as a browser tells of it. */
+/** Drops a file, with the events of a browser. */
 export async function a_dropped_file_is_checked(browser) {
   const { page, faults } = await open(browser, file);
   const drop = (kind, more) => page.evaluate(([kind, more]) => {
@@ -255,7 +255,7 @@ export async function refused_lines_are_reached_by_keys(browser) {
   await page.keyboard.press("Tab");
   assert.match(await focused(), /error:[^]*line 5/);
   await page.keyboard.press("Enter");
-  // The refused line moves nothing: the time is that at which the next one begins.
+  // The rejected line moves nothing: the time is that at which the next line begins.
   const { shown, begins } = await timeOf(page, 6);
   assert(begins > 0 && Math.abs(shown - begins) < 1e-6, `${shown} ${begins}`);
   assert.match(await page.locator("#lines [aria-selected=true]").innerText(), /^\s*5\s/);
@@ -269,7 +269,7 @@ export async function a_line_that_is_clicked_is_shown(browser) {
     await page.click(`#line-${line}`);
     await isAt(page, line);
   }
-  // With the list drawn anew while the button is down.
+  // The list is redrawn while the button is down.
   const box = await page.locator("#line-4").boundingBox();
   await page.mouse.move(box.x + 20, box.y + 9);
   await page.mouse.down();
@@ -279,7 +279,7 @@ export async function a_line_that_is_clicked_is_shown(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Lines that move nothing are at the next move, and at the end of the job where none comes. */
+/** Lines that move nothing are at the next move, or at the end of the job if no move follows. */
 export async function the_last_lines_are_at_the_end(browser) {
   const { page, faults } = await open(browser, file);
   const { forecast_s } = await openJob(page, "end.nc", "G21 G91\nG1 X9 F600\nM5\nG1 X-9\nM9\nG999\nM30\n");
@@ -303,7 +303,7 @@ export async function the_last_lines_are_at_the_end(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** All pixels of the first view, once it is at rest: of their colours, a checksum. */
+/** Returns a checksum of all pixel colours of the first view, once it is at rest. */
 const pixels = page => page.evaluate(async () => {
   const canvas = document.getElementById("view");
   await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
@@ -313,7 +313,7 @@ const pixels = page => page.evaluate(async () => {
   return all.reduce((sum, value) => (Math.imul(sum, 31) + value) | 0, 0);
 });
 
-/** What a mouse, a wheel and keys do to the picture: what is seen, and how a place and a length move on it. */
+/** How mouse, wheel and keys change the picture: what is visible, and how a position and a length move on it. */
 export async function mouse_and_keys_turn_move_and_zoom_the_picture(browser) {
   const { page, faults } = await open(browser, file);
   await openJob(page, "square.nc", "G21 G91 F6000\nG1 X50\nG1 Y50\nG1 X-50\nG1 Y-50\n");
@@ -375,7 +375,7 @@ export async function the_theme_is_chosen_by_its_button(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Two fingers on the picture, as a touch screen tells of them. */
+/** Two fingers on the picture, with the events of a touch screen. */
 export async function fingers_turn_and_zoom_the_picture(browser) {
   const { page, faults } = await open(browser, file, { viewport: { width: 390, height: 844 } });
   const fingers = await page.context().newCDPSession(page);
@@ -406,7 +406,7 @@ export async function settings_of_a_machine_are_pasted(browser) {
   const { page, faults } = await open(browser, file);
   await tab(page, "settings");
   await page.click("#open-import");
-  // A slip does not put a new controller's settings in the place of those that are there.
+  // A typing mistake must not replace the present settings by those of a new controller.
   await page.evaluate(() => oxmill.app.settings.set(121, 77));
   for (const slip of ["", "110=5\nok\n", "$120=1,5\n$121=1e2\n"]) {
     await page.fill("#paste", slip);
@@ -422,7 +422,8 @@ export async function settings_of_a_machine_are_pasted(browser) {
   await checked(page);
   assert.deepEqual(await page.evaluate(() => oxmill.app.settings.values()), { 100: 80, 120: 123.5 });
   assert.equal(await page.locator("#settings-note").innerText(), "2 settings are taken over. Not understood: $122=x, $99999=1");
-  // They are there again when the page is loaded again, but for what this firmware does not have: another page may have kept it.
+  // Reloading restores the settings, except those that this firmware does not have: another version of the page may
+  // have stored them.
   const reloaded = async (kept, wanted) => {
     await page.evaluate(kept => localStorage.setItem("oxmill settings", kept), kept);
     await page.reload();
@@ -430,12 +431,12 @@ export async function settings_of_a_machine_are_pasted(browser) {
     assert.deepEqual(await page.evaluate(() => oxmill.app.settings.values()), wanted, kept);
   };
   for (const kept of ["7", '{"99999":1,"100":"x"}', '{"100":250}']) await reloaded(kept, {});
-  // What is no record at all is as if nothing had been kept: the machine that was chosen, here a new board.
+  // Invalid stored data counts as nothing stored: the chosen machine is used, here a new board.
   for (const kept of ["null", "{"]) await reloaded(kept, {});
   await reloaded('{"100":80,"120":123.5}', { 100: 80, 120: 123.5 });
   await tab(page, "settings");
   assert.equal(await page.inputValue('[aria-label^="$120 "]'), "123.5");
-  // A row has X, Y and Z, with the one that differs marked; what it does is said once, beside it.
+  // A row has X, Y and Z, with the differing value marked; the explanation is shown once, beside it.
   await page.fill("#find", "120");
   const row = page.locator("#settings-table tr.row:visible").first();
   assert.match(await row.innerText(), /Acceleration\s*\$120–122[^]*mm\/s2/);
@@ -455,7 +456,7 @@ export async function settings_of_a_machine_are_pasted(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** What a browser holds for the page once it has swept, bytes: objects of its script, and of the module. */
+/** Returns the bytes that the browser uses for the page after garbage collection: script objects, and the module. */
 const memory = async (page, devtools) => {
   await devtools.send("HeapProfiler.collectGarbage");
   const { metrics } = await devtools.send("Performance.getMetrics");

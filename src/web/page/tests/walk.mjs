@@ -1,9 +1,9 @@
-// A newcomer's way through the page, from the choice of a machine to a job that was stopped and continued. With nothing but
-// what Playwright and Puppeteer have in common, so that it is the same one in Chromium and in Firefox.
+// A newcomer's way through the page, from the choice of a machine to a job that is stopped and continued. Uses only
+// features that Playwright and Puppeteer share, so that it is identical in Chromium and Firefox.
 import assert from "node:assert/strict";
 import { PATIENCE } from "./browser.mjs";
 
-/** Waits until something is so. Asked again and again: what Firefox waits with needs `eval`, which the page's policy forbids. */
+/** Waits until a condition holds by polling: Firefox's own waiting needs `eval`, which the page's policy forbids. */
 export async function until(page, condition, argument) {
   const end = Date.now() + PATIENCE;
   while (!await page.evaluate(condition, argument)) {
@@ -12,13 +12,13 @@ export async function until(page, condition, argument) {
   }
 }
 
-/** From the first visit on, in a browser of which nothing is kept. */
+/** Runs from the first visit on, in a browser without stored data. */
 export async function walk(page) {
   const say = id => page.evaluate(id => document.getElementById(id).innerText, id);
   const phase = wanted => until(page, wanted => oxmill.app.machine.phase === wanted, wanted);
   const work = () => page.evaluate(() => oxmill.app.machine.status.work);
   const rest = () => until(page, () => oxmill.app.machine.isAtRest);
-  // A button of a card that is made anew may go while a driver looks at it: it is pressed in one look.
+  // A button of a card that is rebuilt may vanish between finding and pressing it: do both in one evaluation.
   const press = text => until(page, text => {
     const button = [...document.querySelectorAll("#jobcard-body button, #start-why button")].find(one => one.innerText.startsWith(text) && !one.disabled);
     button?.click();
@@ -38,7 +38,7 @@ export async function walk(page) {
   await until(page, () => document.getElementById("verdict").innerText.includes("Ready to run") && oxmill.app.checked);
   assert.match(await say("verdict"), /All 465 lines are accepted/);
   await page.click("#to-run");
-  // A machine, homed, with the tool over the work.
+  // A machine, homed, with the tool above the workpiece.
   await page.click("#power");
   await phase("idle");
   await until(page, () => !document.getElementById("home").disabled);
@@ -53,7 +53,7 @@ export async function walk(page) {
   await rest();
   await page.click("#zero-all");
   await until(page, () => oxmill.app.machine.status.work.every(at => Math.abs(at) < 0.001));
-  // The job: started, held, gone on with, and stopped on its way.
+  // The job: start, hold, resume, and stop on its way.
   await started();
   await until(page, () => oxmill.app.machine.status.state === "Run" && oxmill.app.machine.running?.follower.line > 16);
   await page.click('[data-realtime="hold"]');
@@ -61,7 +61,7 @@ export async function walk(page) {
   assert.match(await say("jobcard-title"), /Hold/i);
   await page.click('[data-realtime="resume"]');
   await phase("run");
-  // Nobody waits for minutes: what is simulated passes a hundred times as fast.
+  // To save time, the simulated machine runs a hundred times as fast.
   const times = value => page.evaluate(value => {
     const select = document.getElementById("times");
     select.value = value;
@@ -82,7 +82,7 @@ export async function walk(page) {
   await press("Lift Z");
   await until(page, z => Math.abs(oxmill.app.machine.status.work[2] - z - 10) < 0.01, z);
   await rest();
-  // The rest of it, as a job of its own, to its end.
+  // The rest of the job, as a job of its own, to its end.
   await press("Continue from line");
   assert.equal(await page.evaluate(() => document.getElementById("from-line").value), String(line));
   await until(page, () => document.getElementById("prologue").textContent !== "");
