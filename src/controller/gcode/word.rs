@@ -1,5 +1,5 @@
 //! Words of a line: reads letters and numbers one by one, and translates G and M numbers into their meaning, which
-//! depends on the dialect and on the features of this build. Each word has a modal group.
+//! depends on the dialect and the image. Each word has a modal group.
 
 use super::Dialect;
 use super::code::Code;
