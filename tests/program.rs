@@ -138,6 +138,27 @@ fn settings_may_come_from_any_editor() {
 }
 
 /// A terminal's log of `$$` can be used as a settings file without changes.
+/// The dialect decides which values are accepted, wherever it is selected; the answer of a refused one is shown.
+#[test]
+fn settings_are_those_of_the_dialect() {
+    let job = file("dialect_of_settings.nc", "G21\n");
+    let settings = file("settings_of_grbl.txt", "$32=2\n");
+    for arguments in [["--settings", text(&settings)], ["--set", "32=2"], ["--set", "$32=2"]] {
+        let arguments = [&["check", text(&job)], &arguments[..]].concat();
+        let output = run(&arguments);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(2) && said.contains("error:52") && said.contains("0 or 1"), "{said}");
+        let output = run(&[&arguments[..], &["--dialect", "grbl"]].concat());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    // The option wins.
+    let output = run(&["check", text(&job), "--dialect", "grbl", "--set", "900=1", "--set", "32=1"]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let job = file("word_of_oxmill.nc", "G21\nM7.1\nG70\n");
+    let output = run(&["check", text(&job), "--dialect", "grbl", "--set", "900=1"]);
+    assert_eq!(output.status.code(), Some(1));
+}
+
 #[test]
 fn settings_may_be_what_a_machine_has_said() {
     let job = file("said.nc", "G1 X10 F60000\n");
@@ -362,6 +383,14 @@ fn files_that_are_no_jobs_are_named() {
             assert_eq!((output.status.code(), said.lines().count()), (Some(2), 1), "{command:?} {said}");
             assert!(said.contains(what) && output.stdout.is_empty(), "{command:?} {said}");
         }
+    }
+    // Windows writes `$$ > settings.txt` so.
+    let (job, settings) = (file("job_of_settings.nc", "G21\n"), file("settings_utf16.txt", ""));
+    fs::write(&settings, &utf16).expect("a file can be written");
+    for option in ["--settings", "--machine"] {
+        let output = run(&["check", text(&job), option, text(&settings)]);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(2) && said.contains("UTF-16"), "{option} {said}");
     }
     let empty = run(&["check", "-"]);
     assert_eq!(empty.status.code(), Some(2), "{}", String::from_utf8_lossy(&empty.stderr));
@@ -722,6 +751,11 @@ fn a_recorded_job_is_played_again() {
             String::from_utf8_lossy(&output.stderr).contains("at its end the machine is where it was recorded, but")
         );
     }
+    let (lines, end) = text_of.trim_end().rsplit_once('\n').expect("lines");
+    let (time, state) = end.split_once(' ').expect("a time");
+    let time: u64 = time.parse().expect("a time");
+    let changed = file("other_end.rec", &format!("{lines}\n{} {state}\n", time ^ 1));
+    assert_eq!(run(&["replay", text(&changed)]).status.code(), Some(3), "another end");
     // A recording of a program that makes other steps is reported.
     let other = fs::read_to_string(&recording).expect("a recording is text").replace("G0 X0 Z1", "G0 X0 Z2");
     let changed = file("changed.rec", &other);

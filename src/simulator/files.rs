@@ -106,6 +106,7 @@ pub fn without_mark(text: &str) -> &str {
 /// If it cannot be read or understood.
 pub fn read_machine(path: &Path) -> Result<(Fittings, String)> {
     let text = read(path, TEXT)
+        .and_then(|bytes| file_kind::refuse(&bytes, false).map(|()| bytes).map_err(io::Error::other))
         .and_then(|bytes| String::from_utf8(bytes).map_err(io::Error::other))
         .with_context(|| format!("cannot read {}", path.display()))?;
     let fittings = Fittings::parse(&text).with_context(|| format!("{} does not describe a machine", path.display()))?;

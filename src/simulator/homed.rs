@@ -3,7 +3,7 @@
 
 use crate::boards::AXES;
 use crate::fittings::HomeSwitches;
-use crate::power_up::error_text;
+use crate::power_up::{error_text, messages_of};
 use crate::simulator::Simulator;
 use oxmill_controller::axes::LINEAR;
 use oxmill_controller::settings::{AxisKey, Key};
@@ -67,8 +67,7 @@ fn say(simulator: &mut Simulator, line: &str) -> Result<(), String> {
     simulator.send(format!("{line}\n"));
     simulator.run_until_idle();
     let said = simulator.take_output();
-    let messages: String =
-        said.lines().filter(|line| line.starts_with("[MSG:")).map(|line| format!(" {line}")).collect();
+    let messages = messages_of(&said);
     if let Some(alarm) = simulator.controller().alarm() {
         return Err(format!("ended in ALARM:{}: {}{messages}", alarm.code(), alarm.text()));
     }

@@ -21,6 +21,7 @@ use crate::text::JobText;
 use crate::trace::Csv;
 use anyhow::{Context, Error, Result, anyhow, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use oxmill_controller::settings::Key;
 use oxmill_controller::units::{Coordinate, Decimal};
 use std::cell::RefCell;
 use std::io::{self, IsTerminal, Write};
@@ -111,11 +112,14 @@ fn begin_recorder(
     Ok(recorded.then(|| Recorder::begin(simulator, machine)))
 }
 
-/// Returns the settings of the options, each as (origin, setting).
+/// Returns the settings of the options, each as (origin, setting). The dialect comes first, as it decides which values the
+/// others take, and again at the end if a setting has changed it.
 fn settings(options: &MachineOptions) -> Result<Vec<(String, String)>> {
-    let mut lines = Vec::new();
+    let dialect = options.dialect.map(|dialect| (format!("--dialect {}", dialect.name()), dialect.assignment()));
+    let mut lines: Vec<_> = dialect.clone().into_iter().collect();
     if let Some(path) = &options.settings {
         let text = files::read(path, files::TEXT)
+            .and_then(|text| file_kind::refuse(&text, false).map(|()| text).map_err(io::Error::other))
             .with_context(|| format!("cannot read the settings file {}", path.display()))?;
         let text = String::from_utf8_lossy(&text).replace("\r\n", "\n");
         for (index, line) in files::without_mark(&text).split(['\n', '\r']).enumerate() {
@@ -127,8 +131,9 @@ fn settings(options: &MachineOptions) -> Result<Vec<(String, String)>> {
         }
     }
     lines.extend(options.set.iter().map(|setting| (format!("--set {setting}"), setting.trim().to_owned())));
-    if let Some(dialect) = options.dialect {
-        lines.push((format!("--dialect {}", dialect.name()), dialect.assignment()));
+    let name = format!("{}=", Key::Dialect.number());
+    if lines.iter().skip(1).any(|(_, setting)| setting.trim_start_matches('$').starts_with(&name)) {
+        lines.extend(dialect);
     }
     Ok(lines)
 }
@@ -311,7 +316,7 @@ fn play(
     let (clock, mut said) = (*simulator.clock(), String::new());
     let pass = |ticks| {
         progress.set_position(ticks);
-        progress.set_message(crate::summary::clock_time(clock.seconds(ticks)));
+        progress.set_message(machine_time(clock.seconds(ticks)));
     };
     let same = if recording.is_of_board() {
         let arrival = board_replay::play(recording, &mut simulator, |text| said.push_str(text), pass);
@@ -414,7 +419,7 @@ fn carry_out_job(options: &Run, form: Form) -> Result<Ending> {
 fn carry_out(check: &mut Check, progress: &ProgressBar) {
     while !check.advance(ROUNDS) {
         progress.set_position(check.consumed());
-        progress.set_message(crate::summary::clock_time(check.seconds()));
+        progress.set_message(machine_time(check.seconds()));
     }
 }
 
@@ -480,11 +485,16 @@ fn progress_bar(length: Option<u64>, what: &str) -> ProgressBar {
         .map_or(bar.clone(), |style| bar.with_style(style))
 }
 
+/// The text of a progress bar for machine time. There is none before the first line has been executed.
+fn machine_time(seconds: f64) -> String {
+    format!("{} of machine time ", crate::summary::clock_time(seconds))
+}
+
 /// The text shows no remaining time: the only basis would be the part of the file that was read, but one line may take
 /// a second or a day.
 fn progress_template(share_of: Option<&str>) -> String {
     let share = share_of.map_or("{spinner}".into(), |what| format!("{{bar:40}} {{percent:>3}} % of {what},"));
-    share + " {msg} of machine time in {elapsed}"
+    share + " {msg}in {elapsed}"
 }
 
 #[cfg(test)]

@@ -70,13 +70,18 @@ pub fn error_text(code: u8) -> &'static str {
     Error::ALL.iter().find(|error| error.code() == code).map_or("an error without a description", |error| error.text())
 }
 
+/// Returns the messages of an answer, each after a blank.
+pub fn messages_of(said: &str) -> String {
+    said.lines().filter(|line| line.starts_with("[MSG:")).map(|line| format!(" {line}")).collect()
+}
+
 /// Why a setting was rejected.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SettingRefused {
     /// The text is not of the form `n=v` or `$n=v`.
     NoAssignment,
-    /// The controller answered `error:N`.
-    Error(u8),
+    /// The controller answered `error:N`, after messages such as ` [MSG:Values of $22: 0 or 1]`.
+    Error(u8, String),
     /// The ordered power cut has happened.
     PowerGone,
 }
@@ -85,7 +90,9 @@ impl fmt::Display for SettingRefused {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             SettingRefused::NoAssignment => f.write_str("is not of the form $n=v"),
-            SettingRefused::Error(code) => write!(f, "was refused with error:{code}: {}", error_text(*code)),
+            SettingRefused::Error(code, messages) => {
+                write!(f, "was refused with error:{code}: {}{messages}", error_text(*code))
+            }
             SettingRefused::PowerGone => f.write_str("found no power"),
         }
     }
@@ -109,10 +116,7 @@ pub fn apply_setting(simulator: &mut Simulator, setting: &str) -> Result<(), Set
     if simulator.power_is_gone() {
         return Err(SettingRefused::PowerGone);
     }
-    for answer in simulator.take_output().lines() {
-        if let Some(code) = answer.strip_prefix("error:").and_then(|code| code.parse().ok()) {
-            return Err(SettingRefused::Error(code));
-        }
-    }
-    Ok(())
+    let said = simulator.take_output();
+    let error = said.lines().find_map(|answer| answer.strip_prefix("error:")?.parse().ok());
+    error.map_or(Ok(()), |code| Err(SettingRefused::Error(code, messages_of(&said))))
 }

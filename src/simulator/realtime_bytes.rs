@@ -74,7 +74,7 @@ fn texts(line: &[u8]) -> Vec<bool> {
         if !remark.takes(*byte, || true) {
             // At least the line end follows the byte.
             is_text[at] = matches!(byte, b'!' | b'~') && remark.is_inside();
-            remark.follow(*byte);
+            remark.follow(*byte, || true);
         } else if !remark.has_begun_character() {
             is_text[begun_at..=at].fill(true);
         }

@@ -130,11 +130,21 @@ impl Measured {
     }
 }
 
-/// Whether a refused line asks for another tool (M6), as far as its words can be read.
+/// Whether a refused line asks for another tool (M6), or may do so: the number of an M word may be computed (`M[6]`).
 #[inline(never)]
 pub fn asks_for_tool(line: &[u8]) -> bool {
-    line.split(|byte| *byte == b'M').skip(1).any(|number| {
-        number::read(number, Digits::Exact).is_some_and(|read| Code::of(read.value) == Code { whole: 6, hundredths: 0 })
+    let mut depth = 0_usize;
+    line.iter().enumerate().any(|(at, byte)| {
+        match byte {
+            b'[' | b'<' => depth += 1,
+            b']' | b'>' => depth = depth.saturating_sub(1),
+            _ => {}
+        }
+        let number = line.get(at + 1..).unwrap_or_default();
+        *byte == b'M'
+            && depth == 0
+            && number::read(number, Digits::Exact)
+                .is_none_or(|read| Code::of(read.value) == Code { whole: 6, hundredths: 0 })
     })
 }
 

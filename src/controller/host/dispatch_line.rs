@@ -337,10 +337,10 @@ fn line_rules<const N: usize>(settings: &Settings<N>) -> line_filter::LineRules 
             expressions: false,
             block_delete: false,
         },
-        dialect => line_filter::LineRules {
+        Dialect::Oxmill | Dialect::Seed => line_filter::LineRules {
             length: line_filter::LENGTH,
             merge_crlf: true,
-            nested_remarks: dialect == Dialect::Seed || FULL_IMAGE,
+            nested_remarks: true,
             expressions: true,
             block_delete: settings.is_on(Key::BlockDelete),
         },

@@ -262,7 +262,7 @@ impl Link {
             }
             Received::Line(byte) => {
                 self.is_ambiguous = false;
-                self.remark.follow(byte);
+                self.remark.follow(byte, || queues.reads_characters());
                 let second_of_crlf = byte == b'\n' && self.after_cr;
                 self.after_cr = byte == b'\r';
                 if second_of_crlf {

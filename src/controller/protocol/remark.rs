@@ -10,8 +10,7 @@
 //!  C3 84 outside    a command: only a remark contains text
 //! ```
 //! Bytes below 0x80 are never part of such a character: 0x18 and 0x19 act anywhere, and [`Link`](super::link::Link)
-//! decides about a `!` or `~` in a remark. Where the line filter sees a remark and `Remark` does not, for instance
-//! after a nested `)`, bytes keep their meaning as commands.
+//! decides about a `!` or `~` in a remark.
 
 use heapless::Vec;
 
@@ -22,8 +21,8 @@ const MOST_BEGUN: usize = 3;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum RemarkPlace {
     Words,
-    /// A remark that `)` ends.
-    Parentheses,
+    /// A remark that `)` ends, after a `)` for each of this many nested `(`.
+    Parentheses(u8),
     /// A remark that the line end ends.
     Semicolon,
 }
@@ -52,13 +51,16 @@ impl Remark {
         !self.begun.is_empty()
     }
 
-    /// Updates the place in the line for its next byte.
-    pub fn follow(&mut self, byte: u8) {
+    /// Updates the place in the line for its next byte. `nests`: whether parentheses within a remark are counted, as the
+    /// line filter does it; called only where that matters.
+    pub fn follow(&mut self, byte: u8, nests: impl FnOnce() -> bool) {
         self.place = match (self.place, byte) {
             (_, b'\n' | b'\r') => RemarkPlace::Words,
-            (RemarkPlace::Words, b'(') => RemarkPlace::Parentheses,
+            (RemarkPlace::Words, b'(') => RemarkPlace::Parentheses(0),
             (RemarkPlace::Words, b';') => RemarkPlace::Semicolon,
-            (RemarkPlace::Parentheses, b')') => RemarkPlace::Words,
+            (RemarkPlace::Parentheses(depth), b'(') if nests() => RemarkPlace::Parentheses(depth.saturating_add(1)),
+            (RemarkPlace::Parentheses(0), b')') => RemarkPlace::Words,
+            (RemarkPlace::Parentheses(depth), b')') => RemarkPlace::Parentheses(depth - 1),
             (place, _) => place,
         };
     }
@@ -125,7 +127,7 @@ mod tests {
             alone.extend(remark.break_off(*byte));
             if !remark.takes(*byte, || true) {
                 alone.push(*byte);
-                remark.follow(*byte);
+                remark.follow(*byte, || true);
             }
         }
         alone
@@ -136,6 +138,7 @@ mod tests {
         assert_eq!(alone("(Äußere Kontur é 切削 😀)".as_bytes()), b"(uere Kontur   )");
         assert_eq!(alone("G1 ; Größe à\nÄ".as_bytes()), b"G1 ; Gre \n\xC3\x84");
         assert_eq!(alone("(a)Ä(Ä)".as_bytes()), b"(a)\xC3\x84()");
+        assert_eq!(alone("(a (b (Ä)) Ä)Ä".as_bytes()), b"(a (b ()) )\xC3\x84");
     }
 
     #[test]
@@ -162,7 +165,7 @@ mod tests {
     #[test]
     fn a_character_ends_with_its_remark() {
         let mut remark = Remark::NONE;
-        remark.follow(b'(');
+        remark.follow(b'(', || true);
         assert!(remark.takes(0xE3, || true) && remark.takes(0x84, || true) && remark.has_begun_character());
         remark.leave();
         assert_eq!(remark.break_off(0x84), [0xE3, 0x84]);

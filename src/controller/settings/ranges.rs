@@ -66,15 +66,15 @@ impl<const N: usize> Settings<N> {
         Ok((index, value))
     }
 
-    /// Checks a value against the range of its kind. Returns it without a fraction if the kind is a whole number.
+    /// Checks a value against the range of its kind. Of a whole number, Grbl's dialect drops a fraction; the other dialects
+    /// refuse it.
     fn checked(&self, kind: Kind, value: Decimal) -> Result<f32, Error> {
         let (whole, grbl) = (value.truncate(), self.value(Key::Dialect) == 0.0);
         let value = match kind {
             Kind::Tenths(..) => return self.tenths(kind, value),
             Kind::Switch if grbl && (1..=255).contains(&whole) => 1.0,
-            // A fraction is neither on nor off.
-            Kind::Switch if !grbl => value.to_f32(),
             Kind::Real | Kind::Speed | Kind::Place => value.to_f32(),
+            _ if !grbl && value.0 % DECIMAL_ONE != 0 => return Err(Error::SettingOutOfRange),
             _ => whole as f32,
         };
         match kind.can_be(value, axes_mask(self.axes_to_set())) {

@@ -82,8 +82,15 @@ impl Recording {
     /// A text that says what differs, or that the recording has no end.
     pub fn compare_end(&self, simulator: &Simulator) -> Result<(), String> {
         match self.inputs.last() {
-            Some((_, Input::At(recorded))) => compare(recorded, &traced(simulator, self.begin.unwrap_or_default()))
-                .map_err(|why| format!("at its end {why}")),
+            Some((time, Input::At(recorded))) => {
+                compare(recorded, &traced(simulator, self.begin.unwrap_or_default()))
+                    .map_err(|why| format!("at its end {why}"))?;
+                let now = simulator.clock().now();
+                let is_same = self.job().is_none() || *time == now;
+                is_same
+                    .then_some(())
+                    .ok_or_else(|| format!("it ends at tick {time}, and here the job ends at tick {now}"))
+            }
             _ => Err("the recording has no end: nothing can be compared".into()),
         }
     }

@@ -46,6 +46,9 @@ impl<const N: usize> Interpreter<N> {
             Error::FlowSyntax => self.explain_syntax(name, order, out),
             Error::TooDeep => say(out, "% is within too many others", &[name]),
             Error::OutOfMemory => say(out, "no room to hold %: subroutines and loops are too long", &[name]),
+            Error::EndlessLoop if order.keyword == Keyword::Repeat => {
+                say(out, "% has more than 100,000 passes", &[name])
+            }
             Error::EndlessLoop => say(out, "% came round 100,000 times: its condition never becomes false", &[name]),
             Error::InvalidArgument if self.unset_parameter(within).is_some() => {
                 say(out, "% is not set above this line", &[self.unset_parameter(within).unwrap_or_default()]);
