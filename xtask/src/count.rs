@@ -5,10 +5,10 @@
 //! Nothing is timed, so the figures are the same on every machine. A row that costs more than its limit fails. Limits
 //! are the costs reached, plus a small margin for changes of the compiler.
 
-use crate::elf::Elf;
+use crate::elf::{self, Function};
 use crate::paths::cargo_for_boards;
 use crate::reach::demangled;
-use crate::thumb::{Kind, Meter, decode};
+use crate::thumb::{Instruction, Kind, Meter, decode};
 use crate::{Failure, QEMU_BOARD, TARGET, boards, qemu, root, run};
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, Read};
@@ -108,14 +108,13 @@ pub fn profile(row: &str) -> Result<(), Failure> {
     let calls = calls.get(row).ok_or_else(|| format!("there is no row {row}"))?.len() as u64;
     let path = root().join("target").join(TARGET).join(boards::FAST).join("count");
     let bytes = std::fs::read(&path).map_err(|error| format!("{}: {error}", path.display()))?;
-    let mut symbols = Elf { bytes: &bytes }.symbols().ok_or("the program is no ELF file")?;
-    symbols.retain(|symbol| symbol.function);
+    let mut symbols: Vec<Function> = elf::functions(&elf::parse(&bytes)?).collect();
     symbols.sort_by_key(|symbol| symbol.address);
     let mut functions: HashMap<String, Cost> = HashMap::new();
     let mut addresses = String::new();
     for (at, cost) in &spent {
         let place = symbols.partition_point(|symbol| symbol.address <= *at);
-        let name = place.checked_sub(1).map_or_else(String::new, |place| demangled(&symbols[place].name));
+        let name = place.checked_sub(1).map_or_else(String::new, |place| demangled(symbols[place].name));
         let sum = functions.entry(name).or_default();
         *sum = (sum.0 + cost.0, sum.1 + cost.1);
         addresses += &format!("{at:#010x} {} {}\n", cost.0, cost.1);
@@ -157,19 +156,14 @@ fn address(line: &str) -> Option<u32> {
 /// Returns the costs of all calls of each row, and of each instruction of the row `profiled`.
 fn measure(bytes: &[u8], log: impl Read, profiled: &str) -> Result<Traced, Failure> {
     let mut spent: HashMap<u32, Cost> = HashMap::new();
-    let elf = Elf { bytes };
-    let symbols = elf.symbols().ok_or("the program is no ELF file")?;
-    let sections = elf.sections().ok_or("the program is no ELF file")?;
+    let elf = elf::parse(bytes)?;
     let named = |prefix: &str| -> HashMap<u32, String> {
-        let names = symbols.iter().filter(|s| s.function).map(|s| (s.address, demangled(&s.name)));
+        let names = elf::functions(&elf).map(|s| (s.address, demangled(s.name)));
         names.filter_map(|(at, name)| Some((at, name.strip_prefix(prefix)?.to_owned()))).collect()
     };
     let (rows, units) = (named("row_"), named("unit_"));
-    let half = |at: u32| -> Option<u16> {
-        let section = sections.iter().find(|s| s.loaded && (s.address..s.address + s.size).contains(&at))?;
-        elf.half(section.offset + (at - section.address)).map(|half| half as u16)
-    };
-    let mut known: HashMap<u32, (u32, Kind)> = HashMap::new();
+    // The two half words at an address, and the instruction that they are.
+    let mut known: HashMap<u32, ((u16, u16), Instruction)> = HashMap::new();
     let mut calls: HashMap<String, Vec<Cost>> = HashMap::new();
     let (mut row, mut open): (Option<&String>, Option<(u32, Meter)>) = (None, None);
     let mut before: Option<(u32, Kind)> = None;
@@ -218,19 +212,18 @@ fn measure(bytes: &[u8], log: impl Read, profiled: &str) -> Result<Traced, Failu
             };
             open = Some((end, Meter::default()));
         }
-        let (size, kind) = match known.get(&at) {
+        let (code, Instruction { size, kind }) = match known.get(&at) {
             Some(found) => *found,
             None => {
-                let first = half(at).ok_or_else(|| format!("no code at {at:#010x}"))?;
-                let instruction = decode(at, first, half(at + 2).unwrap_or(0));
-                known.insert(at, (instruction.size, instruction.kind));
-                (instruction.size, instruction.kind)
+                let first = elf::half(&elf, at).ok_or_else(|| format!("no code at {at:#010x}"))?;
+                let second = elf::half(&elf, at + 2).unwrap_or(0);
+                *known.entry(at).or_insert(((first, second), decode(at, first, second)))
             }
         };
-        // From `cpsid i` to `msr primask`, which restores the previous state.
-        match (half(at).unwrap_or(0), half(at + 2)) {
+        // From `cpsid i` to `msr primask`, which puts back what was before.
+        match code {
             (0xB672, _) if masked.is_none() => masked = Some(Meter::default()),
-            (0xF380..=0xF38F, Some(0x8810)) if let Some(meter) = masked.take() => {
+            (0xF380..=0xF38F, 0x8810) if let Some(meter) = masked.take() => {
                 calls.entry("masked".into()).or_default().push((meter.instructions, meter.cycles));
             }
             _ => {}

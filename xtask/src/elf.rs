@@ -1,143 +1,100 @@
-//! Reads sections, load addresses and symbols of ELF files. Other modules interpret them for the firmware.
+//! ELF files of the boards, read by the crate `object`, and the few things that it leaves to its users.
 
-/// A segment that flashing tools write.
-pub struct Segment {
-    /// Load address.
-    pub stored: u32,
-    /// Size in bytes.
-    pub size: u32,
-    /// Offset of its bytes in the file.
-    pub offset: u32,
-}
+use crate::Failure;
+use object::read::elf::{ElfFile32, ElfSection32, ProgramHeader, SectionHeader};
+use object::{LittleEndian, Object, ObjectSection, ObjectSegment, ObjectSymbol, SymbolKind};
+use std::ops::Range;
 
-/// A section of the file.
-pub struct Section {
-    /// Its name.
-    pub name: String,
-    /// Address at run time.
-    pub address: u32,
-    /// Load address in flash; differs from `address` for data that is copied to RAM at start-up.
-    pub stored: u32,
-    /// Offset of its bytes in the file.
-    pub offset: u32,
-    /// Size in bytes.
-    pub size: u32,
-    /// Whether it occupies memory of the target.
-    pub allocated: bool,
-    /// Whether it has bytes in the file.
-    pub loaded: bool,
-    kind: u32,
-    link: u32,
-}
+/// A 32-bit little-endian file.
+pub type Elf<'a> = ElfFile32<'a, LittleEndian>;
 
-/// A named address.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Symbol {
-    /// Mangled name.
-    pub name: String,
-    /// Address without the Thumb bit.
+/// A function that the symbol table names.
+#[derive(Clone, Copy)]
+pub struct Function<'a> {
+    /// As the compiler wrote it.
+    pub name: &'a str,
+    /// Without the mark of Thumb code.
     pub address: u32,
     /// Size in bytes, 0 if unknown.
     pub size: u32,
-    /// Whether it is a function.
-    pub function: bool,
 }
 
-/// Reader of a 32-bit little-endian ELF file, limited to section headers, load addresses and symbols.
-pub struct Elf<'a> {
-    /// The file.
-    pub bytes: &'a [u8],
+/// Reads the headers of a file.
+pub fn parse(bytes: &[u8]) -> Result<Elf<'_>, Failure> {
+    Elf::parse(bytes).map_err(|error| format!("this is no 32-bit ELF file: {error}"))
 }
 
-impl Elf<'_> {
-    /// Returns the word at an offset in the file.
-    pub fn word(&self, at: u32) -> Option<u32> {
-        let at = at as usize;
-        Some(u32::from_le_bytes(self.bytes.get(at..at + 4)?.try_into().ok()?))
-    }
+/// What a tool that flashes the image writes: where to, and the bytes. `None` if the file is cut off.
+pub fn segments<'a>(elf: &Elf<'a>) -> Option<Vec<(u32, &'a [u8])>> {
+    let all = elf.segments().map(|segment| {
+        let stored = segment.elf_program_header().p_paddr(LittleEndian);
+        Some((stored, segment.data().ok()?))
+    });
+    all.filter(|segment| segment.is_none_or(|(_, bytes)| !bytes.is_empty())).collect()
+}
 
-    /// Returns the half word at an offset in the file.
-    pub fn half(&self, at: u32) -> Option<u32> {
-        let at = at as usize;
-        Some(u32::from(u16::from_le_bytes(self.bytes.get(at..at + 2)?.try_into().ok()?)))
-    }
+/// The memory that a section takes when the program runs; `None` if it takes none, as debug information.
+pub fn memory(section: &ElfSection32<'_, '_, LittleEndian>) -> Option<Range<u32>> {
+    let header = section.elf_section_header();
+    let start = header.sh_addr(LittleEndian);
+    let allocated = header.sh_flags(LittleEndian).contains(object::elf::SHF_ALLOC);
+    allocated.then(|| start..start + header.sh_size(LittleEndian))
+}
 
-    /// Returns the loadable segments that are not empty.
-    pub fn segments(&self) -> Option<Vec<Segment>> {
-        let (programs, entry, count) = (self.word(28)?, self.half(42)?, self.half(44)?);
-        let mut segments = Vec::new();
-        for i in 0..count {
-            let program = programs + i * entry;
-            let (offset, stored, size) = (self.word(program + 4)?, self.word(program + 12)?, self.word(program + 16)?);
-            let segment = Segment { stored, size, offset };
-            if self.word(program)? == 1 && segment.size > 0 {
-                segments.push(segment);
-            }
-        }
-        Some(segments)
-    }
+/// Where the bytes of a section are stored; `None` if it has none. What is copied to RAM at the start is stored in flash.
+pub fn stored(elf: &Elf<'_>, section: &ElfSection32<'_, '_, LittleEndian>) -> Option<Range<u32>> {
+    let memory = memory(section)?;
+    section.file_range()?;
+    let start = elf.segments().find_map(|segment| {
+        let header = segment.elf_program_header();
+        let (from, size) = (header.p_vaddr(LittleEndian), header.p_memsz(LittleEndian));
+        (from..from + size).contains(&memory.start).then(|| header.p_paddr(LittleEndian) + (memory.start - from))
+    });
+    let start = start.unwrap_or(memory.start);
+    Some(start..start + memory.len() as u32)
+}
 
-    /// Returns all sections; `None` if this is not a 32-bit little-endian ELF file.
-    pub fn sections(&self) -> Option<Vec<Section>> {
-        if self.bytes.get(..6)? != b"\x7FELF\x01\x01" {
-            return None;
-        }
-        let (programs, headers) = (self.word(28)?, self.word(32)?);
-        let (program_size, program_count) = (self.half(42)?, self.half(44)?);
-        let (size, count, names) = (self.half(46)?, self.half(48)?, self.half(50)?);
-        let names = self.word(headers + names * size + 16)?;
-        let mut sections = Vec::new();
-        for i in 0..count {
-            let header = headers + i * size;
-            let name = self.bytes.get((names + self.word(header)?) as usize..)?;
-            let name = String::from_utf8_lossy(name.split(|b| *b == 0).next()?).into_owned();
-            let kind = self.word(header + 4)?;
-            let address = self.word(header + 12)?;
-            let mut stored = address;
-            for p in 0..program_count {
-                let program = programs + p * program_size;
-                let (from, physical) = (self.word(program + 8)?, self.word(program + 12)?);
-                if self.word(program)? == 1 && (from..from + self.word(program + 20)?).contains(&address) {
-                    stored = address - from + physical;
-                }
-            }
-            sections.push(Section {
-                name,
-                address,
-                stored,
-                offset: self.word(header + 16)?,
-                size: self.word(header + 20)?,
-                allocated: self.word(header + 8)? & 2 != 0,
-                loaded: self.word(header + 8)? & 2 != 0 && kind != 8,
-                kind,
-                link: self.word(header + 24)?,
-            });
-        }
-        Some(sections)
-    }
+/// The half word at an address of the running program, if the file has it.
+pub fn half(elf: &Elf<'_>, address: u32) -> Option<u16> {
+    let bytes = elf.segments().find_map(|segment| segment.data_range(address.into(), 2).ok()?)?;
+    Some(u16::from_le_bytes(bytes.try_into().ok()?))
+}
 
-    /// Returns the symbol table; empty if the file has none.
-    pub fn symbols(&self) -> Option<Vec<Symbol>> {
-        /// Section type of the symbol table.
-        const SYMBOLS: u32 = 2;
-        /// Size of a symbol table entry, bytes.
-        const ENTRY: u32 = 16;
-        let sections = self.sections()?;
-        let mut symbols = Vec::new();
-        for table in sections.iter().filter(|s| s.kind == SYMBOLS) {
-            let names = sections.get(table.link as usize)?.offset;
-            for at in (table.offset..table.offset + table.size).step_by(ENTRY as usize) {
-                let name = self.bytes.get((names + self.word(at)?) as usize..)?;
-                let kind = self.half(at + 12)? & 0xF;
-                let value = self.word(at + 4)?;
-                symbols.push(Symbol {
-                    name: String::from_utf8_lossy(name.split(|b| *b == 0).next()?).into_owned(),
-                    address: if kind == 2 { value & !1 } else { value },
-                    size: self.word(at + 8)?,
-                    function: kind == 2,
-                });
-            }
-        }
-        Some(symbols)
+/// All functions, in the order of the symbol table.
+pub fn functions<'a>(elf: &Elf<'a>) -> impl Iterator<Item = Function<'a>> {
+    let functions = elf.symbols().filter(|symbol| symbol.kind() == SymbolKind::Text);
+    functions.filter_map(|symbol| {
+        Some(Function { name: symbol.name().ok()?, address: symbol.address() as u32 & !1, size: symbol.size() as u32 })
+    })
+}
+
+/// A file with these segments, stored where they run, and symbols of these functions: name, address and size.
+#[cfg(test)]
+pub fn file(segments: &[(u32, &[u8])], functions: &[(&str, u32, u32)]) -> Vec<u8> {
+    const HEADER: usize = 52;
+    const PROGRAM_HEADER: usize = 32;
+    let words = |values: &[u32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let behind = HEADER + PROGRAM_HEADER * segments.len();
+    let (mut programs, mut contents) = (Vec::new(), Vec::new());
+    for (address, bytes) in segments {
+        let (offset, size) = ((behind + contents.len()) as u32, bytes.len() as u32);
+        programs.extend(words(&[1, offset, *address, *address, size, size, 5, 4]));
+        contents.extend_from_slice(bytes);
     }
+    let (mut names, mut symbols) = (vec![0], vec![0; 16]);
+    for (name, address, size) in functions {
+        symbols.extend(words(&[names.len() as u32, address | 1, *size, 0x0001_0012]));
+        names.extend(name.bytes().chain([0]));
+    }
+    let table = (behind + contents.len()) as u32;
+    let strings = table + symbols.len() as u32;
+    let sections = strings + names.len() as u32;
+    let mut file = b"\x7FELF\x01\x01\x01".to_vec();
+    file.resize(28, 0);
+    file.extend(words(&[HEADER as u32, sections, 0, 32 << 16 | 52, 40 << 16 | segments.len() as u32, 2 << 16 | 3]));
+    file.extend([programs, contents, symbols.clone(), names.clone()].concat());
+    file.extend([0; 40]);
+    file.extend(words(&[0, 2, 0, 0, table, symbols.len() as u32, 2, 0, 4, 16]));
+    file.extend(words(&[0, 3, 0, 0, strings, names.len() as u32, 0, 0, 1, 0]));
+    file
 }

@@ -9,7 +9,7 @@
 //! ```
 
 use crate::Failure;
-use crate::elf::Elf;
+use crate::elf::{self, Elf};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::ops::Range;
@@ -30,25 +30,23 @@ pub struct Stretch {
 
 /// Returns the image's stretches before and after the settings sectors.
 pub fn stretches(elf: &Elf<'_>, settings: &Range<u32>) -> Option<Vec<Stretch>> {
-    let mut segments: Vec<_> = elf.segments()?.into_iter().collect();
-    segments.sort_by_key(|segment| segment.stored);
+    let mut segments = elf::segments(elf)?;
+    segments.sort_by_key(|(stored, _)| *stored);
     let mut found: Vec<Stretch> = Vec::new();
-    for segment in segments {
-        let (from, size) = (segment.offset as usize, segment.size as usize);
-        let bytes = elf.bytes.get(from..from + size)?;
+    for (stored, bytes) in segments {
         match found.last_mut() {
             Some(last)
-                if last.address < settings.start && segment.stored < settings.start
-                    || last.address >= settings.end && segment.stored >= settings.end =>
+                if last.address < settings.start && stored < settings.start
+                    || last.address >= settings.end && stored >= settings.end =>
             {
-                let at = (segment.stored - last.address) as usize;
+                let at = (stored - last.address) as usize;
                 if at < last.bytes.len() {
                     return None;
                 }
                 last.bytes.resize(at, ERASED);
                 last.bytes.extend_from_slice(bytes);
             }
-            _ => found.push(Stretch { address: segment.stored, bytes: bytes.to_vec() }),
+            _ => found.push(Stretch { address: stored, bytes: bytes.to_vec() }),
         }
     }
     Some(found)
@@ -169,27 +167,10 @@ mod tests {
         check(&hex(&image), &image, &SETTINGS).unwrap();
     }
 
-    /// Returns an ELF file whose program headers load the given bytes.
-    fn elf(segments: &[(u32, &[u8])]) -> Vec<u8> {
-        let mut file = vec![0_u8; 52 + 32 * segments.len()];
-        file[..6].copy_from_slice(b"\x7FELF\x01\x01");
-        let put = |file: &mut Vec<u8>, at: usize, word: u32| file[at..at + 4].copy_from_slice(&word.to_le_bytes());
-        put(&mut file, 28, 52);
-        put(&mut file, 42, 32 | (segments.len() as u32) << 16);
-        for (i, (address, bytes)) in segments.iter().enumerate() {
-            let (at, offset, size) = (52 + 32 * i, file.len() as u32, bytes.len() as u32);
-            for (field, word) in [(0, 1), (4, offset), (8, *address), (12, *address), (16, size), (20, size)] {
-                put(&mut file, at + field, word);
-            }
-            file.extend_from_slice(bytes);
-        }
-        file
-    }
-
     #[test]
     fn an_image_is_split_around_the_settings_and_gaps_are_filled() {
-        let file = elf(&[(0x0800_C010, b"data"), (0x0800_0000, b"vectors"), (0x0800_C000, b"program")]);
-        let found = stretches(&Elf { bytes: &file }, &SETTINGS).unwrap();
+        let file = elf::file(&[(0x0800_C010, b"data"), (0x0800_0000, b"vectors"), (0x0800_C000, b"program")], &[]);
+        let found = stretches(&elf::parse(&file).unwrap(), &SETTINGS).unwrap();
         let program = b"program\xFF\xFF\xFF\xFF\xFF\xFF\xFF\xFF\xFFdata".to_vec();
         assert_eq!(
             found,
@@ -198,7 +179,7 @@ mod tests {
                 Stretch { address: 0x0800_C000, bytes: program }
             ]
         );
-        let overlapping = elf(&[(0x0800_C000, b"program"), (0x0800_C002, b"x")]);
-        assert!(stretches(&Elf { bytes: &overlapping }, &SETTINGS).is_none());
+        let overlapping = elf::file(&[(0x0800_C000, b"program"), (0x0800_C002, b"x")], &[]);
+        assert!(stretches(&elf::parse(&overlapping).unwrap(), &SETTINGS).is_none());
     }
 }

@@ -1,21 +1,21 @@
 //! Builds an image and checks it: the linker also accepts an image without a vector table or without code.
 
-use crate::elf::{Elf, Section, Segment, Symbol};
+use crate::elf::{self, Elf, Function};
 use crate::paths::cargo_for_boards;
 use crate::reach::{self, Allowed};
 use crate::{Failure, QEMU_BOARD, TARGET, dfuse, flashable, root, run, sizes, thumb};
+use object::{Object, ObjectSection};
 use std::fmt;
 use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Minimum code size of a complete controller, bytes.
-const LEAST_CODE: u32 = 16 * 1024;
+/// Less code than this is no controller.
+const LEAST_CODE: u64 = 16 * 1024;
 
-/// Maximum size of memory initialised with values other than 0, bytes. A larger size means that memory lent to the
-/// controller is not all zero, so its contents would fill flash.
-const MOST_DATA: u32 = 2 * 1024;
-/// Maximum number of code bytes within which a function allocates its stack frame.
+/// Memory that begins with something else than 0: more than this is a part of the controller that should be lent.
+const MOST_DATA: u64 = 2 * 1024;
+/// A function makes room for its variables within so many bytes of code.
 const PROLOGUE: u32 = 32;
 
 /// Returns the interrupt handler of the step task, as in `firmware!` of `src/firmware/main.rs`.
@@ -97,7 +97,7 @@ pub fn build(board: &str) -> Result<Image, Failure> {
 /// Writes the files for flashing tools and reads them back.
 fn write(board: &str, bytes: &[u8], folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let chip = Chip::read(board)?;
-    let stretches = flashable::stretches(&Elf { bytes }, &chip.settings_sectors())
+    let stretches = flashable::stretches(&elf::parse(bytes)?, &chip.settings_sectors())
         .ok_or_else(|| format!("the image of {board} has segments that overlap"))?;
     let files = [
         (".hex", flashable::hex(&stretches).into_bytes()),
@@ -116,65 +116,63 @@ fn write(board: &str, bytes: &[u8], folder: &Path) -> Result<Vec<PathBuf>, Failu
 
 fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     let chip = Chip::read(board)?;
-    let elf = Elf { bytes };
-    let sections = elf.sections().ok_or("the image is no 32-bit ELF file")?;
-    let section = |name: &str| sections.iter().find(|s| s.name == name);
+    let elf = elf::parse(bytes)?;
+    let section = |name| elf.section_by_name(name);
     let fail = |why: &str| Err(format!("the image of {board} {why}"));
 
     let Some(vectors) = section(".vector_table") else { return fail("has no vector table") };
-    if vectors.address != chip.flash {
+    if vectors.address() != u64::from(chip.flash) {
         return fail("does not have its vector table at the start of flash");
     }
-    let stack_pointer = elf.word(vectors.offset).ok_or("the vector table is cut off")?;
+    let first = vectors.data().ok().and_then(|data| data.first_chunk());
+    let stack_pointer = u32::from_le_bytes(*first.ok_or("the vector table is cut off")?);
     if !(chip.ram..=chip.ram + chip.ram_size).contains(&stack_pointer) {
         return fail("starts with a stack outside RAM");
     }
     match section(".text") {
-        Some(text) if text.size >= LEAST_CODE && text.address == chip.code => {}
+        Some(text) if text.size() >= LEAST_CODE && text.address() == u64::from(chip.code) => {}
         Some(_) => return fail("has too little code, or it is not where the plan wants it"),
         None => return fail("has no code"),
     }
-    let segments = elf.segments().ok_or("the program headers are cut off")?;
-    if segments.iter().any(|s| chip.is_in_settings(s)) {
+    let segments = elf::segments(&elf).ok_or("a segment is cut off")?;
+    if segments.iter().any(|(stored, bytes)| chip.is_in_settings(*stored, bytes.len() as u32)) {
         return fail("has a segment that reaches into the settings sectors: flashing it would erase them");
     }
-    let in_flash =
-        |s: &&Section| s.loaded && s.size > 0 && (chip.flash..chip.flash + chip.flash_size).contains(&s.stored);
-    let flash: u32 = sections.iter().filter(in_flash).map(|s| s.size).sum();
-    if section(".data").is_some_and(|data| data.size > MOST_DATA) {
+    let stored = elf.sections().filter_map(|section| elf::stored(&elf, &section));
+    let is_flash = |s: &Range<u32>| !s.is_empty() && (chip.flash..chip.flash + chip.flash_size).contains(&s.start);
+    let in_flash: Vec<Range<u32>> = stored.filter(is_flash).collect();
+    let flash: u32 = in_flash.iter().map(|s| s.end - s.start).sum();
+    if section(".data").is_some_and(|data| data.size() > MOST_DATA) {
         return fail("has memory that begins with other bytes than 0 and fills flash: what is lent must be all 0");
     }
     let stack = stack_pointer - chip.ram;
-    if let Some((name, frame)) = largest_frame(&elf, &sections).filter(|(_, frame)| *frame > stack / 8 * 5) {
+    if let Some((name, frame)) = largest_frame(&elf).filter(|(_, frame)| *frame > stack / 8 * 5) {
         return fail(&format!("has a function that takes {frame} of the {stack} bytes of stack: {name}"));
     }
-    // Free flash starts after the last section; the rest of the vector table's sector is available only to sections
-    // that the linker script names.
-    let top = sections.iter().filter(in_flash).map(|s| s.stored + s.size).max().unwrap_or(chip.code);
-    let in_ram = |s: &&Section| s.allocated && (chip.ram..chip.ram + chip.ram_size).contains(&s.address);
-    // The stack grows down out of RAM, not into the data: nothing may lie below its start.
-    if sections.iter().filter(in_ram).any(|s| s.size > 0 && s.address < stack_pointer) {
+    // What is left is behind the last section: the rest of the vectors' sector takes only what the linker script names.
+    let top = in_flash.iter().map(|s| s.end).max().unwrap_or(chip.code);
+    let memory = elf.sections().filter_map(|section| elf::memory(&section));
+    let in_ram: Vec<Range<u32>> = memory.filter(|s| (chip.ram..chip.ram + chip.ram_size).contains(&s.start)).collect();
+    // The stack grows down out of RAM, not into the data: nothing may lie below where it starts.
+    if in_ram.iter().any(|s| !s.is_empty() && s.start < stack_pointer) {
         return fail("has data below its stack, where an overflow would eat it");
     }
-    let ram = sections.iter().filter(in_ram).map(|s| s.size).sum();
-    let reached = reach::check(bytes, step_handler(board), &STEP_CALLS)?.len();
+    let ram = in_ram.iter().map(|s| s.end - s.start).sum();
+    let reached = reach::check(&elf, step_handler(board), &STEP_CALLS)?.len();
     let left = chip.flash + chip.flash_size - top;
     let (flash, ram) = ((flash, flash + left), (ram, chip.ram_size - stack));
     Ok(Image { path, flash, ram, stack, files: Vec::new(), remark: None, reached })
 }
 
-/// Returns the function with the largest stack frame, and its bytes, according to the first instructions of each
-/// function, where the compiler allocates the frame.
-fn largest_frame(elf: &Elf, sections: &[Section]) -> Option<(String, u32)> {
-    let frame = |function: &Symbol| {
-        let start = function.address & !1;
-        let home = sections.iter().find(|s| s.allocated && (s.address..s.address + s.size).contains(&start))?;
-        let half = |at: u32| Some(elf.half(home.offset + at - home.address)? as u16);
-        let end = start + function.size.min(PROLOGUE);
-        Some((start..end).step_by(2).filter_map(|at| thumb::frame(half(at)?, half(at + 2)?)).sum())
+/// The function with the largest stack frame, and its bytes. Read from the first instructions of each function, where the
+/// compiler makes room for its variables.
+fn largest_frame<'a>(elf: &Elf<'a>) -> Option<(&'a str, u32)> {
+    let half = |at| elf::half(elf, at);
+    let frame = |function: &Function<'_>| {
+        let prologue = function.address..function.address + function.size.min(PROLOGUE);
+        prologue.step_by(2).filter_map(|at| thumb::frame(half(at)?, half(at + 2)?)).sum()
     };
-    let frames = elf.symbols()?.into_iter().filter(|symbol| symbol.function);
-    frames.filter_map(|function| Some((function.name.clone(), frame(&function)?))).max_by_key(|(_, frame)| *frame)
+    elf::functions(elf).map(|function| (function.name, frame(&function))).max_by_key(|(_, frame)| *frame)
 }
 
 /// Memory map of a board's chip, as given to the linker.
@@ -213,9 +211,9 @@ impl Chip {
         self.settings..self.code
     }
 
-    /// Returns whether loading a segment would write to the settings sectors.
-    fn is_in_settings(&self, segment: &Segment) -> bool {
-        segment.stored < self.code && segment.stored + segment.size > self.settings
+    /// Whether a tool that loads a segment writes to the settings sectors.
+    fn is_in_settings(&self, stored: u32, size: u32) -> bool {
+        stored < self.code && stored + size > self.settings
     }
 }
 
@@ -252,19 +250,6 @@ mod tests {
         }
     }
 
-    /// Returns a file with one loadable program header.
-    fn elf_with_segment(stored: u32, size: u32) -> Vec<u8> {
-        let mut bytes = vec![0_u8; 52 + 32];
-        bytes[..6].copy_from_slice(b"\x7FELF\x01\x01");
-        let mut put = |at: usize, word: u32| bytes[at..at + 4].copy_from_slice(&word.to_le_bytes());
-        put(28, 52);
-        put(42, 32 | 1 << 16);
-        for (at, word) in [(0, 1), (8, stored), (12, stored), (16, size), (20, size)] {
-            put(52 + at, word);
-        }
-        bytes
-    }
-
     #[test]
     fn a_segment_in_the_settings_sectors_is_seen() {
         for board in crate::boards::BOARDS {
@@ -277,10 +262,7 @@ mod tests {
                 (chip.code, chip.code + 0x1000, false),
                 (chip.flash, chip.code + 0x1000, true),
             ] {
-                let bytes = elf_with_segment(from, until - from);
-                let segments = Elf { bytes: &bytes }.segments().unwrap();
-                assert_eq!(segments.len(), 1);
-                assert_eq!(chip.is_in_settings(&segments[0]), touches, "{board}: {from:#x}..{until:#x}");
+                assert_eq!(chip.is_in_settings(from, until - from), touches, "{board}: {from:#x}..{until:#x}");
             }
         }
     }

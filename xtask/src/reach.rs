@@ -5,8 +5,10 @@
 //! read from the code; each function that makes such calls must be listed by name, with all possible targets.
 
 use crate::Failure;
-use crate::elf::{Elf, Section, Symbol};
+use crate::elf::{self, Elf, Function};
 use crate::thumb::{Instruction, Kind, decode};
+use object::read::elf::ElfSymbol32;
+use object::{LittleEndian, Object, ObjectSymbol};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Parts of forbidden names, each with its meaning.
@@ -40,41 +42,34 @@ pub struct Allowed {
 }
 
 struct Program<'a> {
-    elf: Elf<'a>,
-    sections: Vec<Section>,
+    elf: &'a Elf<'a>,
     /// Functions by address.
-    functions: BTreeMap<u32, Symbol>,
-    /// Addresses where code (`true`) or data starts.
+    functions: BTreeMap<u32, Function<'a>>,
+    /// Where code (`true`) or data begins.
     marks: BTreeMap<u32, bool>,
 }
 
-impl Program<'_> {
-    fn new(bytes: &[u8]) -> Option<Program<'_>> {
-        let elf = Elf { bytes };
-        let (mut functions, mut marks) = (BTreeMap::new(), BTreeMap::new());
-        for symbol in elf.symbols()? {
+impl<'a> Program<'a> {
+    fn new(elf: &'a Elf<'a>) -> Program<'a> {
+        let functions = elf::functions(elf).map(|function| (function.address, function)).collect();
+        let mark = |symbol: ElfSymbol32<'_, '_, LittleEndian>| {
             // ELF for the Arm architecture, 5.5.5: mapping symbols, with or without a suffix.
-            match symbol.name.split('.').next() {
-                Some("$t") => _ = marks.insert(symbol.address, true),
-                Some("$d") => _ = marks.insert(symbol.address, false),
-                _ if symbol.function => _ = functions.insert(symbol.address, symbol),
-                _ => {}
+            match symbol.name().ok()?.split('.').next()? {
+                "$t" => Some((symbol.address() as u32, true)),
+                "$d" => Some((symbol.address() as u32, false)),
+                _ => None,
             }
-        }
-        Some(Program { sections: elf.sections()?, elf, functions, marks })
-    }
-
-    fn half(&self, address: u32) -> Option<u16> {
-        let section = self.sections.iter().find(|s| s.loaded && (s.address..s.address + s.size).contains(&address))?;
-        self.elf.half(section.offset + (address - section.address)).map(|half| half as u16)
+        };
+        Program { elf, functions, marks: elf.symbols().filter_map(mark).collect() }
     }
 
     fn instruction(&self, address: u32) -> Option<Instruction> {
-        Some(decode(address, self.half(address)?, self.half(address + 2).unwrap_or(0)))
+        let second = elf::half(self.elf, address + 2).unwrap_or(0);
+        Some(decode(address, elf::half(self.elf, address)?, second))
     }
 
-    /// Returns the function that contains an address, and its end address.
-    fn function(&self, address: u32) -> Option<(&Symbol, u32)> {
+    /// The function that an address lies in, and where it ends.
+    fn function(&self, address: u32) -> Option<(&Function<'a>, u32)> {
         let (start, symbol) = self.functions.range(..=address).next_back()?;
         let next = self.functions.range(start + 1..).next().map_or(u32::MAX, |(next, _)| *next);
         let end = if symbol.size > 0 { start + symbol.size } else { next };
@@ -86,10 +81,9 @@ impl Program<'_> {
     }
 }
 
-/// Returns the names of all functions that `handler` can reach; fails if one is forbidden or a call through a register
-/// is not listed.
-pub fn check(bytes: &[u8], handler: &str, allowed: &[Allowed]) -> Result<Vec<String>, Failure> {
-    let program = Program::new(bytes).ok_or("the image is no 32-bit ELF file")?;
+/// Names all functions that `handler` can reach; fails if one of them is forbidden or a call is not known.
+pub fn check(elf: &Elf<'_>, handler: &str, allowed: &[Allowed]) -> Result<Vec<String>, Failure> {
+    let program = Program::new(elf);
     let root = program.functions.values().find(|f| f.name == handler);
     let root = root.ok_or_else(|| format!("the image has no handler `{handler}`"))?.address;
     let mut found: BTreeMap<u32, u32> = BTreeMap::from([(root, root)]);
@@ -104,7 +98,7 @@ pub fn check(bytes: &[u8], handler: &str, allowed: &[Allowed]) -> Result<Vec<Str
             ));
             continue;
         };
-        let name = demangled(&symbol.name);
+        let name = demangled(symbol.name);
         if let Some((_, what)) = FORBIDDEN.iter().find(|(part, _)| forbids(part, &name)) {
             faults.insert(format!("{what}: {name}, called from {}", name_at(&program, found[&start])));
             continue;
@@ -131,7 +125,7 @@ pub fn check(bytes: &[u8], handler: &str, allowed: &[Allowed]) -> Result<Vec<Str
                         Some(known) => {
                             for part in known.targets {
                                 let mut targets =
-                                    program.functions.values().filter(|f| demangled(&f.name).contains(part)).peekable();
+                                    program.functions.values().filter(|f| demangled(f.name).contains(part)).peekable();
                                 if targets.peek().is_none() {
                                     faults.insert(format!("{part}, which {name} may call, is not in the image"));
                                 }
@@ -169,7 +163,7 @@ fn forbids(part: &str, name: &str) -> bool {
 }
 
 fn name_at(program: &Program<'_>, address: u32) -> String {
-    program.function(address).map_or_else(|| format!("{address:#010x}"), |(symbol, _)| demangled(&symbol.name))
+    program.function(address).map_or_else(|| format!("{address:#010x}"), |(symbol, _)| demangled(symbol.name))
 }
 
 /// Returns the demangled name.
@@ -181,7 +175,11 @@ pub fn demangled(name: &str) -> String {
 mod tests {
     use super::*;
 
-    /// A function: its name and its code in half words; [`call`] makes the code of calls.
+    fn check(file: &[u8], handler: &str, allowed: &[Allowed]) -> Result<Vec<String>, Failure> {
+        super::check(&elf::parse(file)?, handler, allowed)
+    }
+
+    /// A function: name and half words of code; calls are put in by [`call`].
     type Function = (&'static str, Vec<u16>);
 
     const ORIGIN: u32 = 0x1000;
@@ -196,39 +194,14 @@ mod tests {
         [0xF000 | (bits >> 31 << 10 | bits >> 12 & 0x3FF) as u16, 0xF800 | (bits >> 1 & 0x7FF) as u16]
     }
 
-    /// Returns an ELF file with these functions in sequence in `.text`, and a symbol for each.
+    /// An ELF file with these functions one after the other, and a symbol for each.
     fn elf(functions: &[Function]) -> Vec<u8> {
-        const HEADER: u32 = 52;
-        let words = |values: &[u32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
-        let code: Vec<u8> = functions.iter().flat_map(|f| f.1.iter().flat_map(|h| h.to_le_bytes())).collect();
-        let (mut names, mut symbols) = (vec![0_u8], vec![0_u8; 16]);
-        let mut at = ORIGIN;
-        for (name, code) in functions {
-            let size = code.len() as u32 * 2;
-            symbols.extend(words(&[names.len() as u32, at | 1, size, 0x0001_0012]));
-            names.extend(name.bytes().chain([0]));
-            at += size;
+        let (mut code, mut symbols) = (Vec::new(), Vec::new());
+        for (name, halves) in functions {
+            symbols.push((*name, ORIGIN + code.len() as u32, halves.len() as u32 * 2));
+            code.extend(halves.iter().flat_map(|half| half.to_le_bytes()));
         }
-        let text = HEADER;
-        let table = text + code.len() as u32;
-        let strings = table + symbols.len() as u32;
-        let headers = strings + names.len() as u32;
-        let section = |kind, flags, address, offset, size: usize, link| {
-            words(&[0, kind, flags, address, offset, size as u32, link, 0, 0, 0])
-        };
-        let mut file = b"\x7FELF\x01\x01\x01".to_vec();
-        file.resize(HEADER as usize, 0);
-        file[32..36].copy_from_slice(&headers.to_le_bytes());
-        file[46..48].copy_from_slice(&40_u16.to_le_bytes());
-        file[48..50].copy_from_slice(&3_u16.to_le_bytes());
-        file[50..52].copy_from_slice(&2_u16.to_le_bytes());
-        file.extend(&code);
-        file.extend(&symbols);
-        file.extend(&names);
-        file.extend(section(1, 6, ORIGIN, text, code.len(), 0));
-        file.extend(section(2, 0, 0, table, symbols.len(), 2));
-        file.extend(section(3, 0, 0, strings, names.len(), 0));
-        file
+        elf::file(&[(ORIGIN, &code)], &symbols)
     }
 
     /// Returns a handler that calls a helper, which calls `last`.
