@@ -96,7 +96,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     stm32f4::watch_voltage(&device.PWR, &device.EXTI, low_voltage);
     let a = device.GPIOA.split(&mut rcc);
     let b = device.GPIOB.split(&mut rcc);
-    // None of its pins is used, but code reads inputs and writes the safe state on ports A to C alike.
+    // Port C needs its clock although none of its pins is used: `InputPins::read` and `safe_state` access ports A to C.
     let _c = device.GPIOC.split(&mut rcc);
 
     // The driver enable is active low: high is off.
@@ -105,7 +105,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
         each!([b.pb1, b.pb10, b.pb8, b.pb9].into_push_pull_output_in_state(PinState::Low));
     let slow_pins = SlowPins::new([enable, spindle, turn, flood, mist]);
     let inputs = each!([b.pb12, b.pb13, b.pb14, b.pb15, b.pb7, b.pb5, b.pb6, b.pb4].into_pull_up_input());
-    // The fault outputs of motor drivers are open-drain and may be wired together.
+    // The fault outputs of motor drivers are open-drain, so that several drivers can share this input.
     let inputs = InputPins::new(inputs)
         .with(input_bits::DRIVER_FAULT, b.pb3.into_pull_up_input().erase())
         .with(input_bits::SECOND_LIMIT, a.pa0.into_pull_up_input().erase());
@@ -116,11 +116,11 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     let timers = (device.TIM1, device.TIM5, device.TIM3);
     let step_pins = stm32f4::step_pins(steps, directions, &inputs, timers, rings, &mut rcc);
     let link = serial::Config::default().baudrate(stm32f4::USUAL_BAUD.bps());
-    // Without a host on the UART its input must idle high, or noise would be received as commands.
+    // If no host drives the UART's input, the pull-up keeps it high. Otherwise noise would be received as commands.
     let mut rx = a.pa10.into_alternate::<7>();
     rx.set_internal_resistor(Pull::Up);
     let Ok(usart) = serial::Serial::new(device.USART1, (a.pa9, rx), link, &mut rcc) else {
-        // 115200 divides 84 and 96 MHz to within 0.1 %.
+        // The set-up cannot fail: 84 and 96 MHz, divided by whole numbers, give 115200 baud to within 0.1 %.
         unreachable!()
     };
     stm32f4::start_clock(device.TIM2, &mut rcc);

@@ -1,6 +1,6 @@
 //! Interface between a board and the program on it. A board provides step outputs (`StepOutput`), links to the host
-//! (`Port`), inputs, slow outputs, flash and a watchdog. It may call back only as listed below. The module `held` makes
-//! the compiler check the chosen board.
+//! (`Port`), inputs, slow outputs, flash and a watchdog. It calls the program only as listed below. The module `held`
+//! makes the compiler check that the chosen board provides all this.
 //!
 //! A board consists of pins, clocks and registers. It contains nothing about motion, tasks or the protocol, and calls
 //! no code above it except those callbacks. The root of this crate re-exports the board's items.
@@ -68,7 +68,7 @@ pub struct SlowLevels {
 pub struct Due(pub u32);
 
 impl Due {
-    /// An event has been output; only while events are output one by one.
+    /// An event has been output. Reported only while events are output one by one.
     pub const OUT: Due = Due(2);
     /// The time set by [`StepOutput::call_at`] has come.
     pub const MORE: Due = Due(4);
@@ -87,11 +87,13 @@ impl Due {
 /// Number of combinations of stepped axes; bit 0 of a combination is X.
 pub const COMBINATIONS: usize = 1 << crate::AXES;
 
-/// Contiguous free slots for events: none if the queue is full, one while events are output one by one.
+/// Contiguous free slots for the next events: none if the queue is full, at most one while events are output one by
+/// one.
 pub struct Free<'a> {
-    /// The port word of each combination of steps, with the present directions.
+    /// What to write into `words`, for each combination of steps: with one port, the port's word with the present
+    /// directions; otherwise a code that [`StepOutput::commit`] translates.
     pub table: &'a [u32; COMBINATIONS],
-    /// Slots for the words of the events.
+    /// Slots for the entries of `table`, one for each event.
     pub words: &'a mut [u32],
     /// Slots for the times of the events, in ticks of the step clock.
     pub moments: &'a mut [u32],
@@ -104,36 +106,39 @@ pub struct Undone<const N: usize> {
     pub events: usize,
     /// Net steps of these events.
     pub net: [i32; N],
-    /// The hardware's event counters disagree: no step count can be trusted.
+    /// The hardware's event counters disagree, so no step count can be trusted.
     pub fault: bool,
 }
 
 /// Outputs events at given times. An event is a pulse on some axes, or on none, at a time of the step clock; it also
-/// sets the directions. Each pulse ends by itself.
+/// sets the directions. The hardware ends each pulse.
 ///
 /// ```text
 ///  task    commit commit commit              call_at ──▶ MORE: commit ...
 ///            │      │      │                    ▲
 ///  ring    ──▼──────▼──────▼────────────────────┼──▶ each event at its time, without the processor
 /// ```
-/// [`StepOutput::begin`] starts the output. Committed events then follow each other without the CPU, as long as each is
-/// committed in time ([`StepOutput::joins_until`]). If one is late, the output ends; [`StepOutput::halt`] and another
-/// `begin` are needed then.
+/// [`StepOutput::begin`] starts the output. From then on, committed events follow each other without the CPU, as long
+/// as each is committed in time ([`StepOutput::joins_until`]). If an event is committed too late, the output ends
+/// before it; [`StepOutput::halt`] and another `begin` are needed.
 pub trait StepOutput<const N: usize> {
-    /// Maximum number of events ahead. 1: each is output by an interrupt of its own.
+    /// Maximum number of committed events that have not been output. With 1, each event is output by an interrupt of
+    /// its own.
     const DEPTH: usize;
-    /// Minimum lead time, in ticks, of an event that is output by an interrupt of its own.
+    /// Minimum time, in ticks, from the commit of an event to its output, if each event is output by an interrupt of
+    /// its own.
     const SOON: u32;
 
     /// Returns the step clock's time.
     fn now(&self) -> u32;
-    /// Returns the reasons for the call and clears them.
+    /// Returns the reasons for the present call of the step task, and clears them.
     fn take(&mut self) -> Due;
-    /// Calls the task at `moment`; at once if it has passed.
+    /// Calls the step task with [`Due::MORE`] at `moment`, or at once if `moment` has passed. Replaces a pending call
+    /// of this kind.
     fn call_at(&mut self, moment: u32);
-    /// Calls the task with [`Due::MARK`] at `moment`. With `power`, hardware also changes the power at that time,
-    /// independently of the CPU. If `moment` has passed, both happen at once. Replaces a pending mark. A
-    /// [`StepOutput::set_power`] or [`StepOutput::halt`] before `moment` cancels the power change, but not the call.
+    /// Calls the step task with [`Due::MARK`] at `moment`. With `power`, hardware also changes the power at that time,
+    /// independently of the CPU. If `moment` has passed, the call and the change come at once. Replaces a pending mark.
+    /// A [`StepOutput::set_power`] or [`StepOutput::halt`] before `moment` cancels the power change, but not the call.
     fn mark_at(&mut self, moment: u32, power: Option<u16>);
 
     /// Sets the directions of all events committed from now on; a set bit means negative.
@@ -143,31 +148,35 @@ pub trait StepOutput<const N: usize> {
     /// Queues the events that were written into the first `events` free slots. While events are output one by one,
     /// returns the ticks by which a late event was delayed; otherwise 0.
     fn commit(&mut self, events: usize) -> u32;
-    /// Reports the stepper's time from the last committed event to its next tick.
+    /// Tells the board that `ticks` of the step clock pass from the last committed event to the stepper's next tick.
+    /// Only a board that keeps a digest of the steps needs this.
     fn pass(&mut self, ticks: u32);
-    /// Returns how many committed events have not been output; the count may be too high, never too low.
+    /// Returns the number of committed events that have not been output. It can be too high, but never too low.
     fn ahead(&self) -> usize;
-    /// Returns the time after which only `left` events are ahead; a past time if there are not more than `left`.
+    /// Returns the time at which only `left` committed events will remain to be output, or a time that has come if no
+    /// more than that remain now.
     fn moment_before(&self, left: usize) -> u32;
-    /// Returns the time until which an event due at `next` can be committed so that the hardware outputs it right after
-    /// those before it.
+    /// Returns the deadline for committing an event due at `next`. If it is committed by then, the output continues
+    /// with it and need not be started again.
     fn joins_until(&self, next: u32) -> u32;
-    /// Starts the output. With `one_by_one`, a call follows each event, and the next event may be committed only then.
-    /// Returns the ticks by which all committed events were delayed: 0, unless it was too late for the first event.
+    /// Starts the output. With `one_by_one`, the step task is called with [`Due::OUT`] after each event and must not
+    /// commit the next event before that. Returns the ticks by which all committed events were delayed: 0, unless it
+    /// was too late for the first event.
     fn begin(&mut self, one_by_one: bool) -> u32;
-    /// Returns whether the hardware's event counters disagree or have failed during output.
+    /// Returns whether the output has failed: the hardware's event counters disagree, or the hardware reports an error.
     fn fault(&self) -> bool;
-    /// Ends the output: no event begins and no scheduled power change happens after this. With `dark`, sets the power
-    /// to 0 right after that, if output had started. A pulse that has begun gets its full length. Pending call reasons
-    /// need not be taken before.
+    /// Ends the output: after this, no event begins and no scheduled power change happens. With `dark`, also sets the
+    /// power to 0 if output had started. A pulse that has begun gets its full length. A caller need not call `take`
+    /// before.
     fn halt(&mut self, dark: bool) -> Undone<N>;
 
-    /// Sets the inverted outputs (bit set) and the role of the second motor. Call at rest.
+    /// Sets which outputs are inverted (one bit for each axis) and the role of the second motor. Call at rest.
     fn set_polarity(&mut self, step_invert: u8, direction_invert: u8, second: SecondMotor);
     /// Sets the minimum pulse length in tenths of a microsecond; the actual length is less than a tick longer. Call at
     /// rest.
     fn set_pulse(&mut self, tenths: u16);
-    /// Sets the frequency of the spindle's PWM; `power` stays in force.
+    /// Sets the frequency of the spindle's PWM. `power` is the present power, which has another compare value at the
+    /// new frequency.
     fn set_pwm(&mut self, hz: u32, power: u16);
     /// Sets the power of spindle or laser at once, 0 to 65535.
     fn set_power(&mut self, power: u16);
@@ -177,7 +186,7 @@ pub trait StepOutput<const N: usize> {
 
 /// A link to a host.
 pub trait Port {
-    /// Whether a received byte waits until it is fetched (true) or may be overwritten by the next (false).
+    /// Whether a received byte waits until it is fetched (true) or can be overwritten by the next byte (false).
     const WAITS: bool;
 
     /// Services the link and returns whether a host is connected. A UART cannot detect a host and always returns true.
@@ -199,8 +208,8 @@ pub trait Port {
     fn is_urgent(&mut self) -> bool {
         false
     }
-    /// Tells the link that the program has space for `room` more bytes; with too little, the link holds the sender back
-    /// if it can. Called after each round of [`Port::receive`].
+    /// Tells the link that the program has space for `room` more bytes. If that is too little, the link makes the
+    /// sender wait, if it can. Called after each round of [`Port::receive`].
     fn allow(&mut self, room: usize);
     /// Queues a byte for sending. Returns false if the queue is full.
     fn send(&mut self, byte: u8) -> bool;
@@ -248,8 +257,7 @@ pub enum Incoming {
 }
 
 /// Bit numbers of the word that `InputPins::read` returns. A bit is set while its pin is low: by default the inputs
-/// have pull-ups, and their switches close to ground. No board has a pin for an emergency stop other than that of the
-/// reset button (`$912`).
+/// have pull-ups, and their switches close to ground. An emergency stop uses the pin of the reset button (`$912`).
 pub mod input_bits {
     /// Limit switch of X; Y and Z follow.
     pub const LIMITS: u32 = 0;
@@ -275,10 +283,10 @@ pub mod input_bits {
     pub const SECOND_PROGRAM: u32 = 16;
 }
 
-/// Role of the pins of the fourth motor: second motor of an axis, or unused.
+/// Says whether the fourth motor's pins drive a second motor of an axis, and how.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SecondMotor {
-    /// The axis of the second motor, bit 0 for X; 0 = no second motor.
+    /// The axis that has a second motor, as a bit mask (bit 0 for X); 0 = no second motor.
     pub axis: u8,
     /// The second motor's direction is inverted.
     pub inverted: bool,

@@ -7,7 +7,7 @@
 
 pub mod calls;
 pub mod profiles;
-// Also without a board, so that host tests can use it.
+// Compiled without a board, too, so that host tests can use it.
 pub mod uart_receiver;
 #[cfg(any(not(feature = "board"), feature = "usb"))]
 pub mod usb_host;

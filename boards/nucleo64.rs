@@ -63,7 +63,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     let [first, second] = each!([c.pc8, c.pc9].into_push_pull_output_in_state(PinState::Low));
     let slow_pins = SlowPins::new([enable, spindle, turn, flood, mist, first, second]);
     let inputs = each!([c.pc7, b.pb6, a.pa6, c.pc0, c.pc3, a.pa1, a.pa4, a.pa0].into_pull_up_input());
-    // The fault outputs of motor drivers are open-drain and may be wired together.
+    // The fault outputs of motor drivers are open-drain, so that several drivers can share this input.
     let inputs = InputPins::new(inputs)
         .with(input_bits::DRIVER_FAULT, c.pc10.into_pull_up_input().erase())
         .with(input_bits::AT_SPEED, c.pc11.into_pull_up_input().erase())
@@ -78,11 +78,11 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
     let timers = (device.TIM1, device.TIM5, device.TIM3);
     let step_pins = stm32f4::step_pins(steps, directions, &inputs, timers, rings, &mut rcc);
     let link = serial::Config::default().baudrate(stm32f4::USUAL_BAUD.bps());
-    // If the ST-LINK does not drive its line (its bridges are open, or it has no power), the input must idle high.
+    // If the ST-LINK does not drive this input (open solder bridges, no power), the pull-up keeps it high.
     let mut rx = a.pa3.into_alternate::<7>();
     rx.set_internal_resistor(Pull::Up);
     let Ok(usart) = serial::Serial::new(device.USART2, (a.pa2, rx), link, &mut rcc) else {
-        // The 42 to 50 MHz of the slower bus give 115200 baud to within 0.2 %.
+        // The set-up cannot fail: 42 to 50 MHz, the clock of the slower bus, give 115200 baud to within 0.2 %.
         unreachable!()
     };
     stm32f4::start_clock(device.TIM2, &mut rcc);
@@ -94,7 +94,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
         usb: NoPort,
         inputs,
         slow_pins,
-        // DMA keeps receiving while the processor is stalled.
+        // Nothing to prepare before a flash operation: DMA receives while the processor is stalled.
         settings_flash: SettingsFlash::new(device.FLASH, || {}),
         watchdog: stm32f4::Watchdog::new(device.IWDG, &device.DBGMCU),
     }

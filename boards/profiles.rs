@@ -1,12 +1,12 @@
 //! Numeric profiles of all boards, shared by the firmware and the simulator of a board. Each `Board` is a table of
 //! numbers; the boards with hardware start from the defaults of `HARDWARE`.
 //!
-//! Pins, clock set-up and memory layout are in each board's own folder.
+//! Pins and clock set-up are in the boards' modules, memory layouts are in `boards/images`.
 
 /// Maximum number of axes of a board; the simulator supports this many.
 pub const AXES: usize = 4;
-/// Axes of most boards with hardware. Each axis costs time at each tick and memory in each block, so a fourth one would
-/// burden machines with three.
+/// Axes of most boards with hardware. Each axis costs time at each tick and memory in each block, so a fourth axis
+/// would burden machines that have three.
 const AXES_OF_BOARDS: usize = 3;
 /// Moves that the look-ahead holds.
 pub const BLOCKS: usize = 512;
@@ -78,8 +78,9 @@ const NUCLEO: Board = Board { program_pins: [2, 2], has_at_speed: true, ..HARDWA
 const BLACKPILL: Board = Board { most_baud: 115_200, ..HARDWARE };
 
 /// WeAct Black Pill, STM32F411CE. 96 MHz instead of 100, because USB needs 48 MHz from the same PLL (RM0383, 6.3.2:
-/// PLLQ divides the same oscillator as PLLP). The step rate, tested in emulation, is that of the shortest pulse of 1 us
-/// followed by a pause of 1 us; the queue of events and the processor would allow more (docs/cost.md, "Step rates").
+/// PLLQ divides the same oscillator as PLLP). The step rate, tested in emulation, is that of pulses of 1 us, the
+/// shortest allowed, with pauses of 1 us; the queue of events and the processor would allow more (docs/cost.md, "Step
+/// rates").
 pub const BLACKPILL_F411: Board = Board {
     name: "blackpill_f411",
     step_clock_hz: 96_000_000,
@@ -88,8 +89,8 @@ pub const BLACKPILL_F411: Board = Board {
     ..BLACKPILL
 };
 
-/// WeAct Black Pill, STM32F401CC: 84 MHz; half the look-ahead, for 64 KiB of RAM. The image is built for size, except
-/// the step task.
+/// WeAct Black Pill, STM32F401CC: 84 MHz. Half the look-ahead, because there are only 64 KiB of RAM. The image is built
+/// for size, except the step task.
 pub const BLACKPILL_F401: Board = Board {
     name: "blackpill_f401",
     step_clock_hz: 84_000_000,
@@ -101,9 +102,9 @@ pub const BLACKPILL_F401: Board = Board {
     ..BLACKPILL
 };
 
-/// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. Fast enough for a fourth axis,
-/// which costs about 8 cycles per event in a run that generates 32 events, and one more message in a run that starts a
-/// block.
+/// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. It is fast enough for a fourth
+/// axis, which costs about 8 cycles per event in a run that generates 32 events, and one more message in a run that
+/// starts a block.
 pub const NUCLEO_F446RE: Board = Board {
     name: "nucleo_f446re",
     step_clock_hz: 90_000_000,

@@ -1,19 +1,19 @@
 //! Carries received UART bytes to the serial task. DMA or the UART's interrupt writes them into a buffer. The task that
 //! samples the inputs reads the buffer at each sample and forwards the bytes in messages: a command that stops the
-//! machine within 50 us, other bytes within 200 us. It calls the serial task for them at most once per 500 us
-//! (`calls`); whenever the serial task runs, it takes all messages sent so far. One look reads only a few bytes, to
-//! keep a sample short; after an overrun it empties the whole buffer.
+//! machine within 50 us, other bytes within 200 us. It calls the serial task for bytes without such a command at most
+//! once per 500 us (`calls`). Whenever the serial task runs, it takes all messages sent so far. One look reads only a
+//! few bytes, to keep a sample short; after an overrun it empties the whole buffer.
 //!
 //! ```text
 //!  UART ──▶ DMA or interrupt ──▶ buffer ──look──▶ messages ──▶ serial task
 //! ```
 //! Bytes keep their order. Where bytes are missing, the next message says so. If some of several bytes are damaged and
-//! it is unknown which, no line that contains one of them is executed.
+//! it is unknown which ones, no line that contains any of these bytes is executed.
 //!
 //! The buffer has one reader, which sets each slot to `EMPTY` after reading it. So an overrun is detected however long
 //! the buffer has not been read, even after the half second of a flash erase.
 //!
-//! Has no registers: a [`ByteSource`] accesses those of the chip, so host tests can run this code.
+//! Accesses no registers, but leaves that to a [`ByteSource`], so that host tests can run this code.
 
 use crate::calls::{RESET, is_stop};
 use core::sync::atomic::{AtomicU16, Ordering, Ordering::Relaxed, fence};
@@ -21,10 +21,10 @@ use core::sync::atomic::{AtomicU16, Ordering, Ordering::Relaxed, fence};
 /// Slots of the buffer: for the 255 bytes that a sender with flow control has in flight, 64 realtime commands beside
 /// them, and one slot that stays free.
 pub const SLOTS: usize = 320;
-/// Slots reserved for commands that stop the machine, where the interrupt fills the buffer.
+/// Slots reserved for commands that stop the machine, if an interrupt fills the buffer.
 const FOR_STOPS: usize = 16;
-/// Maximum number of bytes kept in a circular buffer while no message can be sent. Beyond it, each look drops a few of
-/// the oldest, so that DMA does not overtake the reader during a look.
+/// Maximum number of bytes kept in a circular buffer while no message can be sent. If more bytes wait, each look drops
+/// a few of the oldest, so that DMA does not overtake the reader during a look.
 pub const MOST_WAITING: usize = SLOTS - 64;
 /// The buffer that the UART's bytes are written into. A slot holds nine bits of the data register and the mark of a
 /// loss, or `EMPTY`. Atomic, because DMA writes it.
@@ -35,7 +35,7 @@ const EMPTY: u16 = 0x8000;
 /// Slot flag: bytes are missing before this one.
 const MISSING: u16 = 0x4000;
 
-/// Bytes of text that may wait for the end of their line before the serial task is called.
+/// Number of bytes of text for which the serial task is called before the end of their line has arrived.
 const GATHERED: u8 = 32;
 /// Looks after which a partly filled message is passed on.
 const WAITED: u8 = 4;
@@ -52,7 +52,7 @@ pub trait ByteSource {
     /// ([`ByteSource::begin_anew`]).
     const IS_CIRCULAR: bool;
 
-    /// Returns the slot of the next byte, [`SLOTS`] if there is none.
+    /// Returns the index of the slot that the next byte will be written into, or [`SLOTS`] if the buffer is used up.
     fn place(&self) -> usize;
     /// Returns whether a byte has been damaged since [`ByteSource::clear_damage`].
     fn is_damaged(&self) -> bool;
@@ -60,8 +60,8 @@ pub trait ByteSource {
     fn clear_damage(&mut self);
     /// Waits for as long as the hardware takes to write a byte and count it.
     fn settle(&self) {}
-    /// Restarts a non-circular buffer that has been read completely: the next byte goes into the first slot. Returns
-    /// whether it does.
+    /// Restarts a non-circular buffer that has been read completely. Returns whether the next byte will go into the
+    /// first slot.
     fn begin_anew(&mut self) -> bool {
         false
     }
@@ -123,11 +123,12 @@ pub struct UartReceiver<S> {
     /// The message being filled, and the looks since its first byte.
     message: ReceivedBytes,
     looks: u8,
-    /// The last byte that was read; 0 after text read in one piece, or after a loss.
+    /// The last byte that was read. 0 if that was text read in one piece, or if bytes have been lost since.
     before: u8,
-    /// Bytes of text since the last call.
+    /// Decides whether to call the serial task: the number of bytes of text read since its last call, or at least
+    /// [`GATHERED`] once an end of line, a command or a loss was among them.
     text: u8,
-    /// The last byte that was passed on since the last call.
+    /// The last byte that was passed on since the last call of the serial task.
     unheard: Option<u8>,
     /// Bytes are missing before the next one.
     is_missing: bool,
@@ -135,7 +136,7 @@ pub struct UartReceiver<S> {
     is_torn: bool,
     /// The bytes that arrive up to the next look may be damaged.
     is_doubtful: bool,
-    /// A command that stops the machine has been read, but not yet passed on with a call.
+    /// A command that stops the machine has been read, but not yet passed on with a call of the serial task.
     has_stop: bool,
     /// The last look could not read all bytes of the buffer. None of the first `scanned` remaining bytes stops the
     /// machine; `has_stop_ahead` says whether the next one does.
@@ -175,7 +176,8 @@ impl<S: ByteSource> UartReceiver<S> {
         &mut self.source
     }
 
-    /// Returns whether a command that stops the machine has arrived, but has not been passed on with a call.
+    /// Returns whether a command that stops the machine has arrived, but has not been passed on with a call of the
+    /// serial task.
     #[inline(always)]
     pub fn has_stop(&self) -> bool {
         self.has_stop || self.has_stop_ahead
@@ -200,7 +202,8 @@ impl<S: ByteSource> UartReceiver<S> {
         Look { stop: self.has_stop(), news: self.is_stuck || self.text >= GATHERED, waits: self.looks >= WAITED }
     }
 
-    /// Returns whether the slot of the next byte is still unread, as in a full buffer.
+    /// Returns whether the slot that the next byte will be written into still holds an unread byte, as in a full
+    /// buffer.
     #[inline(always)]
     fn is_at_end(&self, place: usize) -> bool {
         S::IS_CIRCULAR && self.buffer.get(place).is_some_and(|slot| slot.load(Relaxed) != EMPTY)
@@ -219,7 +222,7 @@ impl<S: ByteSource> UartReceiver<S> {
         let is_bad = is_damaged || self.is_doubtful;
         self.is_doubtful = is_damaged;
         self.is_stuck = false;
-        // Without DMA bytes arrive slowly, and a long look would delay the interrupt that fetches the next one.
+        // Without DMA bytes arrive slowly, and a long look would delay the interrupt that fetches the next byte.
         let (mut read, mut left) = (0, if S::IS_CIRCULAR { AT_A_TIME } else { AT_A_TIME / 4 });
         while self.read != place {
             let Some(slot) = self.buffer.get(self.read) else { break };
@@ -232,7 +235,7 @@ impl<S: ByteSource> UartReceiver<S> {
                     continue;
                 }
             }
-            // A byte may be counted before it is written.
+            // An empty slot is not read: DMA may count a byte before it writes it.
             let is_read = word != EMPTY && left > 0 && self.append(word, is_bad, &mut send);
             if !is_read {
                 if word == EMPTY && self.is_overtaken(place) {
@@ -252,7 +255,7 @@ impl<S: ByteSource> UartReceiver<S> {
             }
             slot.store(EMPTY, Relaxed);
             read += 1;
-            // Other bytes than text take longer.
+            // Other bytes than text count double, because they take longer.
             left = left.saturating_sub(if is_line_byte(word) { 1 } else { 2 });
             self.read = Self::after(self.read);
         }
@@ -262,8 +265,8 @@ impl<S: ByteSource> UartReceiver<S> {
         }
     }
 
-    /// Reads up to `most` bytes of text and ends of lines into the space of the message, without wrapping at the last
-    /// slot. Returns their number.
+    /// Reads up to `most` bytes of text and ends of lines into the free space of the message. Stops at the last slot
+    /// instead of wrapping around. Returns their number.
     #[inline(always)]
     fn read_text(&mut self, place: usize, most: u8) -> u8 {
         let end = if self.read <= place { place } else { SLOTS };
@@ -338,8 +341,8 @@ impl<S: ByteSource> UartReceiver<S> {
         is_sent
     }
 
-    /// Searches the bytes that could not be read for the first command that stops the machine, a few at each look. If
-    /// there is one, calling the serial task makes space for it.
+    /// Searches for the first command that stops the machine among the bytes that could not be read. Checks a few of
+    /// them at each look. If there is such a command, the serial task is called and makes space for it.
     #[cold]
     #[inline(never)]
     fn scan(&mut self, place: usize) {
@@ -384,16 +387,16 @@ impl<S: ByteSource> UartReceiver<S> {
         }
     }
 
-    /// Accounts for `count` bytes read, some of which may have been scanned before.
+    /// Adjusts the results of `scan` after `count` bytes have been read.
     #[inline(always)]
     fn leave_behind(&mut self, count: usize) {
         self.has_stop_ahead &= count <= self.scanned;
         self.scanned = self.scanned.saturating_sub(count);
     }
 
-    /// Returns whether DMA has overtaken the reader: the next slot is empty although it is not that of the last byte,
-    /// which may be counted before it is written. DMA then wrapped around during a look, and its newest byte was read
-    /// as the oldest.
+    /// Returns whether DMA has overtaken the reader. This is so if the next slot is empty and more than one byte is
+    /// said to be unread; only the last of them can be counted before it is written. In that case DMA wrapped around
+    /// during a look, which read the newest byte as the oldest.
     #[cold]
     #[inline(never)]
     fn is_overtaken(&self, place: usize) -> bool {
@@ -404,8 +407,8 @@ impl<S: ByteSource> UartReceiver<S> {
         self.buffer.get(self.read).is_some_and(|slot| slot.load(Relaxed) == EMPTY)
     }
 
-    /// Returns whether all slots are used. A last byte that is written, but not counted yet, does not make the buffer
-    /// full.
+    /// Returns whether all slots are used. The buffer only seems full while the last byte is written, but not counted
+    /// yet.
     #[cold]
     #[inline(never)]
     fn is_full(&self, place: usize) -> bool {
@@ -413,7 +416,7 @@ impl<S: ByteSource> UartReceiver<S> {
         loop {
             let now = self.source.place();
             let is_full = now == place || self.is_at_end(now);
-            // If a byte arrived in between, it is in that slot: look again.
+            // If a byte arrived between the two readings of the place, it is in the slot just checked: look again.
             if self.source.place() == now {
                 return is_full;
             }
@@ -428,8 +431,8 @@ impl<S: ByteSource> UartReceiver<S> {
         let mut stop =
             self.message.from(0).iter().copied().max_by_key(|byte| weight(*byte)).filter(|byte| is_stop(*byte));
         let (mut at, mut emptied) = (self.source.place(), 0);
-        // Goes once around, oldest first, then on to the bytes that arrived meanwhile, so that every written slot is
-        // emptied.
+        // Goes once around the buffer, oldest byte first, and on to the bytes that arrived meanwhile, so that every
+        // written slot is emptied.
         while let Some(slot) = self.buffer.get(at).filter(|_| emptied < SLOTS || at != self.source.place()) {
             let word = slot.load(Relaxed);
             if word != EMPTY && weight(word as u8) > stop.map_or(0, weight) {
@@ -479,7 +482,8 @@ impl<S: ByteSource> UartReceiver<S> {
     }
 }
 
-/// Priority of a stop command where only one can be kept: reset, stop, door, hold, jog cancel. 0: not a stop command.
+/// Priority of a stop command if only one can be kept. From the highest to the lowest: reset, stop, door, hold, jog
+/// cancel. 0 for any other byte.
 fn weight(byte: u8) -> u8 {
     match byte {
         RESET => 5,
@@ -492,7 +496,7 @@ fn weight(byte: u8) -> u8 {
 }
 
 /// Replacement of a byte that may be damaged: commands that stop the machine and ends of lines stay, anything else
-/// becomes [`REFUSED`]. So only empty lines among such bytes are executed.
+/// becomes [`REFUSED`]. So a line of such bytes is executed only if it is empty.
 fn refused(byte: u8) -> u8 {
     if is_stop(byte) || matches!(byte, b'\n' | b'\r') { byte } else { REFUSED }
 }

@@ -2,10 +2,10 @@
 //! The inputs are the DTR line, whether the device is configured, and received packets. Bytes of a departed host that
 //! arrive late are rejected.
 //!
-//! Has no registers: the caller passes the driver's state, so host tests can run this code.
+//! Accesses no registers: the caller passes the driver's state, so that host tests can run this code.
 
-/// How long bytes of a departed host may still arrive, in microseconds: much longer than an operating system takes to
-/// cancel them.
+/// Time in microseconds for which bytes of a departed host can still arrive: much longer than an operating system takes
+/// to cancel them.
 pub const LATE_BYTES_US: u32 = 200_000;
 
 /// State of the host, as far as the port can detect it.
@@ -13,8 +13,8 @@ pub const LATE_BYTES_US: u32 = 200_000;
 pub struct UsbHost {
     /// The host has sent something since it configured the device or closed its port. Some hosts never raise DTR.
     spoken: bool,
-    /// Time at which DTR fell, while received bytes may still be those of the departed host: a host closes its port
-    /// first and cancels its unsent bytes afterwards.
+    /// Time at which DTR fell, for as long as received bytes can still be those of the departed host, which closes its
+    /// port before it cancels its unsent bytes.
     closing: Option<u32>,
     /// `dtr` and `configured` at the last [`UsbHost::look`].
     dtr: bool,
@@ -46,7 +46,7 @@ impl UsbHost {
     pub fn look(&mut self, dtr: bool, configured: bool, now: impl FnOnce() -> u32) -> Look {
         // DTR falls when the host closes the port; the bus goes idle when the cable is pulled.
         let (closed, unplugged) = (self.dtr && !dtr, self.configured && !configured);
-        // A host that opens the port is not the one that has sent bytes without opening it.
+        // A host that opens the port is a different one from the host that has sent bytes without opening it.
         let opened = !self.dtr && dtr;
         let changes_hands = opened && self.spoken;
         let gone = closed || unplugged || changes_hands;
@@ -58,7 +58,7 @@ impl UsbHost {
         } else if opened || unplugged {
             self.closing = None;
         }
-        // When hosts change, report one look without a host: the next look finds the new one.
+        // When one host follows another, this look reports no host, and the next look reports the new host.
         self.dtr = dtr && !changes_hands;
         self.configured = configured;
         Look { gone, there: configured && self.is_listening() }

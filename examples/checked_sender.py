@@ -26,7 +26,7 @@ SUBSTITUTES = str.maketrans(" #%)189>XY", "shpdlbgtxy")
 NUMBERS = 4096
 # Letters of a session: capitals that one damaged bit cannot turn into a realtime command.
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWZ"
-# More answers than this in a row that do not belong to this session belong to another sender.
+# After more than this many answers in a row that do not belong to this session, another sender is assumed.
 STRANGE = 32
 # Maximum number of bytes of lines that have been sent and not answered; the machine has room for 255.
 WINDOW = 120
@@ -34,7 +34,7 @@ WINDOW = 120
 PATIENCE = 0.5
 # Maximum number of unanswered questions.
 QUESTIONS = 32
-# Seconds without a byte after which the link counts as dead: reports are requested meanwhile, and sent in every state.
+# Seconds without a byte after which the link counts as dead. (The machine sends the requested reports in every state.)
 SILENCE = 20.0
 # Maximum length of a line with its comments: four times what the machine accepts without comments.
 LONGEST = 1000
@@ -87,7 +87,7 @@ def answer_in(line, session, taken):
 
 def text_of(line):
     """Returns a line of a program as it is sent: in capitals, without characters that must not be sent in a line."""
-    # The machine drops control characters.
+    # The machine drops control characters, so they are not sent.
     line = re.sub("[\x00-\x1f\x7f]", "", re.sub(r"\s", " ", line)).strip()
     if "(" not in line:
         line = line.split(";")[0].replace(" ", "")
@@ -160,17 +160,17 @@ class Serial:
 
 
 class Sender:
-    """Sends lines and repeats them from the first that the machine has not taken: it takes lines only in order."""
+    """Sends lines, and repeats them from the first one not taken, because the machine takes lines only in order."""
 
     def __init__(self, link, lines, tell=print, session=None):
         self.link, self.lines, self.tell = link, lines, tell
         self.session = session or new_session()
-        # Counts: lines that the machine has taken, lines sent, and the maximum of `sent`: lines beyond `sent` may still
-        # arrive.
+        # Counts: lines that the machine has taken, lines sent, and the maximum of `sent`. After a repetition began,
+        # lines between `sent` and `furthest` can still arrive.
         self.taken = self.sent = self.furthest = 0
         # Bytes of each line that is sent and not answered, oldest first.
         self.sizes = []
-        # Waiting until all sent lines have arrived; those not taken are then sent again.
+        # Whether to wait until all sent lines have arrived. After that, the lines not taken are sent again.
         self.is_draining = False
         # Counts: unanswered questions, `sent` at the last question, and plain answers that came instead.
         self.questions = self.asked_at = self.plain = 0
@@ -204,7 +204,7 @@ class Sender:
         return [line.decode("ascii", "replace").strip("\r") for line in lines]
 
     def rest(self):
-        """Waits for the end of the last move: a host that disconnects earlier is a fault and holds the machine ($914)."""
+        """Waits for the end of the last move, because it is a fault if the host disconnects earlier ($914)."""
         self.state = ""
         while self.state not in ("Idle", "Check", "Sleep"):
             if self.state == "Alarm":
@@ -272,7 +272,8 @@ class Sender:
             self.questions = 0
         if text == "known":
             self.questions = max(0, self.questions - 1)
-            # All lines sent before the question have arrived; if the link has doubled a line end, only some of them.
+            # All lines sent before the question have arrived (or only some of them, if the link has doubled a line
+            # end).
             if self.is_draining:
                 self.counts["lines sent again"] += self.sent - self.taken
                 self.is_draining, self.sent, self.sizes = False, self.taken, []
@@ -289,7 +290,7 @@ class Sender:
             self.question()
 
     def ask(self):
-        """Sends a question after a while without an answer: an answer has been lost, or the machine is busy."""
+        """Sends a question after a while without an answer, because an answer has been lost or the machine is busy."""
         self.last_answer = time.monotonic()
         self.is_draining = True
         self.question()
@@ -298,7 +299,7 @@ class Sender:
     def question(self):
         now = time.monotonic()
         if self.questions < QUESTIONS:
-            # A question into a dead link does not occupy room in the machine.
+            # A question that went into a dead link does not occupy room in the machine.
             self.questions += self.last_heard > self.last_asked
             self.last_asked, self.asked_at = now, self.sent
             self.counts["questions"] += 1
@@ -322,7 +323,7 @@ class Sender:
                 self.tell(f"the machine is in {state}" + (": Enter resumes" if state in ("Hold", "Door") else ""))
             self.state = state
         elif line == "ok" or line.startswith("error:"):
-            # A single one may be a checked answer that has lost its beginning.
+            # A single plain answer can be a checked answer that has lost its beginning.
             self.plain += 1
             if self.plain > 8:
                 raise Stopped("the machine does not check lines any more")

@@ -14,7 +14,7 @@ from wasmtime import Instance, Module, Store, Trap, WasmtimeError
 
 
 class Refused(Exception):
-    """Why the module refused a job, or why the module ended."""
+    """Says why the module refused a job, or why the module ended."""
 
 
 class Oxmill:

@@ -49,7 +49,7 @@ fn pins_of_table(text: &str) -> BTreeSet<String> {
 fn no_pin_is_used_twice_and_each_stands_in_the_table() {
     for (name, code, table) in wirings() {
         let pins = pins_of(&code);
-        // Three axes with step, direction and limit; the other pins of a mill; the link.
+        // Step, direction and limit of three axes; the other inputs and outputs of a mill; the link.
         assert!(pins.len() >= 20, "{name}: {pins:?}");
         let once: BTreeSet<&String> = pins.iter().collect();
         assert_eq!(once.len(), pins.len(), "{name} uses a pin twice: {pins:?}");
@@ -76,8 +76,8 @@ fn no_timer_has_two_uses() {
     }
 }
 
-/// The DMA streams of a Nucleo, whose UART uses two streams of DMA1, and of a Black Pill, whose UART uses one stream of
-/// DMA2 while flash is written.
+/// Neither on a Nucleo, whose UART uses two streams of DMA1, nor on a Black Pill, whose UART uses one stream of DMA2
+/// while flash is written.
 #[test]
 fn no_stream_has_two_uses() {
     let number = |file: &str, name: &str| -> usize {
@@ -89,7 +89,7 @@ fn no_stream_has_two_uses() {
         [("chain.rs", "MOMENTS"), ("chain.rs", "BEAM"), ("usart_dma.rs", "RECEIVER"), ("usart_dma.rs", "SENDER")];
     let streams = dma1.map(|(file, name)| number(file, name));
     assert_eq!(streams, [2, 0, 5, 6]);
-    // With only one port, its edges use DMA2 S1 and S4.
+    // If all step pins are on one port, S1 and S4 of DMA2 make the edges and the ends of the pulses.
     assert!(board_file("stm32f4/chain.rs").contains("(0, 1) => Streams { on: 1, off: 4,"));
     assert_eq!(number("usart_interrupt.rs", "STREAM"), 2);
 }
@@ -132,9 +132,9 @@ fn every_board_has_its_sizes_and_a_probe_profile() {
     }
 }
 
-/// The rule of docs/cost.md, "Step rates": two of the longest runs of the step task and half a batch fit into the
-/// duration of the events of a full ring; batches for three axes use at most half of the processor; and the shortest
-/// pulse leaves a pause in which its timer stops.
+/// The rule of docs/cost.md, "Step rates". A full ring of events lasts at least as long as two of the longest runs of
+/// the step task and half a batch. Batches for three axes take at most half of the processor's time. The shortest pulse
+/// leaves a pause in which its timer can stop.
 #[test]
 fn step_rates_follow_the_rule() {
     const DEPTH: u64 = 96;
@@ -143,12 +143,12 @@ fn step_rates_follow_the_rule() {
         let (hz, core_hz) = (u64::from(board.safe_step_hz), u64::from(board.core_hz));
         let runs = 2 * u64::from(board.run_cycles) * hz;
         assert!(runs <= (DEPTH - BATCH / 2) * core_hz, "{board:?}");
-        // The figure of `cargo xtask count`, times 1.1.
+        // 1,582 cycles: 1.1 times what `cargo xtask count` reports for a batch with three axes, or slightly more.
         assert!(1_582 * hz / BATCH <= core_hz / 2, "{board:?}");
         let rates = StepRates { safe_hz: u32::MAX, least_pulse_tenths: board.least_pulse_tenths };
         assert!(rates.greatest_hz(board.least_pulse_tenths) >= hz as f32, "{board:?}");
-        // Four ticks from the trigger to the first count, one to the edge, one after the pulse, one to the stop; the
-        // timer of the pulses counts at the step clock or faster.
+        // The pause must have room for 7 ticks: 4 from the trigger to the first count, 1 to the edge, 1 after the
+        // pulse, 1 to the stop. A tick of the timer of the pulses is not longer than one of the step clock.
         let timing = StepTiming::new(board.step_clock_hz / 1_000_000, board.least_pulse_tenths, 0);
         assert!(timing.gap > timing.pulse + 7, "{board:?}");
     }
@@ -164,8 +164,8 @@ fn said(board: oxmill_boards::profiles::Board, line: &str) -> String {
     mill.take_output()
 }
 
-/// A spindle with an at-speed signal needs a pin. Without one, a setting that enables the signal would count every
-/// spindle as up to speed, or none.
+/// On a board without a pin for the at-speed signal, a setting that enables the signal would make every spindle count
+/// as up to speed, or none.
 #[test]
 fn a_board_without_a_pin_for_the_speed_takes_no_setting_for_it() {
     for (wiring, code, _) in wirings() {
@@ -182,8 +182,8 @@ fn a_board_without_a_pin_for_the_speed_takes_no_setting_for_it() {
     }
 }
 
-/// A Black Pill's UART has an interrupt for each byte, which waits for runs of the step task: at higher rates bytes
-/// would be lost. Its fast link is USB.
+/// A Black Pill's UART has an interrupt for each byte, which has to wait while the step task runs. At rates above the
+/// table's, bytes would be lost; the fast link of this board is USB.
 #[test]
 fn a_black_pill_takes_no_rate_of_its_uart_that_it_cannot_keep() {
     for board in oxmill_boards::profiles::ALL {
@@ -202,8 +202,8 @@ fn a_black_pill_takes_no_rate_of_its_uart_that_it_cannot_keep() {
         let described = said(board, "$ES");
         let row = described.lines().find(|line| line.starts_with("[SETTING:931|")).expect("a row");
         assert!(row.contains(&format!("|115200|{most}|")), "{}: {row}", board.name);
-        // A byte takes ten bit times. In this time fit the longest run of the step task, and half as much again for
-        // other code at the interrupt's priority.
+        // A byte takes ten bit times. The longest run of the step task, and half as much again for other code at the
+        // interrupt's priority, must fit into this time.
         let byte = 10.0 / f64::from(board.most_baud);
         assert!(!is_slow || 1.5 * f64::from(board.run_cycles) / f64::from(board.core_hz) < byte, "{}", board.name);
     }

@@ -66,7 +66,8 @@ fn places_are_numbers_without_a_resolution() {
     }
 }
 
-/// A dwell longer than the virtual clock can run: the job is reported as unfinished, and nothing hangs or is cut short.
+/// A dwell longer than the virtual clock can run is reported as an unfinished job. A shorter one, however long, runs to
+/// its end.
 #[test]
 fn a_dwell_of_many_thousand_years_ends_the_simulation() {
     let years = "50000000000";
@@ -200,7 +201,7 @@ fn plot_draws_the_job() {
     let drawn = fs::read_to_string(&svg).expect("a drawing");
     assert!(drawn.starts_with("<svg") && drawn.contains("plot.nc"));
     assert!(fs::read(&png).expect("a drawing").starts_with(b"\x89PNG"));
-    // The same drawing as by `run --plot`.
+    // Must be the same drawing as by `run --plot`.
     let other = svg.with_file_name("plot_by_run.svg");
     run(&["run", text(&job), "--plot", text(&other)]);
     assert_eq!(fs::read_to_string(&other).expect("a drawing"), drawn);
@@ -322,7 +323,8 @@ fn errors_stand_in_the_summary_with_their_lines_and_end_with_1() {
     assert!(words.contains("line 2") || words.contains("     2"), "{words}");
 }
 
-/// A probing line is answered after its alarm, and a line beyond the travel not at all.
+/// A probing line is answered after its alarm, and a line beyond the travel not at all. In both cases the alarm has the
+/// number of the line that raised it.
 #[test]
 fn an_alarm_has_the_line_that_raised_it() {
     let limits: Vec<&str> = "--set 20=1 --set 22=1 --set 130=60 --work-zero=-40,-20,-10".split(' ').collect();
@@ -338,7 +340,7 @@ fn an_alarm_has_the_line_that_raised_it() {
     }
 }
 
-/// None of its lines moved, although every one was accepted.
+/// All lines of a block without an end are accepted, but none of them is carried out.
 #[test]
 fn a_block_without_an_end_is_an_error_of_the_line_that_began_it() {
     for (name, program, line) in [
@@ -403,7 +405,7 @@ fn files_that_are_no_jobs_are_named() {
     assert_eq!((&summary["complete"], &summary["position_mm"][0]), (&false.into(), &1.0.into()));
 }
 
-/// A file for a control with M98: the sender sends all lines of it.
+/// A file for a control with M98 has subprograms behind its end. A sender sends their lines, too; they are refused.
 #[test]
 fn nothing_falls_into_a_subprogram_behind_the_end() {
     let job = file("subprogram.nc", "%\nO1000\nG21 G0 X1\nM30\nO1001\nG1 Z-3 F100\nM99\n%\n");
@@ -479,7 +481,7 @@ fn no_file_is_written_over_another() {
     let job = file("kept.nc", program);
     let settings = file("kept.txt", "$100=80\n");
     let linked = Path::new(env!("CARGO_TARGET_TMPDIR")).join("linked.svg");
-    // A link left by an earlier run cannot be made again.
+    // The link of an earlier run is removed, because it cannot be made again.
     let _ = fs::remove_file(&linked);
     fs::hard_link(&job, &linked).expect("a link can be made");
     let roundabout = job.parent().expect("a folder").join(".").join("kept.nc");
@@ -566,7 +568,7 @@ fn a_reader_that_has_seen_enough_is_no_failure() {
     }
 }
 
-/// Standard error may be closed or full: the exit status still reports the result.
+/// If standard error is closed or full, the exit status still reports the result.
 #[cfg(unix)]
 #[test]
 fn nothing_that_cannot_be_said_is_a_crash() {
@@ -598,7 +600,7 @@ fn a_device_on_standard_input_loses_nothing_silently() {
         // The program's input stays open.
         let mut program = oxmill(&[&["serve", "--stdio", "--speed", "max"], pins].concat());
         let mut program = program.stdin(Stdio::piped()).stdout(full()).spawn().expect("it starts");
-        // The greeting is lost, too, so the program may have ended already.
+        // The greeting is lost, too, so the program can have ended already.
         let _ = program.stdin.as_mut().expect("a pipe").write_all(b"G1 X1 F1000\n");
         let (code, said) = ended(program);
         assert!(code == Some(2) && said.contains("cannot write the answers"), "{pins:?}: {code:?}, {said}");
@@ -612,7 +614,7 @@ fn a_device_on_standard_input_loses_nothing_silently() {
     }
 }
 
-/// Returns exit status and output of a program that ends by itself while its input is still open.
+/// Returns exit status and output of a program that must end while its input is still open.
 #[cfg(unix)]
 fn ended(mut program: std::process::Child) -> (Option<i32>, String) {
     let end = std::time::Instant::now() + std::time::Duration::from_secs(60);
@@ -630,7 +632,7 @@ fn ended(mut program: std::process::Child) -> (Option<i32>, String) {
     }
 }
 
-/// What a sender may send first, in one write.
+/// A sender may start with `?` and a line end in one write: the report comes before the `ok` of the empty line.
 #[test]
 fn a_report_comes_before_the_line_that_follows_its_question() {
     for dialect in ["grbl", "oxmill"] {
@@ -827,7 +829,7 @@ fn a_replay_writes_the_trace_of_the_run() {
     assert_eq!(of_run, of_replay);
 }
 
-/// Settings that act only at power-up would not yet be active if they had been sent.
+/// Settings are not recorded as lines: some act only at power-up and would not be active after a line.
 #[test]
 fn settings_are_part_of_a_recording() {
     let job = file("settings.nc", "G0 X1\n$J=G91 Y1 F600\n");
@@ -863,7 +865,7 @@ fn a_recorded_conversation_is_played_again() {
     let played = run(&["replay", text(&recording), "--json"]);
     let summary = json(&played);
     assert_eq!((&summary["steps"], played.status.code()), (&serde_json::json!([0, 500, 250]), Some(1)));
-    // The setting was active before the host connected.
+    // `bad` is the third line of the host: the setting was active before the host connected, and is not a line.
     assert_eq!((&summary["errors"][0]["line"], &summary["errors"][0]["code"]), (&3.into(), &2.into()));
     assert!(String::from_utf8_lossy(&played.stderr).is_empty(), "the same steps");
 }
@@ -880,7 +882,7 @@ fn recordings_from_the_field() {
         let recording = fs::read_to_string(&path).expect("text");
         let played = run(&["replay", text(&path)]);
         if recording.contains("[REC:") {
-            // A recording of a board that failed at its end.
+            // A recording of a board whose firmware failed at its end.
             let said = String::from_utf8_lossy(&played.stdout);
             assert!(said.contains("arrives at the place and line of the failure"), "{}: {said}", path.display());
         } else {
@@ -890,7 +892,7 @@ fn recordings_from_the_field() {
     }
 }
 
-/// A terminal's log may contain bytes that are not text, for instance from before the baud rate was set.
+/// A terminal's log can contain bytes that are not text, for instance from before the baud rate was set.
 #[test]
 fn noise_around_a_listing_does_not_matter() {
     let board = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/recordings/field/panic_in_mid_job.rec");

@@ -12,7 +12,7 @@ const PATIENCE: Duration = Duration::from_secs(20);
 const WELCOME: &str = "Grbl 1.1h ['$' for help]";
 const BUSY: &str = "[MSG:Another host has the machine]\r\n";
 
-/// The page of `--web`, requested by hand: as a browser does, and as other sites would.
+/// Requests the page of `--web` by hand, as a browser does and as other sites would.
 #[test]
 fn a_page_is_served_to_this_computer_only() {
     let page = Path::new(env!("CARGO_TARGET_TMPDIR")).join("page.html");
@@ -41,7 +41,7 @@ fn a_page_is_served_to_this_computer_only() {
     assert!(served.contains(&format!("connect-src ws://{address} ws://localhost:{port}")), "{served}");
     assert!(served.contains("name=\"oxmill-machine\" content=\"/machine\""), "{served}");
     assert!(ask("/x", address, "").starts_with("HTTP/1.1 404 "));
-    // Another program on this host may have set a cookie that is not UTF-8.
+    // Another program on this host can have set a cookie that is not UTF-8.
     let mut stream = TcpStream::connect(address).expect("it listens");
     stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
     let request = [b"GET /x HTTP/1.1\r\nHost: ", address.as_bytes(), b"\r\nCookie: name=Andr\xE9\r\n\r\n"].concat();
@@ -58,7 +58,7 @@ fn a_page_is_served_to_this_computer_only() {
         ask("/machine", address, &more)
     };
     assert!(socket(&format!("Origin: http://{address}\r\n")).starts_with("HTTP/1.1 101 "));
-    // The same cookie in a handshake.
+    // A handshake with the same cookie.
     let key = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==";
     let head =
         format!("GET /machine HTTP/1.1\r\nHost: {address}\r\nOrigin: http://{address}\r\n{key}\r\nCookie: name=Andr");
@@ -89,7 +89,7 @@ fn answer_to(address: &str, request: &[u8]) -> String {
     String::from_utf8_lossy(&answer[..length]).into_owned()
 }
 
-/// A request that any web page may have a browser send to a port of this computer. Its body contains lines for the
+/// A request that any web page can have a browser send to a port of this computer. Its body contains lines for the
 /// machine.
 const REQUEST: &str = "POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: text/plain\r\n\r\n";
 
@@ -112,7 +112,7 @@ fn a_web_page_moves_nothing_on_a_port_of_lines() {
         let mut host = server.served();
         assert!(host.wait_for("<Idle").contains("MPos:0.000,0.000,0.000"), "{request}");
     }
-    // A line that starts like a request, sent in pieces, is a line.
+    // The first bytes of a line can look like a request. Sent in pieces, it must still be taken as a line.
     let mut host = server.served();
     host.send("G");
     std::thread::sleep(Duration::from_millis(50));
@@ -128,7 +128,7 @@ fn a_web_page_moves_no_pin() {
     assert_eq!(answer_to(&pins, format!("{REQUEST}door 0\n").as_bytes()), "");
 }
 
-/// Also after complete lines, and as the first line of a client.
+/// A line that is never ended is refused and moves no pin, also after complete lines and as the first line of a client.
 #[test]
 fn a_line_without_an_end_moves_no_pin_and_is_refused() {
     let (_server, pins) = Server::with_pins();
@@ -174,7 +174,7 @@ fn timers(client: &Client) -> Vec<String> {
         .filter(|words| words.len() > 5 && words[1].ends_with(&port(here)) && words[2].ends_with(&port(there)))
         .map(|words| words[5].split(':').next().unwrap_or_default().to_owned())
         .collect();
-    // A table that changes while it is read may contain a line twice.
+    // A table that changes while it is read can contain a line twice.
     timers.dedup();
     timers
 }
@@ -189,7 +189,7 @@ fn a_client_that_is_cut_off_is_asked_for_signs_of_life() {
     let (_server, pins) = Server::with_pins();
     let mut client = Client::of(&pins);
     assert_eq!(client.ask("door 1"), "ok");
-    // The acknowledgement of the answer may still be in transit.
+    // The acknowledgement of the answer can still be in transit.
     let end = Instant::now() + PATIENCE;
     while timers(&client) != ["02"] {
         assert!(Instant::now() < end, "{:?}", timers(&client));
@@ -222,8 +222,8 @@ fn thousands_of_connections_leave_nothing_behind() {
         let memory = resident(&server.program);
         for number in 0..many {
             let mut stream = TcpStream::connect(address).expect("it listens");
-            // Some leave at once, some while their line is carried out; a connection without a place may be closed
-            // already.
+            // Some clients leave at once, some while their line is carried out. A connection without a place can be
+            // closed already.
             if number % 3 > 0 {
                 let _ = stream.write_all(line.as_bytes());
             }
@@ -254,8 +254,8 @@ fn clients_that_do_not_read_hold_no_place() {
     for stream in &mut unread {
         stream.set_nonblocking(true).expect("a socket");
     }
-    // Each client sends as much as the server accepts. The last clients are read until their answers do not fit any
-    // more.
+    // Each client sends as much as the server accepts. The server reads the last clients until it cannot output more
+    // answers.
     let (mut is_full, end) = (false, Instant::now() + PATIENCE);
     loop {
         for stream in &mut unread {
@@ -265,7 +265,7 @@ fn clients_that_do_not_read_hold_no_place() {
         assert_eq!(before.ask("door 0"), "ok");
         assert!(resident(&server.program) < memory + 8192, "{memory} {}", resident(&server.program));
         let mut new = Client::of(&pins);
-        // A rejected client may find its connection closed.
+        // A rejected client can find its connection closed.
         let _ = new.stream.write_all(b"door 1\n");
         let mut said = String::new();
         match new.lines.read_line(&mut said) {
@@ -312,12 +312,12 @@ fn no_client_makes_the_server_grow() {
         assert!(Instant::now() < end, "it is closed");
     }
     assert!(resident(&server.program) < before + 8192, "{before} {}", resident(&server.program));
-    // The client gets the reason, if it can read it before the connection ends.
+    // The client gets the reason if it can read it before the connection ends.
     let mut short = server.served();
     assert_eq!(short.ask("G21"), "ok");
     short.send([b'X'; (1 << 16) + 2000]);
     assert_eq!(short.line(), "[MSG:The line has no end]");
-    // Also in its first line, where a browser's request would be.
+    // The same in the first line of a client, where a browser's request would be.
     let mut first = server.served();
     first.send([b'X'; (1 << 16) + 2000]);
     assert_eq!(first.line(), "[MSG:The line has no end]");
@@ -357,7 +357,7 @@ fn a_recording_with_alarms_of_pins_is_played_again() {
         drop(server);
         let replay = Command::new(env!("CARGO_BIN_EXE_oxmill")).args(["replay", path]).output().expect("it runs");
         let said = String::from_utf8_lossy(&replay.stderr).into_owned();
-        // With or without an alarm, and with the same steps.
+        // The replay has the same steps; it may end with an alarm.
         assert!(
             matches!(replay.status.code(), Some(0 | 1)),
             "{pin}: {said}{}",
@@ -441,7 +441,7 @@ impl Server {
     }
 
     /// Returns a client that has read the welcome message. It retries until the previous client is gone: that client's
-    /// bytes may still be in transit, and a busy system may report a new connection before the end of the last one.
+    /// bytes can still be in transit, and a busy system can report a new connection before the end of the last one.
     fn served(&self) -> Client {
         let end = Instant::now() + PATIENCE;
         loop {
@@ -532,7 +532,7 @@ fn a_flood_from_a_client_that_leaves_does_not_lock_the_server() {
     let mut second = server.served();
     second.send("!");
     second.pour();
-    // The same when the client only closes its sending side and waits for answers.
+    // The same with a client that only closes its sending side and waits for answers.
     second.stream.shutdown(Shutdown::Write).expect("a socket");
     let mut third = server.served();
     assert!(third.status().starts_with("<Hold:0|"));
@@ -557,7 +557,7 @@ fn a_client_that_leaves_in_mid_job_is_one_that_closes_its_port() {
     for (hold, pending) in [(1, true), (1, false), (0, true), (0, false)] {
         let server = Server::new(&["--set", &format!("914={hold}")]);
         let mut first = server.served();
-        // Long enough that the move has not ended when the closed port is noticed, even by a busy host.
+        // The move is long enough not to end before the closed port is noticed, even on a busy host.
         let to = if hold == 1 { 300 } else { 60 };
         assert_eq!(first.ask(&format!("G1 X{to} F60")), "ok");
         if pending {
@@ -570,7 +570,7 @@ fn a_client_that_leaves_in_mid_job_is_one_that_closes_its_port() {
             assert!(!report.contains("MPos:300."), "{report}");
             next.send("~");
         }
-        // Only its own request is answered.
+        // The new client gets an answer to its own request only.
         let end = next.wait_for("<Idle");
         let place = format!("MPos:{}.000", to + i32::from(pending));
         assert!(end.contains(&place), "$914={hold}, {pending}: {end}");
@@ -632,7 +632,8 @@ fn a_recording_is_of_one_server() {
     Server::new(&["--record", text]);
 }
 
-/// Like a board that has its settings at power-up: with homing on it is locked, and startup lines are carried out.
+/// A server has its settings at power-up, as a board does: with homing on it is locked, and startup lines are carried
+/// out.
 #[test]
 fn a_server_has_its_settings_at_power_up() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
@@ -684,7 +685,7 @@ fn a_store_is_of_one_server() {
     assert!(said.iter().any(|line| line.starts_with("$100=80")), "{said:?}");
 }
 
-/// A held machine takes no lines: the program ends all the same, because no other host can connect.
+/// A held machine takes no lines. The program must end all the same, because no other host can connect.
 #[test]
 fn standard_input_that_ends_in_a_hold_ends_the_program() {
     let mut program = Command::new(env!("CARGO_BIN_EXE_oxmill"))
@@ -717,7 +718,7 @@ fn a_pseudo_terminal_keeps_nothing_for_the_next_client() {
         .expect("the program starts");
     let mut line = String::new();
     BufReader::new(program.stdout.take().expect("a pipe")).read_line(&mut line).expect("it says where it is");
-    // Ends the program, and with it a read that would never end.
+    // Ends the program in the end, and with it a read that would never end.
     let (done, waits) = std::sync::mpsc::channel::<()>();
     let watch = std::thread::spawn(move || {
         let _ = waits.recv_timeout(PATIENCE);
@@ -743,7 +744,7 @@ fn a_pseudo_terminal_keeps_nothing_for_the_next_client() {
     watch.join().expect("no panic").expect("a program");
 }
 
-/// A link that leads to a file is not replaced; a dangling link that a program has left behind is.
+/// A link that leads to a file is not replaced; a dangling link that a program has left behind is replaced.
 #[cfg(unix)]
 #[test]
 fn no_link_to_a_file_is_taken_for_a_pseudo_terminal() {
@@ -768,7 +769,8 @@ fn no_link_to_a_file_is_taken_for_a_pseudo_terminal() {
     assert_eq!(std::fs::read_link(&to_job).expect("a link"), job);
 }
 
-/// With no file descriptor left for another connection, the system reports the connection again and again.
+/// With no file descriptor left for another connection, the system reports the connection again and again. The server
+/// must not be busy with that.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_server_without_room_for_files_is_quiet() {

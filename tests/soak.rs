@@ -150,8 +150,8 @@ impl Soak {
         assert_eq!(reported, self.place(), "{report} {}", self.told());
     }
 
-    /// Resumes the job. A first `~` may arrive while the machine still brakes; and after a host timeout (`$928`) the
-    /// machine has braked by itself.
+    /// Resumes the job. Called repeatedly, because a first `~` can arrive while the machine still brakes, and because a
+    /// host timeout (`$928`) can have made the machine brake.
     fn go_on(&mut self) {
         let rests = !self.mill.is_stepping() && !self.mill.is_idle();
         if self.mill.controller().is_paused() || rests && self.report().starts_with("<Door:0") {
@@ -194,7 +194,7 @@ impl Soak {
     fn interrupt(&mut self, byte: u8) {
         let moving = self.mill.is_stepping();
         self.mill.send([byte]);
-        // Received lines are void; the line in progress is answered, possibly late because of a spindle that spins up.
+        // Received lines are void. The line in progress is answered, possibly late because a spindle spins up.
         self.mill.run_for(Duration::from_millis(500));
         self.half.push_str(&self.mill.take_output());
         while byte != 0x18 && !self.mill.is_idle() {
@@ -239,9 +239,9 @@ impl Soak {
         self.interrupt(0x18);
     }
 
-    /// A jog whose host has become silent, started at rest. It ends by itself.
+    /// Starts a jog at rest. Then the host is silent, so the host timeout ends the jog.
     fn jog(&mut self) {
-        // A hold may have come at the end of the job.
+        // A hold can have come at the end of the job.
         for _ in 0..100 {
             if self.report().starts_with("<Idle") {
                 break;
@@ -256,7 +256,7 @@ impl Soak {
         self.wait(1_000);
         self.half.clear();
         (self.sent, self.answered) = (0, 0);
-        // The jog covers 5 mm until the host timeout, and then brakes within less than one.
+        // The jog covers 5 mm until the host timeout, and less than 1 mm more while it brakes.
         let moved = (self.place()[0] - begun) as f64 / STEPS_PER_MM;
         let ends = by.abs() < 6 || self.counts.silences == silences + 1 && moved.abs() < by.abs() as f64;
         assert!(ends, "{moved} mm of a jog by {by} mm {}", self.told());
@@ -303,7 +303,7 @@ impl Soak {
                 self.fault();
             }
         }
-        // A host that has received all answers closes the port while the machine still moves.
+        // The host waits for all answers and closes the port while the machine still moves.
         if self.random.below(8) == 0 {
             while self.answered < self.sent {
                 self.wait(10);

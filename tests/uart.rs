@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 use std::rc::Rc;
 use std::sync::atomic::{AtomicU16, Ordering};
 
-/// Simulates DMA and the UART, or the interrupt of a UART without DMA.
+/// Stands in for DMA and the UART, or for the interrupt of a UART without DMA.
 struct Wire {
     buffer: &'static Buffer,
     place: Cell<usize>,
@@ -210,8 +210,8 @@ proptest! {
         prop_assert_eq!(out.0, sent.into_iter().map(Some).collect::<Vec<_>>());
     }
 
-    /// Some bytes are damaged and become any others, also line ends. Looks occur at any time, also after the signal of
-    /// a damage and before its byte; bytes arrive while the damage is cleared. No line is carried out that was not
+    /// Some bytes are damaged and become any others, also line ends. Looks occur at any time, also between the signal
+    /// of a damage and the damaged byte; bytes arrive while the damage is cleared. No line is carried out that was not
     /// sent, none twice, and none with a damaged byte.
     #[test]
     fn no_damaged_line_is_carried_out(
@@ -253,7 +253,7 @@ proptest! {
                 break;
             }
         }
-        // Two good lines, clearly after the damage.
+        // Two good lines after all damage.
         out.look(&mut receiver);
         wire.come_all(b"\nEND1\nEND2\n");
         out.look(&mut receiver);
@@ -311,8 +311,7 @@ fn a_damaged_byte_at_each_place() {
     }
 }
 
-/// Whatever the message already contains when the first good byte after the damage arrives, no byte received is
-/// dropped.
+/// No byte after the damaged ones is dropped, whatever the message already contains when it arrives.
 #[test]
 fn nothing_is_dropped_behind_damaged_bytes() {
     for count in 1..3 * ReceivedBytes::MOST {
@@ -353,7 +352,7 @@ fn a_byte_that_is_counted_and_not_written() {
     assert_eq!(out.text(), "abc#@@@\n");
 }
 
-/// One byte less than the number of slots may wait for any time. With one more, all are lost except the last stop, and
+/// Bytes can wait in all slots but one for any time. With one byte more, all are lost except the last stop, and
 /// the loss is reported once.
 #[test]
 fn a_full_buffer_and_a_lap() {
@@ -367,7 +366,7 @@ fn a_full_buffer_and_a_lap() {
                 out.0.clear();
                 let count = SLOTS - 1 + more;
                 let mut bytes = vec![b'x'; count];
-                // `stop` counts from the newest byte: older bytes may have been overwritten.
+                // `stop` counts from the newest byte: older bytes can have been overwritten.
                 if let Some(stop) = stop {
                     bytes[count - 1 - stop] = b'!';
                 }
@@ -393,8 +392,9 @@ fn a_full_buffer_and_a_lap() {
     }
 }
 
-/// The messages are not taken while bytes arrive without end: the oldest bytes are lost, except those that stop the
-/// machine, and the loss is reported once. DMA never laps the reader, so no look has to empty all slots.
+/// The messages are not taken while bytes arrive without end. The oldest bytes are lost, except those that stop the
+/// machine, and the loss is reported once. The reader moves bytes to make room, so DMA never laps it, and no look has
+/// to empty all slots.
 #[test]
 fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
     let (wire, mut receiver) = by_dma();
@@ -419,7 +419,8 @@ fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
     }
     let look = out.look(&mut receiver);
     assert!(look.stop, "the stop has waited for room");
-    // The first bytes are in the message that could not be sent; the bytes after the loss are all of the last ones.
+    // The output begins with the bytes of the message that could not be sent. After the mark of the loss it has all of
+    // the last bytes.
     let (first, behind) = out.0.split_at(ReceivedBytes::MOST);
     assert_eq!(first, last[..ReceivedBytes::MOST].iter().copied().map(Some).collect::<Vec<_>>());
     assert_eq!(behind[0], None, "the loss is told");
@@ -427,8 +428,8 @@ fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
     assert!(last.ends_with(&behind) && behind[0] == b'!' && behind.len() == 301, "{} behind the loss", behind.len());
 }
 
-/// A stop is seen behind more text than there is room for, at once or within a few looks, and the task is called for it
-/// until it is passed on.
+/// A stop is seen behind more text than there is room for, at once or within a few looks. The task is called for the
+/// stop until the stop is passed on.
 #[test]
 fn a_stop_is_seen_behind_text_that_has_no_room() {
     for stop in [b'!', 0x18, 0x19, 0x84, 0x85] {
@@ -453,7 +454,7 @@ fn a_stop_is_seen_behind_text_that_has_no_room() {
     }
 }
 
-/// A byte that arrives while a look waits for the last one to be counted does not hide an overrun.
+/// A byte that arrives while a look waits until the last byte is complete does not hide an overrun.
 #[test]
 fn a_lap_is_seen_when_another_byte_comes_meanwhile() {
     let (wire, mut receiver) = by_dma();
@@ -466,8 +467,8 @@ fn a_lap_is_seen_when_another_byte_comes_meanwhile() {
     assert_eq!(out.text(), "#end\n");
 }
 
-/// The step task may interrupt a look anywhere, and bytes arrive meanwhile: no slot with such a byte looks like an
-/// overrun.
+/// The step task can interrupt a look anywhere, and bytes can arrive in that time. A slot that such a byte has filled
+/// is not taken for an overrun.
 #[test]
 fn bytes_that_come_while_a_look_asks_where_it_is() {
     for counts in (0..81).map(|code| [code % 3, code / 3 % 3, code / 9 % 3, code / 27]) {
@@ -493,7 +494,8 @@ fn the_heaviest_stop_is_kept_behind_a_lap() {
     }
 }
 
-/// A byte of a UTF-8 character looks like a door or a jog cancel, and may occur twice: none is dropped.
+/// A byte of a UTF-8 character can look like the command of a door or a jog cancel, and can occur twice. No such byte
+/// is dropped.
 #[test]
 fn characters_come_whole() {
     let text = "(1億 充 ㅅ Ä)\n".as_bytes();
@@ -515,7 +517,7 @@ fn a_lap_within_a_look_leaves_no_reader_waiting() {
         wire.damaged.set(true);
         wire.at_clear.replace(vec![b'y'; late]);
         (0..40).for_each(|_| _ = out.look(&mut receiver));
-        // The next bytes reveal the lap, and are lost with the waiting ones.
+        // The next bytes reveal that DMA has lapped the reader, and are lost together with the waiting ones.
         wire.come_all(b"\n\n");
         out.look(&mut receiver);
         wire.come_all(b"end\n");
@@ -589,7 +591,7 @@ fn what_is_to_be_called_for() {
         assert_eq!(out.look(&mut receiver), look, "{bytes:?}");
         assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
     }
-    // Bytes without room stay, and the task is called for them again: for a stop at once.
+    // Bytes without room stay, and the task is called for them again; if there is a stop among them, at once.
     out.0.clear();
     wire.come_all(b"?G1X1\n!\n");
     out.glance(&mut receiver, &mut 0);
@@ -597,7 +599,7 @@ fn what_is_to_be_called_for() {
     assert_eq!(out.glance(&mut receiver, &mut 0), Look { news: true, stop: true, waits: true });
     out.pass_on(&mut receiver, &mut room, true);
     assert_eq!((out.glance(&mut receiver, &mut room), out.text().as_str()), (Look::default(), "?G1X1\n!\n"));
-    // A flood of the same command: passed on once per call, however often `pass_on` runs.
+    // Many equal commands are passed on once per call of the task, however often `pass_on` runs.
     out.0.clear();
     for calls in [false, false, true, false, true] {
         wire.come_all(&[b'?'; AT_A_TIME / 2]);
@@ -605,7 +607,7 @@ fn what_is_to_be_called_for() {
         out.pass_on(&mut receiver, &mut room, calls);
     }
     assert_eq!(out.text(), "??");
-    // A look reads few bytes, and the task is called for the rest.
+    // A look reads few bytes. The task is called again for the rest.
     out.0.clear();
     wire.come_all(&[b'x'; 100]);
     out.glance(&mut receiver, &mut room);
@@ -654,7 +656,7 @@ fn an_interrupt_fills_the_slots() {
         assert_eq!((out.text().as_str(), receiver.source().0.get()), ("G1X1\n", 0), "it begins anew");
         out.0.clear();
     }
-    // The bytes are not read for long: text finds no room, a stop does, and the byte after it marks the loss.
+    // While the bytes are not read, text soon finds no room, but a stop does. The next byte with room marks the loss.
     let kept = (0..2 * SLOTS).filter(|_| put(&mut receiver, b'x')).count();
     assert!(put(&mut receiver, b'!'));
     assert!(!put(&mut receiver, b'y') && kept < SLOTS);
@@ -668,7 +670,7 @@ fn an_interrupt_fills_the_slots() {
     assert_eq!(out.text(), "#z");
 }
 
-/// The task is called at once, and then not again for the number of samples in 500 us.
+/// The task is called at once. After each call it is not called again for as many samples as fit into 500 us.
 #[test]
 fn the_serial_task_is_called_in_time_and_not_too_often() {
     let mut calls = Calls::new();

@@ -1,8 +1,8 @@
 //! WeAct Black Pill V2/V3 with STM32F411CE: 512 KiB of flash, 128 KiB of RAM, core at 96 MHz. This file has only the
 //! numbers of this chip; `setup` and the pin table are in `boards/blackpill.rs`.
 //!
-//! 96 MHz instead of the maximum of 100: USB needs 48 MHz, and the single PLL provides both only from a common multiple
-//! (RM0383, 6.3.2: PLLQ divides the same oscillator as PLLP).
+//! The core runs at 96 MHz instead of the maximum of 100 MHz, because USB needs 48 MHz, and the single PLL makes both
+//! clocks by dividing the same oscillator (RM0383, 6.3.2: PLLP and PLLQ).
 
 use crate::{blackpill, profiles};
 use oxmill_controller::Profile;

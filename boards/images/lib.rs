@@ -1,8 +1,8 @@
 //! Facts about the boards' images, for build scripts and `xtask`: the list of boards, each one's linker script and
 //! cargo profile.
 //!
-//! Linker arguments are set here and not by `rustflags`: a `RUSTFLAGS` in the environment would silently replace those,
-//! and the image would be empty.
+//! Linker arguments are set here and not by `rustflags` in cargo's configuration, because a variable `RUSTFLAGS` in the
+//! environment would silently replace `rustflags`, and the image would be empty.
 
 use std::{env, fs, path::PathBuf};
 
@@ -10,7 +10,7 @@ use std::{env, fs, path::PathBuf};
 pub const BOARDS: [&str; 6] =
     ["blackpill_f411", "blackpill_f401", "nucleo_f446re", "nucleo_f411re", "nucleo_f401re", "qemu_mps2"];
 
-/// Boards whose flash is too small for an image built for speed: theirs is built for size.
+/// Boards whose flash is too small for an image built for speed. Their image is built for size.
 pub const SMALL: [&str; 1] = ["blackpill_f401"];
 
 /// The cargo profile that compiles for speed.

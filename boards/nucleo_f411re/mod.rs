@@ -4,9 +4,9 @@
 //!
 #![doc = include_str!("../nucleo64.md")]
 //!
-//! The clock comes from the ST-LINK (MCO, 8 MHz; bypass mode). Core and step clock run at 100 MHz: without USB nothing
-//! requires 96 MHz. All pins float during reset: spindle, laser and coolant need pull-down resistors, driver enable a
-//! pull-up.
+//! The clock comes from the ST-LINK (MCO, 8 MHz; bypass mode). Core and step clock run at 100 MHz, the maximum of this
+//! part, because no USB requires 96 MHz. All pins float during reset: spindle, laser and coolant need pull-down
+//! resistors, driver enable a pull-up.
 
 use crate::{nucleo64, profiles};
 use oxmill_controller::Profile;

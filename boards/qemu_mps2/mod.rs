@@ -1,5 +1,5 @@
 //! QEMU's `mps2-an386`: a Cortex-M4F with UARTs and timers, but without GPIO. Steps are not written to pins, but added
-//! to a digest, which a second UART reports. PSRAM may be preloaded with a job, or with a script that plays the host.
+//! to a digest, which a second UART reports. PSRAM can be preloaded with a job, or with a script that acts as the host.
 //!
 //! ```text
 //!   ┌───────────────────────────────────────────────────┐
@@ -61,8 +61,8 @@ pub const RUN_CYCLES: u32 = profiles::QEMU_MPS2.run_cycles;
 pub const CLOCK_TICKS_PER_US: u32 = 25;
 /// Clock of SysTick.
 pub const CORE_HZ: u32 = 25_000_000;
-/// Samples per second. There are no inputs: the samples only drive the alarm clock of `control`, and each costs the
-/// host time.
+/// Samples per second. There are no inputs: the samples only drive the alarm clock of `control`. There are few, because
+/// each sample costs the host time.
 pub const SAMPLE_HZ: u32 = 2_000;
 /// The non-maskable interrupt belongs to the watchdog.
 pub const WATCHES_CLOCK: bool = false;
@@ -149,8 +149,8 @@ pub fn setup(mut device: pac::Peripherals, _low_voltage: fn() -> !) -> Parts {
     }
 }
 
-/// Interrupt: the sender has become free. It has its own vector and calls the serial task, which is bound to the
-/// receiver's.
+/// Interrupt handler: the UART's sender has become free. It calls the serial task, which is bound to the vector of the
+/// UART's receiver.
 #[allow(non_snake_case, reason = "the name of the vector")]
 #[unsafe(no_mangle)]
 // unsafe because the linker takes the name on trust; safe because it is the vector's, and the signature fits.
@@ -195,7 +195,7 @@ struct Pending {
 }
 
 /// Step and direction outputs that go into the [`Digest`], one event at a time. One timer serves three scheduled times:
-/// it is set to the nearest.
+/// it is always set to the nearest of them.
 pub struct StepPins {
     timer: Timer0,
     /// Scheduled times: of the event, and of the calls `MORE` and `MARK`.
@@ -235,7 +235,8 @@ impl StepPins {
             NVIC::pend(Interrupt::TIMER0);
             return;
         }
-        // The reload value keeps the timer running, so that a time missed by rounding is checked again soon.
+        // The timer continues with the reload value, 1 ms: if rounding made it expire before the scheduled time, that
+        // time is checked again soon.
         self.timer.set_reload(CORE_HZ / 1_000);
         self.timer.set_value(nearest);
         self.timer.set_control(Timer0::ENABLE | Timer0::INTERRUPT_ENABLE);
@@ -393,8 +394,8 @@ impl Port for SerialPort {
         if self.0.state() & Uart0::RX_FULL != 0 { Incoming::Byte(self.0.data() as u8) } else { Incoming::Nothing }
     }
 
-    /// If there is no space, a byte may stay unfetched: without this its interrupt would recur forever.
-    /// [`SerialPort::receive`] checks the data register itself and finds the byte later.
+    /// Without space, a received byte stays in the data register. Clears its interrupt, which would otherwise recur
+    /// forever. [`SerialPort::receive`] finds the byte later, because it checks the data register.
     fn allow(&mut self, room: usize) {
         if room == 0 {
             self.0.clear_interrupts(Uart0::RX_INTERRUPT);
@@ -415,7 +416,7 @@ impl Port for SerialPort {
     fn call_when_free(&mut self, _wanted: bool) {}
 }
 
-/// Input pins: there are none, nothing is active.
+/// Input pins: there are none, so no input is active.
 pub struct InputPins;
 
 impl InputPins {
@@ -519,7 +520,7 @@ pub fn job_done() {
     DONE.store(true, Ordering::Relaxed);
 }
 
-/// The script that plays the host; used by [`idle`] only.
+/// The script that acts as the host. After the set-up only [`idle`] uses it.
 static SCRIPT: Mutex<RefCell<Option<script::Script>>> = Mutex::new(RefCell::new(None));
 
 /// Runs when no task runs: advances the script, ends QEMU after a preloaded job, answers the test stand, and sleeps
@@ -586,8 +587,9 @@ impl Watchdog {
     }
 }
 
-/// State of the program across a reset, as QEMU does not report the cause of a reset: if it is not `ASKED`, the reset
-/// was the watchdog's. Start-up code does not initialize this word.
+/// Keeps its value in a reset, because QEMU does not report the cause. `ASKED`: the program requested the reset.
+/// `RUNNING`: it did not, so the watchdog caused the reset. Any other value: power-up. Start-up code does not
+/// initialize this word.
 #[unsafe(link_section = ".uninit.ALIVE")]
 // unsafe because the linker takes the section on trust; safe because every bit pattern is a number.
 static mut ALIVE: core::mem::MaybeUninit<u32> = core::mem::MaybeUninit::uninit();
@@ -595,7 +597,8 @@ const RUNNING: u32 = u32::from_le_bytes(*b"runs");
 const ASKED: u32 = u32::from_le_bytes(*b"soft");
 
 fn set_alive(word: u32) {
-    // SAFETY: unsafe because a static is written; safe because it is one store, and only a reset reads it.
+    // SAFETY: unsafe because a static is written; safe because it is one store, and `reset_cause` reads the word before
+    // any task runs.
     unsafe { (&raw mut ALIVE).cast::<u32>().write_volatile(word) }
 }
 
@@ -636,8 +639,9 @@ fn fail(way: u8) {
         b'P' => panic!("wanted by the [test stand]"),
         b'F' => cortex_m::asm::udf(),
         b'C' => {
-            // Tasks of the lowest priority stop; the others continue.
-            // SAFETY: unsafe because it may break critical sections; safe because the program is to end.
+            // Masks the tasks of the lowest priority, among them `control`; the others continue.
+            // SAFETY: unsafe because a write to BASEPRI can break critical sections; safe because the program is to
+            // end.
             unsafe { cortex_m::register::basepri::write(hardware_priority(1)) };
             loop {
                 cortex_m::asm::nop();
@@ -652,7 +656,8 @@ fn fail(way: u8) {
     }
 }
 
-/// Converts a priority of RTIC to that of the interrupt controller.
+/// Converts a priority of RTIC, where 1 is the lowest, to a value of the interrupt controller, where 0 is the highest
+/// and only the upper bits count.
 const fn hardware_priority(logical: u8) -> u8 {
     ((1 << pac::NVIC_PRIO_BITS) - logical) << (8 - pac::NVIC_PRIO_BITS)
 }

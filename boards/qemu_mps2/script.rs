@@ -1,5 +1,5 @@
-//! A host inside the machine: executes a `Script` from PSRAM, which defines the bytes to send to the firmware and the
-//! conditions to wait for in virtual time: answers, a delay, or an Idle status report.
+//! A host inside the machine. It executes a `Script` from PSRAM: the script sends bytes to the firmware, and waits in
+//! virtual time for answers, for a delay to pass, or for an Idle status report.
 //!
 //! With a host outside the machine, which runs in real time, the machine's state when a byte arrives would vary between
 //! runs. This host sends its bytes at the same instruction in every run. It checks its conditions whenever the
@@ -29,7 +29,7 @@ const TICKS_PER_MS: u32 = 25_000;
 const PATIENCE: u32 = 120_000 * TICKS_PER_MS;
 /// Maximum number of `?` in a wait for Idle.
 const MOST_QUESTIONS: u32 = 4_000;
-/// Length of a line's beginning that identifies its kind.
+/// Number of bytes kept from the beginning of a line, enough to identify its kind.
 const HEAD: usize = 6;
 
 /// Bytes of the script that the firmware has not received yet.
@@ -110,13 +110,13 @@ pub struct Script {
     text: &'static [u8],
     next: usize,
     wait: Wait,
-    /// Answers up to the end of the last record.
+    /// Number of answers at the end of the last record.
     answers_before: u32,
     /// Number of `?` sent since the record began.
     questions: u32,
     /// The step clock when it was last read.
     looked: u32,
-    /// Its ticks since the start of the script.
+    /// Ticks of the step clock since the start of the script.
     ticks: u64,
 }
 
@@ -126,7 +126,8 @@ pub enum Wanted {
     Nothing,
     /// Report the number of bytes that the firmware has sent.
     Mark(u32),
-    /// Report that number, the time in ms since the start of the script, the motors' steps and the stack.
+    /// Report the number of bytes that the firmware has sent, the time in ms since the start of the script, the motors'
+    /// steps and the stack.
     Note(u32, u64),
     /// The script has ended.
     End,
@@ -140,7 +141,7 @@ impl Script {
 
     /// Advances as far as possible, at most to the end of a record.
     pub fn go_on(&mut self) -> Wanted {
-        // The clock wraps after minutes and is read much more often.
+        // Adds up differences, because the clock wraps every 172 s. This function is called much more often.
         let now = clock_ticks();
         self.ticks += u64::from(now.wrapping_sub(self.looked));
         self.looked = now;
@@ -157,7 +158,7 @@ impl Script {
                 Wait::Until { since, ticks } if clock_ticks().wrapping_sub(since) >= ticks => {}
                 Wait::Report { before, pause, step } if reports != before => {
                     if !idle && self.questions < MOST_QUESTIONS {
-                        // Repeat the same step.
+                        // Repeat this step, which sends `?`, after the pause.
                         self.next = step;
                         self.wait = Wait::Until { since: clock_ticks(), ticks: pause * TICKS_PER_MS };
                         continue;

@@ -11,22 +11,24 @@
 //!        CC3 ─▶ DMA1 S0 ─▶ TIM3_CCR2: the laser's power, at the step that begins its segment
 //! ```
 //! Event times are absolute, so errors do not accumulate. The ring entry after the last committed event holds a time
-//! that has just passed, which the counter reaches only after 2^32 ticks. So if nothing is committed, for any reason,
-//! the pulses end by themselves.
+//! that has just passed, which the counter reaches only after 2^32 ticks. So if the program commits no more events, for
+//! whatever reason, the output stops after the last committed event.
 //!
-//! While a probe is watched, events must not be queued: they are output one by one. Then the CPU writes CCR1, and CC1
-//! interrupts. Nothing else differs.
+//! While a probe is watched, events must not be queued. They are output one by one: the CPU instead of DMA1 writes each
+//! event's time to CCR1, and CC1 interrupts after each event. All else is the same.
 //!
 //! Hardware constraints, all checked by the models of `tests/virtual_board`:
 //!
 //! * ES0287 2.2.11 (F411): DMA2 must write GPIO through its memory port and must not serve APB2 meanwhile. The rings
 //!   are therefore configured as an incrementing "peripheral".
-//! * DMA1 fetches one word ahead: the time of an event must be in the ring before the event two before it is output.
+//! * DMA1 fetches one word ahead, so the time of an event must be in the ring before the second event before it is
+//!   output.
 //! * TIM1 must be clocked while the processor sleeps, or it ignores its trigger; `step_pins` enables that clock.
-//! * TIM1 ignores a trigger while it counts. DMA2 then lags TIM5 by one event, which the streams' counts reveal.
-//! * A stale request would be served at once: TIM1 is reset before each `begin`.
+//! * TIM1 ignores a trigger while it counts. In that case DMA2 lags TIM5 by one event, which the counts of the streams
+//!   reveal.
+//! * DMA2 would serve a stale request as soon as its stream is on, so `begin` resets TIM1 first.
 //! * A stream to a peripheral fetches its word when it is enabled. The laser's stream is therefore re-enabled for each
-//!   power, and one power is armed at a time. A write to TIM3 takes effect at once.
+//!   power, and only one change of power is armed at a time. A power takes effect as soon as it is written to TIM3.
 //!
 //! Tested in emulation only, not yet on hardware.
 
@@ -41,8 +43,8 @@ use core::sync::atomic::{Ordering, compiler_fence};
 
 /// Slots of the ring. The slot after the last event stays free.
 const RING: usize = 128;
-/// Maximum number of events ahead ([`crate::StepOutput::DEPTH`]). A stop counts up to this many cancelled events, in
-/// less time than two bytes of the UART take. With 1, all boards would use one interrupt for each event.
+/// Maximum number of events ahead ([`crate::StepOutput::DEPTH`]). A stop has to count up to this many cancelled events,
+/// which takes less time than two bytes on the UART.
 pub(super) const DEPTH: usize = 96;
 /// Ticks of TIM1 from its start to the leading edge of the pulse. The trailing edge follows after the pulse length.
 const EDGE_COUNT: u32 = 1;
@@ -50,16 +52,16 @@ const EDGE_COUNT: u32 = 1;
 const LISTENS_TICKS: u32 = 48;
 /// Upper bound, in ticks, of one more attempt in `begin`, including delaying all times of the ring.
 const AGAIN_TICKS: u32 = 2_200;
-/// Ticks around a scheduled time within which its DMA request may be under way. At the maximum rate, events are about
-/// 90 ticks apart.
+/// Ticks before and after a scheduled time within which its DMA request can be under way. Even at the maximum rate,
+/// events are about 90 ticks apart.
 const NEAR_TICKS: u32 = 48;
-/// An event that is this many ticks late will never be output.
+/// If an event is late by more than this many ticks, the output is stuck.
 const STANDS_TICKS: i32 = 500;
-/// Number of repeated comparisons of the counts. Counts that differ are a fault only if they differ in all of these,
-/// too.
+/// Number of comparisons of the counts after one in which they differed. It is a fault only if they differ in all of
+/// these comparisons, too.
 const MORE_LOOKS: u32 = 8;
 
-/// Error flags of streams 0 to 3. In both flag registers of DMA2, they cover streams 0 to 7.
+/// Error flags of streams 0 to 3. In the second flag register, the same bits are those of streams 4 to 7.
 const ERRORS: u32 = dma::errors(&[0, 1, 2, 3]);
 /// Error flags of the stream [`MOMENTS`].
 const MOMENT_ERRORS: u32 = dma::errors(&[MOMENTS]);
@@ -89,7 +91,7 @@ const fn streams(port: usize, ports: usize) -> Streams {
     }
 }
 
-/// SMCR of TIM1: TIM5 is the trigger (TS = 000) and is ignored.
+/// SMCR of TIM1: TIM5 is selected as the trigger (TS = 000), but triggers have no effect (SMS = 000).
 ///
 /// ITR0 of TIM1 is TIM5 in the table "TIMx internal trigger connection" of TIM1_SMCR: RM0368 (F401; table 50), RM0383
 /// (F411), RM0390 (F446), RM0090 (F407; table 94). All four have the same row for TIM1: TIM5, TIM2, TIM3, TIM4. Source:
@@ -144,14 +146,14 @@ pub(super) struct Chain<M, const P: usize> {
     one_by_one: bool,
     /// With `one_by_one`: an event has been committed and is not output yet.
     pending: bool,
-    /// Number of event times that DMA1 has counted when the first is in CCR1: 1, or 2 if it counts a word when fetching
-    /// it. The manual leaves this open (DMA_SxNDTR), so each `begin` measures it.
+    /// Number of event times that DMA1 has counted when the first one is in CCR1: 1 if it counts a word when writing
+    /// it, 2 if when fetching it. The manual leaves open which (DMA_SxNDTR), so each `begin` measures it.
     first_moments: usize,
     map: PhantomData<M>,
 }
 
-/// Stops TIM1 and the DMA streams: after this no pulse begins, and DMA writes no edge and no power. For a program that
-/// ends: step counts are lost.
+/// Stops TIM1 and the DMA streams: after this no pulse begins, and DMA writes no edge and no power. Only for a program
+/// that is about to end, because step counts are lost.
 #[cfg(feature = "stm32f4")]
 #[inline(never)]
 pub(super) fn cut<M: Map>() {
@@ -167,8 +169,9 @@ pub(super) fn cut<M: Map>() {
 }
 
 impl<M: Map, const P: usize> Chain<M, P> {
-    /// Slots that stay free: the one after the last event, and with several ports one more, of which only the first
-    /// port's word may have been output.
+    /// Number of slots that stay free. One is the slot after the last event. With several ports, the other one is the
+    /// slot before the tail, because the tail is that of the first port: the other ports may not have output this
+    /// slot's words yet.
     const SPARE: usize = if P > 1 { 2 } else { 1 };
 
     pub(super) const fn new(ports: [usize; P], rings: &'static mut Rings<P>) -> Self {
@@ -185,7 +188,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
     }
 
-    /// Sets the word of each port that ends all pulses. Call at rest.
+    /// Sets, for each port, the word that ends all pulses. Call at rest.
     pub(super) fn set_off(&mut self, off: [u32; P]) {
         self.rings.off = off;
     }
@@ -200,14 +203,15 @@ impl<M: Map, const P: usize> Chain<M, P> {
     pub(super) fn take(&mut self) -> Due {
         let mut due = Due(read(M::TIM5 + SR));
         if !self.one_by_one {
-            // Queued events raise this flag, too, and DMA1 may be about to serve its request: leave it alone.
+            // Queued events set the flag `OUT`, too, but do not call the task. It must not be cleared here, because
+            // DMA1 may be about to serve its request.
             due = Due(due.0 & !Due::OUT.0);
         }
         if due.has(Due::MARK) {
-            // Likewise, let the request for power be served before the flag is cleared.
+            // The DMA request for a power must be served before its flag `MARK` is cleared.
             self.keep_power();
         }
-        // Flags are cleared by writing 0; a 1 leaves them alone.
+        // Writing 0 clears a flag, writing 1 leaves it unchanged.
         write(M::TIM5 + SR, !due.0);
         if due.has(Due::OUT) {
             self.pending = false;
@@ -215,7 +219,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
         due
     }
 
-    /// Schedules the call `MORE`. A pending one is cancelled, even if its time has come meanwhile.
+    /// Schedules the call `MORE`. Cancels a pending call `MORE`, even if its time has come meanwhile.
     #[inline(always)]
     pub(super) fn call_at(&mut self, moment: u32) {
         write(M::TIM5 + CCR2, moment);
@@ -227,16 +231,16 @@ impl<M: Map, const P: usize> Chain<M, P> {
 
     /// Schedules the call `MARK`; with `power`, the same compare event makes DMA1 write the power.
     ///
-    /// Each mark must raise exactly one event and thus one request. The flag is therefore cleared while no event can
-    /// occur. If `moment` passed before it was set, so that the flag stays clear, software generates the event, which
-    /// raises the same request.
+    /// Each mark must raise exactly one compare event, and so exactly one DMA request. The flag is therefore cleared
+    /// while CCR3 holds a time that has just passed, so that no event can occur. If `moment` passes before it is in
+    /// CCR3, the flag stays clear, and software generates the event, which raises the same request.
     pub(super) fn mark_at(&mut self, moment: u32, power: Option<u32>) {
         self.keep_power();
         write(M::TIM5 + CCR3, read(M::TIM5 + CNT).wrapping_sub(1));
         write(M::TIM5 + SR, !Due::MARK.0);
         if let Some(power) = power {
             self.rings.power = power;
-            // The write must precede the next line: the stream fetches the word when it is switched on.
+            // `power` must be in memory before `switch_on`, because the stream fetches it as soon as it is on.
             compiler_fence(Ordering::SeqCst);
             let how = CIRCULAR | WORDS | BEAM_CHANNEL | TO_PERIPHERAL;
             switch_on(M::DMA1, BEAM, M::TIM3 + CCR2, &raw const self.rings.power as usize, RING, how);
@@ -250,8 +254,9 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
     }
 
-    /// Disarms the power stream: DMA writes no power after this. A request that is imminent is served first: a request
-    /// that was withdrawn half-way, or that no stream serves, would stay pending and trigger the next power too early.
+    /// Disarms the power stream: DMA writes no power after this. Waits for an imminent request to be served, because a
+    /// request that is withdrawn half-way, or that no stream serves, would stay pending and output the next power too
+    /// early.
     #[inline(never)]
     pub(super) fn keep_power(&mut self) {
         let asks = read(M::TIM5 + DIER);
@@ -277,8 +282,9 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
     }
 
-    /// Returns the free slots for times and for words of the last port. With several ports the words hold steps until
-    /// [`Chain::translate`].
+    /// Returns the free slots for the times of the next events, and those for their words at the last port. With
+    /// several ports, the caller writes combinations of steps in place of words, and [`Chain::translate`] replaces
+    /// them.
     #[inline(always)]
     pub(super) fn free<'a>(&'a mut self, table: &'a [u32; COMBINATIONS]) -> Free<'a> {
         let room = if self.one_by_one {
@@ -292,7 +298,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
         Free { table, words, moments }
     }
 
-    /// For several ports: replaces the steps in the next `events` slots by the words of each port.
+    /// For several ports: writes the words of each port into the next `events` slots, in place of the combinations of
+    /// steps.
     #[inline(always)]
     pub(super) fn translate(&mut self, tables: &[[u32; COMBINATIONS]; P], events: usize) {
         for at in (self.head..RING).take(events) {
@@ -326,8 +333,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
         self.rings.moments.get(place % RING).copied().unwrap_or(0)
     }
 
-    /// With `one_by_one`: schedules the event that has just been committed. Returns the ticks by which it was late and
-    /// has been delayed.
+    /// With `one_by_one`: schedules the event that has just been committed. Returns the ticks by which the event had to
+    /// be delayed, because it was late; otherwise 0.
     #[inline(always)]
     fn set_moment(&mut self, moment: u32) -> u32 {
         write(M::TIM5 + CCR1, moment);
@@ -348,15 +355,16 @@ impl<M: Map, const P: usize> Chain<M, P> {
         self.moment_at(self.head.wrapping_sub(left).wrapping_sub(1))
     }
 
-    /// DMA1 fetches the time of an event when the event two before it is output: an event must be committed before
-    /// then, also if output has not started yet.
+    /// DMA1 fetches the time of an event when the second event before it is output, so the event must be committed
+    /// before that, even if output has not started yet.
     #[inline(always)]
     pub(super) fn joins_until(&self, next: u32) -> u32 {
         let is_alone = self.one_by_one || !self.begun && self.head < 2;
         if is_alone { next } else { self.moment_before(1) }
     }
 
-    /// Disables the request for event times, and sets CCR1 so that none arises before the next time is loaded.
+    /// Disables the DMA request for event times, and sets CCR1 to a time that has just passed, so that no compare event
+    /// occurs before the next time is loaded.
     fn expect_no_moment(&mut self) {
         write(M::TIM5 + DIER, CALLS);
         write(M::TIM5 + CCR1, read(M::TIM5 + CNT).wrapping_sub(1));
@@ -364,11 +372,11 @@ impl<M: Map, const P: usize> Chain<M, P> {
         compiler_fence(Ordering::SeqCst);
     }
 
-    /// Waits until no request of a compare channel is under way or imminent. Scheduled times are further apart than
-    /// this takes.
+    /// Waits until no DMA request of a compare channel is under way or imminent. Scheduled times are further apart than
+    /// this wait takes.
     fn await_served(&self, channel: usize) {
         let moment = read(M::TIM5 + channel);
-        // One iteration takes at least a tick.
+        // Bounds the wait, as one iteration takes at least a tick.
         for _ in 0..3 * NEAR_TICKS {
             if (read(M::TIM5 + CNT).wrapping_sub(moment).wrapping_add(NEAR_TICKS)) >= 2 * NEAR_TICKS {
                 return;
@@ -376,13 +384,13 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
     }
 
-    /// Starts the output of the committed events. Returns the ticks by which all of them were delayed because it was
-    /// too late for the first.
+    /// Starts the output of the committed events. Returns the ticks by which all of them had to be delayed, because it
+    /// was too late for the first one; otherwise 0.
     pub(super) fn begin(&mut self, one_by_one: bool) -> u32 {
         self.begun = true;
         self.one_by_one = one_by_one;
         self.pending = one_by_one;
-        // Clears pending requests of TIM1.
+        // A reset clears the pending DMA requests of TIM1.
         write(M::RCC + APB2RSTR, TIM1_RESET);
         write(M::RCC + APB2RSTR, 0);
         let off = EDGE_COUNT + self.pulse;
@@ -413,11 +421,13 @@ impl<M: Map, const P: usize> Chain<M, P> {
         loop {
             switch_on(M::DMA1, MOMENTS, M::TIM5 + CCR1, self.rings.moments.as_ptr() as usize, RING, how);
             cortex_m::asm::delay(SERVED_CYCLES);
-            // Software requests the first time; DMA loads it like all others. TIM1 is not listening yet.
+            // A compare event by software makes DMA1 load the first event time, as it loads all others. The event
+            // starts no pulse, because TIM1 is not listening yet.
             write(M::TIM5 + DIER, CALLS | ASKS_FOR_MOMENT);
             write(M::TIM5 + EGR, Due::OUT.0);
             cortex_m::asm::delay(SERVED_CYCLES);
-            // Valid only before the time of the first event; if it has passed, the loop repeats.
+            // This measurement is valid only before the time of the first event. If that time passes, the loop repeats
+            // it.
             let counted = self.moments_counted();
             let is_fetched_ahead = counted == 2 && read(M::TIM5 + CCR1) == self.moment_at(0);
             self.first_moments = if is_fetched_ahead { 2 } else { 1 };
@@ -427,8 +437,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
                 write(M::TIM1 + SMCR, STARTS);
                 return put_off;
             }
-            // The time of the first event has passed, or would pass before TIM1 listens. No event has been output:
-            // delay all of them and try again.
+            // The time of the first event has passed, or would pass before TIM1 listens. As no event has been output,
+            // delay all events and try again.
             self.await_served(CCR1);
             write(stream(M::DMA1, MOMENTS) + CR, 0);
             self.expect_no_moment();
@@ -442,15 +452,15 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
     }
 
-    /// Returns whether the counters of events disagree or have failed. Counts that differ while an event is output
-    /// agree right after it.
+    /// Returns whether the output has failed: the event counters disagree, a stream reports an error, or the output is
+    /// stuck. Counters that differ while an event is output agree right after it.
     #[inline(always)]
     pub(super) fn fault(&self) -> bool {
         if !self.begun {
             return false;
         }
         if self.one_by_one {
-            // TIM1 missed a trigger: the words of an event that counts as output are still in the ring.
+            // If TIM1 has missed a trigger, the word of an event that counts as output is still in the ring.
             return !self.pending && self.lags() && (0..MORE_LOOKS).all(|_| self.lags());
         }
         if self.stands() {
@@ -476,8 +486,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
         since > STANDS_TICKS && tail != self.head && tail == self.tail()
     }
 
-    /// Returns whether repeated comparisons all differ. An event that is output during a comparison affects that one
-    /// and at most the next; counts that differ permanently never agree.
+    /// Returns whether the counts differ in all of several comparisons. The output of an event affects at most two
+    /// comparisons in a row, whereas after a fault the counts never agree again.
     #[cold]
     #[inline(never)]
     fn still_disagree(&self) -> bool {
@@ -490,8 +500,9 @@ impl<M: Map, const P: usize> Chain<M, P> {
         RING.wrapping_sub(read(stream(M::DMA1, MOMENTS) + NDTR) as usize) % RING
     }
 
-    /// Returns whether the counts are those of a pause between two events: DMA1 is `first_moments` times ahead of the
-    /// edges, all ports have the same number of edges, and at most one end of a pulse is outstanding.
+    /// Returns whether the counts are those of a pause between two events: DMA1 has counted `first_moments` more event
+    /// times than there were edges, all ports have output the same number of edges, and at most one end of a pulse is
+    /// outstanding.
     #[inline(always)]
     fn counts_agree(&self) -> bool {
         let left = |number| read(stream(M::DMA2, number) + NDTR) as usize;
@@ -532,8 +543,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
             return (0, false);
         }
         write(M::TIM1 + SMCR, IGNORED);
-        // Let requests raised just before be served: a request of TIM5 that is withdrawn half-way would stay pending.
-        // The request for event times comes first, since more than one would arise while a change of power is awaited.
+        // Wait for requests of TIM5 that are imminent, because a request that is withdrawn half-way would stay pending.
+        // First disable the request for event times: while `keep_power` waits, more than one of them could arise.
         self.await_served(CCR1);
         write(M::TIM5 + DIER, read(M::TIM5 + DIER) & ASKS_FOR_POWER | CALLS);
         self.keep_power();
@@ -548,8 +559,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
         fault |= (read(M::DMA2 + LISR) | read(M::DMA2 + HISR)) & ERRORS != 0;
         if !self.one_by_one {
-            // DMA1 is as far ahead of the events as at `begin`, or one more if the next match came after TIM1 had
-            // stopped listening.
+            // DMA1 is as far ahead of the events as at `begin`, or by one more event time if the next compare event
+            // came after TIM1 had stopped listening.
             let more = self.moments_counted().wrapping_sub(tail).wrapping_sub(self.first_moments) % RING;
             fault |= more > 1 || read(M::DMA1 + LISR) & MOMENT_ERRORS != 0;
         }

@@ -31,9 +31,9 @@ macro_rules! raw {
 }
 
 /// Sets step, spindle, coolant and program outputs to their safe levels and stops PWM and step timer. The driver enable
-/// does not change: an unpowered axis may drop.
+/// does not change, because an unpowered axis may drop.
 pub fn safe_state() {
-    // First, because a pulse that DMA begins after the stores below would undo them.
+    // This comes first, because a pulse that DMA begins after the stores below would undo them.
     chain::cut::<Chip>();
     for (port, safe) in SAFE.iter().enumerate() {
         write_bsrr::<Chip>(port, safe.load(Ordering::Relaxed));
@@ -75,8 +75,8 @@ macro_rules! each {
 }
 pub(crate) use each;
 
-/// Sets up the step output: TIM5, which starts to run, TIM1 and the DMA controllers; also TIM3 for the PWM, whose pin
-/// must already be in its alternate function. Sets all step and direction pins to their levels at rest.
+/// Sets up the step output: starts TIM5, and sets up TIM1, the DMA controllers and, for the PWM, TIM3. The pin of the
+/// PWM must already be in its alternate function. Sets all step and direction pins to their levels at rest.
 pub fn step_pins<const P: usize>(
     step: [ErasedPin<Output>; 4],
     direction: [ErasedPin<Output>; 4],
@@ -115,7 +115,7 @@ pub fn step_pins<const P: usize>(
     let [a, b, c, d] = step;
     let [e, f, g, h] = direction;
     let Some(rings) = rings else {
-        // `setup` takes the peripherals, so it runs once and the memory is free.
+        // Not reached: `setup` takes the peripherals, so it runs only once, and the memory of the rings is still free.
         unreachable!()
     };
     StepPins::at(at, turn_at, probe.probe(), clocks, rings, (pulse, clock, pwm, [a, b, c, d, e, f, g, h]))
@@ -130,16 +130,17 @@ pub const WATCHES_CLOCK: bool = true;
 
 /// Starts TIM2 as the clock: 1 MHz, free-running.
 pub fn start_clock(timer: pac::TIM2, rcc: &mut Rcc) {
-    // The HAL's counters have a limit. This one counts through all 32 bits, as after a reset.
+    // Releases the timer from the HAL, whose counters wrap at a limit. TIM2 counts through all 32 bits, as after a
+    // reset.
     let timer = FTimerUs::new(timer, rcc).release();
     // An update event loads the prescaler.
     timer.egr().write(|w| w.ug().set_bit());
     timer.cr1().write(|w| w.cen().set_bit());
 }
 
-/// Resets the chip if its boot loader jumped into the program, as hosts may order it to (`:leave` of dfu-util). Then
-/// system memory with its vector table is at address 0, and clocks and peripherals are as the loader left them. Call
-/// first in the set-up.
+/// Resets the chip if its boot loader jumped into the program, as hosts can order (`:leave` of dfu-util). After such a
+/// jump, system memory with its vector table is at address 0, and clocks and peripherals are as the loader left them.
+/// Call first in the set-up.
 pub fn begin_with_reset(rcc: &pac::RCC, syscfg: &pac::SYSCFG) {
     rcc.apb2enr().modify(|_, w| w.syscfgen().set_bit());
     // An enabled clock takes some cycles to arrive; reading back waits for them.
@@ -181,9 +182,9 @@ pub struct InputPins {
     probe: Place,
     /// The input pins of ports A, B and C.
     used: [u16; 3],
-    /// Those that were high at the last reading. The word is computed again only if they change, which is rare.
+    /// The input pins that were high at the last reading. `word` is computed again only if they change, which is rare.
     high: [u16; 3],
-    /// The word of the last reading.
+    /// The result of the last reading.
     word: u32,
     _pins: [Option<ErasedPin<Input>>; MOST_INPUTS],
 }
@@ -267,7 +268,7 @@ impl InputPins {
     pub fn set_pulls(&mut self, none: u32, down: u32) {
         let places = self.places.get(..self.count).unwrap_or_default();
         for (place, _) in places {
-            // A pin may have two bits: use both.
+            // A pin can have two bits (see `also`): a setting for either bit counts.
             let bits = places.iter().filter(|(other, _)| other == place).fold(0, |bits, (_, bit)| bits | 1 << bit);
             // PUPDR: 1 pulls up, 2 down.
             let pull = match (down & bits != 0, none & bits != 0) {
@@ -361,8 +362,8 @@ impl Watchdog {
     pub fn new(device: pac::IWDG, debug: &pac::DBGMCU) -> Watchdog {
         let watchdog = IndependentWatchdog::new(device);
         watchdog.stop_on_debug(debug, true);
-        // The step clock pauses, too: no step begins while the processor cannot commit more, and a pulse in progress
-        // ends. The laser's power does not change.
+        // The step clock pauses, too, so that no step begins while the halted processor cannot commit more events. A
+        // pulse in progress ends. The laser's power does not change.
         debug.apb1_fz().modify(|_, w| w.dbg_tim5_stop().set_bit());
         Watchdog(watchdog)
     }
@@ -379,8 +380,8 @@ impl Watchdog {
     }
 }
 
-/// Returns the cause of the last reset (RCC_CSR) and clears it. Every reset also pulls the reset pin, so that flag is
-/// checked after the others.
+/// Returns the cause of the last reset (RCC_CSR) and clears it. Every reset also pulls the reset pin, so the flag of
+/// that pin is checked after the others.
 pub fn reset_cause() -> ResetCause {
     // SAFETY: unsafe because the clock control is by-passed; safe because nothing else uses this register.
     let csr = unsafe { (*pac::RCC::ptr()).csr() };

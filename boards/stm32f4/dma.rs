@@ -1,9 +1,9 @@
 //! Access to DMA streams by their registers, shared by the step output (`chain`) and the UART.
 //!
-//! Raw registers, because a transfer of the HAL owns its buffer until it ends. The streams here are circular, are read
-//! while they run, and restart with different lengths. Hardware constraints, checked by the models of
-//! `tests/virtual_board`: do not read a stream's CR right after setting EN, and do not switch on two streams back to
-//! back.
+//! Uses raw registers, because a transfer of the HAL owns its buffer until the transfer ends, whereas the streams here
+//! are circular, are read while they run, and restart with different lengths. Hardware constraints, checked by the
+//! models of `tests/virtual_board`: do not read a stream's CR right after setting EN, and do not switch on two streams
+//! back to back.
 
 use super::registers::{read, write};
 
@@ -49,7 +49,7 @@ pub(super) const fn errors(streams: &[usize]) -> u32 {
 
 /// Upper bound, in cycles, of the time from a request to the last word that it transfers.
 pub(super) const SERVED_CYCLES: u32 = 80;
-/// Cycles between switching on two streams.
+/// Minimum number of cycles between switching on two streams.
 const APART_CYCLES: u32 = 12;
 
 /// Returns the address of a stream's registers.
@@ -75,7 +75,8 @@ pub(super) fn clear_flags(dma: usize, number: usize) {
     write(dma + clear, FLAGS << flags_at(number));
 }
 
-/// Programs a disabled stream for `count` transfers; `peripheral` and `memory` are the manual's names of the two ports.
+/// Programs a disabled stream for `count` transfers; `peripheral` and `memory` are the addresses at the two ports,
+/// named as in the manual.
 #[inline(always)]
 pub(super) fn program(dma: usize, number: usize, peripheral: usize, memory: usize, count: usize) {
     let at = stream(dma, number);

@@ -1,8 +1,8 @@
 //! The `SettingsFlash` of an STM32F4: two of its 16 KiB sectors, written in words at parallelism 32 (2.7 V and more).
 //!
-//! Only these two sectors are ever written or erased. During either, every fetch from flash stalls and with it the
-//! whole program: 16 us for a word (100 at most), 250 ms for an erase (500 at most; data sheet of the STM32F411, table
-//! "Flash memory programming"). The caller decides when to start an operation.
+//! Only these two sectors are ever written or erased. While a word is written or a sector erased, every fetch from
+//! flash stalls, and with it the whole program: for 16 us per word (at most 100 us), for 250 ms per erase (at most 500
+//! ms; data sheet of the STM32F411, table "Flash memory programming"). The caller decides when to start an operation.
 
 use oxmill_store::{Flash, Sector};
 use stm32f4xx_hal::pac;
@@ -60,7 +60,7 @@ unsafe extern "C" {
 
 impl SettingsFlash {
     /// Takes the sectors that the linker script reserves. `before_stall` is called, with interrupts off, before each
-    /// operation that stalls the processor, to set up what cannot wait.
+    /// operation that stalls the processor. It must prepare whatever cannot wait for the end of the operation.
     pub fn new(flash: pac::FLASH, before_stall: fn()) -> SettingsFlash {
         SettingsFlash { flash, before_stall }
     }
@@ -93,8 +93,8 @@ impl SettingsFlash {
         if errors == 0 { Ok(()) } else { Err(FlashError::Refused(errors)) }
     }
 
-    /// Resets the data cache, which may hold old words of the sectors: an erase does not update it (reference manual,
-    /// "Flash erase sequences").
+    /// Resets the data cache, which may hold old words of the sectors, because an erase does not update it (reference
+    /// manual, "Flash erase sequences").
     fn forget_cached(&self) {
         let acr = self.flash.acr();
         let before = acr.read().bits();

@@ -1,5 +1,5 @@
-//! Addresses of the registers that the step interrupt uses, and volatile access to them. The addresses are constants
-//! because each instruction counts in that interrupt.
+//! Addresses of the registers that the step interrupt uses, and volatile access to them. The addresses are constants,
+//! because that interrupt must have as few instructions as possible.
 //!
 //! The base addresses are a type parameter, [`Map`], so that the benchmark can run this code on plain memory. Source of
 //! addresses and bits: reference manual RM0383; those of RM0390 (F446) are the same.
@@ -8,8 +8,9 @@
 ///
 /// # Safety
 ///
-/// Each constant is the address of the peripheral that it names, whose clock is on while it is used, or of memory that
-/// nothing else uses: this module writes to these addresses without further checks.
+/// Each constant must be the address of the peripheral that it names, while the clock of that peripheral is on, or the
+/// address of memory that nothing else uses. The reason is that this module writes to these addresses without further
+/// checks.
 pub unsafe trait Map {
     /// Port A; the other ports follow.
     const GPIO: usize;

@@ -1,6 +1,6 @@
-//! Step and direction outputs of an STM32F4 and the spindle's PWM: `StepPins`, with tables of the port words of each
-//! combination of steps and directions, for the polarities in force. `chain.rs` decides when the words are output;
-//! `chip.rs` sets up clocks, pins and timers.
+//! Step and direction outputs of an STM32F4 and the spindle's PWM: `StepPins`, with tables that give the port words for
+//! each combination of steps and for each combination of directions, at the present polarities. `chain.rs` decides when
+//! the words are output; `chip.rs` sets up clocks, pins and timers.
 
 use super::chain::Chain;
 pub use super::chain::Rings;
@@ -16,8 +16,8 @@ pub const PORTS: usize = 3;
 /// PWM frequency of spindle and laser before the settings are loaded: the default of `$33`.
 const DEFAULT_PWM_HZ: u32 = 5_000;
 
-/// The BSRR word of each port that makes all its outputs safe: nothing moves, turns, burns or flows. A static instead
-/// of a task's resource, because a panic may occur in any task.
+/// For each port, the BSRR word that makes all of its outputs safe, so that nothing moves, turns, burns or flows. A
+/// static instead of a task's resource, because a panic may occur in any task.
 pub static SAFE: [AtomicU32; PORTS] = [const { AtomicU32::new(0) }; PORTS];
 
 /// Records the level at which a pin is safe.
@@ -29,7 +29,7 @@ pub fn note_safe_level(place: Place, high: bool) {
     }
 }
 
-/// A pin that exists, by the number of its port.
+/// A pin that exists: its port and its number in that port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Place {
     /// 0 for port A.
@@ -111,7 +111,8 @@ pub struct StepPins<M, const P: usize, O> {
     directions: Words<P>,
     /// Words of each combination of steps, with the present directions.
     both: Words<P>,
-    /// What an event holds until it is committed, for each combination: its word, or on several ports its steps.
+    /// For each combination of steps, what the slot of an event holds until the event is committed: with one port the
+    /// port's word, with several ports the combination itself.
     table: [u32; COMBINATIONS],
     clocks: Clocks,
     pwm_period: u32,
@@ -173,7 +174,7 @@ impl<M: Map, const P: usize, O> StepPins<M, P, O> {
 
 impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
     const DEPTH: usize = super::chain::DEPTH;
-    // Longer than the interrupt takes: at any rate, much of the CPU is left for other tasks.
+    // Longer than the interrupt takes, so that at any step rate much of the CPU time is left for other tasks.
     const SOON: u32 = 800;
 
     #[inline(always)]
@@ -252,11 +253,12 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
 
     #[inline(never)]
     fn halt(&mut self, dark: bool) -> Undone<AXES> {
-        // First, so that the computations below do not delay the stop.
+        // This comes first, so that the computations below do not delay the stop.
         let (tail, fault) = self.chain.silence(dark);
         let mut net = [0; AXES];
-        // The word of a single axis has the bits of its pins; the word of its direction has one bit that no other
-        // direction has.
+        // For each axis and port, finds the bits of a word that show a step and those that show a negative direction. A
+        // step shows by the bits of the word for this step alone. A negative direction shows by the bits that are set
+        // in the word for it, but not in the word without negative directions.
         let of = |table: &[u32; COMBINATIONS], axis: usize| table.get(1 << axis).copied().unwrap_or(0);
         let mut masks = [[(0, 0); P]; AXES];
         for (axis, masks) in masks.iter_mut().enumerate() {
@@ -278,7 +280,8 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
     }
 
     fn set_polarity(&mut self, step_invert: u8, direction_invert: u8, second: SecondMotor) {
-        // The fourth motor's pins follow those of its axis: the axis of the second motor, or else A.
+        // The fourth motor's pins get the polarities of its axis: the axis that has a second motor or, if none has one,
+        // A.
         let axis = if second.axis == 0 { FOURTH_AXIS } else { second.axis };
         let fourth = |mask: u8, turn: bool| mask & 7 | u8::from((mask & axis != 0) != turn) << 3;
         let step_invert = fourth(step_invert, false);
@@ -311,7 +314,7 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
         self.pwm_period = (counts / (prescaler + 1)).clamp(2, 0xFFFF);
         write(M::TIM3 + PSC, prescaler);
         write(M::TIM3 + ARR, self.pwm_period - 1);
-        // At rest DMA writes no power.
+        // DMA does not overwrite this, because it writes no power at rest.
         write(M::TIM3 + CCR2, self.compare(power));
         // Restarts the counter, which loads the prescaler and ensures that the counter is not beyond its new end.
         write(M::TIM3 + EGR, 1);

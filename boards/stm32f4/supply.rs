@@ -9,9 +9,9 @@ use stm32f4xx_hal::pac;
 /// Writes a whole register as a number.
 macro_rules! raw {
     ($register:expr, $bits:expr) => {{
-        // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because only the
-        // registers of the supply and of its interrupt line are written with it: they reach no memory, and each value
-        // is explained where it is written.
+        // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because the macro
+        // writes only registers of the supply and of its interrupt line, which reach no memory, and each value is
+        // explained where it is written.
         unsafe { $register.bits($bits) }
     }};
 }
@@ -25,7 +25,7 @@ pub fn full_core_voltage(pwr: &pac::PWR) {
 }
 
 /// Enables the clock of the supply control. Until the clock arrives, writes are lost and reads are useless (errata
-/// sheets, "Delay after an RCC peripheral clock enabling"); reading back waits for it.
+/// sheets, "Delay after an RCC peripheral clock enabling"); reading the enable register back waits for the clock.
 fn clock_supply() {
     // SAFETY: unsafe because a bit of the clock control is set without owning it; safe because no task runs yet.
     let enable = unsafe { (*pac::RCC::ptr()).apb1enr() };
@@ -84,8 +84,8 @@ pub fn await_voltage(pwr: &pac::PWR) {
     }
 }
 
-/// Switches on the detector at its highest threshold (PLS = 7): 2.9 V falling and 0.1 V more rising (data sheets,
-/// "Embedded reset and power control block characteristics").
+/// Switches on the detector at its highest threshold (PLS = 7): 2.9 V when the supply falls, and 0.1 V more when it
+/// rises (data sheets, "Embedded reset and power control block characteristics").
 fn detect_voltage(pwr: &pac::PWR) {
     clock_supply();
     pwr.cr().modify(|_, w| raw!(w.pvde().set_bit().pls(), 7));
@@ -108,7 +108,7 @@ extern "C" fn voltage_low() {
     critical_section::with(|cs| LOW_VOLTAGE.borrow(cs).get())()
 }
 
-/// Switches the core to the clock of a reset (HSI). Only when timing does not matter any more.
+/// Switches the core to the clock that it has after a reset (HSI). Call only when timing no longer matters.
 fn slow_down() {
     // SAFETY: unsafe because the owner of the clocks is by-passed; safe because the program has ended.
     let rcc = unsafe { &*pac::RCC::ptr() };
@@ -118,8 +118,9 @@ fn slow_down() {
     while !rcc.cfgr().read().sws().is_hsi() {}
 }
 
-/// Ends the program after a failure: logs `why` and resets as soon as the supply is good. Waits at 16 MHz, for which
-/// the wait states suffice at any supply voltage. Meanwhile the outputs stay driven; during a reset they would float.
+/// Ends the program after a failure: logs `why` and resets as soon as the supply is good. Until then the core runs at
+/// 16 MHz, for which the wait states suffice at any supply voltage, and the outputs stay driven; during a reset they
+/// would float.
 pub fn restart(why: core::fmt::Arguments<'_>) -> ! {
     slow_down();
     defmt::error!("{}", defmt::Display2Format(&why));

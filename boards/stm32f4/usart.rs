@@ -6,7 +6,7 @@
 //!  UART ◀── UartOutput ◀─────────── Usart ◀── serial task
 //! ```
 //! Bytes neither interrupt the step task nor are lost during its longest run, at any rate that a board allows (`$931`).
-//! Writing a word of flash may stall the processor for 100 us, an erase for half a second. Guarantee: a host that
+//! Writing a word of flash can stall the processor for 100 us, an erase for half a second. Guarantee: a host that
 //! respects the flow control (at most the 255 bytes that `Bf:` counts are in flight) loses nothing, and there is
 //! additional space for 64 realtime commands (`REALTIME_DEPTH`). Any other loss is reported.
 
@@ -17,8 +17,8 @@ use rtic_sync::channel::{Channel, Receiver, Sender};
 use rtic_sync::signal::{Signal, SignalReader, SignalWriter};
 
 /// Registers of a USART. The HAL sets up the USART; the registers are raw here because DMA reads and writes the data
-/// register without the HAL. Besides, the HAL drops the byte that was received before an overrun, which may be a
-/// command that stops the machine.
+/// register without the HAL. Besides, at an overrun the HAL drops the byte that was received before it, and that byte
+/// may be a command that stops the machine.
 pub(super) const SR: usize = 0x00;
 pub(super) const DATA: usize = 0x04;
 const BRR: usize = 0x08;
@@ -46,7 +46,7 @@ pub struct UartInput<S, const N: usize> {
     messages: Sender<'static, ReceivedBytes, N>,
     /// Number of messages sent (wrapping).
     sent: u32,
-    /// Number, as in `sent`, of the message up to which a stop command may be waiting; the serial task reads it.
+    /// Tells the serial task up to which message, counted as in `sent`, a stop command may be waiting.
     hurry: SignalWriter<'static, u32>,
 }
 
@@ -93,11 +93,11 @@ pub struct Usart<T, const N: usize> {
     /// Number of messages taken (wrapping).
     taken: u32,
     hurry: SignalReader<'static, u32>,
-    /// A command that stops the machine may be among the messages up to this number.
+    /// A command that stops the machine may be in a message up to this one, counted as in `taken`.
     hurries_to: u32,
     /// The message being read.
     message: ReceivedBytes,
-    /// Index of its next byte.
+    /// Index of the next byte in `message`.
     next: usize,
     output: T,
 }
@@ -158,14 +158,15 @@ impl<T: UartOutput, const N: usize> Port for Usart<T, N> {
         self.hurries_to = self.hurry.try_read().unwrap_or(self.hurries_to);
         let left = self.hurries_to.wrapping_sub(self.taken) as i32;
         if left < 0 {
-            // Keep it one behind `taken`, so that the wrapping count never reaches an old value.
+            // Move `hurries_to` along, one behind `taken`. An old value would otherwise seem to lie ahead after `taken`
+            // has wrapped.
             self.hurries_to = self.taken.wrapping_sub(1);
             return false;
         }
         left > 0 || !self.message.from(self.next).is_empty()
     }
 
-    /// Does nothing: every byte is fetched at once, the sender cannot be held back.
+    /// Does nothing: a UART cannot hold its sender back, so every byte is fetched at once.
     #[inline]
     fn allow(&mut self, _room: usize) {}
 

@@ -4,10 +4,10 @@
 //!  USART ──▶ DMA, circular ──▶ buffer
 //!  USART ◀── DMA ◀── one half; the serial task fills the other, and is called at the end of a half
 //! ```
-//! DMA does not read the status register. Damaged bytes are detected by the USART's interrupt line (EIE), whose vector
-//! is not enabled: its pending bit stays set until software clears it, even though reading the data register clears the
-//! flags. The bit is set before DMA fetches the byte. So if the bit is found clear, all bytes that arrived before are
-//! good; otherwise all bytes since the previous look and up to the next are treated as damaged (`uart_receiver`).
+//! DMA does not read the status register. Damaged bytes are detected by the USART's interrupt line (EIE). Its vector is
+//! not enabled, so its pending bit stays set until software clears it, even if reading the data register has cleared
+//! the flags. The bit is set before DMA fetches the byte. So if the bit is found clear, all bytes that arrived before
+//! are good. Otherwise all bytes from the previous look up to the next one are treated as damaged (`uart_receiver`).
 
 use super::dma::{CIRCULAR, HISR, MEMORY_COUNTS, NDTR, SERVED_CYCLES, TO_PERIPHERAL, clear_flags, stream, switch_on};
 use super::registers::{read, write};
@@ -22,8 +22,8 @@ use stm32f4xx_hal::{
     serial::{Rx, Tx},
 };
 
-/// Capacity of the queue of messages to the serial task. At 1 Mbaud four are filled between two calls; a line that
-/// arrives slowly takes one message per 200 us.
+/// Capacity of the queue of messages to the serial task. At 1 Mbaud four messages are filled between two calls of the
+/// serial task; a line that arrives slowly takes one message per 200 us.
 const MESSAGES: usize = 12;
 /// Bytes of a half of the send buffer.
 const HALF: usize = 64;
@@ -64,8 +64,8 @@ pub type Input = UartInput<ByDma, MESSAGES>;
 /// The UART, for the serial task.
 pub type DmaPort = Usart<Halves, MESSAGES>;
 
-/// Takes the USART over from the HAL. It receives after [`Input::start`]. Not inlined into the set-up, whose stack
-/// frame would otherwise include these buffers.
+/// Takes the USART over from the HAL. It receives after [`Input::start`]. Not inlined into the set-up, because its
+/// stack frame would then include the initial values of the buffers created here.
 #[inline(never)]
 pub fn by_dma((tx, rx): (Tx<pac::USART2>, Rx<pac::USART2>), rcc: &mut Rcc) -> (Input, DmaPort) {
     pac::DMA1::enable(rcc);
@@ -109,7 +109,7 @@ impl ByteSource for ByDma {
     }
 
     fn clear_damage(&mut self) {
-        // If DMA has not fetched the byte yet, leave it to DMA; the next look clears the flags.
+        // If a byte waits in the data register, DMA must fetch it; in that case the next look clears the flags.
         if read(USART + SR) & ARRIVED == 0 {
             let _ = read(USART + DATA);
         }

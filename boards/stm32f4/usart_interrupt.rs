@@ -1,5 +1,5 @@
 //! UART with an interrupt for each byte, at the priority of the inputs. For boards on which DMA2 outputs the step edges
-//! and also has the only streams of this USART: DMA2 must not serve APB2 while it outputs steps (`chain`).
+//! and also has the only streams for this USART, because DMA2 must not serve APB2 while it outputs steps (`chain`).
 //!
 //! ```text
 //!  USART ──▶ interrupt ──▶ buffer
@@ -71,8 +71,8 @@ pub type Input = UartInput<ByInterrupt, MESSAGES>;
 /// The UART, for the serial task.
 pub type InterruptPort = Usart<Queue, MESSAGES>;
 
-/// Takes the USART over from the HAL. It receives after [`Input::start`]. Not inlined into the set-up, whose stack
-/// frame would otherwise include these buffers.
+/// Takes the USART over from the HAL. It receives after [`Input::start`]. Not inlined into the set-up, because its
+/// stack frame would then include the initial values of the buffers created here.
 #[inline(never)]
 pub fn by_interrupt((tx, rx): (Tx<pac::USART1>, Rx<pac::USART1>), rcc: &mut Rcc) -> (Input, InterruptPort) {
     pac::DMA2::enable(rcc);
@@ -100,8 +100,8 @@ impl Input {
         write(USART + CR_1, read(USART + CR_1) | CALL_WHEN_COME);
     }
 
-    /// Interrupt handler: a byte has arrived, the next may be sent, or a flash operation that stalled the processor has
-    /// ended, during which DMA received.
+    /// Interrupt handler: a byte has arrived, the next byte can be sent, or a flash operation has ended, during which
+    /// the processor was stalled and DMA received.
     #[inline]
     pub fn on_interrupt(&mut self) {
         let stood = read(USART + CR_3) & DMA_RECEIVES != 0;
@@ -110,7 +110,7 @@ impl Input {
         }
         let mut status = read(USART + SR);
         if stood && status & DAMAGED != 0 {
-            // It is unknown which of the bytes that DMA fetched is damaged: the next look refuses all of them,
+            // It is unknown which of the bytes that DMA fetched is damaged. So the next look refuses all of them,
             // including the byte that is in the data register now.
             self.receiver.source().is_damaged = true;
             if status & ARRIVED == 0 {
@@ -169,7 +169,7 @@ impl ByInterrupt {
         let before = self.place;
         self.place = SLOTS - (read(at + NDTR) as usize).min(SLOTS);
         if self.place != before && core::mem::take(&mut self.is_behind_loss) {
-            // DMA cannot mark a loss before a byte: the bytes that it fetched are refused instead.
+            // DMA cannot mark that bytes are missing before the bytes that it fetched, so these are refused instead.
             self.is_damaged = true;
         }
         clear_flags(DMA, STREAM);
@@ -215,7 +215,7 @@ impl ByteSource for ByInterrupt {
     }
 
     fn begin_anew(&mut self) -> bool {
-        // Not while DMA receives: the interrupt that ends it is pending.
+        // Not while DMA receives. The interrupt that ends this is already pending.
         let can = read(USART + CR_3) & DMA_RECEIVES == 0;
         if can && self.place > 0 {
             self.place = 0;
@@ -225,8 +225,8 @@ impl ByteSource for ByInterrupt {
     }
 }
 
-/// Lets DMA receive until the interrupt made pending here ends that: for a flash operation, which stalls the processor.
-/// Interrupts must be off and the machine at rest.
+/// Lets DMA receive during a flash operation, which stalls the processor. The interrupt that is made pending here ends
+/// this after the operation. Interrupts must be off and the machine at rest.
 pub fn receive_by_dma() {
     let at = stream(DMA, STREAM);
     if read(at + NDTR) != 0 {
@@ -248,7 +248,7 @@ impl UartOutput for Queue {
         self.bytes.try_send(byte).is_ok()
     }
 
-    /// Triggers the interrupt, which sends if the data register is free, and otherwise as soon as it is.
+    /// Triggers the interrupt, which sends a byte at once if the data register is free, or as soon as it becomes free.
     fn begin(&mut self) {
         if !self.bytes.is_empty() {
             NVIC::pend(VECTOR);

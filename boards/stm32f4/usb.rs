@@ -6,10 +6,11 @@
 //!  host ◀──IN packet─── transmit FIFO ◀── outgoing ◀──send── serial task
 //! ```
 //! Flow control (back-pressure): after each packet the hardware answers NAK until software enables the endpoint again.
-//! The driver would enable it at once. A packet for which there is no space would then stay in the FIFO, raise the
-//! interrupt forever and block the entries of the control endpoint after it. Therefore this file takes the entry that
-//! ends a packet out of the FIFO itself, and enables the endpoint only when a whole packet fits. So every packet in the
-//! FIFO can be fetched at once, and DTR, suspend and reset are processed while the host is held back.
+//! The driver alone would enable it at once. In that case a packet for which there is no space would stay in the FIFO,
+//! raise the interrupt forever and block later entries of the control endpoint. Therefore this file, and not the
+//! driver, takes the entry that ends a packet out of the FIFO, and enables the endpoint only when a whole packet fits.
+//! So every packet in the FIFO can be fetched at once, and DTR, suspend and reset are processed while the host is held
+//! back.
 //!
 //! While flash is written, the processor is stalled; the FIFO holds one packet, and the hardware answers further ones
 //! with NAK.
@@ -35,7 +36,8 @@ use crate::{Incoming, Port};
 
 /// Largest packet of a bulk endpoint at full speed (USB 2.0, 5.8.3).
 const PACKET: usize = 64;
-/// Maximum bytes per sent packet. A packet that is not full ends a transfer, so every packet is a complete transfer.
+/// Maximum bytes per sent packet. No sent packet is full, so that each is a complete transfer: a packet that is not
+/// full ends one.
 const SENT: usize = PACKET - 1;
 /// Words of the driver's receive buffers: 64 bytes each for the control endpoint and the data endpoint.
 const BUFFERS: usize = 2 * PACKET / 4;
@@ -65,7 +67,7 @@ const NEXT_ENDPOINT: usize = 0x20;
 const RXFLVL: u32 = 1 << 4;
 const EVENTS: u32 = RXFLVL | 1 << 11 | USBRST | 1 << 13 | 1 << 18 | 1 << 31;
 const USBRST: u32 = 1 << 12;
-/// GRXSTSR and GRXSTSP: number of the endpoint, and kind of the entry.
+/// GRXSTSR and GRXSTSP: endpoint to which the entry belongs, and kind of the entry.
 const EPNUM: u32 = 0xF;
 const PKTSTS_SHIFT: u32 = 17;
 const PKTSTS: u32 = 0xF;
@@ -89,7 +91,7 @@ const TXFNUM_SHIFT: u32 = 6;
 const FLAG_TICKS: u32 = 100 * crate::CLOCK_TICKS_PER_US;
 /// DOEPCTL and DIEPCTL: the next packet is DATA0.
 const SD0PID: u32 = 1 << 28;
-/// Number of the interface with the data endpoints: the class's second one, after the control interface.
+/// Index of the interface with the data endpoints: it is the class's second interface, after the control interface.
 const DATA_INTERFACE: u16 = 1;
 
 /// Address of the part's unique 96-bit number (RM0383, 24.1; RM0368, 24.1).
@@ -142,8 +144,8 @@ struct SerialClass {
     begin_in: bool,
 }
 
-// Not a second class beside the first: with a single class the compiler resolves the driver's calls, which saves a
-// kilobyte.
+// Wraps the class of the serial port. A second class beside it would need a kilobyte more, because the compiler
+// resolves the driver's calls only if there is a single class.
 impl UsbClass<UsbBusType> for SerialClass {
     fn get_configuration_descriptors(&self, writer: &mut DescriptorWriter<'_>) -> usb_device::Result<()> {
         self.port.get_configuration_descriptors(writer)
@@ -180,8 +182,8 @@ struct Received {
     next: usize,
     /// The end of the packet has been taken out of the FIFO; the endpoint must be enabled again.
     ended: bool,
-    /// The driver has handled events since it last had no packet, so it may have one. Without this flag the serial task
-    /// would ask the driver at each byte of the UART, which takes 4 us.
+    /// The driver may have a packet, because it has handled events since it last had none. Without this flag the serial
+    /// task would ask the driver at each byte of the UART, and each question takes 4 us.
     may_wait: bool,
 }
 
@@ -260,8 +262,8 @@ impl UsbPort {
     }
 
     /// Allows the host to send exactly one more packet: a transfer of one packet, at whose end the endpoint is disabled
-    /// (RM0383, 22.17.6, "Generic non-isochronous OUT data transfers"). When the driver enables the endpoint for the
-    /// first time, it sets no size.
+    /// (RM0383, 22.17.6, "Generic non-isochronous OUT data transfers"). Sets the size of the transfer, because the
+    /// driver sets none when it enables the endpoint for the first time.
     fn enable_endpoint(&mut self) {
         let at = self.class.port.read_ep().address().index() * NEXT_ENDPOINT;
         let control = DOEPCTL + at;
@@ -285,9 +287,9 @@ impl UsbPort {
         }
     }
 
-    /// Masks or unmasks the interrupt of the receive FIFO. A packet may end between two looks at the FIFO, and the
-    /// driver then enables the endpoint; if that happens twice in a row, a packet waits for which there is no space.
-    /// Masking keeps it from raising the interrupt forever.
+    /// Masks or unmasks the interrupt of the receive FIFO. If a packet ends between two looks at the FIFO, the driver
+    /// enables the endpoint. If that happens twice in a row, a packet waits for which there is no space. Masking keeps
+    /// this packet from raising the interrupt forever.
     fn mask(&mut self, masked: bool) {
         if masked != self.masked {
             self.masked = masked;
@@ -296,8 +298,8 @@ impl UsbPort {
         }
     }
 
-    /// Returns whether a host has configured the device. The driver alone is not reliable: if it reads data after the
-    /// bus went idle that arrived before, it takes them for a sign of a host.
+    /// Returns whether a host has configured the device. The driver's state alone is not reliable: after the bus has
+    /// gone idle, the driver takes data that arrived before for a sign of a host.
     fn is_configured(&self) -> bool {
         self.device.state() == UsbDeviceState::Configured && !self.resetting && read(DSTS) & SUSPENDED == 0
     }
@@ -334,7 +336,7 @@ impl UsbPort {
             write(GRSTCTL, (endpoint as u32) << TXFNUM_SHIFT | TXFFLSH);
             await_bits(GRSTCTL, TXFFLSH, 0);
         } else {
-            // The packet stays and goes to the next host: better than an endpoint that answers NAK forever.
+            // The packet stays and goes to the next host, which is better than an endpoint that answers NAK forever.
             write(control, read(control) & !ENABLED | CNAK);
         }
     }
@@ -356,7 +358,8 @@ impl Port for UsbPort {
         let events = read(GINTSTS);
         if events & USBRST != 0 {
             self.resetting = true;
-            // Before the driver: it disables the endpoints without first setting NAK, as the hardware requires.
+            // This must precede the driver's `poll`, which disables the endpoints without setting NAK first, although
+            // the hardware requires NAK.
             self.forget_sent();
         }
         if events & EVENTS != 0 {
@@ -368,8 +371,8 @@ impl Port for UsbPort {
             self.hold_endpoint();
         }
         if self.device.state() == UsbDeviceState::Default {
-            // A reset of the bus has emptied the FIFO and enabled the endpoint. If the host only withdraws the
-            // configuration, it has not.
+            // This state follows a reset of the bus, which has emptied the FIFO and enabled the endpoint. A host that
+            // only withdraws the configuration leads to another state.
             self.resetting = false;
             self.received.ended = false;
         }
@@ -421,7 +424,8 @@ impl Port for UsbPort {
     }
 
     fn allow(&mut self, room: usize) {
-        // Without space nothing is fetched: there may be one packet here, one in the driver and one in the FIFO.
+        // Without space, no packet is fetched. In this case one packet can be here, one in the driver and one in the
+        // FIFO. The one in the FIFO would interrupt forever.
         self.mask(room == 0 && self.entry() == Some(OUT_DATA));
         let fetched = self.received.next >= self.received.length;
         if self.received.ended && fetched && room >= PACKET && self.is_configured() {

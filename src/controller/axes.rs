@@ -24,7 +24,7 @@ pub enum Axis {
 }
 
 impl Axis {
-    /// All axes that any board may have, in order.
+    /// All axes that a board can have, in order.
     pub const ALL: [Axis; 6] = [Axis::X, Axis::Y, Axis::Z, Axis::A, Axis::B, Axis::C];
 
     /// Index of the axis in a [`PerAxis`], 0 for X.
@@ -97,7 +97,7 @@ impl<T: Copy, const N: usize> PerAxis<T, N> {
         Self([value; N])
     }
 
-    /// Makes the value of each axis from the axis.
+    /// Calls `make` with each axis to get the value of that axis.
     pub fn from_axis(mut make: impl FnMut(Axis) -> T) -> Self {
         Self(core::array::from_fn(|i| make(Axis::ALL.get(i).copied().unwrap_or(Axis::X))))
     }

@@ -1,6 +1,7 @@
-//! A hash (FNV-1a) of a step stream: one over the times of the step events, one over their order. Two machines that
-//! have made the same steps have the same digest. The simulator computes it from its trace; a target without pins
-//! computes it from the words it would have written to them.
+//! Hashes (FNV-1a) of a step stream: one over its step events with their times, one over the events in their order,
+//! without times. Two machines that have made the same steps at the same times have the same hashes. The simulator
+//! computes them from its trace; a target without pins computes them from the words that it would have written to the
+//! pins.
 
 /// Running digest over (time, step bits, direction bits) of each step event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,8 +26,8 @@ impl Digest {
         Self { time: BASIS, order: BASIS }
     }
 
-    /// Adds a step event. `ticks` is the time in step-clock ticks for which the step task has been busy since the first
-    /// step; `steps` and `directions` have bit 0 for X.
+    /// Adds a step event. `ticks`: how long the step task has been busy since the first step, in ticks of the step
+    /// clock. `steps` and `directions` have bit 0 for X.
     #[inline]
     pub fn add(&mut self, ticks: u64, steps: u8, directions: u8) {
         let bits = u64::from(steps) | u64::from(directions) << 8;
@@ -35,12 +36,12 @@ impl Digest {
         self.order = (self.order ^ bits).wrapping_mul(PRIME);
     }
 
-    /// Digest over times and bits.
+    /// Digest over the time, step bits and direction bits of all events.
     pub fn time_hash(&self) -> u64 {
         self.time
     }
 
-    /// Digest over bits alone.
+    /// Digest over the step and direction bits in their order, without the times.
     pub fn order_hash(&self) -> u64 {
         self.order
     }

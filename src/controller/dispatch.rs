@@ -1,10 +1,10 @@
 //! [`Controller`] holds the state of the machine, the line being executed, and the machine's parts.
 //! [`Controller::event`] takes an event, [`Controller::output`] returns the next thing to do, and
-//! [`Controller::next_wakeup`] returns the time of the next call.
+//! [`Controller::next_wakeup`] returns when the controller must be called again.
 //!
 //! Every call returns after a bounded piece of work: at most one line, one chord or one segment. Work that has to wait
 //! (for room in the look-ahead, the end of a motion, a dwell, a stored record) is kept as data and continued in a later
-//! call, so `?`, `!` and a reset are never late. Time is an argument.
+//! call, so `?`, `!` and a reset are never late. The current time is an argument of these calls.
 
 use crate::image::FULL_IMAGE;
 use crate::memory::Memory;
@@ -19,7 +19,7 @@ use crate::units::{Duration, Instant};
 use crate::work::line::LineInWork;
 use crate::work::task::Task;
 
-/// Interval at which output changes that wait for a motion (M62) are checked: the maximum delay of such a change.
+/// Interval at which output changes that wait for a motion (M62) are checked. A change is late by at most this time.
 const OUTPUTS_LOOK: Duration = Duration::millis(1);
 
 /// Properties of the board that the controller needs.
@@ -47,7 +47,7 @@ pub struct Profile {
 }
 
 /// The controller of a machine with `N` axes: makes all decisions.
-// Small fields come first: one load or store instruction reaches only 4 KiB from the base.
+// Small fields come first, because one load or store instruction reaches only 4 KiB from the base.
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
 pub struct Controller<const N: usize> {
@@ -90,13 +90,15 @@ impl<const N: usize> Controller<N> {
         self.initialise();
     }
 
-    /// Takes the counters of the step task and of received lines. Call before outputs, and before each event that
-    /// separates earlier bytes from later ones: realtime commands, signals, a disconnect.
+    /// Takes the counters of the step task and of received lines. Must be called before [`Controller::output`], and
+    /// before each event that separates earlier bytes from later bytes: a realtime command, a change of signals, a
+    /// disconnect.
     pub fn observe(&mut self, observed: Observed) {
         self.m.step_supply.observe(observed);
         self.m.lines.observe(observed.received, observed.heard);
         if observed.rx_free == 0 {
-            // The queue is full, so more bytes may wait in front of it: the host is not silent.
+            // The queue is full, so bytes from the host may be waiting outside of it: the host does not count as
+            // silent.
             self.m.lines.heartbeat_mut().hear();
         }
         self.m.motion.observe(&observed);
@@ -108,7 +110,7 @@ impl<const N: usize> Controller<N> {
     /// The path of a line: its bytes arrive here and are collected by `LineIntake`. At the last byte
     /// `host::dispatch_line` has the line checked, and `work::stages` keeps it as a task. [`Controller::output`] then
     /// executes the task.
-    // `always`: a byte in the middle of a line costs no call.
+    // Always inlined, so that a byte in the middle of a line costs no function call.
     #[inline(always)]
     pub fn event(&mut self, now: Instant, event: Event<N>) {
         match event {
@@ -118,8 +120,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Takes a byte that only extends the current line, for which the time is irrelevant: nearly all events. Returns
-    /// false for any other byte, which is not taken; pass that byte as an [`Event::Line`].
+    /// Takes a byte that only extends the current line, as nearly all events are. The time is irrelevant for such a
+    /// byte. Returns false for any other byte and does not take it; pass it as an [`Event::Line`].
     #[inline]
     pub fn take_text_byte(&mut self, byte: LineByte) -> bool {
         self.m.lines.take_plain(byte)
@@ -169,8 +171,8 @@ impl<const N: usize> Controller<N> {
             && self.m.replies.has_room()
     }
 
-    /// Whether received lines wait for an operator or for the end of a motion. Bytes from before a reset then wait with
-    /// them.
+    /// Whether received lines wait for an operator or for the end of a motion. Meanwhile bytes received before a reset
+    /// stay in the queue as well.
     #[inline]
     pub fn lets_lines_wait(&self) -> bool {
         !self.state.takes_lines()
@@ -182,9 +184,10 @@ impl<const N: usize> Controller<N> {
         self.m.motion.is_short_of_segments()
     }
 
-    /// Returns the time of the next call if nothing happens before; `None`: no call is needed.
+    /// Returns when the controller must be called again if nothing happens before; `None` if it need not be called.
     pub fn next_wakeup(&self) -> Option<Instant> {
-        // Motion that a hold or a door has interrupted continues after an event: at rest it needs no wake-up.
+        // Motion that a hold or a door has interrupted continues only after an event, so it needs no wake-up while it
+        // is at rest.
         let moving = !self.m.motion.is_at_rest()
             || !self.m.parking.motion().is_at_rest()
             || self.m.step_supply.is_running() && !self.state.is_suspended();
@@ -204,8 +207,8 @@ impl<const N: usize> Controller<N> {
             State::Hold(hold) => hold.ends_with_spindle().map(|until| self.next_look_at_spindle(until)),
             _ => None,
         };
-        // A suspended dwell needs no wake-up either: its end may be past, which would wake the controller without
-        // pause.
+        // A suspended dwell needs no wake-up either. Its end may already be past, and a wake-up in the past would call
+        // the controller again and again.
         let task = match &self.state {
             State::Homing(homing) => homing.wakeup(),
             state if state.is_suspended() => None,
@@ -218,7 +221,7 @@ impl<const N: usize> Controller<N> {
         [moving, spindle, task, outputs, self.m.drivers.off_at(), silent, lost].into_iter().flatten().min()
     }
 
-    /// Reports that no more bytes will come: queued motion starts without waiting for more.
+    /// Reports that no more bytes will come, so that queued motion starts without waiting for more of it.
     pub fn input_ended(&mut self) {
         self.m.step_supply.end_input();
     }
@@ -226,11 +229,11 @@ impl<const N: usize> Controller<N> {
     /// Does a bounded piece of work at `now` and returns the next output for which the pump has `room`. Call until it
     /// returns `None`.
     ///
-    /// Everything that takes longer than an event happens here, in order of urgency: it handles ended motions and
-    /// delays, outputs stops, pins and records, fills the step queue, answers, and then does one bounded piece of the
-    /// current task ([`Output::Worked`] or [`Output::Answer`]: there is more). So a line passes through here at least
-    /// three times: its task is executed and answered, its motion is started, and its segments are handed to the step
-    /// task one by one.
+    /// Everything that takes longer than an event happens here, in order of urgency: handle ended motions and delays;
+    /// output stops, pins and records; fill the step queue if it is short; send replies; do one bounded piece of the
+    /// current task; hand further segments to the step task. After a piece of a task the result is [`Output::Worked`]
+    /// or [`Output::Answer`], and there may be more to do. So a line passes through here at least three times: its task
+    /// is executed and answered, its motion is started, and its segments are handed to the step task one at a time.
     pub fn output(&mut self, now: Instant, room: Room) -> Option<Output> {
         self.m.now = now;
         if self.may_have_changed()
@@ -271,13 +274,14 @@ impl<const N: usize> Controller<N> {
         None
     }
 
-    /// Whether anything that [`Controller::look_round`] checks may have changed since its last call.
+    /// Whether anything that [`Controller::look_round`] checks may have changed since it was last called.
     #[inline]
     fn may_have_changed(&self) -> bool {
         !self.m.pins.are_calm() || self.m.step_supply.is_running() && self.m.motion.is_idle()
     }
 
-    /// Whether only motion is in progress. Then time and the step task can change nothing except that the motion ends.
+    /// Whether only motion is in progress. In that case, neither time nor the step task can change anything, except
+    /// that the motion ends.
     fn only_moves(&self) -> bool {
         matches!(self.state, State::Normal)
             && self.m.probe.is_over()
@@ -287,8 +291,8 @@ impl<const N: usize> Controller<N> {
             && self.m.drivers.off_at().is_none()
             && !self.m.accessories.is_on()
             && !self.m.accessories.digital().is_waiting()
-            // With a silence limit, the silence is timed from the start of the work, so `look_for_host` must see that
-            // start.
+            // A limit for the host's silence counts from the start of the work, so `look_for_host` must be called at
+            // that start.
             && !self.m.settings.is_on(Key::HostSilence)
             && !self.m.settings.is_on(Key::JogSilence)
     }
@@ -302,7 +306,7 @@ impl<const N: usize> Controller<N> {
     /// records.
     #[inline(never)]
     fn look_round(&mut self) -> Option<Output> {
-        // `settle` may end motion and start a delay.
+        // Not calm from here on, because `settle` can end a motion or start a delay.
         self.m.pins.disturb();
         let wanted = self.wants_line();
         self.settle();
@@ -313,7 +317,7 @@ impl<const N: usize> Controller<N> {
         if self.m.stops.take_order() {
             return Some(Output::Stop);
         }
-        // The polarity of the drivers' enable output comes before its level.
+        // Wiring comes before pins, because the drivers' enable output needs its polarity before its level.
         if let Some(wiring) = self.changed_wiring() {
             return Some(Output::Wiring(wiring));
         }
@@ -335,8 +339,8 @@ impl<const N: usize> Controller<N> {
         None
     }
 
-    /// Calls [`Controller::step_message`] when segments are urgent. Not inlined, so that only the frequent call in
-    /// [`Controller::output`] is.
+    /// Calls [`Controller::step_message`] when segments are urgent. Not inlined, so that `step_message` is inlined only
+    /// where [`Controller::output`] calls it most often.
     #[cold]
     #[inline(never)]
     fn urgent_message(&mut self) -> Option<ToStep> {
@@ -376,7 +380,8 @@ impl<const N: usize> Controller<N> {
         self.m.parking.next_message().or_else(|| self.m.motion.next_message())
     }
 
-    /// Handles whatever has ended since the last call: motion, a hold's ramp, a jog, a door's delays.
+    /// Handles whatever has ended since `settle` was last called: a motion, the ramp of a hold, a jog, the delays of a
+    /// door.
     fn settle(&mut self) {
         if self.m.accessories.take_overrides_due() {
             self.apply_overrides();
@@ -423,8 +428,8 @@ impl<const N: usize> Controller<N> {
 
     /// Starts queued motion when there is no reason to wait for more of it.
     fn auto_start(&mut self) {
-        // A move queued after the last segment of the previous move went into the step queue belongs to the same run:
-        // without this start it would never begin.
+        // Motion is still running, but the last segment of the previous move may already be in the step queue. A move
+        // queued after that belongs to the same run, and without this start it would never begin.
         if self.m.step_supply.is_running() && matches!(self.state, State::Normal | State::Jog { cancelling: false }) {
             self.m.motion.start();
             return;
@@ -438,8 +443,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Takes the store's answer to a change. A failure is reported at once, because a reset may have ended the command
-    /// meanwhile.
+    /// Takes the store's answer to a change. A failure is reported at once in a message of its own, because a reset may
+    /// already have ended the command that made the change.
     fn stored(&mut self, done: bool) {
         if self.m.records.answered(done) {
             self.say(|out| report::message(out, "The setting holds but could not be stored"));

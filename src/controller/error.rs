@@ -1,7 +1,7 @@
 //! The errors that refuse a line and the alarms that lock the machine, each with its number and English text. The
 //! numbers are those of Grbl 1.1 on the wire, then grblHAL's, then Oxmill's own.
 
-/// A table of codes: for each its name, its number on the wire, and a text for people.
+/// Declares a table of codes. Each code has a name, a number on the wire, and a text for people.
 macro_rules! codes {
     ($(#[$doc:meta])* $codes:ident; $($(#[$attribute:meta])* $name:ident = $number:literal, $text:literal;)*) => {
         $(#[$doc])*
@@ -77,7 +77,7 @@ codes! {
     DriverFault = 51, "a motor driver reports a fault";
     SettingOutOfRange = 52, "the setting does not take this value";
     RetractBelowBottom = 54, "R of the cycle lies below the bottom of the hole";
-    /// This and the next ones, up to 83, have grblHAL's numbers.
+    /// The numbers from here to 83 are grblHAL's.
     UnknownOperation = 71, "the operator or function in the expression is unknown";
     DivisionByZero = 72, "the expression divides by zero";
     ArgumentOutOfRange = 73, "the argument is outside the range of the function or operator";
@@ -137,10 +137,10 @@ codes! {
     /// The at-speed input did not report the speed in time (`$915`, `$916`), or the spindle lost it during a job
     /// (`$929`). Not in Grbl; the number is grblHAL's.
     SpindleSpeed = 14, "the spindle did not come up to speed in time, or lost it";
-    /// The step queue ran dry at speed. Grbl has no number for this: its machine would lose steps silently. Other
-    /// controllers use numbers from 11 on, so this one is above theirs.
+    /// The step queue ran dry at speed. Grbl has no number for this, because its machine would lose steps silently.
+    /// Other controllers use numbers from 11 on, so this one is above theirs.
     Underrun = 100, "motion data ran out at speed; the position may be lost";
-    /// Not in Grbl; grblHAL's 10 is taken here by Grbl's own squaring alarm.
+    /// Not in Grbl. grblHAL's number for it is 10, which here is Grbl's own squaring alarm.
     EmergencyStop = 101, "the emergency stop was pressed; the position may be lost if something moved";
     DriverFault = 102, "a motor driver reported a fault; the position may be lost";
     /// The step outputs did not output the commanded steps. Other controllers cannot detect this.

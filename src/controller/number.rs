@@ -37,7 +37,7 @@ pub fn read(text: &[u8], digits: Digits) -> Option<Number> {
     read_here(text, digits)
 }
 
-/// [`read`], always inlined: for the words of lines.
+/// Does the same as [`read`], but is always inlined, for the words of lines.
 #[inline(always)]
 pub fn read_here(text: &[u8], digits: Digits) -> Option<Number> {
     let negative = text.first() == Some(&b'-');
@@ -79,7 +79,7 @@ fn read_short(text: &[u8]) -> Option<(i64, usize, u8)> {
     Some((i64::from(mantissa) * i64::from(*power), used, fraction as u8))
 }
 
-/// As [`read_short`], for any number.
+/// Reads any number. Returns the same as [`read_short`]; `None` if there is no digit.
 #[inline(never)]
 fn read_long(text: &[u8], digits: Digits) -> Option<(i64, usize, u8)> {
     let mut used = 0;
@@ -141,7 +141,7 @@ mod tests {
         read(text.as_bytes(), Digits::Eight).map(|number| (number.value.0, number.used))
     }
 
-    /// The document's table of conversions keeps eight digits.
+    /// The table of conversions in the document with which the project began. It keeps eight digits.
     #[test]
     fn table_of_the_document() {
         for (text, value) in [
@@ -174,7 +174,7 @@ mod tests {
         }
     }
 
-    /// 123.456789 has nine digits: the document's worked example ends with 12345678 and exponent -5.
+    /// In the worked example of that document, 123.456789 (nine digits) becomes 12345678 with exponent -5.
     #[test]
     fn worked_example_of_the_document() {
         assert_eq!(eight("123.456789"), Some((1_234_567_800, 10)));

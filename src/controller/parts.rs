@@ -24,7 +24,7 @@ use crate::states::stops::orders::Stops;
 use crate::units::Instant;
 use crate::work::probe::phases::Probe;
 
-// Small fields come first: one load or store instruction reaches only 4 KiB from the base.
+// Small fields come first, because one load or store instruction reaches only 4 KiB from the base.
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
 pub(crate) struct Machine<const N: usize> {
@@ -84,7 +84,8 @@ impl<const N: usize> Machine<N> {
         self.drivers.motion_ended(self.now, self.settings.whole(Key::IdleDelay));
     }
 
-    /// Switches the spindle off if it is on, like M5 but not by a program word. The next line starts from that state.
+    /// Switches the spindle off if it is on, as M5 would. The interpreter is told, so the next line starts with the
+    /// spindle off.
     pub(crate) fn stop_spindle(&mut self) {
         if self.accessories.is_on() {
             self.accessories.stop_spindle();

@@ -7,9 +7,10 @@
 //!    ▲                                                                        │
 //!    └── a segment for the step task, a line, a stop, a question to the store ◀┘
 //! ```
-//! Each segment for the step task and each executed line starts another round. So the look-ahead is as full as the
-//! received bytes allow before each segment is cut, and the steps do not depend on the speed of the processor. If the
-//! processor is too slow, and the step task will soon run out of segments of a motion, segments come before lines.
+//! Each segment for the step task and each executed line starts another round. So before each segment is cut, the
+//! look-ahead is as full as the received bytes allow, and the steps do not depend on the speed of the processor.
+//! Segments come before lines only if the processor is so slow that the step task will soon run out of segments during
+//! a motion.
 //!
 //! An output that is answered by an event (a stop, a stored record, the view of the pins) starts another round too: the
 //! answer is passed on before the next output, so at most one output of each kind is pending.
@@ -35,11 +36,11 @@ pub enum Source {
     Pins,
 }
 
-/// Realtime commands passed on before the next check whether the step task is short of segments: a flood of commands
-/// must not starve it.
+/// Maximum number of realtime commands between two checks whether the step task is short of segments. A flood of
+/// commands must not starve the step task.
 const COMMANDS_AT_ONCE: u32 = 16;
-/// Maximum number of realtime commands in a round: more than can have waited at its start. They come before inputs and
-/// lines.
+/// Maximum number of realtime commands in a round, more than can have waited at its start. Commands come before inputs
+/// and lines.
 const MOST_COMMANDS: u32 = 2 * REALTIME_DEPTH as u32;
 
 /// The platform under a controller: provides queues, time and outputs, and makes no decisions.
@@ -56,21 +57,21 @@ pub trait Pump<const N: usize> {
     fn observed(&mut self) -> Observed;
     /// Takes the next event of a source.
     fn next_event(&mut self, source: Source) -> Option<Event<N>>;
-    /// Takes the next byte of a line, if it may be taken now.
+    /// Takes the next byte of a line; `None` if there is none that the controller accepts now.
     fn next_line_byte(&mut self) -> Option<LineByte>;
-    /// Takes the next line byte if the controller would drop it.
+    /// Takes the next line byte, if the controller would drop that byte because it is from before a reset.
     fn next_old_byte(&mut self) -> Option<LineByte> {
         None
     }
-    /// Passes text of the next line to the controller, several bytes at a time, as far as it may be taken now. Only
-    /// bytes that [`Pump::next_line_byte`] would return can be text; all other bytes are left to that function. Records
-    /// the text as [`Pump::record`] would. Returns whether there was any.
+    /// Passes text of the next line to the controller, several bytes at a time, as far as the controller accepts it
+    /// now. Only bytes that [`Pump::next_line_byte`] would return can be text; all other bytes are left to that
+    /// function. Records the text as [`Pump::record`] would. Returns whether there was any text.
     #[inline(always)]
     fn give_text(&mut self, _now: Instant) -> bool {
         false
     }
-    /// Queues whatever found no room before, after events and lines were taken. `took`: whether any were taken. Returns
-    /// whether anything was queued.
+    /// Called after events and lines were taken: moves what found no room before into its queue. `took`: whether any
+    /// event or line was taken. Returns whether anything was queued.
     fn make_room(&mut self, took: bool) -> bool;
     /// Returns which output queues have room.
     fn room(&mut self) -> Room;
@@ -112,7 +113,8 @@ pub fn round<const N: usize, P: Pump<N>>(pump: &mut P) -> bool {
     events |= tell(pump, now, Source::Inputs);
     events |= tell(pump, now, Source::Pins);
     again |= told >= MOST_COMMANDS || events && !P::IS_WOKEN;
-    // A host that sends faster than lines are taken in must not starve the step task: segments first, then a line.
+    // A host that sends faster than the controller takes lines must not starve the step task, so segments come before
+    // the next line.
     if pump.controller().is_short_of_segments() {
         again |= pump.make_room(events);
         if put_out(pump, now, &mut again) {
@@ -127,7 +129,7 @@ pub fn round<const N: usize, P: Pump<N>>(pump: &mut P) -> bool {
         if observe(pump).received > 0 && matches!(byte.byte, b'\n' | b'\r') {
             pump.record_more();
         }
-        // The end of the line may be far away, or never come.
+        // Do not wait for the end of the line: it can be far away or never come.
         if pump.controller().is_short_of_segments() {
             break;
         }
@@ -140,7 +142,8 @@ pub fn round<const N: usize, P: Pump<N>>(pump: &mut P) -> bool {
 
 /// Drops bytes received before a reset while lines wait (at an open door, or in a state that only a reset ends). Left
 /// in the queue, these bytes would take the room of later bytes, and in the end that of another reset. Drops at most as
-/// many as the queue holds: a host that floods must not delay that reset. Returns whether there were any.
+/// many bytes as the queue holds, so that a host that keeps sending cannot delay that reset. Returns whether any byte
+/// was dropped.
 #[cold]
 #[inline(never)]
 fn drop_old_bytes<const N: usize>(pump: &mut impl Pump<N>, now: Instant) -> bool {
@@ -152,15 +155,15 @@ fn drop_old_bytes<const N: usize>(pump: &mut impl Pump<N>, now: Instant) -> bool
     true
 }
 
-/// Carries outputs until none is left, or until one starts another round: then returns true. Sets `again` if an output
-/// may have made others possible.
+/// Carries out outputs until none is left (returns false) or until an output starts another round (returns true). Sets
+/// `again` if an output may have made further outputs possible.
 #[inline(never)]
 fn put_out<const N: usize, P: Pump<N>>(pump: &mut P, now: Instant, again: &mut bool) -> bool {
     loop {
         let room = pump.room();
         let Some(output) = pump.controller().output(now, room) else { return false };
         let begins_again = match output {
-            // Events first: a long arc must not keep a stop waiting.
+            // Take events before the next piece of work: a long arc must not delay a stop.
             Output::Worked => return true,
             // The next line comes before another segment is cut.
             Output::Answer(_) => true,
@@ -193,20 +196,20 @@ fn next_byte_past_text<const N: usize>(pump: &mut impl Pump<N>, now: Instant, to
     }
 }
 
-/// Passes all events of a source to the controller. Returns whether there were any.
+/// Passes all waiting events of a source to the controller. Returns whether there was an event.
 #[inline(always)]
 fn tell<const N: usize>(pump: &mut impl Pump<N>, now: Instant, source: Source) -> bool {
     tell_some(pump, now, source, u32::MAX) > 0
 }
 
-/// Passes up to `most` events of a source to the controller. Returns how many there were.
+/// Passes up to `most` events of a source to the controller. Returns how many events were passed on.
 #[inline(always)]
 fn tell_some<const N: usize>(pump: &mut impl Pump<N>, now: Instant, source: Source, most: u32) -> u32 {
     let mut told = 0;
     while told < most
         && let Some(event) = pump.next_event(source)
     {
-        // Bytes received before the event is taken count as earlier than the event.
+        // Observe first, because bytes received up to here count as earlier than the event.
         observe(pump);
         pump.record(now, &event);
         pump.controller().event(now, event);

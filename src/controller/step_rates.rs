@@ -6,10 +6,11 @@ const TENTH_NS: u32 = 100;
 /// Longest pause that common drivers require: 2.5 us (DM542), 1.9 us (DRV8825), each with an equally long pulse.
 /// Drivers that accept shorter pulses also accept shorter pauses, such as the A4988 with 1 us for both.
 const LONGEST_PAUSE_NS: u32 = 2_500;
-/// Pulse length below which the pause may be shortened by [`ROUNDING_NS`]: drivers that accept such pulses are far from
-/// their limits with an equally long pause.
+/// Pulse length below which the pause may be [`ROUNDING_NS`] shorter than the pulse: for drivers that accept such
+/// pulses, even that pause is far above their limit.
 const SHORT_PULSE_NS: u32 = 1_000;
-/// A step may come this much earlier than planned, because intervals are whole ticks: two ticks are 0.024 us at 84 MHz.
+/// A step can come this much earlier than planned, because intervals are rounded to whole ticks. (Two ticks are 0.024
+/// us at 84 MHz.)
 const ROUNDING_NS: u32 = 40;
 
 /// Limits of the step rate of one axis.
@@ -68,7 +69,7 @@ mod tests {
         assert_eq!(fast.greatest_hz(10).round(), 490_196.0);
     }
 
-    /// At the maximum rate, with each interval shortened by the maximum rounding.
+    /// At the maximum rate the pause is long enough even if rounding makes the interval [`ROUNDING_NS`] shorter.
     #[test]
     fn the_pause_is_the_shorter_of_the_pulse_and_what_drivers_ask_for() {
         for pulse in 10..=2550_u16 {

@@ -1,5 +1,5 @@
 //! Minimum times between the edges of the step outputs, in ticks of the step clock, derived from the pulse length
-//! (`$0`) and the direction set-up time (`$29`). The step task places its events by these.
+//! (`$0`) and the direction set-up time (`$29`). The step task keeps these times between its events.
 //!
 //! ```text
 //!  step       ____┌─────┐_______________________┌─────┐____
@@ -14,8 +14,9 @@ use crate::step_rates::least_pause_ns;
 
 /// Minimum set-up time of a direction, even if `$29` is less, microseconds.
 const LEAST_SETUP_US: u32 = 2;
-/// Maximum time between two events, microseconds: longer gaps are filled with events that change nothing. Gapless
-/// output needs some events queued ahead; this limit keeps them close to their times.
+/// Maximum time between two events, microseconds. Longer gaps are filled with events that change nothing. For output
+/// without gaps a few events are always queued ahead. The shorter the time between two events, the less they are ahead
+/// of their times.
 const SPLIT_US: u32 = 250;
 
 /// Minimum and maximum times between step events, in ticks of the step clock.
@@ -47,15 +48,17 @@ impl StepTiming {
         }
     }
 
-    /// Whether a row of ticks can be output unchanged; the argument is its minimum and maximum interval.
+    /// Whether a row of ticks can be output unchanged. The argument is the minimum and the maximum interval between
+    /// these ticks.
     #[inline]
     pub fn is_regular(&self, (least, greatest): (u32, u32)) -> bool {
         least >= self.gap && greatest < self.split
     }
 
     /// Returns the time of an event that changes nothing, to be inserted between `last` and `next`; `None` if none is
-    /// needed. One is needed if `next` is too far from `last`, or if so few events are queued ahead (`short`) that no
-    /// more could follow soon. It lies in the middle, but no further from `last` than the maximum.
+    /// needed. Such an event is needed if `next` is too far from `last`, or if few events are queued ahead (`short`)
+    /// and there is room for one more. It lies in the middle between the two, but at most the maximum time after
+    /// `last`.
     #[inline]
     pub fn between(&self, last: u32, next: u32, short: bool) -> Option<u32> {
         let away = next.wrapping_sub(last) as i32;
@@ -98,11 +101,11 @@ mod tests {
             (96, 100, 0, (960, 1200, 1200)),
             (96, 2550, 255, (24_480, 24_720, 24_720)),
             (96, 25, 0, (240, 480, 480)),
-            // 48 and 44.16 ticks; 45 and 41.4; 42 and 38.64.
+            // Pulse (0.5 us) and pause (0.46 us) in ticks: 48 and 44.16; 45 and 41.4; 42 and 38.64.
             (96, 5, 0, (48, 93, 192)),
             (90, 5, 0, (45, 87, 180)),
             (84, 5, 0, (42, 81, 168)),
-            // 67.2 ticks each for pulse and pause; the pause less 0.04 us.
+            // Pulse (0.8 us) and pause (0.76 us) in ticks: 67.2 and 63.84.
             (84, 8, 0, (68, 132, 168)),
         ] {
             let timing = StepTiming::new(clock_mhz, pulse_tenths, setup_us);
@@ -114,8 +117,8 @@ mod tests {
         }
     }
 
-    /// At any pulse length, the rate that the settings allow keeps the gap, with at least a tick to spare at the clocks
-    /// of the boards.
+    /// At any pulse length, the interval at the highest allowed rate is not shorter than the gap. At the clocks of the
+    /// boards it is longer by at least a tick.
     #[test]
     fn the_greatest_rate_leaves_the_gap() {
         let rates = crate::StepRates { safe_hz: u32::MAX, least_pulse_tenths: 1 };
@@ -134,8 +137,8 @@ mod tests {
     }
 
     proptest! {
-        /// At any time of the wrapping clock, inserted events keep both the minimum and the maximum distance, and their
-        /// number is finite.
+        /// At any time of the wrapping clock, inserted events keep the minimum and the maximum distance, and finitely
+        /// many are enough.
         #[test]
         fn long_times_are_filled_up(last in any::<u32>(), away in 0_u32..1 << 28, pulse_tenths in 5_u16..=2550, short in any::<bool>()) {
             let timing = StepTiming::new(96, pulse_tenths, 0);

@@ -13,7 +13,7 @@ pub const DECIMAL_PLACES: u32 = 7;
 pub const DECIMAL_ONE: i64 = 10_000_000;
 
 /// Returns `value` / [`DECIMAL_ONE`], rounded down, in a fifth of the time of the division. The processor of a board
-/// divides only 32 bits, but multiplies 32 by 32 bits in one instruction.
+/// has no instruction that divides more than 32 bits, but one that multiplies 32 by 32 bits.
 pub(crate) const fn ones(value: u64) -> u64 {
     /// 10^7 = 2^7 × 5^7.
     const ODD: u32 = 78_125;
@@ -24,15 +24,16 @@ pub(crate) const fn ones(value: u64) -> u64 {
     if high > u32::MAX as u64 {
         return value / DECIMAL_ONE as u64;
     }
-    // Each of the three roundings loses less than one.
+    // The estimate is too small by less than three, because each of three roundings (of `INVERSE`, `high` and the
+    // estimate) loses less than one.
     let estimate = (high * INVERSE) >> 32;
     let rest = (halved as u32).wrapping_sub((estimate as u32).wrapping_mul(ODD));
     estimate + (rest / ODD) as u64
 }
 
-/// Returns the lowest 64 bits of the quotient of a 96-bit number (highest word first) and a divisor below 2^24. Long
-/// division, a word at a time while the remainder is 0, else a byte at a time: remainder and byte together fit the 32
-/// bits that the processor divides in one instruction.
+/// Returns the lowest 64 bits of the quotient of a 96-bit number (highest word first) and a divisor below 2^24. Divides
+/// a word at a time while the remainder is 0, otherwise a byte at a time. A remainder and a byte together fit into the
+/// 32 bits that the processor divides in one instruction.
 fn quotient(words: [u32; 3], divisor: u32) -> u64 {
     let (mut quotient, mut rest) = (0, 0);
     for word in words {
@@ -56,10 +57,10 @@ pub(crate) fn integer_root(square: u128) -> u128 {
     square.isqrt()
 }
 
-/// Returns the nearest `f32`. The processor converts 32 bits in one instruction, with the same result.
+/// Returns the nearest `f32`. A value that fits into 32 bits is converted in one instruction, with the same result.
 #[inline]
 pub(crate) fn wide_to_f32(value: i64) -> f32 {
-    // Not inlined: otherwise the compiler merges both conversions into one wide conversion.
+    // Not inlined, because otherwise the compiler merges both conversions into one wide conversion.
     #[inline(never)]
     fn far(value: i64) -> f32 {
         value as f32
@@ -92,8 +93,8 @@ impl Decimal {
     /// processor.
     #[inline]
     pub fn to_f32(self) -> f32 {
-        // Whole part and rest are converted separately, so that the wide integer is not rounded before the division: a
-        // printed setting reads back as itself.
+        // Whole part and rest are converted separately, so that the wide integer is not rounded before the division.
+        // Otherwise a printed setting could be read back as another value.
         let size = self.0.unsigned_abs();
         let whole = ones(size);
         let rest = (size as u32).wrapping_sub((whole as u32).wrapping_mul(DECIMAL_ONE as u32));
@@ -228,7 +229,8 @@ impl StepsPerMm {
             return None;
         }
         let bits = value.to_bits();
-        // Normal numbers only (0.001 is far above the subnormals): value = (2^23 + fraction) × 2^(exponent - 150).
+        // The value is a normal number, because 0.001 is far above the subnormals. So value = (2^23 + fraction) ×
+        // 2^(exponent - 150).
         let exponent = (bits >> 23) & 0xFF;
         let mut mantissa = (bits & 0x7F_FFFF) | 0x80_0000;
         let mut shift = 150_u32.saturating_sub(exponent);
@@ -242,8 +244,9 @@ impl StepsPerMm {
     /// Returns the step nearest to a coordinate (halves round away from zero).
     #[inline]
     pub fn steps(self, coordinate: Coordinate) -> i32 {
-        // Here |coordinate| < 2^39 and mantissa < 2^24. The divisor is 10^7 × 2^shift (shift <= 33: below 2^57). The
-        // bits cut off by the shift affect neither the quotient nor half of the divisor.
+        // In the first branch |coordinate| < 2^39 and mantissa < 2^24. The divisor is 10^7 × 2^shift, below 2^57
+        // because shift <= 33. Shifting before the division by 10^7 does not change the quotient: the bits cut off
+        // decide neither it nor its rounding.
         const HALF: u64 = DECIMAL_ONE as u64 / 2;
         let size = coordinate.0.unsigned_abs();
         let rounded = if size >> 39 == 0 {
@@ -263,8 +266,8 @@ impl StepsPerMm {
     pub fn sevenths_beyond(self, coordinate: Coordinate, steps: i32) -> i32 {
         /// One step in the unit of `rest`.
         const STEP: i32 = DECIMAL_ONE as i32;
-        // Both products may overflow, but their difference does not: it is at most half a step, below 2^56, or 10^7 / 2
-        // after the shift.
+        // Both products can overflow, but their wrapping difference is right: it is at most half a step, which is below
+        // 2^56, and 10^7 / 2 after the shift.
         let product = coordinate.0.wrapping_mul(i64::from(self.mantissa));
         let whole = i64::from(steps).wrapping_mul(DECIMAL_ONE << self.shift);
         let rest = (product.wrapping_sub(whole) >> self.shift) as i32;
@@ -272,7 +275,7 @@ impl StepsPerMm {
     }
 
     /// The coordinate nearest to a step.
-    // Not inlined: callers convert all axes, and each would repeat the code.
+    // Not inlined, because each caller converts all axes and would contain the code several times.
     #[inline(never)]
     pub fn coordinate(self, steps: i32) -> Coordinate {
         // At most 88 bits: |steps| <= 2^31, and the factor 10^7 × 2^shift is below 2^57.
@@ -358,7 +361,7 @@ mod tests {
                 let coordinate = Coordinate(place >> (24 + bits % 40));
                 prop_assert_eq!(scale.steps(coordinate), divided(scale, coordinate));
                 prop_assert_eq!(scale.steps(Coordinate(place)), divided(scale, Coordinate(place)));
-                // Where a step changes: just below, at, and above the middle between two.
+                // Coordinates around the middle between two steps, where the nearest step changes.
                 let near = scale.coordinate(scale.steps(coordinate));
                 for off in -2..=2 {
                     let half = Coordinate(near.0 + (5.0e6 / f64::from(scale.to_f32())) as i64 + off);
@@ -376,11 +379,11 @@ mod tests {
                     let coordinate = Coordinate(near.0 + (off * 1.0e7 / f64::from(scale.to_f32())) as i64);
                     let steps = scale.steps(coordinate);
                     let sevenths = scale.sevenths_beyond(coordinate, steps);
-                    // (place × steps/mm - steps) × 7 - sevenths, in parts of the step.
+                    // `error` is (place × steps/mm - steps) × 7 - sevenths, where `step` stands for 1.
                     let step = i128::from(DECIMAL_ONE) << scale.shift;
                     let beyond = i128::from(coordinate.0) * i128::from(scale.mantissa) - i128::from(steps) * step;
                     let error = 7 * beyond - i128::from(sevenths) * step;
-                    // Half a seventh, or a ten-millionth of a step more.
+                    // The error is at most half a seventh and a ten-millionth of a step.
                     prop_assert!(2 * error.abs() <= step + 14 * (1 << scale.shift), "{sevenths} for {coordinate:?} at {scale:?}");
                     prop_assert!(sevenths.abs() <= 3);
                     prop_assert_eq!(scale.sevenths_beyond(scale.coordinate(steps), steps), 0);

@@ -12,7 +12,7 @@ use crate::states::stops::reaction::Reaction;
 use crate::units::{Coordinate, Instant};
 use crate::work::task::{Stage, Task};
 
-/// A time that is never reached. Times in the upper half of the range would count as past.
+/// A time that is never reached. Not `u64::MAX`, because times in the upper half of the range count as past.
 const NEVER: Instant = Instant::from_ticks(u64::MAX / 4);
 
 impl<const N: usize> Controller<N> {
@@ -26,8 +26,9 @@ impl<const N: usize> Controller<N> {
             && self.m.records.are_stored()
     }
 
-    /// Whether another host may take over: the controller is idle, and no subroutine, loop or condition is open. The
-    /// remaining lines of an open one would be executed as if they were in none.
+    /// Whether another host may take over: the controller is idle, and no subroutine, loop or condition is open.
+    /// Otherwise the remaining lines of an open subroutine, loop or condition would be executed as if they stood
+    /// outside of it.
     pub fn is_free(&self) -> bool {
         self.is_idle() && !self.m.interpreter.is_within_block()
     }
@@ -92,13 +93,14 @@ impl<const N: usize> Controller<N> {
         self.task.is_none() && !matches!(self.state, State::Homing(_))
     }
 
-    /// Whether the controller is idle and spindle and laser are off: the pump may then stall for a second to erase
-    /// flash.
+    /// Whether the controller is idle and spindle and laser are off. Only in that state may the pump stop for a second
+    /// to erase flash.
     pub fn is_quiet(&self) -> bool {
         self.is_idle() && self.is_off()
     }
 
-    /// As [`Controller::is_quiet`], but answers may still have to be sent: it will soon be quiet if no more lines come.
+    /// Like [`Controller::is_quiet`], except that answers may still have to be sent. The controller will soon be quiet
+    /// if no more lines come.
     pub fn is_nearly_quiet(&self) -> bool {
         self.has_nothing_to_do() && self.m.motion.is_idle() && self.m.parking.motion().is_idle() && self.is_off()
     }
@@ -127,8 +129,8 @@ impl<const N: usize> Controller<N> {
         self.m.motion.line_number()
     }
 
-    /// N word of the move that was last handed to the step task; [`Controller::line_number`] is that of the move in
-    /// execution.
+    /// N word of the move that was last handed to the step task. [`Controller::line_number`] returns the N word of the
+    /// move in execution.
     pub fn handed_line_number(&self) -> u32 {
         self.m.motion.running_line_number()
     }
@@ -138,8 +140,8 @@ impl<const N: usize> Controller<N> {
         self.m.motion.queued_line_numbers()
     }
 
-    /// Gives moves queued from here on this number instead of their N words, so that a simulator can show to which line
-    /// a move belongs. Motion does not depend on the number.
+    /// From here on, queued moves carry `number` instead of their N words, so that a simulator can show to which line a
+    /// move belongs. Motion does not depend on the number.
     pub fn number_moves(&mut self, number: u32) {
         self.m.motion.number_moves(number);
     }
@@ -167,8 +169,8 @@ impl<const N: usize> Controller<N> {
             )
     }
 
-    /// Returns until when the line being executed waits for its spindle, before its dwell: 0 if it waits for no
-    /// spindle, `NEVER` if it has no dwell. `None` if the line does not wait.
+    /// Returns until when the line being executed waits for its spindle before its own dwell begins: 0 if it waits only
+    /// for the dwell, `NEVER` if it has no dwell. `None` if the line does not wait.
     pub fn waits_for_spindle_until(&self) -> Option<Instant> {
         let Task::Job(job) = &self.task else { return None };
         match (job.stage, self.line.action.dwell) {
@@ -185,7 +187,7 @@ impl<const N: usize> Controller<N> {
     }
 
     /// The line, as counted by [`Controller::lines_read`], that began the outermost subroutine, loop or condition that
-    /// is still open, or in which the program has ended.
+    /// is open now, or that was open when the program ended.
     pub fn open_since(&self) -> Option<u32> {
         self.m.interpreter.open_since()
     }

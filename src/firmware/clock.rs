@@ -7,7 +7,7 @@ use crate::boards;
 use oxmill_controller::units::{Duration, Instant};
 use rtic_sync::signal::{SignalReader, SignalWriter};
 
-/// Maximum time between two readings: far below the wrap of the fastest board clock (25 MHz: 171 s).
+/// Maximum time between two readings. The fastest board clock (25 MHz) wraps after 171 s.
 const LONGEST_SLEEP: Duration = Duration::from_ticks(10_000_000);
 
 const NOW: Duration = Duration::from_ticks(0);
@@ -16,7 +16,7 @@ const NOW: Duration = Duration::from_ticks(0);
 pub struct Clock {
     /// Ticks at the last reading.
     seen: u32,
-    /// Ticks up to then that do not make up a whole microsecond.
+    /// Ticks before the last reading that are not yet counted in `micros`, less than a microsecond.
     rest: u32,
     /// Microseconds since power-up at the last reading.
     micros: u64,
@@ -32,7 +32,7 @@ impl Clock {
     /// Returns the time since power-up.
     pub fn now(&mut self) -> Instant {
         let ticks = boards::clock_ticks();
-        // A 32-bit division by a constant is compiled without a division.
+        // The compiler replaces a 32-bit division by a constant with a multiplication.
         let passed = ticks.wrapping_sub(self.seen).wrapping_add(self.rest);
         self.seen = ticks;
         let micros = passed / boards::CLOCK_TICKS_PER_US;
@@ -41,7 +41,7 @@ impl Clock {
         Instant::from_ticks(self.micros)
     }
 
-    /// Sets the alarm. With `None` it still goes off before the counter wraps.
+    /// Sets the alarm. With `None`, it still goes off after `LONGEST_SLEEP`, before the counter wraps.
     pub fn set_alarm(&mut self, at: Option<Instant>) {
         let now = self.now();
         let sleep = at.map_or(LONGEST_SLEEP, |at| at.checked_duration_since(now).unwrap_or(NOW).min(LONGEST_SLEEP));
@@ -62,7 +62,7 @@ impl Alarm {
         Alarm { set, at: None }
     }
 
-    /// Returns whether the alarm has gone off; true once per alarm.
+    /// Returns whether the alarm has gone off. Returns true only once for each alarm.
     #[inline(always)]
     pub fn goes_off(&mut self) -> bool {
         self.at = self.set.try_read().or(self.at);

@@ -6,7 +6,7 @@ use crate::{boards, last_words};
 use core::sync::atomic::{AtomicBool, Ordering};
 use oxmill_controller::messages::CrashKind;
 
-/// The program is being ended: a second failure must not start over.
+/// Whether `fail` is already ending the program. A second failure must not run it again.
 static FAILING: AtomicBool = AtomicBool::new(false);
 
 /// Ends the program. A failure during this (in the log, whose frames do not nest, or in a `Display` of the reason)

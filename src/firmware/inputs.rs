@@ -4,8 +4,8 @@
 //! Each sample also checks the alarm clock of `control`, the `Supervisor` of the watchdog, and the bytes received by
 //! the UART, for which it calls the serial task.
 //!
-//! Inputs are sampled instead of using edge interrupts: so no two pins compete for an interrupt line, and a bouncing
-//! switch cannot flood the CPU. A change takes effect after eight equal samples, 0.4 ms.
+//! Inputs are sampled instead of using edge interrupts, so that no two pins compete for an interrupt line and a
+//! bouncing switch cannot flood the CPU. A change takes effect after eight equal samples, 0.4 ms.
 
 use crate::boards::calls::Calls;
 use crate::boards::{self, InputPins, UartInput, input_bits};
@@ -18,7 +18,7 @@ use oxmill_controller::messages::{SECOND_SWITCH, SIGNALS_DEPTH, Sensed, Wiring, 
 use rtic_sync::channel::{Receiver, Sender};
 use rtic_sync::signal::SignalReader;
 
-// The bits in a board's word of inputs are those of the controller.
+// A board's word of inputs must have the same bits as the controller's.
 const _: () = assert!(
     input_bits::LIMITS == 0
         && 1 << input_bits::SECOND_LIMIT == SECOND_SWITCH
@@ -102,8 +102,8 @@ impl Inputs {
     #[inline(never)]
     fn tell(&mut self, uart: &mut UartInput) {
         let Some(sensed) = self.inputs.sensed() else { return };
-        // UART bytes read up to this time precede this message: the serial task passes them on before `control`
-        // receives it. Bytes still in the buffer, as in a flood, come after it.
+        // UART bytes read up to now must come before this message, so the serial task is called to pass them on before
+        // `control` receives the message. Bytes still in the buffer, as in a flood, come after the message.
         uart.pass_on(true);
         boards::call_serial();
         let is_known = self.sent == Some(sensed);

@@ -5,8 +5,8 @@
 //! ```text
 //!  failure ──keep──▶ .uninit ──reset──▶ take ──▶ controller ──▶ host
 //! ```
-//! RAM keeps its contents over each reset, but not without power: then the checksum is wrong, and no record is found.
-//! So the record of a supply that drops survives a dip that leaves about 1.7 V for the RAM, but not a power-off.
+//! RAM keeps its contents over a reset. Without power it loses them, the checksum is wrong, and no record is found. So
+//! the record of a dropping supply voltage survives if about 1.7 V are left for the RAM, but not a power-off.
 //!
 //! Position and line are from the last turn of the control task, at most 2 ms ago while the machine moves.
 
@@ -37,7 +37,7 @@ pub struct Whereabouts {
     pub moment: u32,
 }
 
-/// Global and not owned by a task, because any task may fail.
+/// Global and not owned by a task, because any task can fail and need it.
 static LAST: Mutex<Cell<Whereabouts>> = Mutex::new(Cell::new(Whereabouts { place: [0; 3], line: 0, moment: 0 }));
 
 /// Stores position and line. Called by the control task after its rounds.
@@ -68,11 +68,12 @@ static mut RECORD: MaybeUninit<Words> = MaybeUninit::uninit();
 // not initialised, and every bit pattern is a `Page`.
 static mut RECORDING: MaybeUninit<[Page; boards::RECORDING_PAGES]> = MaybeUninit::uninit();
 
-/// The record as words. A volatile access to the struct would copy each byte of its text separately: 2 KB of code.
+/// The record as words. A volatile access to the struct would copy each byte of its text separately, which takes 2 KB
+/// of code.
 type Words = [u32; size_of::<Kept>() / size_of::<u32>()];
 
-/// Returns the CRC-32 of all words but the last, which holds it. RAM after power-up does not pass this check by
-/// accident.
+/// Returns the CRC-32 of all words except the last one, which holds the CRC. RAM after power-up does not pass this
+/// check by accident.
 fn sum(words: &Words) -> u32 {
     let mut digest = CRC.digest();
     for word in words.iter().take(words.len() - 1) {
@@ -126,7 +127,8 @@ pub fn keep(kind: CrashKind, why: core::fmt::Arguments<'_>) {
     }
 }
 
-/// Returns the record of the previous run, once. Not inlined, so that its stack is not part of the set-up's stack.
+/// Returns the record of the previous run to the first caller; later calls return `None`. Not inlined, so that its
+/// stack is not part of the set-up's stack.
 #[inline(never)]
 pub fn take() -> Option<Crash> {
     let record = addr_of_mut!(RECORD).cast::<u32>();

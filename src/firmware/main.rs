@@ -52,7 +52,8 @@ macro_rules! firmware {
                 segments: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new(),
                 events: Channel<StepEvent<AXES>, EVENTS_DEPTH> = Channel::new(),
                 signals: Channel<Sensed, SIGNALS_DEPTH> = Channel::new(),
-                // Changed settings. Two always fit, because the receivers take them within a millisecond.
+                // Wiring after a change of settings. Two messages always fit, because the receivers take them within a
+                // millisecond.
                 step_wiring: Channel<Wiring, 2> = Channel::new(),
                 input_wiring: Channel<Wiring, 2> = Channel::new(),
                 wake: Signal<()> = Signal::new(),
@@ -83,7 +84,7 @@ macro_rules! firmware {
                 let tasks = startup::start(cx.device, cx.core.SYST, channels, local.controller, local.storage.lend(&boards::PROFILE));
                 let woken = local.wake.take_reader();
                 defmt::info!("{} is up", boards::PROFILE.name);
-                // This cannot fail, because the task has not been spawned before.
+                // Spawning cannot fail, because the task has not been spawned before.
                 let _ = control::spawn();
                 let startup::Tasks { step, uart, serial, inputs, control } = tasks;
                 (Shared { uart, serial }, Local { step, inputs, control, woken })
@@ -112,7 +113,7 @@ macro_rules! firmware {
                 cx.shared.serial.run();
             }
 
-            // The same task, for a second vector.
+            // The serial task again, for a second vector.
             $(
                 #[task(binds = $usb, priority = 2, shared = [serial])]
                 fn usb(cx: usb::Context) {

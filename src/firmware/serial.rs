@@ -7,8 +7,8 @@
 //!  USB   ──▶ link ───┘                                   └─▶ USB
 //! ```
 //! Both links are always read. Realtime commands act from either link; lines are accepted only from the link that has
-//! the floor. The floor changes when the machine has nothing to do, when its holder disconnects, and with a reset. A
-//! reset stops the step task from here, before anything is queued or decided.
+//! the floor. The floor can change when the machine has nothing to do, when the host that has the floor disconnects,
+//! and with a reset. A reset stops the step task from here, before anything is queued or decided.
 
 use crate::boards::{self, Incoming, Port, SerialPort, UsbPort};
 use crate::shared::{self, ASKED, CONTROL, SERIAL, Wake};
@@ -21,13 +21,14 @@ use rtic_sync::signal::SignalWriter;
 
 /// Size of a USB packet in bytes.
 const PACKET: usize = 64;
-/// A UART cannot make its sender wait, so bytes beyond the queue need not be held.
+/// How many bytes the UART link holds while the queue is full. A UART cannot make its sender wait, so more would not
+/// help.
 const UART_HELD: usize = 1;
 
-/// Maximum burst of bytes that are not queued as parts of lines. So a host, or noise on a wire, that sends such bytes
-/// without end cannot use all of the processor time.
+/// Maximum burst of bytes that are not queued as parts of lines. With this limit, endless bytes of this kind, from a
+/// host or from noise on a wire, cannot use all of the processor time.
 const MOST_OTHERS: u32 = 128;
-/// Time in µs after which one more such byte is allowed.
+/// Time in µs after which one more of the bytes limited by `MOST_OTHERS` is allowed.
 const OTHER_US: u32 = 200;
 /// Maximum number of bytes that are taken one by one (not as plain text) in `SINGLY_US` µs from a link that cannot
 /// wait. This is more than lines of 15 characters with CR LF contain in that time at 1 Mbaud, and few enough for
@@ -47,7 +48,7 @@ const USB: usize = 1;
 
 /// The sending ends of the queues to `control`.
 struct ToControl {
-    /// Commands that find no room may be owed, because the link being read cannot wait.
+    /// Whether commands that find no room are kept as marks (owed), because the link being read cannot wait.
     may_owe: bool,
     /// No reply waits or is partly sent.
     flushed: bool,
@@ -56,7 +57,7 @@ struct ToControl {
     line_sender: LineSender,
     /// Line bytes queued in this run.
     bytes_queued: u32,
-    /// Number of bytes outside lines that may still be taken.
+    /// How many bytes outside lines may still be taken.
     others: u32,
     /// Time, in clock ticks, up to which `allow_others` has added to `others`.
     others_since: u32,
@@ -66,7 +67,7 @@ struct ToControl {
 }
 
 impl ToControl {
-    /// Adds to the number of bytes outside lines that may be taken, for the time that has passed.
+    /// Allows further bytes outside lines, according to the time that has passed.
     fn allow_others(&mut self) {
         let more = boards::clock_ticks().wrapping_sub(self.others_since) / (OTHER_US * boards::CLOCK_TICKS_PER_US);
         self.others = MOST_OTHERS.min(self.others.saturating_add(more));
@@ -144,7 +145,7 @@ struct Ported<P> {
     singly_since: u32,
     /// Time, in clock ticks, of the first run without a byte after a `!` that may be text.
     quiet_since: u32,
-    /// Number of such runs.
+    /// Count of runs without a byte since `quiet_since`.
     quiet_runs: u8,
 }
 
@@ -164,7 +165,7 @@ impl<P: Port> Ported<P> {
     /// Checks whether a host has connected or disconnected. Returns whether there is news for `control`.
     fn look(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &ToControl) -> bool {
         let mut news = false;
-        // One host may disconnect and another connect between two calls.
+        // Twice, because one host can disconnect and another can connect between two calls of `look`.
         for _ in 0..2 {
             let open = self.port.poll();
             if open == core::mem::replace(&mut self.open, open) {
@@ -206,9 +207,8 @@ impl<P: Port> Ported<P> {
                 }
                 Incoming::Byte(byte) => news |= self.link.take(byte, arbiter, other, queues),
             }
-            // Bytes of lines are limited by the room in the queue, whatever the line ends. On a link that cannot wait,
-            // bytes taken one by one are limited in any case, and characters of remarks come from a host that counts
-            // them.
+            // `others` does not limit bytes of lines, because the room in the queue does. On a link that cannot wait,
+            // it does not limit characters of remarks either: `singly` limits them, and their host counts characters.
             let is_other = queues.bytes_queued == queued && (P::WAITS || !self.link.is_in_remark());
             queues.others = queues.others.saturating_sub(u32::from(is_other));
             self.singly += 1;
@@ -221,7 +221,7 @@ impl<P: Port> Ported<P> {
                 break;
             }
         }
-        // There is no room for more until the rest has been taken.
+        // After a limited run the port must not receive more until the bytes left unread have been taken.
         self.port.allow(if limited { 0 } else { self.link.room() });
         if self.link.is_ambiguous() && !limited && (!P::WAITS || self.link.room() >= PACKET) {
             news |= self.await_rest(arbiter, queues);
@@ -229,9 +229,9 @@ impl<P: Port> Ported<P> {
         news
     }
 
-    /// Handles a `!` that may be text as the last byte, while the host could send more. After a wait it becomes a
+    /// Waits for the bytes after a `!` that was received last and may be text. If no byte comes, the `!` becomes a
     /// command. Returns whether there is news for `control`. Runs are counted as well as time, because after a stall of
-    /// the processor the following bytes may have arrived without having been read.
+    /// the processor the following bytes can have arrived without having been read.
     #[cold]
     fn await_rest(&mut self, arbiter: &mut HostArbiter, queues: &mut ToControl) -> bool {
         let now = boards::clock_ticks();
@@ -241,7 +241,7 @@ impl<P: Port> Ported<P> {
         self.quiet_runs = self.quiet_runs.saturating_add(1);
         let has_waited = now.wrapping_sub(self.quiet_since) >= AMBIGUOUS_US * boards::CLOCK_TICKS_PER_US;
         if !has_waited || self.quiet_runs < QUIET_RUNS {
-            // Makes the task be called again even if no byte arrives.
+            // Request another call of this task, even if no byte arrives.
             queues.left_unread.write(());
             return false;
         }
@@ -249,7 +249,7 @@ impl<P: Port> Ported<P> {
         self.link.pass_on(arbiter, queues)
     }
 
-    /// Sends the refusals. Returns `false` while some remain.
+    /// Sends the refusals of the link as far as the port takes them. Returns `false` while some remain.
     fn refuse(&mut self) -> bool {
         let Self { port, link, .. } = self;
         link.refuse(|byte| port.send(byte))
@@ -304,8 +304,9 @@ impl Serial {
         }
     }
 
-    /// Runs the task. Called for received bytes or a packet, for room to send, and by `control` (for a reply to send,
-    /// or for room in the queues). Not inlined, so that the image contains it once and not in each of two vectors.
+    /// Runs the task. Called when bytes or a packet have been received, when there is room to send, and by `control`
+    /// when there is a reply to send or room in the queues. Not inlined, so that the image contains it once and not in
+    /// each of two vectors.
     #[inline(never)]
     pub fn run(&mut self) {
         ASKED.serial.store(false, Ordering::Relaxed);
@@ -317,7 +318,8 @@ impl Serial {
         let mut news = uart.receive(arbiter, &mut usb.link, queues);
         news |= usb.look(arbiter, &mut uart.link, queues);
         news |= usb.receive(arbiter, &mut uart.link, queues);
-        // The tasks that take these bytes or read the counts do not preempt this one.
+        // The counts may follow the bytes, because the tasks that take the bytes or read the counts do not preempt this
+        // task.
         let queued = core::mem::take(&mut queues.bytes_queued);
         count(&SERIAL.heard, queued);
         count(&SERIAL.bytes_queued, queued);
@@ -339,7 +341,7 @@ impl Serial {
         let holder = self.arbiter.holder();
         let to_usb = holder == USB;
         if self.sending_to != holder {
-            // The floor has changed: the rest of a line for the other host is dropped.
+            // The floor has changed, so the rest of a reply to the other host is dropped.
             self.sent = self.sending.as_bytes().len();
         }
         let mut more = false;
@@ -356,7 +358,7 @@ impl Serial {
                 self.sending = chunk;
                 self.sent = 0;
                 self.sending_to = holder;
-                // A task that found the queue full waits to be woken.
+                // If `control` has found the queue full, it waits to be woken.
                 room |= was_full;
                 continue;
             }

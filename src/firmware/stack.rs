@@ -1,5 +1,5 @@
-//! Logs the maximum depth of the stack when it has grown. It is measured only while the step task is at rest and no
-//! host sends.
+//! Logs the maximum depth of the stack when it has grown. The stack is measured only while the step task is at rest and
+//! no host sends.
 
 use crate::boards::{self, stack};
 use crate::shared::{SERIAL, STEP};
@@ -16,7 +16,7 @@ pub struct Watch {
     looked: u32,
     /// Time of the last activity.
     busy: u32,
-    /// Count of received bytes at that time.
+    /// Count of received bytes at the last activity.
     heard: u32,
     /// Maximum depth so far, in bytes.
     most: u32,
@@ -31,8 +31,8 @@ impl Watch {
 
     /// Measures the depth if it is time. To be called when there is nothing else to do.
     pub fn look(&mut self) {
-        // A log line masks interrupts for longer than a byte takes at 1 Mbaud, so none is written while motors turn or
-        // a host sends.
+        // A log line masks interrupts for longer than a byte takes at 1 Mbaud, so no log line is written while motors
+        // turn or a host sends.
         let (now, heard) = (boards::clock_ticks(), SERIAL.heard.load(Ordering::Relaxed));
         if heard != self.heard || !STEP.at_rest.load(Ordering::Relaxed) {
             (self.busy, self.heard) = (now, heard);

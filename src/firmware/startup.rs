@@ -52,8 +52,8 @@ pub struct Tasks {
     pub control: Control,
 }
 
-/// Returns the baud rate of the UART. If the hold and start inputs are both active, it is `USUAL_BAUD`, for a host that
-/// cannot use the chosen rate.
+/// Returns the baud rate of the UART: that of `$931`, or `USUAL_BAUD` if the hold and start inputs are both active, for
+/// a host that cannot use the rate of `$931`.
 fn baud(controller: &BoardController, low: u32) -> u32 {
     let inverted = controller.settings().whole(Key::ControlInvert);
     let is_active = |pin: u32, bit: u32| (low >> pin ^ inverted >> bit) & 1 != 0;
@@ -65,8 +65,8 @@ fn baud(controller: &BoardController, low: u32) -> u32 {
     }
 }
 
-/// Sets up the board and creates the tasks. Called once. Inlined, because this saves one copy of the tasks on the
-/// stack.
+/// Sets up the board and creates the tasks. Called once. Inlined, because a call would need one more copy of the tasks
+/// on the stack.
 #[inline(always)]
 pub fn start(
     device: boards::pac::Peripherals,

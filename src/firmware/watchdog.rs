@@ -1,15 +1,15 @@
 //! Checks that every task still runs. Ten times per second `Supervisor` marks and calls step, serial and control, and
-//! feeds the hardware watchdog only if all of them have cleared their marks. If one fails to do so five times in a row,
-//! that is a failure.
+//! feeds the hardware watchdog only if all of them have cleared their marks. If a mark is still set at five checks in a
+//! row, that is a failure.
 //!
 //! ```text
 //!  step, serial, control ──each run clears its mark──┐
 //!  inputs, every 100 ms: all cleared? feed; set the marks again and call the tasks
 //!  `control` stuck for half a second: outputs safe, record, reset       another task, or `inputs`: the hardware resets
 //! ```
-//! A task in an endless loop blocks the tasks of lower priority. If it is `control`, the supervisor detects it; in
-//! other cases the hardware watchdog resets after its own time. Time is counted in samples of `inputs`, so a stalled
-//! processor (an erase of flash) is not taken for a stuck task.
+//! A task in an endless loop blocks the tasks of lower priority. If the task is `control`, the supervisor still runs
+//! and detects this; with other tasks the hardware watchdog resets the board after its own time. Time is counted in
+//! samples of `inputs`, so a stalled processor (an erase of flash) is not taken for a stuck task.
 
 use crate::boards::{self, SAMPLE_HZ, Watchdog};
 use crate::failure;
@@ -70,7 +70,8 @@ impl Supervisor {
         }
         STEP.wants.store(STEP_ASKED, Ordering::Relaxed);
         boards::call_step();
-        // In the opposite order, the mark would be set after the task has already run.
+        // Set the mark before the call. In the opposite order, the task could run before its mark is set, and the mark
+        // would remain.
         ASKED.serial.store(true, Ordering::Relaxed);
         boards::call_serial();
         ASKED.control.store(true, Ordering::Relaxed);

@@ -76,7 +76,7 @@ fn has_nested_remark(line: &str) -> bool {
     false
 }
 
-/// Returns whether a word belongs to the axis A, instead of being a letter of a name or of a function such as `ABS`.
+/// Returns whether `word` is a word of the axis A with its value, and not the first letter of a function such as `ABS`.
 fn is_of_a(word: &str) -> bool {
     word.strip_prefix('A').is_some_and(|number| number.starts_with(|c: char| c.is_ascii_digit() || "+-.[#".contains(c)))
 }
@@ -97,7 +97,7 @@ fn words(line: &str) -> Vec<String> {
     words
 }
 
-/// Returns a word without leading and trailing zeros in its number: `G081.0` becomes `G81`.
+/// Returns a word without leading zeros in its number and trailing zeros in its fraction: `G081.0` becomes `G81`.
 fn plain(word: &str) -> String {
     let (letter, number) = word.split_at(1);
     let (whole, fraction) = number.split_once('.').unwrap_or((number, ""));

@@ -13,11 +13,12 @@ use crate::simulator::Simulator;
 use oxmill_controller::messages::{Noted, Signals, Standing, Stopping};
 use oxmill_controller::protocol::realtime;
 
-/// Maximum difference in time between simulator and board, as a fraction of a second: 1/20 s.
+/// The times of simulator and board can differ by up to 1/20 s. This is the denominator.
 const SLACK_PARTS: u64 = 20;
-/// Lines taken within this fraction of a second (1/1000 s) of each other were all waiting when the first was taken.
+/// A line that the board took within 1/1000 s of the previous line had waited together with it. This is the
+/// denominator.
 const AT_ONCE_PARTS: u64 = 1000;
-/// Appears in the modal words of a state if F is undefined.
+/// Part of the modal words of a state in which no feed rate F is set.
 const NO_FEED: &str = "F0.0000000S";
 
 /// Result of a replay.
@@ -64,11 +65,11 @@ pub fn play(
     arrival
 }
 
-/// Returns the inputs in causal order. The report of a stop may precede the reset that caused it, as the two pass
-/// through different queues: such a report is moved after the reset.
+/// Returns the inputs in causal order. The report of a stop can precede the reset or input that caused it, because they
+/// pass through different queues. Such a report is moved after its cause.
 fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
     let mut ordered = inputs.to_vec();
-    // Number of ordered stops that no report has followed yet.
+    // Number of resets and tripped inputs whose stop has not been reported yet.
     let mut ordered_stops = 0_u32;
     for at in 0..ordered.len() {
         if stops(&ordered[at].1) {
@@ -77,18 +78,19 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
             ordered_stops -= 1;
         } else if is_stop(&ordered[at].1)
             && let Some(behind) = (at + 1..ordered.len().min(at + 4)).find(|next| stops(&ordered[*next].1))
-            // If another stop report lies between, that report belongs to the order.
+            // If another stop report lies between, the reset or input belongs to that report.
             && !ordered[at + 1..behind].iter().any(|(_, input)| is_stop(input))
         {
             ordered[at..=behind].rotate_left(1);
-            // The rotation has put another input at this index.
+            // The rotation has put another input at this index. Count it, too.
             ordered_stops += u32::from(stops(&ordered[at].1));
             if let Some((time, _)) = ordered.get(behind - 1).cloned() {
                 ordered[behind].0 = time;
             }
         }
     }
-    // The queue already held the lines of a disconnected host before the disconnect: move them there, up to the cut.
+    // Lines that are recorded between a connect or disconnect and the following `Cut` are from the former host: they
+    // were in the queue already. Move them before the connect or disconnect.
     let mut since = 0;
     for cut in 0..ordered.len() {
         if !matches!(ordered[cut].1, Input::Told(Told::Noted(Noted::Cut))) {
@@ -108,8 +110,8 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
     ordered
 }
 
-/// Merges lines into one input if each was already waiting when the previous line was taken: what the machine does with
-/// a line may depend on the next one.
+/// Merges lines into one input if each was already waiting when the previous line was taken, because the machine can
+/// treat a line differently if another one waits.
 fn at_once_together(inputs: Vec<(u64, Input)>, at_once: u64) -> Vec<(u64, Input)> {
     let mut together: Vec<(u64, Input)> = Vec::new();
     // Time at which the last line of the merged input was taken.
@@ -154,7 +156,7 @@ fn stops(input: &Input) -> bool {
     }
 }
 
-/// Returns whether an input is the report of a stop.
+/// Returns whether an input reports that the step task was stopped.
 fn is_stop(input: &Input) -> bool {
     matches!(input, Input::Told(Told::Noted(Noted::Step(Stopping::AtRest | Stopping::Moving, _))))
 }
@@ -163,8 +165,8 @@ fn is_stop(input: &Input) -> bool {
 fn begin_of(inputs: &[(u64, Input)]) -> Result<usize, String> {
     let told =
         |wanted: fn(&Told) -> bool| move |(_, input): &(u64, Input)| matches!(input, Input::Told(told) if wanted(told));
-    // The recording has the stored settings as they are at its end; before the last change the machine had other
-    // settings.
+    // The recording contains the settings as they are at its end, so a replay must begin after the last change of a
+    // setting.
     let stored = inputs.iter().rposition(told(|told| matches!(told, Told::Noted(Noted::Stored(true)))));
     if stored.is_none() && matches!(inputs.first(), Some((_, Input::Told(Told::Noted(Noted::PowerUp))))) {
         return Ok(0);
@@ -195,7 +197,7 @@ struct Playing<'a, H, P> {
     shift: u64,
     /// Per motor: the board's step counter minus the simulator's.
     offset: Vec<i32>,
-    /// Number of connects and disconnects for which the recording may still contain a cut.
+    /// Number of connects and disconnects for which a cut (`Noted::Cut`) can still come in the recording.
     cuts: u32,
     /// Number of recorded motor positions that the simulator has matched.
     met: u32,
@@ -206,8 +208,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.hear_always();
         self.start(inputs, left_out, notes)?;
         for (at, (time, input)) in inputs.iter().enumerate().skip(1) {
-            // The beginning of a line has the time of the input after it. If it waited behind the line before, it was
-            // already there.
+            // The beginning of a line is recorded with the time of the next input. A beginning that waited behind
+            // another line had already arrived, so play it now.
             let waited = at > 0 && matches!(inputs[at - 1].1, Input::Told(Told::Noted(Noted::More))) && is_begin(input);
             let time = if waited { self.simulator.clock().now() } else { time + self.shift };
             let later = inputs.get(at + 1..).unwrap_or_default();
@@ -262,7 +264,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.take_output();
         let mut words = String::from_utf8_lossy(&standing.words).into_owned() + "\n";
         if words.contains(NO_FEED) {
-            // G1 without a feed rate is in force after M30 or G94, but no line can express that.
+            // After M30 or G94, G1 can be in force without a feed rate. No single line sets that state: G1 needs an F,
+            // and F0 then clears it.
             words = words.replace(NO_FEED, "F1S") + "F0\n";
         }
         if standing.inches {
@@ -300,7 +303,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
     }
 
     /// Advances time until `holds` returns true, in steps of `step` ticks from a little before `time` to a little after
-    /// it. Returns whether it did.
+    /// `time`. Returns whether `holds` returned true.
     fn meet(&mut self, time: u64, step: u64, holds: impl Fn(&mut Simulator) -> bool) -> bool {
         let slack = self.hz() / SLACK_PARTS;
         self.advance(time.saturating_sub(slack));
@@ -331,14 +334,15 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.counters().iter().zip(&self.offset).map(|(here, offset)| here.wrapping_add(*offset)).collect()
     }
 
-    /// Advances to the position at which the board was cut off.
+    /// Advances until the motors are at the position at which the board was stopped. Returns whether they got there.
     fn meet_place(&mut self, time: u64, counters: &[i32]) -> bool {
         let wanted: Vec<i32> =
             counters.iter().zip(&self.offset).map(|(board, offset)| board.wrapping_sub(*offset)).collect();
         let step = self.hz() / 1_000_000;
         let is_there =
             |simulator: &mut Simulator| simulator.machine().position().get(..wanted.len()) == Some(&wanted[..]);
-        // Prefer the recorded time: the motors may not have left the position yet, or may have reached it long before.
+        // If the motors are at the position at the recorded time, use that time: they can have reached the position
+        // long before, and leave it long after.
         let mut ahead = self.simulator.clone();
         ahead.advance_to(time);
         if is_there(&mut ahead) {
@@ -352,7 +356,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
 
     fn host(&mut self, time: u64, bytes: &[u8], later: &[(u64, Input)]) {
         match (bytes, cut_off(later)) {
-            // The simulated steps end at the position where the board's steps ended.
+            // Send the reset when the simulated motors are where the board's motors stopped.
             ([0x18], Some(counters)) => {
                 self.meet_place(time, counters);
             }
@@ -435,8 +439,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         match stopping {
             Stopping::Probed => {
                 if self.meet_place(time, counters) {
-                    // The step task sees a contact before the filter does, unless the contact was already closed when
-                    // the watch started.
+                    // The step task sees the probe's contact before the input filter does, so the pin changes here. If
+                    // the contact was already closed when probing began, the pin keeps its level.
                     let mut pins = self.simulator.pins();
                     let inverted = self.simulator.wiring().map_or(0, |wiring| wiring.inputs.inverted);
                     let told = later.iter().find_map(|(time, input)| match input {
@@ -447,7 +451,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
                     });
                     pins.probe = match told {
                         Some((at, level)) if at <= time + self.hz() / SLACK_PARTS => level,
-                        // The filter has seen the contact before.
+                        // The next report is much later: the filter had already seen the contact, so keep the pin.
                         Some(_) => pins.probe,
                         None => !pins.probe,
                     };
@@ -458,7 +462,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
             Stopping::Underrun => return Err(format!("{}: the board's step queue ran dry", self.seconds(time))),
             Stopping::Miscounted => return Err(format!("{}: the board's outputs miscounted", self.seconds(time))),
             Stopping::Moving => self.advance(time),
-            // Braking may have started a tick or two of the step clock later.
+            // The board may have begun to brake a tick or two of the step clock later than the simulator.
             Stopping::AtRest => {
                 self.meet_place(time, counters);
             }
@@ -468,7 +472,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
 
     fn compare(&mut self, time: u64, counters: &[i32]) -> Result<(), String> {
         let here = self.as_on_board();
-        // One of the two may have counters of axes that the other does not have; those axes must not have moved.
+        // Board and simulator can have different numbers of axes. Axes that only one of them has must not have moved.
         let common = here.len().min(counters.len());
         let others = here.iter().skip(common).chain(counters.iter().skip(common));
         if here[..common] == counters[..common] && others.into_iter().all(|axis| *axis == 0) {
@@ -512,8 +516,9 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         notes: &mut Vec<String>,
     ) -> Result<(), String> {
         let is_there = |simulator: &mut Simulator| {
-            // The board reports the end of a segment, which here may be anywhere between two events. `look` may shift
-            // the wake-ups of these last milliseconds, but not what the step task receives.
+            // The board's position is that at the end of a segment, which here can lie between two events. `look` lets
+            // the controller notice that end. This can shift the controller's wake-ups in these last milliseconds, but
+            // not what the step task receives.
             simulator.look();
             let controller = simulator.controller();
             let here = controller.machine_position();
@@ -535,7 +540,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
     }
 }
 
-/// Returns the counters at which the next input cut the board off; its stop report is among the next three inputs.
+/// Returns the step counters at which the board was stopped, if a stop in motion is reported in the next three inputs.
 fn cut_off(later: &[(u64, Input)]) -> Option<&[i32]> {
     later.iter().take(3).find_map(|(_, input)| match input {
         Input::Told(Told::Noted(Noted::Step(Stopping::Moving, counters))) => Some(counters.as_slice()),

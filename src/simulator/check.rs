@@ -49,7 +49,7 @@ impl Outcome {
         }
     }
 
-    /// Removes the last message if it is `message`: the report shows it with the error that it explains.
+    /// Removes the last message if it is `message`, because the report shows it with the error that it explains.
     fn unsay(&mut self, message: &str) {
         if self.more_messages > 0 {
             self.more_messages -= 1;
@@ -149,7 +149,7 @@ impl Check {
         Self { simulator, origin, began_at: [0; AXES], outcome, done: true }
     }
 
-    /// Advances the job by up to `rounds` rounds of the virtual clock, each of which takes the host some microseconds.
+    /// Advances the job by up to `rounds` rounds of the virtual clock. A round takes the host some microseconds.
     /// Returns whether the job has ended.
     pub fn advance(&mut self, rounds: u32) -> bool {
         for _ in 0..rounds {
@@ -238,7 +238,7 @@ impl Check {
         }
     }
 
-    /// Marks the job as incomplete: its text could not be read to the end.
+    /// Marks the job as incomplete. Call if its text could not be read to the end.
     pub fn cut_short(&mut self) {
         self.outcome.complete = false;
     }
@@ -272,7 +272,8 @@ impl Check {
         let measured = simulator.meter().measured();
         let times = simulator.meter().times().sum();
         let (low, high) = machine.extents();
-        // The step counters began at 0 at power-up; homing may have assigned other coordinates to the position since.
+        // The step counters began at 0 at power-up, but homing can have given the position other coordinates since.
+        // Distances from the present position are the same in both.
         let here = simulator.machine_place();
         let counted = simulator.meter().millimetres(machine.motors());
         let axes = simulator.controller().settings().axes_in_use();
@@ -332,7 +333,7 @@ fn rounded(row: ToolTime) -> ToolTime {
     ToolTime { tool, feed_s, rapid_s, dwell_s, spin_up_s }
 }
 
-/// Rounds to a nanometre: smaller digits are rounding errors of the calculation.
+/// Rounds to six decimals (a nanometre or a microsecond), because further digits are rounding errors.
 fn round(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }
@@ -379,7 +380,7 @@ mod tests {
         assert!(summary.is_good());
     }
 
-    /// Grbl's `MINIMUM_FEED_RATE`.
+    /// In the dialect of Grbl a slower feed is raised to 1 mm/min, as by Grbl's `MINIMUM_FEED_RATE`.
     #[test]
     fn no_feed_is_below_a_millimetre_a_minute_in_grbls_dialect() {
         for line in ["G1 X1 F0.01\n", "G93 G1 X1 F0.001\n", "$J=G91 X1 F0.01\n", "F0.01 G2 X0 Y0.6366 J0.3183\n"] {
@@ -401,8 +402,8 @@ mod tests {
         summary
     }
 
-    /// The M6 here do not wait for the moves before them, so the controller may already have read another tool than the
-    /// move uses.
+    /// The M6 here do not wait for the preceding moves. The time of a move must still count for the tool of the move,
+    /// even if the controller has already read the next M6.
     #[test]
     fn the_time_is_told_by_tool_and_by_kind() {
         let text = "G21 G91\nM3 S1000\nG4 P0.5\nT1 M6\nG1 X3 F600\nT2 M6 G0 X-3\nG4 P2\nG82 G99 X0 Y0 Z-1 R0.5 P0.25 F600\nG80\nG4 P1 M5\nT1 M6\nG0 X1\n";
@@ -413,7 +414,8 @@ mod tests {
         assert_eq!([none.feed_s, none.rapid_s, one.dwell_s, one.spin_up_s], [0.0; 4]);
         close(none.spin_up_s, 1.5);
         close(none.dwell_s, 0.5);
-        // From rest to rest over d at 10 mm/s2: 2 * sqrt(d / 10) s. The cycle goes up 0.5 mm, down 1 mm and up 1 mm.
+        // A move from rest to rest over d, at 10 mm/s2, takes 2 * sqrt(d / 10) s. The cycle goes up 0.5 mm, down 1 mm
+        // and up 1 mm.
         let ramps = |way: f64| 2.0 * (way / 10.0).sqrt();
         close(one.feed_s, ramps(3.0));
         close(one.rapid_s, ramps(1.0));
@@ -426,7 +428,7 @@ mod tests {
         close(sum(|row| row.rapid_s), summary.rapid_s);
         close(sum(|row| row.dwell_s), summary.dwell_s);
         close(sum(|row| row.spin_up_s), summary.spin_up_s);
-        // Otherwise the machine stands still only for the look-ahead and the rounding to microseconds.
+        // The rest of the standstill comes only from the look-ahead and the rounding to microseconds.
         assert!((summary.standing_s - summary.dwell_s - summary.spin_up_s).abs() < 0.01, "{summary}");
     }
 
@@ -457,7 +459,7 @@ mod tests {
         assert!(check.simulator().trace().events() > 500);
     }
 
-    /// The machine is still in its first move when the last line is read.
+    /// The last line is read while the machine is still in its first move.
     #[test]
     fn a_move_keeps_its_tool_and_line_however_many_lines_follow() {
         let text = format!("G21 G91 T5 M6\nG1 X1 F60\n{}", "F60\n".repeat(70_000));

@@ -12,14 +12,14 @@ use std::thread;
 use std::time::Duration;
 use tungstenite::WebSocket;
 
-/// Maximum number of bytes that are read ahead of a client. When the buffer is full, the client must wait, and its
-/// disconnection is noticed only after there is room again: TCP reports it after the last byte.
+/// Reading stops when this many bytes of a client wait in its inbox. Where `hung_up` cannot tell, a disconnection is
+/// then noticed only after there is room again, because TCP reports it after the last byte.
 const AHEAD: usize = (1 << 24) - PIECE;
 /// Bytes without a line end after which a client is disconnected. A board rejects lines of over 255 bytes.
 pub(crate) const LONGEST_LINE: usize = 1 << 16;
 /// Maximum number of bytes in one read.
 pub(crate) const PIECE: usize = 1024;
-/// Number of reply chunks that may wait for a slow client.
+/// Maximum number of reply chunks that wait for a slow client.
 pub(crate) const ANSWERS: usize = 64;
 /// How often a reader that waits for room, or a writer whose client does not read, checks whether the client is still
 /// connected.
@@ -165,8 +165,8 @@ impl Inbox {
         self.state().failure.take()
     }
 
-    /// Waits until there is room for more bytes. Returns `false` if the client has disconnected meanwhile, or if its
-    /// line does not end.
+    /// Waits until there is room for more bytes. Returns `false` if the client has disconnected meanwhile, is no longer
+    /// served, or has sent a line that is too long.
     pub(crate) fn wait_for_room(&self, hung_up: impl Fn() -> bool) -> bool {
         let mut state = self.state();
         while !state.closed && state.bytes.len() >= AHEAD {
@@ -197,7 +197,7 @@ impl Client {
     pub(crate) fn close(self) {
         self.inbox.close();
         if let Some(stream) = self.stream {
-            // This wakes up the client's reader thread. The reader of a disconnected client has already ended.
+            // End the client's reader thread, which may be waiting for bytes. Ignore the error of a closed connection.
             let _ = stream.shutdown(Shutdown::Read);
         }
     }
@@ -223,7 +223,7 @@ pub(crate) fn hung_up<T>(_link: &T) -> bool {
 }
 
 /// Reads a client's bytes into its inbox until the client is done, disconnected or no longer served, or until its line
-/// does not end; in the last case it calls `tell_endless`.
+/// is too long. In the last case it calls `tell_endless`.
 pub(crate) fn pass_bytes(
     reader: &mut impl Read,
     inbox: &Inbox,
@@ -237,7 +237,7 @@ pub(crate) fn pass_bytes(
             Ok(0) => break,
             Ok(length) => {
                 inbox.push(&buffer[..length]);
-                // The sender's queue may be full; the loop then has work to do and looks into the inbox anyway.
+                // A full queue is harmless: the loop then has other events to handle, and looks into the inbox anyway.
                 if let Err(TrySendError::Disconnected(_)) = sender.try_send(Happened::Heard) {
                     return;
                 }
@@ -249,12 +249,12 @@ pub(crate) fn pass_bytes(
             }
         }
     }
-    // Before the loop closes its side of the connection.
+    // Tell the client before `end`, after which the loop closes the connection.
     if inbox.is_endless() {
         tell_endless();
     }
     inbox.end();
-    // If the loop has ended, there is no receiver.
+    // Ignore the error: without a receiver the loop has ended.
     let _ = sender.send(Happened::Heard);
 }
 
@@ -265,7 +265,7 @@ pub(crate) fn writer(mut link: impl Write + Send + 'static, inbox: Arc<Inbox>) -
     let (sender, receiver) = sync_channel::<Vec<u8>>(ANSWERS);
     let handle = thread::spawn(move || {
         let written = receiver.iter().try_for_each(|bytes| write_out(&mut link, &bytes, &inbox));
-        // Wakes the loop, which might have nothing more to write and so not notice.
+        // If the loop has nothing more to write, it notices the client's end only by this call.
         inbox.end();
         written
     });

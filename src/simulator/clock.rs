@@ -31,7 +31,7 @@ impl Clock {
 
     /// The current time as the controller sees it, in whole elapsed microseconds.
     pub fn instant(&self) -> Instant {
-        // Seconds and remainder separately, so that days of ticks times a million do not overflow.
+        // Convert whole seconds and the remainder separately: the ticks of some days times a million would overflow.
         Instant::from_ticks(self.now / self.hz * MICROSECONDS + self.now % self.hz * MICROSECONDS / self.hz)
     }
 
@@ -42,8 +42,8 @@ impl Clock {
         seconds.saturating_add((us % MICROSECONDS * self.hz).div_ceil(MICROSECONDS))
     }
 
-    /// The last tick until which a wait may last. It leaves room below the maximum value for anything that is added to
-    /// a time.
+    /// The latest tick to which a wait can last. It is so far below the maximum values of ticks and microseconds that
+    /// adding to a time does not overflow.
     pub fn end(&self) -> u64 {
         (u64::MAX / 4 / MICROSECONDS).saturating_mul(self.hz).min(u64::MAX / 2)
     }
@@ -74,7 +74,7 @@ mod tests {
                     "{hz} {us}"
                 );
             }
-            // There is room to add more than the longest dwell, in ticks and in microseconds.
+            // More than the longest dwell can be added without overflow, in ticks and in microseconds.
             let mut last = clock;
             last.advance_to(clock.end());
             assert!(clock.end().checked_mul(2).is_some() && last.instant().ticks().checked_mul(4).is_some());

@@ -1,5 +1,5 @@
-//! Finds the column of the word that an error message names. The controller reads lines without blanks and comments and
-//! names words as it has read them, so the word is searched in the line as written in the file.
+//! Finds the column of the word that an error message names. The controller reads lines without blanks and comments,
+//! and its messages name words in that form. This module looks for the word in the line as written in the file.
 
 /// Returns the column (from 1, in characters) in `line` of the word that the message `reason` names; `None` if the
 /// message names only a missing word, or if it is about another line.

@@ -124,7 +124,8 @@ pub struct Serve {
     #[arg(long)]
     pub reset_on_connect: bool,
     /// The page of `--web`; without it `oxmill.html` beside the program, or in `target/web`.
-    // Not `requires`: where another link is given, `--web` cannot be, and clap asks for nothing that cannot be.
+    // `requires = "web"` would not work: with another link, `--web` is a conflict, and clap does not require an option
+    // that conflicts.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["tcp", "stdio"])]
     #[cfg_attr(unix, arg(conflicts_with = "pty"))]
     pub page: Option<PathBuf>,
@@ -288,7 +289,8 @@ pub enum Speed {
     Max,
 }
 
-/// Maximum virtual seconds per second: more than any computer reaches, and the ticks of weeks still fit into a `u64`.
+/// Maximum virtual seconds per second. It is more than any computer reaches, and low enough for the ticks of weeks to
+/// fit into a `u64`.
 const FASTEST: f64 = 10_000.0;
 
 impl std::str::FromStr for Speed {

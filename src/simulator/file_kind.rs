@@ -1,7 +1,7 @@
 //! Rejects files that cannot be a job by their first bytes, before any line is read: empty files, binary files and
 //! UTF-16 text.
 
-/// Checks whether a file may be a job. `begin`: its first bytes; `is_all`: whether they are the whole file.
+/// Checks whether a file can be a job. `begin`: its first bytes; `is_all`: whether they are the whole file.
 ///
 /// # Errors
 /// If the bytes are UTF-16 or binary, or if the file is empty. The error says what the file is and what to do.
@@ -21,7 +21,8 @@ pub fn refuse(begin: &[u8], is_all: bool) -> Result<(), &'static str> {
     Ok(())
 }
 
-/// Returns whether the text has a UTF-16 byte order mark, or a 0 in nearly every other byte, as ASCII has in UTF-16.
+/// Returns whether the text has a UTF-16 byte order mark, or looks like ASCII in UTF-16: at least nine tenths of either
+/// the even or the odd bytes are 0, and none of the others is.
 fn is_utf16(begin: &[u8]) -> bool {
     if begin.starts_with(b"\xFF\xFE") || begin.starts_with(b"\xFE\xFF") {
         return true;
@@ -32,7 +33,7 @@ fn is_utf16(begin: &[u8]) -> bool {
     pairs.len() >= 2 && first.min(second) == 0 && first.max(second) * 10 >= pairs.len() * 9
 }
 
-/// Returns whether there is a 0 byte, or more than one control character in 20 bytes.
+/// Returns whether there is a 0 byte, or more than one control character per 20 bytes on average.
 fn is_binary(begin: &[u8]) -> bool {
     // Text files may contain the control characters of a paper tape reader (0x11 to 0x14) and the DOS end of file
     // (0x1A).

@@ -1,6 +1,6 @@
 //! The files of a run. A file that the run also reads is never overwritten (symbolic links are followed). Every output
 //! file is opened and locked before the machine starts, and a new one is removed again if nothing was written. Input
-//! files have a maximum size, as a device or a pipe may never end.
+//! files that are read whole have a maximum size, because a device or a pipe can be endless.
 
 use crate::file_kind;
 use crate::fittings::Fittings;

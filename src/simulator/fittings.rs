@@ -113,7 +113,7 @@ pub struct Fittings {
     backlash_mm: [f64; AXES],
     racked_mm: f64,
     contacts: Vec<Fitted>,
-    /// Position of each motor's drive, mm: behind the motor by up to the backlash.
+    /// Position of the part that each motor drives, mm: up to the backlash behind the motor.
     driven_mm: [f64; AXES],
 }
 
@@ -212,7 +212,7 @@ impl Fittings {
         }
     }
 
-    /// Returns the carriage positions for drive positions of the motors, mm.
+    /// Returns the carriage positions for positions of the driven parts, mm.
     fn places(&self, motors: [f64; AXES]) -> [f64; AXES] {
         let mut places = motors;
         if self.kinematics == Kinematics::CoreXy {
@@ -245,7 +245,7 @@ impl Fittings {
             } else {
                 places[contact.axis]
             };
-            // A contact located exactly at a step closes at that step.
+            // The tolerance lets a contact located exactly at a step close at that step.
             let beyond = match contact.side {
                 Side::Positive => place - contact.at_mm,
                 Side::Negative => contact.at_mm - place,
@@ -260,7 +260,7 @@ impl Fittings {
         changed
     }
 
-    /// The drive position of each motor, mm from power-up.
+    /// Position of the part that each motor drives, mm from power-up.
     pub fn driven_mm(&self) -> [f64; AXES] {
         self.driven_mm
     }

@@ -30,7 +30,7 @@ impl Store {
         if bytes.is_empty() {
             bytes = Self::blank();
             if let Err(error) = file.write_all(&bytes) {
-                // The next run would reject half an image.
+                // Empty the file, because the next run would reject a partial image.
                 let _ = file.set_len(0);
                 return Err(error).with_context(|| format!("cannot make the flash image {}", path.display()));
             }

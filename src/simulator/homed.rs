@@ -129,7 +129,7 @@ mod tests {
         );
     }
 
-    /// The homing is not part of the report.
+    /// The report of the job does not contain the homing.
     #[test]
     fn the_job_is_the_same_behind_a_homing() {
         let bare = || machine(&["22=1"], Fittings::default());
@@ -137,7 +137,7 @@ mod tests {
         let [cold, homed] = [None, Some([0.0; LINEAR])].map(|zero| run(bare(), zero, job));
         assert!(homed.is_good(), "{homed}");
         assert!((cold.distance_mm - homed.distance_mm).abs() < 1e-9, "{homed}");
-        // Homing takes 13 s and more.
+        // Homing takes many seconds, so the forecast does not contain it.
         assert!((cold.forecast_s - homed.forecast_s).abs() < 0.05, "{} {}", cold.forecast_s, homed.forecast_s);
         assert_eq!((cold.order_hash, cold.steps, cold.pulses), (homed.order_hash, homed.steps, homed.pulses));
         assert_eq!(homed.position_mm, [4.0, -3.0, -2.0], "from the pull-off at -1");

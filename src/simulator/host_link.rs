@@ -24,7 +24,7 @@ const UNUSED: usize = 1;
 struct ToControl {
     realtime: VecDeque<Realtime>,
     lines: VecDeque<LineByte>,
-    /// Everything that any host has sent is executed and answered.
+    /// Everything that any host has sent has been executed and answered.
     free: bool,
     /// The controller reads comments as text, character by character.
     reads_characters: bool,
@@ -128,7 +128,7 @@ impl HostLink {
 
     /// Queues a realtime command that does not come over the link.
     pub fn command(&mut self, command: Realtime) {
-        // There is room: each turn empties the queue.
+        // The queue has room, because each turn of the simulator empties it.
         self.arbiter.command(command, &mut self.queues);
     }
 
@@ -167,7 +167,7 @@ impl HostLink {
         if !self.link.is_ambiguous() {
             return false;
         }
-        // The rest of the line may be in the port, waiting for room.
+        // Wait while bytes are in the port: the rest of the line can be among them.
         let at = *self.command_at.get_or_insert(now + Duration::micros(AMBIGUOUS_US.into()));
         if !self.port.is_empty() || now < at {
             return false;
@@ -222,15 +222,15 @@ impl HostLink {
         self.queues.lines.len()
     }
 
-    /// Line bytes in the queue and in the link, and the cut that precedes the latter; one more if further bytes wait in
-    /// a replay.
+    /// Number of line bytes in the queue and in the link. If the link will queue a cut before its bytes, the cut counts
+    /// as one byte; bytes that still wait in a replay count as one byte, too.
     pub fn received(&self) -> usize {
         let held = self.link.held();
         self.queues.lines.len() + held + usize::from(held > 0 && self.arbiter.owes_cut()) + usize::from(self.more)
     }
 
-    /// Number of bytes that the link has fetched (wrapping). Increases with each call if the host never counts as
-    /// silent.
+    /// Number of bytes that the link has fetched (wrapping). If the host must never count as silent, the number also
+    /// increases with each call of this function.
     pub fn heard(&mut self, never_silent: bool) -> u16 {
         self.heard = self.heard.wrapping_add(u16::from(never_silent || self.never_silent));
         self.heard

@@ -64,8 +64,8 @@ impl InputTask {
         self.sample_due.get_or_insert(ticks);
     }
 
-    /// Takes one sample with the machine's contacts as they are now, and schedules the next while the filter or a
-    /// contact has not settled. Returns whether the step task must be stopped.
+    /// Takes one sample with the machine's contacts as they are now. Schedules another sample unless the filter and all
+    /// contacts have settled. Returns whether the step task must be stopped.
     pub fn sample_contacts(&mut self, fittings: &mut Fittings, clock: &Clock, period: u64) -> bool {
         let now = clock.instant().ticks();
         let contacts = fittings.sample(now);
@@ -87,7 +87,7 @@ impl InputTask {
     }
 
     /// Takes [`SETTLING`] samples at once. Returns how many of them stop the step task. Does nothing while contacts
-    /// settle after power-up: the controller's first report of the inputs must include them.
+    /// settle after power-up, because the first report to the controller must contain the settled contacts.
     pub fn settle(&mut self) -> usize {
         if self.inputs.sensed().is_none() && self.sample_due.is_some() {
             return 0;

@@ -64,8 +64,8 @@ fn check_store(simulator: &Simulator, store: Option<&Path>) -> Result<()> {
     Ok(())
 }
 
-/// Powers up a simulator as the options describe it and applies its settings. Also returns its recorder if `recorded`,
-/// which records from power-up on; call [`begin_recording`] next.
+/// Powers up a simulator as the options describe it and applies its settings. If `recorded`, also returns a recorder
+/// that records from power-up on; call [`begin_recording`] next.
 pub fn power_up(options: &MachineOptions, recorded: bool) -> Result<(Simulator, Option<Recorder>)> {
     let (mut simulator, machine) = fitted(options)?;
     let mut recorder = begin_recorder(&mut simulator, &machine, options, recorded)?;
@@ -79,7 +79,7 @@ pub fn power_up_as_board(options: &MachineOptions, recorded: bool) -> Result<(Si
     let (mut simulator, machine) = fitted(options)?;
     let settings = settings(options)?;
     apply_settings(&mut simulator, &mut None, &settings)?;
-    // Do not power up again if an ordered power cut may still happen, or if damage must be confirmed first.
+    // Do not power up again while an ordered power cut can still happen, or if the user must first confirm damage.
     if !(settings.is_empty() || options.cut_power.is_some() || simulator.controller().is_store_damaged()) {
         simulator = simulator.powered_again().context("the settings are lost")?;
     }
@@ -217,8 +217,8 @@ pub fn run(options: &Run) -> Result<Ending> {
     carry_out_job(options, if options.json { Form::Json } else { Form::Whole })
 }
 
-/// Runs `replay`. Steps that differ from the recording take precedence over faults of the job, which the recording may
-/// have, too.
+/// Runs `replay`. If the steps differ from the recording, the result says so even if the job also has faults: the
+/// recorded job can have had the same faults.
 ///
 /// # Errors
 /// If the recording cannot be read or played.
@@ -326,7 +326,7 @@ fn play(
         recording.play(&mut simulator, |text| said.push_str(text), pass).and_then(|()| recording.check_compared())
     };
     if recording.is_of_board() {
-        // Anything after the end of the board's recording is not part of it.
+        // Do not run until idle: the board's recording says nothing about what comes after its end.
         return (Check::of(simulator, clock.now(), &said), same);
     }
     // Finish what the last inputs have started.
@@ -335,8 +335,8 @@ fn play(
     (Check::of(simulator, clock.now(), &said), same)
 }
 
-/// Empties the file and writes the recording into it from here on. Call when everything else that could prevent the run
-/// has been checked.
+/// Empties the file and writes the recording into it from here on. Call only after everything else that could prevent
+/// the run has been checked.
 pub fn begin_recording(recorder: &mut Option<Recorder>, file: Option<Output>) -> Result<()> {
     let (Some(recorder), Some(file)) = (recorder, file) else { return Ok(()) };
     let path = file.path().display().to_string();
@@ -475,7 +475,7 @@ fn base_name(path: &Path) -> String {
 
 /// A progress bar for the share of `what`, or a spinner if the length is unknown.
 fn progress_bar(length: Option<u64>, what: &str) -> ProgressBar {
-    // Standard error may be a terminal while standard output goes to a file, and the bar is for the waiting user.
+    // The bar goes to standard error, which can be a terminal even if standard output is a file.
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
@@ -490,8 +490,8 @@ fn machine_time(seconds: f64) -> String {
     format!("{} of machine time ", crate::summary::clock_time(seconds))
 }
 
-/// The text shows no remaining time: the only basis would be the part of the file that was read, but one line may take
-/// a second or a day.
+/// The text shows no remaining time. It could be estimated only from the share of the file that was read, but one line
+/// can take a second or a day.
 fn progress_template(share_of: Option<&str>) -> String {
     let share = share_of.map_or("{spinner}".into(), |what| format!("{{bar:40}} {{percent:>3}} % of {what},"));
     share + " {msg}in {elapsed}"
@@ -522,7 +522,7 @@ mod tests {
             assert_eq!(length, if job { 2000 * 18 } else { 3_000_000 });
             let progress = ProgressBar::hidden();
             let (_, same) = play(&recording, recording.power_up().unwrap(), &progress, &mut Vec::new());
-            // Neither recording contains the final motor positions.
+            // The comparison fails because neither recording contains the final motor positions.
             assert!(same.is_err(), "{same:?}");
             let position = progress.position();
             assert!(if job { (1..=length).contains(&position) } else { position == length }, "{position} of {length}");

@@ -40,7 +40,7 @@ impl Machine {
         }
     }
 
-    /// Counts rising edges of the step pins. `directions` has a bit for each axis that moves in the negative direction.
+    /// Counts rising edges of the step pins. A bit set in `directions` is an axis that moves in the negative direction.
     #[inline]
     pub fn step(&mut self, mut steps: u8, directions: u8) {
         if self.ganged & steps != 0 {

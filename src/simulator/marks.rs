@@ -1,10 +1,10 @@
 //! Maps moves to their line and tool. The controller carries a number with each move; this table keeps the meaning of a
-//! number while moves with it may still come.
+//! number while moves with that number can still come.
 
 use std::collections::VecDeque;
 
-/// Minimum number of entries before those without a queued move are removed. It exceeds the moves of a look-ahead, so
-/// that removal is rare.
+/// Above this number of entries, those without a queued move are removed. The number exceeds the moves of a look-ahead,
+/// so that removal is rare.
 const KEPT: usize = 1 << 12;
 
 /// The line and tool that a move belongs to.
@@ -20,7 +20,7 @@ pub struct Mark {
     pub speed: u32,
 }
 
-/// The marks of the lines whose moves may still come.
+/// The marks of the lines whose moves can still come.
 #[derive(Clone, Debug, Default)]
 pub struct Marks {
     known: VecDeque<(u32, Mark)>,
@@ -29,8 +29,8 @@ pub struct Marks {
 
 impl Marks {
     /// Notes the line that is being executed. Returns a new number for its moves if the mark has changed. `queued`
-    /// returns the numbers of the moves in the queue; it limits the table, as any number of lines may come that move
-    /// nothing.
+    /// returns the numbers of the moves in the queue. A full table keeps only these, because lines without moves could
+    /// fill it without limit.
     pub fn begin(&mut self, mark: Mark, queued: impl FnOnce() -> Vec<u32>) -> Option<u32> {
         if self.known.back().is_some_and(|(_, last)| *last == mark) {
             return None;

@@ -2,12 +2,12 @@
 //! times, and the parts of peak speeds and accelerations that rounding to steps cannot explain. Also takes samples for
 //! the drawing.
 //!
-//! A segment gives the number of units of its block that it advances and the number of ticks of the step clock; a block
-//! gives the steps of each axis. Nothing here is computed per step.
+//! A segment gives how many units of its block it advances, and how long that takes; a block gives the steps of each
+//! axis. Nothing here is computed per step.
 //!
-//! The ends of a block are rounded to steps, so the length of a short block is uncertain: half a step at each end is 4
-//! % of 25 steps. Speeds and accelerations are therefore averaged over windows of one to `LONGEST_WINDOW` segments,
-//! across blocks, and reduced by what rounding may have added. The remaining value was certainly reached.
+//! The ends of a block are rounded to steps, so the length of a short block is uncertain: in a block of 25 steps, half
+//! a step at each end is 4 %. Speeds and accelerations are therefore averaged over windows of one to `LONGEST_WINDOW`
+//! segments, across blocks, and reduced by what rounding may have added. The remaining value was certainly reached.
 
 use crate::boards::AXES;
 use crate::machine::linear;
@@ -27,22 +27,23 @@ const LONGEST_WINDOW: usize = 1024;
 const SPEED_TOLERANCE: f64 = 0.005;
 /// Rounding error, as a fraction of an acceleration, up to which the acceleration is not reduced.
 const ACCELERATION_TOLERANCE: f64 = 0.02;
-/// Acceptable rounding error, as a fraction of a speed, in a drawing. The error rarely reaches it, and a longer window
-/// would blur the motion after a short block.
+/// Acceptable rounding error, as a fraction of a speed, in a drawing. The error is mostly smaller. A lower value would
+/// need longer windows, which would blur the motion after a short block.
 const DRAWN_TOLERANCE: f64 = 0.06;
-/// Maximum distance of the end of a block from the step that it is rounded to, in steps. The planner rounds the time of
-/// a block by as much.
+/// Maximum distance of the end of a block from the step that it is rounded to, in steps. The time that the planner
+/// gives to a block is rounded likewise.
 const ROUNDING: f64 = 0.5;
 /// Maximum position error at the ends of an arc's chord, which are given in fractions of a step; in steps.
 const TOLD: f64 = 0.5 / AxisSteps::PARTS as f64;
 /// Blocks shorter than this many steps say little about the length of their path: several are measured together.
 const SHORT: f64 = 4.0;
-/// From this many steps on, the length that rounding across the path adds is ignored: it is less than 0.01 %.
+/// In blocks of at least this many steps, the length that rounding across the path adds is ignored, because it is less
+/// than 0.01 %.
 const LONG: f64 = 32.0;
 /// Number of steps of short blocks that are measured together.
 const TOGETHER: f64 = 12.0;
 /// Two neighbouring windows count as straight if the sum of their lengths exceeds the distance from end to end by at
-/// most this fraction: the direction then changes by less than 0.13 rad.
+/// most this fraction. Between windows of equal length, the direction then changes by less than 0.13 rad.
 const STRAIGHT: f64 = 0.002;
 
 /// Results of a job, in mm and s.
@@ -62,8 +63,8 @@ pub struct Measured {
     pub acceleration: f64,
     /// Maximum speed of each axis.
     pub axis_speed: [f64; AXES],
-    /// Maximum component of each axis of the acceleration on ramps: the change of path speed per time, times the
-    /// direction of the path.
+    /// For each axis, the maximum of its component of the acceleration on ramps: the change of path speed per time,
+    /// times the direction of the path.
     pub axis_acceleration: [f64; AXES],
 }
 
@@ -73,7 +74,7 @@ struct Coming {
     steps_by_axis: [AxisSteps; AXES],
     /// Bit mask of the axes that move in the negative direction.
     directions: u8,
-    /// Number of its units that were executed before a detour interrupted the block.
+    /// Number of its units that were executed before the block was interrupted; it is now entered again there.
     entered: u32,
     /// The line and tool of the block, if moves are marked.
     mark: Mark,
@@ -85,9 +86,9 @@ struct Block {
     delta: [f64; AXES],
     units: f64,
     length: f64,
-    /// Average length that rounding adds, as it also moves the ends across the path.
+    /// Average length that rounding adds by moving the ends across the path.
     excess: f64,
-    /// Uncertainty of the length without `excess`, across the path.
+    /// Uncertainty of the length without `excess` that rounding across the path causes.
     doubt: f64,
     /// Maximum distance of the ends from their nominal positions, along the path.
     error: f64,
@@ -168,7 +169,7 @@ fn distance(a: &[f64; AXES], b: &[f64; AXES]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (b - a) * (b - a)).sum::<f64>().sqrt()
 }
 
-/// Returns a measured value reduced by the part of its error that exceeds the fraction `tolerance` of it.
+/// Returns `value` reduced by the part of `error` that exceeds `value * tolerance`.
 fn certain(value: f64, error: f64, tolerance: f64) -> f64 {
     (value - (error - value * tolerance).max(0.0)).max(0.0)
 }
@@ -181,7 +182,7 @@ pub struct Meter {
     hz: f64,
     steps_per_mm: [f64; AXES],
     arrangement: Arrangement,
-    /// Steps of A, B and C of the block that follows.
+    /// Steps of A, B and C for the next block.
     rest: Option<[AxisSteps; 3]>,
     next_block: Option<Coming>,
     upcoming: VecDeque<(Segment, Option<Coming>)>,
@@ -372,7 +373,7 @@ impl Meter {
         let units = ticks * f64::from(UNITS_PER_STEP >> segment.level);
         let part = units / self.block.units;
         let length = part * (self.block.length - self.block.excess);
-        // A wait belongs to the step that it delays.
+        // Count a wait with the segment that it delays.
         let waited = std::mem::take(&mut self.waited);
         let time = time + waited;
         let rapid = segment.flags & Segment::FLAG_RAPID != 0;
@@ -428,7 +429,7 @@ impl Meter {
     fn count_pending(&mut self) {
         let Pending { from, to, length, rapid } = std::mem::take(&mut self.pending);
         let straight = distance(&from, &to);
-        // If much shorter, the path turns within the pieces.
+        // If the straight line is much shorter than the pieces, the path turns within them: count the pieces.
         let length = if straight >= length * 0.7 { straight } else { length };
         self.measured.distance += length;
         self.measured.rapid_distance += if rapid { length } else { 0.0 };
@@ -508,7 +509,7 @@ impl Meter {
                 let speed = certain(length, error, SPEED_TOLERANCE) / along.time;
                 measured.axis_speed[axis] = measured.axis_speed[axis].max(speed);
             }
-            // A longer window cannot have a greater mean.
+            // This window is accurate enough, and a longer one cannot have a greater mean.
             if along.wrong() <= SPEED_TOLERANCE {
                 break;
             }
@@ -533,7 +534,8 @@ impl Meter {
             let parts: [f64; AXES] = std::array::from_fn(part);
             let mut peaks = parts.iter().zip(measured.axis_acceleration);
             if acceleration <= measured.acceleration && peaks.all(|(part, peak)| acceleration * part <= peak) {
-                // A longer window cannot have a greater mean, but short blocks in this window may hide it.
+                // If this window is accurate enough, stop: a longer one cannot have a greater mean. Otherwise rounding
+                // in short blocks can hide the acceleration in this window, so try a longer one.
                 if error <= acceleration * ACCELERATION_TOLERANCE {
                     break;
                 }
@@ -564,7 +566,7 @@ impl Meter {
         self.measured = measured;
     }
 
-    /// Returns how far one step of every motor together moves an axis, in mm.
+    /// Returns how far an axis moves at most if each of its motors makes one step, in mm.
     fn coarseness(&self, axis: usize) -> f64 {
         let other = 1 - axis.min(1);
         match self.arrangement {
@@ -576,7 +578,8 @@ impl Meter {
     fn new_block(&mut self, block: Coming, position: [i32; AXES]) {
         let Coming { steps_by_axis, directions, entered, mark } = block;
         let sign = |motor: usize| if directions & (1 << motor) != 0 { -1.0 } else { 1.0 };
-        // The fractions at the ends are relative to the direction of motion; positive if the motor does not move.
+        // The fractions of a step at both ends count in the motor's direction of motion, and in the positive direction
+        // if the motor does not move.
         let way = |motor: usize| if steps_by_axis[motor].steps() == 0 { 1.0 } else { sign(motor) };
         let told = |parts: i32| f64::from(parts) / f64::from(AxisSteps::PARTS);
         let delta = self.place_of(std::array::from_fn(|motor| {
@@ -593,8 +596,8 @@ impl Meter {
         let error = ROUNDING * steps.iter().sum::<f64>();
         let step = steps.iter().copied().fold(0.0, f64::max);
         let short = length < SHORT * step;
-        // Each end is evenly distributed over a range of 2 r across the path: the mean square of their distance is r²
-        // 2/3.
+        // Across the path, each end is off by up to r, evenly distributed. The mean square of the difference of both
+        // ends is 2/3 r^2, which divided by twice the length is the added length.
         let across =
             step * if steps_by_axis.iter().all(|axis_steps| axis_steps.is_on_steps()) { ROUNDING } else { TOLD };
         let excess = if length < LONG * step { (across * across / (3.0 * length)).min(length * 0.1) } else { 0.0 };
@@ -621,8 +624,8 @@ fn scales() -> impl Iterator<Item = usize> {
     std::iter::successors(Some(1), |segments| Some(segments * 2)).take_while(|segments| *segments <= LONGEST_WINDOW)
 }
 
-/// Returns the window lengths to evaluate after the segment number `segments`. A long window is evaluated four times
-/// within its length.
+/// Returns the window lengths to evaluate after `segments` segments. Windows of four or more segments are evaluated
+/// after each quarter of their length.
 fn due_scales(segments: usize) -> impl Iterator<Item = usize> {
     scales().filter(move |scale| segments.is_multiple_of((scale / 4).max(1)))
 }
@@ -647,7 +650,7 @@ mod tests {
     fn distance_and_speed_come_from_the_segments() {
         let mut meter = Meter::new(1_000_000);
         meter.set_resolution([100.0, 100.0, 400.0, 1.0], Arrangement::Cartesian);
-        // 3 mm and -4 mm: 5 mm in 400 ticks. 100 ticks of 2 ms, then 300 of 1 ms.
+        // X moves 3 mm and Y -4 mm, so the path is 5 mm: 100 ticks of 2 ms, then 300 ticks of 1 ms.
         for message in [
             ToStep::Block { steps_by_axis: [300, 400, 0].map(AxisSteps::on_steps), directions: 0b010 },
             segment(2000, 100, Segment::FLAG_NEW_BLOCK),

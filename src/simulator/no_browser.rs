@@ -1,16 +1,17 @@
 //! Keeps browsers away from ports that take lines. Any web page can make a browser send a request to a port of this
 //! computer, and the request could contain G-code. The first line of a connection shows whether it is HTTP or TLS; if
-//! so, nothing of it is passed on except realtime commands before it.
+//! so, only realtime commands that precede it are passed on.
 
 use std::io::{self, ErrorKind, Read};
 
 /// Beginning of an encrypted connection (RFC 8446, 5.1). Its further bytes could be realtime commands.
 const TLS: &[u8] = b"\x16\x03";
-/// Longer than any line that the firmware accepts. A longer first line is taken for a request, as addresses may be
-/// long.
+/// Longer than any line that the firmware accepts. A longer first line is taken for a request, because web addresses
+/// can be long.
 const LONGEST_LINE: usize = 1024;
 
-/// Maximum length of an HTTP method: a page may not use a longer one without a preflight (OPTIONS).
+/// Maximum length of an HTTP method. A page cannot use a longer one without a preflight request (OPTIONS), which is
+/// recognized.
 const LONGEST_METHOD: usize = 64;
 
 /// A reader that fails if a browser writes to it.
@@ -30,7 +31,7 @@ impl<R: Read> NoBrowser<R> {
 }
 
 /// Returns whether a first line is an HTTP request, `METHOD TARGET HTTP/1.1` (RFC 9112, 3); `None` while that is
-/// undecided. A page may use any method name.
+/// undecided. A page can choose any method name.
 fn is_request(first: &[u8]) -> Option<bool> {
     if first.starts_with(TLS) {
         return Some(true);
@@ -44,8 +45,8 @@ fn is_request(first: &[u8]) -> Option<bool> {
     if !is_text || method.len() > LONGEST_METHOD || method.iter().any(|byte| b"\"(),/:;<=>?@[\\]{}".contains(byte)) {
         return Some(false);
     }
-    // `G1 X5` is no request: a browser's target begins with a slash, whatever method a page names. Targets without a
-    // slash (`*`, a proxy's) occur only with methods made of letters.
+    // `G1 X5` is no request: a browser's target begins with a slash, whatever method a page chooses. Targets without a
+    // slash (`*`, or addresses for a proxy) occur only with methods that have no digits.
     let target = line.get(method.len() + 1);
     if method.iter().any(u8::is_ascii_digit) && target.is_some_and(|begin| *begin != b'/') {
         return Some(false);
@@ -167,7 +168,7 @@ mod tests {
         let mut buffer = [0; 8];
         assert_eq!(reader.read(&mut buffer).unwrap(), 1);
         assert_eq!(reader.read(&mut buffer).unwrap(), 2);
-        // Nor do realtime commands wait for the end of a line that has started.
+        // Realtime commands within a line do not wait for its end, either.
         let mut reader = NoBrowser::new(Pieces(vec![b"G1 ", b"X", b"!", b"~"]));
         for read in [b"G1 X" as &[u8], b"!", b"~"] {
             let length = reader.read(&mut buffer).unwrap();

@@ -99,7 +99,7 @@ pub struct Drawing {
     width: f64,
     columns: Vec<Column>,
     top_speed: f32,
-    /// Whether the last point may still be moved further along its straight move.
+    /// Whether the last point can still be moved further along its straight move.
     extend: bool,
     /// Speed of the first piece that led to the last point, mm/s. Later pieces are merged with it if their speeds
     /// differ little.
@@ -219,8 +219,8 @@ impl Drawing {
     }
 
     /// Thins the path out, the least visible points first, until a quarter of the space is free again. The tolerance
-    /// grows only when the present one no longer suffices, so it depends on the whole path and not on how often the
-    /// path was thinned.
+    /// grows only when the present one does not suffice, so it depends on the whole path and not on how often the path
+    /// was thinned.
     fn thin_out(&mut self) {
         loop {
             let speed = self.top_speed * SAME_SPEED * 2.0 * (self.tolerance / FIRST_TOLERANCE);
@@ -234,11 +234,11 @@ impl Drawing {
     }
 }
 
-/// Returns the path without the points whose removal moves the path by less than `tolerance` (mm) or changes a speed by
-/// less than `speed` (mm/s). Douglas-Peucker, on a limited number of points at a time.
+/// Returns the path without the points whose removal moves the path by less than `tolerance` (mm) and changes no speed
+/// by `speed` (mm/s) or more. Uses Douglas-Peucker on a limited number of points at a time.
 fn simplified(points: &[Point], tolerance: f32, speed: f32) -> Vec<Point> {
-    // With a tolerance beyond the size of any machine, rapids, feeds and arcs may be merged, too: otherwise a job whose
-    // points all differ in kind would never shrink.
+    // If the tolerance has grown beyond the size of any machine, merge points of different kinds, too: otherwise a job
+    // whose points all differ in kind would never shrink.
     let mixed = tolerance > 1e4;
     let mut kept = vec![false; points.len()];
     let mut start = 0;
@@ -350,7 +350,7 @@ mod tests {
         }
         assert_eq!(drawing.points().len(), 2);
         assert!((drawing.points()[1].speed - 98.9375).abs() < 1e-3, "{:?}", drawing.points()[1]);
-        // Likewise if points are removed later.
+        // The mean speed is the same if the points are first kept and removed later.
         let points: Vec<Point> = std::iter::once(drawing.points()[0])
             .chain(speeds.iter().enumerate().map(|(i, speed)| {
                 let seconds = [i as f64, i as f64 + 1.0];
@@ -366,7 +366,7 @@ mod tests {
     fn the_number_of_points_is_bounded_and_the_shape_stays() {
         let mut drawing = Drawing::with_limit([50.0, 0.0, 0.0], 0.0, 8000);
         for i in 1..100_000 {
-            // 159 turns; each needs about a dozen points to look round.
+            // 159 turns of the circle (1000 rad). 8000 points leave about 50 for each turn; a dozen already look round.
             let angle = i as f64 * 0.01;
             let to = [50.0 * angle.cos(), 50.0 * angle.sin(), 0.0];
             drawing.add(sample(i, to, 10.0, true));

@@ -101,11 +101,11 @@ impl fmt::Display for SettingRefused {
 /// Applies `n=v` or `$n=v`. Discards the controller's other output.
 ///
 /// # Errors
-/// Why the setting was rejected; it then keeps its value.
+/// If the setting was rejected; it then keeps its value. The error says why.
 pub fn apply_setting(simulator: &mut Simulator, setting: &str) -> Result<(), SettingRefused> {
     let assignment = setting.trim();
     let assignment = assignment.strip_prefix('$').unwrap_or(assignment);
-    // The link would execute realtime commands; no setting needs their characters.
+    // Reject realtime commands, because the link would execute them. No setting needs these characters.
     let plain = assignment.bytes().all(|byte| byte.is_ascii_graphic() && !b"?!~".contains(&byte) || byte == b' ');
     if !plain || !assignment.contains('=') {
         return Err(SettingRefused::NoAssignment);

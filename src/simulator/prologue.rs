@@ -20,7 +20,7 @@ pub struct Entry {
     pub moved: PerAxis<bool, AXES>,
     /// Z at which the tool travels; `None` if the job has not moved Z.
     pub clearance: Option<Coordinate>,
-    /// The job reached this Z by a rapid and then moved to `place` by rapids only: there is no material.
+    /// The job reached the Z of `place` by a rapid and made only rapids since, so there is no material on the way.
     pub is_clear: bool,
     /// Feed rate downwards, mm/min.
     pub plunge: Option<Decimal>,
@@ -28,13 +28,13 @@ pub struct Entry {
     pub spin_up: u16,
     /// The spindle is a laser ($32): it is switched on last, without a delay.
     pub is_laser: bool,
-    /// Whether a line of the rest continues in the motion mode without its word.
+    /// Whether a line of the rest relies on the motion mode in force, that is, has axis words without a motion word.
     pub carries: bool,
     /// Program-controlled outputs that are on; bit 0 is P0.
     pub outputs: u8,
 }
 
-/// Whether the rest continues in a motion mode whose word needs further words.
+/// How the rest continues in a motion mode that one word cannot restore, such as an arc or a canned cycle.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mode {
     /// Index in the rest of the first line that continues in the mode or selects another one.
@@ -70,7 +70,7 @@ pub fn prologue(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>,
     let is_fed = lines.iter().any(|line| line.contains('F'));
     lines.extend(modes(modal, is_fed));
     if entry.is_laser {
-        // A laser is switched on last: with M3 and G1 in force it would burn at rest.
+        // Switch a laser on last: as soon as M3 and G1 are in force, it burns even at rest.
         lines.extend(accessories(modal, entry));
     }
     Ok(lines)
@@ -90,7 +90,7 @@ fn tool(state: &Interpreter<AXES>) -> Vec<String> {
     if offset == PerAxis::all(Coordinate::ZERO) {
         return lines;
     }
-    // By its number, so that the machine uses its own tool table.
+    // If possible, select the offset by the tool's number, so that the machine uses its own tool table.
     let by_number = held != 0 && state.tools().offset(held) == Some(offset);
     lines.push(if by_number { format!("G43 H{held}") } else { format!("G43.1{}", words(&offset)) });
     lines
@@ -99,7 +99,7 @@ fn tool(state: &Interpreter<AXES>) -> Vec<String> {
 fn offsets(state: &Interpreter<AXES>) -> Option<String> {
     let offset = state.offsets().g92;
     let words = words(&offset);
-    // An offset of 0 is in force, too, if set: #5210 reports it.
+    // Restore even an offset of 0 if it is set, because #5210 reports whether an offset is in force.
     state.offsets().g92_acts.then(|| format!("G52{}", if words.is_empty() { " X0" } else { &words }))
 }
 
@@ -138,7 +138,7 @@ fn down(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String>
         if words.plane != Plane::Xy {
             return Err("a canned cycle in another plane than G17 is in force there".into());
         }
-        // The series of cycles began at this level, to which G98 retracts.
+        // Move to the Z at which the series of cycles began, because G98 retracts to it.
         let mut place = *state.position();
         place.set(Axis::Z, state.cycle_level());
         let level = state.to_program(&place).get(Axis::Z).unwrap_or(clearance);
@@ -174,7 +174,7 @@ fn accessories(modal: &Modal, entry: &Entry) -> Vec<String> {
     lines
 }
 
-/// Returns the modal words that move nothing; last those that change the meaning of lengths and feeds.
+/// Returns the modal words that move nothing. Those that change the meaning of lengths and feeds are last.
 fn modes(modal: &Modal, is_fed: bool) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     let mut add = |is_other: bool, word: &str| words.extend(is_other.then(|| word.to_owned()));
@@ -198,12 +198,12 @@ fn modes(modal: &Modal, is_fed: bool) -> Vec<String> {
     words
 }
 
-/// Returns F with its mode, the unit, and G0 or G1. `is_fed`: a feed rate is already in force, and may have to be
-/// cleared.
+/// Returns F with its mode, the unit, and G0 or G1. `is_fed`: the lines before have set a feed rate, which is cleared
+/// if the state has none.
 fn feed_and_motion(modal: &Modal, is_fed: bool) -> Vec<String> {
     let is_linear = modal.straight == MotionMode::Linear;
     let feed = (modal.feed_mode == FeedMode::PerMinute).then_some(modal.feed).filter(|feed| *feed > Decimal::ZERO);
-    // G1 needs a feed rate.
+    // G1 needs a feed rate, even if it is cleared afterwards.
     let needed = feed.or(is_linear.then_some(Decimal::from_int(1)));
     let mut words = vec![modal.straight.word().to_owned()];
     if let (Some(feed), Some(word)) = (needed, words.first_mut()) {
@@ -216,7 +216,7 @@ fn feed_and_motion(modal: &Modal, is_fed: bool) -> Vec<String> {
     }
     let mut units = Units::Mm;
     if let Some(feed) = feed.filter(|_| modal.feed_in_inches) {
-        // For rotary axes, F in inches differs from the same F in millimetres.
+        // Restore the unit of F: for rotary axes, F in inches differs from the same F in millimetres.
         units = Units::Inch;
         words.push(format!("G20 F{}", exact(feed.0.saturating_mul(10) / 254)));
     }
@@ -225,8 +225,8 @@ fn feed_and_motion(modal: &Modal, is_fed: bool) -> Vec<String> {
     words
 }
 
-/// Finds the first line of the rest after which the present motion mode does not matter any more, and the words that it
-/// lacks.
+/// Finds the first line of the rest that continues in the present motion mode or selects another one, and the words to
+/// add to it. After that line the present mode does not matter any more.
 ///
 /// # Errors
 /// A text for users: no line of the rest moves the machine.
@@ -260,9 +260,9 @@ pub fn mode_of(state: &Interpreter<AXES>, rest: &[&[u8]], dialect: Dialect) -> R
     Err("no line moves the machine from there on".into())
 }
 
-/// Returns the index of the first line of the rest with a G5 without I and J, which continues the curve before it, if
-/// no other curve precedes it in the rest. Only words with literal numbers are recognized. `mode` is the motion mode in
-/// force.
+/// Returns the index of the line of the rest with a curve (G5 without I and J) that continues a curve from before the
+/// rest; `None` if another curve of the rest precedes it, or there is no such line. Only words with literal numbers are
+/// recognized. `mode` is the motion mode in force.
 pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) -> Option<usize> {
     let mut is_curve = mode == MotionMode::Spline(SplineKind::Cubic);
     for (line, text) in rest.iter().enumerate() {
@@ -277,7 +277,7 @@ pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) ->
             if !has(b'I') {
                 return Some(line);
             }
-            // A curve in a line that may be skipped (`/`) does not count as preceding.
+            // This curve precedes all later ones, unless its line can be skipped (`/`).
             if !text.trim_ascii_start().starts_with(b"/") {
                 return None;
             }
@@ -293,7 +293,7 @@ pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) ->
 fn cycle(kind: CycleKind, words: &CycleWords, units: Units, has: impl Fn(u8) -> bool) -> String {
     let length = |length: Coordinate| match units {
         Units::Mm => exact(length.0),
-        // Exact for the up to six decimals of an inch in which the lengths were written.
+        // The result is exact if the length was written with at most six decimals of an inch.
         Units::Inch => exact((length.0 * 10 + length.0.signum() * 127) / 254),
     };
     let depth = words.plane.axes().linear.letter();
@@ -347,7 +347,7 @@ pub fn put_in_front(line: &[u8], words: &str) -> Vec<u8> {
     let skip = |at: usize, is: &dyn Fn(&u8) -> bool| at + line[at..].iter().take_while(|byte| is(byte)).count();
     let mut at = skip(0, &blank);
     if line.get(at) == Some(&b'/') {
-        // The slash may have a number.
+        // A number can follow the slash.
         at = skip(at + 1, &|byte| byte.is_ascii_digit());
     }
     at = skip(at, &blank);

@@ -28,7 +28,7 @@ pub(crate) fn open(link: Option<&Path>, sender: SyncSender<Happened>) -> Result<
     make_raw(&master).context("cannot set up the pseudo terminal")?;
     // The write side must not block forever if a client does not read.
     fcntl(&master, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).context("cannot set up the pseudo terminal")?;
-    // With the other end closed, the first client to open it is noticed.
+    // Close the other end, so that the first client that opens it is noticed.
     drop(ends.slave);
     if let Some(link) = link {
         match fs::symlink_metadata(link) {
@@ -120,15 +120,15 @@ impl Port {
         Some(())
     }
 
-    /// Discards the unread input of the client that has closed the port, and the replies that it has not read: the
-    /// terminal would keep them for the next client.
+    /// Discards the unread input of the client that has closed the port, and the replies that the client has not read.
+    /// Otherwise the terminal would keep the replies for the next client.
     fn closed(&mut self) -> Option<()> {
         if let Some(client) = self.client.take() {
             let mut rest = [0; PIECE];
             while (&self.master).read(&mut rest).is_ok_and(|length| length > 0) {}
             client.inbox.end();
             self.sender.send(Happened::Heard).ok()?;
-            // The loop has then released the client, and nothing more is written.
+            // When the writer has ended, the loop has released the client, and nothing more is written.
             let _ = client.writer.join().ok()?;
             let flags = (OFlag::O_NOCTTY | OFlag::O_NONBLOCK).bits();
             if let Ok(end) = OpenOptions::new().read(true).write(true).custom_flags(flags).open(&self.path) {

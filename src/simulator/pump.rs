@@ -19,13 +19,13 @@ impl Pump<AXES> for Simulator {
     }
 
     fn begin(&mut self) -> Instant {
-        // Nothing is received during a round, so everything in the queues belongs to it.
+        // The simulator receives no bytes during a round, so what is in the queues now is all that the round gets.
         self.read_job_ahead();
         self.clock.instant()
     }
 
     fn observed(&mut self) -> Observed {
-        // A job always has its next bytes ready, until its end.
+        // A loaded job takes the place of the host; until its end, its next bytes are always ready.
         let has_job = self.job.0.is_some();
         let queued = if has_job { self.job_ready } else { self.host.queued() };
         let received = if has_job { self.job_ready } else { self.host.received() };
@@ -75,7 +75,8 @@ impl Pump<AXES> for Simulator {
     }
 
     fn room(&mut self) -> Room {
-        // This is called before each output: the line in progress is known, and none of its moves is queued yet.
+        // Mark the line here, because `room` is called before each output: at the first one, the line in progress is
+        // known and none of its moves is queued yet.
         self.mark_line();
         Room { step: self.step.queued() < SEGMENTS_DEPTH, reply: self.outgoing.len() < OUTGOING }
     }
@@ -125,8 +126,8 @@ impl Simulator {
         recorder.read(first, (board.name, board.step_clock_hz), record, |piece| controller.recorded(piece));
     }
 
-    /// Returns the inputs that this machine has: those of its axes, programs and spindle, the second switch, and all
-    /// others.
+    /// Returns the state of the inputs, and which inputs this machine has: the board determines the limit switches of
+    /// its axes, the inputs for programs (M66) and at-speed; all other inputs always exist.
     fn view_of_pins(&self) -> PinView {
         const { assert!(input::COUNT == 17) };
         let axes = (1 << self.board.axes) - 1;

@@ -72,7 +72,7 @@ fn texts(line: &[u8]) -> Vec<bool> {
             begun_at = at;
         }
         if !remark.takes(*byte, || true) {
-            // At least the line end follows the byte.
+            // `!` and `~` in a comment are text if another byte follows, and at least the line end does.
             is_text[at] = matches!(byte, b'!' | b'~') && remark.is_inside();
             remark.follow(*byte, || true);
         } else if !remark.has_begun_character() {
@@ -82,7 +82,8 @@ fn texts(line: &[u8]) -> Vec<bool> {
     is_text
 }
 
-/// Returns a byte as readers of the file recognize it: by itself, or with its character.
+/// Returns a byte as readers of the file recognize it: as an ASCII character, or with the character of which it is a
+/// byte.
 fn shown(line: &[u8], at: usize) -> String {
     let byte = line[at];
     if byte.is_ascii_graphic() {
@@ -131,7 +132,7 @@ mod tests {
             told("É \u{A1}").unwrap(),
             "sent as it is, byte 0x89 of `É` switches single block on or off, byte 0xA1 of `¡` switches mist coolant on or off in dialects oxmill and seed"
         );
-        // Windows-1252 text, and a control character.
+        // The bytes are Windows-1252 text and a control character.
         assert_eq!(
             warning(b"(\x84a\x93\x18)").unwrap(),
             "sent as it is, byte 0x84 opens the safety door, byte 0x93 raises the feed by 1 %, byte 0x18 resets the machine \

@@ -2,8 +2,8 @@
 //!
 //! The preceding lines are run twice in a simulator, with different work zeros. If the resulting states differ, the
 //! rest depends on where the machine was when the job began, and the job is rejected. `prologue` then writes lines that
-//! restore the state. A third simulator runs these lines and the first line of the rest; nothing is written unless its
-//! state equals that of the first run (`Interpreter::differs_from`).
+//! restore the state. A third simulator runs these lines and the first lines of the rest. The program is written only
+//! if the resulting state equals that of the first run (`Interpreter::differs_from`).
 
 use crate::boards::AXES;
 use crate::power_up::{Dialect, apply_setting, error_text};
@@ -16,7 +16,7 @@ use oxmill_controller::messages::Realtime;
 use oxmill_controller::settings::Key;
 use oxmill_controller::units::{Coordinate, DECIMAL_ONE, Decimal};
 
-/// Position of a simulator when a job or a program begins. No program is likely to contain these coordinates, so each
+/// Position of a simulator when a job or a program begins. Programs are unlikely to contain these coordinates, so each
 /// axis that a program names moves.
 const START: [f64; AXES] = [-0.1357, -0.2473, -0.3791, -0.4919];
 
@@ -27,7 +27,7 @@ const ELSEWHERE: [f64; AXES] = [1.9, 3.1, -2.3, 4.7];
 /// Default spin-up time, in seconds.
 pub const SPIN_UP: u16 = 5;
 
-/// Minimum plunge feed, mm/min, as in Grbl. A slower plunge would be simulated for hours.
+/// Minimum plunge feed, mm/min, as in Grbl. Simulating a slower plunge would take hours of machine time.
 const SLOWEST: Decimal = Decimal::from_int(1);
 
 /// Converts a length in mm or a feed rate in mm/min to units of 1e-7; `None` beyond the controller's range.
@@ -64,7 +64,7 @@ pub struct Wish {
 pub struct Resumed {
     /// The program; each line ends with LF.
     pub program: Vec<u8>,
-    /// Number of the line of the file at which the unchanged rest begins.
+    /// Line number in the file at which the rest of the job begins.
     pub line: u64,
     /// Number of lines of the job.
     pub lines: u64,
@@ -142,7 +142,7 @@ fn lines_of(job: &[u8]) -> Vec<&[u8]> {
     lines
 }
 
-/// Returns a line as a sender transmits it: without realtime commands, which a comment may contain.
+/// Returns a line as a sender transmits it: without realtime commands, which a comment can contain.
 fn spoken(line: &[u8]) -> String {
     String::from_utf8_lossy(line).chars().filter(|c| matches!(c, ' '..='~' | '\t') && !"?!~".contains(*c)).collect()
 }
@@ -186,11 +186,11 @@ struct Walk {
     /// Axes that have moved.
     moved: PerAxis<bool, AXES>,
     ends: Vec<End>,
-    /// The job reached its Z by a rapid and has made only rapids since.
+    /// The job reached the present Z by a rapid and has made only rapids since.
     is_clear: bool,
     /// Feed rate of the last move straight down, mm/min.
     plunge: Option<Decimal>,
-    /// Whether an output will change with the next motion.
+    /// Whether an output (M62, M63) will change with the next motion.
     waits_for_motion: bool,
 }
 

@@ -6,7 +6,7 @@
 //! later.
 //!
 //! One client is served at a time, as a serial port is open in one program only; on TCP, a second client gets a message
-//! and is disconnected. When a client closes its side, the port is closed (`$914` determines the fate of the job), and
+//! and is disconnected. When a client closes its side, the port is closed (`$914` says what becomes of the job), and
 //! bytes for which the board has no room are discarded. A client's bytes are read ahead of the machine, so that its
 //! disconnection is noticed.
 
@@ -70,14 +70,14 @@ pub fn serve(options: &Serve) -> Result<()> {
     }
 }
 
-/// Prints the address of the link; whoever started the program may wait for it.
+/// Prints the address of the link, for a program that has started this one and waits for the address.
 fn announce(link: &str) -> Result<()> {
     let mut out = io::stdout();
     writeln!(out, "{link}").and_then(|()| out.flush()).context("cannot write to standard output where the link is")
 }
 
-/// Opens the link; its clients are announced through `sender`. Returns the writer of standard output if that is the
-/// link.
+/// Opens the link, which announces its clients through `sender`. If the link is standard input and output, returns the
+/// writer of standard output.
 fn open_link(options: &Serve, sender: SyncSender<Happened>) -> Result<Option<Writer>> {
     if let Some(address) = &options.link.tcp {
         let listener = listen(address)?;
@@ -154,14 +154,14 @@ impl Device {
 
     fn run_until_left(&mut self, receiver: &Receiver<Happened>) -> Result<()> {
         loop {
-            // Advance first, so that input is dated with the time at which it arrived.
+            // Advance virtual time before fetching input, so that input gets the time at which it arrived.
             self.pass_time();
             self.fetch();
             if !self.answer() {
                 let was_program = self.client.as_ref().is_some_and(|client| client.is_program);
                 self.left();
                 if was_program {
-                    // The client's writer knows the reason. With standard input no other host can connect.
+                    // The client's writer returns its error to `serve`. After standard input no other host can connect.
                     return Ok(());
                 }
             }
@@ -174,8 +174,8 @@ impl Device {
             }
             let active = self.simulator.is_active();
             if self.is_done() && !active && self.simulator.unfetched() == 0 && self.kept.is_none() {
-                // Lines that are unread now wait for a host that will never come. The writer ends after the last reply,
-                // when its sender is dropped.
+                // The machine would execute unread lines only after a command from a host, but no host will come. The
+                // writer ends after the last reply, when its sender is dropped.
                 let failure = self.client.as_ref().and_then(|client| client.inbox.failure());
                 return failure.map_or(Ok(()), Err).context("cannot read standard input to its end");
             }
@@ -209,7 +209,7 @@ impl Device {
                     self.record(&Input::Pin(line.clone()));
                 }
                 let answer = self.simulator.pin_line(&line);
-                // A client that has disconnected meanwhile needs no reply.
+                // Ignore the error of a client that has disconnected meanwhile.
                 let _ = reply.send(answer);
             }
         }
@@ -225,7 +225,7 @@ impl Device {
                 self.record(&Input::Host(bytes.clone()));
                 self.simulator.send(bytes);
             } else if ended && !client.is_program {
-                // The client may still read the replies made so far.
+                // The client can still read the replies made so far: send them.
                 self.answer();
                 return self.left();
             } else {
@@ -234,8 +234,7 @@ impl Device {
         }
     }
 
-    /// Returns whether all of standard input has been passed on, or the rest waits for a machine that itself waits for
-    /// a host.
+    /// Returns whether standard input has ended, and all of it has been passed on or the port has no room for the rest.
     fn is_done(&self) -> bool {
         let has_room = self.simulator.unread() < PORT;
         self.client.as_ref().is_some_and(|client| {
@@ -247,7 +246,7 @@ impl Device {
     fn connecting(&mut self, incoming: Incoming, sender: SyncSender<Happened>) {
         match &self.client {
             None => self.admit(incoming, sender),
-            // The reader of the previous client is about to report its disconnection.
+            // The previous client has gone, and its reader thread is about to report that: keep the new one waiting.
             Some(client) if client.has_gone() => self.waiting.push_back((incoming, sender)),
             Some(_) => {
                 thread::spawn(move || turn_away(incoming));
@@ -291,12 +290,12 @@ impl Device {
     fn connected(&mut self, client: Client) {
         self.client = Some(client);
         self.kept = None;
-        // Without a client, replies are lost, as on a port that is not open.
+        // Discard earlier replies: without a client they are lost, as on a port that is not open.
         self.simulator.take_output();
         self.record(&Input::Connect);
         self.simulator.connect();
         if self.reset_on_connect {
-            // Only the welcome message of the reset reaches the client.
+            // Discard the output up to now, so that the client gets only the welcome message of the reset.
             self.simulator.take_output();
             self.record(&Input::Host(vec![0x18]));
             self.simulator.send([0x18]);
@@ -374,7 +373,7 @@ fn turn_away(incoming: Incoming) {
 
 fn serve_stdio(client: Client, sender: &SyncSender<Happened>) {
     let inbox = client.inbox.clone();
-    // Even after the pipe has ended, everything is read and executed: it is a complete program.
+    // `|| false`: everything is read and executed even after the pipe has ended, because it is a complete program.
     if sender.send(Happened::Connected(client)).is_ok() {
         let tell = || inbox.fail(io::Error::other(format!("a line has more than {LONGEST_LINE} characters")));
         pass_bytes(&mut io::stdin().lock(), &inbox, sender, || false, tell);

@@ -66,7 +66,7 @@ pub struct Simulator {
     pub(crate) inputs: InputTask,
     pub(crate) step: StepTask,
     pub(crate) world: World,
-    /// Whether the last record was stored; the controller has not been notified yet.
+    /// Whether the last record could be stored, until the controller has been notified.
     pub(crate) stored: Option<bool>,
     /// Whether the controller has requested the state of the inputs.
     pub(crate) pins_asked: bool,
@@ -127,7 +127,7 @@ impl Simulator {
         };
         let World { fittings, machine, .. } = &mut simulator.world;
         if !fittings.is_empty() && fittings.moved(machine, 0) {
-            // The machine was left on a switch.
+            // The machine is powered up on a switch.
             simulator.inputs.sample_at(0);
         }
         simulator.turn();
@@ -136,9 +136,9 @@ impl Simulator {
 
     // Inputs
 
-    /// Receives bytes from the host at the present virtual time. Realtime commands act immediately, ahead of the line
-    /// bytes before them, as long as these fit into the board's queue and the link (255 and 192 bytes). Further bytes,
-    /// including commands, wait in the host's port: see [`Simulator::unread`].
+    /// Receives bytes from the host at the present virtual time. Realtime commands act immediately, before the line
+    /// bytes that precede them, as long as those bytes fit into the board's queue and the link (255 and 192 bytes).
+    /// Further bytes, including commands, wait in the host's port: see [`Simulator::unread`].
     pub fn send(&mut self, bytes: impl AsRef<[u8]>) {
         self.host.send(bytes.as_ref());
         self.receive();
@@ -150,8 +150,8 @@ impl Simulator {
     pub fn send_followed(&mut self, bytes: impl AsRef<[u8]>, more: bool) {
         self.host.follow(more);
         self.send(bytes);
-        // The board had taken the waiting bytes by then. The recording may contain them later, with the end of their
-        // line.
+        // `more` holds only for these bytes: the board has taken the waiting bytes next, even if the recording contains
+        // them only later, with the end of their line.
         self.host.follow(false);
     }
 
@@ -203,11 +203,11 @@ impl Simulator {
         self.turn();
     }
 
-    /// Returns the controller's output since the last call.
+    /// Removes and returns the controller's output since the last call of this function.
     pub fn take_output(&mut self) -> String {
         let taken = std::mem::take(&mut self.outgoing);
         if taken.len() >= OUTGOING {
-            // The controller has held back replies and the work that depends on them.
+            // The output was full, so the controller may have held back replies and the work after them: let it go on.
             self.turn();
         }
         String::from_utf8_lossy(&taken).into_owned()
@@ -306,8 +306,8 @@ impl Simulator {
         }
     }
 
-    /// Lets the controller check the progress of the step task, as on a board whenever anything wakes it. Each check
-    /// may shift the following wake-ups, so two runs that are compared must check equally often.
+    /// Lets the controller check the progress of the step task, as on a board whenever anything wakes it. Each call can
+    /// shift the following wake-ups, so two runs that are compared must call this equally often.
     pub fn look(&mut self) {
         self.turn();
     }
@@ -324,7 +324,7 @@ impl Simulator {
         }
         let until = wake.unwrap_or(u64::MAX).min(limit).min(sample.unwrap_or(u64::MAX));
         let began = self.clock.now();
-        // Reaching only the limit is no event: otherwise the caller's choice of limits would shift the following
+        // Reaching only `limit` is not an event, so that the caller's choice of limits does not shift the following
         // wake-ups.
         let is_event = loop {
             match self.step.due() {
@@ -334,7 +334,7 @@ impl Simulator {
                         break true;
                     }
                 }
-                // The timer keeps running, and so does the wait for the wake-up.
+                // The next tick, if any, comes later. The step timer and the wait for the wake-up go on.
                 _ => {
                     self.clock.advance_to(until);
                     break wake == Some(until) || sample == Some(until);
@@ -353,7 +353,7 @@ impl Simulator {
     }
 
     /// Returns the tick at which the controller must work next, or at which a byte that may be text becomes a command;
-    /// `None` if the clock never reaches it.
+    /// `None` if there is no such tick or the clock never reaches it.
     fn wake_due(&self) -> Option<u64> {
         let due = [self.controller.next_wakeup(), self.host.rest_due()].into_iter().flatten();
         let due = due.map(|instant| self.clock.ticks_at(instant)).min()?;
@@ -513,7 +513,7 @@ impl Simulator {
     }
 
     /// From here on, each move is marked with its line and tool, for drawings and times. Status reports then contain
-    /// other numbers instead of N words.
+    /// the numbers of the marks instead of N words.
     pub fn mark_moves(&mut self) {
         self.marks = Some(Marks::default());
     }
@@ -545,8 +545,8 @@ impl Simulator {
         }
     }
 
-    /// Samples the inputs until the filter has settled: changes by the user, or by the host with a setting, are slow
-    /// enough for that.
+    /// Samples the inputs until the filter has settled. Call after a change by the user, or by a setting: such changes
+    /// are slow, so the time that the filter needs does not matter.
     pub(crate) fn settle_inputs(&mut self) {
         for _ in 0..self.inputs.settle() {
             self.stop();

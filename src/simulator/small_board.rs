@@ -7,14 +7,14 @@ use crate::prologue::words_of;
 use oxmill_controller::error::Error;
 use oxmill_controller::units::Decimal;
 
-/// Returns the error with which such a board rejects a line that other boards accept.
+/// Returns the error with which a board without all words rejects a line that other boards accept.
 pub fn error_of(line: &str) -> Option<Error> {
     let code = code(line);
     let is_computed = code.contains(['#', '[']) || is_o_word(&code);
     match code.chars().next() {
         Some('$') => return (code.starts_with("$M") && code.contains('=')).then_some(Error::ExpressionsLeftOut),
-        // A skipped line (`/`) may never be executed. A checked line (`:`) has a header with other characters at the
-        // beginning.
+        // Do not judge a line with `/`, which may be skipped, or a checked line (`:`), which begins with a header that
+        // is not G-code.
         Some('/' | ':') => return None,
         _ if is_computed => return Some(Error::ExpressionsLeftOut),
         _ => {}

@@ -132,7 +132,7 @@ impl StepTask {
         self.probe_invert = wiring.probe_invert;
     }
 
-    /// Sets the slow outputs; the power of a moving laser comes with the segments.
+    /// Sets the slow outputs. The power of a moving laser stays as it is, because it comes with the segments.
     pub fn show(&mut self, outputs: SlowOutputs, clock: &Clock, world: &mut World) {
         self.outputs = Some(outputs);
         if !outputs.power_from_segments || self.due.is_none() {
@@ -206,16 +206,16 @@ impl StepTask {
             self.load(clock, world);
         }
         if self.due.is_none() {
-            // A laser with scaled power (M4) is dark at standstill; one with constant power stays on.
+            // At standstill the outputs give the laser's power: 0 if it is scaled (M4), otherwise its constant power.
             self.carry_power(due, self.outputs.map_or(0, |outputs| outputs.power), world);
             world.meter.at_rest(clock.seconds(due));
             return true;
         }
-        // Start sampling a changed contact immediately, instead of at the next wake-up of the pump.
+        // Let the control task run, so that sampling of a changed contact begins now and not at the next wake-up.
         probed || contact
     }
 
-    /// Sets another laser power, if the segments carry the power.
+    /// Sets the laser power, if it is determined by the segments.
     fn carry_power(&mut self, at: u64, power: u16, world: &mut World) {
         if let Some(outputs) = self.outputs
             && outputs.power_from_segments
@@ -240,7 +240,7 @@ impl StepTask {
     pub fn stop(&mut self, clock: &Clock, world: &mut World) {
         let event = self.stepper.stop([0; AXES]);
         self.stopped(event, clock, world);
-        // The queued messages are void; in a full queue they would leave no room for `Resume`.
+        // Empty the queue: its messages are void, and a full queue would have no room for `Resume`.
         self.load(clock, world);
     }
 

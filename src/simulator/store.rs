@@ -1,8 +1,8 @@
 //! The settings store of a simulated board: two flash sectors in memory under the log that the boards use. Every
 //! written word can be copied to a file immediately.
 //!
-//! The owner of a copy receives every word immediately, so any end of the process leaves the same state as a power cut.
-//! A power cut can also be ordered: after a given number of writes and erases, the next operation is left half done and
+//! The copy gets every word immediately, so whenever the process ends, the copy is like a flash after a power cut. A
+//! power cut can also be ordered: after a given number of writes and erases, the next operation is left half done and
 //! all further ones fail.
 
 use anyhow::{Context, Result, anyhow, bail};
@@ -58,7 +58,7 @@ impl Store {
         Self::power_up(Image::erased(bytes)).expect("memory takes everything while it has power")
     }
 
-    /// Opens the store in an image that has a copy elsewhere; `keep` receives every change.
+    /// Opens the store in an image of which the caller keeps a copy; `keep` receives every change.
     ///
     /// # Errors
     /// If the bytes are not a flash image, or the log in it cannot be read.
@@ -192,7 +192,7 @@ impl Image {
         Self { sectors: [words.clone(), words], keep: None, operations: 0, cut: None, torn: 0, gone: false }
     }
 
-    /// Rejects everything except an image with a log, instead of erasing it.
+    /// Reads an image. Rejects bytes without a log, because opening a log in them would erase them.
     fn from_bytes(bytes: &[u8]) -> Result<Self> {
         if bytes.len() != IMAGE {
             bail!("it does not have {IMAGE} bytes");

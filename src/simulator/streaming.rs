@@ -15,7 +15,8 @@ use std::time::Duration;
 const SLICE: Duration = Duration::from_millis(1);
 /// Slices per second, times the bits on the wire per byte: start, eight data bits, stop.
 const BYTE: u64 = 1000 * 10;
-/// Increases of the lag from one line to the next below this are ignored, in seconds: the time slices cause them.
+/// If the lag grows by less than this from one line to the next, in seconds, it is ignored: the time slices alone cause
+/// such differences.
 const NOTICEABLE: f64 = 0.005;
 /// Maximum number of lines that are listed.
 const MOST_PLACES: usize = 20;
@@ -23,7 +24,7 @@ const MOST_PLACES: usize = 20;
 /// A line at which the machine lost time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Lost {
-    /// Number of the line in the text sent, from 1.
+    /// Line number in the text sent, from 1.
     pub line: u64,
     /// Additional delay at this line, relative to the delay of the lines before, in seconds.
     pub seconds: f64,
@@ -132,7 +133,7 @@ impl Streaming {
         self.done = answered && self.simulator.is_idle() || stuck && !self.in_flight.is_empty();
     }
 
-    /// Skips slices in which nothing happens: a dwell may last for years.
+    /// Skips slices in which nothing happens, because a dwell can last for years.
     fn pass_slices_without_event(&mut self) {
         let slice = self.simulator.clock().ticks_in(SLICE);
         let slices = self.simulator.ticks_without_event() / slice;
@@ -155,7 +156,7 @@ impl Streaming {
         }
     }
 
-    /// Returns the number of answered lines, and the number of all lines.
+    /// Returns the number of lines that the controller has read, and the approximate number of all lines.
     pub fn progress(&self) -> (u64, u64) {
         let left = (self.waiting.len() + self.in_flight.len()) as u64;
         let read = u64::from(self.simulator.controller().lines_read().wrapping_sub(self.lines_before));
@@ -248,7 +249,7 @@ mod tests {
         let unlimited = free.summary(&free);
         assert!(unlimited.complete && fast.complete && slow.complete);
         assert!(fast.forecast_s < unlimited.forecast_s + 0.2, "{fast:?} {unlimited:?}");
-        // 8 kB at 1920 bytes per second.
+        // The job has almost 9 kB, which take more than 4 s at 1920 bytes per second.
         assert!(slow.forecast_s > 3.5 && slow.forecast_s > 2.0 * unlimited.forecast_s, "{slow:?} {unlimited:?}");
         assert!(!slow.lost.is_empty() && unlimited.lost.is_empty());
         assert!(slow.lost.iter().all(|lost| (1..=501).contains(&lost.line) && lost.seconds > 0.0));

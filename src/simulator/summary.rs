@@ -9,7 +9,7 @@ use std::fmt;
 /// A reply `error:N`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct LineError {
-    /// Number of the line in the file, from 1.
+    /// Line number in the file, from 1.
     pub line: u64,
     /// The error's number.
     pub code: u8,
@@ -26,7 +26,7 @@ pub struct LineError {
 /// A line that is accepted but may not do what was intended.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Warning {
-    /// Number of the line in the file, from 1.
+    /// Line number in the file, from 1.
     pub line: u64,
     /// What the line does.
     pub text: String,
@@ -39,7 +39,7 @@ pub struct AlarmReport {
     pub code: u8,
     /// The meaning of the alarm.
     pub text: String,
-    /// The oldest unanswered line at the time of the alarm, if any.
+    /// Line number of the oldest line that was unanswered at the time of the alarm, if any.
     pub line: Option<u64>,
     /// What the user can do about the alarm.
     pub advice: String,
@@ -112,7 +112,7 @@ pub struct Summary {
     pub dwell_s: f64,
     /// Part of `standing_s` for the spindle to spin up or to stop.
     pub spin_up_s: f64,
-    /// These times by tool, in the order of use.
+    /// Times at feed, in rapids, in dwells and for the spindle, by tool in the order of use.
     pub tools: Vec<ToolTime>,
     /// Machine position at the end.
     pub position_mm: Vec<f64>,
@@ -122,24 +122,24 @@ pub struct Summary {
     pub steps: Vec<i64>,
     /// Step pulses in either direction.
     pub pulses: Vec<u64>,
-    /// Step events: pulses of several axes at once count once.
+    /// Number of step events. Simultaneous pulses of several axes are one event.
     pub step_events: u64,
     pub distance_mm: f64,
     pub rapid_distance_mm: f64,
     pub extents_mm: Extents,
     /// Maximum path speed: an average over some milliseconds or more, reduced by what rounding to steps may have added.
     pub peak_speed_mm_s: f64,
-    /// Maximum change of path speed per time, measured likewise, as on ramps. Excludes the acceleration across the path
+    /// Maximum change of path speed per time (on ramps), measured likewise. Excludes the acceleration across the path
     /// in curves and corners.
     pub peak_acceleration_mm_s2: f64,
     /// Maximum speed of each axis, measured likewise.
     pub peak_axis_speed_mm_s: Vec<f64>,
-    /// Maximum component of each axis of the acceleration on ramps: the change of path speed per time, times the
-    /// direction of the path.
+    /// For each axis, the maximum of its component of the acceleration on ramps: the change of path speed per time,
+    /// times the direction of the path.
     pub peak_axis_acceleration_mm_s2: Vec<f64>,
     /// Hash over (time in step-clock ticks, step bits, direction bits) of each step event.
     pub trace_hash: String,
-    /// Hash over the step and direction bits only.
+    /// Hash over the step and direction bits in their order, without the times.
     pub order_hash: String,
     /// Duration of the simulation, in seconds of the host.
     pub host_s: f64,
@@ -212,7 +212,7 @@ impl fmt::Display for Summary {
             (false, None) => "not taken to the end".into(),
         };
         row(f, "job", ended)?;
-        // One message may be the reason for many errors.
+        // List equal consecutive messages once, because one message can be the reason for many errors.
         for (message, times) in runs(&self.messages) {
             row(f, "message", if times > 1 { format!("{message} ({times} times)") } else { message.into() })?;
         }
@@ -308,7 +308,7 @@ fn runs(texts: &[String]) -> impl Iterator<Item = (&str, usize)> {
     texts.chunk_by(|a, b| a == b).map(|run| (run[0].as_str(), run.len()))
 }
 
-/// Formats a duration for users. Rounds first: 59.98 s after a minute become another minute.
+/// Formats a duration for users. Rounds before splitting, so that 1 min 59.98 s becomes 2 min 0.0 s.
 pub fn clock_time(seconds: f64) -> String {
     let tenths = (seconds * 10.0).round();
     if (seconds * 1000.0).round() < 60_000.0 {

@@ -21,18 +21,18 @@ const CLOSING_TIME: Duration = Duration::from_secs(1);
 const SILENCE: Duration = Duration::from_secs(20);
 /// Time between keep-alive probes.
 const QUESTIONS: Duration = Duration::from_secs(5);
-/// How long a client's system may leave a reply unacknowledged, or have no room for it.
+/// Time after which a connection is closed if the client's system does not acknowledge a reply or has no room for it.
 #[cfg(target_os = "linux")]
 const UNACKNOWLEDGED: Duration = Duration::from_secs(60);
 
 /// Sets up a client's connection. A write to a client that does not read blocks for at most `unread`.
 pub(crate) fn set_up(stream: &TcpStream, unread: Duration) -> io::Result<()> {
-    // Replies are short, and the client waits for each.
+    // Send small packets at once: replies are short, and the client waits for each.
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(unread))?;
     let socket = SockRef::from(stream);
-    // While a reply is being sent, TCP sends no keep-alive probes; the system would retransmit it for a quarter of an
-    // hour.
+    // TCP sends no keep-alive probes while a reply is unacknowledged, but would retransmit the reply for a quarter of
+    // an hour.
     #[cfg(target_os = "linux")]
     socket.set_tcp_user_timeout(Some(UNACKNOWLEDGED))?;
     socket.set_tcp_keepalive(&TcpKeepalive::new().with_time(SILENCE).with_interval(QUESTIONS))
@@ -40,9 +40,9 @@ pub(crate) fn set_up(stream: &TcpStream, unread: Duration) -> io::Result<()> {
 
 /// Maximum length of a line of the pin protocol, bytes.
 const PIN_LINE: u64 = 256;
-/// How long a pin client may take for its first line.
+/// Maximum time until the first line of a pin client.
 const FIRST_LINE: Duration = Duration::from_secs(60);
-/// How long a pin client may leave replies unread when there is no room for another.
+/// Maximum time for which a pin client can leave replies unread when there is no room for another.
 const UNREAD: Duration = Duration::from_secs(5);
 /// Socket buffer sizes for the lines and the replies of a pin client, bytes.
 const PIN_BUFFER: usize = 1 << 14;
@@ -107,7 +107,7 @@ pub(crate) fn serve_pins(listener: &TcpListener, sender: &SyncSender<Happened>) 
         };
         let sender = sender.clone();
         thread::spawn(move || {
-            // An error ends the connection of a client that sends anything but lines.
+            // Ignore the error: it only ends the connection of this client.
             let _ = serve_pin_client(&stream, &sender);
             drop(place);
         });
@@ -115,7 +115,7 @@ pub(crate) fn serve_pins(listener: &TcpListener, sender: &SyncSender<Happened>) 
 }
 
 fn serve_pin_client(stream: &TcpStream, sender: &SyncSender<Happened>) -> io::Result<()> {
-    // A client that has vanished or does not read occupies its slot only for a short time, and little memory.
+    // Limit the time for which a client that has vanished or does not read occupies its slot, and its memory.
     set_up(stream, UNREAD)?;
     let socket = SockRef::from(stream);
     socket.set_send_buffer_size(PIN_BUFFER)?;
@@ -123,8 +123,8 @@ fn serve_pin_client(stream: &TcpStream, sender: &SyncSender<Happened>) -> io::Re
     let mut back = stream;
     let (reply, answers) = channel();
     let mut reader = BufReader::new(NoBrowser::new(stream));
-    // A client that sends nothing does not occupy a slot for long. After its first line, a test bench may be silent for
-    // hours.
+    // The first line must come soon, so that a client that sends nothing does not occupy a slot. After that, there is
+    // no limit, because a test bench can be silent for hours.
     stream.set_read_timeout(Some(FIRST_LINE))?;
     loop {
         let mut line = String::new();

@@ -1,7 +1,7 @@
 //! Passes a job's text to the controller byte by byte, and assigns each reply to its line: errors, messages, and the
 //! line of an alarm.
 //!
-//! The bytes of a file are never realtime commands, unlike those on a link. Comments may contain any UTF-8: non-ASCII
+//! The bytes of a file are never realtime commands, unlike those on a link. Comments can contain any UTF-8: non-ASCII
 //! characters reach the controller as `?`, which is ignored in a comment and rejected elsewhere. Every line gets
 //! exactly one answer, in order, as with any sender.
 
@@ -13,7 +13,7 @@ use oxmill_controller::protocol::line_checksum::ANSWER_HEADER;
 use std::collections::VecDeque;
 use std::io::{self, BufRead};
 
-/// A longer line cannot be a program for a machine.
+/// Maximum length of a line, in bytes. A file with a longer line is not a program for a machine.
 const LONGEST_LINE: usize = 1 << 20;
 /// Number of bytes that are made ready ahead of the controller, like a full receive queue.
 const AHEAD: usize = 256;
@@ -23,7 +23,7 @@ const AHEAD: usize = 256;
 pub enum Said {
     /// `error:N` for a line of the file.
     Error {
-        /// Number of the line in the file, from 1.
+        /// Line number in the file, from 1.
         line: u64,
         /// The error's number.
         code: u8,
@@ -46,14 +46,14 @@ pub struct JobText {
     after_cr: bool,
     stopped: bool,
     failed: Option<io::Error>,
-    /// Lines that are being taken or wait to be, with their numbers, and with the error of a board that rejects a line
-    /// which the simulator accepts.
+    /// Lines that have not been answered: line number in the file, text, and the error of a board without all words if
+    /// it rejects the line.
     unanswered: VecDeque<(u64, String, Option<Error>)>,
     /// Whether the board supports all words of the simulator.
     has_all_words: bool,
     lines: u64,
     answers: u64,
-    /// The oldest unanswered line when the first alarm was reported.
+    /// Line number of the oldest unanswered line when the first alarm was reported.
     alarmed_at: Option<u64>,
     consumed: u64,
     reply: Vec<u8>,
@@ -77,7 +77,7 @@ pub struct JobText {
 /// Where a program ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProgramEnd {
-    /// Number of the line in the file, from 1.
+    /// Line number in the file, from 1.
     pub line: u64,
     /// Whether a tape mark ended the program, instead of M2 or M30.
     pub is_tape_mark: bool,
@@ -106,7 +106,7 @@ struct Opener {
 }
 
 impl JobText {
-    /// Makes a job of the lines of a reader.
+    /// Makes a job whose lines are read from `reader`.
     pub fn new(reader: impl BufRead + 'static) -> Self {
         Self {
             reader: Box::new(reader),
@@ -140,14 +140,14 @@ impl JobText {
         self.has_all_words = has_all_words;
     }
 
-    /// Returns number and text of the line of the file that the controller counts as `line`, if it may have opened a
-    /// block.
+    /// Returns the line number in the file and the text of the line that the controller counts as `line`, if it may
+    /// have opened a block.
     pub fn opener(&self, line: u32) -> Option<(u64, &str)> {
         let given = u64::from(line.wrapping_sub(self.lines_before));
         self.openers.iter().find(|opener| opener.given == given).map(|opener| (opener.number, opener.text.as_str()))
     }
 
-    /// Returns the number in the file of the line that the controller counts as `line`; 0 for a line before the job.
+    /// Converts `line`, as the controller counts lines, to a line number in the file; 0 for a line before the job.
     pub fn file_line(&self, line: u32) -> u64 {
         let given = u64::from(line.wrapping_sub(self.lines_before));
         if line == 0 || given == 0 || given > self.lines {
@@ -156,7 +156,7 @@ impl JobText {
         given + self.marks.partition_point(|before| *before < given) as u64
     }
 
-    /// Forgets possible openers of blocks, as no block is open.
+    /// Forgets the lines that may have opened a block. Call while no block is open.
     pub fn forget_openers(&mut self) {
         self.openers.clear();
     }
@@ -182,13 +182,13 @@ impl JobText {
         self.consumed
     }
 
-    /// Number of the oldest unanswered line.
+    /// Line number in the file of the oldest line that has not been answered.
     pub fn oldest_unanswered(&self) -> Option<u64> {
         self.unanswered.front().map(|(number, ..)| *number)
     }
 
-    /// Returns the line of an alarm that was reported, or of one that may be reported next: several lines may be
-    /// answered after it.
+    /// Returns the line number of the oldest unanswered line at the first alarm, because several lines can be answered
+    /// after the alarm. Without an alarm so far, returns that of the oldest unanswered line now.
     pub fn alarmed_at(&self) -> Option<u64> {
         self.alarmed_at.or_else(|| self.oldest_unanswered())
     }
@@ -215,7 +215,7 @@ impl JobText {
         self.failed.take()
     }
 
-    /// Returns the replies since the last call.
+    /// Removes and returns the replies and warnings since the last call of this function.
     pub fn said(&mut self) -> Vec<Said> {
         std::mem::take(&mut self.said)
     }
@@ -322,7 +322,7 @@ impl JobText {
     }
 
     fn reply_line(&mut self, reply: &str) {
-        // A file that switches checked lines on gets answers in their form.
+        // If the file switches checked lines on (`$LC`), the answers have a header, too.
         let reply = match without_header(reply) {
             "known" => "ok",
             text => text,
@@ -330,7 +330,7 @@ impl JobText {
         let code = reply.strip_prefix("error:").and_then(|code| code.parse().ok());
         if reply == PROGRAM_END
             && let Some((line, ..)) = self.unanswered.front()
-            // A tape mark after it may have been read already.
+            // Lines are read ahead, so `ended_at` can already be a tape mark after this line.
             && self.ended_at.is_none_or(|end| *line < end.line)
         {
             self.ended_at = Some(ProgramEnd { line: *line, is_tape_mark: false });
@@ -457,7 +457,7 @@ mod tests {
         assert!(job.is_used_up());
     }
 
-    /// Words after the mark would be lost, so the controller must reject such a line.
+    /// A line with words after `%` is passed on, so that the controller rejects it. As a tape mark it would lose them.
     #[test]
     fn a_tape_mark_has_its_line_for_itself() {
         let mut job = JobText::new(&b"%G0X1\n%%\n% (a) X\n%(a\n%;\n"[..]);
@@ -500,7 +500,7 @@ mod tests {
         assert_eq!(job.said(), [Said::Error { line: 1, code: 2, text: "G1 X?".into(), reason: None }]);
     }
 
-    /// Except for errors caused by the state of the machine: a message before them is not about the line.
+    /// A message before an error that is caused by the state of the machine is not about the line.
     #[test]
     fn the_message_in_front_of_an_error_says_what_is_wrong_with_its_line() {
         let mut job = JobText::new(&b"G1 X\nG1\nG2\n"[..]);

@@ -26,7 +26,7 @@ pub struct Times {
     tools: Vec<ToolTime>,
     line: u32,
     line_s: f64,
-    /// Numbers of the long lines before `line`, with their times in seconds.
+    /// The long lines before `line`: line number and time in seconds.
     long: Vec<(u32, f64)>,
 }
 

@@ -54,7 +54,7 @@ pub struct Trace {
     history: History,
 }
 
-/// A running hash over the times of all steps and of all changes of the outputs.
+/// A running hash over the times of all steps, and over all changes of the outputs with their times.
 #[derive(Clone, Debug, Default)]
 struct History {
     hash: u64,

@@ -24,7 +24,7 @@ const REQUEST_TIME: Duration = Duration::from_secs(5);
 const REQUEST: usize = 1 << 14;
 /// How often the thread looks for replies while the page sends nothing.
 const LOOK: Duration = Duration::from_millis(3);
-/// How long a page that does not read may block its thread.
+/// Maximum time for which a page that does not read blocks its thread.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Maximum length of a message of the page, bytes; the page sends a line at a time.
 const MESSAGE: usize = 1 << 16;
@@ -38,7 +38,7 @@ const MARK: &str = "<meta charset=\"utf-8\">";
 /// The page that is served.
 pub struct Site {
     html: Vec<u8>,
-    /// The names of the loopback with the port; for port 80 also without it, as browsers omit it.
+    /// The names of the loopback with the port; for port 80 also without the port, because browsers omit it.
     hosts: Vec<String>,
 }
 
@@ -98,7 +98,7 @@ pub fn serve_web(listener: &TcpListener, site: &Arc<Site>, sender: &SyncSender<H
     for stream in connections(listener) {
         let Some(place) = places.take() else { continue };
         let (site, sender) = (site.clone(), sender.clone());
-        // A browser with an invalid request gets no reply; nothing else depends on it.
+        // Ignore the error: a browser with an invalid request gets no reply, and nothing else depends on it.
         thread::spawn(move || answer(stream, place, &site, &sender));
     }
 }
@@ -133,8 +133,8 @@ fn answer(stream: TcpStream, place: Taken, site: &Site, sender: &SyncSender<Happ
     }
 }
 
-/// Returns the head of a request without consuming it. Each byte becomes a character, as other programs on this host
-/// may have set cookies in any encoding.
+/// Returns the head of a request without consuming it. Each byte becomes a character, because other programs on this
+/// host can have set cookies in any encoding.
 fn look_at_request(stream: &TcpStream) -> io::Result<String> {
     let end = Instant::now() + REQUEST_TIME;
     let mut buffer = vec![0; REQUEST];
@@ -152,7 +152,7 @@ fn look_at_request(stream: &TcpStream) -> io::Result<String> {
 }
 
 fn reply(mut stream: TcpStream, request: &str, status: &str, body: &[u8]) -> io::Result<()> {
-    // Closing a socket with unread bytes in it would discard the reply.
+    // Read the request first: closing a socket with unread bytes in it would discard the reply.
     stream.read_exact(&mut vec![0; request.chars().count() + 4])?;
     let kind = if status.starts_with("200") { "text/html" } else { "text/plain" };
     let head = format!(
@@ -164,7 +164,7 @@ fn reply(mut stream: TcpStream, request: &str, status: &str, body: &[u8]) -> io:
     stream.write_all(body)
 }
 
-/// Carries bytes between a page and the loop until one of them has ended.
+/// Carries bytes between a page and the loop until the page or the loop has ended.
 pub fn pass_messages(
     mut socket: WebSocket<TcpStream>,
     inbox: &Inbox,

@@ -5,17 +5,18 @@ use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU16, AtomicU32, Ordering};
 use oxmill_controller::Owed;
 use oxmill_controller::messages::{Realtime, input};
 
-/// The signal that wakes `control`; any task may set it.
+/// The signal that wakes `control`; any task can set it.
 pub type Wake = rtic_sync::signal::SignalWriter<'static, ()>;
 
 /// Status written by `step`.
 pub struct StepStatus {
     /// Segments begun since power-up (wrapping).
     pub segments_begun: AtomicU32,
-    /// Whether nothing moves and nothing is loaded.
+    /// Whether no motor turns and no message is loaded in the step task.
     pub at_rest: AtomicBool,
-    /// Nonzero if a message queued now must not wait for the next run; the task that queues it then pends the step
-    /// vector. Each run writes 0 or 1. So if the watchdog's [`STEP_ASKED`] is still there, no run has followed it.
+    /// Nonzero if a message queued now must not wait for the next scheduled run of `step`: the task that queues the
+    /// message must pend the step vector. Each run writes 0 or 1. So if the watchdog has written [`STEP_ASKED`] and
+    /// still finds it here, no run has followed.
     pub wants: AtomicU8,
 }
 
@@ -23,8 +24,8 @@ pub struct StepStatus {
 pub static STEP: StepStatus =
     StepStatus { segments_begun: AtomicU32::new(0), at_rest: AtomicBool::new(true), wants: AtomicU8::new(1) };
 
-/// Value of [`StepStatus::wants`] that `inputs` (the watchdog) writes to check whether a run follows. It is nonzero, so
-/// a queued message also pends the step vector meanwhile.
+/// Value of [`StepStatus::wants`] that `inputs` (the watchdog) writes to check whether a run of `step` follows. It is
+/// nonzero, so a task that queues a message also pends the step vector meanwhile.
 pub const STEP_ASKED: u8 = 2;
 
 /// Status written by `serial`.
@@ -73,8 +74,8 @@ pub static INPUTS: InputStatus =
 pub struct ControlStatus {
     /// Value of [`SerialStatus::heard`] up to which everything has been executed and answered.
     free_at: AtomicU32,
-    /// Whether UTF-8 characters in comments are text. `false` until the first round of `control`: each of their bytes
-    /// is then a command or ignored, as in Grbl.
+    /// Whether UTF-8 characters in comments are text. `false` until the first round of `control`. While it is `false`,
+    /// each byte of such a character is a command or ignored, as in Grbl.
     pub reads_characters: AtomicBool,
     /// See [`Power`].
     power: AtomicU32,
@@ -107,9 +108,9 @@ pub fn ask_for_stop() {
     STOPS_ASKED.fetch_add(1, Ordering::Relaxed);
 }
 
-/// For `serial`: keeps a command that found no room in the queue. Returns `false` if the command may be lost instead.
-/// 0x19 and a jog cancel are kept as resets, so this requests a stop for them, as for a reset; the caller must then
-/// pend the step vector, as after [`ask_for_stop`].
+/// For `serial`: keeps a command that found no room in the queue. Returns `false`, and does not keep the command, if
+/// its loss does no harm. 0x19 and a jog cancel are kept as resets, so this function requests a stop for them, as for a
+/// reset. The caller must pend the step vector afterwards, as for [`ask_for_stop`].
 pub fn owe(command: Realtime) -> bool {
     let Some(owed) = Owed(SERIAL.owed.load(Ordering::Relaxed)).with(command) else { return false };
     if command.opens_epoch() && command != Realtime::Reset {
@@ -125,8 +126,8 @@ pub fn owes() -> bool {
     SERIAL.owed.load(Ordering::Relaxed) != 0
 }
 
-/// For `control`: takes the owed commands. Call after [`owes`] returned `true` and the queue has been emptied since:
-/// the owed commands arrived after all commands that were in it.
+/// For `control`: takes the owed commands. Call only after [`owes`] has returned `true` and the queue of commands has
+/// been emptied since then, because the owed commands arrived after all commands in that queue.
 pub fn take_owed() -> Owed {
     Owed(SERIAL.owed.swap(0, Ordering::Relaxed))
 }

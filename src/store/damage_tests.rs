@@ -1,5 +1,5 @@
-//! Wrong bits and bytes in the memory: only the records that contain them are lost, and the damage is reported until it
-//! is confirmed.
+//! Tests with wrong bits and bytes in the memory. Only the records that contain them are lost, and the damage is
+//! reported until it is confirmed.
 
 use super::*;
 use std::ops::Range;
@@ -64,7 +64,7 @@ fn image(spare: Spare) -> (Log<Mock>, Vec<(Range<u32>, Store)>) {
     (log, spans)
 }
 
-/// Returns whether wrong bytes at these addresses lose a record. Its padding bytes do not count.
+/// Returns whether wrong bytes at these addresses destroy a record. Its padding bytes do not count.
 fn is_hit(span: &Range<u32>, change: &Store, addresses: &[u32]) -> bool {
     let length = match change {
         Store::Put(record) => record.value.len() as u32,
@@ -89,7 +89,7 @@ fn change_byte(flash: &mut Mock, sector: Sector, address: u32, bits: u8) {
     flash.sectors[sector as usize][address as usize / 4] ^= u32::from(bits) << (8 * (address % 4));
 }
 
-/// Each wrong byte, which includes each wrong bit: all other records are valid, and the damage is reported.
+/// After any wrong byte (so also after any wrong bit), all other records are valid, and the damage is reported.
 #[test]
 fn a_wrong_byte_costs_one_record_and_is_told() {
     for spare in [Spare::Blank, Spare::Erased, Spare::Old] {
@@ -102,7 +102,8 @@ fn a_wrong_byte_costs_one_record_and_is_told() {
                 change_byte(&mut flash, sector, address, bits);
                 let (stored, told) = found(&mut Log::open(flash.clone()).unwrap());
                 assert_eq!(stored, expected, "{spare:?}: {bits:#x} at {address}");
-                // A power cut may leave a single word after the end.
+                // A wrong byte in the first word after the end is not reported, because a power cut can leave such a
+                // word too.
                 assert_eq!(told, !(end..end + 4).contains(&address), "{spare:?}: {bits:#x} at {address}");
                 assert!(Log::is_in(&mut flash).unwrap());
             }
@@ -141,7 +142,7 @@ fn a_lost_header_is_told() {
     assert_eq!(contents(&mut Log::open(log.flash).unwrap()), without(&spans, &[]));
 }
 
-/// Damaged lengths and kinds that would lead a reader into the middle of other records.
+/// A damaged length or kind must not lead the reader into the middle of other records.
 #[test]
 fn damage_leads_nowhere() {
     let (log, spans) = image(Spare::Erased);
@@ -158,7 +159,7 @@ fn damage_leads_nowhere() {
     }
 }
 
-/// No text can contain a record that would count if damage led a reader into the text.
+/// A text that imitates a record does not count as a record if damage leads the reader into it.
 #[test]
 fn a_record_in_a_value_does_not_count() {
     let mut value = [b' '; 32];
@@ -175,7 +176,7 @@ fn a_record_in_a_value_does_not_count() {
     assert_eq!(found(&mut Log::open(log.flash).unwrap()), (kept, true));
 }
 
-/// A power cut does not leave more than one wrong byte in the last record either.
+/// Two wrong bytes in the last record are reported, because a power cut does not leave such a record.
 #[test]
 fn a_last_record_with_more_wrong_bytes_is_told() {
     let (log, spans) = image(Spare::Erased);
@@ -189,7 +190,8 @@ fn a_last_record_with_more_wrong_bytes_is_told() {
     }
 }
 
-/// Damage is reported over power cycles, changes and compactions, until its record is removed. Then the log is clean.
+/// Damage is reported across power cycles, changes and compactions, until the record that reports it is removed. After
+/// that the log is clean.
 #[test]
 fn damage_is_told_until_it_is_confirmed() {
     for (hit, moves) in [(0, 0), (0, 3), (13, 0), (13, 1), (41, 3), (1, 2)] {
@@ -239,8 +241,8 @@ fn a_confirmation_waits_for_the_spare_sector() {
     assert!(!found(&mut Log::open(log.flash).unwrap()).1);
 }
 
-/// The power is cut at each operation from the damage to its confirmation: nothing is lost, and it can be confirmed
-/// again.
+/// If the power is cut at any operation from the damage to its confirmation, nothing is lost, and the damage can be
+/// confirmed again.
 #[test]
 fn a_power_cut_in_the_confirmation_loses_nothing() {
     for hit in [0, 5, HEADER, HEADER + 21, 300] {
@@ -289,7 +291,8 @@ fn any_word() -> impl Strategy<Value = u32> {
     prop_oneof![4 => first, 2 => any::<u32>(), 1 => Just(ERASED), 1 => Just(0), 1 => Just(MARK)]
 }
 
-/// Maximum number of reads for opening a log of this size: each word as the start of the longest record, and the rest.
+/// Maximum number of reads for opening a log of this size: each word is read as the start of a record of the longest
+/// length, and 1000 reads are allowed for everything else.
 const OPENING: u32 = SIZE / 4 * (LONGEST_WORDS as u32 + 3) + 1000;
 
 proptest! {
@@ -321,7 +324,7 @@ proptest! {
         prop_assert_eq!(contents(&mut Log::open(log.flash).unwrap()), model);
     }
 
-    /// Any damage after the header, and one wrong byte in it: all records outside the damage are valid.
+    /// With any damage after the header and one wrong byte in the header, all records outside the damage are valid.
     #[test]
     fn what_is_not_hit_holds(
         changes in changes(),
@@ -353,7 +356,7 @@ proptest! {
         let mut model = without(&spans, &addresses);
         let (stored, told) = found(&mut log);
         prop_assert_eq!(&stored, &model);
-        // Records after the damage make it detectable.
+        // Damage must be reported if an intact record follows it.
         let behind = spans.iter().rfind(|(span, change)| !is_hit(span, change, &addresses));
         let must_tell = behind.is_some_and(|(span, _)| addresses.iter().any(|a| *a < span.end));
         prop_assert!(told || !must_tell);

@@ -1,5 +1,5 @@
-//! Writes and erases that fail under power, and repeated power cuts: every change that the log has accepted is found
-//! again.
+//! Tests with writes and erases that fail while the power is on, and with repeated power cuts. Every change that the
+//! log has accepted is found again.
 
 use super::*;
 use proptest::prelude::*;
@@ -7,13 +7,13 @@ use proptest::prelude::*;
 /// How an operation fails.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
-    /// The memory refuses it, without effect.
+    /// The operation is refused and has no effect.
     Refused,
-    /// Some of its bits are done.
+    /// The operation fails after some of its bits are done.
     Partly(u32),
-    /// It is done, but reported as failed.
+    /// The operation is complete, but is reported as failed.
     Reported,
-    /// The power is cut when some of its bits are done.
+    /// The power is cut when some bits of the operation are done.
     Cut(u32),
 }
 
@@ -104,7 +104,7 @@ fn series() -> impl Strategy<Value = Vec<(Store, u8)>> {
         8 => (0_u16..7, proptest::collection::vec(any::<u8>(), 0..60)).prop_map(|(key, v)| put(key, &v)),
         1 => (0_u16..7, 0_u16..7).prop_map(|(a, b)| Store::Remove { from: a.min(b), until: a.max(b) }),
     ];
-    // The number decides whether there is time for an erase, and whether a power cycle follows.
+    // The number beside each change decides whether there is time for an erase, and whether a power cycle follows.
     proptest::collection::vec((one, 0..12_u8), 1..150)
 }
 
@@ -127,7 +127,7 @@ fn faults() -> impl Strategy<Value = Vec<(u32, Fault)>> {
     proptest::collection::vec((0_u32..120, fault), 1..8)
 }
 
-/// Any word of a compaction fails in any way: later changes that are accepted are found again.
+/// If any word of a compaction fails in any way, changes that are accepted later are found again.
 #[test]
 fn a_move_that_fails_takes_nothing_along() {
     let faults = [Fault::Refused, Fault::Reported, Fault::Partly(0x00FF_FFFF), Fault::Partly(0xFF00_0000)];
@@ -139,7 +139,7 @@ fn a_move_that_fails_takes_nothing_along() {
         }
         log.store(&put(0, b"older")).unwrap();
         log.flash.faults = vec![(word, fault)];
-        // There is room for a short record, but not for this one.
+        // The log has room for a short record, but not for this one, so it is compacted.
         let moved = log.store(&put(0, &[7; 92]));
         assert_eq!(moved, Err(StoreError::Flash(())), "{word}");
         let taken = log.store(&put(9, b"on")).is_ok();
@@ -246,7 +246,7 @@ fn play(series: Vec<(Store, u8)>, faults: Vec<(u32, Fault)>) -> Result<(), TestC
     Ok(())
 }
 
-/// Changes with more keys than one walk finds.
+/// Changes of more keys than one walk over the log finds.
 fn many_keys() -> impl Strategy<Value = Vec<Store>> {
     let one = prop_oneof![
         20 => (0_u16..3 * KEYS as u16, proptest::collection::vec(any::<u8>(), 0..5)).prop_map(|(key, v)| put(key, &v)),

@@ -20,12 +20,13 @@
 //! # Damage
 //! Flash may lose a bit, and a file may be overwritten. A record with a wrong crc is skipped, and the next record is
 //! searched word by word. Any record with a right crc after the damage belongs to this log, because records begin at
-//! multiples of 4 and a sector is erased as a whole. (No text that a host can store looks like a record: its characters
-//! are neither the kind `PUT` nor the length of a `REMOVE`.) One wrong byte in a header is corrected by its crc.
+//! multiples of 4 and a sector is erased as a whole. (A text that a host can store never looks like a record, because
+//! its characters are neither the kind `PUT` nor the length of a `REMOVE`.) One wrong byte in a header is corrected by
+//! its crc.
 //!
 //! A power cut leaves a partial record at the end: some words, the last with only some of its bits programmed, then
-//! only erased words. This does not count as damage, unless one wrong byte in a complete record explains it too; that
-//! is possible only if the cut hit the last word of a record.
+//! only erased words. This does not count as damage, unless a complete record with one wrong byte would look the same.
+//! That is possible only if the cut hit the last word of a record.
 //!
 //! Damage is reported as a record with the key [`STORE_DAMAGED`] until that record is removed. The report survives
 //! power cycles and compaction. Removing the record compacts the log into the spare sector. Opening a damaged log
@@ -108,41 +109,41 @@ impl<E> From<E> for StoreError<E> {
     }
 }
 
-/// Free bytes below which an erase is urgent: room for about forty settings.
+/// Free bytes below which an erase is urgent. A setting takes 12 bytes.
 const RESERVE: u32 = 1024;
 const ERASED: u32 = u32::MAX;
 /// Bytes of a sector's header: sequence, its crc, the mark of a completed erase.
 const HEADER: u32 = 12;
 /// Address of the mark in a sector.
 const MARK_AT: u32 = 8;
-/// Value of the mark: the sector was erased completely.
+/// Value of the mark of a sector that was erased completely.
 const MARK: u32 = u32::from_le_bytes(*b"wipe");
 /// Bytes of the longest value.
 const LONGEST: u32 = 100;
 /// Words of the longest record.
 const LONGEST_WORDS: usize = 27;
-/// Maximum number of remembered gaps. After more gaps, records are checked each time they are read.
+/// Maximum number of remembered gaps. Behind further gaps, records are checked each time they are read.
 const GAPS: usize = 8;
 /// Number of keys whose records are found in one walk over the log.
 const KEYS: usize = 128;
-/// Stands for the address of a missing record: address 0 is in the header.
+/// Stands for the address of a missing record, because address 0 is in the header.
 const NOWHERE: u32 = 0;
 /// The polynomial of the CRC, its bits reflected.
 const POLYNOMIAL: u32 = CRC_32_JAMCRC.poly.reverse_bits();
-/// Kinds of record; both differ from erased and zeroed memory in several bits.
+/// Kind of a record with a value. Like `REMOVE`, it differs from erased and from zeroed memory in several bits.
 const PUT: u8 = 0xA5;
 /// Kind of a record that removes a range of keys.
 const REMOVE: u8 = 0x5A;
 
-/// The log. It has one owner; a change is complete in flash when the call returns.
+/// The log. It has one owner. A change is complete in flash when [`Log::store`] returns.
 #[derive(Clone, Debug)]
 pub struct Log<F> {
     flash: F,
     sector: Sector,
     sequence: u32,
-    /// Address after the last valid record: everything before it was checked or written.
+    /// Address after the last valid record. Everything before this address was checked or written.
     end: u32,
-    /// The words from `end` on are erased, so a record may be appended.
+    /// The words from `end` on are erased, so a record can be appended.
     appendable: bool,
     /// The sector in use is damaged.
     unsound: bool,
@@ -169,7 +170,8 @@ struct Gap {
     end: u32,
 }
 
-/// CRC-32 of IEEE 802.3 without its last inversion, bit by bit: rare and small.
+/// CRC-32 of IEEE 802.3 without its last inversion. Computed bit by bit, because it is rarely needed and a table would
+/// be larger.
 const CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_JAMCRC);
 
 /// Returns the CRC of whole words.
@@ -179,8 +181,8 @@ fn crc(words: &[u32]) -> u32 {
     digest.finalize()
 }
 
-/// Looks for a single wrong byte that explains why the last word is not the crc of the others. Returns the index of its
-/// word and the wrong bits in that word.
+/// Looks for a single wrong byte that explains why the last word is not the crc of the others. Returns the index of the
+/// word that contains it, and the wrong bits in that word.
 fn wrong_byte(words: &[u32]) -> Option<(usize, u32)> {
     let (sum, covered) = words.split_last()?;
     let mut difference = crc(covered) ^ sum;
@@ -188,7 +190,8 @@ fn wrong_byte(words: &[u32]) -> Option<(usize, u32)> {
         if difference.to_le_bytes().iter().filter(|byte| **byte != 0).count() <= 1 {
             return Some((index, difference));
         }
-        // The crc is linear: running backwards over a word gives the difference before that word.
+        // The crc is linear, so running it backwards over a word gives the difference that a wrong byte before that
+        // word must have made.
         for _ in 0..32 {
             difference = if difference >> 31 == 0 { difference << 1 } else { (difference ^ POLYNOMIAL) << 1 | 1 };
         }
@@ -296,7 +299,7 @@ impl<F: Flash> Log<F> {
     pub fn open(flash: F) -> Result<Self, F::Error> {
         let mut log = Self::over(flash);
         if !log.find_sector()? {
-            // No log is lost. This is the only place where the sector in use is erased.
+            // There is no log that could be lost. The sector in use is erased only here.
             log.sector = Sector::A;
             log.sequence = 1;
             log.appendable = true;
@@ -326,7 +329,7 @@ impl<F: Flash> Log<F> {
         }
     }
 
-    /// Finds the sector in use and its records. Returns `false` if there is none.
+    /// Finds the sector in use and its records. Returns `false` if there is no log.
     fn find_sector(&mut self) -> Result<bool, F::Error> {
         let a = sequence_of(&mut self.flash, Sector::A)?;
         let b = sequence_of(&mut self.flash, Sector::B)?;
@@ -343,7 +346,7 @@ impl<F: Flash> Log<F> {
             self.survey()?;
             return Ok(true);
         }
-        // The header has more than one wrong byte; records show that there is a log.
+        // No header is valid, even with one byte corrected. But if a sector has records, it holds a log.
         for sector in [Sector::A, Sector::B] {
             self.sector = sector;
             if self.flash.read(sector, 0)? != ERASED || self.flash.read(sector, 4)? != ERASED {
@@ -367,7 +370,7 @@ impl<F: Flash> Log<F> {
                 continue;
             };
             for (word, at) in entry.words().iter().zip((address..).step_by(4)) {
-                // Padding bytes do not matter, but a wrong one is reported as damage.
+                // Padding bytes do not matter, but a wrong padding byte is reported as damage.
                 self.unsound |= self.flash.read(self.sector, at)? != *word;
             }
             if address > self.end {
@@ -402,13 +405,14 @@ impl<F: Flash> Log<F> {
         }
         let (first, last, covered) = match words.as_slice() {
             [] => return Ok((true, false)),
-            // A power cut may leave any bits of a first word.
+            // A power cut can leave any bits in the first word of a record, so a single word is no damage.
             [_] => return Ok((false, false)),
             [first, .., last] => (*first, *last, words.get(..words.len() - 1).unwrap_or_default()),
         };
         let (outline, size) = (Outline::read(first), until - self.end);
         let cut_short = size < outline.size() || size == outline.size() && crc(covered) & !last == 0;
-        // With the byte mended the record is as long as what is there: else its crc fits by chance.
+        // A wrong byte explains these words only if the record with the mended byte has exactly their length. Otherwise
+        // its crc fits by chance.
         let one_byte = wrong_byte(&words).is_some_and(|(index, bits)| {
             let mended = if index == 0 { Outline::read(first ^ bits) } else { outline };
             mended.is_possible() && mended.size() == size
@@ -473,16 +477,18 @@ impl<F: Flash> Log<F> {
                 Entry { kind: REMOVE, key: *from, value }
             }
         };
-        // Damage cannot be repaired in place: removing its record compacts the log.
+        // Damage cannot be repaired in place, so removing the record that reports it compacts the log.
         let cleans = self.unsound && entry.kind == REMOVE && entry.replaces(STORE_DAMAGED);
-        // After a failed write, a restart may find something other than what is read now.
+        // Not after a failed write (not `appendable`), because a restart could find something other than what is read
+        // now.
         if !cleans && self.appendable && self.holds(&entry)? {
             return Ok(());
         }
         if cleans || !self.appendable || self.end + entry.size() > self.flash.sector_size() {
             return self.compact_into_spare(&entry);
         }
-        // If the memory fails within the record, the words written so far remain after the end.
+        // If the memory fails within the record, the words written so far remain after `end`, and no record can be
+        // appended there.
         self.appendable = false;
         self.end = self.append(self.sector, self.end, &entry)?;
         self.appendable = true;
@@ -494,8 +500,8 @@ impl<F: Flash> Log<F> {
         !self.spare_erased
     }
 
-    /// Returns whether the spare sector must be erased soon: no record fits before that, or only a few, or damage
-    /// cannot be cleared.
+    /// Returns whether the spare sector must be erased soon, because without that no record fits, or only a few fit, or
+    /// damage cannot be cleared.
     pub fn needs_erase_soon(&self) -> bool {
         !self.spare_erased && (!self.appendable || self.unsound || self.end + RESERVE > self.flash.sector_size())
     }
@@ -532,17 +538,18 @@ impl<F: Flash> Log<F> {
             from = next;
         }
         if damage {
-            // The damage has not been confirmed.
+            // The damage has not been confirmed, so the new sector must report it as well.
             let entry = Entry { kind: PUT, key: STORE_DAMAGED, value: heapless::Vec::new() };
             end = self.copy(target, end, &entry)?;
         }
         if coming.kind == PUT {
-            // The new record replaces its predecessor atomically: it becomes valid with the header, like the copies.
+            // The new record replaces its predecessor atomically, because it becomes valid with the header, like the
+            // copies.
             end = self.copy(target, end, coming)?;
         }
         let sequence = self.sequence.wrapping_add(1);
-        // If the last word of the header fails, a restart may find the new sector, and records appended here would be
-        // lost.
+        // If the last word of the header fails, nothing may be appended to the old sector any more: a restart can find
+        // the new sector valid, and records appended meanwhile would be lost.
         self.appendable = false;
         self.write_header(target, sequence)?;
         self.sector = target;
@@ -555,7 +562,7 @@ impl<F: Flash> Log<F> {
         Ok(())
     }
 
-    /// Appends to the sector being filled, if there is room.
+    /// Appends a record to the sector that is being filled, if there is room. Returns the address after the record.
     fn copy(&mut self, target: Sector, end: u32, entry: &Entry) -> Result<u32, StoreError<F::Error>> {
         if end + entry.size() > self.flash.sector_size() {
             return Err(StoreError::Full);
@@ -599,7 +606,7 @@ impl<F: Flash> Log<F> {
     fn entry(&mut self, address: u32) -> Result<Entry, F::Error> {
         let outline = self.outline(address)?;
         let mut entry = Entry { kind: outline.kind, key: outline.key, value: heapless::Vec::new() };
-        // `checked_entry` refuses longer values.
+        // This cannot fail, because `checked_entry` refuses longer values.
         let _ = entry.value.resize_default(outline.length as usize);
         let mut at = address + 4;
         for bytes in entry.value.chunks_mut(4) {
@@ -642,7 +649,8 @@ impl<F: Flash> Log<F> {
     }
 
     /// Returns the addresses of the valid records of the `KEYS` keys from `from` on, and the first later key that has a
-    /// record. One walk finds all of them: searching for each record's replacement would take seconds in a full log.
+    /// record. One walk over the log finds all of them. Searching the log for each record's replacement would take
+    /// seconds if the log is full.
     fn counting(&mut self, from: u16) -> Result<(Places, Option<u16>), F::Error> {
         let mut places = [NOWHERE; KEYS];
         let index = |key: u16| usize::from(key.saturating_sub(from)).min(KEYS);

@@ -1,4 +1,4 @@
-//! The settings log on a flash memory in RAM. The power is cut after each operation: each record is then the old or the
+//! The settings log on a flash memory in RAM. If the power is cut after any operation, each record is the old or the
 //! new one.
 
 #[path = "damage_tests.rs"]
@@ -13,7 +13,7 @@ use std::vec::Vec;
 
 const SIZE: u32 = 512;
 
-/// Flash in RAM whose power can be cut: after `power` more operations, each further operation is done in part and
+/// Flash in RAM whose power can be cut. After `power` more operations, each further operation is done in part and
 /// fails.
 #[derive(Clone, Debug)]
 struct Mock {
@@ -83,7 +83,7 @@ impl Flash for Mock {
     fn erase(&mut self, sector: Sector) -> Result<(), PowerCut> {
         let powered = self.spend();
         let words = &mut self.sectors[sector as usize];
-        // An interrupted erase may look complete or not.
+        // An interrupted erase can look complete or incomplete.
         let upto = if powered || self.torn_bits & 1 != 0 { words.len() } else { words.len() / 2 };
         words[..upto].fill(ERASED);
         self.whole[sector as usize] = powered;
@@ -271,7 +271,7 @@ fn cut_everywhere(changes: &[Store], torn_bits: u32) -> Result<(), TestCaseError
         let mut log = Log::open(flash).unwrap();
         let (stored, told) = found(&mut log);
         prop_assert!(stored == before || stored == after, "{stored:?} is neither {before:?} nor {after:?}");
-        // Only if the missing bits of a crc are in a single byte may the cut be taken for damage.
+        // A power cut may be reported as damage only if the missing bits are those of a crc and lie in a single byte.
         let one_byte = |missing: u32| missing.to_le_bytes().iter().filter(|byte| **byte != 0).count() == 1;
         let like_damage = torn.is_some_and(|(sector, address, missing)| {
             one_byte(missing) && (address == 4 || log.is_erased(sector, address + 4).unwrap())
@@ -285,7 +285,8 @@ fn cut_everywhere(changes: &[Store], torn_bits: u32) -> Result<(), TestCaseError
     Ok(())
 }
 
-/// With one byte corrected, the crc of this partial record would fit by chance, but no such record has this length.
+/// If one byte of this partial record were corrected, its crc would fit by chance. But a record with the corrected byte
+/// would have another length, so this is not damage.
 #[test]
 fn a_crc_that_fits_by_chance_is_no_damage() {
     let value = heapless::Vec::from_slice(&[203, 117, 14, 83, 92, 38, 228, 0, 129, 48]).unwrap();

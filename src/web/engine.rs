@@ -1,6 +1,6 @@
-//! The functions of the WebAssembly module, without pointers: `check` and `stream` run a job, `turn` advances a machine
-//! by microseconds, `rows` returns the path as numbers, and `describe` the tables of settings, errors and alarms.
-//! Orders are JSON.
+//! The functions of the WebAssembly module, with Rust types instead of pointers: `check` and `stream` run a job, `turn`
+//! advances a machine by microseconds, `rows` returns the path as numbers, and `describe` the tables of settings,
+//! errors and alarms. Orders are JSON.
 
 use oxmill_controller::axes::LINEAR;
 use oxmill_controller::error::{Alarm, Error};
@@ -155,7 +155,8 @@ pub fn stream(order: &Order, job: &[u8]) -> Result<[Streaming; 2], String> {
     Ok([Streaming::new(power_up_for_job(order)?, job, 0), Streaming::new(power_up_for_job(order)?, job, order.baud)])
 }
 
-/// Returns the rest of a job as JSON: the program, its first line in the file, the number of lines, and the prologue.
+/// Returns the rest of a job as JSON: the program, the line number in the file at which the rest begins, the number of
+/// lines of the file, and the prologue.
 ///
 /// # Errors
 /// As [`power_up`], or if the order does not say where to resume, or if the job cannot be resumed there.
@@ -208,7 +209,7 @@ pub const ARC: u32 = 1 << 30;
 pub fn rows(check: &Check) -> (Vec<f32>, Vec<u32>, Vec<u32>, Vec<u32>) {
     let simulator = check.simulator();
     let points = simulator.meter().drawing().map_or(&[][..], Drawing::points);
-    // The step counters began at 0 at power-up; the machine coordinates of that position may differ.
+    // The points count from the position at power-up, whose machine coordinates are not 0 if the machine was homed.
     let here = simulator.machine_place();
     let counted = simulator.meter().millimetres(simulator.machine().motors());
     let row = |point: &Point| {
@@ -271,7 +272,8 @@ fn setting(row: &Row, settings: &Settings<AXES>) -> Value {
     let default = settings.by_number(row.number).unwrap_or_default();
     json!({ "number": row.number, "name": String::from_utf8_lossy(&name), "unit": row.description.unit, "kind": kind,
         "min": min, "max": max, "values": String::from_utf8_lossy(&values),
-        // As users write it: an f32 has some nine digits, the table seven.
+        // Convert through text, because the `f64` nearest to the text 0.01 is shown as 0.01, but that of the `f32` 0.01
+        // as 0.00999999977...
         "default": default.to_string().parse::<f64>().unwrap_or_default(), "grbl": row.entry.grbl,
         "explanation": explain::setting(row.number), "title": row.description.name, "group": row.description.group.text(),
         "labels": row.description.labels.split(',').filter(|label| !label.is_empty()).collect::<Vec<_>>(),
@@ -357,8 +359,8 @@ mod tests {
         assert_eq!(errors("\"G999\""), Err("G999: error:20".into()));
     }
 
-    /// Short moves of several lines are merged, N words keep them separate, and numbering the moves by lines changes
-    /// neither.
+    /// Short moves of several lines are merged unless the lines have different N words. Keeping the path, for which the
+    /// moves are numbered by lines, must not change that.
     #[test]
     fn a_path_changes_nothing_of_the_job() {
         let short: String = (1..400).map(|i| format!("G1 X{}\n", f64::from(i) * 0.003)).collect();

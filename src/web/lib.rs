@@ -49,7 +49,7 @@
 //! executes before the job: its offsets and tools. Settings are applied in the order of their numbers, the dialect
 //! last.
 //!
-//! A panic traps and ends the instance; its text can still be fetched.
+//! A panic traps and ends the instance; the text of the panic can still be fetched.
 
 pub mod engine;
 
@@ -84,7 +84,7 @@ struct Instance {
 
 thread_local! {
     static INSTANCE: RefCell<Instance> = RefCell::default();
-    // Separate, because a panicking call has `INSTANCE` borrowed.
+    // `PANIC` is not part of `INSTANCE`, because a call that panics still has `INSTANCE` borrowed.
     static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
 }
 
@@ -95,7 +95,7 @@ fn with<T>(call: impl FnOnce(&mut Instance) -> T) -> T {
     INSTANCE.with_borrow_mut(call)
 }
 
-/// Runs a call that takes the input and may fail. Its result or its error becomes the output.
+/// Runs a call that takes the input and can fail. The result or the error becomes the output.
 fn answer(call: impl FnOnce(&mut Instance, &[u8]) -> Result<Vec<u8>, String>) -> u32 {
     with(|instance| {
         let input = std::mem::take(&mut instance.input);
@@ -185,7 +185,7 @@ pub extern "C" fn oxmill_check_seconds() -> f64 {
     with(|instance| instance.check.as_ref().map_or(0.0, Check::seconds))
 }
 
-/// Outputs the summary of the job. The input may contain its name.
+/// Outputs the summary of the job. The input is the name of the job.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_check_summary() -> u32 {
     answer(|instance, name| {
@@ -238,7 +238,7 @@ pub extern "C" fn oxmill_stream_begin() -> u32 {
     })
 }
 
-/// Advances the machine by `milliseconds`.
+/// Advances the machines of both links by `milliseconds`.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_stream_advance(milliseconds: u32) -> u32 {
     with(|instance| {

@@ -79,8 +79,8 @@ fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Returns all Rust files below a folder, with their path from there. Skips `tests` (folder or file): the rules do not
-/// apply to tests, and [`faults`] checks that they are only part of test builds.
+/// Returns all Rust files below a folder, with their paths relative to it. Skips folders and files named `tests`,
+/// because the rules do not apply to tests; [`faults`] checks that these are part of test builds only.
 fn sources(folder: &Path) -> Vec<(PathBuf, String)> {
     let mut found = source::all(folder);
     found.retain(|(file, _)| {
@@ -101,7 +101,8 @@ fn module_of(file: &Path) -> Vec<String> {
     parts
 }
 
-/// Returns the room that a path leads to, if any: `crate::x::..`, or enough `super::` to reach the root.
+/// Returns the room (or name in the crate's root) that a path leads to, if the path starts with `crate`, `self` or
+/// `super`.
 fn room_of(path: &[String], module: &[String]) -> Option<String> {
     let mut base = module.to_vec();
     let mut rest = path;
@@ -127,11 +128,11 @@ fn room_of(path: &[String], module: &[String]) -> Option<String> {
 
 /// Returns the rules that a file of the controller violates.
 fn faults(file: &Path, text: &str) -> Vec<String> {
-    // On hosts, lent memory comes from the heap, so this line is allowed.
+    // `extern crate alloc;` is allowed: on hosts, the memory lent to the controller comes from the heap.
     let text = source::bare(text).replace("extern crate alloc;", "");
     let module = module_of(file);
     let mut faults = Vec::new();
-    // `bare` has removed the items marked `#[cfg(test)]`.
+    // Only unmarked test modules are left: `bare` has removed the items marked `#[cfg(test)]`.
     if source::words(&text).zip(source::words(&text).skip(1)).any(|(a, b)| a == "mod" && b == "tests") {
         faults.push("has `mod tests` without #[cfg(test)] right before it".to_string());
     }
@@ -150,8 +151,8 @@ fn faults(file: &Path, text: &str) -> Vec<String> {
         if path[0] == "std" || path[0] == "alloc" && room != "lent" {
             faults.push(format!("uses `{}`", path.join("::")));
         }
-        // An inline module would shift `super` by one level; outside tests the rooms have none. Names that the crate's
-        // root re-exports are rejected, because they would bypass the table.
+        // `room_of` counts `super` from the module of the file. That is right because rooms have inline modules only in
+        // tests. Names that the crate's root re-exports are rejected, because they would bypass the table.
         if let Some(other) = room_of(&path, &module)
             && other != *room
             && !allowed.contains(&other.as_str())
@@ -204,7 +205,7 @@ fn dependencies(manifest: &str) -> Vec<String> {
     for line in manifest.lines().map(str::trim) {
         if line.starts_with('[') {
             inside = line == "[dependencies]";
-            // Also `[dependencies.x]` and tables for single targets.
+            // Dependencies can also have tables of their own (`[dependencies.x]`), and tables for single targets.
             if let Some(name) = line.trim_matches(['[', ']']).split("dependencies.").nth(1)
                 && !line.contains("dev-dependencies")
             {
@@ -234,7 +235,7 @@ fn simulator_faults(_: &Path, text: &str) -> Vec<String> {
     let text = source::bare(text);
     let mut faults: Vec<String> =
         source::words(&text).filter(|w| w == "unsafe").map(|_| "says `unsafe`".to_string()).collect();
-    // The simulator only pumps the controller: using more of its rooms than their types would make a second controller.
+    // The simulator runs on any host, so it must not use crates for the hardware.
     for path in source::paths(&text) {
         if ["rtic", "rtic_sync", "cortex_m", "stm32f4xx_hal", "defmt"].contains(&path[0].as_str()) {
             faults.push(format!("uses `{}`", path.join("::")));
@@ -259,7 +260,7 @@ fn board_faults(_: &Path, text: &str) -> Vec<String> {
             "oxmill_controller" => {
                 matches!(path.get(1).map(String::as_str), Some("Profile" | "StepRates" | "digest" | "ResetCause"))
             }
-            // Received bytes reach a task through a channel, so boards need neither of these.
+            // Boards hand received bytes to a task through a channel, so they need neither RTIC nor the simulator.
             "rtic" | "oxmill_simulator" => false,
             _ => true,
         };
@@ -275,7 +276,8 @@ fn boards_know_pins_only() {
     report(&root().join("boards"), board_faults);
 }
 
-/// A port number can be turned into any address. So only the folder that knows the registers may read and write them.
+/// Code that turns a port number into an address could reach any register. So only the folder that knows the registers
+/// can read and write them.
 #[test]
 fn registers_are_reached_from_their_folder_only() {
     let text = source::bare(&fs::read_to_string(root().join("boards/stm32f4/registers.rs")).unwrap());

@@ -6,7 +6,8 @@ use crate::{CORE, module_of, root, sources};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Type names that occur several times in a crate, with their number: stubs have the names of the parts they replace.
+/// Type names that occur several times in a crate, with the number of occurrences: a stub has the name of the part that
+/// it replaces.
 const SAME_NAMES: &[(&str, usize)] = &[
     ("src/controller Computed", 2),
     ("src/controller ComputedMemory", 2),
@@ -19,7 +20,8 @@ const SAME_NAMES: &[(&str, usize)] = &[
 const CRATES: [&str; 8] =
     ["boards", "src/controller", "src/firmware", "src/sqrt", "src/simulator", "src/step_task", "src/store", "src/web"];
 
-/// Compares figures with a limit and with the list of allowed exceptions.
+/// Fails if a figure exceeds the limit, unless it is listed with exactly this value; also if a listed figure is within
+/// the limit.
 fn judge(what: &str, found: &BTreeMap<String, usize>, limit: usize, listed: &[(&str, usize)]) {
     let mut faults = Vec::new();
     for (name, figure) in found.iter().filter(|(_, figure)| **figure > limit) {
@@ -124,8 +126,8 @@ fn imports_between_the_files_of_a_room_go_one_way() {
                     |name: &String| by_module.contains_key(&[&module[..], std::slice::from_ref(name)].concat());
                 let Some(full) = full_path(&path, &module, is_child) else { continue };
                 let full = exported.get(&full).unwrap_or(&full);
-                // The longest module that is a prefix of the path. Items in a room's root do not count: they are the
-                // types and states that all files of the room share.
+                // The path leads to the file whose module is the longest prefix of the path. Paths to a room's root are
+                // ignored, because all files of the room share the types and states there.
                 let target = (2..=full.len()).rev().find_map(|n| by_module.get(&full[..n]));
                 if let Some(other) = target.filter(|other| **other != file) {
                     graph.entry(file.clone()).or_default().insert((*other).clone());
@@ -138,7 +140,7 @@ fn imports_between_the_files_of_a_room_go_one_way() {
     judge("files on a circle of imports", &found, 0, &[]);
 }
 
-/// Returns the names that a module re-exports: its own path for a name, and the original path.
+/// Returns the names that a module re-exports, each as the path that the module gives it and the original path.
 fn re_exports(module: &[String], text: &str) -> Vec<(Vec<String>, Vec<String>)> {
     let bare = source::bare(text);
     let uses = bare.split(';').filter_map(|item| item.trim().rsplit_once("pub use ").map(|(_, tree)| tree.to_owned()));
@@ -176,7 +178,7 @@ fn full_path(path: &[String], module: &[String], is_child: impl Fn(&String) -> b
 #[test]
 fn a_crate_has_each_type_name_once() {
     let mut found: BTreeMap<String, usize> = BTreeMap::new();
-    // Every board defines the names of the boards' contract.
+    // The boards are left out, because each of them defines the types of the same contract.
     for folder in CRATES.into_iter().filter(|folder| *folder != "boards") {
         for (_, items) in items(folder) {
             for item in items.iter().filter(|item| ["struct", "enum", "trait"].contains(&item.kind.as_str())) {

@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Returns all Rust files below a folder, with their path from there, sorted; skips `target` and `node_modules`.
+/// Returns all Rust files below a folder, with their paths relative to it, sorted; skips `target` and `node_modules`.
 pub fn all(folder: &Path) -> Vec<(PathBuf, String)> {
     let mut found = Vec::new();
     let mut folders = vec![folder.to_path_buf()];
@@ -183,7 +183,7 @@ impl Item {
         let mut found = Vec::new();
         let mut at = 0;
         while at + 1 < self.body.len() {
-            // `fn(` is a type.
+            // A `fn` without a name is a type, such as `fn(u8)`.
             if self.body[at] == "fn" && is_name(&self.body[at + 1]) {
                 let end = end_of(&self.body, at);
                 if self.body[end] == "}" {
@@ -294,7 +294,7 @@ pub fn paths(text: &str) -> Vec<Vec<String>> {
     found
 }
 
-/// Collects one tree of a `use`: a path that may end in `*`, in `as name`, or in a group of trees.
+/// Collects one tree of a `use`: a path that can end in `*`, in `as name`, or in a group of trees.
 fn tree(tokens: &[String], at: &mut usize, prefix: &[String], found: &mut Vec<Vec<String>>) {
     let mut path = prefix.to_vec();
     while let Some(token) = tokens.get(*at) {

@@ -47,7 +47,7 @@ fn no_condition_of_the_firmware_names_a_board() {
     assert!(read > 10);
 }
 
-/// Code for a chip depends on the chip's feature, so a new board with this chip needs no entry elsewhere.
+/// Conditions name the feature of a chip, not of a board, so a new board with the same chip needs no other change.
 #[test]
 fn only_the_choice_of_a_board_names_one_in_a_condition() {
     let files = sources(&root().join("boards"));

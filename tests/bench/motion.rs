@@ -15,7 +15,7 @@ use std::collections::VecDeque;
 use std::process::ExitCode;
 
 const AXES: usize = 3;
-/// Number of blocks of the boards.
+/// Look-ahead of the boards, in blocks.
 const BOARD: usize = oxmill_simulator::boards::BLOCKS;
 /// More blocks than any job has.
 const UNLIMITED: usize = 1 << 17;

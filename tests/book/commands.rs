@@ -64,7 +64,7 @@ fn filled_in(word: &str) -> String {
 fn fault_of_oxmill(words: &[&str], whole: bool) -> Option<String> {
     let words: Vec<String> = words.iter().map(|word| filled_in(word)).collect();
     let error = CommandLine::try_parse_from(words).err()?;
-    // A command that the text only names may lack its arguments.
+    // A command that the text only names can lack its arguments.
     let is_short = matches!(
         error.kind(),
         ErrorKind::MissingRequiredArgument
@@ -82,7 +82,7 @@ fn fault_of_test(words: &[&str]) -> Option<String> {
     names.filter(|name| *name != "NAME").find(|name| !exists(name)).map(|name| format!("there is no test `{name}`"))
 }
 
-/// Returns an unknown option: each option with two dashes must occur in some file of `xtask`.
+/// Returns an error for the first option that no file of `xtask` contains.
 fn fault_of_flags(words: &[&str]) -> Option<String> {
     let files =
         std::fs::read_dir(root().join("xtask/src")).expect("xtask").map(|entry| entry.expect("an entry").path());

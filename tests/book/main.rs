@@ -198,7 +198,7 @@ fn settings_that_pages_for_newcomers_name_exist() {
         (0..Settings::<3>::LINES).filter_map(|line| settings.row(line)).map(|row| row.1).collect();
     let mut seen = 0;
     for name in ["boards", "first-cut", "set-up", "tuning", "coming-from", "troubleshooting", "senders"] {
-        // The first column of a table may have the setting numbers of other controllers.
+        // The first column of a table can have the setting numbers of other controllers.
         let text = read(&root().join(format!("docs/{name}.md")));
         let own: String = text
             .lines()

@@ -1,9 +1,9 @@
 //! A board without the simulator: a controller with its queues, the step generator, a store and a clock. A fuzz target
-//! may delay, starve or falsify each of them. It follows [`oxmill_controller::pump`], as every board does.
+//! can delay, starve or falsify any of these. The board follows [`oxmill_controller::pump`], as every board does.
 //!
-//! It checks invariants for any input: a round makes a bounded number of outputs; a controller that wants lines
-//! finishes its work; no wake-up is in the past; while locked, nothing is sent to the step task or stepped; each line
-//! is answered once.
+//! It checks invariants for any input: a round makes a bounded number of outputs; a controller that accepts lines has
+//! nothing left to do after a bounded number of rounds; no wake-up is in the past; while the machine is locked, no
+//! motion is sent to the step task and no step is made; each line is answered once.
 
 use super::work;
 use oxmill_controller::memory::Memory;
@@ -19,16 +19,18 @@ use std::collections::{BTreeMap, VecDeque};
 
 pub const AXES: usize = 3;
 const BLOCKS: usize = 16;
-/// Maximum number of outputs of a round that are not answers: each but the last changes a pin or its wiring.
+/// Maximum number of outputs in a round, not counting answers. Each of these outputs but the last changes a pin or its
+/// wiring.
 const MOST_QUIET_OUTPUTS: usize = 8;
-/// Maximum number of rounds without time passing. A program can loop without moving; such a loop is left running.
+/// Maximum number of rounds without time passing. A program can loop without moving; if it takes more rounds, it is
+/// left looping.
 const MOST_ROUNDS: usize = 3_000;
 /// Maximum number of control-flow edges in a round; the highest count when this was chosen: 24,963.
 const MOST_WORK: u64 = 100_000;
-/// Maximum number of ticks and wake-ups of a session; after that time stands still.
+/// Maximum number of ticks and wake-ups in a session. After these, time no longer advances.
 const MOST_MOMENTS: u32 = 60_000;
 
-/// Sources that may be delayed, as bits.
+/// Sources that can be delayed, as bits.
 pub mod late {
     pub const STEP: u8 = 1;
     pub const COMMANDS: u8 = 2;
@@ -81,7 +83,7 @@ pub struct Board {
     said: Vec<u8>,
     round_replies: usize,
     moments: u32,
-    /// Whether all events are ones that a real board can send. Otherwise the events may be false, and the controller
+    /// Whether all events are ones that a real board can send. Otherwise events can be false, and the controller
     /// only has to survive them.
     pub is_true: bool,
     /// Minimum and maximum positions of the motors, in steps, while soft limits are on and the position is trusted.
@@ -111,7 +113,7 @@ struct Book {
     last_byte: u8,
     /// Number of answers that must have been sent.
     least: usize,
-    /// Number of answers that may have been sent.
+    /// Number of answers that can have been sent.
     most: usize,
     /// Number of answers that were sent.
     come: usize,
@@ -126,7 +128,7 @@ impl Book {
         match byte.byte {
             HOST_CHANGED => self.is_sure = true,
             b'\n' | b'\r' => {
-                // A line end may be two bytes.
+                // CR LF need not be answered twice: its LF can be the end of an empty line, or part of one line end.
                 let merged = byte.byte == b'\n' && self.last_byte == b'\r';
                 self.most += 1;
                 self.least += usize::from(self.is_sure && !merged);
@@ -235,7 +237,8 @@ impl Board {
 
     pub fn send(&mut self, bytes: &[u8]) {
         if self.has_room(bytes.len()) {
-            // The link takes every 0x18 as a reset.
+            // 0x18 cannot be part of a line, because the link takes it as a reset. In the queue it means
+            // [`HOST_CHANGED`].
             let bytes = bytes.iter().filter(|byte| **byte != HOST_CHANGED);
             self.lines.extend(bytes.map(|byte| (LineByte { byte: *byte, epoch: self.epoch, damaged: false }, true)));
         }
@@ -262,7 +265,7 @@ impl Board {
         }
     }
 
-    /// Marks queued lines as possibly dropped.
+    /// Notes that the queued lines, and the line in progress, need not be answered, because they can have been dropped.
     fn forget_lines(&mut self) {
         self.lines.iter_mut().for_each(|(_, sure)| *sure = false);
         self.book.is_sure = false;
@@ -418,20 +421,20 @@ impl Board {
                     self.book.settle();
                 }
                 let wakeup = self.controller.next_wakeup();
-                // A pending stop excuses a past wake-up: on a board the stop comes before the next instruction. A faked
-                // stop never comes.
+                // A wake-up may be in the past while a stop is pending, because on a board the stop arrives before the
+                // next instruction; and after false events, because the stop that the controller waits for never comes.
                 let is_owed = !self.is_true || self.late & late::STEP != 0 && !self.reports.is_empty();
                 assert!(is_owed || wakeup.is_none_or(|at| at > self.now()), "{wakeup:?} is past at {}", self.now);
                 return;
             }
             assert_eq!(begun, self.stepper.segments_begun(), "time stands still in a round");
         }
-        // Only a loop of a program may run without end.
+        // Only a program in a loop can go on for so long, and meanwhile the controller accepts no line.
         self.unended += 1;
         assert!(!self.controller.wants_line(), "rounds without end");
     }
 
-    /// Returns the output since the last call.
+    /// Returns the output that has not been taken yet.
     pub fn take_said(&mut self) -> String {
         String::from_utf8(std::mem::take(&mut self.said)).expect("ASCII")
     }
@@ -495,10 +498,11 @@ impl Pump<AXES> for Board {
                 let sensed = self.levels.pop_front()?;
                 self.sensed.tripped = 0;
                 if sensed.signals.reset || sensed.signals.emergency_stop || sensed.tripped != 0 {
-                    // Everything received so far is dropped.
+                    // The controller drops all lines received so far.
                     self.forget_lines();
                     if self.commands.iter().any(|command| command.opens_epoch()) {
-                        // A byte that was handed over but waits for its command is dropped, too.
+                        // A byte that the controller has taken, but that waits for the pending command, is dropped,
+                        // too.
                         self.book.least = self.book.come;
                     }
                 }
@@ -508,7 +512,7 @@ impl Pump<AXES> for Board {
                 let event = self.hosts.pop_front()?;
                 if matches!(event, Event::Disconnected(_)) {
                     self.forget_lines();
-                    // The line in progress is not answered, either.
+                    // The line in progress is not answered.
                     self.book.least = self.book.come;
                 }
                 Some(event)
@@ -534,7 +538,7 @@ impl Pump<AXES> for Board {
             return None;
         }
         self.lines.pop_front();
-        // The line of this byte is dropped, and not answered.
+        // The line that this byte belongs to is dropped, and not answered.
         self.book.given(byte, false);
         Some(byte)
     }

@@ -1,6 +1,6 @@
 //! All events that a controller can receive, in any order: bytes of lines, realtime commands, inputs, contacts, stops,
 //! late segments, miscounted steps, replies of a store that works or fails, hosts that connect and disconnect, jumps in
-//! time; each source may be delayed. The first byte chooses whether the step task and the inputs may also send false
+//! time; each source can be delayed. The first byte chooses whether the step task and the inputs also send false
 //! events: stops that were not ordered, of any number and position, and replies to nothing.
 //!
 //! Invariants, in addition to those of the board: `?` is answered by one report; the position at rest is that of the
@@ -62,7 +62,7 @@ enum Lie {
     Trips { levels: u16, trips: u8, tripped: u16 },
 }
 
-/// Lines that random bytes would not produce soon.
+/// Lines that random bytes would hardly ever produce.
 #[derive(Arbitrary, Debug)]
 enum Line {
     Move { motion: u8, axes: [i8; AXES], feed: u8 },
@@ -110,14 +110,15 @@ const LINES: [&str; 33] = [
 /// Settings that change behaviour, but not how long a session takes.
 const NUMBERS: [u16; 24] =
     [0, 1, 3, 5, 10, 13, 15, 20, 21, 22, 23, 27, 30, 32, 40, 56, 58, 900, 901, 902, 924, 925, 926, 928];
-/// The one of these settings that makes positions differ from the motors' count: the direction mask.
+/// The only one of these settings that changes how positions follow from the motors' count of steps: the direction
+/// mask.
 const RENAMING: &str = "$3=";
 /// Commands from this number on set [`WATCHES`].
 const WATCHES_FROM: u8 = 240;
-/// Settings of what the machine monitors, and of its reactions to faults; none of them makes positions differ from the
-/// motors' count.
+/// Settings of what the machine monitors, and of its reactions to faults. None of them changes how positions follow
+/// from the motors' count of steps.
 const WATCHES: [u16; 11] = [914, 915, 916, 918, 922, 923, 924, 926, 927, 928, 929];
-/// Of these settings the value is a multiple of 0.05 s.
+/// Those of [`WATCHES`] whose value is a multiple of 0.05 s.
 const TIMES: [u16; 4] = [916, 922, 923, 929];
 
 impl Line {
@@ -242,7 +243,7 @@ impl Account {
             _ => false,
         };
         if renames {
-            // From now on nothing is checked: the text may change the step length or the backlash.
+            // The position is no longer checked, because the action can change it, the step length or the backlash.
             self.miscounted = true;
         }
     }
@@ -276,14 +277,14 @@ fn back_to_idle(mut board: Board) {
         return;
     }
     board.inputs(0);
-    // A startup line may move for long, even after a dwell: a reset during motion locks the machine, and then the line
-    // is not carried out.
+    // A startup line can keep the machine moving for long, also after a dwell. The second reset then comes during this
+    // motion and locks the machine, so the startup line is not carried out once more.
     let is_restored = (0..4).any(|_| {
         for time in [20_000, 200_000] {
             board.command(Realtime::Reset);
             board.pass(time, false);
         }
-        // The empty line ends a line that had been started.
+        // The empty line ends an unfinished line.
         board.ask("");
         board.ask("$RST=*").lines().any(|said| said == "ok")
     });

@@ -2,7 +2,8 @@
 //! first byte chooses the dialect, block delete on or off, and a fourth axis or none.
 //!
 //! Invariants: a rejected line changes nothing; every position stays within range; every value that a line yields is a
-//! finite number; held text ends or continues in bounded steps.
+//! finite number; carrying out the stored lines of a subroutine, loop or macro takes a bounded number of steps per
+//! line.
 
 use super::work::at_most;
 use oxmill_controller::gcode::{
@@ -10,12 +11,12 @@ use oxmill_controller::gcode::{
 };
 use oxmill_controller::protocol::line_filter::{self, Line, LineRules, Pushed};
 
-/// X, Y, Z and A; the first byte may disable A.
+/// X, Y, Z and A; the first byte can disable A.
 const AXES: usize = 4;
 /// Maximum number of control-flow edges in a call; the highest count in 20 million executions was 5,120: a call that
 /// looks for its subroutine in a full store of macros.
 const MOST_WORK: u64 = 20_000;
-/// Maximum number of lines that a program may execute: a loop may be endless.
+/// Maximum number of lines that a program executes, because it can contain an endless loop.
 const MOST_LINES: usize = 2_000;
 
 struct Program {

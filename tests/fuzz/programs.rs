@@ -12,7 +12,7 @@ use oxmill_controller::messages::Realtime;
 use oxmill_controller::protocol::realtime;
 use std::collections::BTreeMap;
 
-/// Steps/mm: few, so that programs run fast. An execution runs as many lines as its input has.
+/// Steps/mm: few, so that the lines of a program run fast.
 const STEPS_PER_MM: i64 = 4;
 /// Travel, mm.
 const TRAVEL: i32 = 60;
@@ -20,11 +20,11 @@ const SETTINGS: &str = "$100=4 $101=4 $102=4 $110=30000 $111=30000 $112=30000 $1
     $132=60 $24=3000 $25=6000 $26=1 $27=1 $22=1 $20=1";
 /// Position of the motors at the switches, in steps from power-up.
 const SWITCHES: i32 = 20;
-/// Number of waits for an answer before the program is abandoned: a loop may be endless.
+/// Number of waits for an answer before the program is abandoned, because it can contain an endless loop.
 const MOST_WAITS: usize = 40;
 /// Maximum number of rounds without time passing before a line counts as a loop.
 const MOST_ROUNDS: usize = 600;
-/// Maximum number of such loops of one input.
+/// Maximum number of such loops in one input.
 const MOST_UNENDED: usize = 2;
 /// Maximum number of lines of an input.
 const MOST_LINES: usize = 48;
@@ -72,7 +72,7 @@ pub fn run(data: &[u8]) {
     let Some((first, text)) = data.split_first() else { return };
     let mut board = HOMED.with(|boards| boards[usize::from(*first % 3)].clone());
     for line in text.split(|byte| matches!(byte, b'\n' | b'\r')).take(MOST_LINES) {
-        // Commands and settings may change the travel, so they are skipped; jogs are allowed.
+        // Lines with `$` are skipped, because settings and commands can change the travel; jogs are allowed.
         let text: Vec<u8> = line.iter().copied().filter(|byte| !is_realtime(*byte)).collect();
         if text.contains(&b'$') && !text.starts_with(b"$J=") {
             continue;
@@ -102,8 +102,8 @@ fn interrupt(board: &mut Board, line: &[u8]) {
     }
 }
 
-/// Sends a text and the realtime commands of its line, and waits for the answer. Returns `false` if there is none, as
-/// in an endless loop.
+/// Sends a text and the realtime commands of its line, and waits for the answer. Returns `false` if no answer
+/// arrives, as in an endless loop.
 fn carry_out(board: &mut Board, text: &[u8], line: &[u8]) -> bool {
     if !board.has_room(text.len() + 1) {
         return false;
@@ -118,7 +118,7 @@ fn carry_out(board: &mut Board, text: &[u8], line: &[u8]) -> bool {
                 println!("{:?} {:?} {:?}", line.escape_ascii().to_string(), board.take_said(), board.motors);
             }
             if board.controller.alarm().is_some() {
-                // After a stop at speed the machine is not trusted, so soft limits no longer apply.
+                // After a stop at speed the machine is not trusted, and soft limits do not apply.
                 board.ask("$X");
                 if !board.controller.is_trusted() {
                     board.travel = None;

@@ -51,7 +51,7 @@ enum Action<'a> {
     Pin(u8, bool),
     Wait(u8),
     Hosts(bool),
-    /// The power fails while this line is written to the store, after `after` words, and returns.
+    /// This line is sent. While it is being stored, the power fails after `after` words and returns.
     PowerCut {
         line: Line,
         after: u8,
@@ -59,7 +59,7 @@ enum Action<'a> {
     },
 }
 
-/// Lines that random bytes would not produce soon.
+/// Lines that random bytes would hardly ever produce.
 #[derive(Arbitrary, Debug)]
 enum Line {
     Move { motion: u8, axes: [i16; 3], feed: u8 },
@@ -162,8 +162,8 @@ fn act(mill: &mut Simulator, action: &Action) {
     }
 }
 
-/// Sends bytes if there is room, like a sender that counts characters: so realtime commands never wait for lines that
-/// do not fit.
+/// Sends bytes only if there is room for them, as a sender that counts characters does. So no realtime command has to
+/// wait behind a line that does not fit.
 fn send(mill: &mut Simulator, bytes: &[u8]) {
     if mill.unread() + bytes.len() <= mill.board().received_bytes {
         mill.send(bytes);
@@ -229,8 +229,8 @@ pub fn back_to_idle(mill: &mut Simulator, history: &str) {
     reset(mill);
     reset(mill);
     assert!(!mill.is_stepping(), "a reset ends every motion: {} {history}", status(mill));
-    // The empty line ends a line whose start was cut off by a reset. Where a power cut looked like damage, `$X`
-    // confirms it after the settings have been listed for a while.
+    // The empty line ends a line whose start was cut off by a reset. If a power cut has left what looks like damage,
+    // the controller accepts `$X` only some time after the settings have been listed.
     mill.take_output();
     mill.send("\n$X\n");
     mill.run_for(Duration::from_millis(100));

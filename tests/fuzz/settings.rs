@@ -86,13 +86,13 @@ struct Machine {
     listed: Listed,
     /// Whether all changes since the last power-up have been stored.
     is_stored: bool,
-    /// Whether a startup line moves for long: nothing more is sent then.
+    /// Whether a startup line keeps the machine moving for long. If so, nothing more is sent.
     is_busy: bool,
 }
 
 /// Maximum number of actions of an input: after each action everything is listed.
 const MOST_ACTIONS: usize = 16;
-/// Maximum number of times that a line may wait for the operator.
+/// Maximum number of times that a line is expected to wait for the operator.
 const MOST_WAITS: usize = 4;
 
 thread_local! {
@@ -180,7 +180,7 @@ impl Machine {
             self.reset();
         }
         let answers = answers(&said);
-        // A dwell or move that takes long is interrupted, and not answered.
+        // A dwell or move that takes too long is interrupted below, and not answered.
         let is_cut = answers.is_empty() && !self.board.controller.is_idle();
         assert!(answers.len() == 1 || is_cut, "{line:?}: {said}");
         // Ends whatever the line has started, including checked lines (`$LC=ON`).
@@ -205,7 +205,7 @@ impl Machine {
     fn reset(&mut self) {
         self.board.command(Realtime::Reset);
         self.board.pass(300_000, false);
-        // A startup line may be an M0.
+        // A startup line can be an M0, which waits for the operator.
         for _ in 0..MOST_WAITS {
             if self.board.controller.is_idle() {
                 break;
@@ -213,7 +213,8 @@ impl Machine {
             self.go_on();
         }
         self.is_busy = !self.board.controller.is_idle();
-        // The empty line ends a line that had been started; after it lines are no longer checked.
+        // The empty line ends an unfinished line, and with it checked lines (`$LC=ON`): a reset ends these only at the
+        // next line end.
         self.board.ask("");
         self.board.ask("$X");
     }

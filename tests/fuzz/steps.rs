@@ -1,4 +1,4 @@
-//! Messages to the step generator: blocks of any steps, cut into any segments that a planner may produce, loaded early
+//! Messages to the step generator: blocks of any steps, cut into any segments that a planner can produce, loaded early
 //! or late, with stops in between.
 //!
 //! Invariants: no axis makes more than one step per tick; the reported position is that of the steps made; a complete
@@ -45,7 +45,7 @@ struct Run {
     /// End position of the queued blocks.
     planned: [i32; AXES],
     ticks: u32,
-    /// After a stop or an underrun, until it is resumed: the number of stops so far.
+    /// While motion is stopped (after a stop or an underrun): the number of stops so far.
     shut: Option<u16>,
 }
 
@@ -126,7 +126,7 @@ impl Run {
         }
     }
 
-    /// Returns the units by which a tick may advance from here; a segment starts at a multiple of this value.
+    /// Returns the units by which a tick can advance from here; a segment starts at a multiple of this value.
     fn units_per_tick(&self, units: u32, level: u8) -> u32 {
         let mut per_tick = UNITS_PER_STEP >> (level % 5);
         while !units.is_multiple_of(per_tick) {

@@ -1,4 +1,4 @@
-//! Flash memory with arbitrary contents, and changes to it, each of which a power cut may interrupt.
+//! Flash memory with arbitrary contents, and changes to it, each of which a power cut can interrupt.
 //!
 //! Invariants: opening never fails, whatever the contents; a key counts once; only erased words are written; a stored
 //! value is found, also after another power-up; of an interrupted change either everything is stored or nothing, and

@@ -132,7 +132,7 @@ pub fn run(data: &[u8]) {
 
 fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
     let bus = Bus {
-        // The microsecond clock of a board wraps after 71 minutes.
+        // Microseconds. A board's clock of this kind wraps after 71 minutes, which no session reaches.
         now: 0,
         dtr: false,
         plugged: true,
@@ -168,7 +168,7 @@ fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
         board.act(&action);
         board.task();
     }
-    // More than the queue and the links hold.
+    // These reads take more than the queue and the links hold.
     for _ in 0..3 {
         board.act(&Action::Read(255));
         board.task();
@@ -198,8 +198,8 @@ impl Board {
                 *closed_at = Some(*now);
             }
             Action::Packet(bytes, end) if *plugged => {
-                // A host that sends without opening the port counts as another one only when all late bytes of the
-                // previous host must have arrived.
+                // After a close, a host that sends without opening the port counts as another one only when no late
+                // bytes of the previous host can arrive any more.
                 if !*dtr && is_late {
                     return;
                 }

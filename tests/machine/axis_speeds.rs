@@ -1,36 +1,38 @@
 //! Compares how much each axis changes its speed, read from the step times alone, with what physics and the junction
-//! rule allow. Nothing here is taken from the planner: no spans, no queue, no blocks.
+//! rule allow. Nothing here is taken from the planner.
 //!
 //! **Measured.** For a window T the mean speed of an axis over T is compared with its mean speed over the next T:
 //! `D = (p(t+2T) - 2 p(t+T) + p(t)) / T`. D is the mean of `v(τ+T) - v(τ)` over all τ from t to t+T. So a bound on the
-//! change of speed over every window of length T, averaged over the same τ, bounds D. A change that completes within a
-//! fraction of T shows in full: D reaches it when t+T is the time of the change.
+//! change of speed over each window of length T, averaged over the same τ, is a bound on D. A change that completes
+//! within a fraction of T is seen in full: D reaches it when t+T is the time of the change.
 //!
 //! **Allowed.** Between τ and τ+T the path turns from one direction to another by the angle t, in any number of
 //! vertices.
 //! - Acceleration: `a T` for the axis, along and across the path together, and [`RAMP`] more.
-//! - The junction rule passes a single vertex of turn t at `v² = a d s / (1 - s)`, s = cos(t / 2); the axis speed then
-//!   jumps by v times the difference of the axis' two direction cosines. The motor feels no difference between one
-//!   vertex and several: a turn made in several vertices is granted the jump of the *whole* turn once, not a jump per
-//!   vertex. With `v² <= a (L / t + d s / (1 - s))` for a span of length L <= v T the change of velocity is
-//!   `v t <= a T + v_j t`: the two terms here are that rule, for a path of any form. Summing a jump per vertex would
-//!   grant a multiple: it would let a half circle of 0.05 mm in 24 chords pass at 100 mm/s.
+//! - The junction rule passes a single vertex of turn t at `v² = a d s / (1 - s)`, where a is the acceleration across
+//!   the path, d the junction deviation and s = cos(t / 2). The axis speed then jumps by v times the difference of the
+//!   axis' two direction cosines. A turn made in several vertices is granted the jump of the *whole* turn once, not a
+//!   jump per vertex, because for the motor several vertices are no different from one. For a stretch of the path that
+//!   is L long and turns by t, the controller's rule is `v² <= a (L / t + d s / (1 - s))`. With L <= v T it follows
+//!   that the change of velocity is `v t <= a T + v_j t`, where v_j is the speed at a single vertex of turn t. So the
+//!   two terms here are this rule, for a path of any form. A jump per vertex would grant a multiple of that.
 //! - The grant falls to zero for a reversal, and has a limit for small turns: v_j t → √(8 a d). The feed bounds v as
 //!   well.
 //! - Directions are those of the intended chords, before rounding to the program's digits, so that they carry no noise;
 //!   the position error due to rounding is a term of its own.
 //!
-//! **Uncertain.** D is a second difference with the weights 1, 2, 1: positions that are off by u cause an error of
-//! `4 u / T`.
+//! **Uncertain.** D is a second difference with the weights 1, -2, 1: positions that are off by up to u cause an error
+//! of up to `4 u / T`.
 //! - Steps: an axis steps half way between two positions, so its position is well known between two consecutive steps.
-//!   But a block starts and ends at whole steps, which adds half a step. Between steps that are far apart the axis may
-//!   rest or reverse, which adds another half: [`STEPS`].
+//!   But a block starts and ends at whole steps, which adds half a step. If two steps are far apart, the axis can rest
+//!   or reverse between them, which adds another half: [`STEPS`].
 //! - Digits: each coordinate is off by up to half of the last digit, and the machine drives this noisy path. A
-//!   controller sees only these points and may take a curve to be flatter by the same amount: half a digit in each
-//!   coordinate, √3 of it together ([`DIGITS`]). A direction that the path keeps for a length l is off by two of these
-//!   over l, and a turn by both of its directions; the turn may be underestimated by that sum. So a reversal between
-//!   two pieces not much longer than a digit can be mistaken for a corner. Nor can a controller tell a vertex from a
-//!   bend as wide as the noise of the points on both sides; such a bend is taken at v² = a R.
+//!   controller sees only these points and can take a curve to be flatter by the same amount: half a digit in each
+//!   coordinate, √3 times that in all three together ([`DIGITS`]). The direction of a stretch of length l is off by up
+//!   to 2 [`POINT`] / l, because both of its ends are off. A turn can be underestimated by the sum of the errors of its
+//!   two directions. So a reversal between two pieces not much longer than a digit can be mistaken for a corner. Nor
+//!   can a controller tell a vertex from a bend as wide as the noise of the points on both sides; such a bend is taken
+//!   at v² = a R.
 
 use super::estimator::Limits;
 use super::oracle::{AXES, Place, Pulse};
@@ -39,7 +41,7 @@ use super::oracle::{AXES, Place, Pulse};
 pub const RAMP: f64 = 0.05;
 /// Uncertainty of a position, in steps: between two steps that are near each other, and otherwise.
 const STEPS: [f64; 2] = [0.6, 1.0];
-/// Uncertainty of a position, in half digits: its own 1, and √3 by which a curve may be taken for flatter.
+/// Uncertainty of a position, in half digits: its own 1, and √3 by which a curve can be taken to be flatter.
 const DIGITS: f64 = 2.75;
 /// Uncertainty of a point, in half digits: about √3, its three coordinates together.
 const POINT: f64 = 1.75;
@@ -61,8 +63,8 @@ pub struct Course {
     pub digit: f64,
     /// mm/s.
     pub feed: f64,
-    /// Whether the chords approximate a smooth curve: then jumps are granted only at vertices of at least [`CORNER`],
-    /// each on its own.
+    /// Whether the chords approximate a smooth curve. If so, jumps are granted only at vertices of more than
+    /// [`CORNER`], and one for each of these vertices.
     pub smooth: bool,
 }
 
@@ -107,7 +109,7 @@ fn norm(v: [f64; AXES]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// Effect of noise on a turn: the angle by which it may be underestimated, rad, and the radius of a bend that may
+/// Effect of noise on a turn: the angle by which it can be underestimated, rad, and the radius of a bend that can
 /// replace a vertex, mm.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Unsure {
@@ -123,7 +125,8 @@ pub fn granted(before: [f64; AXES], after: [f64; AXES], unsure: Unsure, limits: 
     if size < 1e-12 {
         return [0.0; AXES];
     }
-    // size = 2 sin(t / 2), s = cos(t / 2). Instead of 1 - s, a small difference: sin²(t / 2) / (1 + s).
+    // size = 2 sin(t / 2), s = cos(t / 2). 1 - s is a difference of nearly equal numbers, so it is computed as
+    // `sin²(t / 2) / (1 + s)`.
     let sure = (2.0 * (size / 2.0).min(1.0).asin() - unsure.turn).max(1e-9);
     let (sine, s) = (sure / 2.0).sin_cos();
     let acceleration = (0..AXES)
@@ -146,8 +149,8 @@ fn places(trace: &[Pulse], hz: f64) -> Vec<(f64, Place)> {
     places
 }
 
-/// Returns the time at which the machine passes each vertex: all of them in order, within a step. The time is the
-/// middle between the first and the last moment at which the machine is at the vertex.
+/// Returns the time at which the machine passes each vertex. It must pass all of them in order, each within a step. The
+/// time is the middle between the first and the last moment at which the machine is at the vertex.
 fn passed(places: &[(f64, Place)], course: &Course, limits: &Limits) -> Result<Vec<f64>, String> {
     let mut from = 0;
     let at = |index: usize| if index == 0 { [0; AXES] } else { places[index - 1].1 };
@@ -163,15 +166,16 @@ fn passed(places: &[(f64, Place)], course: &Course, limits: &Limits) -> Result<V
         times.push(0.5 * (time(first) + time(last)));
         from = first;
     }
-    // Vertices at the same step position are already in order by these middles; the others are in order by their first
-    // moments.
+    // The first moments at the vertices are in order. The middles need not be, because a stay near one vertex can
+    // outlast a stay near the next.
     for index in 1..times.len() {
         times[index] = times[index].max(times[index - 1]);
     }
     Ok(times)
 }
 
-/// The chord (index of its direction) and the axis positions at evenly spaced times.
+/// For evenly spaced times: the chord that the machine is on (the index of its direction), and the positions of the
+/// axes.
 struct Reading {
     step: f64,
     directions: Vec<usize>,
@@ -180,9 +184,9 @@ struct Reading {
 }
 
 /// Returns an axis' position and its uncertainty at evenly spaced times, in steps. At a step the axis is half way
-/// between two positions. Between steps it is taken to move evenly, which leaves only the rounding at the ends of
-/// blocks as error. Where steps are so far apart that the axis may rest or reverse between them, its position is the
-/// counted one.
+/// between two positions. Between steps it is taken to move evenly, so the only error is the rounding at the ends of
+/// blocks. Where steps are so far apart that the axis can rest or reverse between them, the counted position is
+/// returned.
 fn course_of_axis(places: &[(f64, Place)], axis: usize, step: f64, margin: usize, total: usize) -> Vec<(f64, f64)> {
     let mut levels = vec![];
     let mut before = 0;
@@ -230,8 +234,8 @@ fn read(places: &[(f64, Place)], passed: &[f64], step: f64) -> Reading {
     Reading { step, directions, places }
 }
 
-/// Returns the uncertainty of each chord's direction, rad: over the straight stretch that ends with the chord, and over
-/// the one that starts with it.
+/// Returns the uncertainty of each chord's direction, rad: first as measured over the straight stretch that ends with
+/// the chord, then over the one that starts with it.
 fn unsure(course: &Course, chords: &[[f64; AXES]]) -> [Vec<f64>; 2] {
     let length = |k: usize| norm(minus(course.meant[k + 1], course.meant[k]));
     let kept = |k: usize, others: &mut dyn Iterator<Item = usize>| {
@@ -244,7 +248,7 @@ fn unsure(course: &Course, chords: &[[f64; AXES]]) -> [Vec<f64>; 2] {
     ]
 }
 
-/// Returns the jump granted to each axis from one reading to the reading one window later.
+/// Returns for each reading the jump granted to each axis until the reading one window later.
 fn grants(course: &Course, chords: &[[f64; AXES]], directions: &[usize], limits: &Limits) -> Vec<[f64; AXES]> {
     let [behind, ahead] = unsure(course, chords);
     let grant = |before: usize, after: usize| {

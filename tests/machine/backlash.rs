@@ -78,8 +78,8 @@ fn a_carriage_stands_where_it_is_reported() {
     }
 }
 
-/// Backlash that a short move leaves to be taken up is not taken up while a drill plunges: the drill is not dragged
-/// sideways.
+/// The move of X before the plunge leaves some backlash to be taken up. This is not done while the drill plunges,
+/// because it would drag the drill sideways.
 #[test]
 fn a_plunge_drags_no_drill() {
     let mut mill = compensated("");
@@ -187,8 +187,7 @@ fn within_limits(mill: &Simulator, acceleration: [f64; AXES]) -> Result<(), Stri
         }
         let speeds: Vec<f64> = places.windows(2).map(|w| f64::from(w[1] - w[0]) / STEPS * 100.0).collect();
         let rate = RATE[axis] / 60.0;
-        // At a corner the junction rule lets each axis jump by the speed of the circle that fits into the corner, on
-        // both sides.
+        // The junction rule lets an axis jump by at most √(8 a d) at a corner. Twice that is allowed.
         let jump = 2.0 * (8.0 * acceleration[axis] * JUNCTION_DEVIATION).sqrt();
         let allowed = acceleration[axis] * 0.01 * 1.01 + jump + 0.5;
         for pair in speeds.windows(2) {
@@ -214,7 +213,8 @@ proptest! {
         }
         prop_assert!(off(&with) < 1e-9);
         prop_assert_eq!(with.machine_position(), without.machine_position());
-        // The carriage waits while backlash is taken up: it leaves its path by no more than the play.
+        // While a motor takes up its backlash, its carriage stands still, so the carriages leave their path by at most
+        // the play.
         let allowed = f64::hypot(PLAY[0], PLAY[1]) + 2.0 / STEPS;
         let cell = |place: [f64; AXES]| place.map(|mm| (mm / CELL).floor() as i32);
         let mut way: HashMap<[i32; AXES], Vec<[f64; AXES]>> = HashMap::new();
@@ -246,7 +246,7 @@ proptest! {
         let mut mill = compensated("");
         mill.send(&text);
         mill.run_for(Duration::from_millis(milliseconds));
-        // As realtime input: over the serial line the command would wait behind the text.
+        // `press` acts at once. As a byte of the serial line, the command would wait behind the text.
         mill.press(if reset { Realtime::Reset } else { Realtime::FeedHold });
         mill.run_for(Duration::from_millis(500));
         prop_assert!(!mill.is_stepping());
@@ -263,7 +263,8 @@ proptest! {
 
 #[test]
 fn a_motor_that_takes_up_slack_is_not_too_fast() {
-    // 20 mm/s is reached soon after the reversal, while taking up the backlash would add half as much again.
+    // The axis reaches its rate of 20 mm/s within 0.04 mm of the reversal, when the backlash is not yet taken up. The
+    // additional steps for the backlash must not make the motor faster than this rate.
     let mut mill = compensated("");
     run(&mut mill, "$110=1200\n$120=5000\nG0 X10");
     mill.trace_mut().restart();
@@ -291,8 +292,8 @@ fn a_slow_axis_takes_up_its_slack_no_faster_than_its_own_corners() {
 
 #[test]
 fn what_follows_the_last_of_the_slack_begins_at_rest() {
-    // The second move is too short to take up the backlash; the rest is taken up at rest. At some of these times the
-    // third move arrives while that is going on.
+    // The second move reverses X but is too short to take up the backlash, so the rest is taken up after it, at rest.
+    // For some of these times the third move arrives while the rest is being taken up.
     let mut found = 0;
     for milliseconds in (70..190).step_by(2) {
         let mut mill = mill("$160=0.3\n", "");
@@ -301,7 +302,7 @@ fn what_follows_the_last_of_the_slack_begins_at_rest() {
         found += usize::from(mill.is_stepping());
         mill.send("Y9 F6000\n");
         assert!(mill.run_until_idle());
-        // Ten steps of Y from rest after the last step of X: 25 um at 500 mm/s² take 10 ms.
+        // Y starts from rest after the last step of X. At 500 mm/s² its first ten intervals take 8 ms.
         let turned = mill.trace().kept().iter().rposition(|r| r.steps & 1 != 0).unwrap();
         let steps = &mill.trace().kept()[turned + 1..];
         let time = (steps[10].at - steps[0].at) as f64 / HZ as f64;
@@ -408,7 +409,7 @@ fn home_is_true_and_parking_comes_back() {
         run(&mut mill, &format!("G53 G0 X-20\nG53 G0 {retreat}"));
         let before = mill.fittings().driven_mm();
         assert!((before[0] - home[0] + 18.0).abs() < 1e-9, "{before:?} {home:?}");
-        // Away from the work and back: the door opens while the tool makes this move.
+        // The door opens during this move: the tool goes away from the work and back.
         mill.send("G91 G1 X-3 Z-0.5 F600\n");
         mill.run_for(Duration::from_millis(150));
         mill.send([0x84]);

@@ -15,14 +15,15 @@ use std::collections::HashMap;
 type Point = [f64; AXES];
 
 /// Maximum distance of step positions from the driven path, in steps of each motor: half a step, and a fourteenth for
-/// the rounding of its ends (docs/motion.md). A run may also be as far off as the same run without a tolerance.
+/// the rounding of the path's ends (docs/motion.md). If the same run without a tolerance is farther off, its distance
+/// counts instead.
 const STEP: f64 = 0.5 + 1.0 / 14.0;
-/// A job counts as slower if it takes more than this factor, and also [`NOTICEABLE_S`] longer.
+/// A job counts as slower if its duration exceeds the other by this factor, and also by [`NOTICEABLE_S`].
 const SLOWER: f64 = 1.005;
 /// Differences below this, s, occur anyway between runs of short jobs.
 const NOTICEABLE_S: f64 = 0.012;
-/// Allowed ratio of the change of speed read by [`super::axis_speeds`] to the change allowed on the programmed path:
-/// the corner that the tool drives lies beside the programmed one.
+/// Allowed ratio of the change of speed read by [`super::axis_speeds`] to the change allowed on the programmed path. It
+/// is above 1 because the corner that the tool drives lies beside the programmed one.
 const CHANGE: f64 = 1.1;
 /// Spacing of the path points that the tool must come near, mm.
 const SPACING: f64 = 0.02;
@@ -142,7 +143,8 @@ impl Job<'_> {
                 let changes: Result<Vec<_>, String> = [0.005, 0.020].into_iter().map(of).collect();
                 match changes {
                     Ok(changes) => changes.iter().map(|change| change.ratio).fold(0.0, f64::max),
-                    // The tool misses the vertices that the reading needs: compare with the exact run instead.
+                    // The tool does not pass the vertices by which the changes are read: compare with the exact run
+                    // instead.
                     Err(_) => against(&rig, &exact, self.steps_per_mm),
                 }
             } else {
@@ -487,8 +489,8 @@ fn greatest_jump(trace: &[Pulse], steps_per_mm: f64) -> f64 {
     most
 }
 
-/// Returns the largest change of speed relative to that on the exact path. Two steps are allowed for: a step may fall
-/// into either of two windows.
+/// Returns the largest change of speed relative to that on the exact path. A change of two steps per window is allowed
+/// in addition, because a step can fall into either of two windows.
 fn against(rig: &Rig, exact: &Rig, steps_per_mm: f64) -> f64 {
     greatest_jump(&rig.trace, steps_per_mm) / (greatest_jump(&exact.trace, steps_per_mm) + 2.0 / steps_per_mm / WINDOW)
 }

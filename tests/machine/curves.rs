@@ -217,8 +217,8 @@ fn the_shortest_time_is_known_for_lines_and_circles() {
     let diagonal = of(&[line(100.0, [0.0, 0.0], [30.0, 30.0])]);
     let expected = 1800.0_f64.sqrt() / 100.0 + 100.0 / (500.0 * 2.0_f64.sqrt());
     assert!((diagonal - expected).abs() < 0.001, "{diagonal}, {expected}");
-    // v² = a R wherever the tangent is parallel to an axis, and there the ramp along that axis is free: on R = 5 mm the
-    // machine passes four points of each turn at 50 mm/s and is a little faster between them.
+    // Where the tangent is parallel to one axis, the other one has all the centripetal acceleration, so v² = a R. On
+    // R = 5 mm the machine passes these four points of each turn at 50 mm/s and is a little faster between them.
     let turns = of(&[arc(100.0, [0.0, 0.0], 5.0, [0.0, 10.0 * TAU])]);
     let even = 10.0 * TAU * 5.0 / 50.0;
     assert!((0.9 * even..1.02 * even).contains(&turns), "{turns}, {even} at an even speed");
@@ -283,7 +283,7 @@ fn braked_on_a_circle(jerk: f64, after: f64, commands: &[Realtime]) -> (Change, 
         rig.press(*command);
     }
     rig.run_for(3.0);
-    // Path speed from the steps of all axes; 1000 steps are 1 mm.
+    // At least the path speed: the steps of all axes together. 1000 steps of an axis are 1 mm.
     let speed = |pulses: &[super::oracle::Pulse]| {
         let ends = pulses[pulses.len() - 1].at - pulses[0].at;
         pulses.iter().map(|pulse| pulse.steps.count_ones()).sum::<u32>() as f64 / (ends as f64 / HZ as f64) / 1000.0
@@ -297,7 +297,7 @@ fn braked_on_a_circle(jerk: f64, after: f64, commands: &[Realtime]) -> (Change, 
 }
 
 /// A lower override and a hold in a bend brake with the acceleration that the bend leaves. Braking from v² = a·R takes
-/// v/a times the integral of 1/√(1 - x⁴) from 0 to 1, 1.31; with a jerk limit it takes a/J longer.
+/// v/a times 1.31, the integral of 1/√(1 - x⁴) from 0 to 1; with a jerk limit it takes a/J longer.
 #[test]
 fn braking_in_a_bend_stays_within_the_acceleration() {
     let lower = [Realtime::FeedDown10; 9];

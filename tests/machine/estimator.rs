@@ -2,33 +2,35 @@
 //!
 //! How limits are measured, with every allowance:
 //! - Path speed comes from the intervals between steps of a block's dominant axis, once they are shorter than 1 ms. A
-//!   step time is rounded to a tick of the step clock, so a speed may be off by one tick of its interval. In addition a
+//!   step time is rounded to a tick of the step clock, so a speed can be off by one tick of its interval. In addition a
 //!   limit may be exceeded by 1 % ([`TOLERANCE`]).
 //! - Below 8000 steps/s the generator works on a finer grid, and a step comes up to 7/16 of a step earlier in the path
-//!   than above; where the grid changes, an interval is longer or shorter by that. Below this rate a speed is measured
-//!   over 16 steps, with an allowance of 7/16 of a step.
-//! - Acceleration is the change of that speed between two intervals, over the time between their middles: the mean
-//!   speed of an interval is the speed at its middle while the acceleration is constant, and otherwise a mean of
-//!   allowed values. Compared are neighbours and intervals 2, 4, 8, ... apart, so that neither a jump nor a creeping
-//!   excess is missed.
-//! - A change of acceleration takes effect only at the next whole step of the dominant axis and then catches up:
-//!   between two intervals an acceleration may seem to have acted for one step longer than their distance.
-//! - The ends of a move are rounded to steps, so its length, and with it its speeds, may be off by half a step.
-//! - Below one step per millisecond an interval says little. There the machine may be one step ahead of the limits:
-//!   from rest it has made at most `v t + a t² / 2` after its first step, with `v² = 2 a` × one step.
+//!   than at higher rates; where the grid changes, an interval is longer or shorter by that. Below this rate a speed is
+//!   measured over 16 steps, with an allowance of 7/16 of a step.
+//! - Acceleration is the change of that speed between two intervals, divided by the time between their middles: the
+//!   mean speed of an interval is the speed at its middle while the acceleration is constant, and otherwise a mean of
+//!   allowed values. Each interval is compared with those 1, 2, 4, 8, ... places later, so that neither a jump nor a
+//!   creeping excess is missed.
+//! - A change of acceleration takes effect only at the next whole step of the dominant axis and then catches up. So an
+//!   acceleration can seem to have acted for one step longer than the time between two intervals.
+//! - The ends of a move are rounded to steps, so its length, and with it its speeds, can be off by half a step.
+//! - Below one step per millisecond a single interval says little. A start from rest is checked instead: within a time
+//!   t after its first step, the machine moves by at most `v t + a t² / 2`, with `v² = 2 a` × one step, and one step
+//!   more.
 //! - At a corner the junction rule bounds the path speed: the machine may cut the corner on a circle that passes within
-//!   the junction deviation of it, at the acceleration that the axes allow across the path. Between the interval before
-//!   the corner and the corner itself the block's acceleration acts for less than the time to the interval after it.
+//!   the junction deviation of it, at the acceleration that the axes allow across the path. The two intervals next to
+//!   the corner are allowed to be faster by what the block's acceleration adds in the time between them, which is
+//!   longer than the time from either of them to the corner.
 //! - On a chain of moves without a sharp corner v² is at most a·R, with a along the normal. R comes from three points:
-//!   the ends of neighbouring moves, and points about one of [`REACHES`] away on both sides; the latter are used where
+//!   the ends of neighbouring moves, or points about one of [`REACHES`] away on both sides. The latter are used where
 //!   the path turns by less than [`GENTLE`] between them. The junction deviation also grants a jump for the whole turn.
-//!   Every point may be half a digit off; the part of the bend that this can explain is subtracted. A planner that uses
-//!   other points may see a bend start half a reach later, and brake on it: a·reach more is allowed.
-//! - Short lines that continue each other may have been joined ([`Joins`]): then the trace follows the straight line
+//!   Every point can be half a digit off; the part of the bend that this can explain is subtracted. A planner that uses
+//!   other points can see a bend start half a reach later and still brake within it, so v² may be larger by a·reach.
+//! - Short lines that continue each other can have been joined ([`Joins`]): then the trace follows the straight line
 //!   from the start of the first to the end of the last, and every point between is within half a step of this line.
-//!   The trace does not show which lines were joined: a few lines at the end may have been a move of their own, half a
-//!   step longer or shorter than they are. So their speed is measured over 16 steps, too, with an allowance of half a
-//!   step.
+//!   The trace does not show which lines were joined: a few lines at the end can have been a move of their own, half a
+//!   step longer or shorter than they are. So the speed of joined lines is also measured over 16 steps, with an
+//!   allowance of half a step.
 //! - Programs carry half a digit of noise: two moves whose directions differ by no more than one digit over the length
 //!   of the shorter one count as straight on.
 
@@ -91,9 +93,9 @@ struct Move {
     acceleration: f64,
     /// mm of path for each step of the dominant axis.
     pitch: f64,
-    /// Share of the length that rounding its ends to steps may add or remove.
+    /// Share of the length that rounding its ends to steps can add or remove.
     slack: f64,
-    /// Whether several lines may have been joined to this move.
+    /// Whether several lines can have been joined to this move.
     is_joined: bool,
     /// Times of the steps of the dominant axis, ticks.
     times: Vec<u64>,
@@ -137,7 +139,7 @@ impl Limits {
 
     /// Returns the maximum path speed at the corner between two directions.
     ///
-    /// `noise`: angle by which rounding of the points may have changed the corner, rad.
+    /// `noise`: angle by which rounding of the points can have changed the corner, rad.
     pub fn junction(&self, before: [f64; AXES], after: [f64; AXES], noise: f64) -> f64 {
         let turn: [f64; AXES] = std::array::from_fn(|a| after[a] - before[a]);
         let size = norm(turn);
@@ -156,7 +158,7 @@ fn norm(v: [f64; AXES]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// Maximum length of a line that may be joined with others, as the sum over its axes, mm.
+/// Maximum length of a line that can be joined with others, as the sum over its axes, mm.
 const MOST_PIECE: f64 = 0.045 + 1e-9;
 /// Maximum length of a joined move, mm.
 const MOST_JOINED: f64 = 0.5 + 1e-6;
@@ -176,7 +178,7 @@ fn passes(limits: &Limits, from: [f64; AXES], to: [f64; AXES], place: [f64; AXES
     least <= most
 }
 
-/// Enumerates the moves that the machine may have made by joining a program's lines.
+/// Enumerates the moves that the machine can have made by joining a program's lines.
 struct Joins<'a> {
     lines: &'a [Line],
     limits: &'a Limits,
@@ -601,7 +603,7 @@ mod tests {
     #[test]
     fn an_ideal_move_passes_and_faster_ones_do_not() {
         let limits = limits();
-        // X is the tighter axis: 500 / (30 / length).
+        // X limits the acceleration along the path: 500 / (30 / length).
         let a = 500.0 * LENGTH / 30.0;
         let run = |speed, acceleration| {
             let t = trace(&STRAIGHT, &limits, 1.0, trapezoid(LENGTH, speed, acceleration));

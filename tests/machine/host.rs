@@ -18,7 +18,8 @@ impl Rig {
         let mut rig = Rig::new();
         assert_eq!(rig.read_lines(), ["", "Grbl 1.1h ['$' for help]"]);
         for line in settings.lines() {
-            // A set of settings that is unusable until it is complete is reported after the `ok`.
+            // Only the first line is compared, because a message follows the `ok` while the set of settings is still
+            // unusable.
             assert_eq!(rig.ask(line).first().map(String::as_str), Some("ok"), "{line}");
         }
         rig

@@ -104,8 +104,8 @@ fn least_time(length: f64, from: f64, to: f64, most: f64, acceleration: f64, jer
 
 const JERK: f64 = 5000.0;
 
-/// Returns the time that the trace does not cover: the first and last step are some milliseconds within the move,
-/// because the motor starts and ends half a step away from them.
+/// Returns the time that the trace does not cover. The motor starts half a step before the first step and ends half a
+/// step after the last one, which takes some milliseconds each.
 fn of_steps() -> f64 {
     2.0 * (6.0 * 0.5 / MACHINE.steps_per_mm[0] / JERK).cbrt()
 }
@@ -257,7 +257,8 @@ fn corners_behind_coarse_steps_are_minded() {
             let mut rig = Rig::with(&settings(&limits, jerk));
             rig.run_clean(&job.text);
             let z: Vec<u64> = rig.trace.iter().filter(|p| p.steps & 4 != 0).map(|p| p.at).collect();
-            // The first three steps take 8 ms from rest at 50 mm/s², and about 5 ms from the corner speed (0.7 mm/s).
+            // From the corner speed, 0.41 mm/s by the junction rule v² = √2 a d s / (1 - s), the first three intervals
+            // take 9.6 ms at 50 mm/s², and longer with limited jerk.
             let seconds = (z[3] - z[0]) as f64 / HZ as f64;
             assert!(seconds > 0.004, "{k}: three steps in {seconds} s");
         }
@@ -366,7 +367,7 @@ proptest! {
             rig.send(&[touch]);
         }
         for _ in 0..3 {
-            // A cycle start during the ramp of a hold has no effect.
+            // Repeated, because a cycle start has no effect during the ramp of a hold.
             rig.run_for(1.5);
             rig.send(b"~");
         }

@@ -4,8 +4,8 @@
 //! Each test reads one quantity over time from the steps: the distance along an arc or the position of an axis. Between
 //! two steps it is interpolated, so it is up to a step off ([`UNCERTAIN`]; this includes the finer grid of slow moves).
 //! Its differences of first, second and third order over a time h are the means of speed, acceleration and jerk times
-//! h, h², h³. They may exceed the limit times h, h², h³ by 1 % per order, plus 2, 4 and 8 times the uncertainty of one
-//! position.
+//! h, h², h³. They are allowed to exceed the limit times h, h², h³ by 1 % per order, plus 2, 4 and 8 times the
+//! uncertainty of one position.
 
 use super::estimator::TOLERANCE;
 use super::oracle::AXES;
@@ -68,8 +68,8 @@ fn check(course: &[(f64, f64)], bounds: impl Fn(f64) -> [f64; 3], exempt: impl F
     let (Some(first), Some(last)) = (course.first(), course.last()) else { return Err("nothing moves".into()) };
     let mut compared = 0;
     for (order, weights) in [[-1.0, 1.0, 0.0, 0.0], [1.0, -2.0, 1.0, 0.0], [-1.0, 3.0, -3.0, 1.0]].iter().enumerate() {
-        // h is so long that the uncertainty is a quarter of the jerk limit times h³; similarly for speed and
-        // acceleration.
+        // h is so long that the effect of the uncertainty is a tenth of the limit for speed, a sixteenth for
+        // acceleration, and a quarter for jerk.
         let h = [20.0 * PITCH / RATE, (64.0 * PITCH / ACCELERATION).sqrt(), (32.0 * PITCH / JERK).cbrt()][order];
         let mut time = first.0 - 3.0 * h;
         while time < last.0 {
@@ -169,7 +169,8 @@ proptest! {
         }
         course.remove(0);
         prop_assert!((whole - angle).abs() < 2.0 * PITCH / radius, "{} of {} rad", whole, angle);
-        // Centripetal acceleration is not checked here; along the path each axis gives its maximum.
+        // Only the acceleration along the path is checked, not the centripetal one. The axis with the largest share in
+        // the path limits it.
         let most = |place: f64| {
             let angle = place / path;
             let share = angle.cos().abs().max(angle.sin().abs()) * plane;
@@ -197,7 +198,7 @@ proptest! {
         prop_assert!(!mill.take_output().contains("error:9"));
         assert_counted(&mill);
         if !mill.trace().kept().is_empty() {
-            // At a corner between two jogs an axis starts and ends at speed; so only jogs along one axis are checked.
+            // At a corner between two jogs an axis starts and ends at speed, so only jogs along one axis are checked.
             let places = places(&mill);
             let (whole, _) = straight(&places);
             if whole {
@@ -244,7 +245,7 @@ const SWITCHES: &str = r#"
 "#;
 const CYCLE: &str = "$22=1\n$24=300\n$25=2400\n$27=3\n";
 
-/// After the switch the step task brakes by itself, with a constant deceleration; all other motion has bounded jerk.
+/// When the switch closes, the step task brakes with a constant deceleration; all other motion has bounded jerk.
 #[test]
 fn jerk_is_bounded_in_the_homing_cycle() {
     let mut mill = mill(SWITCHES, CYCLE);
@@ -307,8 +308,8 @@ fn jerk_is_bounded_on_belts() {
     check_axes(&axes, |_, _| false);
 }
 
-/// A ramp down with bounded jerk takes at least v / A + A / J: the start of a hold is computed back from its end, and
-/// must come in time.
+/// The start of a hold is computed back from its end: the shortest ramp down with bounded jerk takes v / A + A / J, or
+/// 2 √(v / J) if the full deceleration A is not reached. A hold must start within 25 ms of the command.
 #[test]
 fn a_hold_with_jerk_limit_begins_within_25_ms() {
     for (feed, milliseconds) in [(6000, 500), (6000, 611), (3000, 333), (3000, 402), (1500, 700)] {

@@ -60,7 +60,8 @@ fn belts_draw_the_same_picture() {
         assert!(off(&path[near]) < 1.5, "{place:?} is off by {}", off(&path[near]));
     }
     assert!(near + 2 >= path.len(), "the whole path was followed");
-    // The speed along the path is the same, so the time is, too, except for rounding corners to steps.
+    // The speed along the path is the same on both machines. So the time is the same, too, except for the rounding of
+    // corners to steps.
     let (one, other) = (cartesian.busy_ticks() as f64, belts.busy_ticks() as f64);
     assert!((one / other - 1.0).abs() < 0.01, "{one} {other}");
 }
@@ -91,8 +92,8 @@ fn belts_find_home_one_axis_or_two_at_a_time() {
         assert!(run(&mut mill, "$H").ends_with("ok\r\n"));
         assert_eq!(mill.machine_position(), [-2.0; 3]);
         let [a, b, z] = mill.machine().position();
-        // Two millimetres from the switches, less the distance covered until a switch is seen: filter delay times
-        // locate speed.
+        // Each axis rests 2 mm from its switch, less the distance covered until the switch is seen: the delay of the
+        // filter times the locate speed.
         assert!((a + b - 2 * 80).abs() <= 2 && (a - b - 2 * 400).abs() <= 2 && (z + 40).abs() <= 1, "{a} {b} {z}");
         run(&mut mill, "G53 G0 X-10 Y-20");
         let [a2, b2, _] = mill.machine().position();
@@ -150,7 +151,7 @@ fn a_crooked_gantry_comes_home_square() {
 
 #[test]
 fn a_gantry_is_not_pulled_apart() {
-    // 5 % of 100 mm of travel: one motor may move 5 mm alone.
+    // 5 % of 100 mm of travel: one motor moves by at most 5 mm alone.
     let mut mill = machine(&gantry(0.0, 30.0), &format!("{CARVER}{SQUARED}"));
     let said = run(&mut mill, "$H");
     assert!(said.contains("ALARM:10\r\n"), "{said}");
@@ -173,7 +174,7 @@ fn a_second_switch_is_a_limit_of_its_axis() {
     assert!(mill.take_output().contains("|Pn:X"));
 }
 
-/// The motor displacement is X plus Y, and an arc extends beyond its end points.
+/// The range applies to each motor, which with belts moves by X + Y, and to every point of an arc, not only to its end.
 #[test]
 fn what_leads_out_of_range_is_refused() {
     let settings = "$100=1\n$101=1\n$110=1000000\n$111=1000000\n$120=10000\n$121=10000\nG1 F6000000\n";

@@ -168,13 +168,14 @@ impl Job {
     }
 }
 
-/// A remnant move shorter than a digit lies in a corner: the corner is still taken as one.
+/// A remnant of a move, shorter than a digit, lies in a corner: the machine brakes for the corner all the same.
 #[test]
 fn a_remnant_hides_no_corner() {
     for job in ["X10.002 F500\nX10.0016\nX0", "X10.0018 F500\nX10.0022 Y0.0005\nY10"] {
         let mut rig = Rig::with("");
         rig.run_clean(&format!("G21 G90\nG1 {job}\n"));
-        // At 10 mm/s² the last 20 steps before a corner of 90 degrees or more take more than 30 ms.
+        // At 10 mm/s² the last 20 steps before a right angle take 80 ms, and before a reversal longer; at the feed they
+        // would take 10 ms.
         let corner = rig.trace.iter().rposition(|p| p.steps & 1 != 0 && p.directions & 1 == 0).unwrap();
         let at = |n: usize| rig.trace[n].at as f64 / HZ as f64;
         let time = at(corner) - at(corner - 20);
@@ -225,7 +226,8 @@ proptest! {
             }
             rig.send(&[touch]);
             if held && touch == b'!' {
-                // Long enough for any ramp here to end: nothing moves until the cycle start.
+                // The time is long enough for any ramp here to end, so nothing moves from then on until the cycle
+                // start.
                 rig.run_for(1.2);
                 let place = rig.place;
                 rig.run_for(0.2);
@@ -299,7 +301,7 @@ proptest! {
         let places = places(&rig.trace, [0.0; AXES], limits.steps_per_mm);
         // Radial allowance: the arc tolerance, the last digit of start and end, and the steps. Each axis is within half
         // a step of its position on the chord; the chord's ends are rounded to sevenths of a step, of which 3.5 count
-        // as 3. So an axis is off by 1/2 + 1/14 of a step, and both axes may be at their worst at once.
+        // as 3. So an axis is off by 1/2 + 1/14 of a step, and both axes can be at their worst at once.
         let radial = 0.002 + std::f64::consts::SQRT_2 * 4.0 / 7.0 * step + 0.001;
         if let Err(fault) = circle.follows(&places, radial, 2.0 * step + 0.002) {
             return Err(TestCaseError::fail(format!("{fault}\n{text}")));

@@ -66,7 +66,7 @@ pub fn line(from: Place, to: Place) -> Vec<Place> {
     places
 }
 
-/// Grid positions per step of the dominant axis, at which a smoothing generator may step the axes.
+/// Grid positions per step of the dominant axis, at which a smoothing generator can step the axes.
 pub const FINE: i64 = 16;
 
 /// Takes the pulses of one straight move off a trace and compares them with Bresenham's positions on a grid [`FINE`]
@@ -163,7 +163,7 @@ impl Circle {
         let mut farthest = 0.0_f64;
         for &place in places {
             let mut angle = self.progress(place);
-            // Just before the start, or just past the end of a full turn.
+            // Just before the start, the angle is nearly a full turn; just past the end of a full turn, it is nearly 0.
             if angle > whole + slack && angle > std::f64::consts::TAU - slack {
                 angle -= std::f64::consts::TAU;
             } else if angle < slack && farthest > std::f64::consts::TAU - 2.0 * slack {

@@ -143,7 +143,7 @@ fn play(reason: &str, lines: &[(usize, &str)]) -> Result<(), String> {
             let waits = lines.get(i + 1).is_some_and(|(_, next)| *next == "~");
             let before = refused.map(|_| player.position());
             if waits {
-                // A pause is answered when it ends.
+                // The line of a pause is answered when the pause ends.
                 player.rig.send(format!("{line}\n").as_bytes());
                 player.rig.run_for(5.0);
                 player.unread += &player.rig.take_output();

@@ -64,7 +64,7 @@ impl Fault {
     fn lasts(self) -> u64 {
         match self {
             Fault::Spindle => 51,
-            // The last status request was 3 ms ago.
+            // The host's last byte, a status request, arrived 3 ms ago.
             Fault::Silence => SILENCE - 3 + 1,
             _ => 0,
         }
@@ -474,14 +474,14 @@ fn each_fault_in_each_state_has_the_reaction_that_is_set() {
     assert_eq!(cases, 19 * (3 + 6) + 17 * 6 + with_job * (6 + 6 + 6) + 2 * 6, "states, reactions and faults");
 }
 
-/// Without a job to interrupt, the machine continues, or finishes as if nothing had happened.
+/// Without a job to interrupt, most conditions are no faults: the machine goes on as if nothing had happened.
 #[test]
 fn what_is_no_fault_in_a_state_changes_nothing() {
     let homed = homed();
     let mut cases = 0;
     for fault in Fault::ALL {
-        // After a door, while the machine returns, host and spindle are checked only when the job continues; and homing
-        // waits for switches. These cases have their own tests.
+        // Two kinds of cases have tests of their own: while the machine returns after a door, host and spindle are
+        // checked only when the job continues; and a homing cycle expects the limit switches.
         let is_later = |state: State| match fault {
             Fault::Limit => state == State::Home,
             _ => state == State::DoorReturning,
@@ -526,7 +526,7 @@ fn a_spindle_that_is_slow_on_the_way_back_stops_the_job_there() {
     }
 }
 
-/// The resumed job has no host that watches it.
+/// A job that is resumed after a door stops if its host leaves or falls silent during the return.
 #[test]
 fn a_host_that_goes_or_is_silent_on_the_way_back_stops_the_job_there() {
     let homed = homed();
@@ -557,7 +557,7 @@ fn place_and_mode(report: &str) -> Vec<&str> {
 
 #[test]
 fn a_host_that_goes_while_a_spindle_comes_up_again_leaves_the_job_held() {
-    // An operator at the machine may still resume it.
+    // An operator at the machine can still resume the job.
     for by_button in [false, true] {
         let mut mill = milling("$916=10\n");
         for command in [b'!', 0x9e] {
@@ -633,7 +633,8 @@ fn no_beam_is_left_while_the_machine_brakes() {
             assert!(mill.power() != 0 && mill.is_stepping(), "{}", mill.take_output());
             fault.happen(&mut mill);
             mill.run_for(Duration::from_millis(5));
-            // Segments already queued for the step task keep their power; the enable output is off.
+            // The enable output is off at once, but segments that are already queued for the step task still run with
+            // their power.
             mill.run_for(Duration::from_millis(25));
             assert!(mill.power() == 0 && mill.is_stepping(), "{fault:?} {beam}: {}", mill.take_output());
             mill.run_for(Duration::from_secs(2));
@@ -689,8 +690,8 @@ fn a_spindle_that_is_given_time_costs_no_time() {
     mill.send("$916=1\n$929=0.1\n$394=4\n");
     assert!(mill.run_until_idle());
     mill.take_output();
-    // The at-speed check ends before the spin-up does. If the spin-up were polled, each poll would advance the clock by
-    // one tick only.
+    // The at-speed check ends before the spin-up does. The simulator must jump to the next event in time: if the
+    // spin-up were polled, each poll would advance the clock by one tick only.
     mill.send("M3 S500\n");
     let begun = mill.clock().now();
     let mut looks = 0;
@@ -704,7 +705,7 @@ fn a_spindle_that_is_given_time_costs_no_time() {
 
 #[test]
 fn the_heavier_of_two_faults_is_told_and_acts() {
-    // The emergency stop also cuts the power of the drivers.
+    // An emergency stop outranks a driver fault that comes while the machine brakes for it.
     let mut mill = milling("$925=1\n$926=1\n");
     pin(&mut mill, "estop 1");
     mill.run_for(Duration::from_millis(5));
@@ -713,7 +714,7 @@ fn the_heavier_of_two_faults_is_told_and_acts() {
     let said = mill.take_output();
     assert!(said.contains("ALARM:101\r") && !said.contains("ALARM:102"), "{said}");
     assert!(!mill.controller().is_trusted(), "a driver may have lost steps: {said}");
-    // A switch that stops at once acts while the machine brakes for a spindle that may stay on.
+    // The machine brakes for a slow spindle, which may stay on. A limit switch that stops at once acts all the same.
     let mut mill = milling("$927=4\n");
     pin(&mut mill, "at_speed 0");
     mill.run_for(Duration::from_millis(55));
@@ -752,7 +753,7 @@ fn a_spindle_that_stays_on_keeps_its_speed() {
     }
 }
 
-/// A job of startup lines is not one that the departed host has left running.
+/// After a reset, startup lines run although the host has left: they are not the job that it has left running.
 #[test]
 fn a_reset_on_the_way_back_from_a_door_forgets_that_the_host_has_gone() {
     let mut mill = homed();

@@ -44,7 +44,7 @@ impl Rig {
         self.count();
     }
 
-    /// Returns the machine's output since the last call.
+    /// Returns the output that has not been taken yet.
     pub fn take_output(&mut self) -> String {
         self.mill.take_output()
     }

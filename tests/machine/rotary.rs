@@ -101,7 +101,7 @@ fn it_turns_evenly_along_an_arc() {
     for (_, [x, y, _, a]) in course(&mill) {
         let (x, y) = (20.0 - x / STEPS[0], y / STEPS[1]);
         let turned = y.atan2(x) / core::f64::consts::PI;
-        // Two steps on the circle, as an angle from its centre, and one step of A.
+        // The allowance is two steps on the circle, as an angle from its centre, and one step of A.
         let slack = 2.0 / STEPS[1] / 20.0 / core::f64::consts::PI + 1.0 / STEPS[3] / 300.0;
         assert!((turned - a / STEPS[3] / 300.0).abs() < slack, "{turned} {a}");
     }
@@ -168,7 +168,7 @@ fn three_axes_are_as_without_it() {
     assert!(without.len() > 1000);
     assert_eq!((without.len(), place), (with.len(), other_place));
     for (one, other) in without.iter().zip(&with) {
-        // Earlier motion may leave a fraction of a tick.
+        // Earlier motion can leave a fraction of a tick.
         assert!(
             one.0.abs_diff(other.0) <= 1 && (one.1, one.2) == (other.1, other.2),
             "{one:?}, with A before: {other:?}"
@@ -216,8 +216,8 @@ fn links(feed: core::ops::Range<u32>, most_y: i32) -> impl Strategy<Value = Vec<
     prop::collection::vec((way, feed), 2..7)
 }
 
-/// Returns the ratio of a chain's duration to the nominal one, and the share of one step of X in the chain. The
-/// distances before the first and after the last step take no time; this share allows for them.
+/// Returns the ratio of a chain's duration to the nominal one, and the share of one step of X in the chain. The share
+/// allows for the time before the first step and after the last, which the trace does not cover.
 fn time_in_terms_of_meant(links: &[Link], inverse_time: bool) -> (f64, f64) {
     let (text, meant) = chain(links, inverse_time);
     let mut mill = mill();
@@ -230,14 +230,14 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 48, rng_seed: RngSeed::Fixed(931), ..ProptestConfig::default() })]
 
     /// Moves too short for a step take their time together with the next move that makes a step, whatever A does and
-    /// however long each move takes. Y does not move: lines back and forth would be joined to a straight one, which is
-    /// shorter.
+    /// however long each move takes. Y does not move, because lines that go back and forth in Y would be joined to a
+    /// straight one, which is shorter.
     #[test]
     fn chains_of_moves_shorter_than_a_step_take_their_time(even in links(30..31, 0), odd in links(30..120, 0)) {
         for links in [even, odd] {
             let (ratio, step) = time_in_terms_of_meant(&links, false);
-            // A step takes its time at the feed of the move that makes it: a chain may take longer for that reason, but
-            // not less time.
+            // A step is made at the feed of the move that completes it. So a chain can take longer than its nominal
+            // time, but not less.
             let slowest = links.iter().map(|(_, feed)| *feed).min().unwrap_or(1);
             let all_slow: Vec<Link> = links.iter().map(|(way, _)| (*way, slowest)).collect();
             let most = chain(&all_slow, false).1 / chain(&links, false).1;

@@ -8,7 +8,7 @@ use super::rig::Rig;
 /// Half a step of the machine.
 const HALF_STEP: f64 = 0.5 / CARVER_STEPS + 1e-9;
 
-/// Carries out each line and compares the position where the machine then rests; `None`: not compared.
+/// Carries out each line and compares the position of the machine at rest after it; `None`: not compared.
 fn walk(rig: &mut Rig, steps: &[(&str, Option<[f64; AXES]>)]) {
     for (line, expected) in steps {
         rig.carry_out(line);
@@ -73,7 +73,7 @@ fn chapter_2_2_1_g10_l20_is_of_its_line() {
     walk(&mut rig, &[("G1 X20 Y5 F600", Some([10.0, 5.0, 0.0])), ("X0 Y0", Some([-10.0, 0.0, 0.0]))]);
 }
 
-/// An arc without its radius is an error: only straight moves continue without repeating a word.
+/// An arc without its radius is an error: the radius of the arc before it is not used again.
 #[test]
 fn chapter_2_2_1_an_arc_needs_its_radius() {
     let mut rig = Rig::with(CARVER);

@@ -196,7 +196,7 @@ impl Stream {
             if self.open.is_empty() {
                 return;
             }
-            // The machine waits in a hold or M0.
+            // The machine waits in a hold or after M0.
             self.rig.send(b"~");
         }
         panic!("{} lines are never answered: {}", self.open.len(), self.rig.status());
@@ -224,7 +224,7 @@ impl Stream {
         };
         self.read();
         let place = numbers::<3>(&report, "MPos").expect("a machine position");
-        // While the machine moves, the report may be ahead by up to the segment being executed.
+        // While the machine moves, the report can be ahead by up to the segment being executed.
         if !report.starts_with("<Run") && !report.starts_with("<Jog") && !report.starts_with("<Hold:1") {
             for (axis, mm) in place.iter().enumerate() {
                 let steps = mm * CARVER_STEPS;
@@ -314,7 +314,8 @@ fn a_million_thousandths_make_a_thousand() {
     assert_eq!(answers, 1_000_001);
     assert_eq!(rig.place, [80_000, 0, 0]);
     assert!(rig.status().starts_with("<Idle|MPos:1000.000,0.000,0.000|"));
-    // The position is exact, not only the nearest step: the return move has the same number of steps.
+    // The position is exact, not only rounded to the nearest step, because the return move has the same number of
+    // steps.
     rig.carry_out("G90 X0");
     assert_eq!(rig.place, [0, 0, 0]);
 }

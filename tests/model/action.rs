@@ -6,8 +6,8 @@ use proptest::prelude::*;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Line {
     Empty,
-    /// Longer than the 79 characters of Grbl; in Oxmill's dialect, where longer lines are allowed, an error for the
-    /// repeated word.
+    /// Longer than the 79 characters of Grbl. In Oxmill's dialect, where longer lines are allowed, its repeated word is
+    /// an error.
     TooLong,
     /// A straight move in absolute coordinates: axis and target in mm. `true`: at [`FEED`], else a rapid.
     Move(usize, i8, bool),
@@ -194,7 +194,7 @@ pub struct Setup {
     pub hard_limits: bool,
     /// `$22`.
     pub homing: bool,
-    /// `$20`, which needs `homing`; machine coordinates are then trusted from power-up (`$902=0`).
+    /// `$20`, which needs `homing`. With it, machine coordinates are trusted from power-up (`$902=0`).
     pub soft_limits: bool,
     /// `$918=1`.
     pub tool_changes: bool,
@@ -380,7 +380,7 @@ fn ended_jog() -> impl Strategy<Value = Vec<Action>> {
     })
 }
 
-/// Generates a job that is resumed after a door closes, and events during that time.
+/// Generates a job that is resumed after a door closes, and events while it is being resumed.
 fn resumed_job() -> impl Strategy<Value = Vec<Action>> {
     let outputs = prop::sample::select(vec![Line::Spindle(true), Line::Flood(true)]);
     let passes = || prop::sample::select(PASSES[1..].to_vec());
@@ -402,7 +402,7 @@ fn resumed_job() -> impl Strategy<Value = Vec<Action>> {
     })
 }
 
-/// Generates a job with an input fault, in which the spindle may have been stopped, and events while the machine
+/// Generates a job with an input fault, in which the spindle can have been stopped, and events while the machine
 /// brakes.
 fn job_with_a_fault() -> impl Strategy<Value = Vec<Action>> {
     let before = prop::sample::select(vec![
@@ -440,7 +440,7 @@ fn job_with_a_fault() -> impl Strategy<Value = Vec<Action>> {
     })
 }
 
-/// Generates a job whose spindle loses its speed repeatedly, and events that may give it time to spin up.
+/// Generates a job whose spindle loses its speed repeatedly, and events that can give it time to spin up.
 fn job_with_a_slow_spindle() -> impl Strategy<Value = Vec<Action>> {
     let slow =
         || prop::sample::select(vec![0.0317, 0.1601, 0.1799, 0.2601, 0.2901, 2.0377]).prop_map(Action::SlowSpindle);
@@ -488,7 +488,7 @@ fn some() -> impl Strategy<Value = Vec<Action>> {
         1 => job_with_a_fault().prop_flat_map(sequence),
         1 => tools().prop_flat_map(sequence),
         1 => job_with_a_slow_spindle().prop_flat_map(sequence),
-        // Part of a homing cycle.
+        // The first actions of a homing cycle.
         1 => (0..18_usize).prop_map(|count| homed_by_hand().into_iter().take(count).collect()),
     ]
 }

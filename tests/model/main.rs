@@ -1,5 +1,5 @@
-//! Compares the protocol's state machine with a plain reference model, in random conversations: answers and error
-//! numbers, what waits, the status report, and that no step occurs when none may. A disagreement is shrunk to the
+//! Compares the protocol's state machine with a plain reference model, in random conversations: the answers and error
+//! numbers, which lines wait, the status report, and that no step occurs when none may. A disagreement is shrunk to the
 //! shortest conversation and printed in the format of `tests/conversations`.
 //!
 //! `OXMILL_MODEL=N` plays N conversations instead of the default number; `OXMILL_MODEL_SEED` sets the first seed.
@@ -22,8 +22,8 @@ fn number(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
 }
 
-/// Plays conversations with a machine and with a reference model whose setup is `told` of the machine's setup. Returns
-/// the states that were reported, or the shortest conversation in which the two disagree.
+/// Plays conversations with a machine and with a reference model. The model gets the setup that `told` makes of the
+/// machine's setup. Returns the states that were reported, or the shortest conversation in which the two disagree.
 fn search(count: u64, seed: u64, told: impl Fn(Setup) -> Setup) -> Result<States, String> {
     let config = Config {
         cases: u32::try_from(count).expect("a number of 32 bits"),

@@ -145,7 +145,7 @@ impl Seen {
 }
 
 /// Returns whether lines match a list of patterns. `*` stands for any text, and [`MANY`] for any number of lines that
-/// are not answers. `reasons`: an error may be preceded by a message with its reason, which the model does not predict.
+/// are not answers. `reasons`: an error can be preceded by a message with its reason, which the model does not predict.
 fn is_said(patterns: &[String], lines: &[String], reasons: bool) -> bool {
     let Some((pattern, rest)) = patterns.split_first() else { return lines.is_empty() };
     if pattern == MANY {
@@ -171,8 +171,8 @@ fn is_line(pattern: &str, line: &str) -> bool {
 /// Number of times that each state has been reported after an action.
 pub type States = BTreeMap<String, u64>;
 
-/// Plays a conversation with a machine of `setup` and with the model of a machine of `told`. The two differ only in
-/// tests of this test. Returns the states that were reported, or the disagreement.
+/// Plays a conversation with a machine of `setup` and with the model of a machine of `told`. The two setups differ only
+/// in the tests that check this test. Returns the states that were reported, or the disagreement.
 pub fn play(setup: Setup, told: Setup, actions: &[Action]) -> Result<States, String> {
     let mut talk = Talk::started(setup);
     let mut models = vec![Model::new(told)];

@@ -1,8 +1,9 @@
 //! Passes the board's linker scripts to the linker.
 
 fn main() {
-    // The suite `controller` needs the storage of a controller in addition to the stack. The F401s have no space for
-    // it: that suite is not run on them (xtask/src/suites.rs), and the others need a smaller stack.
+    // The suite `controller` needs a large stack and, besides, the storage of a controller. The boards with an F401
+    // have no space for both, so they do not run this suite (xtask/src/suites.rs); the other suites need a smaller
+    // stack.
     let is_f401 = ["BLACKPILL_F401", "NUCLEO_F401RE"]
         .iter()
         .any(|board| std::env::var_os(format!("CARGO_FEATURE_{board}")).is_some());

@@ -53,7 +53,7 @@ const BY_HAND: &str =
 const TRUE_PLACE: &str = "Grbl counts from zero while homing; here the position stays true when homing is broken off";
 const STOPPED: &str = "the machine was stopped by the hand, at a moment that is the recording host's";
 
-/// Records at which the machine is where the recording host has stopped it during a move, at a time of its own.
+/// Records whose position depends on the moment at which the recording host stopped a move.
 const STANDS_WHERE_STOPPED: &[(&str, u64)] = &[
     ("15_jog", 55),
     ("15_jog", 60),

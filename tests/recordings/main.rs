@@ -39,7 +39,7 @@ fn power_up(group: &str) -> Simulator {
     mill.send("$900=0\n");
     mill.run_until_idle();
     assert!(mill.take_output().ends_with("ok\r\n"));
-    // Reset: the machine is then a fresh one with only the dialect set.
+    // After this reset the machine is a fresh one, except for the dialect.
     mill.send([0x18]);
     mill.run_until_idle();
     mill

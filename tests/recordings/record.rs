@@ -24,7 +24,7 @@ pub fn read(text: &str) -> Vec<Record> {
             Record {
                 n: value["n"].as_u64().expect("n"),
                 kind: text("kind"),
-                // Bytes above 0x7F were recorded as the characters with these codes.
+                // A byte above 0x7F was recorded as the character with the same code.
                 send: text("send").chars().map(|c| c as u32 as u8).collect(),
                 reply: value["reply"]
                     .as_array()

@@ -2,7 +2,7 @@
 //! known to the millisecond.
 
 /// Returns whether two answers are equal apart from timing. Each rule is for one kind of line and as narrow as
-/// possible. `stopped`: the machine is where the recording host has stopped it during a move.
+/// possible. `stopped`: the position depends on the moment at which the recording host stopped a move.
 pub fn equal(stopped: bool, recorded: &[String], answered: &[String]) -> bool {
     if recorded.len() != answered.len() {
         return false;

@@ -115,7 +115,7 @@ fn line(random: &mut Random) -> String {
             .unwrap();
         }
         10 | 11 => {
-            // Settings that keep the resolution, and rates and accelerations short enough for a session.
+            // Settings other than resolution, rates and accelerations, so that a session stays short.
             let setting = random.of(&[
                 "0", "1", "2", "3", "4", "5", "6", "10", "11", "12", "13", "20", "21", "22", "23", "26", "27", "30",
                 "31", "32", "40", "41", "42", "43", "44", "45", "46", "56", "58", "900", "901", "902", "903", "999",
@@ -126,7 +126,7 @@ fn line(random: &mut Random) -> String {
             for _ in 0..random.below(100) {
                 line.push(char::from(b' ' + random.below(95) as u8));
             }
-            // A random setting may take days: remove the letters that could make one.
+            // A random setting, feed or dwell can take days: remove the letters of these words.
             line.retain(|c| !matches!(c, '$' | 'F' | 'f' | 'P' | 'p' | 'Q'));
         }
         13 => line += &"G1X1".repeat(random.below(90) as usize),
@@ -160,7 +160,8 @@ fn session(seed: u64) {
                     };
                     bytes.insert(at, byte);
                 }
-                // Like a sender that counts characters: so realtime commands never wait for lines that do not fit.
+                // Only if the bytes fit, as a sender that counts characters does. So no realtime command has to wait
+                // behind a line that does not fit.
                 if bench.mill.unread() + bytes.len() <= bench.mill.board().received_bytes {
                     write!(history, "{:?} ", String::from_utf8_lossy(&bytes)).unwrap();
                     bench.send(&bytes);

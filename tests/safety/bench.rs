@@ -41,7 +41,7 @@ impl Bench {
         bench
     }
 
-    /// Sends a setting. Returns the setting named by the lock message if the set of settings is then unusable.
+    /// Sends a setting. If this makes the set of settings unusable, returns the setting that the lock message names.
     #[track_caller]
     pub fn set(&mut self, line: &str) -> Option<String> {
         let said = self.ask(line);
@@ -52,7 +52,7 @@ impl Bench {
         }
     }
 
-    /// Returns the lines received since the last call.
+    /// Returns the complete lines that have not been read yet.
     pub fn read(&mut self) -> Vec<String> {
         self.unread.push_str(&self.mill.take_output());
         let end = self.unread.rfind('\n').map_or(0, |at| at + 1);

@@ -147,8 +147,8 @@ impl Mill {
         [x - AT[0], y - AT[1], z - AT[2]]
     }
 
-    /// Compares the positions at rest. They may differ by backlash that a stop has left, and by half a step of both
-    /// motors that home a belt.
+    /// Compares the positions at rest. They can differ by backlash that was not taken up when a motion was stopped, and
+    /// on belts by half a step of the two motors at homing.
     fn assert_place(&mut self) {
         let ((reported, status), tool) = (self.reported(), self.tool());
         let off = if self.slack { 0.1701 } else { [0.0021, 0.0101][usize::from(self.belts)] };

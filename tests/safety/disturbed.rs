@@ -24,7 +24,7 @@ const BELTS: &str = "$904=1";
 const TURNS: &str = "$930=4";
 /// Maximum backlash of `$160` to `$162` below, steps.
 const MOST_SLACK: f64 = 10.0;
-/// Settings of each machine, and whether it parks: then it leaves the path.
+/// Settings of each machine, and whether it parks, for which it leaves the path.
 const MACHINES: [(&str, bool); 11] = [
     ("", false),
     ("$220=9000 $221=8000 $222=7000", false),
@@ -91,7 +91,7 @@ fn more_lines(r: &mut Random, a: &str, feed: u64) -> Vec<String> {
     text.split('|').map(str::to_string).collect()
 }
 
-/// Returns lines that belong together. They may fail on this machine; `program` leaves them out then.
+/// Returns lines that belong together. Some of them fail on this machine; `program` leaves those out.
 fn lines(random: &mut Random, turns: bool) -> Vec<String> {
     let r = random;
     let a = if turns && r.below(2) == 0 { format!(" A{:.2}", mm(r, 40)) } else { String::new() };
@@ -220,8 +220,8 @@ impl Mill {
         matches!(self.bench.state().as_str(), "Hold:0" | "Door:0")
     }
 
-    /// Compares the reported position with the steps. Belts may be at half steps, and backlash may be taken up at this
-    /// time.
+    /// Compares the reported position with the steps. With belts the tool can be at a half step, and backlash can be
+    /// partly taken up.
     fn assert_place(&mut self) {
         let (reported, place) = (self.bench.reported(), tool(&self.bench, self.settings));
         let half = if self.settings.contains(BELTS) { 0.51 } else { 0.01 };

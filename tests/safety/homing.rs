@@ -45,7 +45,7 @@ fn assert_homed(bench: &mut Bench, to_negative: u8, what: &str) {
 #[test]
 fn a_bouncing_switch_is_found_to_the_step() {
     for to_negative in [0, 7, 2] {
-        // At the rate of `$24` a step takes 4 ms.
+        // At the rate of `$24` a step takes 4 ms, longer than all these bounces.
         for bounce_us in [0, 50, 300, 1000, 2900] {
             let mut bench = Bench::new(&machine(to_negative, bounce_us), SETTINGS);
             assert_eq!(bench.ask(&format!("$23={to_negative}")), ["ok"]);
@@ -151,7 +151,7 @@ fn a_switch_that_does_not_open_again_ends_in_an_alarm() {
 
 type Act = fn(&mut Bench);
 
-/// At any time of the cycle: the right alarm, and everything works afterwards.
+/// An interruption at any time of the cycle raises the right alarm, and everything works afterwards.
 #[test]
 fn homing_is_broken_off_at_any_moment() {
     let mut whole = Bench::new(&machine(0, 900), SETTINGS);
@@ -168,7 +168,7 @@ fn homing_is_broken_off_at_any_moment() {
         (7, "door pin", |b| b.pin("door 1")),
     ];
     for (number, (alarm, what, act)) in breaks.into_iter().enumerate() {
-        // The step is not a fraction of any phase, so all phases are hit at different points.
+        // The interval between the moments fits no phase exactly, so each phase is hit at different points.
         let mut moment = 0.003 + number as f64 * 0.017;
         let mut moments = 0;
         while moment < cycle {
@@ -305,7 +305,7 @@ fn with_zero_at_the_pull_off_nothing_that_goes_to_zero_meets_a_switch() {
     }
 }
 
-/// After such a change positions no longer match the homed coordinates.
+/// After a change that moves machine zero the homed coordinates are wrong, so the machine must be homed again.
 #[test]
 fn another_machine_zero_has_to_be_homed() {
     for (settings, renames, keeps) in [

@@ -1,5 +1,5 @@
 //! Three jobs, each interrupted in every segment of the step task. The position is the one that the pulses make, the
-//! state is the expected one, and a job that may continue ends at the same position by the same path.
+//! state is the expected one, and a job that is allowed to continue ends at the same position by the same path.
 
 use super::bench::{AXES, Bench, HZ, STEPS, assert_place};
 use oxmill_controller::messages::SpindleDirection;
@@ -75,7 +75,7 @@ fn reference(job: &Job) -> Reference {
     let mut moments: Vec<u64> = (0..end / (HZ / 250)).map(|n| n * (HZ / 250)).collect();
     for (index, begin) in begins.iter().enumerate() {
         let next = begins.get(index + 1).copied().unwrap_or(begin + HZ / 10_000);
-        // At the start of the segment, or anywhere within it.
+        // A moment at the start of the segment, or anywhere within it.
         let length = (next - begin).min(HZ / 1000);
         moments.push(begin - run.begin + length * (index as u64 * 37 % 100) / 100);
     }
@@ -87,7 +87,7 @@ fn reference(job: &Job) -> Reference {
 }
 
 /// Asserts that a path is that of the reference: each axis makes the same steps in the same order, and the machine is
-/// never more than one step off the path. Smoothing may put the step of a slow axis between two steps of the fast one.
+/// never more than one step off the path. Smoothing can put the step of a slow axis between two steps of the fast one.
 fn assert_same_path(found: &[Place], reference: &[Place], what: &str) {
     for axis in 0..AXES {
         let steps = |path: &[Place]| -> Vec<i32> {
@@ -145,7 +145,7 @@ fn answers(said: &[String]) -> usize {
 /// Asserts that the machine has braked to rest: in its last 3 ms it moves no farther than its acceleration allows.
 fn assert_braked(run: &Run, what: &str) {
     const SPAN: f64 = 0.003;
-    // All axes together, mm/s²; two steps are allowed for motion between the ticks.
+    // The acceleration of all axes together, mm/s². Two steps of each axis are allowed for motion between the ticks.
     let greatest = f64::hypot(f64::hypot(1500.0, 1200.0), 900.0);
     let allowed = greatest * SPAN * SPAN / 2.0 + 2.0 * 3.0_f64.sqrt() / STEPS;
     let kept = run.bench.mill.trace().kept();
@@ -289,7 +289,7 @@ fn stop(job: &Job) {
         assert!(said.iter().all(|line| line == "ok"), "{what}: {said:?}");
         assert_true_and_at_rest(&mut run.bench, what);
         assert!(run.bench.mill.controller().is_trusted(), "{what}");
-        // The distance covered was on the same path.
+        // The machine has followed the path of the reference as far as it got.
         let path = run.path();
         if let Some(end) = path.last() {
             let same = reference.path.iter().any(|p| p.iter().zip(end).all(|(a, b)| a.abs_diff(*b) <= 1));
@@ -330,7 +330,7 @@ fn limit(job: &Job) {
         assert_eq!(run.bench.mill.controller().is_trusted(), !stepping, "{what}");
         assert_true_and_at_rest(&mut run.bench, what);
         assert!(!run.bench.mill.is_active(), "{what}: something goes on");
-        // Only a reset helps.
+        // Neither `$X` nor `~` has an effect, only a reset.
         run.bench.send("$X\n~");
         run.bench.wait(0.2);
         assert_eq!(run.bench.state(), "Alarm", "{what}");

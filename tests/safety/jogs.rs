@@ -1,5 +1,5 @@
-//! An event that ends jogs arrives at each byte of two pending jogs: no jog moves of which a byte was received before
-//! the event, every jog is answered, and a jog sent later moves.
+//! An event that ends jogs arrives after each byte of two pending jogs. A jog of which a byte arrived before the event
+//! does not move, every jog is answered, and a jog sent later moves.
 
 use super::bench::Bench;
 use oxmill_simulator::trace::Csv;
@@ -69,7 +69,7 @@ fn no_jog_moves_that_was_received_before_what_ends_jogs() {
             bench.wait(0.02);
             let waits = !bench.mill.controller().wants_line() || matches!(end, End::Byte(_));
             if !waits && at >= FIRST.len() {
-                // The first jog has started and may have moved.
+                // The first jog has started and can have moved.
                 continue;
             }
             let (received, rest) = both.split_at(at);
@@ -106,7 +106,8 @@ impl Write for File {
     }
 }
 
-/// Returns the number of X steps with the laser on, from a trace. Along Y only jogs move, and the laser must be off.
+/// Returns the number of X steps with the laser on, from a trace. Motion along Y comes only from jogs, in which the
+/// laser must be off.
 fn burnt(trace: &str, log: &str) -> usize {
     let (mut y, mut power, mut burnt) = ("0".to_string(), 0.0, 0);
     for row in trace.lines().skip(1) {

@@ -35,8 +35,8 @@ fn any_value(random: &mut Random, kind: Kind) -> i64 {
 fn any_set(random: &mut Random, listed: &Set) -> Set {
     let mut set = listed.clone();
     for entry in SCALARS {
-        // Left unchanged: Grbl's dialect accepts `$20=1` only after `$22=1`, as Grbl does, and inverted inputs would be
-        // active all the time.
+        // Left unchanged: the dialect, because Grbl's accepts `$20=1` only after `$22=1`, as Grbl does; `$14` and
+        // `$903`, so that no control input or door is active all the time.
         if ![14, 900, 903].contains(&entry.number) && set.contains_key(&entry.number) {
             set.insert(entry.number, any_value(random, entry.kind));
         }
@@ -53,8 +53,8 @@ fn any_set(random: &mut Random, listed: &Set) -> Set {
             set.insert(number, value);
         }
     }
-    // The pulse leaves room for the steps. No limit switches are wired, so neither inverted limit inputs (`$5`) nor
-    // hard limits (`$21`).
+    // A length of the pulse that leaves room for the steps. No limit switches are wired, so neither inverted limit
+    // inputs (`$5`) nor hard limits (`$21`).
     set.insert(0, 100 * (10 + random.below(300) as i64));
     set.insert(5, 0);
     set.insert(21, 0);
@@ -80,14 +80,14 @@ fn read(listing: &[String]) -> Set {
         .collect()
 }
 
-/// Sends settings one by one. No setting may be named twice in a row, except because it was itself changed.
+/// Sends settings one by one. The same setting must not be named twice in a row, unless it is the one that is sent.
 fn send_all(bench: &mut Bench, lines: &[String]) {
     let mut named = None;
     for line in lines {
         let locked = bench.set(line);
         let own = locked.as_ref().is_some_and(|name| line.starts_with(&format!("{name}=")));
         assert!(own || locked.is_none() || locked != named, "{line}: {locked:?} again");
-        // A setting that affects the step rate may have corrected the named one; a later fault is reported again.
+        // A setting that affects the step rate can have corrected the named one; a later fault is reported again.
         let number = line.trim_start_matches('$').split('=').next().and_then(|n| n.parse::<u32>().ok());
         let mends = matches!(number, Some(0 | 29 | 100..=102 | 110..=112 | 904 | 905));
         named = if mends { locked } else { locked.or(named) };
@@ -100,7 +100,8 @@ fn shuffle<T>(random: &mut Random, items: &mut [T]) {
     }
 }
 
-/// Returns the setting that locks motion, if any. The reason is reported once, and then only the error.
+/// Returns the setting that locks motion, if any. A move is refused with the reason once, and from then on with the
+/// error alone.
 fn locked_by(bench: &mut Bench) -> Option<String> {
     let place = bench.place();
     let said = bench.ask("$J=G91 X0 F100");
@@ -123,7 +124,7 @@ fn a_set_is_restored_in_any_order() {
         let listed = read(&listing(&mut Bench::new("", "")));
         let mut target = Bench::new("", "");
         let set = any_set(&mut random, &listed);
-        // In the order of `$$`.
+        // First in the order of `$$`.
         let mut lines: Vec<String> = set.iter().map(|(number, value)| format!("${number}={}", text(*value))).collect();
         send_all(&mut target, &lines);
         if locked_by(&mut target).is_some() {
@@ -143,7 +144,7 @@ fn a_set_is_restored_in_any_order() {
         assert_eq!(listing(&mut machine), wanted, "{lines:?} after {before:?}");
         assert_eq!(locked_by(&mut machine), None, "{lines:?} after {before:?}");
         assert_eq!(machine.state(), "Idle");
-        // And it moves, within its travel.
+        // The machine also moves, within its travel.
         let place = machine.place();
         let sign = if set[&932] != 0 && (set[&23] / 1000) & 1 != 0 { 1 } else { -1 };
         assert_eq!(machine.ask(&format!("$J=G91 G21 X{} F500", 0.9 * f64::from(sign))), ["ok"], "{lines:?}");
@@ -153,7 +154,7 @@ fn a_set_is_restored_in_any_order() {
     assert!(invalid < 3 * valid, "{invalid} sets of {valid} cannot be run");
 }
 
-/// Each of these settings locks motion, and the message names it, until it is corrected, whatever else is sent.
+/// Each of these settings locks motion. The message names it until it is corrected, whatever else is sent.
 #[test]
 fn what_cannot_be_run_is_named() {
     let cases: &[(&str, &str, &str)] = &[
@@ -177,7 +178,7 @@ fn what_cannot_be_run_is_named() {
         ("$22=1 $25=0", "$25", "$22=0"),
         ("$22=1 $41=1 $57=0", "$57", "$57=100"),
         ("$22=1 $41=1 $59=0", "$59", "$41=0"),
-        // 500 mm/min and 250 steps/mm give a step every 480 us.
+        // 5000 mm/min and 1100 steps/mm give a step every 10.9 us, which is too fast for pulses of 10 us.
         ("$111=5000 $101=1100 $0=10", "$111", "$0=5"),
     ];
     for (wrong, name, mended) in cases {

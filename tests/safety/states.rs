@@ -10,7 +10,8 @@ use oxmill_controller::messages::SpindleDirection;
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 
 /// Immediate effect of each event (row) in each state (column). `.` means unchanged; `/` separates alternatives that
-/// depend on whether the machine moves, parks, or has a pin active. `-` is impossible: an open door cannot open.
+/// depend on whether the machine moves, parks, or has a pin active. `-` means impossible, for example a door that opens
+/// while it is open.
 ///
 /// The table is Grbl's, with four additions: 0x19 brakes and drops the job; a limit switch ends every state except Home
 /// and alarms; an emergency stop and a driver fault end every state; `?` is always answered. Lines sent during a hold
@@ -80,7 +81,7 @@ const SETS: [(&str, &[&str]); 7] = [
     ("BehindDoor", &[".", "Door:0", "Door:1", "Sleep"]),
     // Alarm (locked) if the machine was moving or is on a limit switch.
     ("Reset", &["Idle", "Alarm"]),
-    // The same, where afterwards the open door may be detected.
+    // The same if the door is open, which can be detected after the reset.
     ("ResetDoor", &["Idle", "Alarm", "Door:1", "Door:2"]),
     // A hold has come to rest; or a stop has come to rest, and the line after it starts.
     ("Braked", &[".", "Hold:0", "Idle", "Run"]),
@@ -474,8 +475,8 @@ fn search(kind: usize, table: &Table) -> Found {
                     .or_insert_with(|| names(event.row));
             }
             if is_line && !read {
-                // The line waits for the current activity; testing the move is enough. Where only a reset helps, the
-                // line is dropped.
+                // The line waits for the current activity; the search goes on with only one kind of waiting line, the
+                // move. Where only a reset helps, the line is dropped.
                 let is_dropped = machine.bench.mill.unread() == 0;
                 assert!(!is_dropped || ["Critical", "Sleep"].contains(&to.state.as_str()), "{}", names(event.row));
                 if is_dropped || event.row != "move" {

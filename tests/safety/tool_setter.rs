@@ -164,7 +164,7 @@ impl Mill {
         self.bench.wait(2.0);
         self.said.extend(self.bench.read());
         let place = self.place();
-        // 0x19 leaves the spindle unchanged: off until the tool is back over the work.
+        // After 0x19 the spindle is as it was before: off, unless the tool is back over the work.
         let is_back = what.starts_with("soft") && (place[0] - WORK[0]).abs() < EXACT && self.tool_length() > 1.0;
         assert!(is_back || self.spindle() == "0", "{what}: {}", self.bench.status());
         let trusted = self.bench.mill.controller().is_trusted();
@@ -181,7 +181,7 @@ impl Mill {
         if !trusted {
             let said = self.bench.ask("T2 M6");
             assert!(said.iter().any(|line| line == "ok" || line == "error:130"), "{what}: {said:?}");
-            // The message that the job was ended may follow the error.
+            // A message that the job was ended can follow the error.
             self.bench.wait(0.1);
             self.bench.read();
             assert_eq!(self.bench.ask("$H"), ["ok"], "{what}");

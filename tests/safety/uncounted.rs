@@ -4,7 +4,7 @@
 use super::bench::Bench;
 use oxmill_fuzz::session::{MACHINE, SETTINGS};
 
-/// More than queue and link hold when sent repeatedly.
+/// Lines that, sent repeatedly, are more than queue and link hold.
 const LINES: &str = "G1 X1 F100\nG4 P0.1\nM3 S100\n(a remark that is rather long) $X\n";
 
 /// Ways to a state that only a reset ends: name, settings, and lines that lead there.

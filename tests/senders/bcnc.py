@@ -95,7 +95,7 @@ class Window:
         self.event("<<Run>>")
 
     def is_answered(self):
-        """Returns whether the greeting after the last reset has arrived: bCNC would drop a job that is started before it."""
+        """Returns whether the greeting after the last reset has arrived: bCNC drops a job that is started before that."""
         CNC.vars["G"] = []
         self.do(self.application.viewState)
         time.sleep(0.3)

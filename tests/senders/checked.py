@@ -4,8 +4,8 @@
     cargo build --release
     python3 tests/senders/checked.py [--rate N] [--plain] [--seed N] [JOB.nc ...]
 
-Between the sender (`examples/checked_sender.py`) and the machine one byte in N (default 1,000), in both directions, has one bit
-flipped, is dropped, is doubled or arrives late. A job passes if
+Between the sender (`examples/checked_sender.py`) and the machine, in both directions, one byte in N (default 1,000) is damaged: it
+has a flipped bit, is dropped, is doubled or arrives late. A job passes if
 
  * according to its answers, the machine has accepted each line once and in order,
  * each motor makes the same steps as over a clean link, in the same order and directions; and at each step of a motor, every
@@ -123,7 +123,7 @@ def plain(link, lines):
             late += 1
             unanswered += 1
             if unanswered == GIVEN_UP:
-                # For instance because a damaged byte has become a feed hold.
+                # The machine no longer answers, for example because a damaged byte has become a feed hold.
                 return f"{errors} errors, {late} answers lost; no answers any more at line {number}"
     return f"{errors} errors, {late} answers lost"
 
@@ -274,7 +274,7 @@ def left_at_the_end(program):
 
 
 def dead(until):
-    """Returns a fault if the sender waits too long for a machine that is silent after the answers `until`; else None."""
+    """Returns a fault if the sender waits too long for a machine that sends the answers `until` and then nothing; else None."""
     near, far = socket.socketpair()
     link = checked_sender.Tcp.__new__(checked_sender.Tcp)
     link.socket = near

@@ -57,7 +57,7 @@ class Machine:
         pins = self.process.stderr.readline().split()[-1].rsplit(":", 1)
         self.pins = socket.create_connection((pins[0], int(pins[1])), timeout=PATIENCE)
         self.answers = self.pins.makefile()
-        # The server closes a connection that sends nothing for a minute.
+        # A first request, because the server closes a connection that sends nothing for a minute.
         self.steps()
 
     def __enter__(self):
@@ -102,7 +102,7 @@ class Wire:
         self.master, end = os.openpty()
         tty.setraw(end)
         self.port = os.ttyname(end)
-        # The machine's port is open only while the sender has this port open.
+        # Close this end: the machine's port is open only while the sender has it open.
         os.close(end)
         self.lock = threading.Lock()
         self.is_open = False
@@ -234,7 +234,7 @@ class Scenario:
         held = self.machine.rest()
         if self.wire.since(self.begun)[1].count("ok") >= self.expected["lines"]:
             raise Failed("the job was over before it was held")
-        # No step may occur in a time in which a running job makes thousands.
+        # No step may occur within half a second, in which a running job makes thousands.
         time.sleep(0.5)
         if self.machine.steps() != held:
             raise Failed("the machine moves in a hold")
@@ -263,8 +263,8 @@ class Scenario:
 
     def reset(self):
         """Resets during a job, with the machine reported as running; returns whether it was moving. Afterwards the machine must be
-        ready for the next job. A slow sender on a busy host may let the machine wait for lines, and a reset between two moves
-        raises no alarm."""
+        ready for the next job. With a slow sender on a busy host the machine can be waiting for lines; a reset between two
+        moves raises no alarm."""
         before = self.wire.mark()
         self.sender.reset()
         self.machine.rest()
@@ -285,7 +285,7 @@ class Scenario:
         return was_moving
 
     def runs(self):
-        """Returns whether a report has shown the job running. A sender that does not request reports by itself has a method `look`."""
+        """Returns whether a report has shown the job running. A sender that does not poll has a method `look`."""
         if hasattr(self.sender, "look"):
             self.sender.look()
         return any(report.startswith("<Run|") for report in self.wire.since(self.begun)[3])

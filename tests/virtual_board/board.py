@@ -6,8 +6,8 @@ and host.py emulate the devices at the pins.
 
 Exceptions take 12 cycles to enter, 12 to leave, 6 from one to the next. Flash wait states multiply the cost of
 instructions: by 1.1 in the step interrupt, whose code is usually cached, by 1.3 elsewhere. Reading a register on an APB
-bus stalls the processor for two clocks of that bus (the two phases of an APB transfer); a write stalls it for none. AHB
-registers cost nothing beyond the instruction.
+bus stalls the processor for two clocks of that bus (the two phases of an APB transfer); a write does not stall it.
+Accesses to AHB registers cost nothing beyond the instruction.
 """
 
 import bisect
@@ -40,7 +40,7 @@ HOT, COLD = round(1.1 * 256), round(1.3 * 256)
 FILL = b"\xa5"
 """Contents of RAM at power-up."""
 PAINTS = (4 * FILL, (0xA5C3_5A3C).to_bytes(4, "little"))
-"""Words of unused stack: the emulation's and the firmware's own."""
+"""Contents of an unused word of the stack: as the emulation fills RAM, and as the firmware paints its stack."""
 
 
 WORD = struct.Struct("<I")
@@ -50,7 +50,7 @@ BREAKPOINT = 7
 
 
 class Failure(Exception):
-    """The emulation cannot continue, or a case does not hold."""
+    """The emulation cannot continue, or the board does not behave as a case requires."""
 
 
 class Image:
@@ -130,7 +130,7 @@ class Board:
         self.step_runs = []
         """(cycle of entry, cycle after the return) of each run of the step interrupt."""
         self.serial = 16 + wiring.serial_irq
-        """Number of the exception that runs the serial task."""
+        """Exception number of the serial task's interrupt."""
         self.begins = {SYSTICK: [], self.serial: []}
         """Cycles of entry into the samples of the inputs and into the runs of the serial task."""
         self.held = False
@@ -146,7 +146,7 @@ class Board:
     def _map(self):
         uc, part = self.core.uc, self.part
         uc.mem_map(part.flash_start, part.flash_kib * 1024, UC_PROT_ALL)
-        # Own memory, not unicorn's: DMA accesses it without calling unicorn.
+        # RAM is memory of this process instead of unicorn's, so that DMA accesses it without calling unicorn.
         self.ram = (ctypes.c_char * (part.ram_kib * 1024))()
         uc.mem_map_ptr(part.ram_start, part.ram_kib * 1024, UC_PROT_ALL, ctypes.addressof(self.ram))
         self.write_memory(part.flash_start, b"\xff" * part.flash_kib * 1024)
@@ -231,7 +231,8 @@ class Board:
 
     def jump_from_loader(self, resets_clocks):
         """Starts the program as the chip's boot loader does, by a jump instead of a reset: system memory is at address
-        0, and VTOR points to the vectors there. Unless the loader resets the clocks, they stay as it set them."""
+        0, and VTOR points to the vectors there. Unless the loader resets the clocks, they stay as the loader set
+        them."""
         self.power_on()
         self.syscfg.values[0] = SYSTEM_MEMORY
         self.nvic.vectors = 0x1FFF_0000
@@ -270,7 +271,7 @@ class Board:
             self.clocks.append((self.now, seconds + (self.now - last) / before, hz))
 
     def slow_down(self, hz):
-        """Changes the core's clock while models run; of these, only the watchdog adapts."""
+        """Changes the core's clock while models run. Only the watchdog's model adapts to it."""
         self.iwdg.slowed_down(hz / self.clocks[-1][2])
         self.clocks.append((self.now, self.seconds(), hz))
 
@@ -289,8 +290,8 @@ class Board:
         self.state.deadline = 0
 
     def stand(self, seconds):
-        """Stalls the processor in the middle of a register access: all other events of that time come before the
-        access."""
+        """Stalls the processor in the middle of a register access. Everything else that happens during the stall comes
+        before the access takes effect."""
         self.stall(seconds)
         self._advance()
 
@@ -360,7 +361,7 @@ class Board:
         return struct.unpack("<I", self.read_memory(address, 4))[0]
 
     def _guarded(self, function):
-        """Wraps a callback: no exception may pass through unicorn, so it is stored and raised by `run`."""
+        """Wraps a callback: no exception must pass through unicorn, so the exception is stored, and `run` raises it."""
 
         def call(*arguments):
             try:
@@ -415,7 +416,8 @@ class Board:
             self._at(address).store_by_dma(address & 0x3FC, value, at)
 
     def _read_otg(self, uc, offset, size, _):
-        # AHB2: no wait for a slower bus. The receive FIFO is read at endpoint 0's address.
+        # OTG_FS is on AHB2, so an access does not wait for a slower bus. The receive FIFO is read at endpoint 0's
+        # address.
         return self._otg_on().read(offset)
 
     def _write_otg(self, uc, offset, size, value, _):
@@ -456,8 +458,8 @@ class Board:
             raise Unmodelled(f"store of {size} bytes to {0xE000_0000 + offset:#010x}")
 
     def _store_to_flash(self, uc, access, address, size, value, _):
-        # Unicorn calls the hook before the store, which it cannot prevent: the resulting contents of flash are written
-        # right after it.
+        # Unicorn calls this hook before the store, and the hook cannot prevent the store. So the correct contents of
+        # flash are written again right after it.
         self.flash.program(address, size, value & (1 << 8 * size) - 1)
         self._fixes.append((address, self.read_memory(address, size)))
         self.state.deadline = 0
@@ -493,8 +495,9 @@ class Board:
     # Running.
 
     def run(self, cycles=None, seconds=None, until=None, limit=None):
-        """Runs for a time, or until `until()` is true, which is checked after each event; then `limit` bounds the time
-        in seconds. Returns whether the run ended as wanted."""
+        """Runs for `cycles` or for `seconds`, or, if `until` is given, until `until()` is true, but for at most `limit`
+        seconds. `until()` is checked after each event. Returns whether the time has passed or, if `until` is given,
+        whether it has become true. Returns False if the board loses power or the program ends itself."""
         state = self.state
         seconds = limit if seconds is None else seconds
         stop = None if seconds is None else self.seconds() + seconds
@@ -612,7 +615,8 @@ class Board:
         state.margin = HOT if running == 16 + self.wiring.step_irq else COLD
 
     def _end(self):
-        """Handles a breakpoint with a probe: only SYS_EXIT_EXTENDED of Arm's semihosting is allowed."""
+        """Handles a breakpoint if a debug probe is connected: only SYS_EXIT_EXTENDED of Arm's semihosting is
+        allowed."""
         code, = struct.unpack("<H", self.read_memory(self.state.at, 2))
         operation, block = self.core.read("r0"), self.core.read("r1")
         if code != 0xBEAB or operation != 0x20:

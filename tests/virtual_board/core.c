@@ -27,7 +27,7 @@ typedef struct {
     uint64_t masked_since, masked_longest; /* PRIMASK, in cycles */
     uint64_t masked_longest_began;
     uint32_t margin, fraction;
-    uint32_t at, next, after_memory, loaded; /* this instruction, the next address without a branch, what it followed */
+    uint32_t at, next, after_memory, loaded; /* address of this instruction, of the next; last access, its register */
     uint32_t reason, fault;
     uint32_t primask, basepri, look_at_masks;
     uint32_t masked_from;

@@ -103,7 +103,7 @@ def cost_of(instruction):
 
 @functools.cache
 def compiled():
-    """Compiles and loads core.c, once per process. Its decoded instructions of an image outlive a Core."""
+    """Compiles and loads core.c, once per process. The decoded instructions in it outlive a Core."""
     source = Path(__file__).with_name("core.c")
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "core.so"
@@ -182,7 +182,7 @@ class Core:
                     half = int.from_bytes(self.uc.mem_read(at, 2), "little")
                     at += 4 if half >> 11 in (0x1D, 0x1E, 0x1F) else 2
                     seen += 1
-                # The second half of a wide instruction may look like an IT; the mistake only delays an interrupt.
+                # The second half of a wide instruction can look like an IT. Such a mistake only delays an interrupt.
                 if at == address and seen < length:
                     return True
         return False
@@ -198,7 +198,8 @@ class Core:
 
     def map_registers(self, address, size, read, write):
         """Calls `read(_, offset, size, _)` and `write(_, offset, size, value, _)` for accesses to a range."""
-        # Not through unicorn's own wrapper, which takes twice as long. `callbacks` keeps the callbacks alive.
+        # Calls unicorn's library directly, because unicorn's Python wrapper takes twice as long. `callbacks` keeps the
+        # callbacks alive.
         calls = self.READ(read), self.WRITE(write)
         self.callbacks.append(calls)
         error = unicorn_library.uclib.uc_mmio_map(

@@ -22,13 +22,13 @@ class Host:
         self.text = bytearray()
         """All bytes received from the board."""
         self.lines = []
-        """(core cycle of its end, text) of each complete line from the board."""
+        """(core cycle of its end, text) for each complete line from the board."""
         self._line = bytearray()
         self._job, self._pending = deque(), deque()
         self.answers = []
         self.bytes_sent = 0
         self.frames = deque()
-        """(core cycle of its start, cycles of a bit, byte) of the last bytes on the line."""
+        """(core cycle of its start, cycles of a bit, byte) for each of the last bytes on the line."""
         board.usart.wire = self
 
     # Called by the model of the USART.
@@ -48,7 +48,7 @@ class Host:
         return 1
 
     def next_fall(self, cycle):
-        """Returns the cycle of the line's next falling edge, from a cycle on; None if that is not known yet."""
+        """Returns the cycle of the line's first falling edge at or after `cycle`; None if it is not known yet."""
         for start, bit, byte in self.frames:
             word = byte << 1 | 1 << 9
             for place in range(10):

@@ -70,14 +70,14 @@ def run(wiring, image, elf, wires, late=None):
         log.extend(data[read:written] if read <= written else data[read:] + data[:written])
         board.write_memory(block + READ, written.to_bytes(4, "little"))
 
-    # The emulated processor's clock continues from one board to the next.
+    # The time does not begin at 0, because the emulated processor's clock continues from one board to the next.
     start = board.seconds()
     while board.ended is None and board.seconds() - start < LONGEST_S:
         end = board.now + board.cycles(0.001)
         while board.now < end and board.ended is None:
             due = min([entry[0] for entry in connected.under_way], default=end)
             if late:
-                # Short steps: an edge that starts meanwhile must not be delivered too late.
+                # Run in short steps, because an edge that starts during a step is delivered only after the step.
                 due = min(due, board.now + board.cycles(1e-6))
             board.run(cycles=max(1, min(due, end) - board.now))
             connected.deliver()

@@ -110,7 +110,7 @@ class Wiring:
         """Returns a number of the board's entry in `profiles.rs`, so that the cases test what the firmware promises."""
         text, begin = PROFILES.read_text(), f'name: "{self.name}"'
         while True:
-            # A number that an entry lacks is that of the entry after its two dots.
+            # A number that an entry lacks comes from the entry named after its two dots.
             row, _, rest = text.split(begin, 1)[1].split("}", 1)[0].partition("..")
             if found := re.search(rf"\b{number}: ([0-9_]+)", row):
                 return int(found[1])

@@ -103,7 +103,8 @@ class GpioTraces(unittest.TestCase):
         self.assertEqual(bench.edges, [], "an input does not show ODR")
         port.write(gpio.MODER, 0xA800_0000 | 1 << 6)
         bench.now = 7
-        # Bit 3 both set and reset: setting takes precedence, so nothing changes; then bit 19 resets it.
+        # The word both sets and resets PA3. Setting takes precedence, so nothing changes; later, bit 19 alone resets
+        # PA3.
         port.write(gpio.BSRR, 1 << 3 | 1 << 19)
         bench.now = 9
         self.assertEqual(port.read(gpio.IDR) & 8, 8)
@@ -175,7 +176,7 @@ class RccTraces(unittest.TestCase):
                 model.check_clock(peripheral)
             bench.now += 1
             model.check_clock(peripheral)
-        # A clock that is already on is not affected by another one.
+        # Switching another clock on does not affect a clock that is already on.
         model.write(rcc.APB1ENR, 1 << 28 | 1)
         model.check_clock(SimpleNamespace(name="it", CLOCK=(rcc.APB1ENR, 28)))
 
@@ -226,7 +227,7 @@ class RccTraces(unittest.TestCase):
         model.write(rcc.PLLCFGR, 25 | 192 << 6 | 1 << 22 | 4 << 24 | 2 << 28)
         model.write(rcc.CR, model.read(rcc.CR) | 1 << 24)
         model.write(rcc.CFGR, 0b100 << 10 | 2)
-        # Without CSSON (bit 19) the core has no clock afterwards.
+        # Without CSSON (bit 19) the core has no clock after the failure.
         model.lose_hse()
         self.assertIn("no clock", bench.failure)
         bench.failure, model.hse_stands = None, False
@@ -326,7 +327,7 @@ class FlashTraces(unittest.TestCase):
         model.write(flash.CR, 1 | 2 << 8)
         model.program(0x0800_4000, 4, 0xFFFF_00F0)
         model.program(0x0800_4000, 4, 0x1234_FFFF)
-        # Programming only changes bits from 1 to 0.
+        # Programming can change bits only from 1 to 0.
         self.assertEqual(bench.read_memory(0x0800_4000, 4), (0x1234_00F0).to_bytes(4, "little"))
         self.assertAlmostEqual(bench.stalled, 32e-6)
         self.assertEqual(model.read(flash.SR), 1)
@@ -380,7 +381,8 @@ class TimerTraces(unittest.TestCase):
         # Writing 0 clears flags; 1 leaves them. CCR2 is 0, which the counter reaches only when it wraps.
         model.write(timer.SR, 0xFFFF_FFFD)
         self.assertEqual((model.read(timer.SR), bench.lines[28]), (0, False))
-        # CCR1 written with the present count: no match before the counter wraps; EGR sets the flag instead.
+        # If CCR1 is written with the present count, there is no match before the counter wraps. EGR sets the flag
+        # instead.
         model.write(timer.CCR1, 100)
         bench.until(model, 1000)
         self.assertEqual(model.read(timer.SR) & 2, 0)
@@ -439,7 +441,8 @@ class TimerTraces(unittest.TestCase):
             model.edge(2)
         self.assertEqual(bench.read_memory(0x2000_0100, 4), bytes([0xE8, 3, 7, 0]))
         self.assertEqual((flags(), controller.read(dma.LISR)), (0, 1 << 27))
-        # DMA no longer fetches: CC2IF, and with the next edge CC2OF. Reading the count clears only CC2IF.
+        # DMA no longer fetches, so the next edge leaves CC2IF set, and the one after it also sets CC2OF. Reading the
+        # count clears only CC2IF.
         model.edge(2)
         self.assertEqual(flags(), 4)
         model.edge(2)
@@ -505,7 +508,7 @@ class UsartTraces(unittest.TestCase):
         model.write(usart.CR1, self.ON | usart.RXNEIE)
         bench.until(model, 9000)
         self.assertEqual((model.read(usart.SR), bench.lines[37]), (0xE0, True))
-        # Not read in time: the second byte is lost, the first is kept, ORE is set.
+        # The first byte was not read in time: the second byte is lost, the first one is kept, and ORE is set.
         bench.until(model, 17_330)
         self.assertEqual(model.read(usart.SR), 0xE8)
         self.assertEqual(model.read(usart.DR), 0x41)
@@ -532,8 +535,8 @@ class UsartTraces(unittest.TestCase):
         self.assertEqual((wire.heard[-1], model.read(usart.SR)), ((16_660, 0xAA), usart.TXE | usart.TC))
 
     def heard(self, baud, brr, text):
-        """Returns the bytes that a receiver with this divider decodes from bytes at another rate, each with its framing
-        error."""
+        """Returns the bytes that a receiver with this divider decodes from bytes at another rate, each with whether it
+        has a framing error."""
         bench, bit = Bench(), 96e6 / baud
         wire = Wire([(2_000 + round(10 * bit * k + 9.5 * bit), byte) for k, byte in enumerate(text)], baud)
         model = usart.Usart("USART1", bench, 0x4001_1000, (0x44, 4), 37, "pclk2")
@@ -556,7 +559,8 @@ class UsartTraces(unittest.TestCase):
         # At twice the rate each bit is read as two.
         self.assertEqual(self.heard(115_200, 417, b"?"), [(0xFE, False), (0xF8, False)])
         self.assertEqual(self.heard(115_200, 417, b"$"), [(0x60, True), (0xF8, False)])
-        # Faster bytes are too short for a start bit, or give a start bit and little else.
+        # Bytes that are much faster than the receiver are too short for a start bit, or give a start bit and little
+        # else.
         self.assertEqual(self.heard(1_000_000, 833, b"\x18"), [])
         self.assertEqual(self.heard(1_000_000, 833, b"\0"), [(0xFF, False)])
 
@@ -601,7 +605,8 @@ class DmaTraces(unittest.TestCase):
         base = self.receiving(8)
         self.until(9011)
         self.assertEqual((self.bench.read_memory(0x2000_0100, 1), self.model.read(base + dma.NDTR)), (b"\xff", 8))
-        # Twelve cycles after the request: eight, plus four of a bus as fast as the core.
+        # The byte is stored twelve cycles after the request: eight cycles of the core, and four of a bus that is as
+        # fast.
         self.until(9012)
         self.assertEqual((self.bench.read_memory(0x2000_0100, 1), self.model.read(base + dma.NDTR)), (b"0", 7))
         self.until(38_000)
@@ -648,7 +653,8 @@ class DmaTraces(unittest.TestCase):
 
     def test_a_processor_that_stands_loses_no_byte(self):
         self.receiving(8)
-        # All events are handled later, in order: each byte is fetched before the next one arrives.
+        # The emulation handles all events later, but in their order, so each byte is fetched before the next one
+        # arrives.
         self.bench.now = 60_000
         while min(model.due for model in (self.port, self.model)) <= self.bench.now:
             min((self.port, self.model), key=lambda model: model.due).advance(self.bench.now)
@@ -662,8 +668,8 @@ class DmaTraces(unittest.TestCase):
         port.write(usart.CR3, usart.DMAT)
         base = self.stream(6, 3, self.SEND, 0x4000_4404)
         self.until(100)
-        # Sixteen cycles each, on a bus with half the clock: the first byte moves on to the shift register, the second
-        # waits in the data register.
+        # Each transfer takes sixteen cycles, because the bus has half the core's clock. The first byte has moved on to
+        # the shift register, the second one waits in the data register.
         self.assertEqual((model.read(base + dma.NDTR), port.shift_ends, port.read(usart.SR)), (1, 16 + 8340, 0))
         self.assertFalse(self.bench.lines.get(17))
         self.until(8400)
@@ -695,8 +701,8 @@ class DmaTraces(unittest.TestCase):
 
 
 class ChainTraces(unittest.TestCase):
-    """Event times of TIM5 by DMA1, pulses of TIM1, words of DMA2, set up as by an image; at 96 MHz all of them count
-    cycles."""
+    """The step output, set up as by an image: DMA1 loads the event times of TIM5, TIM1 times the pulses, and DMA2
+    writes the words to the port. At 96 MHz both timers count core cycles."""
 
     MOMENTS, RING, OFF = 0x2000_0100, 0x2000_0200, 0x2000_0300
     BSRR, CCR1 = 0x4002_0018, 0x4000_0C34
@@ -765,8 +771,8 @@ class ChainTraces(unittest.TestCase):
         # Cycles from the match: 4 to the first count, 1 to the compare event, 12 to the store. The second word changes
         # nothing.
         self.assertEqual(self.bench.edges, [(1017, "A", 1, 1), (1113, "A", 1, 0), (1517, "A", 1, 1), (1613, "A", 1, 0)])
-        # Three of six events have been output, and four times written to CCR1: the last one is past, so the output has
-        # stopped.
+        # Three of six events have been output, and four event times have been written to CCR1. The last of these times
+        # is past, so the output has stopped.
         self.assertEqual((self.dma2.read(0x10 + 0x18 + dma.NDTR), self.dma1.read(0x10 + 0x18 * 2 + dma.NDTR)), (3, 2))
         self.assertEqual(self.tim5.read(timer.CCR1), 999)
 
@@ -825,8 +831,8 @@ class ChainTraces(unittest.TestCase):
         self.until(999)
         self.assertTrue(self.dma1.ask_for_usart("USART2", 0x4000_4404, "pclk1", 999, lambda _, at: 0x41))
         self.until(5000)
-        # The first time would be written 16 cycles after the match: the byte occupies the controller for 15 of them,
-        # and 8 more pass.
+        # Without the byte, the first time would be written 16 cycles after the match. The byte occupies the controller
+        # until 15 cycles after it, and the time is written 8 cycles later.
         self.assertEqual(stores[:2], [(1023, 1200), (1216, 1500)])
         # DMA2 writes the edges, and has nothing to wait for.
         self.assertEqual([at for at, _, _, level in self.bench.edges if level], [1017, 1517])
@@ -920,8 +926,8 @@ class ChainTraces(unittest.TestCase):
 
 
 class BeamTraces(unittest.TestCase):
-    """TIM5's channel 3 makes DMA1 write TIM3's compare value, set up as by an image; at 96 MHz all of them count
-    cycles."""
+    """The laser's power, set up as by an image: TIM5's channel 3 makes DMA1 write TIM3's compare value. At 96 MHz both
+    timers count core cycles."""
 
     POWER, COMPARE = 0x2000_0100, 0x4000_0438
     HOW = 6 << 25 | 1 << 6 | 2 << 11 | 2 << 13 | 1 << 8
@@ -1057,7 +1063,8 @@ class IwdgTraces(unittest.TestCase):
         self.assertEqual(model.due, 89_152_000)
         with self.assertRaises(Misuse):
             model.write(iwdg.KR, 0x1234)
-        # Half of the time has passed; the rest takes a sixth of the cycles at a sixth of the clock.
+        # When half of the time has passed, the core's clock drops to a sixth, so the other half takes a sixth of the
+        # cycles.
         bench.now += 24_576_000
         model.slowed_down(1 / 6)
         self.assertEqual(model.due, bench.now + 4_096_000)
@@ -1089,7 +1096,7 @@ class OtgTraces(unittest.TestCase):
         with self.assertRaises(Misuse):
             model.read(0x020)
         self.assertEqual([model.read(0x1000), model.read(0x1000)], [0x0100_0680, 0x0040_0000])
-        # The entry for its end follows half a microsecond later.
+        # The entry for the packet's end follows half a microsecond later.
         self.assertEqual(model.read(0x014) & 1 << 4, 0)
         bench.now += 48
         model.call()
@@ -1184,7 +1191,7 @@ class NvicTraces(unittest.TestCase):
 
     def test_preemption_and_tail(self):
         _, model = self.fresh()
-        # Interrupt 28 at 0xC0, interrupt 37 at 0xD0; both enabled in ISER0 and ISER1.
+        # Interrupt 28 has priority 0xC0, interrupt 37 has 0xD0; they are enabled in ISER0 and ISER1.
         model.write(nvic.IPR + 28, 0xC0)
         model.write_byte(nvic.IPR + 37, 0xDF)
         self.assertEqual(model.read(nvic.IPR + 36) >> 8 & 0xFF, 0xD0, "four bits are there")
@@ -1200,7 +1207,8 @@ class NvicTraces(unittest.TestCase):
         model.begin(16 + 28)
         model.level(28, False)
         self.assertEqual(model.end(), 16 + 28)
-        # The line of 28 has fallen: it is done. The line of 37 is still high at its end: it pends again.
+        # Interrupt 28 is done, because its line has fallen. Interrupt 37 becomes pending again at its end, because its
+        # line is still high.
         self.assertEqual(model.takeable(0, 0), (None, False))
         self.assertEqual(model.end(), 16 + 37)
         self.assertEqual(model.takeable(0, 0), (16 + 37, False))

@@ -1,9 +1,9 @@
 """A host at the USB port: enumerates the device as a CDC-ACM serial port and exchanges bytes.
 
-Transactions follow each other as on a real bus without other devices: 60 us for one of 64 bytes or a NAK of one, 10 us
-for a short one. While the port is open, the host polls the IN endpoint continuously; polls that would only be answered
-by NAK, because nothing has changed since the last one, are not emulated. Packets of the control endpoint are assumed to
-have up to 64 bytes, as the device declares.
+Transactions follow each other as on a real bus without other devices: 60 us for a transaction with 64 bytes, even if
+NAK answers it, and 10 us for a short one. While the port is open, the host polls the IN endpoint continuously; polls
+that would only be answered by NAK, because nothing has changed since the last one, are not emulated. Packets of the
+control endpoint are assumed to have up to 64 bytes, as the device declares.
 """
 
 from collections import deque
@@ -16,8 +16,8 @@ SHORT_S, LONG_S = 10e-6, 60e-6
 DATA_OUT, DATA_IN = 1, 2
 """Numbers of the data endpoints."""
 WAITING = 8
-"""After this many NAKs in a row (half a millisecond), the device has no space, and is not just busy with the packet
-before."""
+"""After this many NAKs in a row (half a millisecond), the device is taken to have no space; fewer only show that it is
+busy with the previous packet."""
 
 
 class UsbHost(Host):
@@ -43,7 +43,7 @@ class UsbHost(Host):
         self._work = None
         self._orders = deque()
         self._idle_since = None
-        """Cycle of the last emulated poll, while all further ones would have the same answer."""
+        """Cycle of the last emulated poll. Set while all further polls would have the same answer."""
 
     # The bus.
 
@@ -65,8 +65,8 @@ class UsbHost(Host):
         return self.due
 
     def wake(self):
-        """Resumes polling, at the next of the polls that were not emulated: the device or the host may have something
-        to send."""
+        """Resumes polling, because the device or the host may have something to send. The first poll comes when the
+        next of those that were not emulated would have come."""
         if self._idle_since is not None:
             period = self.board.cycles(SHORT_S)
             self.due = self._idle_since + ((self.board.now - self._idle_since) // period + 1) * period
@@ -169,7 +169,7 @@ class UsbHost(Host):
                     self.otg.flag(WKUPINT)
                     yield from self._enumerate()
                 elif order == "reset":
-                    # A bus reset with the cable plugged in, so without a suspend before.
+                    # The cable stays plugged in, so no suspend precedes this bus reset.
                     self.open = self.is_set_up = False
                     yield from self._enumerate()
                 elif order in ("configure", "unconfigure"):

@@ -210,7 +210,7 @@ def answers(machine, _):
 def inputs(machine, board):
     for name, letter in (("probe", "P"), ("limit_x", "X")):
         machine.sim.set_pin(name, True)
-        # Nine samples or more: the filter needs eight.
+        # These are twelve samples of the inputs; the filter needs eight.
         machine.run(0.0006)
         said = machine.status()
         machine.sim.set_pin(name, False)
@@ -260,7 +260,8 @@ def dwells(machine, _):
     begin = machine.sim.time
     machine.until(b"ok\r\n", 0.02)
     took = machine.sim.time - begin
-    # The output is checked five times per millisecond; the time includes reading and planning the line.
+    # The tolerances are needed, because the output is checked only every 0.2 ms, and because the time includes reading
+    # and planning the line.
     if not DWELL_S - 0.0002 <= took <= DWELL_S + 0.0006:
         raise Broken(f"it took {took * 1000:.2f} ms")
     return f"{took * 1000:.2f} ms"
@@ -296,7 +297,8 @@ def keys(machine, _):
     # The registers of the flash interface are plain memory in this machine, as labwired requires no key: a value
     # written to KEYR can be read back.
     register = machine.address("flash_ctrl", "KEYR")
-    # The first start writes to flash. Runs to just before the first key, then in small steps.
+    # At its first start the firmware writes to flash. Run in steps of 20 us until the first key has been written,
+    # return to the last state before that, and continue in small steps.
     while True:
         before = machine.sim.snapshot()
         machine.run(0.000_02)
@@ -327,7 +329,7 @@ def keeps(machine, _):
     for name, value in DRAWN.items():
         if f"{name}={value}" not in lines:
             raise Broken(f"{name} is {[line for line in lines if line.startswith(name + '=')]} and not {value}")
-    # A failure meanwhile would raise an alarm.
+    # A failure since the reset would have raised an alarm.
     if not (status := machine.status()).startswith("<Idle|"):
         raise Broken(f"the state is {status!r}")
     return ", ".join(f"{name}={value}" for name, value in DRAWN.items())
@@ -346,7 +348,7 @@ def moments(machine, board):
     if to != machine.address("tim5", "CCR1"):
         raise Broken(f"its peripheral is at {to:#x}")
     first, second = (machine.sim.read_u32(ring + offset) for offset in (0, 4))
-    # Steps of this move are a few milliseconds apart, the first two more.
+    # The steps of this move are a few milliseconds apart, the first two steps even more.
     apart = (second - first & 0xFFFF_FFFF) / board.core_hz
     if not 0.0001 < apart < 0.1:
         raise Broken(f"the ring has moments {apart * 1000:.3f} ms apart")
@@ -365,8 +367,8 @@ def chain_is_watched(machine, _):
 @belief("the streams of the edges read memory as a peripheral that counts up and write BSRR; channel 6 is TIM1's", FIELDS, "RM0383 chapter 9, DMA2 request mapping, GPIOx_BSRR")
 def edges(machine, board):
     ports = sorted({pin[0] for pin in board.step + board.direction + (board.second_step, board.second_direction)})
-    # Streams of the rising edge (True) and of the end of the pulse (False), by number of ports: TIM1_CH1 (1), CH2 (2),
-    # CH3 (6), CH4 (4).
+    # Streams of the rising edge (True) and of the end of the pulse (False), by number of ports. The requests come from
+    # TIM1: channel 1 serves stream 1, channel 2 stream 2, channel 3 stream 6, channel 4 stream 4.
     streams = {1: {1: True, 4: False}, 2: {1: True, 2: False, 6: True, 4: False}}[len(ports)]
     told = []
     for stream, counts in streams.items():

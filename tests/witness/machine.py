@@ -57,7 +57,7 @@ class Machine:
 
     def schema(self, peripheral):
         if peripheral not in self.schemas:
-            # The package's name of the flash interface differs from that of the file with its registers.
+            # The package calls the flash interface `flash_ctrl`, but the file with its registers `flash`.
             self.schemas[peripheral] = chips.fields(peripheral.removesuffix("_ctrl"))
         return self.schemas[peripheral]
 
@@ -168,7 +168,7 @@ class Machine:
         return self.until(b">\r\n", 0.01)
 
     def reset(self):
-        """Performs the reset that software may request (AIRCR, SYSRESETREQ). Flash and the environment of the chip keep
+        """Performs the reset that software can request (AIRCR, SYSRESETREQ). Flash and the environment of the chip keep
         their state.
 
         labwired resets only the processor. So this method disables SysTick and the interrupts, which would act before

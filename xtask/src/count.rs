@@ -25,7 +25,7 @@ enum Figure {
     Worst,
     /// The difference between this row and the named one, divided by this number of units.
     Per(u64, &'static str),
-    /// Not printed by itself: another row is compared with this one.
+    /// Not printed: another row is compared with this one.
     Base,
 }
 
@@ -63,7 +63,7 @@ const ROWS: [Row; 20] = [
     row("batch_3", "32 events, 3 axes stepping", Figure::Mean, None, (1_125, 1_460))
         .beside("3360 / 4416", "4384 / 6240"),
     row("batch_1", "32 events, 1 axis stepping", Figure::Mean, None, (765, 1_070)).beside("2656 / 3808", "3520 / 5440"),
-    // Limit: at most `run_cycles` of the boards (boards/profiles.rs) after a factor of 1.1 for the flash.
+    // The limit times 1.1, for the waiting of the flash, must not exceed the boards' `run_cycles` (boards/profiles.rs).
     row("segment", "longest run: another direction, other power, both messages", Figure::Worst, None, (2_500, 3_590)),
     row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (505, 810)),
     row("stop", "stop with a full ring, 96 events undone, with its report", Figure::Worst, None, (4_615, 5_985)),
@@ -88,8 +88,8 @@ const ROWS: [Row; 20] = [
     row("walk_near", "", Figure::Base, None, UNBOUNDED),
 ];
 
-/// Rows of the step task. Its package is compiled for speed in every profile of the firmware, but not in the program
-/// that counts.
+/// Rows of the step task. The firmware compiles its package for speed in every profile; the program that counts does
+/// not.
 const OF_THE_STEP_TASK: [&str; 5] = ["batch_3", "batch_1", "segment", "single", "stop"];
 
 /// Builds the program, runs it and checks the figures. With the profile of the small boards the figures are printed

@@ -16,7 +16,7 @@ const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-l
     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
     -Cllvm-args=-sanitizer-coverage-trace-pc -Clink-arg=-Wl,--wrap=__sanitizer_cov_trace_pc -Ccodegen-units=1";
 /// Optional flags: record both sides of each comparison. They let libFuzzer find values that random inputs would not,
-/// and take two thirds of the time.
+/// but the recording takes two thirds of the time.
 const COMPARISONS: &str = " -Cllvm-args=-sanitizer-coverage-trace-compares";
 /// Minimum number of edges of a working target.
 const LEAST_EDGES: u64 = 100;
@@ -120,8 +120,8 @@ pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
     report(rows.into_inner().expect("no thread panics"))
 }
 
-/// Runs the complete inputs of the tree and counts their work, because a search truncates long ones. Also runs earlier
-/// finds: they still fail until the fault is corrected.
+/// Runs the complete inputs of the tree and counts their work, because a search truncates long ones. Then runs what
+/// earlier searches have found: an input fails as long as its fault is not corrected, and is then deleted.
 fn replay(program: &Path, target: &str) -> Result<(), Failure> {
     let mut inputs = files(&seeds(target)?)?;
     inputs.extend(files(&finds(target)?)?);

@@ -4,8 +4,8 @@
 //!   equal the simulator's, and the time that the motors were busy must equal its forecast, to the tick.
 //! * streamed: the job is sent over a TCP port, with character counting as a sender does it. The speed at a moment then
 //!   depends on when lines arrive, so only answers and final position must equal the simulator's. The order of steps
-//!   must be the same where one axis moves at a time. Elsewhere it can differ where one run is slow enough for a finer
-//!   smoothing and the other is not: the result is printed, not required.
+//!   must be the same where one axis moves at a time. Elsewhere it can differ if one run is slow enough for a finer
+//!   smoothing and the other is not, so this result is printed, but not required.
 
 use crate::qemu::{self, Preload};
 use crate::{Failure, QEMU_BOARD, cargo, image, root};
@@ -220,7 +220,7 @@ fn stream(host: &mut TcpStream, text: &[u8]) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Polls until the machine reports Idle twice in a row: a line that has just been answered may start its motion after
+/// Polls until the machine reports Idle twice in a row: a line that has just been answered can start its motion after
 /// the first report.
 pub(crate) fn wait_until_idle(host: &mut TcpStream) -> Result<String, Failure> {
     let begin = Instant::now();
@@ -236,7 +236,7 @@ pub(crate) fn wait_until_idle(host: &mut TcpStream) -> Result<String, Failure> {
         if status.contains("<Alarm|") {
             return Err(format!("streamed: an alarm instead of rest: {status}"));
         }
-        // Every report costs the board work.
+        // Polls are rare, because every report costs the board work.
         thread::sleep(Duration::from_millis(50));
         if begin.elapsed() > LIMIT {
             return Err(format!("streamed: not idle after {LIMIT:?}: {status}"));

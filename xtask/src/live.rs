@@ -59,7 +59,7 @@ pub fn all() -> Result<(), Failure> {
     if failed > 0 {
         return Err(format!("{failed} conversations failed"));
     }
-    // Paths that no conversation has taken need stack, too.
+    // Some stack must be left for paths that no conversation has taken.
     hold_on(deepest.used <= deepest.size / 4 * 3, || "more than three quarters of the stack are used".into())
 }
 
@@ -215,7 +215,7 @@ fn recorded_failure(lines: &mut Lines) -> Result<(), Failure> {
     played("after_panic.log", &log).map(|_| ())
 }
 
-/// No failure, but motion is held, overridden, and interrupted by a reset.
+/// Records a session without a failure: motion is held, overridden, and interrupted by a reset.
 fn recorded_stops(lines: &mut Lines) -> Result<(), Failure> {
     hold_and_resume(lines)?;
     lines.send(b"\x91G90G1X0Y0F900\n")?;
@@ -321,7 +321,7 @@ fn flood(lines: &mut Lines) -> Result<(), Failure> {
     hold_on(!answers.contains("error") && !answers.contains("lost"), || format!("answers: {answers}"))
 }
 
-/// More records than both sectors hold together, so the log has moved from one sector to the other and back.
+/// Writes more records than both sectors hold together, so the log has moved from one sector to the other and back.
 fn settings(lines: &mut Lines) -> Result<(), Failure> {
     const RECORDS: usize = 3_000;
     let mut text = b"$N1=G17\n$I=mill 7\nG10L2P2X1.5Y-2\n$100=123.5\n".to_vec();
@@ -415,7 +415,7 @@ fn reset_between_lines(lines: &mut Lines) -> Result<(), Failure> {
     lines.expect("ok")?;
     wait_until_idle(&mut lines.host)?;
     lines.send(b"G91G1X5F600\x18G91G1X1F600\n")?;
-    // The welcome message and the answer after it may arrive together.
+    // The welcome message and the answer after it can arrive together.
     read_until(&mut lines.host, LIMIT, |text| {
         text.split_once("Grbl").is_some_and(|(_, rest)| rest.contains("ok\r\n"))
     })?;

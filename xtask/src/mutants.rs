@@ -1,8 +1,8 @@
-//! Mutation tests: puts each of a list of named faults into a copy of the tree, where the tests must fail. Faults of
-//! motion must be detected by the tests of motion; faults of the host link and of the input filter by the conversations
-//! with the simulator, which runs the boards' own code for these. A fault that no test detects is a gap in the tests. A
-//! fault whose text is not found any more must be rewritten. It takes some minutes, so it is run by hand:
-//! `cargo xtask mutants [NAME..]`.
+//! Mutation tests: puts named faults, one after the other, into a copy of the tree, where the tests must fail. Faults
+//! of motion must be detected by the tests of motion; faults of the host link and of the input filter by the
+//! conversations with the simulator, which runs the boards' own code for these. A fault that no test detects is a gap
+//! in the tests. A fault whose text is no longer found must be rewritten. The run takes some minutes, so it is started
+//! by hand: `cargo xtask mutants [NAME..]`.
 
 use crate::{Failure, root, tree};
 use std::fs;

@@ -88,7 +88,7 @@ pub fn cargo_home() -> Result<PathBuf, Failure> {
     std::env::var_os("CARGO_HOME").map(PathBuf::from).or_else(home).ok_or_else(|| "no CARGO_HOME and no HOME".into())
 }
 
-/// Returns the folders that may occur in a build, each with its replacement name.
+/// Returns the folders that can occur in a build, each with its replacement name.
 fn names(
     workspace: &Path,
     cargo_home: &Path,

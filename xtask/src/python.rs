@@ -13,7 +13,7 @@ pub fn module(python: &Path, name: &str) -> Command {
     command
 }
 
-/// Returns a Python with the packages of `tests/PACKAGE/requirements.txt`; recreates the environment when that file has
+/// Returns a Python with the packages of `tests/PACKAGE/requirements.txt`. Recreates its environment when that file has
 /// changed.
 pub fn environment(name: &str, package: &str) -> Result<PathBuf, Failure> {
     let folder = root().join("target/tools").join(name);

@@ -17,7 +17,7 @@ pub struct Qemu(Child);
 
 impl Drop for Qemu {
     fn drop(&mut self) {
-        // Fails if QEMU has ended by itself.
+        // Fails if QEMU has already ended.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -59,8 +59,8 @@ fn machine(elf: &Path, rest_is_skipped: bool) -> Command {
     qemu
 }
 
-/// Runs a program that ends by itself. `read` gets the log with the address of each instruction through a pipe, because
-/// it has gigabytes.
+/// Runs a program to its own end. `read` gets the log with the address of each instruction through a pipe, because the
+/// log has gigabytes.
 pub fn trace<T>(elf: &Path, read: impl FnOnce(ChildStdout) -> Result<T, Failure>) -> Result<T, Failure> {
     require()?;
     let mut qemu = Command::new(PROGRAM);

@@ -78,7 +78,7 @@ fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Res
     script.send(&[0x18]);
     script.wait(SILENCE);
     for record in records {
-        // Where a listed difference is that nothing is answered, do not wait for an answer.
+        // If the listed difference is that nothing is answered, do not wait for an answer.
         let listed = differences::DIFFERENCES.iter().find(|d| d.group == group && d.n == record.n);
         let silent = listed.is_some_and(|d| d.answers.is_some_and(|answers| answers.is_empty()));
         hold(&mut script, record, silent)?;
@@ -96,7 +96,7 @@ fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Res
     }
     for (record, ends) in records.iter().zip(marks.windows(2)) {
         let said = said.get(ends[0]..ends[1]).ok_or_else(|| format!("{group} {}: nothing was said", record.n))?;
-        // Of several reports while waiting, the last one counts.
+        // Of several reports while waiting for Idle, the last one counts.
         let from = if record.kind == "idle" { said.rfind('<').unwrap_or(0) } else { 0 };
         tally.judge(group, record, &said[from..]);
     }

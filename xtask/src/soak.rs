@@ -86,7 +86,7 @@ impl Job {
         job.note(End::Stopped);
         let mut lines = 0;
         while lines < LINES_PER_SECOND * seconds {
-            // A virtual board is slow, so it rests more often.
+            // A virtual board is slow, so the machine rests after fewer lines there.
             for _ in 0..1 + job.random.below(if has_port { 12 } else { 60 }) {
                 job.program.lines(&mut job.random, &mut job.waiting);
             }
@@ -121,7 +121,7 @@ impl Job {
         }
         self.script.answers(sent as u32);
         if self.has_port && self.random.below(4) == 0 {
-            // The host may close its port while the machine still moves; the machine then brakes, and resumes on
+            // The host can close its port while the machine still moves; the machine then brakes, and resumes on
             // command.
             self.script.reopen(self.random.below(100) as u32);
             self.sent.hosts += 1;
@@ -133,7 +133,7 @@ impl Job {
         sent as u64
     }
 
-    /// Resumes twice, because the first `~` may arrive while the machine still brakes.
+    /// Resumes twice, because the machine can still be braking when the first `~` arrives.
     fn resume(&mut self) {
         self.script.send(b"~");
         self.script.wait(600);

@@ -9,7 +9,7 @@ use std::process::{Command, Stdio};
 
 /// Environment variable with the runner for the ARM target.
 const RUNNER: &str = "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_RUNNER";
-/// Runner for QEMU, relative to the workspace: cargo splits the variable at blanks, which the path of the workspace may
+/// Runner for QEMU, relative to the workspace: cargo splits the variable at blanks, which the path of the workspace can
 /// contain.
 const QEMU_RUNNER: &str = ".cargo/qemu-runner.sh";
 /// Suites that need only the processor, memory and flash.

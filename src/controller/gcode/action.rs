@@ -16,15 +16,15 @@ use crate::image::FULL_IMAGE;
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::{Coordinate, Decimal, Duration};
 
-/// Effects of a line, in the order of execution. The private fields are the state afterwards, which
+/// Effects of a line, in the order of execution. The private fields hold the state after the line, which
 /// `Interpreter::commit` applies.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Action<const N: usize> {
-    /// The line number (N); 0 if there is none.
+    /// The line number (N); 0 without an N.
     pub line_number: u32,
     /// The spindle's new state, if it changes before the motion. (At the program's end it stops: see [`Flow::End`].)
     pub spindle: Option<SpindleDirection>,
-    /// Whether S differs from the speed that was in force.
+    /// Whether S differs from the speed in force before the line.
     pub speed_changed: bool,
     /// S in revolutions per minute, in force from this line on.
     pub speed: f32,
@@ -43,8 +43,8 @@ pub struct Action<const N: usize> {
     pub store: Option<StoredOffset>,
     /// The motion.
     pub motion: MotionCommand<N>,
-    /// Value of the last digit of the axis words, in mm, and at most 0.01 mm or 0.001 inch, because programs often omit
-    /// trailing zeros; 0 if the words are exact.
+    /// Value of the last digit of the axis words, in mm. It is limited to 0.01 mm or 0.001 inch, because programs often
+    /// omit trailing zeros, and is 0 if the words are exact.
     pub digit: f32,
     /// What the program does after the motion.
     pub flow: Flow,
@@ -59,7 +59,7 @@ pub struct Action<const N: usize> {
     pub(super) unused: [Letters; REASONS as usize],
 }
 
-/// Effects of a line that Grbl does not have.
+/// Further parts of an `Action`, mostly for words that Grbl does not have.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Afterwards {
     pub(super) spindle_tool: u32,
@@ -69,7 +69,7 @@ pub(super) struct Afterwards {
     pub(super) tool_alone: bool,
     /// See [`Action::moves_only`].
     pub(super) moves_only: bool,
-    /// The G92 of this line is the one that G92.3 restores.
+    /// The offset that G92 has after this line is the one that G92.3 restores.
     pub(super) keeps_g92: bool,
     pub(super) g92_acts: bool,
     pub(super) keeping: Keeping,
@@ -78,7 +78,7 @@ pub(super) struct Afterwards {
     pub(super) notice: Option<Notice>,
 }
 
-/// Message about a word of a program, sent once.
+/// Message about a word of a program, sent once for each program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Notice {
@@ -105,8 +105,8 @@ impl Notice {
 }
 
 impl<const N: usize> Action<N> {
-    /// Whether the line is only a motion, a change of modes that affect motions, or nothing: it changes no outputs,
-    /// offsets or stored records, and does not wait. Nearly all lines are like this.
+    /// Whether the line has no effect except a motion or a change of modes for motions: it changes no outputs, offsets
+    /// or stored records, and does not wait. Nearly all lines are like this.
     #[inline]
     pub fn moves_only(&self) -> bool {
         self.after.moves_only
@@ -126,7 +126,7 @@ impl<const N: usize> Action<N> {
             || self.pins().is_some()
     }
 
-    /// Adapts the action to a spindle that was stopped for a tool change: the spindle restarts only if the line has M3
+    /// Adapts the action to a spindle that was stopped for a tool change. The spindle restarts only if the line has M3
     /// or M4.
     pub fn spindle_stopped_for_tool(&mut self) {
         if !self.after.spindle_word {
@@ -140,14 +140,14 @@ impl<const N: usize> Action<N> {
         self.tool_length
     }
 
-    /// Whether nothing in a line with M6 depends on the length of the tool.
+    /// For a line with M6: whether no other word of the line depends on the length of the tool.
     pub fn is_tool_change_alone(&self) -> bool {
         self.after.tool_alone
     }
 
-    /// Adapts the action after the tool has been changed and measured with spindle and coolant off: they are switched
-    /// on again if the modal state has them on, and the tool moves to `target` by a rapid to `via`. `length` is the
-    /// tool length offset afterwards.
+    /// Adapts the action after the tool has been changed and measured while spindle and coolant were off: spindle and
+    /// coolant are switched on again if they are on in the modal state, and the tool moves to `via` by a rapid and then
+    /// to `target`. `length` is the tool length offset afterwards.
     pub fn return_with_tool(
         &mut self,
         [via, target]: [PerAxis<Coordinate, N>; 2],
@@ -181,7 +181,8 @@ impl<const N: usize> Action<N> {
         self.after.notice
     }
 
-    /// Whether the line may be refused for reasons that only the machine knows: it changes the tool, or uses pins.
+    /// Whether the line can still be refused for reasons that only the machine knows, because it changes the tool or
+    /// uses pins.
     #[inline]
     pub fn needs_machine(&self) -> bool {
         self.tool_change || self.pins().is_some()
@@ -202,7 +203,7 @@ impl<const N: usize> Action<N> {
         &self.position
     }
 
-    /// Lets a straight move end at `place` instead: for a jog that is shortened to the end of the travel.
+    /// Lets a straight move end at `place` instead. Used for a jog that is shortened to the end of the travel.
     pub fn redirect(&mut self, place: PerAxis<Coordinate, N>) {
         if let MotionCommand::Line { target, .. } = &mut self.motion {
             *target = place;
@@ -245,8 +246,8 @@ impl<const N: usize> Action<N> {
         unused: [Letters::of(b""); REASONS as usize],
     };
 
-    /// Resets this action to one that changes nothing of `state`. Done in place, because a new action would be copied
-    /// there with room for an arc.
+    /// Resets this action to one that changes nothing of `state`. The action is changed in place, because a new one
+    /// would be copied here with all its bytes, including the room for an arc.
     pub(super) fn begin(&mut self, state: &Interpreter<N>) {
         self.line_number = 0;
         self.uses_machine_place = false;
@@ -258,7 +259,7 @@ impl<const N: usize> Action<N> {
         self.only_moves(state);
     }
 
-    /// Discards all changes of the state except that of the position.
+    /// Discards all changes of the state except the change of the position.
     pub(super) fn only_moves(&mut self, state: &Interpreter<N>) {
         self.spindle = None;
         self.speed_changed = false;
@@ -323,8 +324,8 @@ pub enum ProgramPins {
 }
 
 impl ProgramPins {
-    /// Whether these wait until the motion before them has ended. M64 and M65 switch at the position that the program
-    /// has reached, and M66 reads the input there.
+    /// Whether the line waits until the motion before it has ended. M64 and M65 switch the output, and M66 P reads the
+    /// input, at the position that the program has reached.
     pub fn act_at_rest(self) -> bool {
         matches!(self, ProgramPins::Wait { .. } | ProgramPins::Digital { with_motion: false, .. })
     }
@@ -346,7 +347,7 @@ pub enum InputWait {
 }
 
 impl InputWait {
-    /// Whether the wait ends: the input was `before` at the previous look and is `now`.
+    /// Whether the wait ends. `before` is the state of the input when it was read last, `now` its present state.
     pub fn is_over(self, before: bool, now: bool) -> bool {
         match self {
             InputWait::Nothing => true,
@@ -365,7 +366,7 @@ pub enum MotionCommand<const N: usize> {
     None,
     /// A straight move.
     Line {
-        /// The point that G28 and G30 pass through, by a rapid.
+        /// For G28 and G30: the intermediate point, reached by a rapid.
         via: Option<PerAxis<Coordinate, N>>,
         /// Where it ends.
         target: PerAxis<Coordinate, N>,
@@ -384,7 +385,7 @@ pub enum MotionCommand<const N: usize> {
         target: PerAxis<Coordinate, N>,
         /// How fast.
         feed: Feed,
-        /// The move waits for the loss of contact instead of contact.
+        /// The move ends at the loss of contact instead of at contact.
         away: bool,
         /// If the probe does not change, an alarm follows.
         alarm: bool,
@@ -393,9 +394,9 @@ pub enum MotionCommand<const N: usize> {
     Cycle(Cycle<N>),
 }
 
-/// An arc from `start` to `target` round a centre. The axes outside its plane move evenly meanwhile. Start and target
-/// are equally far from the centre, within the tolerance of the check: 0.005 mm, or 0.1 % of the radius up to 0.5 mm,
-/// or the rounding of the words (see `arc`).
+/// An arc from `start` to `target` round a centre. The axes outside its plane move evenly during the arc. Start and
+/// target are equally far from the centre, within the greatest of these tolerances: 0.005 mm, 0.1 % of the radius (0.5
+/// mm at most), and the rounding of the words (see `arc`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArcMove<const N: usize> {
     /// Where it begins.
@@ -410,7 +411,7 @@ pub struct ArcMove<const N: usize> {
     pub j: Coordinate,
     /// Whether the arc is clockwise: G2 instead of G3.
     pub clockwise: bool,
-    /// Number of full turns before the arc.
+    /// Number of full turns in addition to the arc from start to target.
     pub turns: u32,
     /// How fast.
     pub feed: Feed,
@@ -433,7 +434,7 @@ pub struct SplineMove<const N: usize> {
 }
 
 impl<const N: usize> SplineMove<N> {
-    /// Returns the control points, including the ends. The curve lies within the polygon that they span.
+    /// Returns the control points, including the ends. The curve lies within the polygon of these points.
     #[inline(never)]
     pub fn corners(&self) -> [PerAxis<Coordinate, N>; 4] {
         let beside = |place: &PerAxis<Coordinate, N>, way: [Coordinate; 2]| {
@@ -467,8 +468,8 @@ pub struct NurbsMove<const N: usize> {
 pub enum Feed {
     /// As fast as the machine allows.
     Rapid,
-    /// G94: speed in mm/s. For straight moves, along the path of all axes, where a degree counts as a millimetre; for
-    /// arcs and cycles, along the path of X, Y and Z.
+    /// G94: speed in mm/s. For straight moves it is the speed along the path of all axes, where a degree counts as a
+    /// millimetre; for arcs and cycles, the speed along the path of X, Y and Z.
     PerMinute(f32),
     /// G93: duration of the whole motion, in seconds.
     InverseTime(f32),
@@ -488,7 +489,7 @@ pub enum Flow {
     End,
 }
 
-/// Use of the states that M70 and M73 save, or of the control points of G5.2.
+/// What the line does with the states saved by M70 and M73, or with the control points of G5.2.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Keeping {
     /// Nothing.

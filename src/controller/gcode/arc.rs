@@ -1,5 +1,5 @@
-//! Shape of an arc in its plane: finds the centre of an arc with R, and checks that the radii at both ends of an arc
-//! with I, J, K agree. All of this is integer arithmetic in units of 0.1 nm, done while a line is checked;
+//! Shape of an arc in its plane. Finds the centre of an arc with R, and checks that the ends of an arc with I, J, K are
+//! equally far from its centre. All of this is integer arithmetic in units of 0.1 nm, done while a line is checked;
 //! `motion::arc` computes the chords later.
 //!
 //! ```text
@@ -11,8 +11,8 @@
 //!        start ── centre ── first   R < 0 swaps the sides and so takes the longer way round
 //! ```
 //! Lengths stay below 2^42 (twice [`Coordinate::LIMIT`] in each direction), so squares fit `u128` with 40 bits to
-//! spare. Square roots use those bits as fraction. The error is far below a unit for all arcs whose chord is not
-//! extremely short relative to their radius.
+//! spare. Square roots use these spare bits as binary places. Their error is far below 0.1 nm, except for arcs whose
+//! chord is extremely short relative to their radius.
 
 use crate::error::Error;
 use crate::units::{Coordinate, DECIMAL_ONE, integer_root};
@@ -21,9 +21,9 @@ use crate::units::{Coordinate, DECIMAL_ONE, integer_root};
 pub(super) const RADIUS_TOLERANCE: Coordinate = Coordinate(DECIMAL_ONE / 200);
 /// Maximum of the tolerance that grows with the radius: 0.5 mm.
 const RADIUS_TOLERANCE_MAX: i64 = DECIMAL_ONE / 2;
-/// Divisor of the radius that gives the tolerance that grows with it: 0.1 %.
+/// The tolerance that grows with the radius is the radius divided by this: 0.1 %.
 const RADIUS_TOLERANCE_PART: i64 = 1000;
-/// Excess of a chord over twice the radius that is always allowed, 0.4 nm: converting inches rounds each value.
+/// A chord may always exceed twice the radius by this much, 0.4 nm, because converting inches rounds each value.
 pub(super) const DIAMETER_TOLERANCE: Coordinate = Coordinate(4);
 
 /// A vector in the plane of an arc, in units of 0.1 nm.
@@ -64,7 +64,8 @@ fn square(value: u64) -> u128 {
     u128::from(value) * u128::from(value)
 }
 
-/// Returns the square roots of both values, times a common power of two that keeps about 62 bits of the greater root.
+/// Returns the square roots of both values, multiplied by the same power of two. The greater root then has about 62
+/// bits.
 fn roots(a: u128, b: u128) -> (i128, i128) {
     // The greater square keeps two leading zero bits, so its root stays below 2^63.
     let shift = (a.max(b).leading_zeros().saturating_sub(2)) & !1;
@@ -78,8 +79,8 @@ fn divided(numerator: i128, denominator: i128) -> i64 {
     (rounded / denominator) as i64
 }
 
-/// Returns the centre of an arc of a given radius; with a negative radius, of the arc of more than half a turn. If the
-/// chord exceeds twice the radius, by at most `tolerance`, the arc is a half circle.
+/// Returns the vector from the start to the centre of an arc with R. A negative radius stands for the arc of more than
+/// half a turn. If the chord exceeds twice the radius by `tolerance` or less, the arc is a half circle.
 pub(super) fn centre_by_radius(
     chord: Vector,
     radius: Coordinate,
@@ -105,19 +106,21 @@ pub(super) fn centre_by_radius(
     Ok(Vector { first: divided(x * along + y * across, 2 * along), second: divided(y * along - x * across, 2 * along) })
 }
 
-/// Returns by how much a chord may exceed twice the radius if all words of the arc are rounded to `digit`: R is off by
-/// up to half a digit, and each end of the chord along two axes.
+/// Returns by how much a chord may exceed twice the radius if all words of the arc are rounded to `digit`. R is off by
+/// up to half a digit, and each end of the chord by up to half a digit along both axes: 1 + sqrt(2) digits in all.
 pub(super) fn rounding_of_diameter(digit: Coordinate) -> Coordinate {
     Coordinate(digit.0 * 12 / 5)
 }
 
-/// Returns by how much the radii at start and end may differ if all words of the arc are rounded to `digit`: both ends
-/// and the centre are off along two axes, and the centre affects both radii.
+/// Returns by how much the radii at start and end may differ if all words of the arc are rounded to `digit`. Each end
+/// and the centre are off by up to half a digit along both axes, and the centre affects both radii: 2 sqrt(2) digits in
+/// all.
 pub(super) fn rounding_of_radii(digit: Coordinate) -> Coordinate {
     Coordinate(digit.0 * 14 / 5)
 }
 
-/// Whether the radii at start and end agree: within `tolerance`, or within the tolerance that grows with the radius.
+/// Whether the radii at start and end differ by at most `tolerance`, or by at most the tolerance that grows with the
+/// radius.
 pub(super) fn radii_agree(chord: Vector, centre: Vector, tolerance: Coordinate) -> Result<bool, Error> {
     let radius = centre.checked()?.length();
     let difference = (chord.checked()?.minus(centre).length() - radius).abs();
@@ -139,7 +142,7 @@ pub(super) fn ray_crossing(chord: Vector, centre: Vector) -> Result<Vector, Erro
     })
 }
 
-/// Whether start and centre are the same point: the radius is 0, so there is no arc.
+/// Whether start and centre are the same point. In this case the radius is 0, and there is no arc.
 pub(super) fn is_point(centre: Vector) -> bool {
     centre.square() == 0
 }
@@ -167,7 +170,7 @@ mod tests {
 
     #[test]
     fn quarter_circles() {
-        // G2 from (0,0) to (10,10): the centre lies right of the chord, at (10,0); with R-10 on the other side.
+        // G2 from (0,0) to (10,10): with R10 the centre is to the right of the chord, at (10,0), with R-10 to the left.
         assert_eq!(centre_by_radius(mm(10.0, 10.0), radius(10.0), true), Ok(mm(10.0, 0.0)));
         assert_eq!(centre_by_radius(mm(10.0, 10.0), radius(-10.0), true), Ok(mm(0.0, 10.0)));
         assert_eq!(centre_by_radius(mm(10.0, 10.0), radius(10.0), false), Ok(mm(0.0, 10.0)));
@@ -178,7 +181,7 @@ mod tests {
     fn half_circles() {
         assert_eq!(centre_by_radius(mm(5.0, 0.0), radius(2.5), true), Ok(mm(2.5, 0.0)));
         assert_eq!(centre_by_radius(mm(5.0, 0.0), radius(2.4999), true), Err(Error::ImpossibleRadius));
-        // R is one unit short, as after rounding from inches.
+        // Twice R is one unit less than the chord, as after rounding from inches.
         assert_eq!(
             centre_by_radius(Vector { first: 50_000_001, second: 0 }, Coordinate(25_000_000), true),
             Ok(Vector { first: 25_000_001, second: 0 })
@@ -206,7 +209,7 @@ mod tests {
         assert!(at(0.0, 0.0) && !at(1.0, 0.0));
     }
 
-    /// `G02 X-30 Y-40 I-10 J-15`: radius 18.0278, distance 32.0156.
+    /// `G02 X-30 Y-40 I-10 J-15`: the radius is 18.0278 mm, and the programmed end is 32.0156 mm from the centre.
     #[test]
     fn ray_of_the_document() {
         let crossing = ray_crossing(mm(-30.0, -40.0), mm(-10.0, -15.0)).unwrap();
@@ -234,7 +237,7 @@ mod tests {
             prop_assert!((centre.length() - r).abs() <= 10, "start {} of {r}", centre.length());
             let end = chord.minus(centre).length();
             prop_assert!((end - r).abs() <= 10, "end {end} of {r}");
-            // The side: cross product of chord and centre is negative to the right.
+            // The cross product of chord and centre is negative if the centre is to the right of the chord.
             let cross = i128::from(chord.first) * i128::from(centre.second)
                 - i128::from(chord.second) * i128::from(centre.first);
             prop_assert!(cross == 0 || (cross < 0) == (clockwise != long) || cross.unsigned_abs() < 4 * length as u128);

@@ -1,4 +1,4 @@
-//! The number of a G or M word as whole part and hundredths: G38.2 is 38 and 20. Rounded as Grbl rounds it.
+//! The number of a G or M word as whole part and hundredths, rounded as Grbl does: G38.2 is 38 and 20.
 
 use crate::units::{DECIMAL_ONE, Decimal, ones};
 
@@ -17,12 +17,12 @@ impl Code {
     /// Units of a [`Decimal`] in a hundredth.
     const HUNDREDTH: u32 = (DECIMAL_ONE / 100) as u32;
 
-    /// Returns the code of a number. Grbl keeps one byte of the whole part and measures the fraction from it, so `G256`
-    /// is a G0 with an impossible fraction and `G999` an unknown command; hosts see the different error numbers of
-    /// these two.
+    /// Returns the code of a number. Grbl keeps only the low byte of the whole part and takes everything else as the
+    /// fraction. So `G256` is a G0 with an impossible fraction, while `G999` is an unknown command, and a host gets
+    /// different error numbers for these two.
     pub fn of(value: Decimal) -> Code {
         let ones = ones(value.0.unsigned_abs());
-        // Less than 10^7.
+        // Below `DECIMAL_ONE`, 10^7.
         let rest = (value.0.unsigned_abs() - ones * DECIMAL_ONE as u64) as u32;
         let hundredths = (rest + Self::HUNDREDTH / 2) / Self::HUNDREDTH;
         let negative = value.0 < 0;

@@ -1,6 +1,6 @@
-//! Compares two interpreters: whether all following lines would mean the same to both. Returns the name of the first
-//! part of the state that a program could distinguish. `oxmill resume` uses this to prove that the rest of a job is
-//! complete. Also checks whether an interpreter is in the plain state from which a recording can be replayed.
+//! Compares two interpreters: would all following lines mean the same to both? If not, it names a part of the state
+//! that differs. `oxmill resume` uses this to prove that the rest of a job is complete. Also checks whether an
+//! interpreter is in the plain state from which a recording can be replayed.
 
 use super::control_points::ControlPoints;
 use super::modal::{FeedMode, Modal, MotionMode, SplineKind};
@@ -11,8 +11,9 @@ use crate::axes::PerAxis;
 use crate::units::{Coordinate, Decimal};
 
 impl<const N: usize> Interpreter<N> {
-    /// Returns the first part of the state by which following lines could mean something else to the other interpreter;
-    /// `None` if there is no such part. The words of canned cycles and curves count only while their mode is in force.
+    /// Returns the name of the first part of the state because of which a following line could mean something else to
+    /// the other interpreter; `None` if all following lines mean the same to both. The words of canned cycles and
+    /// curves count only while their mode is in force.
     pub fn differs_from(&self, other: &Self) -> Option<&'static str> {
         let in_cycle = matches!(self.modal.motion, MotionMode::Cycle(_));
         let are_blank = [self, other].into_iter().all(|state| state.computed.is_blank() && !state.is_within_block());
@@ -34,7 +35,7 @@ impl<const N: usize> Interpreter<N> {
         parts.into_iter().find_map(|(differs, part)| differs.then_some(part))
     }
 
-    /// Whether only modal and stored state is set, and the program is at `place`.
+    /// Whether the program is at `place` and no state is set other than modal and stored state.
     pub fn is_plain(&self, place: &PerAxis<Coordinate, N>) -> bool {
         let offsets = [&self.offsets.g92, &self.offsets.g92_kept, &self.offsets.tool_length];
         self.position == *place
@@ -50,7 +51,7 @@ impl<const N: usize> Interpreter<N> {
             && self.modal.tool == self.spindle_tool
     }
 
-    /// Returns the control points, with their order, that wait for a G5.3.
+    /// Returns the control points of a curve that has begun and waits for its G5.3.
     fn waiting_points(&self) -> Option<&ControlPoints> {
         let waits = self.modal.motion == MotionMode::Spline(SplineKind::Nurbs);
         self.control_points.first().filter(|points| waits && points.begin_at(in_xy(&self.position)))
@@ -63,8 +64,8 @@ impl<const N: usize> Interpreter<N> {
     }
 }
 
-/// Returns the modal state without the parts that no line can notice: the last F of G94 has no effect with G93, nor
-/// with G94 before a new F.
+/// Returns the modal state without the parts that no line can notice. The last F of G94 has no effect with G93, nor
+/// with G94 while F is undefined.
 fn meant(modal: &Modal) -> Modal {
     let is_speed = modal.feed_mode == FeedMode::PerMinute && modal.feed > Decimal::ZERO;
     let feed_per_second = if is_speed { modal.feed_per_second } else { 0.0 };

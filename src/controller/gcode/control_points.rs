@@ -6,7 +6,7 @@ use crate::units::{Coordinate, WeightedPoint};
 
 /// Maximum number of control points of a curve, including the start; each takes 24 bytes.
 const MOST: usize = if FULL_IMAGE { 32 } else { 0 };
-/// Orders that L may select; the degree is one less.
+/// Orders that L can select. The degree of the curve is one less.
 pub(super) const ORDERS: core::ops::RangeInclusive<u32> = 3..=8;
 /// The order without L.
 pub(super) const ORDER: u8 = 3;
@@ -14,7 +14,7 @@ pub(super) const ORDER: u8 = 3;
 /// The change that a line makes to the control points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Addition {
-    /// If present, all previous control points are dropped, and this is the first one.
+    /// If present, the control points so far are dropped, and this one is the first of a new curve.
     pub start: Option<WeightedPoint>,
     pub point: Option<WeightedPoint>,
     pub order: u8,

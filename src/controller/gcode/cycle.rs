@@ -1,5 +1,5 @@
 //! Canned cycles as a sequence of simple steps: rapids, feeds, dwells and spindle stops. The controller requests one
-//! step at a time, so a hold or a reset acts between any two steps.
+//! step at a time, so a hold or a reset can act between any two steps.
 //!
 //! ```text
 //!  clear  ───▶ (in the plane, rapid) ──┐                        ▲
@@ -19,7 +19,7 @@ use crate::axes::PerAxis;
 use crate::messages::SpindleDirection;
 use crate::units::{Coordinate, Duration};
 
-/// Words that stay in force as long as the cycle's mode, and the level to which G98 returns.
+/// Words that stay in force as long as the motion mode is this cycle, and the level to which G98 returns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CycleWords {
     /// The holes are drilled normal to this plane.
@@ -32,8 +32,8 @@ pub struct CycleWords {
     pub peck: Coordinate,
     /// P: dwell at the bottom.
     pub dwell: Duration,
-    /// Machine coordinate at which the series of cycles began, minus the tool length offset: a longer tool returns to a
-    /// higher machine coordinate.
+    /// Machine coordinate at which the series of cycles began, minus the tool length offset. So a longer tool returns
+    /// to a higher machine coordinate.
     pub level: Coordinate,
 }
 
@@ -93,9 +93,9 @@ impl CycleKind {
 /// Single step of a cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CycleStep<const N: usize> {
-    /// Rapid to this machine position; the length may be 0.
+    /// Rapid to this machine position; its length can be 0.
     Rapid(PerAxis<Coordinate, N>),
-    /// Feed move to this machine position at this speed in mm/s; the length may be 0.
+    /// Feed move to this machine position at this speed in mm/s; its length can be 0.
     Feed(PerAxis<Coordinate, N>, f32),
     /// Dwell at the bottom.
     Dwell(Duration),
@@ -170,8 +170,8 @@ impl<const N: usize> Cycle<N> {
         hole
     }
 
-    /// Returns points that enclose the whole cycle: every move leads from one of these points, or from a point between
-    /// two of them, to another. Valid only before the first step.
+    /// Returns points that enclose the whole cycle: each end of every move is one of these points or lies between two
+    /// of them. Valid only before the first step.
     pub fn corners(&self) -> [PerAxis<Coordinate, N>; 6] {
         let high = along(&self.place, self.axes.linear).max(self.r);
         let last = self.hole_after(self.left.saturating_sub(1));
@@ -195,8 +195,8 @@ impl<const N: usize> Cycle<N> {
     }
 
     /// Returns the next step, or `None` at the end of the cycle. `clearance` is the distance by which the tool backs
-    /// off after a peck, and the height above the bottom of the last peck to which it rapids down; neither leads above
-    /// R.
+    /// off after a peck. It is also the height above the bottom of the last peck at which the rapid down ends. Neither
+    /// move ends above R.
     pub fn step(&mut self, clearance: Coordinate) -> Option<CycleStep<N>> {
         let r = self.r;
         let (next, depth, is_feed) = match self.next {

@@ -1,17 +1,18 @@
-//! Results of processing O words: what to do with a line of the host, and what comes next in held text.
+//! Results of processing O words: what to do with a line of the host, and what comes next in the held text (the
+//! recorded lines of subroutines, loops and macros).
 
 /// What to do with a line of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
     /// Check and execute the line.
     Check,
-    /// Nothing: the line was a condition and has been evaluated.
+    /// Nothing: the line belongs to a condition, which has been evaluated.
     Done,
-    /// Nothing: the line was skipped or held. Its message is not sent.
+    /// Nothing: the line was skipped or recorded. Its message is not sent.
     LeftOut,
-    /// Run what the line calls: [`Interpreter::next_held`](super::Interpreter::next_held).
+    /// Run the subroutine that the line calls: [`Interpreter::next_held`](super::Interpreter::next_held).
     Call,
-    /// Run the loop of which this line is the last; the line has been held.
+    /// Run the loop that ends with this line. The line has been recorded.
     Run,
 }
 

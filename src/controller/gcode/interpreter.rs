@@ -1,5 +1,6 @@
 //! Checks and commits lines. `check` turns a line into an [`Action`] and changes nothing; `commit` applies the changes
-//! of the line: modal state, offsets, rotation, saved states. Also resets, check mode, and switching the dialect.
+//! of the line: modal state, offsets, rotation, saved states. This file also has the reset, check mode, and the change
+//! of the dialect.
 
 use super::action::{Action, Flow, Keeping, MotionCommand};
 use super::check::{self, Purpose};
@@ -62,7 +63,7 @@ impl<const N: usize> Interpreter<N> {
         self.offsets = before.unwrap_or(self.offsets);
     }
 
-    /// Ends every modal state that the new dialect may lack the word to end.
+    /// Ends every modal state for which the new dialect can lack the ending word.
     pub fn change_dialect(&mut self) {
         self.end_cycles();
         if matches!(self.modal.motion, MotionMode::Spline(_)) {
@@ -77,8 +78,8 @@ impl<const N: usize> Interpreter<N> {
         self.begin_program();
     }
 
-    /// Checks a line of a program. `line` is filtered: capital letters, no blanks, no comments. Parameters that the
-    /// line sets are evaluated and then discarded, so a commit does not set them.
+    /// Checks a line of a program. `line` is filtered: capital letters, no blanks, no comments. The line's assignments
+    /// to parameters are evaluated and then discarded, so a commit does not make them.
     #[cfg(feature = "alloc")]
     pub fn check(&self, line: &[u8], dialect: Dialect) -> Result<Action<N>, Error> {
         let mut action = Action::NOTHING;
@@ -86,8 +87,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(action)
     }
 
-    /// Checks a line like `check`, and writes the result to `action`, which is not valid after an error. Parameters
-    /// that the line sets are kept until its commit sets them; the next check discards them.
+    /// Checks a line like `check`, and writes the result to `action`, which is not valid after an error. The line's
+    /// assignments to parameters wait for its commit; the next check discards them.
     #[inline]
     pub fn check_into(&mut self, line: &[u8], dialect: Dialect, action: &mut Action<N>) -> Result<(), Error> {
         let mut parsed = Parsed::empty();
@@ -96,7 +97,7 @@ impl<const N: usize> Interpreter<N> {
         check::check(self, &parsed, dialect, Purpose::Program, action)
     }
 
-    /// Checks a jog: the text after `$J=`. The motion of the result is a jog, whose commit changes only the position.
+    /// Checks a jog: the text after `$J=`. The motion of the result is a jog. A commit of it changes only the position.
     #[cfg(feature = "alloc")]
     pub fn check_jog(&self, line: &[u8], dialect: Dialect) -> Result<Action<N>, Error> {
         let mut action = Action::NOTHING;
@@ -112,7 +113,7 @@ impl<const N: usize> Interpreter<N> {
     /// Applies the changes of a checked line. The position becomes the end of the line's motion; if a probing move ends
     /// elsewhere, call [`Interpreter::set_position`] afterwards.
     pub fn commit(&mut self, action: &Action<N>) {
-        // The operator may have switched the coolant since the line was checked.
+        // The operator can have switched the coolant since the line was checked.
         let coolant = self.modal.coolant;
         self.modal = action.modal;
         if action.coolant.is_none() && action.flow != Flow::End {
@@ -136,7 +137,7 @@ impl<const N: usize> Interpreter<N> {
         self.remember_motion(action);
     }
 
-    /// Applies all changes of a line except to modal state and position.
+    /// Applies the changes of a line to everything except modal state and position.
     #[inline(never)]
     fn commit_beside_motion(&mut self, action: &Action<N>) {
         self.offsets.g92 = action.g92;
@@ -193,7 +194,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Remembers what the next line may need of a spline or cycle: the tangent at its end, or the words of the cycle.
+    /// Remembers what the next line can need: the tangent at the end of a spline, or the words of a cycle.
     #[inline]
     fn remember_motion(&mut self, action: &Action<N>) {
         match &action.motion {

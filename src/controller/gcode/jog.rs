@@ -9,8 +9,8 @@ use super::state::Interpreter;
 use super::word::{Groups, NonModal};
 use crate::error::Error;
 
-/// Checks a jog. A jog is a G1 with G94, whatever modes the program has set. Words that a jog may not have are reported
-/// last, after all errors that the same words would be in a program.
+/// Checks a jog. A jog is a G1 with G94, whatever modes the program has set. Words that are not allowed in a jog are
+/// reported last, after all errors that the line would also have in a program.
 pub(super) fn check<const N: usize>(
     state: &mut Interpreter<N>,
     line: &[u8],

@@ -1,4 +1,4 @@
-//! Finds M words in a line whose words are not evaluated, because the line is held or skipped.
+//! Finds M words in a line that is recorded or skipped, so that its words are not evaluated.
 
 /// Whether a line has an M word with one of these numbers, written as a plain integer.
 pub(super) fn has_m_word(line: &[u8], numbers: &[&[u8]]) -> bool {

@@ -38,7 +38,7 @@ impl<const N: usize> ProgramStorage<N> {
         control_points: [const { PointList::new() }; FULL_IMAGE as usize],
     };
 
-    /// Lends the memory to an interpreter, permanently.
+    /// Lends the memory to an interpreter for ever.
     pub fn lend(&'static mut self) -> ProgramMemory<N> {
         ProgramMemory {
             computed: self.computed.lend(),

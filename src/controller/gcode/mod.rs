@@ -1,5 +1,5 @@
 //! G-code: turns the text of one line into one [`Action`], or into an error and nothing else. This file lists the
-//! modules and defines [`Dialect`]: whose meaning (Grbl, Oxmill, seed) the words have.
+//! modules and defines [`Dialect`], which decides what the words mean.
 //!
 //! ```text
 //!  bytes ──parse──▶ Parsed ──check──▶ Action ──commit──▶ modal state, offsets, program position
@@ -71,7 +71,7 @@ pub const REASONS: bool = cfg!(feature = "reasons");
 /// Explanation of what is wrong with a refused line; takes no memory in a build without reasons.
 pub type Reason = heapless::Vec<u8, { if REASONS { 128 } else { 0 } }>;
 
-/// The control whose meaning the words of a program have.
+/// Decides which control's meaning the words of a program have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Dialect {
     /// As Grbl 1.1h, without the extensions: eight digits count in a number, there are six coordinate systems, T is
@@ -81,8 +81,7 @@ pub enum Dialect {
     /// All words of Grbl with Grbl's meaning, and further words.
     #[default]
     Oxmill,
-    /// As Oxmill, with three differences: G80 beside a motion word only cancels; axis words after G80 move by the last
-    /// G0 or G1; an arc whose end point is off its circle ends where the ray from the centre to that point crosses the
-    /// circle.
+    /// As Oxmill, except that axis words after G80 move by the last G0 or G1, and that an arc whose end point is off
+    /// its circle ends where the ray from the centre to that point crosses the circle.
     Seed,
 }

@@ -1,5 +1,4 @@
-//! The modal state: one type for each modal group, the state after a reset, and what the end of a program resets. The
-//! constants at the top say which features this build has.
+//! The modal state: one type for each modal group, the state after a reset, and what the end of a program resets.
 
 use crate::axes::Axis;
 use crate::messages::{Coolant, SpindleDirection};
@@ -96,12 +95,12 @@ impl CycleKind {
     }
 }
 
-/// Condition that ends a probing move, and the consequence if it is not met.
+/// Condition that ends a probing move, and whether it is an alarm if the condition is not met.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProbeMode {
     /// Ends at the loss of contact (G38.4, G38.5) instead of at contact.
     pub away: bool,
-    /// No change of contact is an alarm (G38.2, G38.4).
+    /// It is an alarm if the contact does not change (G38.2, G38.4).
     pub alarm: bool,
 }
 
@@ -184,7 +183,7 @@ pub enum FeedMode {
     /// G94: F is a speed.
     #[default]
     PerMinute,
-    /// G93: F is the number of such moves per minute.
+    /// G93: F is the number of moves like this one per minute.
     InverseTime,
 }
 
@@ -230,13 +229,13 @@ pub enum PathControl {
     Within(PathTolerance),
 }
 
-/// Maximum distance of the tool from the programmed path, in units of 0.1 nm. Larger values are limited to the range of
-/// the type.
+/// Maximum distance of the tool from the programmed path, in units of 0.1 nm. Values beyond the range of the type are
+/// limited to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PathTolerance {
-    /// P of G64, above 0: the total.
+    /// P of G64, greater than 0: the total distance.
     pub path: u32,
-    /// Q of G64: the part for merging moves.
+    /// Q of G64: the part of it that the merging of moves may use.
     pub merging: u32,
 }
 
@@ -313,8 +312,8 @@ impl CoordinateSystem {
 pub struct Modal {
     /// Motion mode.
     pub motion: MotionMode,
-    /// The mode of the latest straight move, [`MotionMode::Rapid`] or [`MotionMode::Linear`]. In the dialects that
-    /// allow axis words after G80, they move in this mode.
+    /// The mode of the latest straight move, [`MotionMode::Rapid`] or [`MotionMode::Linear`]. In dialect seed, axis
+    /// words after G80 move in this mode.
     pub straight: MotionMode,
     /// Work coordinate system.
     pub coordinate_system: CoordinateSystem,
@@ -345,10 +344,11 @@ pub struct Modal {
     pub tool: u32,
     /// F, exact: mm/min with G94, moves per minute with G93; 0 while undefined.
     pub feed: Decimal,
-    /// F of G94 in mm/s, as moves use it. Stored, because most lines keep the F in force and need not convert it again.
+    /// F of G94 in mm/s, as moves use it. It is stored because most lines keep the F in force and so need not convert
+    /// it again.
     pub feed_per_second: f32,
-    /// F was written in inches per minute. For a move of rotary axes alone the number as written counts as degrees per
-    /// minute.
+    /// F was written in inches per minute. A move of rotary axes alone takes the number as it was written as degrees
+    /// per minute.
     pub feed_in_inches: bool,
     /// S, in revolutions per minute.
     pub speed: f32,
@@ -406,7 +406,7 @@ impl Modal {
         self.distance = Distance::default();
         self.arc_distance = ArcDistance::default();
         if self.feed_mode == FeedMode::InverseTime {
-            // F was in moves per minute and is not a speed.
+            // The number of moves per minute must not become a speed.
             self.feed = Decimal::ZERO;
         }
         self.feed_mode = FeedMode::default();

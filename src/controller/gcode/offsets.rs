@@ -1,5 +1,5 @@
-//! All offsets of the interpreter. Work position = machine position - coordinate system - G92 - tool length offset; a
-//! rotation acts in between (see `rotation`). Coordinate systems, G28 and G30 are stored, G92 is not.
+//! All offsets of the interpreter. Work position = machine position - coordinate system - G92 - tool length offset,
+//! unless coordinates are rotated (see `rotation`). Coordinate systems, G28 and G30 are stored, G92 is not.
 
 use super::modal::{CoordinateSystem, Plane};
 use super::rotation::{Angle, RotatedPlane, Rotation, difference, sum};
@@ -43,7 +43,8 @@ pub struct Offsets<const N: usize> {
     pub g92: PerAxis<Coordinate, N>,
     /// The offset that G92.3 restores after a G92.2.
     pub(super) g92_kept: PerAxis<Coordinate, N>,
-    /// Whether a G92 or G52, even one of value 0, is in force: it has been neither cleared nor suspended.
+    /// Whether a G92 or G52 is in force: one has been given, even with the value 0, and has been neither cleared nor
+    /// suspended.
     pub g92_acts: bool,
     /// Tool length offset, forgotten at reset.
     pub tool_length: PerAxis<Coordinate, N>,
@@ -71,7 +72,7 @@ impl<const N: usize> Offsets<N> {
         }
     }
 
-    /// Returns a stored position; zero for the offset of a tool, which the tool table holds.
+    /// Returns a stored position. Returns zero for a tool, because its offset is in the tool table.
     pub fn stored(&self, which: StoredOffset) -> PerAxis<Coordinate, N> {
         match which {
             StoredOffset::System(system) => self.system(system),
@@ -81,7 +82,7 @@ impl<const N: usize> Offsets<N> {
         }
     }
 
-    /// Replaces a stored position; ignores the offset of a tool, which the tool table holds.
+    /// Replaces a stored position. Does nothing for a tool, because its offset is in the tool table.
     pub fn set_stored(&mut self, which: StoredOffset, value: PerAxis<Coordinate, N>) {
         match which {
             StoredOffset::System(system) => {

@@ -22,12 +22,12 @@ pub(super) const TOOL_MAX: i32 = 99_999;
 const VALUES_OF_GRBL: Letters = Letters::of(b"FIJKLNPRST");
 /// Letters of words other than axis, G and M words, in the other dialects.
 const VALUES: Letters = Letters::of(if FULL_IMAGE { b"DEFHIJKLNOPQRST".as_slice() } else { b"EFHIJKLNOPQRST" });
-/// Letters of a rotation's centre, as Mach has them.
+/// Letters that Mach uses for the centre of a rotation.
 const CENTRE_OF_MACH: Letters = Letters::of(if FULL_IMAGE { b"AB".as_slice() } else { b"" });
 /// Words whose value must not be negative.
 const NOT_NEGATIVE: Letters = Letters::of(b"DEFHNPTS");
 
-/// Words of a line that Grbl does not have.
+/// Those words of a line that Grbl does not have.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Extended {
     /// The line has any of these words, other than G50, G51, G68, G69 and M6.
@@ -39,7 +39,7 @@ pub(super) struct Extended {
     pub rotation: Option<bool>,
     /// G51 (`true`), G50.
     pub scaling: Option<bool>,
-    /// P is negative, which only P of G5 may be.
+    /// P is negative, which is allowed only with G5.
     pub is_p_negative: bool,
     /// G5.3.
     pub ends_control_points: bool,
@@ -61,7 +61,7 @@ pub(super) struct Extended {
     pub look_ahead: Option<u8>,
     /// M29.
     pub rigid_tapping: bool,
-    /// Axes that U, V and W of G28 and G30 move by a distance.
+    /// With G28 and G30: the axes for which U, V and W give a distance.
     pub distances: AxisMask,
 }
 
@@ -83,7 +83,7 @@ pub(super) struct Parsed<const N: usize> {
     /// M56.
     pub parking_override: bool,
     pub extended: Extended,
-    /// Letters that have a value, without G and M.
+    /// Letters of the words in `value_words`.
     pub values: Letters,
     /// Axes that have a word.
     pub axes: AxisMask,
@@ -121,8 +121,8 @@ impl ModalWords {
     }
 }
 
-/// Words other than axis, G and M words, in the order of the line. A list, and not an array indexed by letter, which
-/// would have to be cleared for each line: most lines have one such word or none.
+/// Words other than axis, G and M words, in the order of the line. This is a list because most lines have at most one
+/// such word. An array indexed by letter would have to be cleared for each line.
 type ValueWords = heapless::Vec<(u8, Decimal), { VALUES.count() + CENTRE_OF_MACH.count() }>;
 
 impl<const N: usize> Parsed<N> {
@@ -159,7 +159,7 @@ impl<const N: usize> Parsed<N> {
                     if axes > LINEAR {
                         return Err(Error::OneRotaryAxis);
                     }
-                    // The letter may give the centre of a rotation.
+                    // The letter can be the centre of a rotation.
                     self.take_value(letter, value, dialect)?;
                 }
                 b'M' => self.take_m(Code::of(value), dialect)?,
@@ -172,14 +172,14 @@ impl<const N: usize> Parsed<N> {
         Ok(())
     }
 
-    /// Like `read`, for callers that are not time-critical: not inlined, so its code is in the image once.
+    /// Like `read`, for callers that are not time-critical. It is not inlined, so they share one copy of the code.
     #[inline(never)]
     pub fn read_apart(&mut self, line: &[u8], dialect: Dialect, state: &mut Interpreter<N>) -> Result<(), Error> {
         self.read(line, dialect, state)
     }
 
-    /// Whether all words only determine where and how the line moves. Nearly all lines of a program are like this, and
-    /// skip the steps of the check that other words need.
+    /// Whether all words only determine where and how the line moves. Nearly all lines of a program are like this. For
+    /// them the check skips the steps that only other words need.
     #[inline]
     pub fn is_move(&self) -> bool {
         !self.extended.any && self.groups.within(Groups::OF_MOVES) && !self.values.has_any(Letters::of(b"ST"))
@@ -300,7 +300,7 @@ impl<const N: usize> Parsed<N> {
         if !values.has(letter) {
             return match letter {
                 ASSIGNMENT => Ok(()),
-                // The dialect need not be checked: Grbl's has no rotations.
+                // This cannot be Grbl's dialect, because it has no rotations.
                 b'A' | b'B' if FULL_IMAGE && self.extended.rotation == Some(true) => {
                     if self.values.has(letter) {
                         return Err(Error::WordRepeated);
@@ -336,7 +336,7 @@ impl<const N: usize> Parsed<N> {
             self.extended = Extended { any: true, is_p_negative: true, ..self.extended };
         }
         self.values.add(letter);
-        // There is room for each letter once.
+        // The push succeeds, because there is room for each letter once.
         let _ = self.value_words.push((letter, value));
         Ok(())
     }

@@ -1,8 +1,9 @@
 //! Message comments of programs, as they are stored after the words of a line: `(MSG, ...)`, `(PRINT, ...)`, `(DEBUG,
 //! ...)`.
 //!
-//! A mark precedes the text of the message: as written, or with the values of parameters. [`split_remark`] splits a
-//! line at the mark. Neither mark can occur among the words, from which all comments have been removed.
+//! Before the text of the message stands a mark. It says whether the text is sent as written or with the values of
+//! parameters. [`split_remark`] splits a line at the mark. Neither mark can occur among the words, because all comments
+//! have been removed from them.
 
 /// Mark of a message that is sent as it is written.
 pub const AS_WRITTEN: u8 = b'(';

@@ -1,5 +1,5 @@
 //! Rotated coordinates: G10 L2 R turns a coordinate system about its origin, G68 turns the program about a centre. Both
-//! are combined into one rotation of the plane, in fixed point.
+//! together are computed as one rotation of the plane, in fixed point.
 //!
 //! ```text
 //!      second │      ╱ second of the program
@@ -11,7 +11,7 @@
 //! ```
 //! G92 and G52 are along the rotated axes of the system. The origin of the system and the tool length offset are along
 //! the machine's axes. Rotations by multiples of 90 degrees are exact, others are rounded to 0.1 nm. The last position
-//! is kept as the program wrote it, so that roundings do not add up over a million increments.
+//! is kept in the coordinates that the program wrote, so that roundings do not add up over many increments.
 
 use super::modal::{Plane, PlaneAxes};
 use super::scaling::ScalingChange;
@@ -19,11 +19,12 @@ use super::values::{along, nearest};
 use crate::axes::PerAxis;
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 
-/// An angle in units of a [`Decimal`] of a degree, above -180 degrees up to 180 degrees.
+/// An angle in degrees, in the unit of a [`Decimal`]: greater than -180 and at most 180 degrees.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Angle(pub i32);
 
-/// 1 in the fixed-point format of sines. Its product with a coordinate fits `i128`; shifted back, `i64`.
+/// 1 in the fixed-point format of sines. The product of a sine and a coordinate fits `i128` and, after the shift back,
+/// `i64`.
 const ONE: i64 = 1 << FRACTION;
 const FRACTION: u32 = 62;
 
@@ -51,8 +52,8 @@ impl Angle {
         Angle::of(Decimal(-self.degrees().0))
     }
 
-    /// Returns cosine and sine, with an error of a few units of 2^-62: power series in the difference from the nearest
-    /// multiple of 90 degrees.
+    /// Returns cosine and sine, with an error of a few units of 2^-62. They are power series of the difference from the
+    /// nearest multiple of 90 degrees.
     fn cosine_and_sine(self) -> (i64, i64) {
         const QUARTER: i64 = Angle::HALF_TURN / 2;
         /// Radians in a unit, times 2^96.
@@ -121,12 +122,12 @@ impl RotatedPlane {
         self.angle.minus().turn(difference(machine, self.zero))
     }
 
-    /// Returns the two coordinates of a position in the plane.
+    /// Returns the two coordinates of a position that lie in the plane.
     pub(super) fn part_of<const N: usize>(self, place: &PerAxis<Coordinate, N>) -> [Coordinate; 2] {
         [along(place, self.axes.first), along(place, self.axes.second)]
     }
 
-    /// Replaces the two coordinates of a position in the plane.
+    /// Replaces the two coordinates of a position that lie in the plane.
     pub(super) fn put<const N: usize>(self, place: &mut PerAxis<Coordinate, N>, [first, second]: [Coordinate; 2]) {
         place.set(self.axes.first, first);
         place.set(self.axes.second, second);
@@ -146,7 +147,7 @@ pub(super) fn difference(a: [Coordinate; 2], b: [Coordinate; 2]) -> [Coordinate;
 /// Changes that a line makes to rotation and scaling.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct RotationChange {
-    /// New angle of the coordinate system that the line stores.
+    /// G10 L2 R: the new angle of the coordinate system.
     pub(super) angle: Option<Angle>,
     /// The new rotation of G68, or `Some(None)` for G69.
     pub(super) rotation: Option<Option<Rotation>>,
@@ -200,7 +201,7 @@ mod tests {
             let (wanted_sine, wanted_cosine) = (f64::from(units) / 1e7).to_radians().sin_cos();
             prop_assert!((cosine as f64 / ONE as f64 - wanted_cosine).abs() < 1e-15);
             prop_assert!((sine as f64 / ONE as f64 - wanted_sine).abs() < 1e-15);
-            // A check beyond the precision of f64: the points lie on the circle.
+            // The point lies on the circle. This test is finer than the precision of `f64`.
             let square = |v: i64| i128::from(v) * i128::from(v);
             prop_assert!((square(cosine) + square(sine) - square(ONE)).abs() < 64 * i128::from(ONE));
         }

@@ -1,5 +1,5 @@
-//! Modal states saved by M70 and M73, one for each level of subroutine calls. M72 restores the state, M71 forgets it,
-//! and a call that began with M73 restores it when it returns.
+//! Modal states saved by M70 and M73, at most one for each level of subroutine calls. M72 restores the state of its
+//! level, and M71 forgets it. A state saved by M73 is also restored when its call returns.
 
 use super::modal::Modal;
 use crate::axes::PerAxis;
@@ -7,9 +7,9 @@ use crate::image::FULL_IMAGE;
 use crate::lent::Lent;
 use crate::units::Coordinate;
 
-/// Maximum number of saved states; without subroutines one.
+/// Maximum number of saved states. A build without subroutines needs only one.
 const MOST: usize = if FULL_IMAGE { 8 } else { 1 };
-/// Level of a state that is still to be restored although its call has returned.
+/// Level of a state whose call has returned, but which is still to be restored.
 const RETURNED: u8 = u8::MAX;
 
 /// A saved state.
@@ -18,7 +18,8 @@ pub(super) struct Saved<const N: usize> {
     pub modal: Modal,
     pub tool_length: PerAxis<Coordinate, N>,
     pub g92_acts: bool,
-    /// The tool in the spindle at that time. With another tool in the spindle, the saved length is not restored.
+    /// The tool in the spindle when the state was saved. With another tool in the spindle, the saved length is not
+    /// restored.
     pub spindle_tool: u32,
     /// The tool has been measured since the state was saved, so the saved length is outdated.
     pub is_measured_anew: bool,
@@ -64,8 +65,8 @@ impl<const N: usize> SavedStates<N> {
         !self.0.is_full() || self.saved_at(level).is_some()
     }
 
-    /// Replaces the state that was saved at the same level. If M73 saved that state, the end of the call restores the
-    /// new one.
+    /// Saves a state in place of the state that was saved at the same level. If M73 saved the old state, the end of the
+    /// call restores the new one.
     pub fn save(&mut self, mut saved: Saved<N>) {
         saved.until_return |= self.saved_at(saved.level).is_some_and(|before| before.until_return);
         self.0.retain(|before| before.level != saved.level);
@@ -100,8 +101,8 @@ impl<const N: usize> SavedStates<N> {
         restores
     }
 
-    /// Drops the states of all calls above `level`: the calls were aborted, or have returned and their state was
-    /// restored.
+    /// Drops the states of all calls above `level`, because these calls were aborted, or have returned and their states
+    /// were restored.
     pub fn abandon(&mut self, level: u8) {
         self.0.retain(|saved| saved.level <= level);
     }

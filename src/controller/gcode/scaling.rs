@@ -1,11 +1,11 @@
-//! Scaled coordinates: G51 multiplies the X, Y and Z values of a program by factors, relative to a centre. The result
-//! is rotated (`rotation`) and offset afterwards.
+//! Scaled coordinates: G51 multiplies the X, Y and Z values of a program by factors, relative to a centre. Rotation
+//! (`rotation`) and offsets are applied to the result.
 //!
 //! ```text
 //!                       scaled = centre + factor · (written - centre)         a distance: factor · written
 //! ```
 //! Products of a coordinate and a factor are exact integers in units of 10^-7 of 0.1 nm. The remainder from rounding
-//! the reached position to 0.1 nm is kept, so roundings do not add up over a million increments.
+//! the reached position to 0.1 nm is kept, so roundings do not add up over many increments.
 
 use super::values::nearest;
 use crate::axes::{Axis, PerAxis};
@@ -36,7 +36,7 @@ fn fine(coordinate: Coordinate) -> Fine {
 }
 
 /// Returns `numerator / denominator`, rounded to the nearest integer.
-// Not inlined, to have the long code of the division once in the image.
+// Not inlined, so that the image contains the long code of the division once.
 #[inline(never)]
 fn divided(numerator: Fine, denominator: i64) -> Coordinate {
     let denominator = i128::from(denominator);
@@ -44,11 +44,11 @@ fn divided(numerator: Fine, denominator: i64) -> Coordinate {
     nearest((numerator * denominator.signum() + half).div_euclid(denominator.abs()))
 }
 
-/// Rounds a length to a coordinate. Returns the remainder, too.
+/// Rounds a length to a coordinate. Also returns the remainder.
 #[inline(never)]
 fn rounded(length: Fine) -> (Coordinate, i32) {
     let coordinate = divided(length, DECIMAL_ONE);
-    // The remainder is at most half of 10^7, except where the coordinate is limited to the range of its type.
+    // The size of the remainder is at most half of 10^7, unless the coordinate was limited to the range of its type.
     (coordinate, i32::try_from(length - fine(coordinate)).unwrap_or(0))
 }
 
@@ -75,34 +75,34 @@ impl Scaling {
         fine(self.centre.get(axis.index()).copied().unwrap_or(Coordinate::ZERO))
     }
 
-    /// Scales a coordinate of the program. Returns the remainder, too.
+    /// Scales a coordinate of the program. Also returns the remainder.
     #[inline(never)]
     pub(super) fn place(&self, axis: Axis, written: Coordinate) -> (Coordinate, i32) {
         let centre = self.centre(axis);
-        // Both operands are multiples of `DECIMAL_ONE`: the division is exact.
+        // Both operands of the subtraction are multiples of `DECIMAL_ONE`, so the division is exact.
         let from_centre = nearest((fine(written) - centre) / i128::from(DECIMAL_ONE));
         rounded(centre + i128::from(from_centre.0) * i128::from(self.factor(axis).0))
     }
 
-    /// Scales a distance of the program and adds the remainder `rest` of earlier roundings. Returns the new remainder,
-    /// too.
+    /// Scales a distance of the program and adds the remainder `rest` of earlier roundings. Also returns the new
+    /// remainder.
     #[inline(never)]
     pub(super) fn way(&self, axis: Axis, written: Coordinate, rest: i32) -> (Coordinate, i32) {
         rounded(i128::from(written.0) * i128::from(self.factor(axis).0) + i128::from(rest))
     }
 
-    /// Scales a distance that has no direction: by the absolute value of the factor.
+    /// Scales a length that has no direction, by the absolute value of the factor.
     pub(super) fn size(&self, axis: Axis, written: Coordinate) -> Coordinate {
         let length = i128::from(written.0) * i128::from(self.factor(axis).0.unsigned_abs());
         rounded(length).0
     }
 
-    /// Converts a scaled distance back to that of the program.
+    /// Converts a scaled distance back to the distance in the program.
     pub(super) fn written_way(&self, axis: Axis, scaled: i64) -> i64 {
         divided(fine(Coordinate(scaled)), self.factor(axis).0).0
     }
 
-    /// Converts a scaled position back to that of the program.
+    /// Converts a scaled position back to the position in the program.
     #[inline(never)]
     pub(super) fn written<const N: usize>(&self, place: &mut PerAxis<Coordinate, N>, rest: &Rest) {
         for (axis, rest) in [Axis::X, Axis::Y, Axis::Z].into_iter().zip(rest) {
@@ -116,7 +116,8 @@ impl Scaling {
         }
     }
 
-    /// Returns the smallest absolute factor: at least by this factor the last digit of a program's words is multiplied.
+    /// Returns the smallest absolute factor. Scaling multiplies the last digit of a program's words by this factor or
+    /// more.
     #[inline(never)]
     pub(super) fn least(&self) -> f32 {
         self.factors.iter().map(|factor| Decimal(factor.0.saturating_abs()).to_f32()).fold(f32::INFINITY, f32::min)

@@ -1,17 +1,17 @@
-//! Small conversions of word values: whole numbers, seconds, and coordinates within the range in which the controller
-//! computes.
+//! Small conversions of word values: to whole numbers, to durations, and to coordinates within the range in which the
+//! controller computes.
 
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal, Duration};
 
-/// Converts a number that selects something, and so must have no fraction.
+/// Converts a number that must be whole because it selects something.
 pub(super) fn whole(value: Decimal) -> Result<i32, Error> {
     let number = value.truncate();
     if Decimal::from_int(number) == value { Ok(number) } else { Err(Error::IntegerRequired) }
 }
 
-/// Converts a time that a program gives in seconds; the sign is ignored.
+/// Converts a time that a program gives in seconds, without its sign.
 pub(super) fn seconds(value: Decimal) -> Duration {
     /// Units of a [`Decimal`] of seconds in a microsecond.
     const MICROSECOND: u64 = DECIMAL_ONE as u64 / 1_000_000;

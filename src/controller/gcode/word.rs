@@ -1,5 +1,5 @@
-//! Words of a line: reads letters and numbers one by one, and translates G and M numbers into their meaning, which
-//! depends on the dialect and the image. Each word has a modal group.
+//! Words of a line. Reads letters and numbers one by one, and translates G and M numbers into their meaning, which
+//! depends on the dialect and the build. Each G or M word has a modal group.
 
 use super::Dialect;
 use super::code::Code;
@@ -24,7 +24,7 @@ pub(super) struct Word {
     pub places: u8,
 }
 
-/// The letter of an assignment to a parameter, a word that does not affect the line itself.
+/// The letter of an assignment to a parameter. This word does not affect the other words of the line.
 pub(super) const ASSIGNMENT: u8 = b'#';
 
 /// Iterator over the words of a line; ends at the first error.
@@ -66,7 +66,7 @@ impl<'a, const N: usize> Words<'a, N> {
                 let rest = state.assign(text)?;
                 Ok((Word { letter, value: Decimal::ZERO, places: 0 }, rest))
             }
-            // Polar coordinates of LinuxCNC.
+            // LinuxCNC's polar coordinates.
             Some(_) if matches!(letter, b'@' | b'^') => Err(Error::NotSupported),
             _ => Err(Error::ExpectedLetter),
         }
@@ -135,7 +135,7 @@ impl Letters {
     }
 }
 
-/// Modal group; a line may have one word of each group.
+/// Modal group. A line can have at most one word of each group.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Group {
@@ -192,7 +192,7 @@ pub enum Group {
 /// Returns the modal group of the word `G` or `M` with a number, in a dialect.
 ///
 /// # Errors
-/// The error with which a line with this word is refused.
+/// The error that refuses a line with this word.
 pub fn group_of(letter: u8, number: Decimal, dialect: Dialect) -> Result<Group, Error> {
     let code = Code::of(number);
     match letter {
@@ -247,7 +247,7 @@ impl Groups {
     }
 }
 
-/// Command that uses the axis words of a line; a line may have only one such command.
+/// Command that uses the axis words of a line. A line can have at most one such command.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Claim {
     /// No command uses axis words.
@@ -261,7 +261,7 @@ pub(super) enum Claim {
     ToolLength,
 }
 
-/// The command that acts on its own line only.
+/// A command that acts only on its own line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum NonModal {
     /// G4.
@@ -323,7 +323,7 @@ pub(super) enum GWord {
     Scaling(bool),
     /// G5.3.
     EndOfControlPoints,
-    /// G31, a probing move whose word does not stay in force.
+    /// G31, a probing move. The word does not stay in force.
     ProbeOnce,
     /// G54.1, G154: selects a coordinate system by P.
     SystemByNumber,
@@ -334,11 +334,11 @@ pub(super) enum GWord {
 }
 
 impl GWord {
-    /// Returns how a code uses axis words. Called before the code is known to be valid.
+    /// Returns how a code uses axis words, whether or not it is a valid code.
     pub fn claim(code: Code, dialect: Dialect) -> Claim {
         match (code.whole, code.hundredths) {
-            // G43, G43.2 and G49 need no axis word, so a line may change the offset and move: `G0 G49 ...` opens many
-            // programs.
+            // G43, G43.2 and G49 use no axis words, so the same line can also move: many programs begin with `G0 G49
+            // ...`.
             (43, 0 | 20) | (49, _) if dialect != Dialect::Grbl => Claim::Nobody,
             (0 | 1 | 2 | 3 | 38, _) => Claim::Motion,
             (31, 0) if FULL_IMAGE && dialect != Dialect::Grbl => Claim::Motion,
@@ -351,7 +351,7 @@ impl GWord {
         }
     }
 
-    /// Canned cycles, the tool table and offsets that Grbl does not have.
+    /// Returns the words for canned cycles, the tool table and offsets that Grbl does not have.
     fn extended(code: Code) -> Option<GWord> {
         Some(match (code.whole, code.hundredths) {
             (43, 0) => GWord::ToolLength(ToolLength::FromTable),
@@ -387,7 +387,7 @@ impl GWord {
     }
 
     /// Looks up a code among the words that Grbl's dialect lacks (see `of_cam` and `extended`). Returns an error for a
-    /// number that is not a code, for cutter compensation, and for words that this build lacks.
+    /// number that is not a code, and for cutter compensation.
     fn beyond_grbl(code: Code) -> Option<Result<GWord, Error>> {
         match (code.whole, code.hundredths) {
             (_, Code::NO_CODE) => return Some(Err(Error::UnsupportedCommand)),
@@ -400,8 +400,8 @@ impl GWord {
         Self::extended(code).map(Ok)
     }
 
-    /// Returns the word of a code. A wrong fraction is [`Error::IntegerRequired`] if no word with this whole part has a
-    /// fraction, and [`Error::UnsupportedCommand`] if some do.
+    /// Returns the word of a code. As in Grbl, the error for an unknown fraction is [`Error::UnsupportedCommand`] if
+    /// any word with this whole part has a fraction, otherwise [`Error::IntegerRequired`].
     pub fn of(code: Code, dialect: Dialect) -> Result<GWord, Error> {
         let more = dialect != Dialect::Grbl;
         if more && let Some(word) = Self::beyond_grbl(code) {

@@ -31,7 +31,7 @@ impl<const N: usize> Controller<N> {
         self.queue_text(report::OK);
     }
 
-    // Not inlined: forty callers share this code.
+    // Not inlined, so that its many callers share one copy of the code.
     #[inline(never)]
     fn queue_text(&mut self, text: &[u8]) {
         if self.m.lines.is_checking() && report::is_answer(text) && !self.m.replies.is_echoing() {
@@ -41,7 +41,7 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Sends the answer to a checked line, with its number and checksum.
-    // Not inlined: the text takes 320 bytes of stack.
+    // Not inlined, because the text takes 320 bytes of stack, which most answers do not need.
     #[inline(never)]
     fn answer_checked(&mut self, text: &[u8]) {
         if let Some(checked) = self.m.lines.checked_answer(text) {
@@ -50,7 +50,7 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Sends the message of a line that is executed; `remark` is the message with its mark. The message of a line that
-    /// would leave the travel is not sent. Moves queued before the line may still be running.
+    /// would leave the travel is not sent. Moves queued before the line can still be running at that time.
     #[inline]
     pub(crate) fn tell_remark(&mut self, remark: &[u8]) {
         if let Some((mark, written)) = remark.split_first() {
@@ -58,7 +58,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    // Not inlined: it takes much stack, and few lines have a message.
+    // Not inlined, because it takes much stack and few lines have a message.
     #[inline(never)]
     fn tell_message(&mut self, mark: u8, written: &[u8]) {
         if self.state.is_alarm() || matches!(self.task, Task::SoftLimit(_)) {
@@ -84,7 +84,7 @@ impl<const N: usize> Controller<N> {
 
     /// Sends the error of a line that is not executed, or not completely.
     pub(crate) fn refuse(&mut self, error: Error) {
-        // The error of a startup line is not one of a line that the host has sent.
+        // A startup line is not one of the host's checked lines, so its error must not end their execution.
         if !self.m.replies.is_echoing() {
             self.m.lines.fail(error);
         }
@@ -94,8 +94,8 @@ impl<const N: usize> Controller<N> {
         self.say(|out| report::error(out, error.code()));
     }
 
-    /// Sends the explanation of an error before the error itself. Omitted in Grbl's dialect, which sends nothing there,
-    /// for a startup line, whose answer has no room for it, and if the host has disconnected.
+    /// Sends the explanation of an error before the error itself. Sends nothing in Grbl's dialect, because Grbl has no
+    /// explanations; for a startup line, because its answer must be one line; and to a host that has disconnected.
     #[cold]
     #[inline(never)]
     fn tell_reason(&mut self, error: Error) {
@@ -136,8 +136,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Ends the checking of lines after a reset or a stop, which may have cut a line in transit, and reports that to
-    /// the host.
+    /// Ends the checking of lines after a reset or a stop, because a line in transit can have been cut, and reports
+    /// that to the host.
     pub(crate) fn lapse_check(&mut self) {
         if self.m.lines.lapse_check() {
             self.tell_unchecked();
@@ -148,7 +148,7 @@ impl<const N: usize> Controller<N> {
         self.say(|out| report::message(out, "Lines are not checked any more"));
     }
 
-    /// Reports, once, which inputs caused the alarm, at which position, and at which line.
+    /// Reports once which inputs caused the alarm, at which position and at which line.
     pub(crate) fn tell_trip(&mut self, line: u32) {
         if let Some(tripped) = self.m.inputs.take_tripped()
             && self.dialect() != Dialect::Grbl
@@ -175,8 +175,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Sends the welcome line. Messages that are sent only once may then be sent again, because a new host may have
-    /// missed them.
+    /// Sends the welcome line. After it, messages that are sent only once can be sent again, because a new host can
+    /// have missed them.
     pub(crate) fn greet(&mut self) {
         self.m.records.host_greeted();
         self.say(report::welcome);
@@ -187,9 +187,9 @@ impl<const N: usize> Controller<N> {
         self.m.settings_lock.host_greeted();
     }
 
-    /// Informs a host that takes over about conditions that no report shows, with the messages that the host before it
-    /// got. A wait that was never reported has a message of its own. Not in Grbl's dialect: Grbl does not know of
-    /// several hosts.
+    /// Tells a host that takes over about conditions that no report shows. It gets the messages that the host before it
+    /// got; for a wait that was never reported there is a message of its own. Sends nothing in Grbl's dialect, because
+    /// Grbl does not know of several hosts.
     #[inline(never)]
     pub(crate) fn tell_inherited(&mut self) {
         // Only boards with room for descriptions have these texts.
@@ -215,7 +215,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Reports what the current line waits for.
+    /// Reports what the line being executed waits for.
     fn tell_wait(&mut self, job: &Job) {
         let seconds = job.left(self.m.now).to_micros().div_ceil(1_000_000) as u32;
         match (job.stage, self.line.action.pins()) {
@@ -248,7 +248,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Repeats the last message of the program, which may say what a pause or tool change is for.
+    /// Repeats the last message of the program, because it can say what a pause or tool change is for.
     fn repeat_message(&mut self) {
         let text = self.line.message();
         if !text.is_empty() {
@@ -262,7 +262,7 @@ impl<const N: usize> Controller<N> {
         self.say(|out| report::message_number(out, "Tool change T", tool));
     }
 
-    /// Asks a question that the operator answers by `~`.
+    /// Asks whether the work zero was set with the first tool. The operator confirms by `~`.
     pub(crate) fn tell_first_tool(&mut self) {
         self.say(|out| report::message(out, "First tool measured: is the work zero set with it?"));
     }
@@ -280,7 +280,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    // Cold: reports are requested a few times per second, but the request is checked before each output.
+    // Cold, because reports are made only a few times per second, but `answer_status` runs before each output.
     #[cold]
     #[inline(never)]
     fn report_status(&mut self) {
@@ -325,7 +325,7 @@ impl<const N: usize> Controller<N> {
         PlaceForm { axes: self.m.settings.axes_in_use(), inches: self.m.settings.is_on(Key::ReportInches) }
     }
 
-    /// Returns the inputs as a report shows them.
+    /// Returns the inputs in the form that a report shows: limit switches as axes.
     fn shown_signals(&self) -> Signals {
         let signals = *self.m.inputs.signals();
         Signals { limits: levels::axes_of_switches(signals.limits, &self.m.settings), ..signals }

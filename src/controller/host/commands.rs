@@ -167,7 +167,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn set_setting(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
-        // The table of settings has the widest limits of all boards; those of this board are checked here.
+        // The table of settings has the widest limits of all boards, so the limits of this board are checked here.
         let least_pulse = i64::from(self.m.settings_lock.least_pulse_tenths()) * (DECIMAL_ONE / 10);
         if number == STEP_PULSE && (0..least_pulse).contains(&value.0) {
             return Err(Error::StepPulseTooShort);
@@ -183,7 +183,8 @@ impl<const N: usize> Controller<N> {
         if accepted? != 0.0 {
             match number {
                 DOOR_FITTED if self.m.inputs.pins().door => return Err(Error::DoorOpen),
-                // As for the door: an input that is active already would not become active.
+                // An input that is already active could cause no alarm, because it would not become active. The same
+                // holds for the door.
                 RESET_IS_EMERGENCY_STOP if self.m.inputs.pins().reset => return Err(Error::EmergencyStop),
                 _ => {}
             }
@@ -192,7 +193,7 @@ impl<const N: usize> Controller<N> {
         let (soft_limits, dialect) = (self.m.settings.is_on(Key::SoftLimits), self.dialect());
         self.m.settings.set(number, value)?;
         let is_other = self.m.settings.by_number(number) != before;
-        // The same S would be another power from here on.
+        // With the new value the same S would stand for another power.
         if is_other && matches!(number, SPINDLE_MAXIMUM | SPINDLE_MINIMUM | LASER) {
             self.m.stop_spindle();
         }
@@ -203,7 +204,8 @@ impl<const N: usize> Controller<N> {
         if self.dialect() != dialect {
             self.m.interpreter.change_dialect();
             self.end_check();
-            // Rotations do not act in Grbl's dialect, not on G92 either, so the work offset differs.
+            // Rotations, which also turn G92, do not act in Grbl's dialect. So the new dialect can have another work
+            // offset.
             self.m.replies.offset_changed();
             self.apply_overrides();
         }
@@ -211,8 +213,8 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Updates the values that depend on a changed setting, and stores the setting. `soft_limits`: whether they were on
-    /// before.
+    /// Updates the values that depend on a changed setting, and stores the setting. `soft_limits`: whether soft limits
+    /// were on before the change.
     fn follow_setting(&mut self, number: u16, soft_limits: bool) {
         self.reconfigure();
         // With another resolution, the same steps are another position.
@@ -226,8 +228,8 @@ impl<const N: usize> Controller<N> {
         self.m.records.save_setting(number, &self.m.settings);
     }
 
-    /// Ends the trust in the position if the changed setting gives positions other coordinates than homing did: the
-    /// machine must be homed again. Switching homing on also requires homing.
+    /// Ends the trust in the position if the changed setting gives positions other coordinates than the last homing
+    /// did, or switches homing on. The machine must be homed again.
     fn rename_places(&mut self, number: u16) {
         let to_negative = AxisMask(self.m.settings.whole(Key::HomingDirection) as u8);
         let moves_places = AxisKey::Resolution.axis(number).is_some() || number == KINEMATICS;

@@ -1,5 +1,5 @@
-//! Answers of many lines or many fields, output one line per call: settings `$$`, parameters `$#`, startup lines `$N`,
-//! macros `$M`, pins `$PINS`, descriptions `$ES`, build info `$I`, and the parser state `$G`.
+//! Answers of many lines, which are sent one line per call, and answers of many fields: settings `$$`, parameters `$#`,
+//! startup lines `$N`, macros `$M`, pins `$PINS`, descriptions `$ES`, build info `$I`, and the parser state `$G`.
 
 use crate::axes::{Axis, LINEAR};
 use crate::dispatch::Controller;

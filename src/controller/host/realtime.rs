@@ -22,7 +22,7 @@ impl<const N: usize> Controller<N> {
                 self.finish_stop();
                 self.release_held();
             }
-            // Grbl drops this byte.
+            // Grbl ignores this byte, so it only opens an epoch here.
             Realtime::Stop if self.dialect() == Dialect::Grbl => {
                 self.m.lines.open_epoch();
                 self.release_held();
@@ -42,12 +42,12 @@ impl<const N: usize> Controller<N> {
                 if matches!(self.state, State::Jog { cancelling: false }) {
                     self.cancel_jog();
                 }
-                // A jog that has been read and not queued yet has not set `State::Jog`.
+                // A jog that has been read but not queued is not in `State::Jog` yet.
                 self.task.forget_jog();
                 self.release_held();
             }
             Realtime::SpindleStop => {
-                // A laser is off in a hold, and comes back only with motion.
+                // A laser is off in a hold, and is switched on again only with motion.
                 if matches!(self.state, State::Hold(_))
                     && self.m.accessories.is_on()
                     && !self.m.settings.is_on(Key::Laser)
@@ -94,10 +94,11 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Reacts to a disconnected host, without which no operator can stop or watch the motion: a job is held if `$914`
-    /// is set, as `$928` says. A jog always ends, because the key release that would end it cannot arrive any more.
+    /// Reacts to the disconnection of the host: no operator can stop or watch the motion any more. If `$914` is set, a
+    /// job gets the reaction that `$928` selects. A jog always ends, because the key release that would end it can no
+    /// longer arrive.
     pub(crate) fn host_left(&mut self) {
-        // A jog that has been read and has not started.
+        // A jog that has been read but has not started must not start any more.
         self.task.forget_jog();
         match self.state {
             State::Jog { .. } => self.end_jog_of_no_host(self.m.settings.is_on(Key::HoldWithoutHost)),
@@ -112,8 +113,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Reacts to a host that has been silent for too long (`$922`, `$923`): it may have disconnected, which not every
-    /// link reports.
+    /// Reacts to a host that has been silent for too long (`$922`, `$923`). The host can have disconnected without
+    /// notice, because not every link reports that.
     pub(crate) fn look_for_host(&mut self) {
         if matches!(self.state, State::Normal) {
             let left_jog = self.m.lines.heartbeat_mut().take_left_jog();
@@ -135,7 +136,7 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     fn look_for_silence(&mut self, longest: Duration) {
         let is_at_work = match self.state {
-            // Too short to distinguish from 0.
+            // A setting below one tick counts as 0: no limit.
             _ if longest == Duration::from_ticks(0) => false,
             State::Jog { cancelling } => !cancelling,
             State::Normal => self.is_at_work(),

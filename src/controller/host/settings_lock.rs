@@ -1,10 +1,10 @@
-//! Settings that make motion impossible on this board, such as a rate beyond its step rate. Searches for one after each
-//! change of a setting, and names it to the host.
+//! Settings that make motion impossible on this board, such as a rate beyond its step rate. After each change of a
+//! setting, this file searches for such a setting and names it to the host.
 //!
-//! If the settings cannot be run, motion is locked, and the first setting at fault ([`Settings::unrunnable`]) is the
-//! one to name. It is named after the `ok` to the change that caused the lock, and before the first `error:9` to a line
-//! that would move. It is not repeated after that: a sender that restores one setting after the other, or that streams
-//! a job into a locked machine, would get it at each line.
+//! Such a setting locks motion. If there are several, the first one that [`Settings::unrunnable`] finds is named to the
+//! host: after the `ok` to the change that caused the lock, and before the first `error:9` to a line that would move.
+//! The name is not repeated after that. Otherwise a sender that restores one setting after the other, or streams a job
+//! into a locked machine, would get it at each line.
 
 use crate::dispatch::Profile;
 use crate::settings::{Key, Settings};
@@ -19,13 +19,13 @@ pub(crate) struct SettingsLock {
     has_at_speed: bool,
     program_pins: [u8; 2],
     most_baud: u32,
-    /// Revision of the settings that were examined last.
+    /// The revision of the settings for which `setting` was determined.
     revision: Option<u32>,
-    /// The setting that locks motion in this revision.
+    /// The setting that locks motion, if any.
     setting: Option<u16>,
-    /// The setting at fault at the last change.
+    /// The setting that locked motion at the last call of `name_after_change`.
     named: Option<u16>,
-    /// The setting has been named before the error of a refused line.
+    /// A refused line has already had the name of this setting before its error.
     refused: bool,
 }
 
@@ -62,7 +62,7 @@ impl SettingsLock {
         })
     }
 
-    /// Calls `unrunnable`, which searches for the setting, once for each revision.
+    /// Returns the setting that locks motion. For a new revision of the settings it is determined by `unrunnable`.
     #[inline]
     fn look(&mut self, revision: u32, unrunnable: impl FnOnce() -> Option<u16>) -> Option<u16> {
         if self.revision != Some(revision) {
@@ -75,7 +75,7 @@ impl SettingsLock {
     }
 
     /// Returns the setting to name after `changed` got a new value; call `Self::setting` first. It is the setting that
-    /// locks motion, if it has just been changed or was not at fault at the last change.
+    /// locks motion, if that setting was just changed or did not lock motion at the change before.
     pub(crate) fn name_after_change(&mut self, changed: u16) -> Option<u16> {
         let named = core::mem::replace(&mut self.named, self.setting);
         self.setting.filter(|setting| *setting == changed || named != Some(*setting))
@@ -97,7 +97,8 @@ impl SettingsLock {
 mod tests {
     use super::*;
 
-    /// Returns a lock after these revisions of the settings, each with the setting that locks motion, if any.
+    /// Returns a lock that has seen several revisions of the settings. For each revision, `settings` has the setting
+    /// that locks motion, if any.
     fn after(settings: &[Option<u16>]) -> SettingsLock {
         let rates = StepRates { safe_hz: 0, least_pulse_tenths: 5 };
         let (name, step_clock_hz, axes, program_pins) = ("", 0, 3, [0; 2]);

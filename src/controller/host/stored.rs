@@ -1,6 +1,6 @@
 //! State that survives a power cycle: settings, offsets, tools, startup lines, macros and the build info text. Restores
-//! records at power-up, turns changes into records for the store, and counts those not yet stored. If records were
-//! damaged, the machine stays locked until the operator confirms the settings with `$X`.
+//! records at power-up, turns changes into records for the store, and counts the changes that have not been stored yet.
+//! If records were damaged, the machine stays locked until the operator confirms the settings with `$X`.
 
 use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::gcode::{Angle, Interpreter, StoredOffset, Tool};
@@ -14,8 +14,8 @@ pub(crate) const STORED_TEXT: usize = 80;
 /// A stored text.
 pub(crate) type StoredText = heapless::Vec<u8, STORED_TEXT>;
 
-/// Keys of stored records: a setting has its own number (0 to 999). Everything that one `$RST` forgets is one range, so
-/// that after a power cut either all or nothing of it is forgotten.
+/// Keys of stored records. The key of a setting is its number (0 to 999). All keys that one `$RST` forgets form one
+/// range, which is removed as a whole, so a power cut cannot leave a part of it.
 const KEY_OFFSETS: u16 = 1000;
 /// Entries of the tool table.
 const KEY_TOOLS: u16 = 1040;
@@ -23,17 +23,17 @@ const KEY_STARTUP: u16 = 1100;
 const KEY_BUILD_INFO: u16 = 1200;
 /// Lines of macros.
 const KEY_MACROS: u16 = 1300;
-/// The dialect is outside the ranges that `$RST` forgets: the connected host relies on it.
+/// The dialect is outside the ranges that `$RST` forgets, because the connected host relies on it.
 const KEY_DIALECT: u16 = 2000;
 const DIALECT: u16 = Key::Dialect.number();
 const SOFT_LIMITS: u16 = Key::SoftLimits.number();
 
-/// Minimum time between listing the settings and confirming them. A person needs longer to read them; a program that
-/// lists and unlocks in one go has not read them.
+/// Minimum time between listing the settings and confirming them. A person needs at least this long to read them. A
+/// program that lists the settings and unlocks at once has not checked them.
 const LOOKING: Duration = Duration::secs(2);
 
 /// State of damaged records: the store has reported damage ([`STORE_DAMAGED`]), or a stored value is not valid for its
-/// setting. Settings that protect the machine may be lost, so the machine is locked until somebody has read and
+/// setting. Settings that protect the machine can be lost, so the machine is locked until somebody has read and
 /// confirmed the settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Damage {
@@ -52,12 +52,13 @@ enum Damage {
 pub(crate) struct Records {
     /// Whether the board has a settings flash; without it, no records go to the store.
     has_store: bool,
-    /// Number of changes that the store has not answered.
+    /// Number of changes that the store has not answered yet.
     unstored: u8,
     /// At least one of these changes could not be stored.
     failed: bool,
     damage: Damage,
-    /// Keys of settings whose stored value is invalid. The changes that correct them, and one more, fill `stores`.
+    /// Keys of settings whose stored value is invalid: so many that the changes that correct them, and the removal of
+    /// the damage mark, just fit `stores`.
     refused: heapless::Vec<u16, 3>,
     stores: heapless::Deque<Store, 4>,
     startup_lines: [StoredText; 2],
@@ -124,14 +125,13 @@ impl Records {
         }
     }
 
-    /// Restores a setting. If the stored value is invalid, the setting keeps its default, and this is reported like
-    /// other damage.
+    /// Restores a setting. A setting whose stored value is invalid keeps its default, and counts as damage.
     fn restore_setting<const N: usize>(&mut self, record: &Record, settings: &mut Settings<N>) {
         // A value of another length becomes NaN, which is invalid for every setting.
         let value = record.value.as_slice().try_into().map_or(f32::NAN, f32::from_le_bytes);
         if !settings.restore(setting_of(record.key), value) {
             self.damage = Damage::Untold;
-            // Keys beyond the capacity are reported again at the next power-up.
+            // A key beyond the capacity is not corrected, so it counts as damage again at the next power-up.
             let _ = self.refused.push(record.key);
         }
     }
@@ -150,8 +150,8 @@ impl Records {
         self.stores.pop_front()
     }
 
-    /// Counts an answer of the store. Returns whether it was the last one of a command, and any of the changes could
-    /// not be stored.
+    /// Counts an answer of the store. Returns whether it was the last answer that was awaited and at least one of the
+    /// changes could not be stored.
     pub(crate) fn answered(&mut self, stored: bool) -> bool {
         self.unstored = self.unstored.saturating_sub(1);
         self.failed |= !stored;
@@ -163,9 +163,9 @@ impl Records {
         self.unstored == 0
     }
 
-    /// Queues a change. One command makes at most four changes, and the next command is read after they have been
-    /// answered, so there is room. After a reset the next command may be read earlier; a change without room then
-    /// counts as one that could not be stored.
+    /// Queues a change. There is room, because one command makes at most four changes, and the next command is read
+    /// only after they have been answered. After a reset the next command can be read earlier; if there is no room in
+    /// that case, the change counts as one that could not be stored.
     fn hand_over(&mut self, store: Store) {
         if self.has_store {
             match self.stores.push_back(store) {
@@ -196,8 +196,8 @@ impl Records {
         }
     }
 
-    /// Stores the value of `$20` that must precede a new `$22`. `were_on`: whether soft limits were on before the
-    /// change.
+    /// Stores the value of `$20` that must precede a new `$22`. `were_on`: whether soft limits were on before `$22` was
+    /// changed.
     pub(crate) fn save_soft_limits_before_homing<const N: usize>(&mut self, settings: &Settings<N>, were_on: bool) {
         if let Some(value) = settings.soft_limits_before_homing(were_on) {
             self.save(SOFT_LIMITS, &value.to_le_bytes());
@@ -216,14 +216,14 @@ impl Records {
         } else {
             StoredOffset::all().position(|o| o == offset).map(|index| KEY_OFFSETS + index as u16)
         };
-        // A, B and C are written only if they are not 0, so that a machine with three axes writes the same records in
-        // every build.
+        // X, Y and Z are always written, A, B and C only up to the last one that is not 0. So a machine with three axes
+        // has the same records in every build.
         let places = position.0.iter().rposition(|value| *value != Coordinate::ZERO).map_or(0, |last| last + 1);
         for value in position.iter().take(places.max(LINEAR)) {
             let _ = bytes.extend_from_slice(&value.0.to_le_bytes());
         }
         if let StoredOffset::System(system) = offset {
-            // After the positions, and shorter than a position: firmware without rotations ignores it.
+            // The angle comes last and is shorter than a coordinate, so firmware without rotations ignores it.
             let angle = interpreter.offsets().angle(system);
             if angle != Angle::ZERO {
                 let _ = bytes.extend_from_slice(&angle.0.to_le_bytes());
@@ -268,12 +268,13 @@ impl Records {
         }
     }
 
-    /// Keeps a startup line while it is executed; [`Records::save_validated`] follows if it is valid.
+    /// Keeps a startup line while it is executed. If the line is valid, [`Records::save_validated`] stores it
+    /// afterwards.
     pub(crate) fn validate(&mut self, line: StoredText) {
         self.validated = line;
     }
 
-    /// Stores the executed line as the startup line of this number.
+    /// Stores the executed line as the startup line with this number.
     pub(crate) fn save_validated(&mut self, index: usize) {
         let line = self.validated.clone();
         self.save_startup_line(index, line);
@@ -369,7 +370,7 @@ mod tests {
         Instant::from_ticks(0) + Duration::secs(seconds)
     }
 
-    /// Returns the state after a restart with the changes that `records` has handed to the store.
+    /// Hands the changes of `records` to the store. Returns the state after a restart with these records.
     fn restarted(records: &mut Records) -> (Records, Settings<3>, Interpreter<3>) {
         let mut after = (Records::new(true), Settings::default(), Interpreter::default());
         while let Some(store) = records.next_store() {
@@ -398,7 +399,8 @@ mod tests {
         assert!(after.startup_line(0).unwrap().is_empty() && after.startup_line(2).is_none());
     }
 
-    /// A reset during the confirmation of three values, followed by a setting that makes two changes.
+    /// Four changes wait, as after a reset during a confirmation. After one of them has been stored, a command makes
+    /// two more changes, and one of these finds no room.
     #[test]
     fn a_change_that_finds_no_room_is_told() {
         let mut records = Records::new(true);
@@ -431,7 +433,7 @@ mod tests {
         assert_eq!(interpreter.offsets().stored(StoredOffset::all().next().unwrap()), PerAxis::default());
     }
 
-    /// Older records have no angle, and older firmware reads newer records as if they had none.
+    /// Older records have no angle, and older firmware ignores the angle in newer records.
     #[test]
     fn rotations_come_back() {
         let mut records = Records::new(true);
@@ -521,7 +523,7 @@ mod tests {
             records.restore(&Record { key, value }, &mut settings, &mut interpreter);
             records.are_damaged()
         };
-        // These settings do not exist here, but may exist in other builds.
+        // These settings do not exist here, but can exist in other builds.
         assert!(!restore(&mut records, 999, &[1]) && !restore(&mut records, 103, &(-1_f32).to_le_bytes()));
         assert!(restore(&mut records, 100, &[0; 5]));
         for key in [KEY_DIALECT, DIALECT, 21] {

@@ -24,7 +24,7 @@ pub struct InputLevels {
     known: bool,
     /// Inputs that have caused an alarm and have not been reported yet.
     tripped: Signals,
-    /// Number of stops by armed inputs, as last received (wrapping).
+    /// Number of times that armed inputs have stopped the step task, as last received (wrapping).
     trips: u8,
     /// Polarity and resistors according to the settings.
     wiring: InputWiring,
@@ -71,10 +71,11 @@ impl InputLevels {
         self.pins = sensed.signals;
         let signals = fitted(self.pins, settings);
         let before = core::mem::replace(&mut self.signals, signals);
-        // An input that has tripped may be inactive again.
+        // An input that has tripped can already be inactive again.
         let tripped = fitted(Signals::of_word(sensed.tripped), settings);
         let came = Signals::of_word(signals.word() & !before.word() | tripped.word());
-        // Only armed inputs trip: short activity of other inputs between two messages is not visible.
+        // Only armed inputs are reported as tripped. If another input was active only between two messages, that is not
+        // visible here.
         InputChange { stops, came }
     }
 
@@ -100,7 +101,7 @@ impl InputLevels {
         self.wiring
     }
 
-    /// Returns the emergency that is active now.
+    /// Returns the emergency whose input is active now, if any.
     pub fn emergency(&self) -> Option<(Alarm, Error)> {
         if self.signals.emergency_stop {
             Some((Alarm::EmergencyStop, Error::EmergencyStop))
@@ -122,8 +123,8 @@ impl InputLevels {
         self.tripped = Signals { emergency_stop: stop, driver_fault: fault, ..Signals::NONE };
     }
 
-    /// Records limit switches as the cause of the alarm that follows; if such an alarm is `awaited` already, in
-    /// addition to the switches before.
+    /// Records limit switches as the cause of the alarm that follows. If such an alarm is already `awaited`, the
+    /// switches are added to those recorded for it.
     pub fn trip_limits(&mut self, switches: u8, awaited: bool) {
         let limits = if awaited { self.tripped.limits | switches } else { switches };
         self.tripped = Signals { limits, ..Signals::NONE };
@@ -159,8 +160,8 @@ fn limits_of<const N: usize>(settings: &Settings<N>) -> u8 {
     (1 << settings.axes_in_use()) - 1
 }
 
-/// Returns the bits of the switches that act as limits (`$21`); without the switch of an axis that rotates without end,
-/// which passes its switch in each turn.
+/// Returns the bits of the switches that act as limits (`$21`). The switch of an axis that rotates without end is not
+/// among them, because the axis passes it in each turn.
 pub fn hard_limits<const N: usize>(settings: &Settings<N>) -> u8 {
     if !settings.is_on(Key::HardLimits) {
         return 0;
@@ -171,8 +172,8 @@ pub fn hard_limits<const N: usize>(settings: &Settings<N>) -> u8 {
     limits_of(settings) & with_ends.0 | second_switch(settings)
 }
 
-/// Returns the inputs that stop the step task directly; without limit switches during homing, and without inputs for
-/// which motion brakes.
+/// Returns the inputs that stop the step task directly. Not among them are limit switches during homing, and inputs
+/// after which motion brakes instead.
 pub fn armed<const N: usize>(settings: &Settings<N>, homing: bool) -> u32 {
     let at_once = |alarm| homing || Reaction::to(alarm, settings).is_at_once();
     let switches = if !homing && at_once(Alarm::HardLimit) { u32::from(hard_limits(settings)) } else { 0 };
@@ -198,8 +199,8 @@ fn second_switch<const N: usize>(settings: &Settings<N>) -> u8 {
     if settings.is_on(Key::GangedSwitch) && settings.ganged_axis().is_some() { SECOND_SWITCH } else { 0 }
 }
 
-/// Returns the inputs as the settings define them: without those that are not fitted, and the reset button as an
-/// emergency stop (`$912`).
+/// Returns the inputs as the settings define them: without inputs that are not fitted, and with the reset button as an
+/// emergency stop if `$912` says so.
 fn fitted<const N: usize>(pins: Signals, settings: &Settings<N>) -> Signals {
     let reset_stops = settings.is_on(Key::ResetIsEmergencyStop);
     Signals {
@@ -270,7 +271,7 @@ mod tests {
         let change = inputs.take(&sensed(word, 0, 0), &settings(&[(Key::DoorFitted, 0.0)]));
         assert_eq!(change.came, Signals { reset: true, ..Signals::NONE });
         assert_eq!(inputs.pins().word(), word);
-        // Fitted by a change of the settings, without a new level.
+        // The settings change, and the inputs become fitted without a new message of levels.
         inputs.configure(&settings(&[(Key::DoorFitted, 1.0), (Key::ResetIsEmergencyStop, 1.0)]));
         assert_eq!(*inputs.signals(), Signals { door: true, emergency_stop: true, ..Signals::NONE });
         assert_eq!(inputs.emergency().map(|(alarm, _)| alarm), Some(Alarm::EmergencyStop));

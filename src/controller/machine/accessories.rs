@@ -36,11 +36,12 @@ pub struct Accessories {
 /// Monitors the at-speed input of the spindle during a job.
 #[derive(Clone, Copy, Debug)]
 struct SpeedWatch {
-    /// Direction and power last set; `None`: the spindle was off, or they are unknown.
+    /// Direction and power last set; `None` if the spindle was off or its state is unknown.
     given: Option<(SpindleDirection, u16)>,
-    /// Until then the spindle may take to reach a new speed, unless the input reports it earlier.
+    /// End of the time that is allowed for reaching a new speed. Moved to the current time when the input reports that
+    /// speed earlier.
     settled_at: Instant,
-    /// The input has reported that the new speed is not reached yet.
+    /// The input has reported, since the speed was changed, that the spindle is not at speed.
     has_changed: bool,
     /// When the loss of speed becomes a fault; `None`: the speed is not lost.
     fault_at: Option<Instant>,
@@ -108,9 +109,9 @@ impl Accessories {
         differ
     }
 
-    /// Returns whether the overrides have changed since the last call, so that motion must apply them. All presses
-    /// since then are one change: applying one plans the whole look-ahead again, which takes about a millisecond, so
-    /// applying a burst of presses one by one would starve the step queue.
+    /// Returns whether the overrides have changed since this function was last called, so that motion must apply them.
+    /// All presses in between are one change. Each change plans the whole look-ahead again, which takes about a
+    /// millisecond, so applying a burst of presses one at a time would starve the step queue.
     #[inline]
     pub fn take_overrides_due(&mut self) -> bool {
         core::mem::take(&mut self.overrides_due)
@@ -156,8 +157,8 @@ impl Accessories {
         self.speed = rpm;
     }
 
-    /// Sets the direction (M3, M4, M5). Returns how long the spindle then takes to spin up or down: 0 for a laser, and
-    /// if the direction is the same.
+    /// Sets the direction (M3, M4, M5). Returns how long the spindle takes to spin up or down: 0 for a laser, and 0 if
+    /// the direction does not change.
     pub fn set_spindle<const N: usize>(&mut self, direction: SpindleDirection, settings: &Settings<N>) -> Duration {
         let changed = direction != self.direction;
         self.direction = direction;
@@ -183,17 +184,18 @@ impl Accessories {
         self.coolant = Coolant::default();
     }
 
-    /// Stops the spindle until [`Accessories::restore`]; for the program it stays on.
+    /// Stops the spindle until [`Accessories::restore`] is called. The program still has the spindle on.
     pub fn suspend(&mut self) {
         self.suspended = true;
     }
 
-    /// Stops the spindle likewise, but only once the machine is at rest.
+    /// Stops the spindle as [`Accessories::suspend`] does, but only once the machine is at rest.
     pub fn stop_at_rest(&mut self) {
         self.stops_at_rest = true;
     }
 
-    /// Reports that the machine is at rest. Returns whether this stops the spindle.
+    /// Reports that the machine is at rest. Returns whether the spindle is stopped now, as requested by
+    /// [`Accessories::stop_at_rest`].
     pub fn rests(&mut self) -> bool {
         let stops = core::mem::take(&mut self.stops_at_rest);
         self.suspended |= stops;
@@ -248,7 +250,7 @@ impl Accessories {
         watches
     }
 
-    /// Forgets what was observed of the speed: the spindle has been off, or was not monitored.
+    /// Forgets what was observed of the speed, because the spindle has been off or was not monitored.
     fn forget_speed(&mut self) {
         self.watch = SpeedWatch::NONE;
     }
@@ -264,7 +266,7 @@ impl Accessories {
         settings: &Settings<N>,
     ) -> bool {
         let given = self.watch.given.filter(|(direction, _)| *direction == self.direction);
-        // A block and a line may round the same power differently, by 1.
+        // The same power can differ by 1 between a block and a line, because they round differently.
         if given.is_none_or(|(_, before)| before.abs_diff(power) > 1) {
             let lost = self.watch.fault_at.filter(|_| given.is_some() && self.watch.settled_at <= now);
             let settled_at = now + settings.seconds(Key::AtSpeedWithin);
@@ -289,9 +291,9 @@ impl Accessories {
         self.watch.fault_at
     }
 
-    /// Power of a spindle that is on while nothing moves. A laser with constant power (M3) stays on between feed
-    /// motions (`burns_at_rest`); with scaled power (M4) it is off at zero speed. `running`: power of the move in
-    /// execution. `percent`: the override.
+    /// Power of the output where no segment sets it. A laser with constant power (M3) stays on between feed motions
+    /// (`burns_at_rest`); with scaled power (M4) it is off at zero speed. `running`: power of the move in execution, if
+    /// there is one. `percent`: the override.
     pub fn resting_power<const N: usize>(
         &self,
         settings: &Settings<N>,
@@ -370,12 +372,13 @@ mod tests {
         on.set_spindle(SpindleDirection::Clockwise, &settings);
         assert!(on.watches_speed(&settings));
         let mut lost = |at_work, power, input, now| on.has_lost_speed(at_work, power, input, at(now), &settings);
-        // It has reached its speed early, so the rest of its spin-up time is void.
+        // The spindle reaches its speed before its spin-up time has passed, so from then on only the time of `$929`
+        // counts.
         assert!(!lost(false, 100, false, 6) && !lost(false, 100, true, 7));
         assert!(!lost(true, 100, false, 8) && !lost(true, 100, false, 9) && lost(true, 100, false, 10));
         assert!(!lost(true, 100, true, 11) && !lost(true, 100, false, 12), "it had come back");
         assert!(!lost(false, 100, false, 14) && lost(true, 100, false, 15), "a job that begins meets it as it is");
-        // A new speed has the spin-up time, whether it is set during a job or before one.
+        // After a new speed the spindle has the spin-up time again, whether the speed is set during a job or before it.
         assert!(!lost(false, 200, true, 20) && !lost(true, 200, false, 21) && !lost(true, 200, false, 24));
         assert!(lost(true, 200, false, 25));
         assert!(

@@ -1,12 +1,13 @@
 //! Digital outputs of programs (M62 to M65). Changes that wait for the next motion are kept in groups, and each group
 //! acts when a block with its mark begins.
 //!
-//! Each block of motion carries a mark: how many groups of changes come before it. When a block begins, the groups up
-//! to its mark are due. A group collects the changes that were requested between two motions.
+//! A group collects the changes that were requested between two motions. Each block of motion carries a mark: the count
+//! of groups that come before it. When a block begins, the groups up to its mark are due.
 
-/// Number of groups that can wait. A change that needs one more holds its line up until a motion has completed a group.
+/// Number of groups that can wait. If a change needs one more group, its line waits until a motion has begun and a
+/// group is done.
 const GROUPS: usize = 8;
-/// Bits of a mark, a wrapping counter: its range is more than twice the number of groups.
+/// Bits of a mark. A mark is a wrapping counter, so its range must be more than twice `GROUPS`.
 const MARK_BITS: u32 = 5;
 const MARKS: u8 = (1 << MARK_BITS) - 1;
 
@@ -28,7 +29,7 @@ pub struct DigitalOutputs {
     /// Waiting groups, in order.
     waiting: [DueTogether; GROUPS],
     count: u8,
-    /// The last group may still grow: no motion has been queued since it was started.
+    /// Whether the last group can still grow, because no motion has been queued since it was started.
     open: bool,
 }
 
@@ -59,11 +60,11 @@ impl DigitalOutputs {
         self.open || idle || usize::from(self.count) < GROUPS
     }
 
-    /// Changes an output with the next motion. Returns the mark of the blocks from here on. `idle`: no motion is
-    /// queued.
+    /// Changes an output with the next motion. Returns the mark that blocks queued from here on must carry. `idle`: no
+    /// motion is queued.
     pub fn set_with_motion(&mut self, number: u32, on: bool, idle: bool) -> u8 {
         let change = DueTogether::of(number, on);
-        // With nothing queued all groups wait for the same motion.
+        // If no motion is queued, all groups wait for the same motion, so the change joins the last one.
         let joins = self.count > 0 && (self.open || idle);
         if !joins && usize::from(self.count) < GROUPS {
             self.count += 1;
@@ -87,13 +88,13 @@ impl DigitalOutputs {
         (self.done + self.count) & MARKS
     }
 
-    /// Reports that a motion has been queued: the last group is complete.
+    /// Reports that a motion has been queued, so the last group is complete.
     #[inline]
     pub fn motion_follows(&mut self) {
         self.open = false;
     }
 
-    /// Reports that a block with this mark has begun: makes the changes that are due.
+    /// Reports that a block with this mark has begun, and makes the changes that are due.
     pub fn begun(&mut self, mark: u8) {
         let due = mark.wrapping_sub(self.done) & MARKS;
         if due > self.count {
@@ -113,7 +114,7 @@ impl DigitalOutputs {
     }
 
     /// Makes the changes that are due up to `mark` and drops the others, because the queued motion was dropped. `mark`
-    /// is that of the last block that has begun; blocks from here on have it, too.
+    /// is the mark of the last block that has begun. Blocks queued from here on carry it, too.
     pub fn forget_waiting(&mut self, mark: u8) {
         self.begun(mark);
         self.count = 0;

@@ -1,7 +1,7 @@
 //! Debounces 32 inputs at once. A level changes after eight samples in a row that differ from it; a shorter change is
 //! rejected. Used by the inputs task.
 
-/// Samples per second that the inputs task takes: a change passes the filter after 8 samples, 0.4 ms.
+/// Samples per second that the inputs task takes. A change passes the filter after 8 samples, which is 0.4 ms.
 pub const SAMPLE_HZ: u32 = 20_000;
 
 /// Up to 32 inputs, each with a counter of the samples that contradict its level. The counters are stored bit-sliced:
@@ -32,7 +32,7 @@ impl Filter {
         self.level
     }
 
-    /// Inputs whose change was too short and ended with the last sample: noise, or the bounce of a contact.
+    /// Inputs whose change was too short (noise, or the bounce of a contact) and ended with the last sample.
     pub fn rejected(&self) -> u32 {
         self.rejected
     }

@@ -1,16 +1,16 @@
-//! The operator's overrides of feed, rapids and spindle, in percent. Realtime commands change them; a program can
-//! disable them (M48 to M51).
+//! The operator's overrides of feed, rapids and spindle, in percent. Realtime commands change them. A program can
+//! disable those of feed and spindle (M48 to M51).
 
 use crate::messages::Realtime;
 
 /// The three overrides in percent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Overrides {
-    /// Of programmed feeds, 10 to 200.
+    /// Override of programmed feeds, 10 to 200.
     pub feed: u8,
-    /// Of rapids: 100, 50 or 25.
+    /// Override of rapids: 100, 50 or 25.
     pub rapid: u8,
-    /// Of the programmed spindle speed, 10 to 200.
+    /// Override of the programmed spindle speed, 10 to 200.
     pub spindle: u8,
 }
 
@@ -43,7 +43,7 @@ impl Overrides {
         self
     }
 
-    /// The overrides after one command; every press counts. Other commands change nothing.
+    /// Returns the overrides after one realtime command. Commands that are not for overrides change nothing.
     #[must_use]
     pub fn after(mut self, command: Realtime) -> Overrides {
         match command {

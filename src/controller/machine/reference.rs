@@ -13,7 +13,7 @@ pub struct Reference {
 }
 
 impl Reference {
-    /// Trusted although nothing has been homed: the machine is assumed to be at its power-up position.
+    /// Trusted although nothing has been homed, because the machine is assumed to be at its power-up position.
     pub const ASSUMED: Reference = Reference { trusted: true, homed: AxisMask::NONE };
 
     /// Whether the position is true, as far as can be known.
@@ -26,14 +26,14 @@ impl Reference {
         *self = Reference { trusted: false, homed: AxisMask::NONE };
     }
 
-    /// Sets the reference to that of a recording, for a replay. Axes that were homed one by one are not in the
-    /// recording.
+    /// Sets the reference to that of a recording, for a replay. The recording does not contain which single axes were
+    /// homed.
     pub fn assume(&mut self, trusted: bool) {
         *self = Reference { trusted, homed: AxisMask::NONE };
     }
 
     /// Marks `axes` as homed. The position is trusted once the axes of all `cycles` (masks of axes) are homed. Axes
-    /// homed one by one count together; an axis that is in no cycle counts as homed.
+    /// that were homed one at a time count together. An axis that is in no cycle counts as homed.
     pub fn homed(&mut self, axes: AxisMask, mut cycles: impl Iterator<Item = u8>) {
         self.homed = AxisMask(self.homed.0 | axes.0);
         self.trusted |= !axes.is_empty() && cycles.all(|cycle| cycle & !self.homed.0 == 0);
@@ -66,7 +66,7 @@ mod tests {
         }
         reference.homed(AxisMask(0b010), CYCLES.into_iter());
         assert!(reference.is_trusted());
-        // And none of them counts after the next loss.
+        // Axes homed before another loss of the reference no longer count.
         reference.lose();
         reference.homed(AxisMask(0b010), CYCLES.into_iter());
         assert!(!reference.is_trusted());

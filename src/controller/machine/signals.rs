@@ -1,6 +1,6 @@
-//! From pin levels to input signals: applies polarity and filter to each sample and reports changes. If an input is
-//! armed, its change stops the step task at once. Used by the inputs task, so it does not depend on the controller's
-//! speed.
+//! From pin levels to input signals: applies polarity and filter to each sample and reports changes. When an armed
+//! input becomes active, the step task is stopped at once. Used by the inputs task, so it does not depend on the
+//! controller's speed.
 //!
 //! ```text
 //!  pin ──▶ polarity ──▶ filter ──┬──▶ Sensed ──▶ control
@@ -17,7 +17,7 @@ pub const SETTLING: u8 = 8;
 #[derive(Clone, Debug)]
 pub struct Inputs {
     filter: Filter,
-    /// `None` until `control` has sent it: before that, levels mean nothing.
+    /// `None` until `control` has sent it. Without it, levels mean nothing.
     wiring: Option<InputWiring>,
     /// Samples still to take until the filter's levels are valid.
     settling: u8,
@@ -138,7 +138,7 @@ mod tests {
     fn nothing_is_known_before_the_polarity_is() {
         let mut inputs = Inputs::new();
         assert!((0..100).all(|_| !inputs.sample(0b001) && inputs.sensed().is_none()));
-        // Normally closed, and closed.
+        // The switch is normally closed, and it is closed now: not active.
         inputs.wiring = Some(InputWiring { inverted: 0b001, ..InputWiring::PULL_UPS });
         inputs.armed = 0b001;
         let known: Vec<bool> = (0..8).map(|_| !inputs.sample(0b001) && inputs.sensed().is_some()).collect();

@@ -2,7 +2,8 @@
 
 use crate::settings::{Key, Settings};
 
-/// Power just above off: 1 of Grbl's 255 PWM steps, so that a speed at the minimum does not switch off.
+/// Minimum power of a spindle that is on: 1 of Grbl's 255 PWM steps, so that the minimum speed does not switch the
+/// spindle off.
 const LEAST_POWER: f32 = 257.0;
 const FULL_POWER: f32 = 65_535.0;
 
@@ -22,7 +23,7 @@ impl SpindleRange {
     }
 
     /// Returns power (0 to 65535) and actual speed (rpm) for a programmed speed under an override in percent. A speed
-    /// outside the range becomes its nearer end; 0 is off.
+    /// outside the range is replaced by the nearer end of the range; 0 is off.
     pub fn output(&self, programmed: f32, percent: u8) -> (u16, f32) {
         let speed = programmed * f32::from(percent) / 100.0;
         if speed <= 0.0 {
@@ -37,7 +38,7 @@ impl SpindleRange {
         }
     }
 
-    /// Returns a power under an override, in percent.
+    /// Returns what `power` becomes under an override in percent.
     pub fn overridden(&self, power: u16, percent: u8) -> u16 {
         self.output(self.speed_of(power), percent).0
     }

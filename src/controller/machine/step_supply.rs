@@ -7,15 +7,15 @@
 //!   6 ms ── low water ──── segments come first again
 //!   0     ── at a start
 //! ```
-//! The step queue never runs dry while something moves: at a start it is filled first, and then topped up. Unless the
-//! control task is late, it does not run low again.
+//! The step queue must not run dry while something moves. So it is filled first at a start, and topped up from then on;
+//! it runs low again only if the control task is late.
 
 use crate::messages::{LINES_DEPTH, Observed};
 use crate::units::Duration;
 
 /// Interval of the controller's calls while something moves, to refill the step queue.
 const MOVING_WAKEUP: Duration = Duration::from_ticks(2_000);
-/// Minimum interval: for a queue full of very short segments, or running out at the end of a motion.
+/// Minimum interval. It applies when the queue is full of very short segments, or runs empty at the end of a motion.
 const LEAST_WAKEUP: Duration = Duration::from_ticks(100);
 /// Queued step time from which the queue counts as well filled, microseconds.
 const WELL_FILLED_US: u32 = 12_000;
@@ -75,12 +75,13 @@ impl StepSupply {
         self.running = true;
     }
 
-    /// Reports that motion has ended: from here on an empty step queue is not an underrun.
+    /// Reports that motion has ended, so from here on an empty step queue is not an underrun.
     pub(crate) fn end(&mut self) {
         self.running = false;
     }
 
-    /// Whether segments come before planning. `holds`: whether the step queue holds at least that many microseconds.
+    /// Whether segments come before planning. `holds` tells whether the step queue holds at least a given step time, in
+    /// microseconds.
     #[inline]
     pub(crate) fn is_short(&mut self, holds: impl Fn(u32) -> bool) -> bool {
         self.well_filled = (self.well_filled || holds(WELL_FILLED_US)) && self.running;
@@ -88,9 +89,9 @@ impl StepSupply {
     }
 }
 
-/// Returns how long the controller may wait before it refills the step queue: half of what is queued, within limits.
-/// The depth of the queue counts messages, and blocks of a single step fill it with only a millisecond or two of
-/// motion. `queued`: step time of each motion, microseconds.
+/// Returns how long the controller may wait before it refills the step queue: half of the queued step time, within
+/// limits. The number of queued messages says little about that time, because blocks of a single step fill the queue
+/// with only a millisecond or two of motion. `queued`: step time of each motion, microseconds.
 pub(crate) fn refill_delay(queued: [u32; 2]) -> Duration {
     let queued = match queued {
         [0, 0] => return MOVING_WAKEUP,

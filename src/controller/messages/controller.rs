@@ -10,13 +10,13 @@ use super::step::{StepEvent, ToStep};
 pub enum Event<const N: usize> {
     /// A realtime command.
     Realtime(Realtime),
-    /// A byte of a line. May be passed only while `wants_line()`.
+    /// A byte of a line. Must be passed only while `wants_line()` is true.
     Line(LineByte),
     /// A report of the step task.
     Step(StepEvent<N>),
     /// The inputs changed.
     Signals(Sensed),
-    /// Answers [`Output::ReadPins`].
+    /// The answer to [`Output::ReadPins`].
     Pins(PinView),
     /// The last [`Output::Store`] is complete in flash.
     Stored,
@@ -24,9 +24,9 @@ pub enum Event<const N: usize> {
     StoreFailed,
     /// A host has opened the port.
     Connected,
-    /// The host that had the floor has closed the port or is unplugged: the number (wrapping) of such hosts since
-    /// power-up. Not every link can detect this. Lines of that host, up to the [`HOST_CHANGED`](super::HOST_CHANGED)
-    /// with this number, are not answered.
+    /// The host whose lines are read has closed the port or is unplugged. Carries the count (wrapping) of such hosts
+    /// since power-up. Not every link can detect this. Lines of that host, up to the
+    /// [`HOST_CHANGED`](super::HOST_CHANGED) with this count, are not answered.
     Disconnected(u16),
 }
 
@@ -64,19 +64,19 @@ pub enum Output {
     Step(ToStep),
     /// For the host.
     Reply(Chunk),
-    /// An [`Output::Reply`] that follows the piece of work that it answers. As with [`Output::Worked`], there is more
-    /// to do.
+    /// Text for the host, as in [`Output::Reply`], sent together with the report of a piece of work. As after
+    /// [`Output::Worked`], there is more to do.
     Answer(Chunk),
     /// New levels for the slow pins.
     Pins(SlowOutputs),
     /// New wiring for the tasks that own the fast pins.
     Wiring(Wiring),
-    /// Stops the step task at once, as a reset does: set the mark and pend the task. Answered by
+    /// Stop the step task at once, as for a reset: set its stop mark and pend the task. Answered by
     /// [`StepEvent::Stopped`].
     Stop,
     /// Reads the inputs; answered by [`Event::Pins`].
     ReadPins {
-        /// Clears the counts of noise instead, without an answer.
+        /// Clear the counts of noise instead. In that case there is no answer.
         clear_noise: bool,
     },
     /// Requests the next piece of the recording, to be passed to `Controller::recorded`.
@@ -87,6 +87,6 @@ pub enum Output {
     /// A change of the settings store, which `Controller::next_store` returns; answered by [`Event::Stored`] or
     /// [`Event::StoreFailed`].
     Store,
-    /// A piece of internal work was done and there is more: call again.
+    /// A piece of internal work was done, and there is more to do: call `output` again.
     Worked,
 }

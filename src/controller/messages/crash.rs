@@ -11,7 +11,7 @@ pub enum ResetCause {
     Software,
     /// The supply voltage dropped and recovered.
     BrownOut,
-    /// The watchdog was not fed: a task was stuck.
+    /// The watchdog was not fed, because a task was stuck.
     Watchdog,
     /// Any other cause.
     Other,

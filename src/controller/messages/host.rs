@@ -43,20 +43,20 @@ impl Realtime {
 
 /// Marks a change of hosts, in place of a byte of a line: the unfinished line is void, because its host has
 /// disconnected or lost the floor. No host can send this byte in a line, as 0x18 is a command. The mark's `epoch` is
-/// the number (wrapping) of hosts that have disconnected so far, as in
+/// the count (wrapping) of hosts that have disconnected so far, as in
 /// [`Event::Disconnected`](super::Event::Disconnected).
 pub const HOST_CHANGED: u8 = 0x18;
 
-/// A byte of a line and its epoch: the number (wrapping) of resets, stops and jog cancels passed to `control` before
-/// it. The two queues to `control` have no mutual order; the epoch shows whether a byte was sent before a reset and
-/// must be dropped, or after it and must be kept.
+/// A byte of a line and its epoch: the count (wrapping) of resets, stops and jog cancels that were passed to `control`
+/// before the byte. The two queues to `control` have no mutual order; the epoch shows whether a byte was sent before a
+/// reset and must be dropped, or after it and must be kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LineByte {
     /// The byte.
     pub byte: u8,
     /// The epoch in which the byte was received.
     pub epoch: u16,
-    /// Bytes before this byte were lost: its line is refused.
+    /// Bytes before this byte were lost, so its line is refused.
     pub damaged: bool,
 }
 
@@ -102,7 +102,8 @@ impl LineBytes {
         true
     }
 
-    /// Appends undamaged bytes as far as there is room, or none if they are of another epoch. Returns how many.
+    /// Appends undamaged bytes as far as there is room, but none if they are of another epoch. Returns how many were
+    /// appended.
     #[inline]
     pub fn extend(&mut self, epoch: u16, bytes: &[u8]) -> usize {
         if self.len == 0 {

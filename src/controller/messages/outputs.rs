@@ -29,8 +29,8 @@ pub struct SlowOutputs {
     pub spindle: SpindleDirection,
     /// Spindle power, 0 (off) to 65535 (full).
     pub power: u16,
-    /// Laser: while the step task is busy, the power of its segments ([`Segment::power`](super::Segment::power)) is
-    /// used instead of `power`.
+    /// In laser mode: while the step task is busy, the power of its segments
+    /// ([`Segment::power`](super::Segment::power)) is used instead of `power`.
     pub power_from_segments: bool,
     /// Coolant.
     pub coolant: Coolant,
@@ -55,7 +55,7 @@ pub struct Wiring {
     pub enable_invert: bool,
     /// `$33`, frequency of the PWM for spindle or laser, 1 to 100,000 Hz.
     pub pwm_hz: u32,
-    /// `$6`, probe input inverted; for the step task, which reads the pin itself.
+    /// `$6`, probe input inverted. Used by the step task, which reads this pin itself.
     pub probe_invert: bool,
     /// Polarity and pull resistors of the inputs.
     pub inputs: InputWiring,
@@ -73,11 +73,12 @@ pub struct Wiring {
 /// Polarity and pull resistors of the inputs, words as in [`input`](super::input).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct InputWiring {
-    /// Active while the pin is high; otherwise active while it is low, as with a switch to ground and a pull-up.
+    /// Inputs that are active while their pin is high. The others are active while it is low, as with a switch to
+    /// ground and a pull-up.
     pub inverted: u32,
-    /// No pull-up.
+    /// Inputs without a pull-up.
     pub no_pull_up: u32,
-    /// A pull-down instead of a pull-up.
+    /// Inputs with a pull-down instead of a pull-up.
     pub pull_down: u32,
 }
 
@@ -89,7 +90,7 @@ impl InputWiring {
 /// The motors of a ganged axis that make steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum GangedMotors {
-    /// Both motors: always, except during squaring.
+    /// Both motors. This is always so, except during squaring.
     #[default]
     Both,
     /// The motor on the axis' own pins.

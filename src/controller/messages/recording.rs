@@ -54,18 +54,17 @@ impl Stopping {
 pub enum Noted {
     /// Power was switched on.
     PowerUp,
-    /// Bytes of a line; the entry has the time of the line end.
+    /// Bytes of a line. The time of the entry is that of the end of the line.
     Host(heapless::Vec<u8, { Noted::HOST_BYTES }>),
-    /// More bytes waited after the previous line.
+    /// More bytes were waiting when the end of the previous line was taken.
     More,
     /// A realtime command, by its byte.
     Command(u8),
-    /// Active inputs, and inputs that have stopped motion since the previous entry; words as in
-    /// [`input`](super::input).
+    /// The inputs have changed. Both words are as in [`input`](super::input).
     Inputs {
         /// Active inputs.
         active: u32,
-        /// Inputs that have stopped motion; they may be inactive again.
+        /// Inputs that have stopped motion since the previous such entry. They may be inactive again.
         tripped: u32,
     },
     /// The step task has reported, with its counters.
@@ -108,7 +107,7 @@ pub enum Noted {
 impl Noted {
     /// Maximum bytes of the host in an entry. A longer line has several entries.
     pub const HOST_BYTES: usize = 60;
-    /// Stands for the number of a [`CrashKind`] if there is none.
+    /// Recorded in place of the number of a [`CrashKind`] if no crash is known.
     pub const NO_CRASH: u8 = u8::MAX;
 }
 

@@ -11,14 +11,16 @@ pub enum ToStep {
         /// Steps of A, B, C.
         steps_by_axis: [AxisSteps; 3],
     },
-    /// A straight move. The following segments are pieces of it; it takes effect with the first of them.
+    /// A straight move. The following segments are pieces of this move. It takes effect with the first of these
+    /// segments.
     Block {
         /// Steps of X, Y, Z.
         steps_by_axis: [AxisSteps; 3],
         /// Bit set = axis moves in negative direction; bit 0 is X.
         directions: u8,
     },
-    /// The block just sent starts after this many units instead of at its start, because it was left for a detour.
+    /// The block just sent was interrupted for a detour (parking). It continues after this many units instead of at its
+    /// start.
     Reenter {
         /// Units of the block that are already done.
         units: u32,
@@ -27,16 +29,16 @@ pub enum ToStep {
     Segment(Segment),
     /// Checks the probe at each tick from now on. When the probe becomes active (`Some(true)`) or inactive
     /// (`Some(false)`), the position is latched and reported with [`StepEvent::Probed`], the queue is discarded, and
-    /// the step task brakes by itself. It then takes no message until it has been stopped and resumed. `None` ends the
-    /// watch.
+    /// the step task brakes without an order. After that it takes no message until it has been stopped and resumed.
+    /// `None` ends the watch.
     Watch {
         /// The awaited state of the probe.
         probe: Option<bool>,
         /// Deceleration for braking, in units per square of a step-clock tick.
         braking: f32,
     },
-    /// Lets the step task run again after a stop: everything queued before this is discarded. `stops` is the number of
-    /// stops known to `control`; if there has been another stop since, the step task stays stopped.
+    /// Lets the step task run again after a stop. Everything queued before this message is discarded. `stops` is the
+    /// count of stops known to `control`. If the step task has been stopped again since, it stays stopped.
     Resume {
         /// Value of [`StepEvent::Stopped::stops`] that this answers.
         stops: u16,
@@ -51,12 +53,11 @@ impl ToStep {
     }
 }
 
-/// The part of one axis in a block: its number of steps, and the distance of the move's true ends from the rounded
-/// ends.
+/// The part of one axis in a block: its number of steps, and how far the true ends of the move are from whole steps.
 ///
-/// A line begins and ends on whole steps. A chord of an arc does not, because rounding would bend the arc: it is
-/// stepped along its true ends. Their distances from the rounded ends are in sevenths of a step, positive in the
-/// direction of motion (for an axis without steps: in positive direction).
+/// A line begins and ends on whole steps. A chord of an arc is stepped between its true ends, because rounding them to
+/// whole steps would bend the arc. The distance of a true end from the rounded end is given in sevenths of a step,
+/// positive in the direction of motion (for an axis without steps: in positive direction).
 ///
 /// Packed into one word: steps in the lower 26 bits, then three bits for each end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -66,9 +67,10 @@ pub struct AxisSteps(u32);
 impl AxisSteps {
     /// The number of steps of an axis in a block is less than 2 to this power.
     pub const STEP_BITS: u32 = 26;
-    /// Units per step in which the ends are given. Odd, so that there are equally many on both sides of zero.
+    /// The ends are given in parts of a step; this many parts make a step. Odd, so that there are equally many values
+    /// on both sides of zero.
     pub const PARTS: u32 = 7;
-    /// Maximum distance of an end from a whole step, in these units.
+    /// Maximum distance of an end from a whole step, in these parts.
     pub const FARTHEST: i32 = 3;
     const STEPS: u32 = (1 << Self::STEP_BITS) - 1;
 
@@ -118,12 +120,13 @@ impl AxisSteps {
 /// A sequence of ticks with evenly changing intervals. The unit of progress within a block is 1/16 of a step of its
 /// dominant axis ([`UNITS_PER_STEP`]); a tick advances `UNITS_PER_STEP >> level` units.
 ///
-/// Packed, because padding to four bytes would make a [`ToStep`] of 20 bytes; the CPU loads unaligned words as fast.
+/// Packed, because with padding to four bytes a [`ToStep`] would have 20 bytes. The CPU loads unaligned words as fast
+/// as aligned ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(C, packed(2))]
 pub struct Segment {
-    /// Step-clock ticks before the first tick of the segment, in fixed point with [`INTERVAL_FRACTION_BITS`]. Each
-    /// further interval is longer by `ramp`.
+    /// Time from the previous tick to the first tick of the segment, in ticks of the step clock, in fixed point with
+    /// [`INTERVAL_FRACTION_BITS`]. Each further interval is longer by `ramp`.
     pub interval: u32,
     /// Change of the interval from tick to tick, in the same fixed point.
     pub ramp: i32,
@@ -142,7 +145,7 @@ impl Segment {
     pub const FLAG_NEW_BLOCK: u8 = 1;
     /// Motion is at rest after this segment, so an empty queue is not an underrun.
     pub const FLAG_LAST: u8 = 2;
-    /// Time passes without motion: the ticks advance no units (for feeds too slow for the timer).
+    /// The ticks let time pass without motion (for feeds that are too slow for the timer).
     pub const FLAG_WAIT: u8 = 4;
     /// The move is a rapid. Ignored by the step task; used by programs that draw its output.
     pub const FLAG_RAPID: u8 = 8;

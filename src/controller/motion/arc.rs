@@ -1,6 +1,6 @@
 //! An arc or helix as a chain of chords, computed one at a time. Centre, radius and sweep are computed from exact
-//! integers. A direction vector in 2^-30 fixed point is rotated from chord to chord and kept at length 1, so the error
-//! does not grow over many turns.
+//! integers. A direction vector in 2^-30 fixed point is rotated from chord to chord and kept at length 1. Each full
+//! turn starts with the exact direction again, so the error does not grow over many turns.
 
 use super::trapezoid::square_root;
 use crate::axes::{Axis, PerAxis};
@@ -9,7 +9,7 @@ use crate::units::{Coordinate, integer_root, wide_to_f32};
 /// Fraction bits of the direction vector.
 pub(super) const UNIT_BITS: u32 = 30;
 pub(super) const UNIT: i64 = 1 << UNIT_BITS;
-/// Angles within this range of zero are full circles, as in Grbl, rad.
+/// An arc whose angle differs from 0 by no more than this is a full circle, as in Grbl, rad.
 const FULL_CIRCLE: f32 = 5.0e-7;
 const TURN: f32 = core::f32::consts::TAU;
 /// Maximum half angle of a chord (45 degrees), even if the tolerance allows more, so that tiny circles stay round.
@@ -58,8 +58,8 @@ pub struct Arc<const N: usize> {
     first: [i32; 2],
     /// Direction from the centre to the last point.
     unit: [i32; 2],
-    /// Sine of a chord's angle (signed), in fixed point with `turn_bits` fraction bits: as many as fit 31 bits, so that
-    /// thousands of tiny angles add up correctly.
+    /// Sine of a chord's angle (signed), in fixed point with `turn_bits` fraction bits. These are as many as fit in 31
+    /// bits, so that the sum of thousands of tiny angles is exact enough.
     sine: i32,
     /// 1 - cosine of a chord's angle, in the same fixed point.
     versine: i32,
@@ -67,7 +67,7 @@ pub struct Arc<const N: usize> {
     start_radius: i64,
     radius_change: f32,
     length: f32,
-    /// Radius of the curve in space, mm: on a helix more than that of its circle. Infinite for a single chord.
+    /// Radius of the curve in space, mm. On a helix it exceeds the radius of the circle. Infinite for a single chord.
     curve_radius: f32,
     /// Number of chords in each full turn before the plain arc.
     chords_of_turn: u32,
@@ -75,7 +75,7 @@ pub struct Arc<const N: usize> {
     chords: u32,
     /// Full turns left, the present one included.
     turns_left: u32,
-    /// Share of a full turn in the whole arc.
+    /// Angle of a full turn as a share of the angle of the whole arc.
     turn_share: f32,
     /// Angle of the plain arc, rad.
     sweep: f32,
@@ -85,7 +85,7 @@ pub struct Arc<const N: usize> {
     done: u32,
     /// Share of the whole arc before the present turn.
     share_before: f32,
-    /// Share of a present chord in the whole arc.
+    /// Share of the whole arc that each chord of the present turn, or of the plain arc, covers.
     share: f32,
 }
 
@@ -99,8 +99,8 @@ pub(super) fn integer_length(x: i64, y: i64) -> i64 {
 /// Returns `value` × `unit` (2^-30 fixed point), rounded to nearest.
 #[inline]
 pub(super) fn scale(value: i64, unit: i32) -> i64 {
-    // Both halves of the value are multiplied separately, so no product exceeds 64 bits. The upper one needs no
-    // rounding.
+    // Both halves of the value are multiplied separately, so no product exceeds 64 bits. The upper product is only
+    // shifted left, so it needs no rounding.
     let (upper, lower) = ((value >> 32) as i32, value as u32);
     (product(upper, unit) << (32 - UNIT_BITS)) + ((i64::from(lower) * i64::from(unit) + UNIT / 2) >> UNIT_BITS)
 }
@@ -115,7 +115,7 @@ fn whole(value: f32) -> i64 {
     if value.abs() < 2.0e9 { i64::from(value as i32) } else { far(value) }
 }
 
-/// Returns the 64-bit product, which is one instruction.
+/// Returns the 64-bit product, in one instruction.
 #[inline]
 fn product(a: i32, b: i32) -> i64 {
     i64::from(a) * i64::from(b)
@@ -152,7 +152,7 @@ impl<const N: usize> ArcGeometry<N> {
         let end_radius = integer_length(to[0].0, to[1].0);
         let first = direction(from[0].0, from[1].0, start_radius);
         let last = direction(to[0].0, to[1].0, end_radius);
-        // Products of 2^-30 fractions: 60 bits, their sums 61.
+        // A product of two 2^-30 fractions has 60 bits, and the sum of two products 61.
         let cross = (product(first[0], last[1]) - product(first[1], last[0])) as f32;
         let dot = (product(first[0], last[0]) + product(first[1], last[1])) as f32;
         let mut sweep = libm::atan2f(cross, dot);
@@ -285,8 +285,8 @@ impl<const N: usize> Arc<N> {
     #[inline(always)]
     fn turn(&mut self) {
         let [x, y] = self.unit;
-        // A chord is at most 2^30 × √2 long, times 2^30. With the half added that is below 2^61, so the result fits 32
-        // bits.
+        // A chord of 90 degrees is √2 long, so a sum (in 2^-60 fixed point) is at most 2^60 × √2. With the half added
+        // it stays below 2^61, so the shifted result fits in 32 bits.
         let beyond = self.turn_bits - UNIT_BITS;
         let half = i64::from(1_u32 << beyond) << (UNIT_BITS - 1);
         let rounded = |sum: i64| ((sum + half) >> UNIT_BITS) as i32 >> beyond;
@@ -349,8 +349,8 @@ impl<const N: usize> Arc<N> {
         u64::from(self.turns_left) * u64::from(self.chords_of_turn) + u64::from(self.chords) - u64::from(self.done)
     }
 
-    /// Returns the curvature in space: on a helix the radius is more than that of its circle, on a spiral it is the
-    /// mean one. Infinite if there is only one chord.
+    /// Returns the curvature in space. On a helix the radius exceeds that of the circle; on a spiral it is the mean
+    /// radius. It is infinite if the arc has only one chord.
     pub fn curvature(&self) -> Curvature {
         Curvature { radius: self.curve_radius, axes: [self.geometry.axis_0, self.geometry.axis_1] }
     }

@@ -1,5 +1,5 @@
-//! The limits of the axes (rate, acceleration, jerk), and the limits along a direction that follow from them: the
-//! maximum speed, acceleration and jerk at which no axis exceeds its own limit.
+//! The limits of the axes (rate, acceleration, jerk), and the limits that follow from them for a direction of motion:
+//! the maximum speed, acceleration and jerk at which no axis exceeds its own limit.
 
 use super::MotionSettings;
 use super::junction::TurnRule;
@@ -14,9 +14,9 @@ const GREATEST_SPEED: f32 = 1.0e5;
 const LEAST_ACCELERATION: f32 = 1.0e-3;
 /// Maximum acceleration, mm/s², far beyond any machine's.
 pub(super) const GREATEST_ACCELERATION: f32 = 1.0e7;
-/// Minimum share of the acceleration that curves may take.
+/// Lower bound of the share of the acceleration that curves are allowed to take.
 const LEAST_CURVE_SHARE: f32 = 0.01;
-/// Maximum share of the acceleration that curves may take.
+/// Upper bound of the share of the acceleration that curves are allowed to take.
 const GREATEST_CURVE_SHARE: f32 = 100.0;
 /// Maximum junction deviation, mm.
 const GREATEST_DEVIATION: f32 = 1.0e3;
@@ -24,8 +24,8 @@ const GREATEST_DEVIATION: f32 = 1.0e3;
 const LEAST_JERK: f32 = 1.0;
 /// Maximum jerk limit, mm/s³; also stands for no limit.
 const GREATEST_JERK: f32 = 1.0e10;
-/// Minimum time in which the maximum acceleration is built up, s: several segments, because the acceleration is
-/// constant within each.
+/// Minimum time in which the maximum acceleration is built up, s. It is as long as several segments, because the
+/// acceleration is constant within a segment.
 const LEAST_EASE: f32 = 0.004;
 
 /// Limits `value` to a range; NaN becomes `least`.
@@ -47,7 +47,7 @@ pub(super) fn shares<const N: usize>(way: &PerAxis<f32, N>, length: f32) -> [f32
 /// The limits of all axes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AxisLimits<const N: usize> {
-    /// Acceleration of each axis, and the share of it that turns may take.
+    /// The rule for turns, with the acceleration of each axis.
     pub turns: TurnRule<N>,
     /// Maximum speed of each axis, mm/s.
     max_rate: [f32; N],
@@ -105,7 +105,7 @@ impl<const N: usize> AxisLimits<N> {
     pub(super) fn along_shares(&self, shares: &[f32; N]) -> (f32, f32) {
         let mut acceleration = GREATEST_ACCELERATION;
         let mut limit = GREATEST_SPEED;
-        // An axis without a share never exceeds its limit, so there is no division by 0.
+        // For an axis that does not move (share 0) neither condition is true, so nothing is divided by 0.
         for ((share, most), rate) in shares.iter().zip(&self.turns.acceleration).zip(&self.max_rate) {
             if share * acceleration > *most {
                 acceleration = quotient(*most, *share);
@@ -131,7 +131,7 @@ impl<const N: usize> AxisLimits<N> {
         jerk
     }
 
-    /// Returns the acceleration that all axes with a share can take in any direction.
+    /// Returns the minimum of the accelerations of the axes that move (whose share is not 0).
     #[inline(never)]
     pub(super) fn least_acceleration(&self, shares: &[f32; N]) -> f32 {
         let moving = shares.iter().zip(self.turns.acceleration).filter(|(part, _)| **part != 0.0);

@@ -1,22 +1,23 @@
 //! Backlash compensation. After a reversal a motor must turn through the slack of its drive before the tool follows.
-//! Tracks how far each motor leads the tool, and adds the missing steps to the moves after the reversal.
+//! This module tracks the *lead* of each motor, which is the number of steps by which the motor is ahead of the tool,
+//! and adds the steps through the slack to the moves after the reversal.
 //!
 //! ```text
 //!   motor ──┐ slack ┌── tool        moving to positive: the slack is open on the motor's leading side, motor = tool + slack
 //!           └───────┘               moving to negative: motor = tool
 //! ```
-//! The extra steps bend the motors' path. They are spread over enough of the tool's path that the corner rule allows
-//! this bend at full speed. In this file, steps are those of motors.
+//! The extra steps change the direction of the motors' path. They are spread over so much of the tool's path that the
+//! corner rule allows this change of direction at full speed. In this file, steps are motor steps.
 //!
 //! Guarantees:
 //! * At rest, all extra steps have been made.
-//! * The position of the tool is known at any time: the tool follows its motor like a carriage with play.
+//! * The position of the tool is known at any time, because the tool follows its motor like a carriage with play.
 
 use super::trapezoid::{lesser, square_root};
 use crate::axes::PerAxis;
 
 /// Minimum compensation in a move, as a share of its length, even if the corner rule allows less: a smaller share would
-/// spread the error over a long distance (with a junction deviation of 0, without end).
+/// spread the error over a long distance (with a junction deviation of 0, over an endless one).
 const LEAST_SHARE: f32 = 0.02;
 /// Maximum compensation in a move, as a share of its length: beyond it the motor would exceed twice the tool's speed.
 const GREATEST_SHARE: f32 = 1.0;
@@ -30,7 +31,7 @@ pub(super) struct Backlash<const N: usize> {
     is_on: bool,
     /// Steps by which each motor leads the tool at the end of the queue, 0 to `slack`.
     lead: [i32; N],
-    /// Lead that each motor must reach after its last direction of motion.
+    /// Lead that each motor must reach: after a move, 0 or `slack`, depending on its direction.
     wanted: [i32; N],
 }
 
@@ -93,7 +94,8 @@ impl<const N: usize> Backlash<N> {
         self.is_on
     }
 
-    /// Sets the wanted lead from the directions of a move (in steps of the tool). Motors that do not move keep theirs.
+    /// Sets the wanted lead of each motor from the direction in which a move of the tool turns it. `moved`: signed
+    /// steps of that move. A motor that does not turn keeps its wanted lead.
     pub(super) fn turn(&mut self, moved: &[i32; N]) {
         for ((wanted, moved), slack) in self.wanted.iter_mut().zip(moved).zip(self.slack) {
             match *moved {
@@ -129,9 +131,10 @@ impl<const N: usize> Backlash<N> {
         taken
     }
 
-    /// Takes up all remaining steps at the end of the queue, and returns them, signed. `short`: by how many steps each
-    /// motor's tool is short of its position. A tool is short if a reversed move ended before the slack was used up;
-    /// the steps then bring the tool to its position.
+    /// Takes up all remaining steps at the end of the queue, and returns them, signed. `short`: for each motor, the
+    /// signed steps that the tool still lacks to its programmed position. They are not 0 if a move after a reversal
+    /// ended before the motor had turned through the slack. In that case the returned steps bring the tool to its
+    /// position.
     pub(super) fn finish(&mut self, short: &[i32; N]) -> [i32; N] {
         let mut taken = [0; N];
         let wanted = self.wanted.into_iter().zip(self.slack).zip(short);
@@ -147,7 +150,7 @@ impl<const N: usize> Backlash<N> {
         taken
     }
 
-    /// Returns the lead after the motors have turned by `turned` steps, each in one direction.
+    /// Returns the lead after the motors have turned by `turned` steps, each without a reversal.
     pub(super) fn follow(&self, lead: &Lead<N>, turned: &[i32; N]) -> Lead<N> {
         let mut after = *lead;
         for ((lead, turned), slack) in after.iter_mut().zip(turned).zip(self.slack) {
@@ -156,16 +159,17 @@ impl<const N: usize> Backlash<N> {
         after
     }
 
-    /// Returns the motors after they have turned to `steps`, each in one direction.
+    /// Returns the motors after they have turned to `steps`, each without a reversal.
     pub(super) fn followed(&self, from: &Motors<N>, steps: PerAxis<i32, N>) -> Motors<N> {
         let turned = steps.zip(&from.steps, i32::wrapping_sub);
         Motors { steps, lead: self.follow(&from.lead, &turned.0) }
     }
 }
 
-/// Returns the maximum backlash that a motor may take up in a move, as a share of the move's length: half of the change
-/// of direction that the corner rule allows at `speed` (mm/s). The other half is for changes of direction in the tool's
-/// path, as between chords of an arc. For a small angle φ the rule is v² = 8·a·d/φ² (`TurnRule::junction2`).
+/// Returns the maximum distance that a motor can take up of its backlash in a move, as a share of the move's length.
+/// This share is the angle by which the extra steps change the direction of the path. It is half of the angle that the
+/// corner rule allows at `speed` (mm/s); the other half is left for changes of direction in the tool's path, such as
+/// those between the chords of an arc. For a small angle φ the rule is v² = 8·a·d/φ² (`TurnRule::junction2`).
 pub(super) fn share(acceleration: f32, deviation: f32, speed: f32) -> f32 {
     let angle = 0.5 * square_root(8.0 * acceleration * deviation) / speed;
     // NaN gives the minimum share.
@@ -183,7 +187,7 @@ mod tests {
         backlash.turn(&[1, -9]);
         assert_eq!(backlash.outstanding(), [5, 0]);
         assert_eq!(backlash.take_up(&[2, 2]), [2, 0]);
-        // Reversed before all steps were taken up: only the steps taken up are undone.
+        // After a reversal before all steps were taken up, only the steps that were taken up must be undone.
         backlash.turn(&[-1, 0]);
         assert_eq!(backlash.outstanding(), [-2, 0]);
         backlash.turn(&[4, 4]);

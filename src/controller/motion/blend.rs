@@ -11,24 +11,27 @@
 //!         A         B
 //!     a corner cut off         a merged move
 //! ```
-//! A merged move (A to M') passes all points between, such as M, within Q and half of P. Points are compared at equal
-//! positions of the main axis, the one with the longest displacement. So each point allows a range of slopes of each
-//! other axis, and two numbers per axis suffice for any number of points.
+//! A merged move (A to M') passes all points between its ends, such as M, at a distance of at most Q, half of P, or the
+//! junction deviation, whichever is least. Points are compared at equal positions of the main axis, the one with the
+//! longest displacement. So each point allows each other axis a range of slopes. Only the intersection of these ranges
+//! is kept: two numbers per axis for any number of points.
 //!
 //! A corner C, where the path turns by t, is cut off by a straight piece. The distance of C is e = r·(1/cos(t/2) - 1)
-//! to the piece, and d = e / sin(t/2) to its ends. At most, e is the part of P that merging has left, and d a quarter
-//! of the shorter move. No point of the piece is farther from the moves than e, and the rest of each move stays
-//! straight. So tool and programmed path stay within P of each other.
+//! to the piece, and d = e / sin(t/2) to its ends. The maximum of e is the part of P that merging has left, and the
+//! maximum of d is a quarter of the shorter move. No point of the piece is farther from the moves than e, and the rest
+//! of each move stays straight. So tool and programmed path stay within P of each other.
 //!
-//! The path then makes two turns by t/2, for which the rule for turns ([`super::junction`]) allows a higher speed than
-//! for one by t. The length L between them is what the axes need by v² - v·J = a·L/t: the piece touches a circle of
-//! radius r that touches both moves. If there is room for more speed than corners of t/2 allow, there are four of t/4.
+//! Instead of one turn by t, the path makes two turns by t/2, for which the rule for turns ([`super::junction`]) allows
+//! a higher speed v. The piece between them has the length L that the axes need for this speed: v² - v·J = a·L/t. The
+//! piece touches a circle of radius r, which also touches both moves. If the turns by t/2 limit the speed more than the
+//! room does, four turns by t/4 replace them.
 //!
 //! Two kinds of turns are not cut off:
-//! * Turns of 0.25 to 0.6 rad: their halves would count as a bend ([`super::curvature`]), which has no J.
-//! * Turns of more than two radians: the detour would take longer than it saves. With the acceleration a, cutting off a
-//!   corner raises its speed by a·L/(t·v), which saves 2·L/(t·v) of braking and speeding up, but the length L takes
-//!   L/v.
+//! * Turns of 0.25 to 0.6 rad: the two halves would count as a bend ([`super::curvature`]), for which the speed J of a
+//!   corner is not granted.
+//! * Turns of more than two radians: cutting off the corner would take longer than it saves. It raises the speed at the
+//!   corner by a·L/(t·v), with the acceleration a. That saves the time 2·L/(t·v) of braking and speeding up. But the
+//!   piece of length L takes the time L/v, which is more if t exceeds 2.
 
 use super::curvature::DIGITS_ASIDE;
 use super::junction::{TurnRule, certain, radius_of, turn2};
@@ -38,25 +41,25 @@ use crate::axes::{LINEAR, PerAxis};
 use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
-/// Number of moves that are held back: the one before a corner, and the one after it, which may still be merged with
-/// more.
+/// Maximum number of moves that are held back: the move before a corner and the move after it. Further moves can still
+/// be merged with the second one.
 const HELD: usize = if FULL_IMAGE { 2 } else { 0 };
-/// Maximum length of a merged move, mm. 512 of them are longer than any braking distance, and the limit ensures that a
-/// move is not held back for ever.
+/// Maximum length of a merged move, mm. A look-ahead of 512 such moves (2.56 m) exceeds any braking distance. Without a
+/// limit, a move could be held back for ever.
 const MOST_MERGED: f32 = 5.0;
-/// Maximum share of a move that a corner takes. With this share, the rest between two corners is as long as the pieces
-/// that cut them off, so a polygon becomes one with twice as many sides.
+/// Maximum share of a move that is cut off at each of its corners. With this share, the rest of a move is about as long
+/// as the pieces that cut off its corners, so a polygon becomes one with twice as many sides.
 const MOST_OF_A_MOVE: f32 = 0.25;
 /// q² of a turn by two radians: sharper corners stay.
 const SHARPEST2: f32 = 2.832;
-/// q² of a turn by 1.2 rad: four vertices only from here on.
+/// q² of a turn by 1.2 rad. Only larger turns get four vertices.
 const LARGE_FOR_FOUR2: f32 = 1.275;
 /// q² of a turn by 0.6 rad: from [`GENTLE2`] up to here corners stay.
 const LARGE2: f32 = 0.349;
 /// q² of a turn by 0.25 rad.
 const GENTLE2: f32 = 0.0622;
 
-/// How far the tool may deviate from the programmed path.
+/// How far the tool is allowed to deviate from the programmed path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tolerance {
     /// Total deviation (G64 P), mm; 0: the path is exact.
@@ -70,9 +73,9 @@ impl Tolerance {
     pub const EXACT: Self = Self { path: 0.0, merging: 0.0 };
 
     /// Returns the usable tolerance for a junction deviation d. Merging is limited to half of the total, which leaves
-    /// the rest for the corners at its ends, and to d: a curve of radius R that is merged within m turns by t =
-    /// 2·√(2·m/R) at once, and J² = 8·a·d/t² is no less than the curve's a·R as long as m ≤ d. So merging slows down no
-    /// curve.
+    /// the rest for the corners at the ends of the merged move. It is also limited to d, so that it slows down no
+    /// curve: moves along a curve of radius R, merged with a deviation of m, meet at corners of t = 2·√(2·m/R). Such a
+    /// corner allows J² = 8·a·d/t² = a·R·d/m, which is no less than the curve's a·R if m ≤ d.
     pub(super) fn bounded(self, junction_deviation: f32) -> Self {
         let merging = lesser(lesser(self.merging, 0.5 * self.path), junction_deviation);
         Self { merging, ..self }
@@ -89,7 +92,8 @@ struct Slopes<const N: usize> {
 }
 
 impl<const N: usize> Slopes<N> {
-    /// Returns the unrestricted slopes of a single move. Its end becomes a point with the first merge.
+    /// Returns the unrestricted slopes of a single move. The end of the move is added as a point when another move is
+    /// merged with it.
     fn to(way: &[f32; N]) -> Self {
         let (mut main, mut reach) = (0, 0.0_f32);
         for (axis, part) in way.iter().enumerate() {
@@ -100,13 +104,14 @@ impl<const N: usize> Slopes<N> {
         Self { main, reach, allowed: [(f32::NEG_INFINITY, f32::INFINITY); N] }
     }
 
-    /// Returns the displacement of the main axis at `way`; `None` if it leads back.
+    /// Returns the displacement of the main axis at `way`; `None` if the main axis has moved back from its farthest
+    /// point.
     fn along(&self, way: &[f32; N]) -> Option<f32> {
         let along = way.get(self.main).copied()?;
         (along * self.reach > 0.0 && along.abs() >= self.reach.abs()).then_some(along)
     }
 
-    /// Adds a point, which the line may pass at a distance of `within` in each axis.
+    /// Adds a point that the line must pass at a distance of at most `within` in each axis.
     fn pass(&mut self, way: &[f32; N], within: f32) {
         let Some(along) = self.along(way) else { return };
         self.reach = along;
@@ -194,7 +199,7 @@ impl Corner {
     }
 
     /// Returns the circle for the speed `fast` within `deviation`, its first vertex at most `back` from the corner.
-    /// `None` if the corner needs no change for this speed.
+    /// `None` if the machine can pass the unchanged corner at this speed.
     fn fillet<const N: usize>(&self, fast: f32, deviation: f32, back: f32, rule: &TurnRule<N>) -> Option<Fillet> {
         if self.jump >= fast {
             return None;
@@ -202,7 +207,7 @@ impl Corner {
         let sine = 0.5 * self.turn;
         let fourth = sine / (1.0 + self.cosine);
         let two = self.with(fourth, 1.0, fast, deviation, back, rule);
-        // Four vertices of less than 0.3 rad would count as a bend, which has no J.
+        // Four vertices of less than 0.3 rad would count as a bend, for which J is not granted.
         if two.1 || self.turn * self.turn < LARGE_FOR_FOUR2 {
             return Some(two.0);
         }
@@ -211,8 +216,8 @@ impl Corner {
         Some(Fillet { four: true, ..self.with(eighth, 3.0, fast, deviation, back, rule).0 })
     }
 
-    /// Returns the circle for vertices with `tangent` (of half a vertex' turn) and `pieces` pieces between them. Also
-    /// returns whether the lack of room limits the speed, not the vertices.
+    /// Returns the circle, and whether the room limits the speed rather than the turns at the vertices. `tangent`:
+    /// tangent of half the turn at a vertex; `pieces`: number of pieces between the vertices.
     fn with<const N: usize>(
         &self,
         tangent: f32,
@@ -283,7 +288,8 @@ impl<const N: usize> HeldMove<N> {
         Self { start, m: *m, number, merged: false, slopes: Slopes::to(&way(&start, &m.target)) }
     }
 
-    /// Returns whether a move may be merged with this one: everything that reports or outputs show must be equal.
+    /// Returns whether a move has the same speed, power, line number and tolerance as this one. Only such moves are
+    /// merged, so that reports and outputs stay the same.
     fn is_like(&self, m: &Move<N>) -> bool {
         self.m.speed == m.speed
             && self.m.power == m.power
@@ -300,8 +306,8 @@ impl<const N: usize> HeldMove<N> {
             return false;
         }
         let mut slopes = self.slopes;
-        // The distances in the linear axes other than the main one add up like the sides of a box. Moves of other axes
-        // have no tolerance (`Tolerance::EXACT`), so they are not merged.
+        // The deviations in the linear axes other than the main one are perpendicular, so their squares add up. Moves
+        // of axes that are not linear have no tolerance (`Tolerance::EXACT`), so they are not merged.
         let within = m.tolerance.merging / square_root((N.min(LINEAR) - 1).max(1) as f32);
         slopes.pass(&way(&self.start, &self.m.target), within);
         if !slopes.allow(&whole) {
@@ -361,7 +367,7 @@ impl<const N: usize> Blend<N> {
         self.moves().last().map(|held| held.m.target)
     }
 
-    /// Returns the last held move, which may still be merged with more.
+    /// Returns the last held move. Further moves can still be merged with it.
     pub(super) fn last_mut(&mut self) -> Option<&mut HeldMove<N>> {
         self.held.iter_mut().flatten().last()
     }

@@ -13,11 +13,11 @@ pub(super) const NO_OVERRIDE: u8 = 2;
 /// Flag: laser power is scaled with the speed.
 pub(super) const SCALE_POWER: u8 = 4;
 
-/// Position of the block's mark in its flags: the bits from here on. See [`super::Motion::set_mark`].
+/// The bits of the flags from this one on are the block's mark. See [`super::Motion::set_mark`].
 pub(super) const MARK_SHIFT: u32 = 3;
 
-/// Steps that a block's dominant axis must stay below: 16 units per step, doubled by a counter that is about to step,
-/// fit 32 bits.
+/// The dominant axis of a block must have fewer steps than this. At 16 units per step, the block then has less than
+/// 2^30 units, so even twice as many fit in 32 bits. A counter that is about to step needs that.
 pub(super) const MAX_STEPS: u32 = 1 << AxisSteps::STEP_BITS;
 
 /// Override factors for programmed feeds and for rapids.
@@ -47,7 +47,7 @@ pub struct Block<const N: usize> {
     pub(super) limit: f32,
     /// Maximum entry speed² that the corner before the block allows, regardless of nominal speeds.
     pub(super) corner2: f32,
-    /// Maximum entry speed²: the minimum of the corner's and both blocks' nominal speeds.
+    /// Maximum entry speed²: the least of `corner2` and of the nominal speeds² of this block and the block before.
     pub(super) max_entry2: f32,
     /// Planned entry speed², from which the machine can stop within the rest of the queue. With a jerk limit: the
     /// speed² of the anchor that `ramp` leads to.
@@ -79,20 +79,20 @@ const INFINITY: u16 = 0x7F80;
 /// a lower speed the share r = v²/(a·R). The rest is left for speeding up and braking.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CurveLoad {
-    /// The upper half of infinity less that of the bend's speed², so that 0 means no bend.
+    /// [`INFINITY`] minus the upper half of the bend's speed², so that 0 means no bend.
     below: u16,
     acceleration: u16,
 }
 
-/// Minimum share of the acceleration that a bend leaves, so that the machine can always brake. The acceleration along
-/// and across the path together then exceed the limit by 3 % at most.
+/// Minimum share of the acceleration that a bend leaves, so that the machine can always brake. Because of this minimum,
+/// the accelerations along and across the path together can exceed the limit by up to 3 %.
 const LEAST_SHARE: f32 = 0.25;
 
-/// Factor that covers rounding errors of a speed²: in a bend, a rising exit speed may lose a bit in this block and in
-/// each later one.
+/// Factor that covers rounding errors of a speed²: in a bend, rounding can lower an entry speed² by one bit although
+/// the exit speed² rises. That can happen in this block and in each later one.
 const SURELY: f32 = 0.999;
 
-/// Share of the maximum speed² up to which a jerk-limited ramp may still use its full acceleration.
+/// Share of a bend's maximum speed² up to which a jerk-limited ramp counts on its full acceleration.
 const RAMP_SHARE: f32 = 0.9;
 
 impl CurveLoad {
@@ -131,8 +131,8 @@ impl CurveLoad {
         self.below > other.below
     }
 
-    /// Returns a bend that leaves no more acceleration than either: the lower speed² and the lower acceleration, which
-    /// may come from different bends if the axes have different limits.
+    /// Returns a bend that leaves no more acceleration than either: it has the lower speed² and the lower acceleration
+    /// of the two. If the axes have different limits, these can come from different bends.
     #[inline]
     pub(super) fn and(self, other: Self) -> Self {
         if self.is_none() || other.is_none() {
@@ -154,15 +154,17 @@ impl CurveLoad {
         }
     }
 
-    /// Returns how much of the acceleration `along` (allowed in the path's direction) is left at a speed². Two rules
-    /// keep the sum of the accelerations along and across the path within each axis' limit: a·√(1 - r²), as on a
-    /// circle, and along·(1 - r), as shares. The larger of both counts, up to `along`.
+    /// Returns how much of the acceleration `along` (allowed in the path's direction) is left at a speed². Each of two
+    /// values keeps the accelerations along and across the path together within each axis' limit. The first is a·√(1 -
+    /// r²), because the two accelerations are perpendicular. The second is along·(1 - r), because the shares r and 1 -
+    /// r of an axis' limit add up to 1. Returns the larger value, at most `along`.
     #[inline]
     pub(super) fn left(self, along: f32, speed2: f32) -> f32 {
         if self.is_none() { along } else { self.left_in_bend(along, speed2) }
     }
 
-    /// Shared copy of [`CurveLoad::left_of`], to save flash; the reverse pass has one inlined.
+    /// A copy of [`CurveLoad::left_of`] that its callers share, to save flash. The reverse pass has an inlined copy
+    /// instead.
     #[inline(never)]
     fn left_in_bend(self, along: f32, speed2: f32) -> f32 {
         self.left_of(along, speed2)
@@ -176,14 +178,14 @@ impl CurveLoad {
     }
 }
 
-/// The ramp from a block's entry to the next anchor. An anchor is an entry that the machine may pass at its planned
-/// speed without acceleration, so that a ramp can end there.
+/// The ramp from a block's entry to the next anchor. An anchor is an entry that the machine can pass at its planned
+/// speed with an acceleration of 0, so that a ramp can end there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Ramp {
     /// Distance to the anchor, mm; 0: this entry is an anchor itself.
     pub distance: f32,
-    /// Maximum speed² at which a ramp to the anchor may begin: from a higher one it would pass an entry in between too
-    /// fast.
+    /// Maximum speed² with which a ramp to the anchor can begin. From a higher speed, the machine would pass an entry
+    /// in between too fast.
     pub ceiling2: f32,
     /// The tightest bounds up to the anchor, each the upper half of an `f32` (rounded down by 0.8 % at most).
     acceleration: u16,
@@ -266,16 +268,16 @@ impl<const N: usize> Block<N> {
         lesser(self.max_entry2, self.braking_entry2(exit2))
     }
 
-    /// Returns whether the entry stays at its cap when the exit speed rises. `reach2` is the current
-    /// [`Block::braking_entry2`].
+    /// Returns whether the entry stays at its cap, in spite of rounding errors, when the exit speed rises. `reach2` is
+    /// the current [`Block::braking_entry2`].
     #[inline]
     pub(super) fn is_surely_capped(&self, reach2: f32) -> bool {
         SURELY * reach2 >= self.max_entry2
     }
 
-    /// Returns whether a higher exit speed may lower the possible entry speed, because the bend then leaves less
-    /// deceleration. This is excluded if the maximum slope of [`CurveLoad::left`], at its minimum share, takes no more
-    /// than the exit speed adds.
+    /// Returns whether a higher exit speed can lower the possible entry speed, because the bend leaves less
+    /// deceleration at a higher speed. It cannot if the lost deceleration, at the maximum slope of [`CurveLoad::left`]
+    /// (at its minimum share), lowers the entry speed² by no more than the exit speed² rises.
     #[inline]
     pub(super) fn is_steep(&self) -> bool {
         let acceleration = greater(self.acceleration, self.curve.acceleration());
@@ -284,8 +286,8 @@ impl<const N: usize> Block<N> {
 
     /// Returns the bounds on changes of speed in the block.
     ///
-    /// In a bend, the acceleration is the one left at nine tenths of the maximum speed²: a ramp needs its maximum
-    /// acceleration about half way up, below that speed.
+    /// In a bend, the acceleration is the one left at nine tenths of the maximum speed², because a ramp needs its
+    /// maximum acceleration about half way up, below that speed.
     #[inline]
     pub(super) fn bounds(&self) -> Bounds {
         let acceleration = self.acceleration_at(RAMP_SHARE * self.max_entry2);

@@ -7,8 +7,8 @@
 use super::Speed;
 use super::trapezoid::{greater, lesser};
 
-/// Maximum time that a feed move takes longer because of preceding moves without a step, s; or its own duration, if
-/// that is longer.
+/// Maximum time by which preceding moves without a step prolong a feed move, s. If the feed move's own duration is
+/// longer, that is the maximum.
 const MOST_SLOWED_S: f32 = 0.05;
 
 /// The programmed time of a carried length. Meaningless without a carried length.
@@ -25,7 +25,7 @@ pub(super) struct CarriedTime {
 pub(super) struct BlockWay {
     /// Length of the block's own move, mm.
     pub own: f32,
-    /// Length carried over to the block, mm; negative: the last block was made too long by this.
+    /// Length carried over to the block, mm; negative: the last block was made longer than its path by this.
     pub carried: f32,
     /// Length of the block, mm. Greater than `own` + `carried` if that would be too short for the block's steps.
     pub length: f32,
@@ -43,7 +43,7 @@ fn time_and_feed(speed: Speed, own: f32) -> (f32, f32) {
 impl CarriedTime {
     pub(super) const NONE: Self = Self { seconds: 0.0, feed: 0.0 };
 
-    /// Adds a move of length `own` that makes no step. `carried`: length carried before it.
+    /// Adds a move of length `own` that makes no step. `carried`: length carried over before this move.
     pub(super) fn add(&mut self, speed: Speed, own: f32, carried: f32) {
         let (seconds, feed) = time_and_feed(speed, own);
         if carried == 0.0 {
@@ -65,7 +65,7 @@ impl CarriedTime {
         *self = Self { seconds: -extra / feed, feed };
         let seconds = match speed {
             Speed::Feed(_) if before.feed != feed && !before.seconds.is_nan() => {
-                // If the last block was too long, the negative time does not make this one faster than its feed.
+                // If the last block was too long, the negative time does not make this block faster than its feed.
                 let (least, most) = (lesser(carried / feed, 0.0), greater(alone, MOST_SLOWED_S));
                 alone + greater(lesser(before.seconds, most), least) + extra / feed
             }

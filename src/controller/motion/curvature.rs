@@ -1,12 +1,12 @@
-//! Determines how fast a path may turn: one rule for every turn, from a single corner to a long curve of short chords.
-//! The path is divided into spans on several scales. Each new span is compared with the spans before it, and each
-//! `Bend` found limits speed and acceleration of some blocks. Turns that the rounding of the program's last digit
-//! explains are ignored.
+//! Determines how fast the machine can follow a path that turns, by one rule for every turn, from a single corner to a
+//! long curve of short chords. The path is divided into spans on several scales. Each new span is compared with the
+//! spans before it, and each `Bend` found limits speed and acceleration of some blocks. Turns that can come from the
+//! rounding of the program's last digit are ignored.
 //!
 //! A path that turns by an angle t within a length L requires a change of velocity of v·q in the time L/v, where q =
-//! 2·sin(t/2) is the length of the difference of the unit vectors. The axes' acceleration provides a·L/v of it. The
-//! junction deviation d permits an additional jump of J·q, the same for the whole turn, however it is distributed over
-//! L:
+//! 2·sin(t/2) is the length of the difference of the unit vectors. The axes' acceleration provides a·L/v of this
+//! change. The junction deviation d permits an additional jump of J·q, the same for the whole turn, however it is
+//! distributed over L:
 //!
 //! ```text
 //!   1        between two single pieces             v² - v·J = a·L/t      J² = a·d·s / (1 - s), s = cos(t/2)
@@ -18,11 +18,11 @@
 //! span of several pieces is that of the path in its middle; the second form is stricter, and tends to v² = a·R on a
 //! long curve.
 //!
-//! The program's points are rounded: each may be off by half of the last digit on each axis. That turns a span of
+//! The program's points are rounded: each can be off by half of the last digit on each axis. That can turn a span of
 //! length l by at most 1.5 digits / l, and this much of q is ignored (`noise`). So a straight line with rounded points
 //! counts as straight, and a program with finer digits loses no speed.
 //!
-//! With coarse digits short spans are unreliable; short turns disappear in long spans. So the path is measured on
+//! If digits are coarse, short spans are unreliable; in long spans, short turns disappear. So the path is measured on
 //! several scales at once. On each scale it is divided into spans of at least the scale's length, and a new span is
 //! compared with the last [`HISTORY`] spans before it. A piece longer than the scale is a span of its own; the
 //! unfinished span before it ends where the piece starts.
@@ -36,7 +36,7 @@ use crate::lent::Lent;
 use crate::units::Coordinate;
 
 /// Number of scales. The lengths of their spans are powers of two from [`SHORTEST`] to 32 mm. On the longest scale, a
-/// span and the ones before it measure a radian of a bend of R = 100 mm.
+/// span and the [`HISTORY`] spans before it cover more than a radian of a bend of R = 100 mm.
 pub(super) const SCALES: usize = 14;
 /// Length of the spans of the first scale, mm.
 const SHORTEST: f32 = 1.0 / 256.0;
@@ -46,7 +46,7 @@ fn scale_length(scale: usize) -> f32 {
     SHORTEST * (1_u32 << scale) as f32
 }
 
-/// Returns the number of scales whose length is no more than that of a piece, from its binary exponent.
+/// Returns how many scales are no longer than a piece of this length. Compares binary exponents.
 #[inline]
 fn scales_within(length: f32) -> usize {
     let exponent = |length: f32| (length.to_bits() >> 23) as usize;
@@ -55,18 +55,20 @@ fn scales_within(length: f32) -> usize {
 
 /// Number of previous spans that a new one is compared with.
 const HISTORY: usize = 4;
-/// Sideways error of a span's two ends together, in digits: half a digit on each of two axes shifts a point by 0.71
-/// digits, on each of three by 0.87.
+/// Sideways error of a span's two ends together, in digits. Half a digit on each of two axes shifts a point by 0.71
+/// digits, on each of three axes by 0.87; 1.5 lies between the sums for two points, 1.41 and 1.73.
 pub(super) const DIGITS_ASIDE: f32 = 1.5;
-/// Minimum ratio of a span's chord to its path. Below it the span is no chord of a bend; half a circle has 0.64.
+/// Minimum ratio of a span's chord to its path. Below it the span does not count as the chord of a bend. Half a circle
+/// has 2/π = 0.64.
 const STRAIGHTNESS: f32 = 0.6;
-/// q² of 0.6 rad. A larger turn need not be a bend: it may be a corner between straight pieces, on which the machine is
+/// q² of 0.61 rad. A larger turn need not be a bend: it can be a corner between straight pieces, where the machine is
 /// faster than on a bend.
 const LARGE_TURN2: f32 = 0.36;
-/// Minimum share of q² that each end of a large turn must have if the turn counts as spread over its whole length.
+/// A large turn counts as spread over its whole length only if the turn at either end has at least this share of its
+/// q².
 const ENDS2: f32 = 1.0 / 36.0;
-/// Maximum L/t, in junction deviations, for which [`ENDS2`] applies: beyond it, the J² of the smaller turns within is
-/// negligible compared with a·L/t.
+/// Maximum L/t, as a multiple of the junction deviation, for which [`ENDS2`] applies. Beyond it, the J² of the smaller
+/// turns within the large turn is negligible compared with a·L/t.
 const VAGUE: f32 = 72.0;
 /// Of three consecutive turns, the middle one is no corner if its q² is less than this multiple of the lower q² of the
 /// other two.
@@ -76,7 +78,8 @@ const GENTLE2: f32 = 0.0625;
 /// Ratio of a bend's speed² to the maximum speed² above which the bend leaves the acceleration along the path
 /// unchanged, within 5 %.
 pub(super) const NOTICEABLE: f32 = 3.2;
-/// Number of points among which the finest digit counts: numbers lose their trailing zeros, but not in all points.
+/// Number of points whose finest digit counts as the program's. One point is not enough, because a number without its
+/// trailing zeros seems to have coarser digits.
 const POINTS: u8 = 32;
 
 /// A limit for the blocks from `nearest` to `farthest`, counted back from the newest one, which is 0.
@@ -84,9 +87,9 @@ const POINTS: u8 = 32;
 pub(super) struct Bend {
     /// Maximum speed² at the blocks' entries.
     pub speed2: f32,
-    /// A range of blocks (nearest, farthest). If one entry among them is already as slow, the limit does not apply:
-    /// most of the turn may be a corner. The machine brakes before it and speeds up after it with the axes'
-    /// acceleration, so the whole turn takes long enough.
+    /// A range of blocks (nearest, farthest). If one of their entries is already as slow as `speed2`, the limit does
+    /// not apply, because most of the turn can be a corner at that entry. The machine brakes before the corner and
+    /// speeds up after it with the axes' acceleration, so the whole turn takes long enough.
     pub once: Option<(usize, usize)>,
     /// Acceleration that the bend takes.
     pub curve: CurveLoad,
@@ -99,7 +102,7 @@ pub(super) struct Bend {
 pub(super) struct Span<const N: usize> {
     /// Unit vector.
     direction: [f32; N],
-    /// Maximum angle by which the rounding of its ends may have turned the span, rad.
+    /// Maximum angle by which the rounding of its ends can have turned the span, rad.
     noise: f32,
     /// Length of the path, mm.
     path: f32,
@@ -179,8 +182,8 @@ impl<const N: usize> Span<N> {
         rule.junction2(across, sine, turn2)
     }
 
-    /// Returns whether the turn from an earlier span may set a limit below `fast2`. `between`: path length between the
-    /// spans. Most turns are noise or surely fast enough; inlined, so that they need no call.
+    /// Returns whether the turn from an earlier span can set a limit below `fast2`. `between`: path length between the
+    /// spans. Inlined, so that the many turns that are noise or surely fast enough cost no function call.
     #[inline(always)]
     fn may_be_limited(&self, old: &Self, between: f32, fast2: f32, rule: &TurnRule<N>) -> bool {
         let all2 = turn2(&old.direction, &self.direction);
@@ -189,7 +192,8 @@ impl<const N: usize> Span<N> {
             return false;
         }
         let (least, length) = (rule.least_of(&old.direction, &self.direction), between + old.half() + self.half());
-        // Subtracting noise does not make the turn larger, and s = √x is no less than x = 1 - q²/4.
+        // A first check with bounds on the safe side: subtracting noise does not make the turn larger, and s = √(1 -
+        // q²/4) is no less than 1 - q²/4.
         if rule.is_surely_faster(least, length, all2, 1.0 - 0.25 * all2, fast2) {
             return false;
         }
@@ -221,7 +225,8 @@ impl<const N: usize> Span<N> {
         (speed2 < fast2).then_some(Limit { speed2, turn2, radius })
     }
 
-    /// Sets the turn from the previous span. Sets its bend only if the bend matters at the speeds of both spans.
+    /// Sets the turn from the previous span. Sets the bend of this turn only if the bend matters at the maximum speed
+    /// of the faster span.
     #[inline]
     fn note_turn(&mut self, old: &Self, rule: &TurnRule<N>) {
         if old.blocks == 0 || !old.straight || !self.straight {
@@ -262,14 +267,14 @@ pub(super) struct PathPiece<'a, const N: usize> {
 struct History<const N: usize>([Span<N>; HISTORY]);
 
 impl<const N: usize> History<N> {
-    // Not inlined, because there are several callers.
+    // Not inlined, because this function has several callers.
     /// Compares a new span with the previous ones, and adds it. `behind`: number of blocks after the span. Skips the
     /// corner between two single pieces, which [`Chain::corner2`] limits.
     #[inline(never)]
     fn take_span(&mut self, new: &mut Span<N>, behind: usize, rule: &TurnRule<N>, found: &mut dyn FnMut(Bend)) {
         let [first, second, ..] = &self.0;
         new.note_turn(first, rule);
-        // A corner turns at most two neighbouring spans, a bend all of them.
+        // Of three consecutive turns, a corner causes at most two, a bend all three.
         let bend = new.curve.middle(first.curve, second.curve);
         if self.may_limit(new, rule) {
             self.compare(new, behind, rule, found);
@@ -277,21 +282,21 @@ impl<const N: usize> History<N> {
         if !bend.is_none() {
             let own = usize::from(new.blocks);
             let farthest = behind + own - 1 + usize::from(first.blocks) + usize::from(second.blocks);
-            // A bend of the drawn shape has no corner, so the junction deviation only grants the speed of a square
-            // corner.
+            // The bend is part of the programmed shape, not a corner. So the junction deviation grants it no more than
+            // the speed of a square corner.
             let square = bend.acceleration() * rule.deviation * SQUARE_CORNER;
             let speed2 = greater(bend.speed2(), square);
             found(Bend { speed2, once: None, curve: bend, nearest: behind + own, farthest });
         }
         let [first, second, third, fourth] = &mut self.0;
-        // Moved one by one: an array of them would be built in a temporary first.
+        // Moved one by one, because an array expression would be built in a temporary first.
         *fourth = *third;
         *third = *second;
         *second = *first;
         *first = *new;
     }
 
-    /// Returns whether a new span may get a limit, so that [`History::compare`] is necessary.
+    /// Returns whether a new span can get a limit, so that [`History::compare`] is necessary.
     #[inline(always)]
     fn may_limit(&self, new: &Span<N>, rule: &TurnRule<N>) -> bool {
         let (mut between, mut fast2) = (0.0, new.fast2);
@@ -328,8 +333,8 @@ impl<const N: usize> History<N> {
                 let ends2 = lesser(new.turned2, turned2);
                 let spread = index > 0 && limit.radius < VAGUE * rule.deviation && ends2 > ENDS2 * limit.turn2;
                 let bent = index == 2 && ends2 > ENDS2 * limit.turn2 && first.turned2 < EVEN2 * ends2;
-                // For neighbouring spans, the limit applies from middle to middle; otherwise to the path between the
-                // two spans.
+                // For neighbouring spans, the limit applies from middle to middle; for others, it applies to the path
+                // between the two spans.
                 let halves = if index == 0 { (own / 2, usize::from(old.blocks) / 2) } else { (own - 1, 0) };
                 let start = behind + own - 1 + blocks;
                 let once = limit.turn2 > LARGE_TURN2 && !spread && !bent;
@@ -524,7 +529,8 @@ impl<const N: usize> Chain<N> {
             scale.fast2 = greater(scale.fast2, fast2);
             scale.blocks = scale.blocks.saturating_add(blocks);
             if index >= whole {
-                // Longer scales continue with the span that the last one ended; the piece is added to them later.
+                // The longer scales get the path of the span that the last shorter scale ended. The piece itself is
+                // added to them later.
                 return;
             }
             if scale.blocks > 0 {

@@ -1,10 +1,11 @@
 //! The DDA of the step generator (Bresenham's algorithm): which axes step at a tick. `step_axes` computes one tick,
 //! `steps_into` many ticks in a row.
 //!
-//! One threshold serves all axes. Each axis has a remainder until its next step. A tick subtracts the axis' rate, times
-//! the units that the tick advances. If the remainder becomes negative, the axis steps and the threshold is added. On a
-//! line the rate is the axis' number of steps, and all remainders begin with half the threshold. So each axis stays
-//! within half a step of the straight line, and after the whole block each remainder is half the threshold again:
+//! One threshold serves all axes. Each axis has a remainder until its next step. A tick subtracts from it the axis'
+//! rate times the units that the tick advances. If the remainder becomes negative, the axis steps and the threshold is
+//! added. On a line the rate is the axis' number of steps, and all remainders begin with half the threshold. So each
+//! axis stays within half a step of the straight line, and after the whole block each remainder is half the threshold
+//! again:
 //!
 //! ```text
 //!  steps of Y for (X, Y) = (10, 3), threshold 10, in steps of X             1 2 3 4 5 6 7 8 9 10
@@ -22,19 +23,19 @@ const MOST_AXES: usize = 4;
 pub(super) fn step_axes<const N: usize>(left: &mut [u32; N], increments: &[u32; N], threshold: u32) -> u8 {
     let mut minus_steps = 0_i32;
     let threshold = threshold as i32;
-    // The last axis first: each axis shifts the bits of those already processed up by one.
+    // Begins with the last axis, because each pass of the loop shifts the bits gathered so far up by one.
     for (left, increment) in left.iter_mut().zip(increments).rev() {
-        // `left` and `increment` lie between 0 and the threshold (at most 2^30), or beyond by a few parts of a step. So
-        // the sign of `rest` shows whether the axis steps. `stepping` is all ones or all zeros, which avoids a branch.
-        // No axis steps twice in a tick: a tick advances at most one step of the dominant axis and begins at a multiple
-        // of its own size. An axis with as many steps as the dominant one makes exactly one step in each such interval,
-        // wherever its exact ends are; an axis with fewer steps travels less.
+        // `left` and `increment` lie between 0 and the threshold (at most 2^30), or a few parts of a step outside this
+        // range. So the sign of `rest` shows whether the axis steps. `stepping` is all ones or all zeros, which avoids
+        // a branch. No axis steps twice in a tick: a tick advances the dominant axis by one step at most, and begins at
+        // a multiple of its own size. In such an interval, an axis with as many steps as the dominant one makes at most
+        // one step, wherever its exact ends are; an axis with fewer steps travels less.
         let rest = left.wrapping_sub(*increment) as i32;
         let stepping = rest >> 31;
         *left = rest.wrapping_add(threshold & stepping) as u32;
         minus_steps = minus_steps.wrapping_mul(2).wrapping_add(stepping);
-        // Forces one axis after the other: interleaved, they need more registers than the hardware saves on an
-        // interrupt.
+        // Makes the compiler finish one axis before the next: interleaved, the axes would need more registers than the
+        // hardware saves on an interrupt.
         compiler_fence(Ordering::SeqCst);
     }
     minus_steps.wrapping_neg() as u8
@@ -75,7 +76,8 @@ pub(super) fn steps_into<const N: usize, const WORDS: usize>(
     let [a, b, c, d] = counting;
     match count {
         0 => words.fill(table.get(always % WORDS).copied().unwrap_or(0)),
-        // A separate loop for one counting axis would save little; the second countdown subtracts nothing.
+        // A separate loop for one counting axis would save little. Its second countdown is `NONE`, which subtracts
+        // nothing.
         1 | 2 => count_down::<_, 2, 4, _>(left, [a, b], always, threshold, table, words),
         4 if N > 3 => count_down::<_, 4, 16, _>(left, [a, b, c, d], always, threshold, table, words),
         _ => count_down::<_, 3, 8, _>(left, [a, b, c], always, threshold, table, words),
@@ -107,7 +109,8 @@ fn count_down<const N: usize, const K: usize, const OF_THEM: usize, const WORDS:
     words: &mut [u32],
 ) {
     const { assert!(OF_THEM == 1 << K, "a word for each combination of them") };
-    // For each combination of steps of the `K` axes (one bit each, in their order): the word, with the `always` axes.
+    // The word for each combination of steps of the `K` axes (one bit per axis, in their order) together with the
+    // `always` axes.
     let of_steps: [u32; OF_THEM] = core::array::from_fn(|steps| {
         let all = axes.iter().enumerate().filter(|(bit, _)| steps >> bit & 1 != 0);
         let stepping = all.fold(always, |stepping, (_, of)| stepping | 1 << of.axis);

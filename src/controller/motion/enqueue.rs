@@ -21,9 +21,9 @@ use crate::units::Coordinate;
 /// Maximum override that bends are determined for; Grbl's realtime commands reach it.
 const MOST_OVERRIDE: f32 = 2.0;
 
-/// Returns the steps of a chord with its exact ends. `ends`: offsets of start and end from their steps, in sevenths of
-/// a step along the positive axes. A chord with very many steps is stepped as a line: parts of a step do not matter
-/// there.
+/// Returns the steps of a chord with its exact ends. `ends`: offsets of the exact start and end from the steps nearest
+/// to them, in sevenths of a step along the positive axes. A chord with very many steps (`Measure::MOST_STEPS`) is
+/// stepped as a line, because parts of a step do not matter in it.
 fn steps_with_ends<const N: usize>(steps: &[u32; N], directions: u8, ends: &[[i32; N]; 2]) -> [AxisSteps; N] {
     let mut steps_by_axis = steps.map(AxisSteps::on_steps);
     if steps.iter().all(|steps| *steps <= Measure::MOST_STEPS) {
@@ -61,7 +61,7 @@ struct Path<const N: usize> {
     straight: f32,
     /// Length of the move alone, mm.
     own: f32,
-    /// `own`, plus the moves without a step before it, less the excess length of the last block, mm.
+    /// `own`, plus the length of the moves without a step before it, minus the excess length of the last block, mm.
     length: f32,
 }
 
@@ -128,7 +128,8 @@ impl<const N: usize> MoveQueue<N> {
         {
             return self.put_timed(m, seconds, curve_speed2, chord);
         }
-        // Moves without overrides (probing) are not divided, because a probe brakes within its own block.
+        // Moves that ignore overrides are not divided, because a probing move, which is one of them, brakes within its
+        // own block.
         if self.backlash.is_on() && !m.no_feed_override {
             if !chord {
                 self.take_up_before_plunge(m);
@@ -148,15 +149,15 @@ impl<const N: usize> MoveQueue<N> {
         if let Speed::Duration(seconds) = m.speed {
             whole.speed = Speed::Feed(self.end.distance(&m.target) / seconds);
         }
-        // One piece more than the quotient, because rounding may add a step to a piece.
+        // One piece more than the quotient, because rounding can add a step to a piece.
         let pieces = most / (MAX_STEPS / 2) + 1;
         self.long = Some(LongMove { start: self.end.planned, whole, curve_speed2, pieces, next: 1 });
         self.continue_long_move();
     }
 
-    /// Queues a move with a duration as a feed move: backlash compensation may divide it, and the duration is that of
-    /// the whole move.
-    // Not inlined, so that all other moves are used without a copy.
+    /// Queues a move with a duration as a feed move, because backlash compensation can divide it, and the duration is
+    /// that of the undivided move.
+    // Not inlined, so that no other move is copied.
     #[inline(never)]
     fn put_timed(&mut self, m: &Move<N>, seconds: f32, curve_speed2: f32, chord: bool) {
         let speed = Speed::Feed(self.end.distance(&m.target) / seconds);
@@ -198,8 +199,8 @@ impl<const N: usize> MoveQueue<N> {
         }
     }
 
-    /// Makes a block of a move, which must have few enough steps; there must be room. `curve_speed2`: maximum speed² on
-    /// the curve of a chord.
+    /// Makes a block of a move, which must have fewer than [`MAX_STEPS`] steps; there must be room. `curve_speed2`:
+    /// maximum speed² on the curve of a chord.
     fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, curve_speed2: f32, chord: bool) {
         let promised2 =
             if self.looks_ahead() { self.join(m, target_steps, curve_speed2 >= UNLIMITED2 && !chord) } else { 0.0 };
@@ -370,8 +371,8 @@ impl<const N: usize> MoveQueue<N> {
         (motors, sizes)
     }
 
-    /// Returns for each axis the displacement of the motors' steps, scaled to a total of `length`, or the axis' `way`
-    /// if that is longer.
+    /// Returns the displacement of each axis for the motors' steps, scaled to a total of `length`. An axis whose `way`
+    /// is longer gets its `way` instead.
     #[cold]
     fn way_of_steps(&self, motors: &MotorSteps<N>, length: f32, way: &PerAxis<f32, N>) -> PerAxis<f32, N> {
         let stepped = self.kinematics.way_of_axes(&signed_steps(&motors.steps, motors.directions));
@@ -382,7 +383,8 @@ impl<const N: usize> MoveQueue<N> {
         )
     }
 
-    /// Returns the offsets of a chord's start and end from their steps, in sevenths of a step; `None` for other moves.
+    /// Returns the offsets of a chord's exact start and end from the steps nearest to them, in sevenths of a step;
+    /// `None` for other moves.
     #[inline]
     fn true_ends(
         &mut self,
@@ -401,7 +403,8 @@ impl<const N: usize> MoveQueue<N> {
         Some([start, end])
     }
 
-    /// If a move reverses a motor, cuts off its beginning, as long as backlash compensation needs, and queues it.
+    /// If a move reverses a motor and is longer than backlash compensation needs, cuts off as much of its beginning as
+    /// compensation needs, and queues that as a block of its own.
     #[inline(never)]
     fn begin_taking_up(&mut self, m: &Move<N>, curve_speed2: f32, chord: bool) {
         let steps = self.kinematics.steps(&m.target);
@@ -436,7 +439,7 @@ impl<const N: usize> MoveQueue<N> {
         }
     }
 
-    /// Returns how many steps of backlash each motor may take up in a move: as many as the corner rule allows for the
+    /// Returns how many steps of backlash each motor can take up in a move: as many as the corner rule allows for the
     /// axes that this motor moves.
     fn rooms_for_slack(&self, length: f32, acceleration: f32, speed: f32) -> [f32; N] {
         let mut rooms = self.kinematics.least_mm;
@@ -450,7 +453,7 @@ impl<const N: usize> MoveQueue<N> {
     }
 
     /// Adds backlash compensation to a block's steps. Returns the motors' displacement, converted to axes, mm; `None`
-    /// if nothing was to be added.
+    /// if no steps were to be added.
     #[inline(never)]
     fn take_up(
         &mut self,
@@ -480,18 +483,20 @@ impl<const N: usize> MoveQueue<N> {
     }
 
     /// Completes the backlash compensation at the end of the queue, with the motors at `motors`. If the last moves were
-    /// too short for it, queues a separate block from rest to rest, in which the tool stays or reaches its position.
+    /// too short to complete it, queues a separate block from rest to rest, in which the tool stays or reaches its
+    /// position.
     #[inline(never)]
     pub(super) fn finish_taking_up(&mut self, motors: &Motors<N>, line_number: u32) {
         let taken = self.backlash.finish(&self.end.planned_steps.zip(&motors.tool(), i32::wrapping_sub).0);
         self.turn_motors(&taken, line_number);
     }
 
-    /// Takes up the remaining backlash of the first two motors before a move without X and Y; taken up later, it would
-    /// drag a drill sideways.
+    /// Takes up the remaining backlash of the first two motors before a move in neither X nor Y. If it were taken up
+    /// during a plunge, it would drag the drill sideways.
     #[inline(never)]
     fn take_up_before_plunge(&mut self, m: &Move<N>) {
-        // Only after a move mainly in X and Y, where the corner is slow anyway: a profile in Z must not be interrupted.
+        // Do this only after a move mainly in X and Y: at such a corner the machine is slow anyway, but a profile of
+        // moves in Z must not be interrupted.
         let across2 = self.end.direction.iter().take(2).fold(0.0, |sum, part| sum + part * part);
         if self.planner.capacity() < MOST_BLOCKS_OF_A_MOVE || across2 < 0.5 {
             return;

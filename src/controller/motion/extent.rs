@@ -26,9 +26,11 @@ pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, 
         }
         if way >= TURN { way - TURN } else { way }
     };
-    // The same sweep as the chords use: from the end points alone, a tiny arc and almost a full turn look the same.
+    // This must be the sweep that the chords use, because from the end points alone a tiny arc and almost a full turn
+    // look the same.
     let sweep = if arc.turns > 0 { TURN } else { arc.sweep() };
-    // In whole units, so that a circle that touches the end of the travel does not exceed it.
+    // The radius is in whole units, so that rounding does not move a circle that touches the end of the travel beyond
+    // it.
     let radius = integer_length(arc.offset_0.0, arc.offset_1.0).max(integer_length(to[0].0, to[1].0));
     let radius = Coordinate(radius);
     // The circle's farthest points lie at 0, 90, 180 and 270 degrees from axis 0.
@@ -92,7 +94,7 @@ mod tests {
         }
     }
 
-    /// For an arc that ends next to its start, extent and chords agree whether it is a whole circle.
+    /// For an arc that ends next to its start, extent and chords agree on whether it is a whole circle.
     #[test]
     fn agrees_with_the_chords_where_start_and_end_are_near() {
         let mut whole = 0;

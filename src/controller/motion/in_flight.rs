@@ -1,5 +1,5 @@
-//! Ring of the segments handed to the step task: end position, speed, time, line number and power of each. Segments
-//! that have begun are removed; the one begun last gives the reported position and speed.
+//! Ring of the segments handed to the step task: end position, speed, time, line number and power of each. Of the
+//! segments that have begun, only the last two are kept. The one begun last gives the reported position and speed.
 
 use crate::axes::PerAxis;
 use crate::lent::Lent;
@@ -7,8 +7,8 @@ use crate::messages::SEGMENTS_DEPTH;
 
 /// Number of begun segments that are kept: the one begun last and the one before it.
 pub(super) const BEGUN: usize = 2;
-/// Size of the ring: the queue to the step task, its prefetched segment and some more that it executes ahead of time or
-/// that are on their way, and the begun ones.
+/// Size of the ring: the segments in the queue to the step task, the begun ones, and 4 more for those that the step
+/// task has prefetched or executes ahead of time and those on their way to it.
 pub(super) const RING: usize = SEGMENTS_DEPTH + 4 + BEGUN;
 
 /// Record of a segment in flight, as needed for reports.
@@ -52,7 +52,7 @@ pub(super) struct SegmentsInFlight<const N: usize> {
     len: usize,
     /// Total duration of the segments not begun, in step-clock ticks.
     queued: u32,
-    /// The step task's count of begun segments before the segment at `first` begins.
+    /// Value that the step task's count of begun segments has until the segment at `first` begins.
     begun: u32,
     /// Whether a segment has begun since the step task was last at rest.
     moves: bool,
@@ -142,7 +142,8 @@ impl<const N: usize> SegmentsInFlight<N> {
             self.moves = true;
         }
         if self.len == 0 {
-            // After a stop the step task begins no segment until its gate is opened, so the count is up to date here.
+            // Nothing is in flight, so take over the count. It is final: even after a stop, the step task begins no
+            // segment until its gate is opened.
             self.begun = begun;
             if !idle {
                 return;

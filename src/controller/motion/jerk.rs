@@ -71,7 +71,7 @@ pub(super) fn ramp_speed(to: f32, distance: f32, bounds: Bounds) -> f32 {
     if distance <= 0.0 {
         return to;
     }
-    // (to + x / 2)·(x / a + a / j) = distance
+    // For the change of speed x: (to + x / 2)·(x / a + a / j) = distance.
     let least = to * acceleration / jerk;
     if distance > least {
         let half = to / acceleration + 0.5 * acceleration / jerk;
@@ -80,8 +80,8 @@ pub(super) fn ramp_speed(to: f32, distance: f32, bounds: Bounds) -> f32 {
             return to + change;
         }
     }
-    // With y = √x: y³ + 2·to·y = distance·√j. The left side is convex, and either term alone gives a y that is too
-    // great.
+    // With y = √x: y³ + 2·to·y = distance·√j. The left side is convex, so Newton's method converges from a y that is
+    // too great. Either term on the left, equated alone with the right side, gives such a y.
     let wanted = distance * square_root(jerk);
     let mut root = cube_root(wanted);
     if 2.0 * to * root > wanted {
@@ -103,7 +103,7 @@ pub(super) fn cube_root(value: f32) -> f32 {
     if value <= f32::MIN_POSITIVE {
         return 0.0;
     }
-    // A third of the exponent gives the root within 6 %.
+    // Dividing the bits by 3 divides the exponent, which gives the root within 6 %.
     let mut root = f32::from_bits(value.to_bits() / 3 + 0x2A51_4067);
     for _ in 0..3 {
         root = (2.0 * root + value / (root * root)) * (1.0 / 3.0);
@@ -136,8 +136,8 @@ impl PathState {
             return true;
         }
         if valley <= 0.0 {
-            // The machine comes to rest before its deceleration is eased off. Compare the distance to the target speed
-            // meanwhile.
+            // The machine would come to rest before its deceleration is eased off. It reaches the target speed before
+            // that; check that this happens within the distance.
             let change = self.speed - target;
             let root = square_root(greater(self.acceleration * self.acceleration - 2.0 * bounds.jerk * change, 0.0));
             let time = 2.0 * change / (root - self.acceleration);
@@ -157,13 +157,15 @@ impl PathState {
         summit <= target || ramp_distance(summit, target, bounds) + ahead <= distance
     }
 
-    /// Returns the acceleration after `time` with which the machine reaches `nominal` soonest and without acceleration.
+    /// Returns the acceleration that the machine must have after `time` to reach `nominal` as soon as possible, and
+    /// with an acceleration of 0 there.
     #[inline]
     pub(super) fn towards(self, nominal: f32, time: f32, bounds: Bounds) -> f32 {
         let Bounds { acceleration, jerk } = bounds;
         let half = 0.5 * jerk * time;
         let excess = self.speed + 0.5 * self.acceleration * time - nominal;
-        // The acceleration reaches 0 after a / j, at the speed v ± a² / 2j, which must equal the nominal speed.
+        // If the machine begins to ease off the acceleration a at the speed v, it reaches the speed v ± a² / 2j after
+        // the time a / j. That must be the nominal speed.
         let wanted = if excess < 0.0 {
             square_root(half * half - 2.0 * jerk * excess) - half
         } else {
@@ -174,7 +176,8 @@ impl PathState {
 }
 
 /// Returns the acceleration at `speed` with which a constant jerk leads to `target` without acceleration, exactly after
-/// `distance`. Recomputed at each point, it gives a curve of constant jerk that corrects small errors.
+/// `distance`. If it is recomputed at each point, the result is a curve of constant jerk, and small errors are
+/// corrected on the way.
 #[inline]
 pub(super) fn landing(speed: f32, target: f32, distance: f32) -> f32 {
     -(2.0 / 3.0) * (speed - target) * (speed + 2.0 * target) / distance
@@ -238,7 +241,8 @@ mod tests {
         assert_eq!(cube_root(0.0), 0.0);
     }
 
-    /// A state within a ramp has the summit of that ramp, and `lands` holds for the end of the ramp but not sooner.
+    /// For each state within a ramp, `summit` returns the start of that ramp, and `lands` is true for the distance to
+    /// the end of the ramp but false for a shorter one.
     #[test]
     fn states_within_a_ramp_belong_to_it() {
         let (from, to) = (80.0_f32, 20.0);

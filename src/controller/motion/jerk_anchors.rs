@@ -6,10 +6,10 @@ use super::jerk::{Bounds, PathState, ramp_distance, ramp_speed};
 use super::trapezoid::{lesser, square_root};
 
 /// Ratio above which two bounds count as the same. On a curve, bounds change slightly from block to block; an anchor at
-/// each change would cost more time than the tighter bounds do.
+/// each change would cost more time than the tighter bounds for all of these blocks.
 const ALIKE: f32 = 0.8;
 
-/// The path between an anchor and the place that the reverse pass has reached before it.
+/// The path from the place that the reverse pass has reached to the next anchor.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Way {
     /// Speed at the anchor, mm/s.
@@ -34,8 +34,9 @@ impl Way {
         apart(own.acceleration, self.bounds.acceleration) || apart(own.jerk, self.bounds.jerk)
     }
 
-    /// Returns the speed of an additional anchor at the end of a block with bounds `own`, if that makes a ramp from
-    /// `cap2` shorter. Without the anchor, a block with tight bounds would slow down all of a long ramp.
+    /// Returns the speed of an additional anchor at the end of a block with bounds `own`, if the anchor makes a ramp
+    /// down from the speed² `cap2` shorter. Without it, the tight bounds of one block would apply to all of a long
+    /// ramp.
     #[inline(never)]
     pub(super) fn better_anchor(&self, own: Bounds, cap2: f32) -> Option<f32> {
         let ceiling = square_root(self.ceiling2);
@@ -110,7 +111,7 @@ impl Target {
 
     /// Like [`Target::nearest`], for a segment of length `way`. If the machine reaches the ceiling within the segment,
     /// returns the anchor, so that the ramp from the ceiling to the anchor begins with this segment. Otherwise the ramp
-    /// would begin a segment late, which a sixth of its distance would have to make up for.
+    /// would begin one segment late, with too little distance left.
     pub(super) fn beyond(&self, speed: f32, way: f32) -> (f32, f32) {
         if speed > self.ceiling {
             let distance = self.distance - ramp_distance(self.ceiling, self.speed, self.bounds);

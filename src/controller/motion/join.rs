@@ -1,5 +1,5 @@
 //! Joins short collinear moves into one block, so that the look-ahead covers more moves than it has blocks. Keeps the
-//! data of the queue's last block while further moves may continue its line; [`super::short_moves`] selects them.
+//! data of the queue's last block as long as further moves can continue its line; [`super::short_moves`] selects them.
 //!
 //! ```text
 //!            P1 ───┐ half a step of each motor, and no more than the program's last digit can make
@@ -13,8 +13,8 @@
 //!
 //! A block is taken back by restoring the previous end of the queue. So lengths, corners and curvature are the same as
 //! if the program contained the joined move. The chain of [`super::curvature`] gets a piece only when no more moves are
-//! joined to it; until then the planned path ends at the piece, at rest. Only a block that has not begun is taken back,
-//! and the new one can be entered as fast as the old one, so the speeds planned for earlier blocks stay valid.
+//! joined to it; until then the plan ends at rest at the end of this piece. Only a block that has not begun is taken
+//! back, and the new block can be entered as fast as the old one. So the speeds planned for earlier blocks stay valid.
 
 use super::curvature::PathPiece;
 use super::kinematics::Kinematics;
@@ -22,12 +22,12 @@ use super::path_end::PathEnd;
 use super::trapezoid::{greater, lesser};
 use super::{Move, Speed};
 
-/// Minimum value of the program's last digit, mm: numbers with 24 bits have this error at 0.5 m from the last point.
+/// Minimum value of the program's last digit, mm: an `f32` has an error of this order at 0.5 m from the last point.
 const LEAST_DIGIT: f32 = 1.0e-4;
 /// Data of the last block of the queue, for joining moves to it.
 #[derive(Clone, Debug)]
 pub(super) struct Join<const N: usize> {
-    /// Whether the block may be taken back for a longer one.
+    /// Whether the block can be taken back for a longer one.
     pub open: bool,
     /// Whether the block's piece has been withheld from the chain so far.
     pub kept: bool,
@@ -43,7 +43,7 @@ pub(super) struct Join<const N: usize> {
     half_mm: [f32; N],
     /// Length of the path through the points, mm.
     pub path: f32,
-    /// Moves joined or merged, and therefore without a block of their own, since the queue was empty.
+    /// Number of moves that were joined or merged after the queue was last empty. They have no block of their own.
     pub moves: usize,
     /// [`PathPiece::length`] of the block's piece, for the chain.
     pub length: f32,
@@ -53,7 +53,7 @@ pub(super) struct Join<const N: usize> {
     pub fast2: f32,
     /// Value of the program's last digit, mm.
     pub digit: f32,
-    /// Common speed of the block's moves; `power`, `scale_power` and `line_number` likewise.
+    /// Common speed of the block's moves. They also have `power`, `scale_power` and `line_number` in common.
     speed: Speed,
     power: u16,
     scale_power: bool,
@@ -103,7 +103,7 @@ impl<const N: usize> Join<N> {
         self.kept = false;
     }
 
-    /// Stores a block's piece and returns `true` if the block may be taken back: the piece is then withheld from the
+    /// If the block can still be taken back, stores its piece and returns `true`: the piece must be withheld from the
     /// chain.
     #[inline]
     pub(super) fn keeps(&mut self, piece: &PathPiece<'_, N>) -> bool {
@@ -123,13 +123,14 @@ impl<const N: usize> Join<N> {
             && self.line_number == m.line_number
     }
 
-    /// Returns the main motor's displacement at `way` (displacements of the motors); `None` if it leads back.
+    /// Returns the main motor's displacement at `way` (displacements of the motors); `None` if the main motor has moved
+    /// back from its farthest point.
     pub(super) fn along(&self, way: &[f32; N]) -> Option<f32> {
         let along = way.get(self.main).copied()?;
         (along * self.reach > 0.0 && along.abs() >= self.reach.abs()).then_some(along)
     }
 
-    /// Adds a point of the line. Returns `false` if it leads back, so that nothing can continue the line.
+    /// Adds a point of the line. Returns `false` if the line leads back at this point, so that no move can continue it.
     pub(super) fn pass(&mut self, way: &[f32; N]) -> bool {
         if core::mem::take(&mut self.fresh) {
             self.slopes = [(f32::NEG_INFINITY, f32::INFINITY); N];
@@ -146,7 +147,7 @@ impl<const N: usize> Join<N> {
         let digit = greater(self.digit, LEAST_DIGIT);
         for ((least, most), (part, half)) in self.slopes.iter_mut().zip(way.iter().zip(self.half_mm)) {
             let slope = part * share;
-            // Rounding may shift the point and both ends by half a digit each, in this motor and in the main one.
+            // Rounding can shift the point and both ends by half a digit each, in this motor and in the main one.
             let range = lesser(half, digit * (1.0 + slope.abs())) * share.abs();
             *least = greater(*least, slope - range);
             *most = lesser(*most, slope + range);

@@ -1,5 +1,5 @@
-//! The speed at a corner (junction deviation, `$11`): how fast the path may turn from one direction to another within
-//! the axes' accelerations. [`super::curvature`] derives the rule and applies it to the whole path.
+//! The speed at a corner (junction deviation, `$11`): how fast the machine can pass from one direction to another
+//! within the axes' accelerations. [`super::curvature`] derives the rule and applies it to the whole path.
 //!
 //! Notation: for a turn by the angle t, q = 2·sin(t/2) (length of the difference of the unit vectors) and s = cos(t/2).
 //! In names, `turn2` is q² and `sine` is s.
@@ -10,7 +10,7 @@ use super::trapezoid::{greater, lesser, quotient, square_root};
 pub(super) const UNLIMITED2: f32 = 1.0e30;
 /// Speed² of a square corner, divided by acceleration and deviation: s / (1 - s) with s = √(1/2).
 pub(super) const SQUARE_CORNER: f32 = 2.414_213_6;
-/// Share of a turn below which noise is neglected.
+/// Noise below this share of a turn is neglected.
 const CERTAIN: f32 = 1.0 / 64.0;
 /// q² below which a path counts as straight; it equals Grbl's limit, a cosine of 0.999999.
 const STRAIGHT: f32 = 2.0e-6;
@@ -18,7 +18,7 @@ const STRAIGHT: f32 = 2.0e-6;
 pub(super) const REVERSAL: f32 = 4.0 - 2.0e-6;
 
 /// Factor that covers rounding errors of a bend's speed². If unit vectors are off by their last bit, the normal and the
-/// tangent of a turn of q² = [`STRAIGHT`] are perpendicular within 0.0007.
+/// tangent of a turn of q² = [`STRAIGHT`] are perpendicular only within 0.0007.
 const SURELY: f32 = 0.99;
 
 /// Settings of the machine for the rule for turns.
@@ -28,7 +28,7 @@ pub(super) struct TurnRule<const N: usize> {
     pub acceleration: [f32; N],
     /// Junction deviation, mm.
     pub deviation: f32,
-    /// Share of the acceleration that bends may take.
+    /// Share of the acceleration that bends are allowed to take.
     pub curve_share: f32,
 }
 
@@ -83,12 +83,14 @@ impl<const N: usize> TurnRule<N> {
     }
 
     /// Returns the maximum acceleration in any direction of a turn's plane at which no axis exceeds its limit. It
-    /// limits the centripetal acceleration of a bend. With the normal n and the tangent t, axis i gets a·√(n_i² + t_i²)
-    /// at most anywhere on the bend, so the speed on a circle is constant.
+    /// limits the centripetal acceleration of a bend. With the normal n and the tangent t, axis i gets at most a·√(n_i²
+    /// + t_i²), wherever on the bend the machine is. So the limit is the same for the whole bend, and the speed on a
+    /// circle is constant.
     #[inline(never)]
     pub(super) fn in_plane(&self, before: &[f32; N], after: &[f32; N], turn2: f32) -> f32 {
         let normal = 1.0 / turn2;
-        // A reversal only defines the normal; shorter spans provide the tangent.
+        // A reversal defines the normal but not the tangent. Shorter spans, which turn less, take the tangent into
+        // account.
         let tangent = if turn2 < 3.9 { 1.0 / (4.0 - turn2) } else { 0.0 };
         let mut least2 = UNLIMITED2;
         for ((a, b), limit) in before.iter().zip(after).zip(&self.acceleration) {
@@ -124,15 +126,15 @@ impl<const N: usize> TurnRule<N> {
         bend * bend > 9.0 * turn2 * fast2 * fast2
     }
 
-    /// Returns J² of a turn, the square of the junction speed (junction velocity) by the junction deviation:
-    /// v² = a·d·s / (1 - s). For gentle turns 1 - s would be a small difference, so it is computed as q² / (4·(1 + s)),
-    /// with q² = 4·(1 - s²).
+    /// Returns J² of a turn, the square of the speed that the junction deviation allows (junction velocity): v² = a·d·s
+    /// / (1 - s). For gentle turns 1 - s would be a small difference, so it is computed as q² / (4·(1 + s)), with q² =
+    /// 4·(1 - s²).
     #[inline]
     pub(super) fn junction2(&self, across: f32, sine: f32, turn2: f32) -> f32 {
         across * self.deviation * sine * (1.0 + sine) / (0.25 * turn2)
     }
 
-    /// Returns the maximum speed² of a square corner of any axes.
+    /// Returns the maximum speed² of a square corner between any two axes.
     #[inline]
     pub(super) fn square_corner2(&self) -> f32 {
         let least = self.acceleration.iter().fold(UNLIMITED2, |most, own| lesser(*own, most));

@@ -28,7 +28,7 @@ impl<const N: usize> Kinematics<N> {
     pub(super) fn new(arrangement: Arrangement, steps_per_mm: PerAxis<StepsPerMm, N>) -> Self {
         let mut least_mm = steps_per_mm.0.map(|scale| 1.0 / scale.to_f32());
         if arrangement == Arrangement::CoreXy {
-            // On a diagonal only one motor turns, by the square root of 2 times the tool's distance.
+            // When the tool moves along a diagonal, only one motor turns. Its belt moves √2 times as far as the tool.
             for mm in least_mm.iter_mut().take(2) {
                 *mm *= core::f32::consts::FRAC_1_SQRT_2;
             }
@@ -44,7 +44,7 @@ impl<const N: usize> Kinematics<N> {
     }
 
     /// Like [`Kinematics::steps`], for a position reached from `before`, whose `steps` are known: axes that do not move
-    /// keep them without a conversion.
+    /// keep their steps, without a conversion.
     #[inline]
     pub(super) fn steps_from(
         &self,

@@ -1,13 +1,13 @@
-//! The exact arithmetic of steps within a block: how many steps each axis has taken after a number of units. Both the
-//! step generator and the planner's side use it, so they agree on where a segment ends. All computations use whole
-//! numbers and are exact; there is no state.
+//! The exact arithmetic of steps within a block: how many steps each axis has taken after how many units. The step
+//! generator and the planner's side both use this module, so they agree on where a segment ends. All computations use
+//! whole numbers and are exact; there is no state.
 //!
 //! On a line, an axis' rate is its number of steps, and the threshold is that of the dominant axis, in units. A chord
-//! of a curve begins and ends between steps, at the offsets f and g of a step from them ([`AxisSteps`]). After u of M
-//! units, an axis with n steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ of them. That is 0 at the start and n at the end,
-//! because f and g are less than a half, and always within half a step of the exact chord. In sevenths of a step the
-//! arithmetic is the same, with 7·M as the threshold, 7·n + 7·g - 7·f as the rate, and a first remainder that is
-//! smaller by 7·f·M.
+//! of a curve begins and ends between steps, f and g steps away from them, where f and g are fractions ([`AxisSteps`]).
+//! After u of M units, an axis with n steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ of them. That is 0 at the start and n
+//! at the end, because f and g are less than a half, and always within half a step of the exact chord. In sevenths of a
+//! step the arithmetic is the same, with 7·M as the threshold, 7·n + 7·g - 7·f as the rate, and a first remainder that
+//! is smaller by 7·f·M.
 
 use crate::messages::{AxisSteps, UNITS_PER_STEP};
 
@@ -47,8 +47,8 @@ impl Measure {
             .wrapping_add_signed(axis_steps.end().wrapping_sub(axis_steps.start()))
     }
 
-    /// Returns the part of an axis' first step that is complete at the start, less 1: half a step, plus the offset of
-    /// the exact start.
+    /// Returns how much of an axis' first step is complete at the start of the block, in parts of the threshold, minus
+    /// 1: half a step, plus the offset of the exact start.
     #[inline(always)]
     pub(super) fn credit(&self, axis_steps: AxisSteps) -> u32 {
         (self.threshold / 2).wrapping_add(parts_beyond(self.total, axis_steps)).wrapping_sub(1)
@@ -69,20 +69,21 @@ pub(super) fn steps_taken(rate: u32, credit: u32, threshold: u32, units: u32) ->
     }
 }
 
-/// Returns the offset of an axis' exact start from its step, in parts of the threshold; negative numbers are wrapped.
+/// Returns the offset of an axis' exact start from the step nearest to it, in parts of the threshold; negative numbers
+/// are wrapped.
 #[inline(always)]
 pub(super) fn parts_beyond(total: u32, axis_steps: AxisSteps) -> u32 {
     (axis_steps.start() as u32).wrapping_mul(total)
 }
 
-/// Returns `rate` × `units`. `rate` may be negative (wrapped); both are less than 2^31.
+/// Returns `rate` × `units`. `rate` can be negative (wrapped); both are less than 2^31.
 #[inline]
 pub(super) fn advance(rate: u32, units: u32) -> u64 {
     (i64::from(rate as i32) * i64::from(units as i32)) as u64
 }
 
-/// Returns [`steps_taken`] and the remainder until the next step. Divides bit by bit: the step task has no room for a
-/// 64-bit division, and needs this only at rest.
+/// Returns [`steps_taken`] and the remainder until the next step. Divides bit by bit, because the step task has no room
+/// for a 64-bit division, and needs this function only at rest.
 pub(super) fn steps_and_rest(rate: u32, first: u32, threshold: u32, units: u32) -> (u32, u32) {
     let mut sum = advance(rate, units).wrapping_add(u64::from(threshold.wrapping_sub(first)));
     let mut taken = 0;
@@ -129,12 +130,12 @@ pub(super) mod tests {
         let (n, f, g) = (i128::from(axis_steps.steps()), i128::from(axis_steps.start()), i128::from(axis_steps.end()));
         let (u, m) = (i128::from(units), i128::from(total));
         let Ratio(above, below) = Ratio(f * m + (7 * n + g - f) * u, 7 * m);
-        // The least whole number that is not below the position less a half.
+        // The position minus a half, rounded up to a whole number.
         -(below - 2 * above).div_euclid(2 * below)
     }
 
-    /// Generates the steps of three axes. The second and third may have as many steps as the dominant first axis, or
-    /// none.
+    /// Generates the steps of three axes. The second and the third axis can have up to as many steps as the first one,
+    /// which is dominant.
     pub fn steps_by_axis(most: u32) -> impl Strategy<Value = [AxisSteps; 3]> {
         let ends = || prop_oneof![1 => Just([0; 3]), 3 => prop::array::uniform3(-3..=3)];
         let share = || prop_oneof![3 => 0.0..=1.0_f64, 1 => Just(1.0), 1 => Just(0.0)];

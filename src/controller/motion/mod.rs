@@ -137,7 +137,7 @@ pub struct Move<const N: usize> {
     pub no_feed_override: bool,
     /// Resolution of the program's coordinates (value of their last digit), mm; 0 = exact.
     pub digit: f32,
-    /// How far the tool may deviate from the path.
+    /// How far the tool is allowed to deviate from the path.
     pub tolerance: Tolerance,
 }
 
@@ -287,7 +287,7 @@ impl<const N: usize> Motion<N> {
         self.plan_from(motors);
     }
 
-    /// Clears queue and running block; the next move begins with the motors at these steps.
+    /// Clears queue and running block; the next move begins at the steps of `motors`.
     fn plan_from(&mut self, motors: Motors<N>) {
         let motors = self.queue.restart(motors);
         self.source.restart(motors);
@@ -305,8 +305,8 @@ impl<const N: usize> Motion<N> {
         self.queue.take_chord(m, curvature)
     }
 
-    /// Returns whether queued blocks and joined moves together reach the number of blocks. Motion should then start,
-    /// although the queue still has room.
+    /// Returns whether the queued blocks and the joined moves together reach the capacity of the look-ahead. Motion
+    /// should start in that case, although the queue still has room.
     pub fn has_joined_enough(&self) -> bool {
         self.queue.has_joined_enough()
     }
@@ -356,7 +356,8 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.exchange_ring(&mut other.source.in_flight);
     }
 
-    /// Starts to execute the queue. Before that, and again after the queue has run empty, no segments are handed over.
+    /// Starts to execute the queue. No segments are handed over before the first call, nor after the queue has run
+    /// empty until the next call.
     pub fn start(&mut self) {
         if self.queue.planner.len() == 0 {
             self.queue.release();
@@ -373,8 +374,8 @@ impl<const N: usize> Motion<N> {
         self.next_message()
     }
 
-    /// Like [`Motion::next`], without a new observation. Called before each output, so the check that usually fails is
-    /// inlined.
+    /// Like [`Motion::next`], without a new observation. The controller calls this very often, so the check, which
+    /// usually fails, is inlined.
     #[inline]
     pub fn next_message(&mut self) -> Option<ToStep> {
         if self.source.wants_more() { self.wanted_message() } else { None }
@@ -405,7 +406,8 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// Returns the deceleration of the first block in the queue, in units per squared step-clock tick; 0 without one.
+    /// Returns the deceleration of the first block in the queue, in units per squared step-clock tick; 0 if the queue
+    /// is empty.
     pub fn braking(&self) -> f32 {
         let clock = self.source.step_clock_hz() as f32;
         self.queue.planner.first().map_or(0.0, |block| {
@@ -422,8 +424,8 @@ impl<const N: usize> Motion<N> {
     /// Resumes after a hold, even if the machine has not come to a stop yet.
     pub fn resume(&mut self) {
         if self.queue.planner.raised {
-            // Some entries were left above the override's limit for a machine that was too fast for it. The hold has
-            // slowed it down.
+            // Some entries allow more than the override does, because the machine was too fast for the override. The
+            // hold has slowed the machine down, so these entries must be lowered.
             self.replan();
         }
         self.source.resume(!self.queue.is_empty());
@@ -519,7 +521,7 @@ impl<const N: usize> Motion<N> {
         self.is_at_rest() && self.queue.is_empty()
     }
 
-    /// Returns whether segments are handed over as soon as there is room for them.
+    /// Returns whether motion is started: segments are handed over as soon as there is room for them.
     pub fn hands_over(&self) -> bool {
         self.source.is_on()
     }
@@ -567,7 +569,8 @@ impl<const N: usize> Motion<N> {
         self.origin = self.origin.zip(&moved, i32::wrapping_add);
         self.source.in_flight.forget(new, old.lead);
         self.plan_from(Motors { steps: old.steps.zip(&moved, i32::wrapping_add), lead: old.lead });
-        // Not rounded to the nearest step: the next move is measured from the programmed position.
+        // The position is not rounded to the nearest step, because the next move is measured from the programmed
+        // position.
         self.queue.set_position(position);
     }
 
@@ -612,8 +615,9 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.current().mark
     }
 
-    /// Returns the power of the move being handed over, or of the next one. `None` without a move, and for one that
-    /// overrides have no effect on (jog, homing, probing). Ahead of the step task by the time queued there.
+    /// Returns the power of the move being handed over, or of the next one. `None` without a move, and for a move that
+    /// overrides have no effect on (jog, homing, probing). The step task executes this move later, by the time queued
+    /// there.
     pub fn running_power(&self) -> Option<u16> {
         match self.queue.planner.first() {
             Some(block) => (block.flags & NO_OVERRIDE == 0).then_some(block.power),
@@ -626,8 +630,8 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.current().line_number
     }
 
-    /// Returns the line number of the move handed over last (completely or in part), 0 if none. Ahead of the step task
-    /// by the time queued there.
+    /// Returns the line number of the move handed over last (completely or in part), 0 if none. The step task executes
+    /// this move later, by the time queued there.
     pub fn running_line_number(&self) -> u32 {
         self.source.running.line_number
     }
@@ -640,7 +644,7 @@ impl<const N: usize> Motion<N> {
         core::iter::once(self.running_line_number()).chain(queued).chain(held)
     }
 
-    /// Numbers all moves from here on with `number`, instead of their N words.
+    /// Gives all moves from here on the line number `number`, instead of their N words.
     pub fn number_moves(&mut self, number: u32) {
         self.queue.numbering = Numbering::Given(number);
     }

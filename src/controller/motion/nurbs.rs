@@ -13,11 +13,11 @@
 //! ```
 //! A piece of a span has its own control points, in whole numbers of 0.1 nm. Each of them is computed from the span's
 //! control points by as many divisions as the degree, some at the start of the piece and the others at its end. The
-//! piece lies within the polygon of its control points, so their distance from the chord bounds that of the curve. If
-//! it is too great, the piece is halved.
+//! piece lies within the polygon of its control points, so the distance of these points from the chord bounds that of
+//! the curve. If this distance is too great, the piece is halved.
 //!
-//! With weights w, the two parts are not a and 1 - a, but in the ratio of a·w₁ to (1 - a)·w₀. All weights are positive,
-//! so a point never leaves the polygon, however much the weights differ.
+//! With weights w, a division at the share a is not in the ratio of a to 1 - a, but of a·w₁ to (1 - a)·w₀. All weights
+//! are positive, so a point never leaves the polygon, however much the weights differ.
 
 use super::arc::{Curvature, LEAST_TOLERANCE, UNIT, scale};
 use super::trapezoid::square_root;
@@ -31,14 +31,15 @@ const ORDER_MAX: usize = 8;
 const LONGEST: i64 = UNIT / 2;
 /// Minimum length of a piece, as a share of a span, even if the tolerance requires shorter ones.
 const SHORTEST: i64 = UNIT >> 20;
-/// Maximum number of pieces that are examined for limits or the length, so that a call is bounded for any weights and
-/// rounding. A curve with more pieces counts as outside the limits; its remaining length is measured without halving.
+/// Maximum number of pieces that are examined for limits or the length, so that the time of a call is bounded for any
+/// weights and rounding. A curve with more pieces counts as outside the limits; its remaining length is measured
+/// without halving.
 const MOST_PIECES: u32 = 1000;
 /// Maximum piece whose length is measured as a whole, as a share of a span.
 const LONGEST_MEASURED: i64 = UNIT / 8;
-/// Maximum share by which the chord of such a piece may be shorter than its polygon.
+/// Maximum share by which the chord of a piece measured as a whole can be shorter than its polygon.
 const BENT: f32 = 0.03;
-/// Difference between chord and polygon that rounding alone may cause, mm.
+/// Difference between chord and polygon that rounding alone can cause, mm.
 const LEAST_BENT: f32 = 1.0e-5;
 /// Difference below which two unit vectors count as one direction: an f32 cannot resolve less.
 const STRAIGHT: f32 = 1.0e-6;
@@ -102,7 +103,7 @@ impl<const N: usize> NurbsGeometry<'_, N> {
         (self.points.len() + 1).saturating_sub(usize::from(self.order))
     }
 
-    /// Returns the control points of the piece of a span between two shares of it.
+    /// Returns the control points of a piece of a span. `from`, `to`: ends of the piece, as shares of the span.
     #[inline(never)]
     fn piece(&self, span: usize, from: i64, to: i64) -> Piece {
         let degree = usize::from(self.order).clamp(2, ORDER_MAX) - 1;
@@ -129,7 +130,7 @@ impl<const N: usize> NurbsGeometry<'_, N> {
         share: impl Fn(usize) -> i64,
     ) -> Place {
         let spans = self.spans();
-        // The knots coincide at both ends.
+        // At either end of the curve, several knots coincide.
         let knot = |at: usize| at.saturating_sub(degree).min(spans) as i64;
         for level in 0..degree {
             for at in (level + 1..=degree).rev() {
@@ -151,8 +152,8 @@ impl<const N: usize> NurbsGeometry<'_, N> {
         place
     }
 
-    /// Returns the length of the curve, mm, within half a percent. Strongly bent parts are measured in shorter pieces;
-    /// at a cusp down to the shortest.
+    /// Returns the length of the curve, mm, within half a percent. Strongly bent parts are measured in shorter pieces,
+    /// a cusp in the shortest ones.
     pub fn length(&self) -> f32 {
         self.measure().0
     }
@@ -182,14 +183,14 @@ impl<const N: usize> NurbsGeometry<'_, N> {
         (sum, pieces)
     }
 
-    /// Returns whether a point of the curve lies outside a convex region, or the curve runs along the region's edge for
-    /// too many pieces.
+    /// Returns whether the curve leaves a convex region. Also returns `true` if the curve runs so close along the
+    /// region's edge that more than `MOST_PIECES` pieces would have to be examined.
     #[inline(never)]
     pub fn leaves(&self, outside: impl Fn(&PerAxis<Coordinate, N>) -> bool) -> bool {
         let degree = usize::from(self.order).clamp(2, ORDER_MAX) - 1;
         let [first_x, first_y] = self.points.first().map_or([0; 2], |first| first.place.map(|part| part.0));
         let is_out = |place: &Place| outside(&self.place(*place));
-        // The curve lies within its polygon.
+        // The curve lies within the polygon of its control points: if no control point is outside, nor is the curve.
         let corner = |point: &WeightedPoint| minus(point.place.map(|part| part.0), [first_x, first_y]);
         if !self.points.iter().map(corner).any(|place| is_out(&place)) {
             return false;
@@ -244,7 +245,7 @@ fn lengths(corners: &[Place]) -> (f32, f32) {
     (corners.windows(2).map(way).sum(), way(corners))
 }
 
-/// Returns the unit vector of the first side with a length; zero if there is none.
+/// Returns the unit vector of the first side whose length is not 0; the zero vector if all lengths are 0.
 fn direction(mut sides: impl Iterator<Item = Place>) -> [f32; 2] {
     let side = in_mm(sides.find(|side| *side != [0; 2]).unwrap_or([0; 2]));
     let length = length(side);
@@ -350,7 +351,7 @@ mod tests {
         [0, 1].map(|axis| sum(&|point| point.place[axis].0 as f64 / 1.0e7) / weight)
     }
 
-    /// Points agree with LinuxCNC's interpreter, for its own curves, at `at`/`parts` of the whole curve.
+    /// For curves from LinuxCNC, points at the share `at`/`parts` of the whole curve agree with LinuxCNC's interpreter.
     #[test]
     fn as_linuxcnc_has_them() {
         let own = [(0.0, 0.0, 1.0), (0.0, 1.0, 1.0), (2.0, 2.0, 1.0), (2.0, 0.0, 1.0), (0.0, 0.0, 2.0)];
@@ -416,7 +417,7 @@ mod tests {
             assert!((radius - 10.0).abs() < 0.02, "{radius}");
             chords += 1;
         }
-        // An arc of the same tolerance has 40.
+        // An arc of the same tolerance has 40 chords.
         assert!((30..120).contains(&chords), "{chords}");
         assert!((geometry.length() - 15.708).abs() < 0.002, "{}", geometry.length());
     }
@@ -447,7 +448,8 @@ mod tests {
             let points = points(&of);
             let geometry = geometry(&points, order);
             let (length, pieces) = geometry.measure();
-            // After the bound, pieces grow from the shortest to the longest again, in each span.
+            // Beyond `MOST_PIECES`, pieces are no longer halved, but grow again from the shortest to the longest in
+            // each span.
             let least = (UNIT / LONGEST_MEASURED) as u32;
             prop_assert!(pieces < MOST_PIECES + 20 + geometry.spans() as u32 * (least + 20), "{pieces}");
             prop_assert!(length.is_finite() && length >= 0.0);

@@ -15,8 +15,8 @@
 //! cannot rise, nor can the entries before it: these entries are settled, whatever is appended. So in a long queue many
 //! blocks share one pass.
 //!
-//! With a jerk limit the unit is a ramp, not a block. A ramp has zero acceleration only at its two ends and may span
-//! hundreds of blocks. The reverse pass then finds anchors, the entries at which ramps end:
+//! With a jerk limit the unit is a ramp, not a block. A ramp has zero acceleration only at its two ends and can span
+//! hundreds of blocks. The reverse pass finds anchors, the entries at which ramps end:
 //!
 //! ```text
 //!        cap of the entries: corner and nominal speeds             speed
@@ -30,9 +30,9 @@
 //! * An entry whose cap exceeds the maximum speed of any ramp to the anchor (v² + 2·a·distance, as without a jerk
 //!   limit) does not limit the ramp.
 //! * Any other entry lowers the ceiling of the ramp.
-//! * The first entry from which the distance suffices to slow down from the ceiling is the next anchor.
+//! * The first entry, walking back, from which the distance suffices to slow down from the ceiling is the next anchor.
 //!
-//! The pass computes only the speeds of anchors, so a ramp may start within a block, and from any state of motion,
+//! The pass computes only the speeds of anchors, so a ramp can start within a block, and from any state of motion,
 //! without changes to the queue.
 
 use super::block::{Block, OverrideFactors, Ramp};
@@ -45,8 +45,8 @@ use crate::lent::Lent;
 use core::ops::Range;
 
 /// Predicted speed of a machine that is faster than a lowered override allows. The machine brakes with the acceleration
-/// that bends leave. The entries that it passes meanwhile keep the predicted speed: with a lower one the machine would
-/// brake for them with all of the acceleration.
+/// that bends leave. The entries that it passes meanwhile keep the predicted speed: for entries with a lower speed, the
+/// machine would brake with all of the acceleration, also the part that bends need.
 #[derive(Clone, Copy, Debug)]
 struct Fall {
     speed2: f32,
@@ -69,7 +69,8 @@ impl Fall {
     }
 
     /// Brakes over the distance `way` in a block. With a jerk limit the deceleration remains the one that the bend
-    /// leaves at `top2`, because it may grow more slowly than the falling speed allows.
+    /// leaves at `top2`, because the jerk limit can make the deceleration grow more slowly than the falling speed would
+    /// allow.
     fn over<const N: usize>(&mut self, block: &Block<N>, way: f32, jerk_limited: bool) {
         let braked = greater(way - self.delay, 0.0);
         self.delay = greater(self.delay - way, 0.0);
@@ -81,13 +82,13 @@ impl Fall {
 }
 
 /// Number of groups of neighbouring slots of the ring. For each group the planner keeps a summary of its blocks,
-/// because the distance in which an acceleration is eased off may span hundreds of blocks and is checked for each
-/// segment. With 512 blocks, at most two groups of 16 (the first and the last) are walked block by block; the other 31
-/// or fewer are taken as a whole.
+/// because the distance in which an acceleration is eased off can span hundreds of blocks, which must be checked for
+/// each segment. With 512 blocks, at most two groups of 16 (the first and the last) are walked block by block; the
+/// other 31 or fewer are taken as a whole.
 pub(super) const GROUPS: usize = 32;
 
-/// The ring of blocks. A place counts from the first block (0), a slot is an index of the ring. The first block may be
-/// running; its entry speed then has no effect.
+/// The ring of blocks. A place counts from the first block (0), a slot is an index of the ring. While the first block
+/// is running, its entry speed has no effect.
 #[derive(Debug)]
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
@@ -98,9 +99,11 @@ pub(super) struct Planner<const N: usize> {
     entered: bool,
     /// Place of the first block whose limits have changed since the last reverse pass; `usize::MAX`: none.
     changed: usize,
-    /// Entries up to this place are final, whatever is appended; 0: none is known to be. Only without a jerk limit.
+    /// Entries up to this place are final, whatever is appended; 0: no entry is known to be final. Only without a jerk
+    /// limit.
     settled: usize,
-    /// Blocks lowered by bends since the last reverse pass, whose entries the settled ones depend on.
+    /// Blocks whose limits bends have lowered since the last reverse pass, if settled entries depend on the entries of
+    /// these blocks.
     lowered: Lowered,
     /// Whether ramps have bounded jerk.
     pub jerk_limited: bool,
@@ -174,8 +177,9 @@ impl<const N: usize> Planner<N> {
     pub(super) fn exit2(&self) -> f32 {
         let Some(next) = self.block(1) else { return 0.0 };
         if next.ramp.distance > 0.0 {
-            // The entry lies within a ramp to an anchor. This happens at very low speed: the next block may load an
-            // axis of much lower jerk.
+            // The entry lies within a ramp to an anchor, so its speed must allow that ramp. With a jerk limit the
+            // caller needs this only at very low speed, where it matters if the next block loads an axis of much lower
+            // jerk.
             let reach = ramp_speed(square_root(next.entry2), next.ramp.distance, next.ramp.bounds());
             return lesser(reach * reach, next.ramp.ceiling2);
         }
@@ -226,7 +230,7 @@ impl<const N: usize> Planner<N> {
     /// Removes the last block, which must not be running. The caller must append another one.
     pub(super) fn take_back(&mut self) {
         self.len = self.len.saturating_sub(1);
-        // A block without an entry speed was appended after the last pass, so no settled entry depends on it.
+        // An `entry2` of 0 means that no pass has processed the block, so no settled entry depends on it.
         if self.blocks.get(self.slot(self.len)).is_some_and(|block| block.entry2 > 0.0) {
             self.settled = 0;
         }
@@ -252,14 +256,14 @@ impl<const N: usize> Planner<N> {
         true
     }
 
-    /// Lowers the corner speeds of blocks that turn out to lie on a bend, and the acceleration that remains there. If
-    /// the machine is already too fast for the bend, it brakes too late; this happens only if the queue is shorter than
-    /// the bend's span.
+    /// Lowers the corner speeds of blocks that turn out to lie on a bend, and the acceleration that is left along the
+    /// path there. If the machine is already too fast for the bend, it brakes too late. This happens only if the queue
+    /// is shorter than the path that shows the bend.
     #[inline(never)]
     pub(super) fn limit(&mut self, bend: &Bend) {
         let newest = self.len.saturating_sub(1);
         if let Some((nearest, farthest)) = bend.once {
-            // A slow entry that has left the queue already cannot be found.
+            // If some of these blocks have left the queue, a slow entry among them cannot be found, so no limit is set.
             let Some(first) = newest.checked_sub(farthest).filter(|first| *first > 0) else { return };
             let is_slow = |place| self.block(place).is_some_and(|block| block.corner2 <= bend.speed2);
             if (first..=newest - nearest).any(is_slow) {
@@ -275,8 +279,8 @@ impl<const N: usize> Planner<N> {
             }
         }
         if lowered.first != usize::MAX {
-            // A pass that reaches the settled entries determines them anew anyway. With a jerk limit no entry is
-            // settled.
+            // The lowered blocks matter only to settled entries. A pass that reaches these entries determines them anew
+            // anyway, and with a jerk limit no entry is settled.
             if self.settled < self.changed && self.settled > 0 {
                 self.lowered = self.lowered.and(lowered);
             }
@@ -284,9 +288,10 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Lowers the entries before blocks that bends have lowered since the last pass (places `first` to `end`), as far
-    /// as they change. Settled entries require that the entries of the last pass can only rise. If the settled entry
-    /// drops below its cap, or a block has become steep, no entry counts as settled.
+    /// Recomputes the entries from place `end` back to the last settled one, as far as they change, after bends have
+    /// lowered blocks (places `first` to `end`) since the last pass. Settled entries are final only because the entries
+    /// after them cannot fall. So if the last settled entry falls below its cap, or a block has become steep
+    /// ([`Block::is_steep`]), no entry counts as settled any more.
     #[inline(never)]
     fn lower_settled(&mut self, first: usize, end: usize) {
         let mut exit2 = self.block(end).map_or(0.0, |next| next.entry2);
@@ -302,7 +307,8 @@ impl<const N: usize> Planner<N> {
                     return;
                 }
                 exit2 = lesser(block.max_entry2, reach2);
-                // Among the lowered blocks an unchanged entry ends nothing: one before it may still change.
+                // Stop at an unchanged entry, but only before the lowered blocks: within them, an earlier entry can
+                // still change.
                 if place < first && block.entry2 == exit2 {
                     return;
                 }
@@ -311,8 +317,8 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Plans the blocks appended or limited since the last call: immediately with a jerk limit, otherwise when
-    /// [`Planner::settle`] needs the result.
+    /// Plans the blocks that were appended or limited since the last pass: immediately with a jerk limit, otherwise
+    /// when [`Planner::settle`] needs the result.
     pub(super) fn plan(&mut self) {
         if self.jerk_limited {
             let changed = self.reverse_pass_to_anchors();
@@ -321,8 +327,8 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Updates the exit speed of the first block after blocks were appended or limited: runs the postponed reverse pass
-    /// if settled entries do not make it unnecessary. Only without a jerk limit.
+    /// Updates the exit speed of the first block after blocks were appended or limited: runs the postponed reverse
+    /// pass, unless settled entries make it unnecessary. Only without a jerk limit.
     #[inline]
     pub(super) fn settle(&mut self) {
         if self.changed == usize::MAX {
@@ -375,7 +381,7 @@ impl<const N: usize> Planner<N> {
         let wrapped = (self.first + self.len).saturating_sub(self.blocks.len());
         let upper = self.len - wrapped;
         let Some((low, high)) = self.blocks.split_at_mut_checked(self.first) else { return };
-        // The first block is excluded: it may be running.
+        // The first block is excluded, because it can be running.
         let (Some(low), Some(high)) = (low.get_mut(..wrapped), high.get_mut(1..upper)) else { return };
         let mut walk = Walk { exit2: 0.0, searching: true, settled: 0 };
         if walk.back(low, upper, self.changed) {
@@ -418,7 +424,7 @@ impl<const N: usize> Planner<N> {
             }
             block.entry2 = entry2;
         }
-        // An anchor may also belong at the end of the running block.
+        // The end of the running block can be a better anchor, too.
         self.end_at_border(place.saturating_sub(1), &mut way);
         place
     }
@@ -449,7 +455,7 @@ impl<const N: usize> Planner<N> {
         if let Some(start) = from.checked_sub(within) {
             place = start;
         } else {
-            // The first blocks of this group have left the queue, so it is never used as a whole.
+            // The first blocks of this group have left the queue, so its summary is not used any more.
             place += self.group_size(self.slot(from) - within) - within;
         }
         while place < self.len {
@@ -474,8 +480,8 @@ impl<const N: usize> Planner<N> {
         self.group().min(self.blocks.len() - slot)
     }
 
-    /// Returns the summary of the blocks at a place, and how many they are: a whole group if it begins there and is
-    /// shorter than `distance`, otherwise one block.
+    /// Returns the summary of the blocks at a place, and the count of these blocks. They are a whole group if the group
+    /// begins there and is shorter than `distance`, otherwise they are one block.
     #[inline]
     fn stretch(&self, place: usize, distance: f32) -> Option<(Stretch, usize)> {
         let slot = self.slot(place);
@@ -496,9 +502,9 @@ impl<const N: usize> Planner<N> {
         if place < self.len { self.blocks.get(self.slot(place)) } else { None }
     }
 
-    /// Checks whether a machine `left` mm before the end of the first block may be in this state: whether it can ease
-    /// off its acceleration, or continue to brake, and still meet all later anchors. If so, returns the minimum
-    /// acceleration bound over the distance in which it eases off.
+    /// Checks whether a machine `left` mm before the end of the first block is allowed to be in this state. It is if it
+    /// can ease off its acceleration, or continue to brake, and still meet all later anchors. In that case, returns the
+    /// minimum acceleration bound over the distance in which the machine eases off.
     pub(super) fn allows(&self, state: PathState, left: f32, nominal: f32) -> Option<f32> {
         let first = self.first()?;
         if state.acceleration < 0.0 {
@@ -546,8 +552,8 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Returns the tightest bounds within a distance, of which `left` mm are in the first block, for a machine at a
-    /// speed² that does not rise.
+    /// Returns the tightest bounds within a distance, for a machine at a speed² that does not rise. The first `left` mm
+    /// of the distance are in the first block.
     pub(super) fn bounds_within(&self, distance: f32, left: f32, speed2: f32) -> Bounds {
         let Some(first) = self.first() else { return Bounds::NONE };
         let (mut straight_acceleration, mut curve, mut jerk) = (first.acceleration, first.curve, first.jerk);

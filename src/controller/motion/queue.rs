@@ -18,13 +18,14 @@ use crate::axes::PerAxis;
 use crate::lent::Lent;
 use crate::units::Coordinate;
 
-/// Maximum backlash that is compensated, steps: a hundredth of an inch with 40,000 steps/mm.
+/// Maximum backlash that is compensated, steps: 0.25 mm with 40,000 steps/mm.
 pub(super) const MOST_BACKLASH: i32 = 10_000;
-/// Maximum number of blocks of one move with backlash: the rest of the compensation before a plunge, the beginning of
-/// the move, which is cut off, and the rest of the move.
+/// Maximum number of blocks of one move with backlash: one for the rest of the compensation before a plunge, one for
+/// the beginning of the move, which is cut off, and one for the rest of the move.
 pub(super) const MOST_BLOCKS_OF_A_MOVE: usize = 3;
 
-/// A move with more steps than a block can have. It is divided into equal pieces, each queued when there is room.
+/// A move with more steps than a block can have. It is divided into equal pieces, which are queued one at a time, when
+/// there is room.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LongMove<const N: usize> {
     pub start: PerAxis<Coordinate, N>,
@@ -53,9 +54,11 @@ pub(super) struct MoveQueue<const N: usize> {
     pub limits: AxisLimits<N>,
     pub overrides: OverrideFactors,
     pub end: PathEnd<N>,
-    /// Time of the carried-over length. Not restored when a block is taken back: the length has a single feed then.
+    /// Time of the carried-over length. Not restored when a block is taken back, because all of the length has one feed
+    /// in that case.
     pub carried_time: CarriedTime,
-    /// Offset of the exact end from its steps, in substeps (sevenths of a step); only known after a chord of a curve.
+    /// Offset of the exact end from the steps nearest to it, in substeps (sevenths of a step); only known after a chord
+    /// of a curve.
     pub substep_offset: Option<[i32; N]>,
     pub long: Option<LongMove<N>>,
     pub numbering: Numbering,
@@ -63,9 +66,9 @@ pub(super) struct MoveQueue<const N: usize> {
     pub marked: u8,
     /// The straight moves at the end of the queue, from which their curvature is determined.
     pub chain: Chain<N>,
-    /// The last block, while short moves may be joined to it.
+    /// The last block, while short moves can be joined to it.
     pub join: Join<N>,
-    /// Moves held back because their corners may be rounded.
+    /// Moves held back because their corners can still be rounded.
     pub blend: Blend<N>,
     pub planner: Planner<N>,
 }
@@ -116,8 +119,8 @@ impl<const N: usize> MoveQueue<N> {
         motors
     }
 
-    /// Sets the position from which the next move is measured. The queue must be empty, and the position within the
-    /// step at which it ends.
+    /// Sets the position from which the next move is measured. The queue must be empty, and the step at which it ends
+    /// must be the one nearest to the position.
     pub(super) fn set_position(&mut self, position: &PerAxis<Coordinate, N>) {
         self.end.planned = *position;
         self.end.block_end = *position;
@@ -150,9 +153,11 @@ impl<const N: usize> MoveQueue<N> {
     fn blocks_held(&self) -> usize {
         let pieces = match self.blend.moves().count() {
             0 => return 0,
-            // With the next move there is a corner: five blocks in total.
+            // The next move makes a corner. This move, up to three pieces that cut off the corner, and the next move
+            // are five blocks, of which the next move's own block is not counted here.
             1 => 4,
-            // The next move queues the first corner (four blocks) and makes a second one (five).
+            // The next move causes the first move and its corner to be queued (four blocks), and makes a second corner
+            // (five blocks, less its own).
             _ => 8,
         };
         if self.backlash.is_on() { pieces * MOST_BLOCKS_OF_A_MOVE } else { pieces }

@@ -1,12 +1,12 @@
-//! Decides when moves with a tolerance (G64) are queued. A move may be held back, merged with the next, or queued with
-//! its corner cut off ([`super::blend`]). All held moves are queued as soon as the speed of the first block may depend
+//! Decides when moves with a tolerance (G64) are queued. A move can be held back, merged with the next, or queued with
+//! its corner cut off ([`super::blend`]). All held moves are queued as soon as the speed of the first block can depend
 //! on them.
 //!
 //! Holding moves back costs no time as long as an entry in the queue has reached its maximum speed: speeds before that
-//! entry do not depend on later moves. (The exception is a tight bend among the held moves, for which the machine
-//! brakes as for any bend that is found late.) Once no entry has its maximum speed, or the queue is empty, the held
-//! moves are queued unchanged. So a slow link costs a rounded corner, but no time. Queued moves are never taken back,
-//! so all planned speeds stay valid.
+//! entry do not depend on later moves. (A tight bend among the held moves is an exception: it is found late, and the
+//! machine brakes as hard as necessary for it.) Once no entry has its maximum speed, or the queue is empty, the held
+//! moves are queued unchanged. So if moves arrive slowly, a corner is not rounded, but no time is lost. Queued moves
+//! are never taken back, so all planned speeds stay valid.
 
 use super::arc::Curvature;
 use super::blend::{Blend, HeldMove};
@@ -78,7 +78,7 @@ impl<const N: usize> MoveQueue<N> {
         true
     }
 
-    /// Returns whether a move may be held back for rounding.
+    /// Returns whether a move is suited to be held back for rounding.
     fn may_hold(&self, m: &Move<N>) -> bool {
         let from = self.kinematics.steps(&self.planned_position());
         let steps = self.kinematics.steps(&m.target);
@@ -106,7 +106,7 @@ impl<const N: usize> MoveQueue<N> {
         }
     }
 
-    /// Returns whether the speed of the first block may depend on the held moves.
+    /// Returns whether the speed of the first block can depend on the held moves.
     fn is_end_near(&mut self) -> bool {
         if !self.planner.jerk_limited {
             self.planner.settle();
@@ -136,7 +136,8 @@ impl<const N: usize> MoveQueue<N> {
             (Speed::Feed(before), Speed::Feed(after)) => Speed::Feed(lesser(before, after)),
             (speed, _) => speed,
         };
-        // The ends of the pieces are computed, so they have no rounding of the program (digit 0).
+        // The ends of the pieces are computed, not read from the program, so they are not rounded to its digits: digit
+        // 0.
         let digit = self.chain.program_digit();
         let places = cut.between.iter().flatten().chain(core::iter::once(&cut.last));
         for target in places {
@@ -151,7 +152,8 @@ impl<const N: usize> MoveQueue<N> {
             return;
         }
         let numbering = core::mem::replace(&mut self.numbering, Numbering::Given(held.number));
-        // A whole move is queued as without a tolerance. With backlash compensation, ends are full steps.
+        // The steps follow the exact ends of pieces that were cut. A whole move is queued as if it had no tolerance, so
+        // its ends are full steps. With backlash compensation, all ends are full steps.
         let true_ends = !held.is_whole(&self.end.planned, &piece.target) && !self.backlash.is_on();
         self.put(piece, UNLIMITED2, true_ends);
         self.numbering = numbering;

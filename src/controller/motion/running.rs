@@ -8,7 +8,7 @@ use super::trapezoid::{OFF_CURVE, Pace, Trapezoid, lesser};
 use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{AxisSteps, ToStep};
 
-/// In a hold, a machine that needs more than this time for two units, and can stop within one, stops at once, s.
+/// In a hold, a machine that needs more than this time for two units, s, and can stop within one unit, stops at once.
 const CRAWL_S: f32 = 0.001;
 
 /// The next message about a block to the step task.
@@ -271,15 +271,16 @@ impl<const N: usize> Running<N> {
         Some((Trapezoid { acceleration, nominal2: pace.speed2, exit2: 0.0 }, stop))
     }
 
-    /// Returns the acceleration, units/s². In a bend: the one left at the present speed or the planned exit speed,
-    /// whichever is lower, as the reverse pass assumes. If the bend was found too late, when later blocks relied on all
-    /// of the acceleration, the machine may be too fast for the exit; it then brakes as hard as necessary.
+    /// Returns the acceleration, units/s². In a bend it is the acceleration that the bend leaves at the present speed
+    /// or the planned exit speed, whichever is lower, as the reverse pass assumes. If the bend was found late, later
+    /// blocks were planned with all of the acceleration, so the machine can be too fast for the exit. In that case it
+    /// brakes as hard as necessary.
     #[inline]
     fn acceleration_towards(&self, exit2: f32, pace: Pace, planner: &Planner<N>) -> f32 {
         match planner.first() {
             Some(block) if !block.curve.is_none() => {
                 let speed2 = pace.speed2 / (self.scale * self.scale);
-                // Inlined: a call would make all segments save registers.
+                // Inlined, because a call would make this function save registers for every segment.
                 let planned = block.curve.left_of(block.acceleration, lesser(speed2, exit2)) * self.scale;
                 let (exit2, twice_left) = (exit2 * self.scale * self.scale, 2.0 * self.left() as f32);
                 if pace.speed2 <= (exit2 + planned * twice_left) * OFF_CURVE {

@@ -17,15 +17,15 @@ const SEGMENT_TIME: f32 = 0.001;
 /// override, and how far ahead the reported position can be.
 const STEADY_TIME: f32 = 0.002;
 /// Ratio of acceleration to speed, 1/s, up to which the speed counts as nearly constant: it changes by 1 % within
-/// [`STEADY_TIME`]. With linear intervals the acceleration is proportional to the cube of the speed, hence 1.5 % off at
-/// both ends.
+/// [`STEADY_TIME`]. With linear intervals the acceleration is proportional to the cube of the speed, so it is 1.5 % off
+/// at either end.
 const STEADY: f32 = 5.0;
 /// Ticks per second below which smoothing makes ticks finer, so that the steps of a slow axis jitter by at most 125 us.
 const SMOOTH_RATE: f32 = 8000.0;
 /// [`SMOOTH_RATE`] as a speed in units/s, for ticks of a whole step.
 const COARSEST: f32 = SMOOTH_RATE * UNITS_PER_STEP as f32;
-/// Share of speed²/acceleration that one segment may cover. The speed then changes by a tenth, and linear intervals
-/// follow the curve within 0.3 % (in longer pieces the true intervals are not linear).
+/// Maximum length of a segment as a share of speed²/acceleration. Over this length the speed changes by a tenth, and
+/// linear intervals follow the curve within 0.3 %. In longer segments the true intervals would not be linear.
 const EVEN: f32 = 0.1;
 /// Phases shorter than this many units end on the next tick, longer ones on the next whole step.
 const WHOLE_STEPS: u32 = 4 * UNITS_PER_STEP;
@@ -63,11 +63,12 @@ fn amass_level_for(speed: f32) -> u8 {
     (((below - 1) >> 23) + 1).clamp(0, i32::from(MAX_LEVEL)) as u8
 }
 
-/// Returns the units per tick at `level`, and the number of units that ticks of this size may cover. The ticks are
-/// finer if the position (`done` units after the start of the block) or the `left` units require it.
+/// Returns the units per tick at `level`, and how many units ticks of this size can cover. The ticks are finer if the
+/// position (`done` units after the start of the block) or the `left` units require it.
 #[inline(always)]
 fn grain(level: u8, done: u32, left: u32) -> (u32, u32) {
-    // A coarse tick may only begin at a multiple of its size. Up to there, ticks are as coarse as the position allows.
+    // A tick must begin at a multiple of its size. Up to the next multiple, ticks are only as coarse as the position
+    // allows.
     let mut grain = UNITS_PER_STEP >> level;
     let mut limit = left;
     let astray = done & (grain - 1);
@@ -136,7 +137,7 @@ pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace, scales_po
     let steady = phase.sign == 0.0 || curve.acceleration <= STEADY * speed;
     let time = if steady && !scales_power { STEADY_TIME } else { SEGMENT_TIME };
     let change = phase.sign * curve.acceleration * time;
-    // If braking ends within the time, reach far enough to include all of it.
+    // If the machine would come to rest within the time, reach far enough to include all of the braking.
     let mut reach = if speed + change > 0.0 { (speed + 0.5 * change) * time } else { speed * time };
     if phase.sign != 0.0 {
         // The speed at which the level ends. The change of speed² is twice the acceleration times the distance.
@@ -228,7 +229,8 @@ impl Pacer {
         let least = ticks.saturating_mul(ONE);
         let total = time.saturating_add(self.remainder).max(least);
         let ramp = self.ramp(ramp, total, ticks);
-        // Sum over the ticks: ticks × interval + ramp × ticks × (ticks - 1) / 2, a product that is even.
+        // The sum over the ticks is ticks × interval + ramp × ticks × (ticks - 1) / 2. The product of two neighbouring
+        // numbers is even, so the division is exact.
         let rise = i64::from(ramp) * i64::from(ticks.wrapping_mul(ticks - 1) / 2);
         let flat = (i64::from(total) - rise).max(0) as u64;
         let (interval, remainder) = match u32::try_from(flat) {

@@ -21,12 +21,12 @@ pub const QUEUED_TIME_MS: u32 = 16;
 const FAR_MS: u32 = 4;
 /// Duration of such a wait, ms.
 const WAIT_MS: u32 = 1;
-/// If motion comes to rest with less than this queued, ms, the next motion waits until the step task is at rest. It
-/// then starts with several segments queued. The first segments of a motion are shorter than the time in which a small
+/// If a motion ends at rest with less than this queued, ms, the next motion waits until the step task is at rest, and
+/// starts with several segments queued. The first segments of a motion are shorter than the time in which a small
 /// processor prepares them, so they would be late if they had to follow without a pause.
 const JOIN_MS: u32 = 2;
-/// While motion continues with less than this queued, ms, segments take precedence over lines. Longer than a line
-/// takes, plus the segments of a stop from there.
+/// While motion continues with less than this queued, ms, segments take precedence over lines. This is more than the
+/// time that a line takes, plus that of the segments of a stop that begins after the line.
 const SHORT_MS: u32 = 8;
 /// Duration of the segment that puts the step task to rest when there is nothing to brake, in microseconds.
 const REST_US: u32 = 20;
@@ -233,7 +233,7 @@ impl<const N: usize> SegmentSource<N> {
         if let Some(long) = &mut self.long_tick
             && long.cut.acceleration == 0.0
         {
-            // The pending tick is rescheduled in proportion, as if the speed had changed at once: it is only a
+            // The pending tick is rescheduled in proportion, as if the speed had changed at once: the jump is only a
             // sixteenth of a step.
             let speed = long.cut.units as f32 / long.cut.seconds;
             let changed = square_root(nominal2.min(speed * speed + 2.0 * self.running.acceleration));
@@ -322,7 +322,7 @@ impl<const N: usize> SegmentSource<N> {
         self.emit(&cut, u32::try_from(time).unwrap_or(u32::MAX), planner, backlash)
     }
 
-    /// Returns the interval above which a tick is waited for in parts, in fixed point.
+    /// Returns the interval above which the wait for a tick is divided into parts, in fixed point.
     #[inline]
     fn far(&self) -> u64 {
         u64::from(self.pacer.whole(self.clocks_per_ms * FAR_MS))
@@ -351,7 +351,7 @@ impl<const N: usize> SegmentSource<N> {
         self.hand_over(&cut, &motors, Segment::FLAG_WAIT, wait_fixed, 0, 1, wait)
     }
 
-    /// Returns a segment that moves nothing and puts the step task to rest; the hold is then complete.
+    /// Returns a segment that moves nothing and puts the step task to rest; with this segment the hold is complete.
     #[inline(never)]
     fn rest_here(&mut self, backlash: &Backlash<N>) -> Segment {
         self.long_tick = None;

@@ -1,5 +1,6 @@
 //! Decides which short moves are joined to the last block ([`super::join`]): those that continue its line, if the
-//! speeds planned for earlier blocks stay valid. The last block is then taken back and a longer one queued.
+//! speeds planned for earlier blocks stay valid. To join a move, the last block is taken back and a longer one is
+//! queued.
 
 use super::Move;
 use super::axis_limits::shares;
@@ -10,17 +11,19 @@ use crate::axes::PerAxis;
 use crate::units::{Coordinate, DECIMAL_ONE};
 
 /// Maximum length of a move that is joined, as the sum of its displacements in all axes (0.045 mm). Longer moves remain
-/// separate blocks: 512 of them make a look-ahead of at least 16 mm, in which 100 mm/s are braked at 313 mm/s².
+/// separate blocks. In X and Y, 512 of them make a look-ahead of at least 16 mm, in which a machine at 100 mm/s can
+/// brake to rest at 313 mm/s².
 const MOST_PIECE: i64 = DECIMAL_ONE / 1000 * 45;
 /// Maximum length of a joined move, mm.
 const MOST_JOINED: f32 = 0.5;
-/// Maximum ratio of the path through the points to the straight line. Rounding to digits makes it at most the square
-/// root of 3; beyond that the path winds on purpose.
+/// Maximum ratio of the path through the points to the straight line. Rounding to digits makes the path a staircase, at
+/// most √3 times as long as the line. A longer path winds on purpose.
 const MOST_WINDING: f32 = 1.75;
 
 impl<const N: usize> MoveQueue<N> {
-    /// Call before a move is made a block: takes back the last block if the move continues it, so that the new block
-    /// replaces both. Returns the entry speed² that earlier blocks may rely on; 0 if none was taken back.
+    /// Call before a block is made of a move. If the move continues the last block, takes that block back, so that the
+    /// new block covers both moves. Returns the entry speed² that the plan of earlier blocks relies on; 0 if no block
+    /// was taken back.
     #[inline]
     pub(super) fn join(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, is_line: bool) -> f32 {
         if is_line && !m.no_feed_override && self.is_short(m) {
@@ -93,14 +96,14 @@ impl<const N: usize> MoveQueue<N> {
         self.kinematics.way_of_motors(&place.zip(&self.join.before.block_end, |to, from| (to - from).to_mm()).0)
     }
 
-    /// Adds the end of a move without a step as a point. Returns `false` if nothing can continue the line.
+    /// Adds the end of a move without a step as a point. Returns `false` if no move can continue the line.
     fn pass_by(&mut self, m: &Move<N>) -> bool {
         self.join.path += self.end.distance(&m.target);
         let way = self.way_to(&m.target);
         self.pass_end() && self.join.pass(&way)
     }
 
-    /// Adds the end of the first move as the first point, unless that is done.
+    /// Adds the end of the first move as the first point, unless it has been added already.
     fn pass_end(&mut self) -> bool {
         if !self.join.fresh {
             return true;
@@ -109,10 +112,10 @@ impl<const N: usize> MoveQueue<N> {
         self.join.pass(&end)
     }
 
-    /// Checks whether a move continues the last block within its limits. If so, returns the entry speed² that earlier
-    /// blocks may rely on.
+    /// Checks whether a move continues the last block within its limits. If so, returns the entry speed² that the plan
+    /// of earlier blocks relies on.
     fn continues(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>) -> Option<f32> {
-        // The only block may be running already, or be the next one with its entry speed already given.
+        // A block that is alone in the queue can be running already, or its entry speed can be given already.
         if self.planner.len() < 2 && self.planner.is_entered() {
             return None;
         }
@@ -131,8 +134,8 @@ impl<const N: usize> MoveQueue<N> {
         let own = way.zip(&skipped, |way, skipped| way - skipped);
         let length = square_root(own.iter().fold(0.0, |sum, part| sum + part * part)) + before.length_carry;
         let moved = target_steps.zip(&before.planned_steps, i32::wrapping_sub);
-        // With more steps than the length has room for, `append` would use other limits; without steps there is no
-        // block.
+        // If the new block would be too short for its steps, `append` would use other limits. If there are no steps,
+        // there is no block.
         let too_many = |(steps, mm): (&i32, f32)| (steps.unsigned_abs() as f32 - 0.5) * mm > 1.001 * length;
         if moved.iter().all(|steps| *steps == 0) || moved.iter().zip(self.kinematics.least_mm).any(too_many) {
             return None;
@@ -168,8 +171,8 @@ impl<const N: usize> MoveQueue<N> {
         self.planner.take_back();
     }
 
-    /// Returns whether queued blocks and joined moves together reach the number of blocks. Motion should then start,
-    /// although the queue still has room.
+    /// Returns whether the queued blocks and the joined moves together reach the capacity of the look-ahead. Motion
+    /// should start in that case, although the queue still has room.
     pub(super) fn has_joined_enough(&self) -> bool {
         self.join.moves > 0 && self.planner.len() + self.join.moves >= self.planner.capacity()
     }

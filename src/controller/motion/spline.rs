@@ -55,7 +55,7 @@ pub struct Spline<const N: usize> {
     done: u32,
     /// End of the last chord, relative to the start.
     last: [i64; 2],
-    /// Direction of the curve at the end of the last chord; zero if it has none.
+    /// Direction of the curve at the end of the last chord; the zero vector if the curve has no direction there.
     tangent: [f32; 2],
     curve_radius: f32,
 }
@@ -177,7 +177,7 @@ impl Polygon {
             let at = |share: f32| speed((f32::from(piece) + share) * step);
             sum += 5.0 * (at(0.5 - OUTER) + at(0.5 + OUTER)) + 8.0 * at(0.5);
         }
-        // The sum of the weights is 18, and the derivative is three times the weighted sides.
+        // The sum of the weights is 18, and the derivative is three times the weighted sides: 3/18 = 1/6.
         sum * step / 6.0
     }
 }

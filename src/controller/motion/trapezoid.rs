@@ -25,8 +25,8 @@ pub(super) fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
-/// Returns a / b in a branch that is rarely taken. Without the hint the compiler divides first (14 cycles) and tests
-/// the branch's condition afterwards.
+/// Returns a / b. For divisions in a branch that is rarely taken: without the hint, the compiler divides (14 cycles)
+/// before it tests the branch's condition.
 #[inline]
 pub(super) fn quotient(a: f32, b: f32) -> f32 {
     core::hint::cold_path();
@@ -35,8 +35,8 @@ pub(super) fn quotient(a: f32, b: f32) -> f32 {
 
 /// Relative difference below which two speeds² count as the same: some 30 rounding errors of an `f32`.
 const SAME: f32 = 4.0e-6;
-/// Factor by which a speed² exceeds the falling edge if rounding cannot explain it: the edge has been lowered
-/// meanwhile.
+/// Rounding cannot explain a speed² that exceeds the falling edge by more than this factor. In that case the edge has
+/// been lowered meanwhile.
 pub(super) const OFF_CURVE: f32 = 1.001;
 /// Maximum number of phases in a piece. There are at most three (brake to nominal or accelerate, cruise, brake); the
 /// others are a margin for rounding.
@@ -84,7 +84,8 @@ impl Trapezoid {
         let slope = 2.0 * self.acceleration;
         let brake2 = self.exit2 + slope * left;
         if speed2 >= brake2 * (1.0 - SAME) {
-            // On the falling edge; or above it, in which case the block ends with the speed that remains.
+            // The speed² lies on the falling edge, or above it. If it lies above, the block ends with the speed that
+            // remains.
             let end2 = if speed2 > brake2 * OFF_CURVE { speed2 - slope * left } else { self.exit2 };
             return TrapezoidPhase { sign: -1.0, length: left, end2: greater(end2, self.exit2) };
         }
@@ -105,7 +106,7 @@ impl Trapezoid {
     }
 
     /// Advances by `distance` of the `left` units, beginning in `phase`. Returns the time in seconds and the pace
-    /// afterwards, exactly even from and to rest.
+    /// afterwards. Both are exact from rest and to rest, too.
     #[inline(always)]
     pub(super) fn advance(&self, from: Pace, phase: TrapezoidPhase, left: f32, distance: f32) -> (f32, Pace) {
         let whole = phase.length <= distance;
@@ -118,7 +119,7 @@ impl Trapezoid {
     }
 
     /// Continues [`Trapezoid::advance`] after the first phase, from its time and the pace at its end.
-    // Not inlined: few segments need this, and inlined it would make all of them save more registers.
+    // Not inlined: few segments need this, and inlined code would make every segment save more registers.
     #[inline(never)]
     fn advance_on(self, (mut time, mut pace): (f32, Pace), mut left: f32, mut distance: f32) -> (f32, Pace) {
         for _ in 1..MOST_PHASES {
@@ -156,7 +157,7 @@ impl Trapezoid {
         let sum = from.speed + speed;
         let mut time = 0.0;
         if piece > 0.0 {
-            // The second form is for a very low speed that was rounded to rest.
+            // The second form is for a very low speed that was rounded to 0.
             time = if sum > 0.0 { 2.0 * piece / sum } else { square_root(2.0 * piece / self.acceleration) };
         }
         (time, Pace { speed, speed2 })

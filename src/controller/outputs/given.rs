@@ -1,5 +1,5 @@
 //! The outputs and the wiring as they were last sent, so that only changes are sent. Also records whether any event
-//! since then could have changed them; if not, the controller skips this comparison.
+//! since the last comparison could have changed the outputs; if not, the controller skips the comparison.
 
 use crate::axes::AxisMask;
 use crate::inputs::levels;
@@ -39,13 +39,13 @@ impl Pins {
         self.calm
     }
 
-    /// Marks the outputs as up to date; from here on only motion is in progress.
+    /// Marks the outputs as up to date. Motion alone does not change them.
     #[inline]
     pub(crate) fn calm_down(&mut self) {
         self.calm = true;
     }
 
-    /// Requires a new comparison after an event: a message, a part of a line, a driver switched on.
+    /// Requires a new comparison after an event, such as a message, a part of a line, or a driver that was switched on.
     #[inline]
     pub(crate) fn disturb(&mut self) {
         self.calm = false;

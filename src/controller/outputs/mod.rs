@@ -17,8 +17,8 @@ use crate::states::stops::orders::StopReason;
 use crate::units::Instant;
 
 impl<const N: usize> Controller<N> {
-    /// Returns whether the spin-up time, which ends at `until`, has passed and the spindle is up to speed. If it is not
-    /// up to speed `$916` after `until`, orders an alarm.
+    /// Returns whether the spin-up time, which ends at `until`, has passed and the spindle is up to speed. Orders an
+    /// alarm if the spindle is still not up to speed when the time of `$916` after `until` has passed, too.
     pub(crate) fn has_spun_up(&mut self, until: Instant) -> bool {
         if self.m.now >= until && self.has_no_speed_to_reach() {
             return true;
@@ -30,12 +30,12 @@ impl<const N: usize> Controller<N> {
         spun_up == SpinUp::UpToSpeed
     }
 
-    /// Whether the spindle has no power, for example at S0: then there is no speed to wait for.
+    /// Whether the spindle has no power, for example at S0, so that there is no speed to wait for.
     fn has_no_speed_to_reach(&self) -> bool {
         self.resting_power() == 0
     }
 
-    /// Whether the spindle is up to speed, as far as this is known.
+    /// Whether the spindle is up to speed, as far as the inputs and settings tell.
     pub(crate) fn has_speed(&self) -> bool {
         self.has_no_speed_to_reach()
             || self.m.accessories.is_at_speed(self.m.inputs.signals().at_speed, &self.m.settings)
@@ -60,7 +60,7 @@ impl<const N: usize> Controller<N> {
         self.m.motion.set_mark(mark);
     }
 
-    /// Drops the outputs that wait for a motion, because the job has been aborted or has ended.
+    /// Drops the waiting switches of outputs, because the job has been aborted or has ended.
     pub(crate) fn forget_waiting_outputs(&mut self) {
         let mark = self.m.motion.begun_mark();
         self.m.accessories.digital_mut().forget_waiting(mark);
@@ -72,7 +72,8 @@ impl<const N: usize> Controller<N> {
         Accessories::next_look(until, self.m.now, &self.m.settings)
     }
 
-    /// Switches spindle and coolant off, also in the modal state, which the next line inherits.
+    /// Switches spindle and coolant off. They are also switched off in the modal state, because the next line inherits
+    /// it.
     pub(crate) fn switch_off(&mut self) {
         self.m.accessories.switch_off();
         self.m.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
@@ -98,14 +99,15 @@ impl<const N: usize> Controller<N> {
         )
     }
 
-    /// Whether a laser is off at rest whatever the program says: in a jog, a hold and every other state except normal
-    /// operation and check mode. In Grbl's dialect (0) it stays on.
+    /// Whether a laser is off at rest whatever the program says. It is off in a jog, in a hold and in every other state
+    /// except normal operation and check mode. In Grbl's dialect it stays on.
     fn is_dark_at_rest(&self) -> bool {
         let is_dark = self.m.settings.is_on(Key::Laser) && self.m.settings.is_on(Key::Dialect);
         is_dark && !matches!(self.state, State::Normal | State::Check)
     }
 
-    /// Returns the power of a segment under the present override, which thus also affects queued moves.
+    /// Returns the power of a segment under the present override. Because the override is applied to segments, it also
+    /// affects queued moves.
     #[inline]
     pub(crate) fn overridden_power(&self, power: u16) -> u16 {
         match self.acting_overrides().spindle {
@@ -126,7 +128,7 @@ impl<const N: usize> Controller<N> {
         self.m.motion.set_overrides(f32::from(acting.feed) / 100.0, f32::from(acting.rapid) / 100.0);
     }
 
-    /// Returns direction and speed of the spindle at present; without power it does not turn.
+    /// Returns the present direction and speed of the spindle. Without power it does not turn.
     pub(crate) fn spindle_now(&self) -> (SpindleDirection, f32) {
         let from_segments =
             self.m.settings.is_on(Key::Laser) && !self.m.motion.is_at_rest() && !self.m.accessories.is_suspended();
@@ -160,8 +162,8 @@ impl<const N: usize> Controller<N> {
         self.m.pins.changed_wiring(&self.m.settings, self.m.inputs.wiring(), matches!(self.state, State::Homing(_)))
     }
 
-    /// Whether the motors must have no current, whatever `$1` says: in sleep, and with `$913` until the emergency has
-    /// been acknowledged.
+    /// Whether the motors must have no current, whatever `$1` says. This is so in sleep and, with `$913`, until an
+    /// emergency has been acknowledged.
     fn drivers_held_off(&self) -> bool {
         matches!(self.state, State::Sleep(_))
             || matches!(self.state.alarm(), Some(Alarm::EmergencyStop | Alarm::DriverFault))

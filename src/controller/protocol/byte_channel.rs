@@ -5,10 +5,10 @@
 //!  link ──byte──▶ LineSender ──message──▶ queue ──▶ LineReader ──byte──▶ controller
 //!                    │ sends when full, at a new epoch, or when no more bytes are available (with a limit)
 //! ```
-//! The queue has room for a limited number of messages. To fit [`LINES_DEPTH`](crate::messages::LINES_DEPTH) bytes even
-//! if they arrive one at a time, at most [`MOST_PARTIAL`] messages are sent before they are full. Then bytes wait until
-//! a message is full or the queue is empty. Bytes of another epoch begin a new message; the queue has room for a new
-//! epoch with every line. A host that connects or disconnects costs two messages.
+//! The queue has room for a limited number of messages. So that [`LINES_DEPTH`](crate::messages::LINES_DEPTH) bytes fit
+//! even if they arrive one at a time, at most [`MOST_PARTIAL`] messages are sent before they are full. After that,
+//! bytes wait until their message is full or the queue is empty. Bytes of another epoch begin a new message, and the
+//! queue has room for a new epoch with every line. For each host that connects or disconnects, two messages are used.
 
 use crate::messages::{LineByte, LineBytes, MOST_PARTIAL};
 
@@ -29,8 +29,8 @@ impl Default for LineSender {
 }
 
 impl LineSender {
-    /// Takes a byte. `send` queues a message if there is room. Returns `false` if there was no room and nothing was
-    /// done.
+    /// Takes a byte. `send` queues a message and returns whether there was room for it. Returns `false` if the byte was
+    /// not taken because there was no room.
     #[inline]
     pub fn push(&mut self, byte: LineByte, send: impl FnOnce(LineBytes) -> bool) -> bool {
         if self.gathered.push(byte) {
@@ -44,7 +44,7 @@ impl LineSender {
         sent
     }
 
-    /// Takes undamaged bytes of an epoch from the front as far as there is room. Returns how many.
+    /// Takes undamaged bytes of an epoch, from the front, as long as there is room. Returns how many were taken.
     #[inline]
     pub fn extend(&mut self, epoch: u16, bytes: &[u8], mut send: impl FnMut(LineBytes) -> bool) -> usize {
         let mut count = 0;
@@ -62,7 +62,7 @@ impl LineSender {
     }
 
     /// Sends the gathered bytes, unless the limit of partial messages makes them wait. To be called when no more bytes
-    /// are available. `is_empty`: the queue is empty. Returns whether a message was sent.
+    /// have arrived. `is_empty`: the queue is empty. Returns whether a message was sent.
     #[inline]
     pub fn flush(&mut self, is_empty: bool, send: impl FnOnce(LineBytes) -> bool) -> bool {
         if is_empty {
@@ -100,8 +100,8 @@ impl Default for LineReader {
 }
 
 impl LineReader {
-    /// Returns the epoch and the next bytes as far as they have been received, or no bytes if any in their message is
-    /// damaged.
+    /// Returns the epoch and the remaining bytes of the message being read. Returns no bytes if the message contains a
+    /// damaged byte.
     #[inline]
     pub fn ahead(&self) -> (u16, &[u8]) {
         self.message.undamaged(self.next)
@@ -189,7 +189,7 @@ mod tests {
     }
 
     proptest! {
-        /// Bytes come out as they went in, and a full queue refuses without losing one.
+        /// Bytes come out as they went in. A full queue refuses a byte, and none of the bytes taken before is lost.
         #[test]
         fn bytes_cross_in_their_order(
             steps in proptest::collection::vec((0_u8..10, any::<u8>(), 0_u16..3, any::<bool>()), 0..2000),
@@ -226,7 +226,7 @@ mod tests {
             prop_assert_eq!(crossing.read(), None);
         }
 
-        /// The promised number of bytes fits, however they arrive and whatever was read before.
+        /// `LINES_DEPTH` bytes always fit, however they arrive and whatever was read before.
         #[test]
         fn all_bytes_that_are_promised_fit(
             before in proptest::collection::vec((any::<bool>(), any::<bool>()), 0..600),

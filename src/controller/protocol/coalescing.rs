@@ -1,10 +1,10 @@
-//! Holds replies back briefly, so that several go to the serial task in one message. Each message costs a run of that
-//! task and a packet on the link.
+//! Holds replies back briefly, so that several go to the serial task in one message. The reason is that each message
+//! costs a run of that task and a packet on the link.
 //!
 //! Guarantees:
 //! * An answer is held only while bytes of another line wait to be read. So a host that waits for the answer before it
 //!   sends more is never delayed.
-//! * An answer is held for at most `LONGEST` and one round.
+//! * An answer is held for at most `LONGEST` plus one round of the pump.
 
 use crate::units::{Duration, Instant};
 
@@ -14,7 +14,7 @@ const LONGEST: Duration = Duration::from_ticks(1_000);
 /// Decides whether answers are held back.
 #[derive(Clone, Copy, Debug)]
 pub struct Coalescing {
-    /// When holding back ends.
+    /// The time at which holding back ends.
     until: Instant,
     /// The current round began before `until`.
     is_within: bool,
@@ -27,13 +27,13 @@ impl Default for Coalescing {
 }
 
 impl Coalescing {
-    /// Starts a round of the pump at `now`.
+    /// Starts a round of the pump (the loop of the control task) at `now`.
     #[inline(always)]
     pub fn begin(&mut self, now: Instant) {
         self.is_within = now < self.until;
     }
 
-    /// Records that answers were sent in the round that began at `now`: later answers may be held.
+    /// Records that answers were sent in the round that began at `now`. Answers of the next `LONGEST` can be held.
     #[inline(always)]
     pub fn sent(&mut self, now: Instant) {
         self.until = now + LONGEST;
@@ -62,7 +62,7 @@ mod tests {
     #[test]
     fn answers_are_held_a_millisecond_at_most_and_only_while_lines_wait() {
         let mut answers = Coalescing::default();
-        // The first of a burst goes at once.
+        // The first answer of a burst is sent at once.
         answers.begin(at(5_000));
         assert!(!answers.holds(true));
         // If a round sends nothing, the next round holds nothing either.
@@ -88,7 +88,7 @@ mod tests {
         answers.begin(at(5_100));
         assert!(answers.holds(true));
         answers.release(at(5_100));
-        // Also in a round of the same microsecond.
+        // Nothing is held after the release, not even in the same microsecond.
         answers.begin(at(5_100));
         assert!(!answers.holds(true));
     }

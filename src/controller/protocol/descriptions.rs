@@ -127,7 +127,7 @@ fn data_format(row: &Row, data_type: DataType) -> &'static [u8] {
     }
 }
 
-/// Appends minimum and maximum, as far as they exist.
+/// Appends the minimum and the maximum that the setting has, if any.
 fn range(out: &mut Text, row: &Row, data_type: DataType, between: &[u8]) {
     match row.entry.kind {
         Kind::Whole(least, greatest) | Kind::Tenths(least, greatest)
@@ -155,14 +155,15 @@ fn bound(out: &mut Text, kind: Kind, value: u32) {
     }
 }
 
-/// Appends the name. A per-axis setting has its axis before the name, a homing cycle its number after it.
+/// Appends the name of a setting. The axis of a per-axis setting precedes the name, the number of a homing cycle
+/// follows it.
 pub fn name(out: &mut Text, row: &Row) {
     let axis = row.axis.filter(|_| row.description.group == SettingGroup::Axes);
     if let Some(axis) = axis {
         put(out, &[axis.letter()]);
         put(out, b"-axis ");
         let mut bytes = row.description.name.bytes();
-        // No name here starts with an abbreviation, which would have to keep its capital letter.
+        // No name of a per-axis setting starts with an abbreviation, so the first letter can become small.
         put(out, &[bytes.next().unwrap_or_default().to_ascii_lowercase()]);
         put(out, row.description.name.as_bytes().get(1..).unwrap_or(&[]));
         return;
@@ -199,7 +200,8 @@ pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
     }
 }
 
-/// `[MSG:Values of $32: 0 or 1; ...]`, with Oxmill's equivalents of grblHAL's additional values.
+/// Appends `[MSG:Values of $32: 0 or 1; ...]`. For some settings it says which settings replace grblHAL's additional
+/// values.
 pub fn values_of(out: &mut Text, mut row: Row, board: (u16, u32)) {
     on_board(&mut row, board);
     put(out, b"[MSG:Values of $");
@@ -211,7 +213,7 @@ pub fn values_of(out: &mut Text, mut row: Row, board: (u16, u32)) {
     put(out, END);
 }
 
-/// Text about grblHAL's values other than 0 and 1 of a setting that is only a switch here.
+/// Returns the text about further values that grblHAL has for a setting. Here the setting is only a switch.
 const fn beyond_a_switch(number: u16) -> &'static [u8] {
     match number {
         ENABLE_INVERT => b", for all drivers",
@@ -255,8 +257,9 @@ pub const fn lines(what: Described, axes: usize) -> usize {
     }
 }
 
-/// Narrows a setting to the board's range: minimum length of a step pulse in tenths of a microsecond, and maximum baud
-/// of its UART. The table has the widest range of all boards.
+/// Narrows the range of a setting to that of the board, because the table has the widest range of all boards. The board
+/// is given by its minimum length of a step pulse, in tenths of a microsecond, and by the maximum baud rate of its
+/// UART.
 fn on_board(row: &mut Row, (least_pulse_tenths, most_baud): (u16, u32)) {
     match &mut row.entry.kind {
         Kind::Tenths(least, _) => *least = u32::from(least_pulse_tenths),
@@ -266,7 +269,7 @@ fn on_board(row: &mut Row, (least_pulse_tenths, most_baud): (u16, u32)) {
 }
 
 /// Appends one line of a description. `board`: minimum length of a step pulse in tenths of a microsecond, and maximum
-/// baud of the UART.
+/// baud rate of the UART.
 pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: usize, board: (u16, u32)) {
     match what {
         Described::Settings(format) => match (header(format), line) {
@@ -295,7 +298,8 @@ pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: 
     }
 }
 
-/// `[SETTINGGROUP:number|parent|name]`: first the groups, then a group for each axis.
+/// Appends `[SETTINGGROUP:number|parent|name]`. The first lines are the groups of the table; after them each axis has a
+/// group.
 fn group(out: &mut Text, line: usize) {
     let group = SettingGroup::ALL.get(line);
     put(out, b"[SETTINGGROUP:");
@@ -312,7 +316,7 @@ fn group(out: &mut Text, line: usize) {
     put(out, END);
 }
 
-/// `[ERRORCODE:number||text]`, `[ALARMCODE:number||text]`.
+/// Appends `[ERRORCODE:number||text]` or `[ALARMCODE:number||text]`.
 fn code(out: &mut Text, head: &[u8], number: u8, text: &str) {
     put(out, head);
     whole(out, u64::from(number));
@@ -336,7 +340,7 @@ mod tests {
         (0..lines(what, 3)).map(|wanted| text(what, wanted)).collect()
     }
 
-    /// The line of a setting in one format.
+    /// Returns the line of a setting in one format.
     fn of(number: u16, format: Format) -> String {
         let found = (0..Settings::<3>::LINES)
             .find(|line| Settings::<3>::described(*line, 3).is_some_and(|row| row.number == number));
@@ -363,7 +367,7 @@ mod tests {
             of(904, Format::Tabs),
             "904\tKinematics\t\tradiobuttons\tCartesian,CoreXY\t0 Cartesian, 1 CoreXY\t\t\r\n"
         );
-        // On a board with another minimum pulse.
+        // A board with another minimum pulse shows its own range.
         let mut out = Text::new();
         line::<3>(&mut out, Described::Settings(Format::Tabs), 1, 3, (5, 1_000_000));
         assert_eq!(out, b"0\tStep pulse\tus\tfloat\t##0.0\t0.5 to 255 in tenths\t0.5\t255\r\n");

@@ -1,5 +1,6 @@
-//! `Floor`: arbitrates between two hosts. The holder's lines are read, and the holder gets the replies. A host claims
-//! the floor, seizes it by a reset, and leaves it; a `weak` holder does not keep the other host out.
+//! `Floor`: arbitrates between two hosts. One of them holds the floor: its lines are read, and it gets the replies. A
+//! host claims the floor, seizes it by a reset, and leaves it when it disconnects. A `weak` holder does not keep the
+//! other host out.
 
 /// The host that has the floor: its lines are read, and it gets the replies. Realtime commands do not need the floor.
 #[derive(Clone, Debug)]
@@ -10,7 +11,7 @@ pub(super) struct Floor {
 }
 
 impl Floor {
-    /// Replies go to link 0 until a host claims the floor; the first claim succeeds.
+    /// No host has claimed the floor. Replies go to link 0, and the first claim succeeds.
     pub const fn new() -> Self {
         Self { holder: 0, weak: true }
     }
@@ -26,9 +27,9 @@ impl Floor {
         self.holder == link && !self.weak
     }
 
-    /// Claims the floor for the host of `link`. Returns whether that host has it then. `free`: the machine has nothing
-    /// to do for the holder. `firm`: the host opens its port or sends a line. With only a realtime command the host
-    /// gets the reply, but does not keep the other host out.
+    /// Claims the floor for the host of `link`. Returns whether that host has the floor afterwards. `free`: the machine
+    /// has nothing to do for the holder. `firm`: the host opens its port or sends a line. A host that sends only a
+    /// realtime command gets the reply, but does not keep the other host out.
     pub fn claim(&mut self, link: usize, free: bool, firm: bool) -> bool {
         if self.weak || free {
             self.holder = link;
@@ -44,7 +45,7 @@ impl Floor {
         true
     }
 
-    /// Weakens the floor if the host of `link`, which has disconnected, is the holder.
+    /// Records that the host of `link` has disconnected. If it is the holder, it no longer keeps the other host out.
     pub fn leave(&mut self, link: usize) {
         self.weak |= self.holder == link;
     }
@@ -67,7 +68,7 @@ mod tests {
         assert!(floor.claim(1, false, true));
         assert!(!floor.claim(0, false, true));
         assert_eq!(floor.holder(), 1);
-        // The machine is idle: any host may claim.
+        // While the machine is idle, any host can claim the floor.
         assert!(floor.claim(0, true, true));
         assert!(floor.claim(0, false, true) && !floor.claim(1, false, true));
         floor.leave(1);
@@ -82,7 +83,7 @@ mod tests {
     fn a_question_keeps_nobody_out() {
         let mut floor = Floor::new();
         assert!(floor.claim(1, false, true));
-        // Realtime commands of the holder change nothing.
+        // A realtime command of the holder does not make it weak.
         assert!(floor.claim(1, false, false) && !floor.claim(0, false, false));
         floor.leave(1);
         assert!(floor.claim(0, false, false));

@@ -1,4 +1,4 @@
-//! Notices a host that has gone silent. A UART does not report a pulled cable, so every byte of a line and every
+//! Notices a host that has gone silent, because a UART does not report a pulled cable. Every byte of a line and every
 //! realtime command counts as a sign of life.
 
 use crate::units::{Duration, Instant};
@@ -30,7 +30,8 @@ impl Heartbeat {
         left_jog: false,
     };
 
-    /// Updates the count of received bytes (wrapping), which excludes commands. A change is a sign of life.
+    /// Updates the count of received bytes (wrapping), in which commands are not included. A change of the count is a
+    /// sign of life.
     #[inline]
     pub fn observe(&mut self, bytes: u16) {
         self.heard |= bytes != self.bytes;
@@ -43,7 +44,7 @@ impl Heartbeat {
         self.heard = true;
     }
 
-    /// Allows silence. The silent time starts at the first [`Heartbeat::is_silent`] after this.
+    /// Allows silence. From the next call of [`Heartbeat::is_silent`] on, the time of silence is measured anew.
     #[inline]
     pub fn rest(&mut self) {
         self.silent_at = None;
@@ -65,19 +66,19 @@ impl Heartbeat {
         self.left_jog = left_jog;
     }
 
-    /// Returns whether the host left during a jog, and clears that.
+    /// Returns whether the host left during a jog, and clears that record.
     pub fn take_left_jog(&mut self) -> bool {
         core::mem::take(&mut self.left_jog)
     }
 
-    /// Records whether the host left while a job was about to be resumed. `false` also clears
+    /// Records whether the host left while a job was about to be resumed. `false` also clears the record of
     /// [`Heartbeat::set_left_jog`].
     pub fn set_gone(&mut self, gone: bool) {
         self.gone = gone;
         self.left_jog &= gone;
     }
 
-    /// Returns whether the host left while a job was about to be resumed, and clears that.
+    /// Returns whether the host left while a job was about to be resumed, and clears that record.
     pub fn take_gone(&mut self) -> bool {
         core::mem::take(&mut self.gone)
     }
@@ -106,7 +107,7 @@ mod tests {
         assert!(heartbeat.is_silent(at(600), longest));
         heartbeat.hear();
         assert!(!heartbeat.is_silent(at(700), longest));
-        // The count wraps.
+        // A smaller count is also a sign of life, because the count wraps.
         heartbeat.observe(6);
         assert!(!heartbeat.is_silent(at(800), longest));
         assert_eq!(heartbeat.silent_at(), Some(at(1300)));

@@ -1,15 +1,15 @@
-//! Decides which received bytes are still valid, and assembles them into lines. Complete lines pass the checksum, if
-//! lines are checked.
+//! Decides which received bytes are still valid, and assembles them into lines. If lines are checked, also verifies the
+//! checksum of each complete line.
 //!
-//! Realtime commands and line bytes arrive through two queues without mutual order. Each byte carries the epoch in
-//! which it was received ([`LineByte`]); each soft reset (Ctrl-X), stop and jog cancel opens a new epoch:
+//! Realtime commands and line bytes arrive through two queues, so their mutual order is lost. Each byte carries the
+//! epoch in which it was received ([`LineByte`]); each soft reset (Ctrl-X), stop and jog cancel opens a new epoch:
 //!
 //! ```text
 //!  byte of a later epoch      its command is still in the other queue: the byte is held until the command arrives
 //!  byte before a reset        dropped
 //!  jog before a jog cancel    not executed (the line is read and answered)
 //! ```
-//! Reset button, feed hold and door open no epoch. They use the number of bytes received so far instead: the button
+//! Reset button, feed hold and door open no epoch. They act on the bytes received so far, by their number: the button
 //! drops these bytes, and hold and door cancel the jogs among them.
 
 use super::heartbeat::Heartbeat;
@@ -20,13 +20,13 @@ use crate::error::Error;
 use crate::messages::{HOST_CHANGED, LineByte};
 
 /// Maximum distance between the current epoch and `reset_epoch` or `jog_epoch`: the number of resets, stops and jog
-/// cancels that may occur while a line waits unread.
+/// cancels that can occur while a line waits unread.
 pub(crate) const EPOCHS: u16 = 1 << 14;
 
 /// Result of taking a byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Taken {
-    /// Bytes before this one were lost: the first loss in this line.
+    /// Bytes before this one were lost. Set only at the first loss in a line.
     pub lost: bool,
     /// The byte was a [`HOST_CHANGED`]: later bytes are from another host.
     pub cut: bool,
@@ -51,9 +51,9 @@ pub struct LineIntake {
     reset_epoch: u16,
     /// The epoch of the last jog cancel: jogs of older epochs are dropped.
     jog_epoch: u16,
-    /// Number of received bytes that a reset button still drops.
+    /// Number of bytes still to be dropped because they were received before the reset button was pressed.
     drop_bytes: u16,
-    /// The rest of the current line is dropped, because its start was.
+    /// The rest of the current line is dropped, because the start of the line was dropped.
     drop_rest: bool,
     /// Number of bytes received before a hold or a door ended a jog: jogs among these bytes are dropped.
     jog_bytes: u16,
@@ -61,7 +61,7 @@ pub struct LineIntake {
     line_epoch: u16,
     /// The current line began before a hold or a door ended a jog.
     line_before_cancel: bool,
-    /// The last jog was ended by 0x85, which keeps the jogs sent after it.
+    /// The last jog was ended by 0x85, so jogs that were sent after this byte are executed.
     keeps_later_jogs: bool,
     line: Line,
     check: LineChecksum,
@@ -111,20 +111,23 @@ impl LineIntake {
     }
 
     /// Fast path of [`LineIntake::take`] for a byte of ordinary text that need not be held or dropped. Returns whether
-    /// the byte was taken. The epoch of the line is not recorded, because only jogs need it: the `$` of a jog always
-    /// goes to [`LineIntake::take`], where the line still counts as empty, even after blanks.
+    /// the byte was taken. The epoch of the line is not recorded here. Only jogs need it, and the `$` of a jog always
+    /// goes to [`LineIntake::take`], which records the epoch because the line is still empty at that point, even after
+    /// blanks.
     #[inline]
     pub fn take_plain(&mut self, byte: LineByte) -> bool {
         byte.epoch == self.epoch && !byte.damaged && self.line.push_plain(byte.byte)
     }
 
-    /// Takes bytes of one epoch from the front as long as [`LineIntake::take_plain`] takes them. Returns how many.
+    /// Takes bytes of one epoch, from the front, as long as [`LineIntake::take_plain`] would take them. Returns how
+    /// many were taken.
     #[inline]
     pub fn take_text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
         if epoch == self.epoch { self.line.push_plain_text(bytes) } else { 0 }
     }
 
-    /// Fast path of [`LineIntake::take`] for an LF that ends a line of ordinary text. Returns whether the byte was one.
+    /// Fast path of [`LineIntake::take`] for an LF that ends a line of ordinary text. Returns whether the byte was such
+    /// an LF.
     #[inline]
     pub fn take_end(&mut self, byte: LineByte) -> bool {
         let ends = byte.byte == b'\n'
@@ -146,7 +149,7 @@ impl LineIntake {
             self.held = Some(byte);
             return Taken::NOTHING;
         } else if is_before(byte.epoch, self.reset_epoch) {
-            // A button, a hold or a door may have counted this byte since.
+            // A button, a hold or a door after that reset can have counted this byte.
             self.drop_bytes = self.drop_bytes.saturating_sub(1);
             self.jog_bytes = self.jog_bytes.saturating_sub(1);
             return Taken::NOTHING;
@@ -154,8 +157,8 @@ impl LineIntake {
         let before_cancel = self.jog_bytes > 0;
         self.jog_bytes = self.jog_bytes.saturating_sub(1);
         if self.drop_bytes > 0 || self.drop_rest {
-            // The byte was received before the reset button. The line that contains the last such byte is dropped to
-            // its end.
+            // The byte was received before the reset button was pressed, or belongs to a line with such a byte. That
+            // line is dropped to its end.
             self.drop_bytes = self.drop_bytes.saturating_sub(1);
             self.drop_rest = !matches!(byte.byte, b'\n' | b'\r' | HOST_CHANGED);
             if byte.byte == HOST_CHANGED {
@@ -169,7 +172,7 @@ impl LineIntake {
             self.check.end();
             return Taken { cut: true, ..Taken::NOTHING };
         }
-        // Reported once for each line, however many bytes are lost.
+        // A loss is reported once for each line, however many bytes are lost.
         let lost = byte.damaged && self.line.damage();
         if byte.damaged {
             self.check.damage();
@@ -227,7 +230,8 @@ impl LineIntake {
         self.check.fail(error);
     }
 
-    /// Returns the error of the checked line that was refused for its content; it answers every later checked line.
+    /// Returns the error of the checked line that was refused for its content. Every later checked line gets this
+    /// error.
     pub fn failed(&self) -> Option<Error> {
         self.check.failed()
     }
@@ -237,7 +241,7 @@ impl LineIntake {
         self.check.answer(text)
     }
 
-    /// Returns whether `byte`, taken next, would be dropped because it was received before a reset or a stop.
+    /// Returns whether `byte`, if taken next, would be dropped because it was received before a reset or a stop.
     pub fn is_old(&self, byte: LineByte) -> bool {
         if self.holds() || is_before(self.epoch, byte.epoch) {
             return false;
@@ -246,13 +250,14 @@ impl LineIntake {
         by_button || is_before(byte.epoch, self.reset_epoch)
     }
 
-    /// Returns whether `byte`, taken next, would have to wait: for the command that opens its epoch, or after a held
-    /// byte.
+    /// Returns whether `byte`, if taken next, would have to wait for the command that opens its epoch, or for a held
+    /// byte before it.
     pub fn is_ahead(&self, byte: LineByte) -> bool {
         self.holds() || byte.byte != HOST_CHANGED && is_before(self.epoch, byte.epoch)
     }
 
-    /// Returns whether a byte is held for its realtime command. No other byte may be taken before it.
+    /// Returns whether a byte is held until its realtime command arrives. No other byte may be taken before the held
+    /// one.
     pub fn holds(&self) -> bool {
         self.held.is_some()
     }
@@ -288,18 +293,18 @@ impl LineIntake {
         self.line.message()
     }
 
-    /// Discards the current line, which has been read or is void.
+    /// Discards the current line, because it has been read or must not be executed.
     pub fn clear(&mut self) {
         self.line.clear();
         self.check.clear();
     }
 
-    /// Returns whether the current line, a jog, was sent before the end of a jog was ordered.
+    /// For a current line that is a jog: whether it was sent before the last order to end a jog.
     pub fn is_jog_stale(&self) -> bool {
         self.line_before_cancel || is_before(self.line_epoch, self.jog_epoch)
     }
 
-    /// Returns whether the current line, a jog, was sent after the 0x85 that ends the jog before it.
+    /// For a current line that is a jog: whether it was sent after the 0x85 that ends the jog before it.
     pub fn is_jog_behind_cancel(&self) -> bool {
         self.keeps_later_jogs && !self.is_jog_stale()
     }
@@ -314,8 +319,8 @@ impl LineIntake {
         }
     }
 
-    /// Handles a reset or a stop: bytes sent before it are dropped by their epoch. This includes the bytes that a reset
-    /// button drops, so their count is cleared.
+    /// Handles a reset or a stop: bytes sent before it are dropped by their epoch. Among them are the bytes that the
+    /// reset button drops by their count, so this count is cleared.
     pub fn reset(&mut self) {
         self.epoch = self.epoch.wrapping_add(1);
         self.reset_epoch = self.epoch;
@@ -324,7 +329,7 @@ impl LineIntake {
         self.drop_rest = false;
         self.jog_bytes = 0;
         self.clear();
-        // An LF received next ends a line of its own, whatever preceded the reset.
+        // An LF received next ends a line of its own, even if a CR preceded the reset.
         self.line.separate();
     }
 
@@ -344,8 +349,8 @@ impl LineIntake {
         self.keep_epochs_near();
     }
 
-    /// Handles a jog cancel (0x85): jogs sent before it become stale, including those not yet read. Later jogs are
-    /// valid.
+    /// Handles a jog cancel (0x85): jogs sent before it become stale, including those that have not been read yet.
+    /// Later jogs are valid.
     pub fn cancel_jogs(&mut self) {
         self.epoch = self.epoch.wrapping_add(1);
         self.jog_epoch = self.epoch;
@@ -353,7 +358,7 @@ impl LineIntake {
         self.keep_epochs_near();
     }
 
-    /// Ends a jog without opening an epoch: none of the jogs in the `received` unread bytes may move.
+    /// Ends a jog without opening an epoch. The jogs in the `received` unread bytes must not move.
     pub fn end_received_jogs(&mut self, received: u16) {
         self.jog_bytes = received;
         self.line.expect_plain(false);
@@ -367,16 +372,16 @@ impl LineIntake {
         self.line.expect_plain(false);
     }
 
-    /// Handles the reset button: like 0x18, but without an epoch. The `received` unread bytes are dropped by their
-    /// count.
+    /// Handles the reset button, which acts like 0x18 but opens no epoch. The `received` unread bytes are dropped by
+    /// their count.
     pub fn drop_received(&mut self, received: u16) {
         self.drop_bytes = received;
         self.line.separate();
         self.line.expect_plain(false);
     }
 
-    /// Limits the distance of older epochs. Epochs are compared by their signed difference, so the distance must stay
-    /// below half of the range.
+    /// Keeps `reset_epoch` and `jog_epoch` within `EPOCHS` of the current epoch. Epochs are compared by their signed
+    /// difference, so their distance must stay below half of the range.
     fn keep_epochs_near(&mut self) {
         for older in [&mut self.reset_epoch, &mut self.jog_epoch] {
             if self.epoch.wrapping_sub(*older) > EPOCHS {
@@ -465,21 +470,22 @@ mod tests {
         let mut intake = LineIntake::new();
         intake.drop_received(6);
         assert_eq!(give(&mut intake, b"G0\nG1 X5\nG4\n", 0), ["G4"]);
-        // A reset after the button drops the bytes by their epoch, and none of the later ones.
+        // A reset after the button drops the bytes by their epoch, and no later bytes.
         intake.drop_received(6);
         intake.reset();
         assert_eq!(give(&mut intake, b"G1X1", 0), [""; 0]);
         assert_eq!(give(&mut intake, b"G4\n", 1), ["G4"]);
-        // The reverse order: the bytes that a reset drops are also counted by the button after it.
+        // In the reverse order, the button also counts the bytes that the reset before it drops.
         intake.reset();
         intake.drop_received(4);
         assert_eq!(give(&mut intake, b"G1X1", 1), [""; 0]);
         assert_eq!(give(&mut intake, b"G4\n", 2), ["G4"]);
-        // Bytes that were dropped with their host are not dropped from the next host's.
+        // Bytes that were dropped together with their host no longer count, so no bytes of the next host are dropped in
+        // their place.
         intake.drop_received(6);
         intake.observe(0, 0);
         assert_eq!(give(&mut intake, b"G4\n", 2), ["G4"]);
-        // An LF after the dropped bytes ends a line of its own, whatever preceded them.
+        // An LF after the dropped bytes ends a line of its own, even if a CR preceded them.
         assert_eq!(give(&mut intake, b"G4\r", 2), ["G4"]);
         intake.drop_received(1);
         assert_eq!(give(&mut intake, b"\n\n", 2), [""]);
@@ -520,7 +526,7 @@ mod tests {
         give_jog(&mut intake, 1);
         assert!(!intake.is_jog_stale(), "the next was received later");
         assert!(!intake.is_jog_behind_cancel(), "no 0x85 has come since");
-        // Bytes that the reset button drops are subtracted from those counted for the hold.
+        // Bytes that the reset button drops no longer count as received before the hold.
         intake.clear();
         intake.end_received_jogs(6);
         intake.drop_received(6);
@@ -546,7 +552,7 @@ mod tests {
         assert_eq!(intake.take(byte(b'\n', 0), rules), Taken { pushed: Pushed::TooLong, ..Taken::NOTHING });
     }
 
-    /// A user may cancel a jog at each release of a key, for as long as the machine is on.
+    /// The epochs wrap in normal use, because a sender can send a jog cancel at each release of a key.
     #[test]
     fn epochs_wrap() {
         let mut intake = LineIntake::new();
@@ -579,7 +585,7 @@ mod tests {
             act(&mut self.whole);
         }
 
-        /// Passes a byte to both. Returns whether the byte has ended a line.
+        /// Passes a byte to both intakes. Returns whether the byte has ended a line.
         fn give(&mut self, byte: LineByte) -> bool {
             let rules = || LineRules { block_delete: self.lines % 4 == 3, ..rules() };
             let brief = if self.brief.take_plain(byte) {
@@ -591,7 +597,7 @@ mod tests {
             };
             assert_eq!(brief, self.whole.take(byte, rules), "{byte:?}");
             let seen = |intake: &LineIntake| {
-                // A damaged line is not executed.
+                // Only complete jogs are compared, because a damaged line is not executed.
                 let is_jog = brief.pushed == Pushed::Complete && intake.text().starts_with(b"$J=");
                 let jog = is_jog.then(|| (intake.is_jog_stale(), intake.is_jog_behind_cancel()));
                 let message = intake.message().map(|(has_values, text)| (has_values, text.to_vec()));
@@ -609,7 +615,7 @@ mod tests {
             ends
         }
 
-        /// Passes bytes by the fast path as far as possible. Returns how many were taken.
+        /// Passes as many bytes as possible by the fast path. Returns how many were taken.
         fn give_text(&mut self, epoch: u16, text: &[u8]) -> usize {
             let taken = self.brief.take_text(epoch, text);
             for text in &text[..taken] {

@@ -9,32 +9,33 @@
 //!  │  └ number of the line, modulo 4096: 0 for the first after `$LC=ON`
 //!  └ marks a checked line
 //! ```
-//! **Sessions.** After `$LC=ON` a host may append four letters of its choice. The CRC then covers these letters, the
-//! whole line number in eight digits, the length and the text. So a line of another session never passes, nor does a
-//! line that is 4096 numbers old: the difference is a burst of at most 32 bits. Without the letters, a line that late
-//! may pass.
+//! **Sessions.** After `$LC=ON` a host may append four letters of its choice. With letters, the CRC covers the letters,
+//! the whole line number in eight digits, the length and the text. So a line of another session never passes, nor does
+//! a line that is 4096 numbers old, because what differs is a burst of at most 32 bits. Without letters, a line that is
+//! 4096 numbers old can pass.
 //!
 //! **Letters.** N, L and C are hexadecimal digits, written as the letters `ABDGHKNPSUVZcefi`. Any two of these differ
-//! in two bits, and each differs in at least two bits from a line end and from every realtime command that acts. For
-//! the same reason text is in capitals, and characters that differ in one bit from such a command are written as small
-//! letters (`SUBSTITUTES`): `8` is one bit away from 0x18, and `1` from `!`.
+//! in two or more bits. Each of them also differs in two or more bits from a line end and from every realtime command
+//! that acts, so that one damaged bit turns no letter into any of these. For the same reason text is in capitals, and
+//! characters that are one bit away from such a command are written as small letters (`SUBSTITUTES`): `8` is one bit
+//! away from 0x18, and `1` from `!`.
 //!
 //! **Detected errors.**
-//! * One or two damaged bits always. If a byte becomes a command or is dropped, the length is wrong. If a byte becomes
-//!   a line end, both parts of the line are refused.
-//! * As long as each byte remains a byte of its line: up to four damaged bits (texts of up to 250 bytes), and bursts of
-//!   up to 32 bits within the text.
+//! * One or two damaged bits are always detected. If a byte becomes a command or is dropped, the length is wrong. If a
+//!   byte becomes a line end, both parts of the line are refused.
+//! * As long as each byte remains a byte of its line, up to four damaged bits are detected (in texts of up to 250
+//!   bytes), and bursts of up to 32 bits within the text.
 //! * Of all other errors, one in 4,000 million passes.
 //!
 //! **Answers** have the same form and contain the number of the line that is expected next. They confirm all lines
 //! before that number, so a lost answer does no harm. Only the expected line is executed. A line that was already
-//! taken, or an empty line (a query), is answered `known`; any other line [`Error::DamagedLine`]. After a line was
-//! refused for its content, nothing is executed until `$LC=ON` starts again: each answer is that error.
+//! taken, or an empty line (a query), is answered `known`; any other line is answered [`Error::DamagedLine`]. After a
+//! line was refused for its content, no line is executed until `$LC=ON` starts again, and each answer is that error.
 //!
 //! Checking ends with `$LC=OFF`, with another dialect and with another host. `$LC=ON` and `$LC=OFF` may be sent as
-//! plain lines. A reset and a stop also end checking, but only after the next line end: two damaged bits may have
-//! turned a byte into that command, and the bytes up to the next line end may be the rest of its line. They are
-//! refused.
+//! plain lines. A reset and a stop also end checking, but the bytes up to the next line end are still refused. The
+//! reason is that two damaged bits can have turned a byte of a line into that command, so that the bytes after it are
+//! the rest of that line.
 
 use super::text::{END, Text, put};
 use crate::error::Error;
@@ -77,20 +78,20 @@ const SESSION: usize = 4;
 /// Result of checking a completed line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// The line may be executed: it is the expected one, or lines are not checked.
+    /// The line may be executed, because it is the expected one or lines are not checked.
     Valid,
-    /// The line is empty or was already taken: it is only answered.
+    /// The line is only answered, because it is empty or was already taken.
     Known,
     /// The line is refused.
     Damaged,
 }
 
-/// Returns whether `letters` may follow `$LC=ON`: the letters of a session, or nothing.
+/// Returns whether `letters` are valid after `$LC=ON`: they are the letters of a session, or empty.
 pub fn is_session(letters: &[u8]) -> bool {
     letters.is_empty() || letters.len() == SESSION && letters.iter().all(u8::is_ascii_uppercase)
 }
 
-/// The part of the CRC that precedes the line number.
+/// The CRC of the session's letters, with which the CRC of every line begins.
 #[derive(Clone, Copy, Debug)]
 struct Session {
     /// CRC of the session's letters.
@@ -108,7 +109,7 @@ impl Session {
         Self { start, is_named: !letters.is_empty() }
     }
 
-    /// Returns the CRC including the number of a line.
+    /// Returns the CRC of the letters and the number of a line.
     fn check(&self, number: u32) -> Crc {
         let mut crc = self.start;
         let mut letters = Text::new();
@@ -126,7 +127,7 @@ pub struct LineChecksum {
     session: Session,
     /// A reset or stop has ended checking: everything up to the next line end is refused.
     lapsed: bool,
-    /// Error of the line that was refused for its content.
+    /// Error of the checked line that was refused for its content.
     failed: Option<Error>,
     /// Number of bytes of the current line, including its header.
     place: u16,
@@ -177,7 +178,7 @@ impl LineChecksum {
         self.wanted.is_some()
     }
 
-    /// Returns whether the end of a line has to be checked.
+    /// Returns whether `finish` has to check lines.
     #[inline]
     pub fn looks_at_end(&self) -> bool {
         self.is_on() || self.lapsed
@@ -199,19 +200,20 @@ impl LineChecksum {
         self.is_whole = false;
     }
 
-    /// Records that the line taken last was refused for its content.
+    /// Records that the last completed line was refused for its content.
     pub fn fail(&mut self, error: Error) {
         if self.is_on() && error != Error::DamagedLine {
             self.failed = Some(error);
         }
     }
 
-    /// Returns the error of the line that was refused for its content; it answers every later line.
+    /// Returns the error of the line that was refused for its content. Every later line gets this error.
     pub fn failed(&self) -> Option<Error> {
         self.failed
     }
 
-    /// Takes a byte of a line other than its end. Returns the character it stands for, if the byte belongs to the text.
+    /// Takes a byte of a line other than its end. Returns the character that the byte stands for, if it belongs to the
+    /// text.
     #[inline]
     pub fn take(&mut self, byte: u8) -> Option<u8> {
         if self.is_on() { self.take_checked(byte) } else { Some(byte) }
@@ -252,7 +254,7 @@ impl LineChecksum {
         Some(meant.map_or(byte, |(_, character)| *character))
     }
 
-    /// Returns how many numbers the line is before the expected one, modulo 4096.
+    /// Returns by how much the line's number is lower than the expected one, modulo 4096.
     fn behind(&self) -> u16 {
         (self.wanted.unwrap_or(0) as u16).wrapping_sub(self.number) % NUMBERS
     }
@@ -280,7 +282,7 @@ impl LineChecksum {
         if line.place == 0 && line.is_whole {
             return Verdict::Known;
         }
-        // A host that does not expect checking can end it.
+        // These commands may be plain lines, so that a host that does not expect checking can end it.
         let begins = text.strip_prefix(b"$LC=ON").is_some_and(is_session);
         if (begins || text == b"$LC=OFF") && line.place == text.len() as u16 {
             return Verdict::Valid;
@@ -326,7 +328,7 @@ fn digits(out: &mut Text, value: u32, count: usize) {
 /// CRC-32 of IEEE 802.3, bit by bit. `JAMCRC` is the same without the last inversion, so its result can be continued.
 const JAMCRC: crc::Crc<u32, crc::NoTable> = crc::Crc::<u32, crc::NoTable>::new(&crc::CRC_32_JAMCRC);
 
-/// The CRC of the bytes so far, not yet inverted.
+/// The CRC of the bytes so far, before the last inversion.
 #[derive(Clone, Copy, Debug)]
 struct Crc(u32);
 
@@ -335,7 +337,7 @@ impl Crc {
 
     #[inline]
     fn add(&mut self, byte: u8) {
-        // The crate takes an initial value with its bits in the order of the polynomial.
+        // The crate expects the bits of the initial value in reverse order.
         let mut digest = JAMCRC.digest_with_initial(self.0.reverse_bits());
         digest.update(&[byte]);
         self.0 = digest.finalize();
@@ -476,7 +478,7 @@ mod tests {
         }
     }
 
-    /// A line may be delayed for any length of time.
+    /// Lines can be delayed for any length of time.
     #[test]
     fn no_line_of_another_session_or_round_passes() {
         let mut host = Host::of("QKXW");
@@ -498,7 +500,7 @@ mod tests {
         go_on(&mut host, 70_000);
         host.line_of("QKXW", 69_999, "G91G1X1").line_of("QKXW", 70_000 - 65_536, "G91G1X1");
         assert_eq!(host.answers[host.answers.len() - 2..], [Known, Damaged]);
-        // The same lines are refused in the next session.
+        // A line of this session is refused in the next session.
         host.send(b"$LC=ONABCD\n");
         host.intake.begin_check(b"ABCD");
         host.answers.clear();
@@ -513,7 +515,7 @@ mod tests {
         {
             assert_eq!(is_session(text.as_bytes()), is, "{text}");
         }
-        // A host that does not expect checking.
+        // A host that does not expect checking sends its own `$LC` lines in plain form.
         let mut host = Host::of("QKXW");
         host.send(b"$LC=ON\n$LC=ONABCD\n$LC=OFF\n$LC=ONAB\n");
         assert_eq!(host.answers, [Valid, Valid, Valid, Damaged]);
@@ -526,7 +528,8 @@ mod tests {
         assert_eq!(host.answers, [Damaged, Known, Known, Damaged, Damaged, Damaged]);
         host.send(b"$LC=OFF\n$lc=on\n");
         assert_eq!(host.taken, ["$LC=OFF", "$LC=ON"]);
-        // A header resets the memory of a CR, so the LF of the empty line is a line end of its own.
+        // The LF after the header is not the second half of a CR LF, although the last byte before the header was a CR.
+        // So it ends the checked line 0, which has no text.
         host.send(b"\r").line(0, "").line(1, "M5");
         assert_eq!(host.taken, ["$LC=OFF", "$LC=ON", "", "M5"]);
     }
@@ -556,7 +559,7 @@ mod tests {
         assert_eq!(crc(*b"123456789"), 0xCBF4_3926, "the check value of CRC-32");
     }
 
-    /// Returns whether one damaged bit turns a byte into a command that moves, stops or switches anything.
+    /// Returns whether one damaged bit can turn a byte into a command that moves, stops or switches anything.
     fn is_near_a_command(byte: u8) -> bool {
         (0..8).any(|bit| command(byte ^ (1 << bit)).is_some_and(|command| command != Realtime::Status))
     }
@@ -594,8 +597,8 @@ mod tests {
                 host.send(&damaged).send(&second);
                 let is_reset = host.commands.iter().any(|command| matches!(command, Realtime::Reset | Realtime::Stop));
                 if is_reset {
-                    // The rest of the line is refused. A whole line after it is taken as a plain line, which is
-                    // invalid.
+                    // The rest of the line is refused. A checked line after that is read as a plain line, which is an
+                    // error.
                     assert!(host.taken.iter().all(|text| text.starts_with(':')), "{one} {other}: {:?}", host.taken);
                     continue;
                 }
@@ -610,9 +613,10 @@ mod tests {
         }
     }
 
-    /// Up to four damaged bits. One damaged bit makes a digit of the sum invalid, so a valid change of one digit takes
-    /// at least two bits, and at most two are left for the covered bytes. The test shows that one or two damaged
-    /// covered bits change the sum in more than one digit, and that three or four always change the sum.
+    /// Up to four damaged bits. The sum consists of digits that differ in two or more bits, so to change one digit into
+    /// another takes two of the four bits. That leaves two for the covered bytes, the number, length and text. The test
+    /// shows that one or two damaged bits of the covered bytes change the sum in more than one digit, and that three or
+    /// four always change the sum.
     #[test]
     fn no_four_damaged_bits_pass() {
         const COVERED: usize = NUMBER + super::LENGTH + 250;
@@ -626,7 +630,8 @@ mod tests {
             all.extend(single[..n].iter().map(|other| one ^ other));
         }
         assert!(!all.iter().any(|difference| in_one_digit(*difference)));
-        // All differences are distinct, so no two of them (up to four bits) cancel out.
+        // These are the differences that one or two damaged bits cause. All are distinct, so no two of them cancel out,
+        // and three or four damaged bits always cause a difference, too.
         let count = all.len();
         all.sort_unstable();
         all.dedup();
@@ -634,7 +639,7 @@ mod tests {
     }
 
     proptest! {
-        /// The lines differ in a burst of 32 bits, which the CRC always detects.
+        /// The lines of two sessions differ in the letters, a burst of 32 bits, which the CRC always detects.
         #[test]
         fn no_line_of_another_session_passes(
             [session, other] in prop::array::uniform2("[A-Z]{4}"), text in "[A-Z0-9.]{0,60}", number in 0..3_u32,
@@ -665,7 +670,7 @@ mod tests {
             prop_assert_eq!(check.finish(b"text"), Damaged);
         }
 
-        /// Whatever arrives, only lines that were sent run, in order and once.
+        /// Whatever arrives, only lines that were sent are executed, in order and each once.
         #[test]
         fn nothing_else_runs(
             order in prop::collection::vec(0..6_u16, 1..40),
@@ -691,7 +696,7 @@ mod tests {
         }
     }
 
-    /// A byte of a line became a reset: the rest of the line is not executed.
+    /// If a byte of a line has become a reset, the rest of the line is not executed.
     #[test]
     fn nothing_runs_behind_a_reset_in_mid_line() {
         for reset in [0x18, 0x19] {
@@ -707,7 +712,7 @@ mod tests {
                 damaged[at] = byte;
             }
         }
-        // The reset button, with the text still to be received.
+        // The reset button is pressed while the text of the line is still to be received.
         let mut host = Host::new();
         let whole = line(7, "G0Z-5");
         host.send(&whole[..14]);

@@ -9,7 +9,7 @@ pub const LENGTH: usize = 256;
 /// Maximum number of bytes kept of a remark in parentheses, including its keyword (`MSG,`). Excess bytes are cut off.
 pub const MESSAGE_LENGTH: usize = 80;
 
-/// Whether the excess of a line that is too long is reported.
+/// Whether this build reports by how much a line is too long.
 const COUNTS_EXCESS: bool = cfg!(feature = "reasons");
 
 /// What a byte completed.
@@ -28,49 +28,50 @@ pub enum Pushed {
 pub struct LineRules {
     /// Maximum length of a line, in bytes, without blanks and remarks.
     pub length: usize,
-    /// Whether CR LF is one line end (Grbl takes it for two).
+    /// Whether CR LF is one line end (in Grbl it is two).
     pub merge_crlf: bool,
     /// Whether a remark may contain pairs of parentheses (in Grbl the first `)` ends it).
     pub nested_remarks: bool,
-    /// Whether a slash after a bracket or `#` is kept: it divides, or is an error. If dropped, two numbers would be
-    /// joined.
+    /// Whether a slash after a bracket or `#` is kept, as a division or an error. Without the slash, two numbers would
+    /// be joined.
     pub expressions: bool,
-    /// Whether a line that begins with a slash, or with its line number and a slash, is skipped. A slash elsewhere is
-    /// then kept, and is an error. (Grbl drops the slash and executes the rest.)
+    /// Whether a line that begins with a slash, or with its line number and a slash, is skipped. With this rule, a
+    /// slash elsewhere is kept and is an error. (Grbl drops the slash and executes the rest.)
     pub block_delete: bool,
 }
 
 /// A line being received.
 #[derive(Clone, Debug)]
 pub struct Line {
-    /// The text: the first `len` bytes are valid. A `Vec` would store its length with each byte.
+    /// The text: the first `len` bytes are valid. This is no `Vec`, because a `Vec` would write its length to memory
+    /// for each byte.
     text: [u8; LENGTH],
     len: usize,
     comment: Comment,
-    /// The latest remark in parentheses, up to its capacity.
+    /// The latest remark in parentheses, as far as it fits.
     remark: heapless::Vec<u8, MESSAGE_LENGTH>,
     overflow: bool,
-    /// Number of bytes that did not fit; takes no memory if it is not reported.
+    /// Number of bytes that did not fit; takes no memory in builds that do not report it.
     excess: [u16; COUNTS_EXCESS as usize],
     /// A remark of the line contained parentheses.
     nested: bool,
     /// Bytes of the line were lost.
     damaged: bool,
     after_cr: bool,
-    /// Length below which bytes may take the fast path; 0 disables the fast path.
+    /// The fast path is allowed while the line is shorter than this; 0 disables the fast path.
     plain: u8,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Comment {
     None,
-    /// Until the `)` that follows this many inner `)`.
+    /// Remark up to the `)` that follows this many inner `)`.
     Parentheses(u8),
-    /// The same, after at least one inner `)`.
+    /// The same, but at least one inner `)` has been seen.
     Nested(u8),
-    /// Until the end of the line.
+    /// Remark up to the end of the line.
     Semicolon,
-    /// After a dropped slash: the number of its switch, 1 to 9, is dropped too.
+    /// After a dropped slash. The number of the block-delete switch, 1 to 9, is dropped too if it follows.
     Slash,
 }
 
@@ -80,8 +81,8 @@ impl Default for Line {
     }
 }
 
-/// Maps each byte of the fast path to its text: digits, letters as capitals, points, minus signs and blanks; 0 for
-/// others.
+/// Maps each byte that can take the fast path to its text: digits, letters (as capitals), points, minus signs and
+/// blanks. All other bytes are 0.
 #[allow(clippy::indexing_slicing, reason = "the compiler computes it")]
 const PLAIN: [u8; 256] = {
     let mut plain = [0; 256];
@@ -149,7 +150,7 @@ impl Line {
         self.expect_line(plain && self.len > 0);
     }
 
-    /// As [`Line::expect_plain`], but also for the first text of this line or the next.
+    /// Like [`Line::expect_plain`], but the fast path can also be enabled for the first text of a line.
     #[inline]
     pub fn expect_line(&mut self, plain: bool) {
         let in_text = plain && self.comment == Comment::None && !self.after_cr;
@@ -167,7 +168,7 @@ impl Line {
         self.nested
     }
 
-    /// Returns whether the line has no remark that may contain a message.
+    /// Returns whether the line has no remark that could contain a message.
     #[inline]
     pub fn has_no_remark(&self) -> bool {
         self.remark.is_empty()
@@ -177,12 +178,13 @@ impl Line {
     /// line.
     pub fn damage(&mut self) -> bool {
         self.overflow = true;
-        // The next LF may end another line than the CR before the loss.
+        // After the loss, an LF can belong to another line than the CR before it.
         self.after_cr = false;
         !core::mem::replace(&mut self.damaged, true)
     }
 
-    /// Records a byte that is neither text nor line end: an LF after it is not the second half of a CR LF.
+    /// Records that a byte came that is neither text nor line end, so that an LF after it is not the second half of a
+    /// CR LF.
     pub fn separate(&mut self) {
         self.after_cr = false;
     }
@@ -194,7 +196,7 @@ impl Line {
         self.push_plain_text(&[byte]) > 0
     }
 
-    /// The same for several bytes, from the front. Returns how many were taken.
+    /// Like `push_plain` for several bytes, from the front. Returns how many were taken.
     #[inline]
     pub fn push_plain_text(&mut self, bytes: &[u8]) -> usize {
         let most = usize::from(self.plain);
@@ -218,8 +220,8 @@ impl Line {
         taken
     }
 
-    /// Takes the next byte. `rules` is called only for the few bytes that need the rules. After `Complete` or `TooLong`
-    /// the caller reads the text and then calls [`Line::clear`].
+    /// Takes the next byte. `rules` is called only for the few bytes whose treatment depends on the rules. After
+    /// `Complete` or `TooLong` the caller reads the text and then calls [`Line::clear`].
     #[inline]
     pub fn push(&mut self, byte: u8, rules: impl Fn() -> LineRules) -> Pushed {
         let second_of_crlf = byte == b'\n' && self.after_cr && rules().merge_crlf;
@@ -293,8 +295,8 @@ impl Line {
         begins || !divides && !rules.block_delete
     }
 
-    /// Makes a line invalid whose nested remark has not ended: its intended end is unknown, and so is the text to be
-    /// executed. The text becomes one that is an error in every dialect.
+    /// Makes a line invalid whose nested remark has not ended. Where the remark should end is unknown, and so is the
+    /// text to be executed. The text is replaced by one that is an error in every dialect.
     #[inline(never)]
     fn refuse_remark(&mut self) {
         if let Some(place) = self.text.first_mut() {

@@ -2,9 +2,11 @@
 //! elsewhere.
 //!
 //! * [`link`] takes the bytes of one host. [`realtime`] finds commands, and [`remark`] distinguishes them from the text
-//!   of remarks. A host may have to wait for the machine. [`owed`] keeps commands for which the queue has no room.
-//! * [`byte_channel`] carries bytes of lines to the control task. [`intake`] drops invalid bytes, [`line_filter`] makes
-//!   lines of the others, [`line_checksum`] checks the lines, and [`heartbeat`] notices a silent host.
+//!   of remarks. While a queue is full, a link holds bytes if its host can wait; [`owed`] keeps commands of a link that
+//!   cannot wait.
+//! * [`byte_channel`] carries bytes of lines to the control task. [`intake`] drops bytes that are no longer valid,
+//!   [`line_filter`] makes lines of the other bytes, [`line_checksum`] checks the lines, and [`heartbeat`] notices a
+//!   silent host.
 //! * [`system`] parses `$` lines.
 //! * [`report`] prints replies with [`text`]. [`descriptions`] prints settings and errors in words, and [`recording`]
 //!   prints `$REC`. [`replies`] keeps replies until they are sent, and [`coalescing`] groups them into messages.

@@ -3,21 +3,22 @@
 
 use crate::messages::Realtime;
 
-/// Commands from a link that cannot wait, for which the queue had no room. While any is owed, nothing else is queued:
-/// so owed commands act after everything queued before them and before everything received later.
+/// Commands from a link that cannot wait, for which the queue had no room. While a command is owed, no other command is
+/// queued. So owed commands act after all commands queued before them, and before all commands received later.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Owed(pub u32);
 
 impl Owed {
     const DOOR: u32 = 1 << 16;
     const HOLD: u32 = 1 << 17;
-    /// Mask of the count of resets. Each of them has also been counted as a stop. The largest count is 6000: the bytes
-    /// received in half a second, the longest time that `control` may take.
+    /// Mask of the count of resets. For each of these resets a stop of the step task has also been requested. The count
+    /// does not overflow: `control` reads it at least every half second, the limit of the watchdog, and in that time a
+    /// UART receives 50,000 bytes at 1,000,000 baud.
     const RESETS: u32 = 0xFFFF;
 
-    /// Returns the owed commands with `command` added, or `None` if `command` may be lost. A hold and a door are kept
-    /// once each. A reset voids the holds and doors before it. 0x19 and a jog cancel are kept as resets, because each
-    /// opens an epoch that later lines depend on.
+    /// Returns the owed commands with `command` added, or `None` if the loss of `command` does no harm. A hold and a
+    /// door are kept once each. A reset removes the holds and doors before it. 0x19 and a jog cancel are kept as
+    /// resets, because each opens an epoch on which later lines depend.
     pub fn with(self, command: Realtime) -> Option<Owed> {
         match command {
             Realtime::FeedHold => Some(Owed(self.0 | Self::HOLD)),

@@ -1,5 +1,6 @@
-//! Finds realtime commands in the received bytes, anywhere in a line: `command` maps a byte to its command, and
-//! `byte_of` is the inverse. Every other byte is part of a line or ignored (`Received`). Runs in the serial task.
+//! Finds realtime commands in the received bytes, anywhere in a line. `command` maps a byte to its command, and
+//! `byte_of` is the inverse. A byte that is no command is part of a line or ignored (`Received`). Runs in the serial
+//! task.
 
 use crate::messages::Realtime;
 

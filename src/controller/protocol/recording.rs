@@ -37,7 +37,7 @@ pub fn piece(out: &mut Text, hz: u32, piece: &Recorded) {
 }
 
 /// Appends a time, converted from microseconds to ticks of the step clock. Whole seconds are converted separately, so
-/// that days do not overflow.
+/// that times of many days do not overflow.
 #[inline(never)]
 fn moment(out: &mut Text, hz: u32, time: u64) {
     let hz = u64::from(hz);
@@ -53,7 +53,7 @@ fn stored(out: &mut Text, record: &Record) {
     }
 }
 
-// The following functions have many callers that rarely run: they are optimised for size.
+// The following functions are optimised for size, because they have many callers, which rarely run.
 
 #[inline(never)]
 fn put_count(out: &mut Text, value: u64) {
@@ -160,7 +160,7 @@ fn entry(out: &mut Text, entry: &Noted) {
     }
 }
 
-/// Appends flags, blocks, tool, inputs, then step counter and position of each axis, then the words.
+/// Appends flags, blocks, tool and inputs, after them step counter and position of each axis, and last the words.
 fn put_standing(out: &mut Text, standing: &Standing, blocks: u32) {
     put(out, b"state ");
     let letters = [(standing.trusted, b't'), (standing.locked, b'l'), (standing.inches, b'i')];

@@ -1,5 +1,5 @@
 //! Queue of text for the host, sent in order and in chunks, with room reserved for the answer to the line being
-//! executed. Also decides when a status report is due, and which of its rare fields it carries.
+//! executed. Also decides when a status report is made, and which of the rare fields it has.
 
 use super::report::{RareFields, is_answer, is_of_one_host};
 use super::text::PIECE;
@@ -9,27 +9,27 @@ use crate::messages::{Chunk, Restart};
 const BYTES: usize = 1024;
 /// Free bytes required before a listing, a status report or a line begins.
 const RESERVE: usize = 2 * PIECE;
-/// Additional free bytes required for a status report directly after another one. So lines and listings get room
+/// Additional free bytes required for a status report directly after another one. So lines and listings find room
 /// between reports, however often a host sends `?`.
 const BETWEEN_REPORTS: usize = 64;
-/// Bytes reserved for the answer to the line being executed. The longest is the answer to a checked line.
+/// Bytes reserved for the answer to the line being executed. The answer to a checked line is the longest one.
 const ANSWER: usize = 64;
 
 /// Replies that wait to be sent, and reports that are due.
-// Small fields first: one instruction reaches 4 KiB from the base of the controller.
+// Small fields come first, because one instruction reaches only 4 KiB from the base of the controller.
 #[derive(Clone, Debug)]
 #[repr(C)]
 pub struct Replies {
     /// Hosts that have disconnected (wrapping).
     hosts_gone: u16,
-    /// A startup line was echoed: its answer follows on the same line.
+    /// A startup line was echoed, and its answer follows on the same line of text.
     echoed: bool,
     /// `?` was received and has not been answered.
     status_due: bool,
     /// The text queued last is a status report.
     reported: bool,
     rare_fields: RareFields,
-    /// The host has read the record of the failure before this start (`$RC`).
+    /// The host has read, by `$RC`, why the machine was restarted.
     restart_told: bool,
     restart: Restart,
     /// Index of the first waiting byte in `ring`.
@@ -98,11 +98,11 @@ impl Replies {
     }
 
     /// Queues text. Long text must wait for [`Replies::has_room`]; alarms and messages cannot wait, but are short. Only
-    /// a flood of resets can fill the queue. A text that does not fit is then dropped as a whole, except the answer to
-    /// the line being executed, which always fits.
+    /// a flood of resets can fill the queue. A text that does not fit is dropped as a whole. The answer to the line
+    /// being executed always fits.
     ///
-    /// `hosts_cut`: as for [`Replies::has_host_left`]. Answers to lines of a disconnected host are dropped: the next
-    /// host would take them for its own.
+    /// `hosts_cut`: as for [`Replies::has_host_left`]. Answers to lines of a disconnected host are dropped, because the
+    /// next host would take them for answers to its own lines.
     pub fn push(&mut self, text: &[u8], hosts_cut: u16) {
         let unheard = self.has_host_left(hosts_cut) && !self.echoed && is_of_one_host(text);
         let free = BYTES - self.waiting;
@@ -121,8 +121,8 @@ impl Replies {
         self.waiting += text.len();
     }
 
-    /// Removes and returns the next bytes to be sent. Called before each segment, so the common empty case makes no
-    /// call.
+    /// Removes and returns the next bytes to be sent. Inlined as far as the check for an empty queue, because it is
+    /// called before each segment and the queue is mostly empty.
     #[inline]
     pub fn next_chunk(&mut self) -> Option<Chunk> {
         if self.waiting == 0 { None } else { Some(self.chunk()) }
@@ -146,7 +146,7 @@ impl Replies {
         self.status_due = true;
     }
 
-    /// Returns whether a status report must be made now, and if so clears the request.
+    /// Returns whether a status report is to be made now, and in this case clears the request.
     #[inline]
     pub fn take_status(&mut self) -> bool {
         let needed = if self.reported { RESERVE + BETWEEN_REPORTS } else { RESERVE };
@@ -155,7 +155,7 @@ impl Replies {
         now
     }
 
-    /// Cancels a due report after a reset, and lets the next report carry all rare fields.
+    /// After a reset: cancels a requested report, and lets the next report have all rare fields.
     pub fn reset(&mut self) {
         self.rare_fields = RareFields::DUE;
         self.status_due = false;
@@ -171,7 +171,7 @@ impl Replies {
         self.rare_fields.overrides_changed();
     }
 
-    /// Returns whether the report made now carries `WCO` and `Ov`, in this order.
+    /// Returns whether the report made now has the field `WCO`, and whether it has `Ov`.
     pub fn rare_fields(&mut self, busy: bool) -> (bool, bool) {
         self.rare_fields.next(busy)
     }
@@ -181,8 +181,8 @@ impl Replies {
         self.restart = restart;
     }
 
-    /// Returns the failure to report after a welcome line. It is reported after each welcome line until the host reads
-    /// the record with `$RC`, because a report may not have arrived.
+    /// Returns the failure to report after a welcome line. The failure is reported after each welcome line until the
+    /// host reads the record with `$RC`, because a single report can be lost.
     pub fn failure(&self) -> Option<&Restart> {
         (self.restart.is_failure() && !self.restart_told).then_some(&self.restart)
     }

@@ -74,8 +74,8 @@ pub enum Format {
 }
 
 impl System<'_> {
-    /// Checks whether Grbl has the command. If not, the error is the one that Grbl returns, because it reads the
-    /// command's letter as the number of a setting.
+    /// Checks whether Grbl has the command. Grbl reads the letter of an unknown command as the number of a setting, so
+    /// it returns one of these errors; this function returns the same one.
     ///
     /// # Errors
     /// [`Error::BadNumber`], [`Error::InvalidStatement`].
@@ -112,13 +112,13 @@ pub enum Described {
 pub enum Restore {
     /// The settings.
     Settings,
-    /// Coordinate systems, G28 and G30.
+    /// Coordinate systems, G28, G30 and the tool table.
     Coordinates,
-    /// Everything, including startup lines and build info.
+    /// Settings, coordinate systems, G28, G30, tools, startup lines, macros and build info.
     All,
 }
 
-/// States in which a `$` command is allowed. Checked before the rest of the line is read.
+/// States in which a `$` command is allowed. They are checked before the rest of the line is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Allowed {
     /// In any state.
@@ -129,7 +129,7 @@ pub enum Allowed {
     ForJog,
 }
 
-/// Returns the states in which a line is allowed, by its first letters. The line begins with `$`.
+/// Returns the states in which a line is allowed, judged by its first letters. The line begins with `$`.
 pub fn allowed(line: &[u8]) -> Allowed {
     match line.get(1) {
         None | Some(b'$' | b'G' | b'C' | b'X' | b'L') => Allowed::Always,
@@ -194,7 +194,7 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
             }
         }
         Some(b'M') if rest.is_empty() => Ok(System::Macros),
-        // An unknown command, like every letter that Grbl does not have: `BadNumber`.
+        // A wrong number is `BadNumber`, like every letter that Grbl does not have.
         Some(b'M') => {
             let (index, line) = numbered(rest).map_err(|_| Error::BadNumber)?;
             Ok(System::SetMacro(usize::from(index), line))
@@ -207,7 +207,8 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
     }
 }
 
-/// Parses the rest of a `$E` line. An unknown rest is an unknown command, as all `$E` commands are in Grbl.
+/// Parses the rest of a `$E` line. If the rest is unknown, so is the command, and the error is that of Grbl, which has
+/// no `$E` command.
 fn describe(rest: &[u8]) -> Result<System<'_>, Error> {
     Ok(System::Describe(match rest {
         b"" => return Ok(System::Refusal),

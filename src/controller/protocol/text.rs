@@ -1,4 +1,4 @@
-//! Prints numbers without `core::fmt`, which would cost many KiB of flash. Digits are the same on every machine.
+//! Prints numbers without `core::fmt`, which would cost many KiB of flash. The digits are the same on every machine.
 
 use crate::units::Coordinate;
 
@@ -71,7 +71,8 @@ pub fn length(out: &mut Text, value: Coordinate, inches: bool) {
 /// Appends a non-negative real number, rounded half up. Scales by hundreds and tens in `f32` as Grbl does, so that
 /// settings print with the same last digit.
 pub fn real(out: &mut Text, value: f32, places: u32) {
-    // From 1000 up, scaling the whole value would lose the last digit: the printed value would not read back unchanged.
+    // From 1000 up the whole part is not scaled: `f32` would lose the last digit, and the printed value would not be
+    // read back unchanged.
     let whole = if value < 1000.0 { 0 } else { value as u64 };
     let mut scaled = value - whole as f32;
     let mut left = places;

@@ -14,12 +14,12 @@
 //! Bytes of a line are gathered first, and written to the ring with the line end, before the controller gets it. So a
 //! reset loses at most the last bytes of an unfinished line, which has had no effect yet.
 //!
-//! RAM contents are random after power-up: marks, consecutive numbers and sums identify valid pages.
+//! RAM contents are random after power-up, so a page is valid only if its mark, number and sum are right.
 //!
 //! After a reset, the recording from before the reset is kept and nothing is recorded, until an unlocked machine
-//! receives a line of a program. `$` lines (reading settings, unlocking, jogging, homing) do not end that.
+//! receives a line of a program. `$` lines (reading settings, unlocking, jogging, homing) do not start a new recording.
 //!
-//! `?` is not recorded: hosts send it continually, and it changes nothing.
+//! `?` is not recorded, because hosts send it continually and it changes nothing.
 
 use crate::dispatch::Controller;
 use crate::messages::{
@@ -42,8 +42,8 @@ const PLAIN: usize = 64;
 /// Maximum bytes of a line end with its time entry.
 const LINE_END: usize = 1 + 10 + 1;
 
-/// Upper bound of the time from a turn of the control task until a failed turn is ended: the watchdog needs half a
-/// second, or two seconds.
+/// Upper bound of the time from a turn of the control task until the end of a turn that fails. (The watchdog ends a
+/// turn after half a second or two seconds.)
 const LONGEST_TURN_US: u32 = 10_000_000;
 
 /// Basis and prime of 32-bit FNV-1a, here applied to whole words.
@@ -91,7 +91,7 @@ impl Page {
     /// A page without contents.
     pub const EMPTY: Page = Page { mark: 0, number: 0, time: 0, state: 0, bytes: [0; ROOM] };
 
-    /// Returns the pages as bytes in RAM (little-endian): for tests of what a reset or a power-up leaves.
+    /// Returns the pages as the bytes in RAM (little-endian), for tests of what a reset or a power-up leaves.
     pub fn bytes_of(pages: &[Page]) -> impl Iterator<Item = u8> {
         pages.iter().flat_map(|page| {
             let head = page.mark.to_le_bytes().into_iter().chain(page.number.to_le_bytes());
@@ -169,7 +169,7 @@ fn add_to_sum(sum: u32, byte: u8) -> u32 {
 }
 
 /// Packs epoch, damage and byte into a word, with the epoch highest, so that the plain bytes of an epoch are a range of
-/// words. Before the rotation, the parts are in the order of the fields in memory.
+/// words. Before the rotation, the parts are in the order of the fields in memory, which makes the packing cheap.
 #[inline(always)]
 fn word_of(byte: LineByte) -> u32 {
     (u32::from(byte.epoch) | u32::from(byte.byte) << 16 | u32::from(byte.damaged) << 24).rotate_left(16)
@@ -178,13 +178,13 @@ fn word_of(byte: LineByte) -> u32 {
 /// State of reading the ring.
 #[derive(Clone, Debug)]
 struct Reading {
-    /// Number of the page being read, if any.
+    /// `Page::number` of the page being read, if any.
     number: Option<u32>,
     at: usize,
     time: u64,
     /// The line being assembled.
     line: heapless::Vec<u8, { Noted::HOST_BYTES }>,
-    /// Number of stored records listed so far; `None` once all are listed.
+    /// Count of stored records listed so far; `None` once all records are listed.
     records: Option<u16>,
     begun: bool,
 }
@@ -197,21 +197,21 @@ pub struct Recorder<P> {
     slot: usize,
     number: u32,
     time: u64,
-    /// Number of resets, stops and jog cancels passed to the controller, counted as in the epochs of line bytes.
+    /// Count of resets, stops and jog cancels passed to the controller, as in the epochs of line bytes.
     epoch: u16,
     /// Lowest plain byte of the current epoch, in the form of [`word_of`]: see [`Recorder::expect_plain`].
     plain_from: u32,
     /// Bytes not yet in the ring: plain bytes of a line, or a time entry.
     next: heapless::Vec<u8, PLAIN>,
-    /// Epoch of the last reset or stop: bytes of older epochs are dropped.
+    /// Epoch of the last reset or stop. Bytes of older epochs are dropped.
     reset_epoch: u16,
     /// A byte that arrived before the command that opened its epoch.
     early: Option<u8>,
     /// The ring holds the recording from before the reset, which is kept.
     kept: bool,
-    /// A line has begun whose bytes are not recorded.
+    /// A line has begun whose bytes are not recorded, and it has not ended yet.
     in_line: bool,
-    /// Something was recorded since the last record of a machine at rest.
+    /// Something was recorded since the machine was last recorded at rest.
     news: bool,
     /// No recorded state can start a replay, so the next state at rest must be recorded.
     wants_standing: bool,
@@ -219,7 +219,7 @@ pub struct Recorder<P> {
     blocks: u32,
     /// Value of `blocks` when it was last recorded.
     blocks_recorded: u32,
-    /// Number of the page with the latest `Standing` entry.
+    /// `Page::number` of the page with the latest `Standing` entry.
     standing_in: u32,
     reading: Reading,
 }
@@ -276,7 +276,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         if self.page(number).is_none_or(|page| page.mark == CLOSED) {
             return;
         }
-        // The time of the recording is that of its last entry.
+        // Read to the end, because the time of the recording is that of its last entry.
         self.rewind();
         while self.next_entry().is_some() {}
         self.time = self.reading.time;
@@ -284,7 +284,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         let (mut place, mut line, mut kind) = ([0; 3], 0, Noted::NO_CRASH);
         if let Some(crash) = &restart.crash {
             let passed = crash.moment.wrapping_sub(self.time as u32);
-            // `crash.moment` is the time of the turn before the failed one, so the last entry may be later.
+            // `crash.moment` is the time of the turn before the failed one, so the last entry can be later. In that
+            // case `passed` is close to `u32::MAX`, and the time stays as it is.
             if passed <= u32::MAX - LONGEST_TURN_US {
                 self.time_to(self.time + u64::from(passed));
             }
@@ -351,7 +352,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 
     // Writing
 
-    /// Sets the plain bytes: those of the current epoch, or none while the recording is kept.
+    /// Sets which bytes are plain: those of the current epoch, or no bytes while an old recording is kept.
     fn expect_plain(&mut self) {
         // Bit 15 is never set in the word of a byte, so this makes the range empty.
         let kept = u32::from(self.kept) << 15;
@@ -437,8 +438,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.put_tagged(tag, rest);
     }
 
-    /// Records text of an epoch that the controller has taken at `now`. May be called after the controller has taken
-    /// it, because text changes nothing that the recorder reads from the controller.
+    /// Records text of an epoch that the controller has taken at `now`. Can be called after the controller has taken
+    /// the text, because text changes nothing that the recorder reads from the controller.
     #[inline]
     pub fn record_text<const N: usize>(&mut self, now: Instant, epoch: u16, text: &[u8], controller: &Controller<N>) {
         // The whole text is plain.
@@ -454,7 +455,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
     }
 
-    /// Records an event for the controller at `now`. To be called before the controller gets it.
+    /// Records an event for the controller at `now`. To be called before the controller gets the event.
     #[inline(always)]
     pub fn record<const N: usize>(&mut self, now: Instant, event: &Event<N>, controller: &Controller<N>) {
         match event {
@@ -505,7 +506,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         if (epoch.wrapping_sub(self.reset_epoch) as i16) < 0 {
             return;
         }
-        // A jog sent before a jog cancel does not move, like a damaged line.
+        // A jog sent before a jog cancel is not carried out, so it is recorded like a damaged line.
         if damaged || behind > 0 && text == b'$' {
             self.put_entry(now, tag::DAMAGED, &[]);
         }
@@ -514,7 +515,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 
     fn record_byte(&mut self, now: Instant, text: u8) {
         match text {
-            // Of a line, only the time of its end is recorded.
+            // Only the end of a line has a time in the recording.
             b'\n' | b'\r' => {
                 self.put_end(now.ticks(), text);
                 self.news = true;
@@ -578,7 +579,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             StepEvent::Underrun { position, .. } => (3, position),
             StepEvent::Miscounted { position, .. } => (4, position),
         };
-        // The number of blocks passed before a stop depends on its exact time, so the hash starts again.
+        // How many blocks were passed before a stop depends on the exact time of the stop, so the hash starts again.
         (self.blocks, self.blocks_recorded) = (BASIS, BASIS);
         let mut rest = Rest::new();
         let _ = rest.push(kind);
@@ -591,7 +592,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     pub fn handed(&mut self, message: &ToStep) {
         if let ToStep::Block { steps_by_axis, directions } = message {
             let mut hash = self.blocks;
-            // Axes that do not move are skipped: the machine that replays may have more axes than this board.
+            // Axes that do not move are skipped, because the machine that replays the recording can have more axes than
+            // this board.
             for (axis, number) in steps_by_axis.iter().zip(1..) {
                 if axis.steps() != 0 {
                     hash = (hash ^ axis.word()).wrapping_mul(PRIME) ^ number;
@@ -606,7 +608,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.blocks
     }
 
-    /// Sets the hash, for a replay that starts after blocks with this hash.
+    /// Sets the hash to that of the blocks before the start of a replay.
     pub fn follow_blocks(&mut self, blocks: u32) {
         self.blocks = blocks;
     }
@@ -629,7 +631,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             put_word(&mut rest, self.blocks);
             self.put_entry(now, tag::REST, &rest);
         }
-        // One state per quarter of the ring.
+        // Record a state in each quarter of the ring.
         let pages = self.pages.as_ref().len() as u32;
         if self.wants_standing || self.number.wrapping_sub(self.standing_in) >= (pages / 4).max(1) {
             self.record_standing(now, controller);
@@ -753,7 +755,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 /// The bytes of an entry after its tag.
 type Rest = heapless::Vec<u8, ROOM>;
 
-// The following functions have many callers that rarely run: they are optimised for size.
+// The following functions have many callers but rarely run, so they are optimised for size.
 
 #[inline(never)]
 fn put_bytes(out: &mut Rest, bytes: &[u8]) {

@@ -1,4 +1,4 @@
-//! Replaces the recorder on boards with too little RAM: the same functions, which do nothing.
+//! Replaces the recorder in the small image: the same functions, but they do nothing.
 
 use crate::dispatch::Controller;
 use crate::messages::{Event, Record, Recorded, Restart, ToStep};

@@ -1,5 +1,5 @@
-//! The rows of `$$`, one at a time, for a machine with a given number of axes; also with name and unit, for senders
-//! that request descriptions.
+//! The rows of `$$`, one at a time, for a machine with a given number of axes. For senders that request descriptions,
+//! also the name and unit of each row.
 
 use super::index::Index;
 use super::row::{Entry, Row};

@@ -7,11 +7,12 @@ use crate::axes::{Arrangement, Axis, LINEAR};
 use crate::step_rates::StepRates;
 use crate::units::StepsPerMm;
 
-/// Rates that motion can compute with, mm/min: far beyond any machine.
+/// Rates that motion can compute with, mm/min. The range is far wider than any machine needs.
 const RATES: core::ops::RangeInclusive<f32> = 3.0e-5..=6.0e6;
-/// Accelerations that motion can compute with, mm/s²: far beyond any machine.
+/// Accelerations that motion can compute with, mm/s². The range is far wider than any machine needs.
 const ACCELERATIONS: core::ops::RangeInclusive<f32> = 1.0e-3..=1.0e7;
-/// Jerk, mm/s³. With 1 a move of a millimetre takes three seconds: a lower value must be a mistake in the unit.
+/// Jerk, mm/s³. With a jerk of 1 mm/s³, a move of a millimetre takes at least three seconds, so a lower value must be a
+/// mistake in the unit.
 const JERKS: core::ops::RangeInclusive<f32> = 1.0..=1.0e10;
 /// Maximum backlash in steps that motion compensates.
 const MOST_BACKLASH: f32 = 10_000.0;
@@ -19,14 +20,14 @@ const MOST_BACKLASH: f32 = 10_000.0;
 const GREATEST_DEVIATION: f32 = 1.0e3;
 /// Minimum arc tolerance, mm.
 const LEAST_TOLERANCE: f32 = 1.0e-4;
-/// Number of the step pulse.
+/// Number of the setting for the step pulse.
 const STEP_PULSE: u16 = Key::StepPulse.number();
 /// Number of the setting that names the axis with two motors.
 const GANGED_AXIS: u16 = Key::GangedAxis.number();
 
 impl<const N: usize> Settings<N> {
-    /// Returns the number of the first setting that makes motion impossible, or `None` if motion may run. The reasons
-    /// are:
+    /// Returns the number of the first setting that makes motion impossible, or `None` if motion is possible. The
+    /// reasons are:
     /// * a step pulse (`$0`) shorter than the board can make, for instance stored by the firmware of another board;
     /// * steps/mm, a rate or an acceleration of zero, or a jerk close to zero;
     /// * a step rate (rate × resolution) beyond what the board can keep up with at this length of the step pulse
@@ -34,7 +35,7 @@ impl<const N: usize> Settings<N> {
     /// * a second motor that the board does not have, or for which CoreXY or A leaves no driver;
     /// * more axes than the board has motors for;
     /// * soft limits without homing, or a homing or parking cycle that could never end;
-    /// * any other value out of the bounds that motion can compute with.
+    /// * any other value outside the bounds that motion can compute with.
     pub fn unrunnable(&self, rates: StepRates, has_second_motor: bool) -> Option<u16> {
         let pulse = self.step_pulse_tenths();
         if pulse < rates.least_pulse_tenths {
@@ -49,7 +50,7 @@ impl<const N: usize> Settings<N> {
         let of_axis = Axis::of_machine::<N>().take(in_use).find_map(|axis| {
             let offset = axis.index() as u16;
             let (r, v, a) = (resolution.get(axis)?, rate.get(axis)?, acceleration.get(axis)?);
-            // On a diagonal, one motor of a CoreXY machine makes the sum of both rates.
+            // On a diagonal, one motor of a CoreXY machine steps at the sum of the rates of X and Y.
             let motor_rate = match axis {
                 Axis::X | Axis::Y if core_xy => rate.get(Axis::X)? + rate.get(Axis::Y)?,
                 _ => v,
@@ -74,7 +75,8 @@ impl<const N: usize> Settings<N> {
         of_axis.or(ganged).or_else(|| self.unrunnable_cycle())
     }
 
-    /// Returns whether a cycle at this rate might never end, because motion cannot compute with the rate.
+    /// Returns whether a cycle at this rate might never end, because the rate is outside the range that motion can
+    /// compute with.
     pub fn crawls(&self, rate: Key) -> bool {
         !RATES.contains(&self.value(rate))
     }
@@ -154,7 +156,8 @@ mod tests {
     #[test]
     fn each_bound_of_what_can_run_is_where_it_is_said_to_be() {
         let (homing, parking): (&[_], &[_]) = (&[(22, 1)], &[(22, 1), (41, 1)]);
-        // A setting that locks motion with its first value and not with its second, in ten-millionths.
+        // Settings made before; the setting under test; a value that locks motion; a value that does not (both in
+        // ten-millionths).
         for (before, number, locked, free) in [
             (&[][..], 11, 10_001_000_000, 10_000_000_000),
             (&[], 12, 999, 1000),
@@ -186,7 +189,8 @@ mod tests {
         for (number, value) in [(110, 12_000), (111, 9_000)] {
             set(&mut s, number, value * 1000).unwrap();
         }
-        // 250 steps/mm: 50,000 and 37,500 steps/s; on the diagonal of a CoreXY machine 87,500.
+        // At 250 steps/mm, X needs 50,000 steps/s and Y 37,500. On the diagonal of a CoreXY machine a motor needs the
+        // sum, 87,500.
         assert_eq!(s.unrunnable(rates(83_000), true), None);
         set(&mut s, 904, 1000).unwrap();
         assert_eq!(s.unrunnable(rates(83_000), true), Some(110));
@@ -211,7 +215,7 @@ mod tests {
         let three = listed(&s);
         let of_three = Settings::<3>::default();
         assert_eq!(three, (0..Settings::<3>::LINES).map(|line| of_three.row(line).unwrap().1).collect::<Vec<_>>());
-        // Settings may arrive in any order.
+        // Settings can come in any order, so those of A are accepted before `$930` puts A in use.
         s.set(103, Decimal::from_int(7)).unwrap();
         s.set(44, Decimal::from_int(12)).unwrap();
         assert_eq!((listed(&s), s.homing_cycles().0), (three.clone(), [4, 3, 0, 0]));

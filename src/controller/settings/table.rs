@@ -7,7 +7,7 @@ use crate::axes::Axis;
 const CONTROL: Kind = Kind::Mask(0b1_0100_1111);
 /// Bits of the limit inputs: six axes, and the switch of a second motor.
 const LIMITS: Kind = Kind::Mask(0x7F);
-/// Reactions of motion and spindle to a fault: see `machine::reaction`.
+/// Reactions of motion and spindle to a fault: see `states::stops::reaction`.
 const REACTIONS: &str =
     "Stop,Brake,Brake and retract,Stop (spindle on),Brake (spindle on),Brake and retract (spindle on)";
 /// Labels of the bits of the control inputs.
@@ -119,8 +119,8 @@ table! {
     PER_AXIS_DESCRIPTIONS;
     /// Names the rows of [`PER_AXIS`].
     AxisKey {
-        // The axes of the first homing cycle, the second, and so on: as many cycles as axes. Defaults are in
-        // `homing_cycle`.
+        // Here the numbers stand for homing cycles, not for axes: `$44` is the mask of the axes in the first cycle,
+        // `$45` in the second. There are as many cycles as axes. Their defaults are in `homing_cycle`.
         HomingCycle: 44, "Axes homed in cycle", "mask", Homing, AXIS_LABELS, Kind::Axes, 0.0, false;
         Resolution: 100, "Resolution", "steps/mm", Axes, "", Kind::Real, 250.0, true;
         MaxRate: 110, "Maximum rate", "mm/min", Axes, "", Kind::Real, 500.0, true;
@@ -145,7 +145,7 @@ impl AxisKey {
 }
 
 /// Returns the default axes of the `n`-th homing cycle: first Z, to clear the work, then X and Y together. Rotary axes
-/// have none, as few have a switch.
+/// are in no cycle, because few of them have a switch.
 pub(super) const fn homing_cycle(n: usize) -> u8 {
     match n {
         0 => 0b100,

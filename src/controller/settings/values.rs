@@ -12,14 +12,14 @@ use crate::units::Duration;
 pub struct Settings<const N: usize> {
     scalars: [f32; Key::COUNT],
     per_axis: [PerAxis<f32, N>; AxisKey::COUNT],
-    /// Counts changes, so that values derived from the settings are computed only once for each.
+    /// Counts changes, so that values derived from the settings are computed only once after each change.
     revision: u32,
     /// Number of axes for which the board has motors, at most `N`.
     present: usize,
 }
 
-/// Stored form of `$20=1` while homing is off. A stored 1 is valid only with homing on. So the single record of `$22=0`
-/// switches off both, even if the power is cut next.
+/// Stored form of `$20=1` while homing is off. A stored 1 is valid only with homing on. So the record of `$22=0` alone
+/// switches off both homing and soft limits, even if the power is cut directly after it.
 const BEFORE_HOMING: f32 = 2.0;
 
 /// Returns the mask of `axes` axes, bit 0 for X.
@@ -66,7 +66,7 @@ impl<const N: usize> Settings<N> {
         Self { present: if axes < N { axes } else { N }, ..Self::new() }
     }
 
-    /// Returns how many axes the machine has (`$930`). In Grbl's dialect there are at most three.
+    /// Returns how many axes the machine has (`$930`). In Grbl's dialect it has at most three.
     #[inline]
     pub fn axes_in_use(&self) -> usize {
         if N <= LINEAR || self.value(Key::Dialect) == 0.0 {
@@ -143,8 +143,8 @@ impl<const N: usize> Settings<N> {
     }
 
     /// Restores a stored value. Returns whether the setting can have this value in some dialect; if not, nothing
-    /// changes. A number without a setting here is ignored, and `true` is returned: other firmware may have such a
-    /// setting.
+    /// changes. For a number that is no setting of this board, nothing changes and `true` is returned, because the
+    /// value may come from other firmware.
     pub fn restore(&mut self, number: u16, value: f32) -> bool {
         let axes = self.axes_with_motors();
         let index = Index::of_number(number, axes);
@@ -157,7 +157,7 @@ impl<const N: usize> Settings<N> {
         can_be
     }
 
-    /// Ends restoring: soft limits that were stored with homing on are switched off if homing is off.
+    /// Ends restoring. Soft limits that were stored with homing on are switched off if homing is off.
     pub fn settle(&mut self) {
         let kept = self.value(Key::SoftLimits) == BEFORE_HOMING || self.is_on(Key::Homing);
         let on = kept && self.is_on(Key::SoftLimits);
@@ -172,8 +172,9 @@ impl<const N: usize> Settings<N> {
         self.at(Index::of_number(number, N)?)
     }
 
-    /// Returns the value of `$20` to be stored before a new `$22`, whose record then changes both at once (`settle`);
-    /// `None` if the stored `$20` may stay. `were_on`: whether soft limits were on before that change.
+    /// Returns the value of `$20` that must be stored before a new value of `$22`, so that the record of `$22` changes
+    /// both settings at once (see `settle`); `None` if the stored `$20` can stay. `were_on`: whether soft limits were
+    /// on before `$22` was changed.
     pub fn soft_limits_before_homing(&self, were_on: bool) -> Option<f32> {
         match (self.is_on(Key::Homing), were_on) {
             (true, true) => None,
@@ -182,7 +183,7 @@ impl<const N: usize> Settings<N> {
         }
     }
 
-    /// Returns a number that changes with each change of a value.
+    /// Returns a number that is different after each change of a setting.
     pub fn revision(&self) -> u32 {
         self.revision
     }
@@ -256,14 +257,14 @@ mod tests {
             assert_eq!(s.restore(number, value), taken, "${number}={value}");
             assert_eq!(s.by_number(number), if taken && before.is_some() { Some(value) } else { before });
         }
-        // A board only has its own motors.
+        // A board with motors for three axes has no settings for A.
         let mut s = Settings::<4>::of_board(3);
         assert!(!s.restore(44, 8.0) && s.restore(44, 7.0));
         assert!(s.restore(103, 80.0), "no setting of this board");
         assert_eq!(s.by_number(103), Some(250.0));
     }
 
-    /// The power may be cut between the two records of a change of `$22`.
+    /// Both change at once, even if the power is cut between the two records that a change of `$22` stores.
     #[test]
     fn soft_limits_and_homing_change_at_once() {
         let switch = |on: bool| Decimal::from_int(i32::from(on));
@@ -298,7 +299,7 @@ mod tests {
     }
 
     proptest::proptest! {
-        /// For each dialect in which a value is set, and each dialect in force when it is restored.
+        /// Holds for each dialect in which a value is set, and for each dialect in force when the value is restored.
         #[test]
         fn what_can_be_set_is_taken_over(value: i64, shift in 0..64_u32, set_in in 0..3, in_force in 0..3) {
             let of = |dialect| {

@@ -31,21 +31,22 @@ pub(crate) use homing::Homing;
 /// What the machine is doing.
 #[allow(clippy::large_enum_variant, reason = "there is one, in a static place; boxes do not exist here")]
 #[derive(Clone, Debug)]
-// The tag is read before each output: `repr(u8)` makes it a separate byte, not folded into a variant's data.
+// `repr(u8)` makes the tag a byte of its own instead of hiding it in the data of a variant, because the tag is read
+// before each output.
 #[repr(u8)]
 pub(crate) enum State<const N: usize> {
     /// Program lines are executed.
     Normal,
     /// A jog is moving.
     Jog {
-        /// Braking because of 0x85 or `!`; the rest of the jog is then dropped.
+        /// Braking because of 0x85 or `!`. The rest of the jog is dropped once the machine is at rest.
         cancelling: bool,
     },
     /// Feed hold: braking or at rest; only `~` resumes.
     Hold(Hold),
     /// The homing cycle runs.
     Homing(Homing<N>),
-    /// Braking; at rest everything queued is dropped.
+    /// Braking. Once the machine is at rest, everything queued is dropped.
     Braking {
         /// What follows at rest.
         then: AfterBraking,
@@ -54,11 +55,11 @@ pub(crate) enum State<const N: usize> {
     Door(Door),
     /// Locked until `$X`, `$H` or a reset: by an alarm, or (`None`) because the machine has not been homed or checked.
     Alarm(Option<Alarm>),
-    /// Locked by a hard or soft limit or an emergency: only a reset helps.
+    /// Locked by a hard or soft limit or an emergency. Only a reset unlocks the machine.
     Critical(Alarm),
     /// Lines are checked and not executed.
     Check,
-    /// Everything is off until a reset. Keeps the alarm that had locked the machine.
+    /// Everything is off until a reset. Holds the alarm that locked the machine before, if any.
     Sleep(Option<Alarm>),
 }
 
@@ -69,22 +70,22 @@ pub(crate) enum Next {
     Wait,
     /// Homing continues.
     Stay,
-    /// All requested axes are homed: Idle, and the startup lines run.
+    /// All requested axes are homed. The machine becomes idle, and the startup lines run.
     Homed,
-    /// Homing failed: locked, as after a reset.
+    /// Homing failed. The machine is locked as after a reset.
     HomingFailed(Alarm),
 }
 
-/// What follows a controlled stop, at rest.
+/// What happens after a controlled stop, once the machine is at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum AfterBraking {
-    /// The next line.
+    /// The next line is taken.
     Continue,
     /// The machine locks itself, because a line was refused.
     Lock,
     /// An alarm.
     Alarm(Alarm),
-    /// The tool is parked, then an alarm.
+    /// The tool is parked; an alarm follows.
     Retract(Alarm),
 }
 
@@ -117,7 +118,7 @@ impl<const N: usize> State<N> {
         }
     }
 
-    /// Whether the current work (motion, a dwell, the lines after it) is suspended.
+    /// Whether the current work (motion, a dwell, the lines still to come) is suspended.
     pub fn is_suspended(&self) -> bool {
         matches!(self, State::Hold(_) | State::Braking { .. } | State::Door(_) | State::Sleep(_) | State::Critical(_))
     }
@@ -127,13 +128,13 @@ impl<const N: usize> State<N> {
         matches!(self, State::Door(door) if door.phase.is_resuming())
     }
 
-    /// Whether a received line may be read.
+    /// Whether received lines are read in this state.
     #[inline]
     pub fn takes_lines(&self) -> bool {
         matches!(self, State::Normal | State::Jog { .. } | State::Alarm(_) | State::Check)
     }
 
-    /// Whether only a reset helps. The reset will void all lines received before it.
+    /// Whether only a reset ends this state. Lines received before that reset will be dropped.
     pub fn waits_for_reset(&self) -> bool {
         matches!(self, State::Sleep(_) | State::Critical(_))
     }

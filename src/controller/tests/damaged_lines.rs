@@ -1,4 +1,4 @@
-//! Bytes lost on the link: the line they belong to is refused, and no other.
+//! When bytes are lost on the link, only the line to which they belong is refused.
 
 use crate::board::{NOW, PROFILE, started};
 use oxmill_controller::Controller;
@@ -30,7 +30,7 @@ fn answers(bytes: &[(u8, bool)]) -> String {
     text.split_once("help]\r\n").unwrap().1.to_string()
 }
 
-/// Sends lines and marks the byte after the gap, shown as `~`.
+/// Sends lines. `~` stands for lost bytes: the byte after it is marked as damaged.
 fn with_gap(text: &str) -> String {
     let mut damaged = false;
     let mut bytes = Vec::new();
@@ -48,12 +48,12 @@ fn with_gap(text: &str) -> String {
 fn a_gap_in_a_line_refuses_that_line_only() {
     let lost = "[MSG:Received bytes lost]\r\n";
     assert_eq!(with_gap("G21\nG1 X1~.5 F100\nG90\n"), format!("ok\r\n{lost}error:11\r\nok\r\n"));
-    // The gap swallowed a line end: the two lines have become one, and it is refused.
+    // A line end was lost, so the two lines have become one line, which is refused.
     assert_eq!(with_gap("G21\nG1 X1~G90\nG94\n"), format!("ok\r\n{lost}error:11\r\nok\r\n"));
     // The gap is at the beginning of a line, or just before its end.
     assert_eq!(with_gap("G21\n~X1\nG90\n"), format!("ok\r\n{lost}error:11\r\nok\r\n"));
     assert_eq!(with_gap("G21~\nG90\n"), format!("{lost}error:11\r\nok\r\n"));
-    // Several gaps: reported once for each line.
+    // Several gaps in one line are reported once.
     assert_eq!(with_gap("G2~1 ~X~1\n~G9~0\n"), format!("{lost}error:11\r\n{lost}error:11\r\n"));
 }
 
@@ -65,6 +65,6 @@ fn a_gap_before_a_line_end_is_not_within_cr_lf() {
 #[test]
 fn a_cut_forgets_what_has_come_of_a_line() {
     assert_eq!(with_gap("G21\nG99 X\x18G90\n"), "ok\r\nok\r\n");
-    // The CR is of the host before the cut, the LF of the host after it: two line ends.
+    // The CR was sent by the host before the cut and the LF by the host after it, so they are two line ends.
     assert_eq!(with_gap("G21\r\x18\nG90\n"), "ok\r\nok\r\nok\r\n");
 }

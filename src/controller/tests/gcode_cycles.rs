@@ -1,6 +1,6 @@
-//! Canned cycles: each line's moves against the list that RS274NGC prescribes, written out by hand.
+//! Compares the moves of canned cycles, line by line, with those that RS274NGC prescribes, written out by hand.
 //!
-//! `r` is a rapid and `f` a feed move to work coordinates in mm; moves of no length are left out.
+//! `r` is a rapid and `f` a feed move to machine coordinates in mm. Moves of no length are left out.
 
 use crate::program::{Program, in_mm};
 use oxmill_controller::gcode::{Action, CycleStep, Dialect, MotionCommand};
@@ -59,7 +59,7 @@ fn ready(dialect: Dialect) -> Program {
     program
 }
 
-/// Runs lines, each after the state of the lines before, in both dialects that have cycles.
+/// Runs the lines one after the other, in both dialects that have cycles.
 fn play(lines: &[(&str, &str)]) {
     for dialect in NEW {
         let mut program = ready(dialect);
@@ -101,11 +101,12 @@ fn g83_leaves_the_hole_after_each_peck() {
             "G83 X2 Y3 Z-5 R2 Q3",
             "r 2 3 10, r 2 3 2, f 2 3 -1, r 2 3 2, r 2 3 -0.746, f 2 3 -4, r 2 3 2, r 2 3 -3.746, f 2 3 -5, r 2 3 10",
         ),
-        // The last peck is a whole one.
+        // The last peck has the full depth Q.
         ("X5 Z-4", "r 5 3 10, r 5 3 2, f 5 3 -1, r 5 3 2, r 5 3 -0.746, f 5 3 -4, r 5 3 10"),
-        // A Q that is deeper than the hole: one peck.
+        // Q is deeper than the hole, so there is one peck.
         ("X6 Q7", "r 6 3 10, r 6 3 2, f 6 3 -4, r 6 3 10"),
-        // The first peck is shorter than the clearance: the tool is drawn back to R, and no higher.
+        // The first peck is shorter than the clearance. The next peck begins at R, because the clearance above the
+        // first one would be above R.
         (
             "G99 X7 Z1.5 R2 Q0.2",
             "r 7 3 10, r 7 3 2, f 7 3 1.8, r 7 3 2, f 7 3 1.6, r 7 3 2, r 7 3 1.854, f 7 3 1.5, r 7 3 2",
@@ -124,7 +125,7 @@ fn g73_backs_off_after_each_peck() {
     ]);
 }
 
-/// The tool retracts at the feed rate up to R, and by a rapid beyond.
+/// The tool retracts at the feed rate up to R, and by a rapid above R.
 #[test]
 fn g85_feeds_out_to_r() {
     play(&[
@@ -146,7 +147,7 @@ fn g88_pauses_at_the_bottom() {
     play(&[("G88 X6 Z-1 R2 P1", "r 6 1 10, r 6 1 2, f 6 1 -1, dwell 1, stop, pause, r 6 1 10, turn")]);
 }
 
-/// The tool retracts at the feed rate to the clear level, past R.
+/// The tool retracts at the feed rate all the way to the clear level, also above R.
 #[test]
 fn g89_feeds_out_all_the_way() {
     play(&[
@@ -160,7 +161,7 @@ fn levels_of_g98_and_g99() {
     play(&[
         ("G99 G81 X2 Z-1 R2", "r 2 1 10, r 2 1 2, f 2 1 -1, r 2 1 2"),
         ("X3", "r 3 1 2, f 3 1 -1, r 3 1 2"),
-        // The clear level is where the series began, also under another cycle word.
+        // The clear level is where the series began, also after a change of the cycle word.
         ("G98 X4", "r 4 1 2, f 4 1 -1, r 4 1 10"),
         ("G99 G82 X5 Z-1 R3 P0", "r 5 1 10, r 5 1 3, f 5 1 -1, dwell 0, r 5 1 3"),
         ("G98 X6", "r 6 1 3, f 6 1 -1, dwell 0, r 6 1 10"),
@@ -173,7 +174,8 @@ fn levels_of_g98_and_g99() {
     ]);
 }
 
-/// G98 clears the same obstacles with the next tool: the clear level, and the R of G91, belong to the tool's tip.
+/// With G98 a longer tool clears the same obstacles, because the clear level, and R with G91, are heights of the tool's
+/// tip.
 #[test]
 fn a_longer_tool_goes_back_to_a_higher_level() {
     play(&[
@@ -184,14 +186,15 @@ fn a_longer_tool_goes_back_to_a_higher_level() {
         ("G49 G81 X4 Z-1 R2", "r 4 1 15, r 4 1 2, f 4 1 -1, r 4 1 10"),
         ("G91 G43 H2 G81 X1 Z-1 R-3", "r 4 1 12, r 5 1 12, f 5 1 11, r 5 1 15"),
         ("G49 X1", "r 6 1 15, r 6 1 7, f 6 1 6, r 6 1 10"),
-        // A change of tool length in the first line of a series does not move the clear level: nothing has been cleared
-        // yet.
+        // A change of tool length in the first line of a series does not move the clear level: it is where the tool is
+        // now.
         ("G90 G0 Z10", ""),
         ("G43 H2 G81 X7 Z-1 R2", "r 7 1 10, r 7 1 7, f 7 1 4, r 7 1 10"),
     ]);
 }
 
-/// As in LinuxCNC: its `rs274`, fed line by line, drills from and to the same levels before and after M2.
+/// The end of a program does not change G98 or G99. LinuxCNC does the same: its `rs274`, fed line by line, drills from
+/// and to the same levels before and after M2.
 #[test]
 fn the_end_of_a_program_leaves_the_retract_mode() {
     for end in ["M2", "M30"] {
@@ -231,11 +234,11 @@ fn incremental_words_and_repetitions() {
         ),
         // L is not modal.
         ("X1", "r 8 4 10, r 8 4 8, f 8 4 5, r 8 4 10"),
-        // The numbers are modal, as they were written.
+        // Z and R stay in force as the numbers that were written, here taken as absolute.
         ("G90 X9", "r 9 4 10, r 9 4 -2, f 9 4 -3, r 9 4 10"),
         ("X8 L2", "r 8 4 10, r 8 4 -2, f 8 4 -3, r 8 4 10, r 8 4 -2, f 8 4 -3, r 8 4 10"),
     ]);
-    // With G99 the holes do not creep down: R counts from where the series began.
+    // With G99, repeated holes do not get deeper, because R counts from where the series began.
     play(&[
         ("G99 G91 G81 X2 Z-3 R-2 L2", "r 3 1 10, r 3 1 8, f 3 1 5, r 3 1 8, r 5 1 8, f 5 1 5, r 5 1 8"),
         ("X1", "r 6 1 8, f 6 1 5, r 6 1 8"),
@@ -248,7 +251,7 @@ fn other_planes() {
     play(&[
         ("G18 G81 X5 Z-1 Y-3 R1", "r 5 1 -1, f 5 -3 -1, r 5 1 -1"),
         ("Z2", "r 5 1 2, f 5 -3 2, r 5 1 2"),
-        // In another plane another word is the depth: no word stays in force.
+        // In another plane another axis is the depth, so no word stays in force.
         ("G19 G81 X-7 R6 Z4", "r 6 1 2, r 6 1 4, f -7 1 4, r 6 1 4"),
         ("Y9", "r 6 9 4, f -7 9 4, r 6 9 4"),
     ]);
@@ -329,7 +332,7 @@ fn what_is_refused() {
         }
         let mut program = Program::new(dialect);
         assert_eq!(program.error("G81 X1 Z-1 R1"), 22);
-        // A refused line ends no series and changes no word of it.
+        // A refused line neither ends a series nor changes its words.
         program.run("F100 G81 X1 Z-1 R1");
         assert_eq!(program.error("X2 R-5"), 54);
         assert_eq!(program.error("R2"), 36);

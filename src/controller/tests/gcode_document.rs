@@ -1,4 +1,4 @@
-//! The worked examples of the document with which the project began: the result of each, and the behaviour where the
+//! Tests with the worked examples of the document with which the project began. They also show what happens where the
 //! document disagrees with Grbl or NIST.
 
 use crate::program::{DIALECTS, Program, in_mm, target, via};
@@ -93,7 +93,7 @@ fn non_modal_commands_4_g92() {
     }
 }
 
-/// Grbl finds the target of the line before it clears the offset, the other dialects after.
+/// Grbl computes the target of the line before it clears the offset; the other dialects compute it after that.
 #[test]
 fn non_modal_commands_4_g92_1_beside_a_move() {
     for dialect in DIALECTS {
@@ -156,10 +156,10 @@ fn order_within_a_line() {
         assert!(all.work_offset_changed);
         assert_eq!((target(&all), feed(&all)), ([107.0, 0.0, 2.0], Feed::PerMinute(2.0)));
         assert_eq!(all.flow, Flow::Pause);
-        // The offset is set before the motion mode changes and nothing moves: axis words belong to G92.
+        // Nothing moves, because the axis words belong to G92. G92 acts before M2 changes the modal state.
         let offset = program.run("G92 X0 M2");
         assert_eq!((offset.motion, offset.flow), (MotionCommand::None, Flow::End));
-        // M2 has returned to G54. G92, which was computed in G55, holds there as well.
+        // M2 has returned to G54. The offset of G92, which was computed in G55, acts in G54 as well.
         assert_eq!(g92(&program), [7.0, 0.0, 0.0]);
         assert_eq!(program.work(), [100.0, 0.0, 2.0]);
     }
@@ -170,7 +170,7 @@ fn g0_and_g1() {
     for dialect in DIALECTS {
         let mut program = at(dialect, "X3 Y4 Z5");
         assert_eq!(target(&program.run("G0 X0 Y0 Z0")), [0.0, 0.0, 0.0]);
-        // The document has `G92 G0 X0 Y0 Z0`: two commands need the axis words.
+        // The document has `G92 G0 X0 Y0 Z0`. That is an error, because both commands need the axis words.
         assert_eq!(program.error("G92 G0 X0 Y0 Z0"), 24);
         assert_eq!(target(&program.run("G1 X20 Y15 F200")), [20.0, 15.0, 0.0]);
         assert_eq!(target(&program.run("G91 G1 X20 Y15 F200")), [40.0, 30.0, 0.0]);
@@ -193,10 +193,10 @@ fn arcs_by_radius() {
         assert_eq!(centre(&program.check("G02 X10 Y10 R-10 F50").unwrap()), [0.0, 10.0]);
         assert_eq!(centre(&program.check("G03 X10 Y10 R10 F50").unwrap()), [0.0, 10.0]);
         assert_eq!(centre(&program.check("G03 X10 Y10 R-10 F50").unwrap()), [10.0, 0.0]);
-        // One coordinate may be omitted. A full circle cannot be written in radius format.
+        // One coordinate can be left out. A full circle cannot be written in radius format.
         assert_eq!(centre(&program.check("G02 X20 R10 F50").unwrap()), [10.0, 0.0]);
         assert_eq!(program.error("G02 X0 Y0 R10 F50"), 33);
-        // Radius format continues from where the arc before it ended.
+        // An arc in radius format starts where the arc before it ended.
         let mut program = program;
         program.run("G2 X20 Y0 R30 F50");
         assert_eq!(target(&program.run("X40 Y10 R30")), [40.0, 10.0, 0.0]);
@@ -218,7 +218,7 @@ fn arc_end_off_the_circle() {
     // An end point within the tolerance stays as it is written.
     let mut program = Program::new(Dialect::Seed);
     assert_eq!(target(&program.run("G2 X2.004 Y0 I1 F50")), [2.004, 0.0, 0.0]);
-    // Nothing to aim at: the end point is the centre.
+    // The end point is the centre, so there is no nearest point on the circle.
     assert_eq!(program.error("G2 X3.004 Y0 I1"), 33);
 }
 
@@ -272,7 +272,7 @@ fn g10() {
         assert!(!program.run("G10 L2 P1 X-200").work_offset_changed);
         program.run("G10 L2 P1 X0 Y0 Z0");
         assert_eq!(program.work(), program.machine());
-        // P0, and no P at all, mean the active system; here the one that the line itself selects.
+        // P0 and a missing P mean the active system. In this line that is G55, which the line itself selects.
         program.run("G55 G10 L2 P0 X1");
         program.run("G10 L2 Y2");
         assert_eq!(system(&program, CoordinateSystem::G55), [1.0, 2.0, 7.0]);
@@ -288,13 +288,13 @@ fn g28() {
         program.run("G10 L2 P1 Z1");
         assert_eq!(program.run("G28.1").store, Some(StoredOffset::G28));
         program.run("G53 G0 X0 Y0 Z0");
-        // 1: Z goes home from its current position.
+        // 1: Z moves to its stored position from where it is.
         let home = program.check("G91 G28 Z0").unwrap();
         assert_eq!((via(&home), target(&home)), (Some([0.0, 0.0, 0.0]), [0.0, 0.0, 30.0]));
-        // 2: without G91 Z goes by way of work Z0, which may be where the table is.
+        // 2: without G91, Z first moves to work Z0, where the table can be.
         let home = program.check("G28 Z0").unwrap();
         assert_eq!((via(&home), target(&home)), (Some([0.0, 0.0, 1.0]), [0.0, 0.0, 30.0]));
-        // 3: by way of work Z-10.
+        // 3: Z first moves to work Z-10.
         let home = program.run("G90 G28 Z-10");
         assert_eq!((via(&home), target(&home)), (Some([0.0, 0.0, -9.0]), [0.0, 0.0, 30.0]));
         assert_eq!((feed(&home), program.machine()), (Feed::Rapid, [0.0, 0.0, 30.0]));
@@ -337,7 +337,7 @@ fn g92_sets_the_present_position() {
         assert_eq!(program.work(), [0.0, 0.0, 0.0]);
         program.run("G92 X-100 Y-125 Z-50");
         assert_eq!(g92(&program), [100.0, 125.0, 50.0]);
-        // It holds in every system.
+        // G92 acts in every coordinate system.
         program.run("G10 L2 P2 X1");
         program.run("G55");
         assert_eq!(program.work(), [-101.0, -125.0, -50.0]);
@@ -364,14 +364,14 @@ fn g93_g94() {
         assert_eq!(program.error("G1 X20"), 22);
         assert_eq!(program.error("G94 X20"), 22);
         assert_eq!(feed(&program.run("G94 X20 F20")), Feed::PerMinute(20.0 / 60.0));
-        // F is a length with G94, a count with G93.
+        // With G94, F is a length per minute and depends on the unit. With G93 it is a count per minute.
         assert_eq!(feed(&program.run("G20 F6 X1")), Feed::PerMinute(6.0 * 25.4 / 60.0));
         assert_eq!(feed(&program.run("G93 F6 X2")), Feed::InverseTime(10.0));
         assert_eq!(feed(&program.run("G94 F6 X3")), Feed::PerMinute(6.0 * 25.4 / 60.0));
     }
 }
 
-/// Figure 2.9: WCS at (-100,-70), machine at (-90,-60), then G92 (5,5).
+/// Figure 2.9 of the document: origin of the work system at (-100,-70), machine at (-90,-60), then G92 X5 Y5.
 #[test]
 fn local_coordinates() {
     for dialect in DIALECTS {
@@ -381,11 +381,11 @@ fn local_coordinates() {
         program.run("G92 X5 Y5");
         assert_eq!(g92(&program), [5.0, 5.0, 0.0]);
         assert_eq!(program.work(), [5.0, 5.0, 0.0]);
-        // G92 stays in force under a new WCS.
+        // G92 stays in force when the origin changes.
         program.run("G10 L2 P1 X3.5 Y17.2");
         assert_eq!(system(&program, CoordinateSystem::G54), [3.5, 17.2, 0.0]);
         assert_eq!(program.work(), [-98.5, -82.2, 0.0]);
-        // WCS = machine position - value - G92
+        // L20 sets origin = machine position - value - G92.
         program.run("G10 L20 P1 X1.5");
         assert_eq!(system(&program, CoordinateSystem::G54), [-96.5, 17.2, 0.0]);
         assert_eq!(program.work(), [1.5, -82.2, 0.0]);
@@ -398,7 +398,7 @@ fn local_coordinates() {
     }
 }
 
-/// According to the document G10 L2 has no effect with G91. In fact it has.
+/// According to the document, G10 L2 has no effect with G91. In fact it has the same effect as with G90.
 #[test]
 fn g10_l2_with_g91() {
     for dialect in DIALECTS {
@@ -428,7 +428,8 @@ fn tool_length_is_the_third_offset() {
     }
 }
 
-/// (A) one program for several workpieces, each with its own origin; (B) several origins in one program by G10.
+/// (A) One program for several workpieces, each with its own origin. (B) One program that sets several origins with
+/// G10.
 #[test]
 fn one_program_at_several_origins() {
     for dialect in DIALECTS {
@@ -442,7 +443,7 @@ fn one_program_at_several_origins() {
     }
 }
 
-/// The document calls it an error to read G59.1 as G59.
+/// G59.1 to G59.3 are systems of their own. The document calls it an error to read G59.1 as G59.
 #[test]
 fn systems_beyond_g59() {
     for dialect in [Dialect::Oxmill, Dialect::Seed] {
@@ -499,7 +500,8 @@ fn circles(program: &mut Program, text: &str) -> Vec<[f64; 3]> {
     circles
 }
 
-/// As printed the circles end at X-10 and are full circles in the document's meaning only.
+/// As printed in the document, the circles end at X-10, which is off the circle. Only the dialect `seed` takes them for
+/// full circles.
 #[test]
 fn five_circles() {
     let cross = [[-1.0, 0.0, -1.0], [9.0, 0.0, -1.0], [-11.0, 0.0, -1.0], [-1.0, 10.0, -1.0], [-1.0, -10.0, -1.0]];
@@ -515,7 +517,7 @@ fn five_circles() {
     assert_eq!(circles(&mut Program::new(Dialect::Seed), FIVE_CIRCLES), cross);
 }
 
-/// A dwell acts on its line only; a G92 given while another is in force replaces it.
+/// A dwell acts only in its own line. A second G92 replaces the first one.
 #[test]
 fn modal_and_non_modal() {
     for dialect in DIALECTS {
@@ -532,7 +534,7 @@ fn modal_and_non_modal() {
     }
 }
 
-/// `G10 ... G1 ...` on one line: two commands need the axis words.
+/// `G10 ... G1 ...` on one line is an error, because both commands need the axis words.
 #[test]
 fn two_commands_with_axis_words() {
     for dialect in DIALECTS {
@@ -556,7 +558,7 @@ fn g80_beside_a_motion_word() {
     for dialect in [Dialect::Oxmill, Dialect::Seed] {
         let mut program = Program::new(dialect);
         program.run("G43.1 Z3");
-        // The offset is gone before the motion.
+        // G49 ends the tool offset before the motion.
         assert_eq!(target(&program.run("G0 G49 G40 G17 G80 G90 Z1")), [0.0, 0.0, 1.0]);
         for line in ["G80 G80", "G80 G80 G0", "G0 G80 G1"] {
             assert_ne!(program.error(line), 0, "{line}");
@@ -579,6 +581,6 @@ fn axis_words_after_g80() {
     assert_eq!((target(&rapid), feed(&rapid)), ([-7.0, -4.0, 0.0], Feed::Rapid));
     program.run_all("G1\nG80");
     assert_eq!(feed(&program.run("G53 X0")), Feed::PerMinute(100.0 / 60.0));
-    // With G80 on the line itself there is no motion to continue with.
+    // With G80 on the line itself, the axis words have no motion to continue with.
     assert_eq!(program.error("G80 X1"), 31);
 }

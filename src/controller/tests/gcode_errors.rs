@@ -1,4 +1,5 @@
-//! Error numbers and their order, motions that are in no recording, and Oxmill's own words.
+//! Tests of error numbers and their order, of motions that the recordings of Grbl do not contain, and of Oxmill's own
+//! words.
 
 use crate::program::{DIALECTS, Program, target};
 use oxmill_controller::gcode::{Action, Dialect, Feed, Flow, Interpreter, MotionCommand};
@@ -32,7 +33,7 @@ const ERRORS: &[(u8, &[&str])] = &[
     (38, &["T100000", "T99999999999999999999", "T100000 T1"]),
 ];
 
-/// Errors of Grbl's dialect only: in the other dialects these lines have a meaning or another error.
+/// Errors of Grbl's dialect only. In the other dialects these lines have a meaning or another error.
 const ERRORS_OF_GRBL: &[(u8, &[&str])] = &[
     (20, &["G43", "G43.2 H0", "G81", "G98", "M6", "X1 Q1", "X1 H1", "G5", "M99", "G10 L2 P1 R1 X1"]),
     (20, &["D1", "U1", "V1", "W1", "G12", "G13", "G31", "G65", "G66", "M97"]),
@@ -50,8 +51,8 @@ fn ready(dialect: Dialect) -> Program {
     program
 }
 
-/// The allowed difference of the radii: 0.005 mm in any case, above that 0.1 % of the radius, and at most 0.5 mm; in
-/// the dialect `seed` any length.
+/// The radii at the start and the end of an arc may differ by 0.1 % of the radius, but always by 0.005 mm and never by
+/// more than 0.5 mm. In the dialect `seed` they may differ by any length.
 #[test]
 fn an_arc_may_end_at_another_radius_within_limits() {
     for dialect in [Dialect::Grbl, Dialect::Oxmill] {
@@ -94,13 +95,13 @@ fn order_of_checks() {
     for dialect in DIALECTS {
         let program = ready(dialect);
         let ladder: &[(&str, u8)] = &[
-            // The words, from left to right,
+            // First the words, from left to right.
             ("X1 G6 2", 20),
             ("X1 * G6", 1),
             ("G0 G1 G6", 24),
             ("M3.5 M100", 23),
             ("T100000 T-1", 38),
-            // then line number, feed of G93, dwell, tool length, G10, G53, G80, feed, arc, unused words.
+            // After them line number, feed of G93, dwell, tool length, G10, G53, G80, feed, arc, unused words.
             ("N99999999 G93 G1 X1 P1", 27),
             ("G93 G1 X1 G4", 22),
             ("G4 G1 F0 X1", 28),
@@ -120,7 +121,7 @@ fn order_of_checks() {
     }
 }
 
-/// A modal G80 and a command that uses the axis words itself.
+/// While G80 is in force, commands that use axis words themselves are allowed, except in Grbl's dialect.
 #[test]
 fn axis_words_of_other_commands_under_g80() {
     for line in ["G28 Z0", "G30 X1", "G92 X1", "G10 L2 P1 X1", "G43.1 Z1", "G80 G28 Z0"] {
@@ -154,7 +155,7 @@ fn arcs_of_rounded_words() {
             assert_eq!(ready(dialect).error(line), error, "{line} in {dialect:?}");
         }
     }
-    // The half circle gets half of the distance as its radius.
+    // The radius of the half circle becomes half of the distance between its ends.
     let MotionCommand::Arc(arc) = ready(Dialect::Oxmill).run("G3 X4.9287 R2.4643").motion else { panic!() };
     assert_eq!((arc.i.0, arc.j.0), (24_643_500, 0));
     #[cfg(feature = "full")]
@@ -164,7 +165,8 @@ fn arcs_of_rounded_words() {
         assert_eq!(["G2 X10.002 R5", "G2 X10.003 R5"].map(|line| program.error(line)), [0, 34], "{factor}");
     }
     for (line, error) in [
-        // Two digits: the centre is 0.028 mm off at most.
+        // The words have at most two decimals, so rounding explains a difference of the radii of up to 0.028 mm (2.8
+        // digits).
         ("G2 X5.02 I2.5", 0),
         ("G2 X5.02 I2.50", 0),
         ("G2 X5.03 I2.5", 33),
@@ -180,14 +182,15 @@ fn arcs_of_rounded_words() {
     ] {
         assert_eq!(ready(Dialect::Oxmill).error(line), error, "{line}");
     }
-    // Dialect `seed`, which ends such arcs on their circle, still does so; Grbl's dialect accepts neither.
+    // The dialect `seed` still ends such arcs on their circle. Grbl's dialect accepts neither of the two arcs.
     let MotionCommand::Arc(arc) = ready(Dialect::Seed).run("G2 X5.02 I2.5").motion else { panic!() };
     assert_eq!(arc.target.0[0].0, 50_000_000);
     let grbl = ready(Dialect::Grbl);
     assert_eq!(["G3 X4.9287 Y0 R2.4643", "G2 X5.02 I2.5"].map(|line| grbl.error(line)), [34, 33]);
 }
 
-/// Numbers of which Grbl keeps only the lowest byte, so that it takes them for another word or for no whole number.
+/// Grbl keeps only the lowest byte of these numbers, and so takes them for another word or for no whole number. The
+/// other dialects refuse them as unknown.
 #[test]
 fn numbers_that_no_word_has() {
     for dialect in DIALECTS.into_iter().filter(|dialect| *dialect != Dialect::Grbl) {
@@ -262,7 +265,7 @@ fn turns_of_arcs() {
     }
 }
 
-/// The direction of an arc is as seen against the third axis of its plane: in G18 it is from Z towards X.
+/// The direction of an arc is the one seen against the third axis of its plane, so in G18 a G3 turns from Z towards X.
 #[test]
 fn planes() {
     for dialect in DIALECTS {
@@ -279,7 +282,7 @@ fn planes() {
     }
 }
 
-/// With the centre at the start nothing turns; the other axis still moves.
+/// If the centre is at the start, there is no arc, but the axis outside of the plane still moves.
 #[test]
 fn arc_without_radius() {
     for dialect in DIALECTS {
@@ -303,7 +306,7 @@ fn probing_moves() {
             }
             assert_eq!(target(&checked), [0.0, 0.0, -5.0]);
         }
-        // The probe stopped on the way: the program continues from there.
+        // If the probe stops on the way, the program continues from where it stopped.
         program.run("G38.2 Z-5");
         let mut stopped = *program.interpreter.position();
         stopped.0[2].0 = -12_345_678;
@@ -346,7 +349,8 @@ fn jogs_leave_the_state_alone() {
         let mut program = ready(dialect);
         program.run_all("G91\nG20\nT4\nG10 L2 P1 X1\nG92 Y1\nG80");
         let before = program.interpreter.clone();
-        // A jog is a line even under G80, in the program's units and distance mode unless it says otherwise.
+        // A jog is a straight line even under G80. It uses the program's units and distance mode unless it has words
+        // for them.
         let jog = before.check_jog(b"X1F60N7", program.dialect).unwrap();
         assert_eq!(target(&jog), [25.4, 0.0, 0.0]);
         let MotionCommand::Line { feed: Feed::PerMinute(feed), .. } = jog.motion else { panic!() };
@@ -365,7 +369,7 @@ fn jogs_leave_the_state_alone() {
     }
 }
 
-/// Angles are degrees whatever the unit of lengths, and not part of any plane.
+/// Angles are in degrees whatever the unit of lengths is, and A belongs to no plane.
 #[test]
 fn four_axes() {
     for dialect in DIALECTS {

@@ -1,11 +1,11 @@
-//! O words: which lines run, how often, and with which parameters. The expected lists were checked with LinuxCNC's
-//! interpreter where it accepts the same text.
+//! Tests of O words: which lines run, how often, and with which parameters. Where LinuxCNC's interpreter accepts the
+//! same text, the expected lists were checked with it.
 #![cfg(feature = "full")]
 
 use oxmill_controller::gcode::{Action, Dialect, Direction, Held, HeldLine, Interpreter, MotionCommand};
 use proptest::prelude::*;
 
-/// A host that sends a program: records the X target of every rapid, and the error numbers.
+/// A host that sends a program. Records the X target of every rapid, and the error numbers.
 struct Sender {
     interpreter: Interpreter<3>,
     went: Vec<i64>,
@@ -82,7 +82,7 @@ fn goes(text: &str, places: &[i64]) {
     assert_eq!((sender.went, sender.errors), (places.to_vec(), vec![]), "{text}");
 }
 
-/// Checks the errors of a program, and the X targets that it reaches nevertheless.
+/// Checks the errors of a program, and the X targets that it still reaches.
 #[track_caller]
 fn fails(text: &str, errors: &[u8], places: &[i64]) {
     let mut sender = Sender::new();
@@ -147,12 +147,12 @@ fn loops() {
     }
     goes("o1 repeat [-1]\nX1\no1 endrepeat\nX9", &[9]);
     goes("o1 repeat [0]\nX1\no1 endrepeat\nX9", &[9]);
-    // More passes than a loop may have are refused before the first one.
+    // A count above the maximum of passes is refused before the first pass.
     for count in ["100001", "100000.6", "200000-1", "9999999999"] {
         fails(&format!("o1 repeat [{count}]\nX1\no1 endrepeat\nX9"), &[202], &[9]);
     }
     fails("o1 repeat [2]\nX1\no2 repeat [100001]\nX2\no2 endrepeat\no1 endrepeat\nX9", &[202], &[1, 9]);
-    // A loop within a loop, and a condition within it.
+    // A condition in a loop in a loop.
     goes(
         "o1 repeat [2]\no2 repeat [3]\n#1=[#1+1]\no3 if [#1 MOD 2]\nX#1\no3 endif\no2 endrepeat\nX-1\no1 endrepeat",
         &[1, 3, -1, 5, -1],
@@ -185,7 +185,7 @@ fn subroutines() {
     goes("o1 sub\no2 if [#1 GT 0]\nX#1\no1 call [#1-1]\no2 endif\no1 endsub\no1 call [3]\nX9", &[3, 2, 1, 9]);
     goes("o1 sub\nX#1\no1 endsub\no3 repeat [2]\no1 call [5]\no3 endrepeat\nX9", &[5, 5, 9]);
     goes("o1 sub\no2 while [1]\nX1\no1 return\no2 endwhile\no1 endsub\no1 call\nX9", &[1, 9]);
-    // The last definition of a number counts.
+    // If a subroutine is defined twice, the later definition counts.
     goes("o1 sub\nX1\no1 endsub\no2 sub\nX2\no2 endsub\no1 sub\nX3\no1 endsub\no1 call\no2 call\no1 call", &[3, 2, 3]);
     // A body does not run when it is defined.
     goes("o1 sub\nX1\nM2\no1 endsub\nX2", &[2]);
@@ -237,7 +237,8 @@ fn computed_labels_of_calls() {
             sender.errors
         );
     }
-    // All other labels must be numbers or names. A refused block is refused to its end.
+    // Only the label of a call can be computed; all others must be numbers or names. If the first line of a block is
+    // refused, all its lines are refused.
     fails("o#1 sub\nX1\no#1 endsub\nX2", &[81; 3], &[2]);
     fails("o[1] repeat [2]\nX1\no[1] endrepeat\nX2", &[81; 3], &[2]);
     fails("o#1 if [1]\nX1\no#1 endif\nX2", &[81, 81], &[2]);
@@ -255,7 +256,7 @@ fn unknown_keywords() {
     fails("o1000 G0 X5\nX1", &[36], &[1]);
 }
 
-/// A call within two conditions, nested sixteen times.
+/// A subroutine that calls itself within two conditions, sixteen calls deep.
 #[test]
 fn recursion_within_conditions() {
     let sub = "o1 sub\no2 if [#1 GT 0]\no3 if [1]\nX#1\no1 call [#1-1]\no3 endif\no2 endif\no1 endsub\n";
@@ -269,11 +270,11 @@ fn recursion_within_conditions() {
     fails(&format!("{sub}o<{name}> call [6]\nX0"), &[82], &[6, 5, 4, 3, 2, 1, 0]);
 }
 
-/// No word of a line with a keyword is lost without an error.
+/// A word that does not belong in a line with an O keyword is an error. It is never ignored.
 #[test]
 fn words_behind_a_keyword() {
     for condition in [0, 1] {
-        // The condition ends nevertheless.
+        // The refused `endif` still ends the condition.
         fails(&format!("o1 if [{condition}]\nX1\no1 endif X9\nX2"), &[81], [&[2][..], &[1, 2]][condition]);
         // The second branch does not run in either case.
         let went = [&[3][..], &[1, 3]][condition];
@@ -293,7 +294,8 @@ fn words_behind_a_keyword() {
     fails("o1 sub\no1 return X9\no1 endsub\nX2", &[81, 81], &[2]);
 }
 
-/// There are 6 KiB for text. A block that does not fit is refused to its end: none of its lines runs by itself.
+/// There are 6 KiB for the text of blocks. If a block does not fit, all its lines up to its end are refused, so that
+/// none of them runs outside of the block.
 #[test]
 fn memory_for_text() {
     let line = "G1 F100 X1.5 Y2.5 Z-0.5\n";
@@ -316,16 +318,16 @@ fn memory_for_text() {
     assert_eq!((sender.errors, sender.went.len()), (vec![2; 100], 500));
 }
 
-/// However full the memory is, no line of a refused block runs by itself, and a subroutine that is refused repeatedly
-/// takes no additional memory.
+/// However full the memory is, no line of a refused block runs outside of the block, and a subroutine that is refused
+/// repeatedly takes no additional memory.
 #[test]
 fn refused_in_full_memory() {
     let line = |length: usize| format!("G0X1Y{:0width$}\n", 0, width = length - "G0X1Y".len());
     for free in 0..300 {
         for label in ["2", "<a_name>", &format!("<{}>", "a".repeat(70)), &format!("<{}>", "a".repeat(150))] {
             let mut sender = Sender::new();
-            // Each line takes one byte more than its length; the first and the last line of the subroutine take 15
-            // together.
+            // Each line takes one byte more than its length. The first and the last line of the subroutine together
+            // take 15 bytes.
             let body = 6144 - 64 - 15 - free;
             let body = line(61).repeat(body / 62 - 1) + &line(61 + body % 62);
             sender.send_all(&format!("o1 sub\n{body}o1 endsub"));
@@ -350,7 +352,7 @@ fn refused_in_full_memory() {
 
 #[test]
 fn the_end_of_a_program() {
-    // After M2 within a call and a condition, neither is left open.
+    // M2 within a call and a condition closes both.
     goes("o1 sub\nX1\no3 if [1]\nM2\no3 endif\nX2\no1 endsub\no2 if [1]\no1 call\nG0 X3", &[1, 3]);
     fails("o1 sub\nM2\no1 endsub\no1 call\no1 call", &[81], &[]);
     let mut sender = Sender::new();
@@ -363,7 +365,7 @@ fn the_end_of_a_program() {
     assert_eq!(sender.went, [2, 4]);
 }
 
-/// Blocks in which a program has ended: the line with which the outermost began.
+/// `open_since` returns the line with which the outermost open block began, also after the end of the program.
 #[test]
 fn blocks_that_are_left_open() {
     for (text, since) in [
@@ -373,7 +375,7 @@ fn blocks_that_are_left_open() {
         ("X1\n\no1 do\no2 repeat [2]\no2 endrepeat", Some(3)),
         ("o1 repeat [2]\nX1\no1 endrepeat", None),
         ("o1 if [0]\nM2\no1 endif\nX1\nM2", None),
-        // Blocks that M2 cuts short.
+        // Blocks in which M2 ends the program.
         ("X1\no1 if [1]\nM2", Some(2)),
         ("X1\no1 if [0]\nM2", Some(2)),
         ("o1 if [1]\nM2\nG4 P0\no2 if [1]\no2 endif", None),
@@ -390,8 +392,8 @@ fn blocks_that_are_left_open() {
     }
 }
 
-/// After an M2 that was skipped or kept as text only an O word can follow, so the next program is not mistaken for a
-/// part of the last one.
+/// After an M2 that was skipped or stored in a block, only an O word is accepted, so the lines of the next program are
+/// not taken for a part of the open block.
 #[test]
 fn the_next_program_is_none_of_an_open_block() {
     for end in ["M2", "M30", "G0 X5 M02", "N5 M030", "M5M2"] {
@@ -413,7 +415,7 @@ fn the_next_program_is_none_of_an_open_block() {
     }
 }
 
-/// A number alone is no O word.
+/// O and a number alone (the number of a program) are no O word.
 #[test]
 fn numbers_of_programs_are_left_to_the_check() {
     let mut interpreter = Interpreter::<3>::default();
@@ -444,7 +446,7 @@ proptest! {
 /// Each case behaves as in LinuxCNC's interpreter.
 #[test]
 fn states_saved_until_a_call_returns() {
-    // Inches and distances act within the subroutine alone; the motion word stays.
+    // Inches and G91 act only within the subroutine. The motion word is not restored.
     goes("o1 sub\nM73\nG91 G0 X1\nX1\nG20 X1\no1 endsub\nG90 G0 X5\no1 call\nX10", &[5, 6, 7, 32, 10]);
     goes(
         "o1 sub\nM73\nG91\no1 if [#1]\no1 return\no1 endif\nX1\no1 endsub\nX5\no1 call [1]\nX3\no1 call [0]\nX4",
@@ -452,14 +454,14 @@ fn states_saved_until_a_call_returns() {
     );
     // The returned value is computed before the state is restored.
     goes("o1 sub\nM73\nG91\no1 endsub [#<_incremental>+6]\no1 call\nX#<_value>", &[7]);
-    // Each call has a state of its own, and a call in a call restores before its caller continues.
+    // Each call saves a state of its own. A call within a call restores its state before its caller continues.
     goes("o1 sub\nM73\nG91\no2 call\nX1\no1 endsub\no2 sub\nM73\nG90\nX8\no2 endsub\nX5\no1 call\nX1", &[5, 8, 9, 1]);
     goes(
         "o1 sub\nG91\nM70\nG90\no2 call\nM72\nX1\no1 endsub\no2 sub\nM70\nG90\nM72\no2 endsub\nM70\nX5\no1 call\nM72\nX1",
         &[5, 6, 1],
     );
-    // A later M70 saves another state, which M73 then restores. After M71 nothing is restored. M72 restores at once,
-    // and M73 again.
+    // M73 restores, at the end of the call, the state that a later M70 has saved, even after M71. After M71 without M70
+    // nothing is restored. M72 restores at once, and M73 restores again at the end of the call.
     goes("o1 sub\nM73\nG91\nM70\nG90\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
     goes("o1 sub\nM73\nM71\nM70\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 1]);
     goes("o1 sub\nM73\nM71\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
@@ -475,7 +477,7 @@ fn states_of_other_calls_are_not_restored() {
     fails("o1 sub\nM72\no1 endsub\nM70\no1 call\nX1", &[123], &[1]);
     fails("o1 sub\nM73\no1 endsub\no1 call\nM72\nX1", &[123], &[1]);
     fails("o1 sub\nM70\no2 call\no1 endsub\no2 sub\nM72\no2 endsub\no1 call\nX1", &[123], &[1]);
-    // An error ends the subroutine and restores nothing, neither then nor later.
+    // An error ends the subroutine. The saved state is not restored, neither at once nor by a later call.
     fails(
         "o1 sub\nM73\nG91\nnonsense\no1 endsub\nX5\no1 call\nX1\no2 sub\nX1\no2 endsub\no2 call\nG90\nX1",
         &[2],
@@ -483,7 +485,7 @@ fn states_of_other_calls_are_not_restored() {
     );
     fails("o1 sub\nM73\nG91\nM2\no1 endsub\nX5\no1 call\nG91 G0 X1\nM72", &[123], &[5, 6]);
     fails("o1 sub\nM73 G91\no1 endsub\no1 call\nM72 X1", &[21, 21], &[]);
-    // Seven nested calls can save a state, besides the main program.
+    // The main program and seven nested calls can each save a state.
     let deep = |calls: u32| {
         format!(
             "o1 sub\nM73\nG91\nX1\no2 if [#1 GT 1]\no1 call [#1-1]\no2 endif\no1 endsub\nM70\nX5\no1 call [{calls}]\nX1"

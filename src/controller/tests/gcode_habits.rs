@@ -21,7 +21,7 @@ fn each(grbl: &[(&str, u8)], test: impl Fn(&mut Program)) {
     }
 }
 
-/// Units as in Mach, not the lathe cycles of other controls.
+/// G70 and G71 select units, as in Mach. They are not the lathe cycles of other controls.
 #[test]
 fn units_of_mach() {
     each(&[("G70", 20), ("G71", 20)], |program| {
@@ -36,7 +36,7 @@ fn units_of_mach() {
     });
 }
 
-/// D is the register of the cutter's radius, which has no effect.
+/// D names the register of the cutter's radius. It has no effect here.
 #[test]
 fn d_beside_g43_or_alone() {
     each(&[("D1", 20), ("G43.1 Z1 D1", 20)], |program| {
@@ -123,7 +123,7 @@ fn look_ahead() {
         program.run("X3");
         assert_eq!(program.machine()[0], 3.0);
         for (line, error) in [
-            // Lathe words, and splines.
+            // Words of lathes and of splines.
             ("G8", 121),
             ("G7 P1", 121),
             ("G8.1 P1", 20),
@@ -166,7 +166,7 @@ fn numbers_of_programs() {
     });
 }
 
-/// The systems after G59, in order.
+/// P selects the systems after G59, in order.
 #[test]
 fn more_coordinate_systems() {
     each(&[("G54.1 P1", 23), ("G154 P1", 20)], |program| {
@@ -236,7 +236,7 @@ fn returns_by_distances() {
     });
 }
 
-/// G68 with A and B in place of X and Y.
+/// G68 of Mach has A and B in place of X and Y.
 #[cfg(feature = "full")]
 #[test]
 fn rotations_of_mach() {
@@ -263,7 +263,7 @@ fn rotations_of_mach() {
     });
 }
 
-/// LinuxCNC's names, with which programs find out where they run.
+/// Programs read these named parameters of LinuxCNC to find out on which control they run.
 #[cfg(feature = "full")]
 #[test]
 fn what_programs_ask() {

@@ -1,4 +1,4 @@
-//! What the small image refuses: words that 256 KiB of flash have no room for.
+//! Tests of the words that the small image refuses, because 256 KiB of flash have no room for them.
 
 #![cfg(not(feature = "full"))]
 
@@ -8,7 +8,7 @@ use oxmill_controller::gcode::{Dialect, Direction, Interpreter};
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 
-/// Asserts that each line is refused with the error after lines of Grbl's own words were accepted.
+/// Asserts that lines with Grbl's own words are accepted, and that after them each of `lines` is refused with `error`.
 fn refuses(lines: &[&str], error: Error) {
     for dialect in NEW {
         let mut program = Program::new(dialect);

@@ -1,4 +1,5 @@
-//! Macros: lines that outlive programs. They are kept in front of the held text of programs.
+//! Macros are lines that outlive programs. In memory they lie in front of the lines that programs store (subroutines
+//! and loops).
 #![cfg(feature = "full")]
 
 use oxmill_controller::error::Error;
@@ -21,7 +22,7 @@ fn lines_beyond_the_last_and_too_many_bytes() {
     assert_eq!(all(&interpreter).len(), 64);
     interpreter.clear_macros();
     assert!(all(&interpreter).is_empty());
-    // Each line takes 80 bytes and one more, so 3072 bytes have room for 37.
+    // Each line takes 80 + 1 bytes, so 3072 bytes have room for 37 lines.
     let line = [b'X'; 80];
     for index in 0..37 {
         assert_eq!(interpreter.set_macro_line(index, &line), Ok(()), "{index}");

@@ -1,5 +1,5 @@
-//! Expressions and parameters in lines of a program. The expected values were checked with LinuxCNC's interpreter where
-//! it has the same words.
+//! Tests of expressions and parameters in lines of a program. Where LinuxCNC's interpreter has the same words, the
+//! expected values were checked with it.
 #![cfg(feature = "full")]
 
 use crate::program::{Program, target};
@@ -32,7 +32,7 @@ fn words_take_computed_values() {
     program.run("#2=59.2");
     program.run("G#2");
     assert_eq!(program.interpreter.modal().coordinate_system.word(), "G59.2");
-    // A computed number selects the word whose number it equals but for rounding.
+    // A computed number selects the word whose number it equals, apart from rounding.
     program.run("G[162/3]");
     assert_eq!(program.check("M[3*[1/3]+2]").unwrap().spindle, Some(SpindleDirection::Clockwise));
     assert_eq!(program.error("M[3.2]"), Error::IntegerRequired.code());
@@ -77,7 +77,7 @@ fn a_line_reads_all_before_it_sets_any() {
     program.run("#1=#2 #2=#1 #<NAME>=[#<NAME>+1] G0 X#1 Y#<NAME>");
     assert_eq!(program.machine(), [1.0, 3.0, 0.0]);
     assert_eq!([x(&program, "#1"), x(&program, "#2"), x(&program, "#<NAME>")], [2.0, 1.0, 4.0]);
-    // Assignments are made from left to right: the last one counts.
+    // Assignments are made from left to right, so the last one counts.
     program.run("#1=5 #1=6 #<NEW>=1 #<NEW>=2");
     assert_eq!([x(&program, "#1"), x(&program, "#<NEW>")], [6.0, 2.0]);
     program.run("#10=2");
@@ -99,7 +99,8 @@ fn unset_parameters() {
     assert_eq!(program.error("X#<A>"), 74);
 }
 
-/// A line that is refused for any reason sets nothing; neither does a line that is only checked, or a jog.
+/// A line that is refused for any reason sets no parameter. A line that is only checked and a jog set no parameter
+/// either.
 #[test]
 fn a_refused_line_sets_nothing() {
     let mut program = ready();
@@ -240,7 +241,7 @@ fn names_of_axes_that_the_machine_lacks() {
     assert_eq!(["#<_Z>=1", "#<_ABS_Z>=1"].map(|line| program.error(line)), [200; 2]);
 }
 
-/// Whether G92 is in force, and its values, are independent.
+/// The parameter that tells whether G92 is in force is independent of those with its values.
 #[test]
 fn the_offset_of_g92() {
     let mut program = ready();
@@ -274,15 +275,15 @@ fn values_in_remarks() {
     };
     assert_eq!(expand(" v=#1, w=[#1+0.2]"), " v=10.100000, w=[10.100000+0.2]");
     assert_eq!(expand("#<a _b>#99 #2"), "-0.3333330.000000 0.000000");
-    // As LinuxCNC's interpreter writes them, except that it rounds 2.5 to 2 and drops the characters `%.` if no f
-    // follows.
+    // Numbers are written as by LinuxCNC's interpreter, except that LinuxCNC rounds 2.5 to 2 and drops the characters
+    // `%.` if no f follows.
     assert_eq!(expand("a %d #20 b %.2f #20 c %f #20 d %lf #20 %.0f#20"), "a  -2 b  -2.46 c  -2.4560 d %lf -2.4560 -2");
     assert_eq!(expand("#20 %d #20 #21 %.3f#20 %.9f#20"), "-2.456000  -2 7 -2.456 -2.4560000");
     assert_eq!(expand("100% #21 %x %.12f %F %% %.f %"), "100% 7.000000 %x %.12f %F %% %.f %");
     assert_eq!(expand("%.1f#22 %d#22 #<nothing>"), "2.5 3 ######");
     assert_eq!(expand("#<nothing> #0 # #<> #< 5#"), "###### ###### # #<> #< 5#");
     assert_eq!(expand(&"#1".repeat(40)).len(), 64);
-    // A line's comment may show a parameter that the line sets.
+    // The comment of a line can show a parameter that the same line sets.
     let mut program = program.clone();
     let mut checked = Action::NOTHING;
     let check = program.interpreter.check_into(b"#1=3#1=4", Dialect::Oxmill, &mut checked);
@@ -304,7 +305,7 @@ fn what_the_probe_found() {
     assert_eq!([x(&program, "#5061"), x(&program, "#5070")], [0.0, 0.0]);
 }
 
-/// A table of coordinates that were computed to the last digit is no noisier than one of written coordinates.
+/// The last digit of a computed coordinate is taken from its value, as for a written coordinate.
 #[test]
 fn digits_of_computed_values() {
     let mut program = ready();
@@ -317,7 +318,7 @@ fn digits_of_computed_values() {
 }
 
 proptest! {
-    /// The sum of two numbers as programs write them is exact.
+    /// The sum of two numbers of four decimals, as programs write them, is exact.
     #[test]
     fn sums_are_exact(a in -99_999_999_i64..99_999_999, b in -99_999_999_i64..99_999_999) {
         let mut program = ready();

@@ -1,4 +1,5 @@
-//! Properties of every line: an answer without panic, no change by checking, exact positions.
+//! Tests of properties of every line: it is answered without a panic, checking it changes nothing, and positions are
+//! exact.
 
 use crate::program::{DIALECTS, Program};
 use oxmill_controller::axes::PerAxis;
@@ -144,7 +145,7 @@ proptest! {
         }
     }
 
-    /// A programmed work coordinate is the one read afterwards, whatever the offsets.
+    /// After a move, the work coordinate that is read is the one that was programmed, whatever the offsets are.
     #[test]
     fn programmed_is_reached(
         offsets in prop::collection::vec(-1_000_000_000_i64..1_000_000_000, 4),
@@ -177,7 +178,7 @@ proptest! {
     }
 }
 
-/// Grbl in single precision ends at 1000.04 mm or so.
+/// The steps add up exactly. Grbl, which computes in single precision, ends at about 1000.04 mm.
 #[test]
 fn a_million_small_steps() {
     let dialect = Dialect::default();
@@ -213,7 +214,7 @@ fn very_long_lines() {
     }
 }
 
-/// The controller does not check whether a line that only moves has any other effect, so it must have none.
+/// The controller does not look for other effects of a line that only moves, so such a line must not have any.
 #[test]
 fn a_line_that_only_moves_changes_nothing_else() {
     for dialect in DIALECTS {

@@ -1,5 +1,5 @@
-//! The sentence that says what is wrong with a refused line: the word, and what to write instead. Each row is a wrong
-//! line as a person or a CAM program writes it, with its error and the whole sentence.
+//! Tests of the sentences that say what is wrong with a refused line: which word, and what to write instead. Each row
+//! is a wrong line as a person or a CAM program writes it, with its error and the whole sentence.
 
 #![cfg(all(feature = "full", feature = "reasons"))]
 
@@ -8,7 +8,7 @@ use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{Action, Dialect, Direction, Reason};
 use proptest::prelude::*;
 
-/// Lines that set the state (` | ` between them), the refused line, the number of its error, and the sentence.
+/// Lines that set the state (separated by ` | `), the refused line, the number of its error, and the sentence.
 type Row = (&'static str, &'static str, u8, &'static str);
 
 /// Rows in Oxmill's dialect.

@@ -1,5 +1,5 @@
-//! The interpreter against conversations recorded from real Grbl 1.1h: each line's `ok` or `error:N`, the state that
-//! `$G` and `$#` print, and the position where motion came to rest.
+//! Compares the interpreter with conversations recorded from real Grbl 1.1h: the `ok` or `error:N` of each line, the
+//! state that `$G` and `$#` print, and the position where motion came to rest.
 
 use oxmill_controller::axes::{Axis, PerAxis};
 use oxmill_controller::error::Error;
@@ -9,7 +9,8 @@ use oxmill_controller::units::{Coordinate, DECIMAL_ONE};
 
 const GRBL: Dialect = Dialect::Grbl;
 
-/// Lines that are answered differently on purpose: Grbl accepts targets a kilometre away; here the limit is 50 m.
+/// Lines that are answered differently on purpose, because Grbl accepts targets a kilometre away and here the limit is
+/// 50 m.
 const OTHERWISE: &[(&str, &str, &str)] = &[("09_arcs", "G2 X1000000 Y0 R500000.5", "error:33")];
 
 /// Returns what the line filter leaves of a line.
@@ -64,8 +65,8 @@ fn modal_text(interpreter: &Interpreter<3>) -> String {
     format!("[GC:{} T{} F{feed} S{speed}]", words.join(" "), modal.tool)
 }
 
-/// Whether the recording's text with three decimals matches the coordinate. Grbl reads and keeps single precision, so
-/// half of the last digit may fall either way; from 10^6 on the recorded digits are artefacts.
+/// Whether the recording's text with three decimals matches the coordinate. Grbl computes in single precision, so a
+/// value half-way between two texts can be rounded either way. From 10^6 on, the recorded digits mean nothing.
 fn matches(text: &str, coordinate: Coordinate) -> bool {
     let printed: f64 = text.parse().unwrap();
     let exact = coordinate.0 as f64 / DECIMAL_ONE as f64;
@@ -99,7 +100,7 @@ fn check_parameters(interpreter: &Interpreter<3>, reply: &[&str], at: &str) {
     assert_eq!(seen, 9, "{at}");
 }
 
-/// Checks the position in a status report, which is in whole steps: 250 per millimetre.
+/// Checks the position in a status report, which is rounded to whole steps of 1/250 mm.
 fn check_position(interpreter: &Interpreter<3>, report: &str, at: &str) {
     let Some((_, rest)) = report.split_once("MPos:") else { return };
     let (position, _) = rest.split_once('|').unwrap();

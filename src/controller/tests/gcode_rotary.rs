@@ -52,10 +52,10 @@ fn near(found: f32, expected: f32) {
 fn f_is_along_the_way_of_x_y_and_z() {
     let mut program = Program::new("G21 G91 F600");
     near(program.speed("G1 X30 Y-40"), 600.0);
-    // 50 mm take 5 s, in which A turns 120 degrees: the path of all axes is 130 units in 5 s.
+    // X and Y move 50 mm, which takes 5 s. Meanwhile A turns 120 degrees, so the path of all axes is 130 units in 5 s.
     near(program.speed("X30 Y40 A120"), 600.0 * 130.0 / 50.0);
     near(program.speed("Z-5 A-12"), 600.0 * 13.0 / 5.0);
-    // F is along X even if X moves very little.
+    // F is the speed of X even if X moves very little.
     near(program.speed("X0.001 A90"), 600.0 * 90_000.0);
     near(program.speed("G38.3 X3 A4"), 600.0 * 5.0 / 3.0);
 }

@@ -89,7 +89,7 @@ fn arcs() {
     for line in ["G18 G2 X20 Z5 R10", "G19 G2 Y20 Z5 R10", "G18 G81 X1 Z1 Y-1 R1"] {
         assert_eq!(program.error(line), 126, "{line}");
     }
-    // From a position that has no exact coordinates in the program.
+    // A full circle ends exactly at its start, even if that position has no exact coordinates in the program.
     program.run("G53 G0 X1.2345679 Y7");
     let MotionCommand::Arc(arc) = program.run("G3 I1").motion else { panic!("no arc") };
     assert_eq!(arc.start, arc.target);
@@ -105,7 +105,7 @@ fn cycles_and_places() {
             ("G80", [-4.0, 6.0, 7.0]),
             ("G90 G28 X0 Y0", [0.0, 1.0, 7.0]),
             ("G1 X7 Y7", [-7.0, 7.0, 7.0]),
-            // The named axis is an axis of the program.
+            // The axis that G28 names is an axis of the program, which is rotated.
             ("G28 X7", [-7.0, 1.0, 7.0]),
         ],
     );
@@ -173,19 +173,20 @@ fn other_planes() {
     assert_eq!((program.error("G55 X1"), program.error("G69 G55 X1")), (126, 0));
     program.run("G69 G55");
     assert_eq!((program.error("G18 G68 R1"), program.error("G17 G68 R1")), (126, 0));
-    // While G68 rotates in another plane, the active system cannot get an angle: no line could be run after it.
+    // While G68 rotates in another plane, the active system cannot get an angle, because after that no line could be
+    // run.
     program.run("G54 G18 G68 X0 Z0 R10");
     for (line, error) in
         [("G10 L2 P1 R30", 126), ("G10 L2 P0 R30", 126), ("G10 L2 P1 R0", 0), ("G10 L2 P2 R30", 0), ("M5", 0)]
     {
         assert_eq!(program.error(line), error, "{line}");
     }
-    // A rotation by a whole turn counts as none.
+    // A rotation by a whole turn counts as no rotation.
     program.run("G18 G68 X0 Z0 R360");
     assert_eq!(program.error("G17 G2 I1"), 0);
 }
 
-/// The next program does not expect the rotation.
+/// A rotation ends when a program is given up, because the next program does not expect it.
 #[test]
 fn a_program_that_is_given_up_leaves_no_rotation() {
     let mut program = ready("G68 X0 Y0 R90");
@@ -231,7 +232,7 @@ fn jogs() {
     assert_eq!(jog("G53X7F100"), [7.0, 5.0, 0.0]);
 }
 
-/// The offset changes before the motion of its line, whose axes are rotated.
+/// Also with rotated axes, the words of G92 change the offset before the motion of their line.
 #[test]
 fn g92_changes_before_a_rotated_motion() {
     play(
@@ -246,7 +247,7 @@ fn g92_changes_before_a_rotated_motion() {
     );
 }
 
-/// Grbl's dialect has no word that ends a rotation, so none is in force there.
+/// Grbl's dialect has no word that ends a rotation, so no rotation is in force in that dialect.
 #[test]
 fn grbl_has_no_rotation() {
     let mut program = ready("G10 L2 P1 X10 R90\nG68 X0 Y0 R30");

@@ -69,7 +69,8 @@ fn arcs() {
         assert_eq!((way(arc.i), way(arc.j), arc.clockwise), (2.5, 0.0, true), "{line}");
         assert_eq!(in_mm(&arc.target)[..2], [8.5, 0.0], "{line}");
     }
-    // A full circle, and an end that the program has rounded to a digit: the tolerance is that of the unscaled numbers.
+    // Full circles stay full, and the tolerance for an end point that the program has rounded is that of the unscaled
+    // numbers.
     let mut program = ready("G51 X0 Y0 P20\nG0 X1.234 Y0");
     let MotionCommand::Arc(arc) = program.run("G3 I-1.234").motion else { panic!() };
     assert_eq!(arc.start, arc.target);
@@ -106,7 +107,7 @@ fn heights(program: &mut Program, line: &str) -> Vec<f64> {
     heights
 }
 
-/// R, Z and Q are scaled along the depth, P and the clearance are not.
+/// R, Z and Q are scaled with the factor of the depth axis. P and the clearance are not scaled.
 #[test]
 fn cycles() {
     let mut program = ready("G0 Z20\nG51 X0 Y0 Z0 P2");
@@ -133,7 +134,7 @@ fn places_of_the_machine_are_not_scaled() {
     assert_eq!(target(&program.run("G0 Z1")), [10.0, 10.0, 7.0]);
 }
 
-/// Jog distances are those of the machine; jog coordinates are those of the program.
+/// Distances (G91) of a jog are not scaled. Coordinates (G90) of a jog are those of the program.
 #[test]
 fn jogs() {
     let program = ready("G51 X0 Y0 P2\nG0 X1 Y1");

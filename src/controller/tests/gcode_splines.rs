@@ -1,4 +1,4 @@
-//! G5 to G5.3: the curve that a line asks for.
+//! Tests of G5 to G5.3: which curve a line asks for.
 
 #![cfg(feature = "full")]
 
@@ -24,7 +24,7 @@ fn curve(checked: &Action<3>) -> [[f64; 2]; 4] {
     spline.corners().map(|corner| [corner.0[0], corner.0[1]].map(|c| c.0 as f64 / DECIMAL_ONE as f64))
 }
 
-/// Runs lines, and checks the control points after the first that the last line gives.
+/// Runs `setup`, and checks the control points of the curve of `line`, except the first one, which is its start.
 fn gives(setup: &str, line: &str, wanted: [[f64; 2]; 3]) -> Program {
     let mut program = ready(setup);
     let found = curve(&program.run(line));
@@ -38,7 +38,7 @@ fn gives(setup: &str, line: &str, wanted: [[f64; 2]; 3]) -> Program {
 #[test]
 fn two_control_points() {
     let mut program = gives("", "G5 I0 J3 P0 Q-3 X1 Y1", [[0.0, 3.0], [1.0, -2.0], [1.0, 1.0]]);
-    // The curve continues smoothly, and the word is modal.
+    // Without I and J the curve continues smoothly, and G5 stays in force.
     assert_eq!(curve(&program.run("G5 P0 Q-3 X2 Y2")), [[1.0, 1.0], [1.0, 4.0], [2.0, -1.0], [2.0, 2.0]]);
     assert_eq!(curve(&program.run("P-1 Q.5 X7")), [[2.0, 2.0], [2.0, 5.0], [6.0, 2.5], [7.0, 2.0]]);
     assert_eq!(curve(&program.run("G91 I1 J1 P-1 Q.5 Y1")), [[7.0, 2.0], [8.0, 3.0], [6.0, 3.5], [7.0, 3.0]]);
@@ -65,8 +65,8 @@ fn what_acts_on_control_points() {
     gives("G43.1 X1 Y-1 Z5", "G5 I1 J2 P-1 Q0 X3 Y0", [[1.0, 2.0], [3.0, -1.0], [4.0, -1.0]]);
 }
 
-/// A G5 without I and J continues where the last G5 has ended, whatever lines lie between, in the direction in which
-/// the machine arrived.
+/// If the tool is where the last G5 ended, a G5 without I and J continues it in the direction of its end, whatever
+/// lines lie between.
 #[test]
 fn going_on_smoothly() {
     let first = "G5 I1 J2 P-1 Q.5 X3 Y0";
@@ -90,7 +90,7 @@ fn going_on_smoothly() {
     let mut program = ready(first);
     program.interpreter.change_dialect();
     assert_eq!(program.error("F1 G5 X9 P0 Q0"), 28);
-    // One jog away, and one back.
+    // After a jog to another place, I and J are needed. After a jog back they are not.
     let mut program = ready(first);
     let jog = program.interpreter.check_jog(b"X9F100", Dialect::Oxmill).unwrap();
     program.interpreter.commit(&jog);
@@ -161,7 +161,8 @@ fn what_is_refused() {
     assert_eq!(jog(b"G17G69G5X1I1J1P1Q1F100").map_err(|error| error.code()), Err(16));
 }
 
-/// While G5 is in force, the P of another word must not be negative, as in any other motion mode.
+/// While G5 is in force, only its own P can be negative. The P of other words must not be negative, as in any motion
+/// mode.
 #[test]
 fn only_the_p_of_a_spline_is_negative() {
     let program = ready("G5 X10 Y0 I3 J3 P-3 Q3");
@@ -187,7 +188,7 @@ fn only_the_p_of_a_spline_is_negative() {
     for line in ["X20 P-3 Q3", "M8 X20 P-3 Q3", "M67 E1 X20 P-3 Q3", "G92.1 X20 P-3 Q3"] {
         assert_eq!(program.error(line), 0, "{line}");
     }
-    // The P belongs to the word before the motion, so the spline has none.
+    // The P belongs to G4 or G64, so the spline has no P.
     assert_eq!(["G4 P-1 X20 Q3", "G64 P-1 X20 Q3"].map(|line| program.error(line)), [28, 28]);
 }
 
@@ -201,7 +202,7 @@ fn grbl_knows_none() {
     assert_eq!(program.error("G1 X1 P-1"), 4);
 }
 
-/// Increments do not drift over very many curves.
+/// Rounding does not accumulate over very many curves with G91.
 #[test]
 fn curves_do_not_drift() {
     let mut program = ready("G68 X0 Y0 R33.3\nG91\nG5 X0.001 Y.0003 I1 J1 P0 Q0");
@@ -227,11 +228,11 @@ fn control_points_of_a_curve() {
     assert_eq!((nurbs.order, nurbs.feed), (4, Feed::PerMinute(1.0)));
     assert_eq!((in_mm(&nurbs.start), program.machine()), ([1.0, 1.0, 5.0], [6.0, 6.0, 5.0]));
     assert_eq!(program.interpreter.modal().motion.word(), "G80");
-    // The next curve starts with new control points, and a new order. In a first line with X and Y, P belongs to that
-    // point.
+    // The next curve starts with new control points and a new order. If the first G5.2 has X and Y, its P is the weight
+    // of that point.
     program.run_all("G5.2 X7 Y7 P2\nX8 Y7 P1\nG5.3");
     assert_eq!(control_points(&program), [(6.0, 6.0, 1.0), (7.0, 7.0, 2.0), (8.0, 7.0, 1.0)]);
-    // Distances count from the tool's position, which is the start.
+    // With G91, each point counts from the tool, which stays at the start of the curve until G5.3.
     program.run_all("G91 G5.2 X1 Y0 P1\nX1 Y1 P1\nL3 X0 Y2 P1");
     assert_eq!(control_points(&program)[1..], [(9.0, 7.0, 1.0), (9.0, 8.0, 1.0), (8.0, 9.0, 1.0)]);
     let MotionCommand::Nurbs(nurbs) = program.run("G93 F2 G5.3").motion else { panic!() };

@@ -37,7 +37,7 @@ fn g92_suspended_and_restored() {
         ("X1", [-8.0, 2.0, 3.0]),
         ("G92.1", [-8.0, 2.0, 3.0]),
         ("X1", [1.0, 2.0, 3.0]),
-        // G92.1 has left nothing to restore.
+        // After G92.1, G92.3 has nothing to restore.
         ("G92.3", [1.0, 2.0, 3.0]),
         ("X2", [2.0, 2.0, 3.0]),
     ]);
@@ -89,7 +89,7 @@ fn g52_and_g92_are_one_offset() {
         ("G0 X11", [21.0, 2.0, 3.0]),
         ("G92 Y5", [21.0, 2.0, 3.0]),
         ("X1 Y1", [11.0, -2.0, 3.0]),
-        // G52 sets only the named axes, and to the value itself, whatever the distance mode.
+        // G52 sets only the named axes. The value is absolute also with G91.
         ("G91 G52 X1", [11.0, -2.0, 3.0]),
         ("G90 X1 Y1", [2.0, -2.0, 3.0]),
         ("G92.1", [2.0, -2.0, 3.0]),
@@ -289,7 +289,8 @@ fn g92_and_m72() {
     ]);
 }
 
-/// P and Q are in the unit of the line. LinuxCNC uses the same numbers for them, and takes P for Q if Q is missing.
+/// P and Q are lengths in the unit of the line. LinuxCNC takes the same numbers for them, and also uses P for a missing
+/// Q.
 #[cfg(feature = "full")]
 #[test]
 fn path_tolerances() {
@@ -316,7 +317,7 @@ fn path_tolerances() {
     }
 }
 
-/// In Grbl's dialect all these words have Grbl's meaning.
+/// Grbl's dialect refuses all these words, as Grbl does.
 #[test]
 fn grbl_knows_none_of_them() {
     let program = ready(Dialect::Grbl);
@@ -351,7 +352,7 @@ fn grbl_knows_none_of_them() {
     }
 }
 
-/// The state with which a recording can begin: [`Interpreter::is_plain`].
+/// A recording can begin with a state for which [`Interpreter::is_plain`] is true.
 #[test]
 fn a_state_is_plain_while_no_line_has_left_anything_behind() {
     let lines: &[(bool, &str, &str)] = &[

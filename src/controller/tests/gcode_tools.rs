@@ -1,4 +1,4 @@
-//! Tools: the table, the words that change it, and the offsets that act from it.
+//! Tests of tools: the table, the words that change it, and the offsets that are taken from it.
 
 use crate::program::{Program, in_mm};
 use oxmill_controller::gcode::{Dialect, MotionCommand, TOOLS, ToolTable};
@@ -46,19 +46,19 @@ fn the_tool_in_the_spindle() {
     for dialect in NEW {
         let mut program = ready(dialect);
         program.run_all("G10 L1 P7 Z5\nG10 L1 P8 Z6");
-        // T alone selects and changes nothing.
+        // T alone only selects a tool. G43 still uses the tool in the spindle.
         program.run_all("T7\nG43\nG0 Z0");
         assert_eq!(program.machine(), [1.0, 2.0, 0.0]);
         assert!(program.run("M6").tool_change);
         assert!(!program.run("M6").tool_change);
         program.run_all("G43\nZ0");
         assert_eq!(program.machine(), [1.0, 2.0, 5.0]);
-        // All words in one line: the new tool's offset acts on the move.
+        // With all words in one line, the new tool's offset acts on the move.
         program.run("T8 M6 G43 G0 Z1");
         assert_eq!(program.machine(), [1.0, 2.0, 7.0]);
         program.run_all("G43 H7\nG43 H0\nZ0");
         assert_eq!(program.machine(), [1.0, 2.0, 6.0]);
-        // A change of the table takes effect at the next G43.
+        // A changed entry of the table takes effect at the next G43.
         program.run_all("G10 L1 P8 Z-1 X4\nZ0");
         assert_eq!(program.machine(), [1.0, 2.0, 6.0]);
         program.run("G43 Z0 X0");
@@ -145,7 +145,7 @@ fn what_is_refused() {
             ("G10 L10 P1 Z5 R3", 36),
             ("G10 L11 P1 Z5 Q3", 36),
             ("G10 L2 P1 X5 Q3", 36),
-            // L is checked before P: with an unknown L the tool number does not matter.
+            // L is checked before P, so with an unknown L the tool number does not matter.
             ("G10 L3 P12 X1", 20),
             ("G10 L3 P3 X1", 20),
             ("G10 L2 P12 X1", 29),
@@ -176,7 +176,7 @@ fn without_any_entry_tools_have_no_length() {
             program.run(line);
             assert_eq!((tool_length(&program), program.machine()), (0.0, [1.0, 2.0, 3.0]), "{line}");
         }
-        // The length in force is that of some tool.
+        // While a tool length is in force, the table counts as used.
         program.run("G43.1 Z2");
         assert_eq!((program.error("G43 H7"), program.error("G43.2 H7"), program.error("G43 H0")), (47, 47, 47));
         program.run("M61 Q0");
@@ -202,7 +202,8 @@ fn without_any_entry_tools_have_no_length() {
     }
 }
 
-/// Radius, angles and orientation, which LinuxCNC's tables have, are no offset, and do not remove a tool.
+/// Radius, angles and orientation, which LinuxCNC's tables have, are not kept. A line with only these words changes no
+/// offset and does not remove the tool.
 #[test]
 fn words_of_a_tool_that_are_not_kept() {
     for dialect in NEW {
@@ -281,7 +282,7 @@ fn a_check_leaves_the_table_as_it_was() {
     }
 }
 
-/// G10 L1 without axes removes a tool. A tool of length 0, such as the one with which others are compared, stays.
+/// G10 L1 without axes removes a tool. A tool of length 0 stays: it can be the one with which others are compared.
 #[test]
 fn a_tool_is_taken_out() {
     for dialect in NEW {
@@ -295,7 +296,7 @@ fn a_tool_is_taken_out() {
         assert_eq!((program.error("G43 H5"), program.error("G10 L1 P5"), program.error("G43 H6")), (47, 47, 0));
         program.run("G10 L1 P99 Z1");
         assert_eq!((program.error("G43 H99"), program.error("G10 L1 P5 Z1")), (0, 47));
-        // A program in check mode does not remove it.
+        // A program in check mode does not remove a tool for good.
         program.interpreter.begin_check_mode(Dialect::Oxmill);
         program.run("G10 L1 P6");
         program.interpreter.reset();
@@ -303,7 +304,8 @@ fn a_tool_is_taken_out() {
     }
 }
 
-/// Measures the tool `number`: it touches a setter at this machine height. Returns whether it is the first tool.
+/// Measures the tool `number`, which touches a setter at the machine coordinate `height`. Returns whether it is the
+/// first measured tool.
 fn measure(program: &mut Program, number: u32, height: i32) -> bool {
     program.interpreter.tool_removed();
     program.interpreter.tool_measured(number, Coordinate::mm(height))
@@ -322,7 +324,7 @@ fn measured_tools_have_the_same_work_zero() {
         assert_eq!(tool_length(&program), 2.0, "the first one keeps what acts");
         assert!(!measure(&mut program, 2, -43));
         assert_eq!(tool_length(&program), 9.0, "7 mm longer");
-        // The table's offset is not used along Z, but along the other axes.
+        // Along Z the measured length acts; along the other axes the table's offset acts.
         program.run_all("G10 L1 P2 X5 Z-1\nG49");
         assert_eq!(tool_length(&program), 0.0);
         for line in ["G43", "G43 H2", "G43 H0"] {
@@ -374,7 +376,7 @@ fn a_restored_state_has_the_length_of_the_tool_in_the_spindle() {
     measure(&mut program, 1, -15);
     program.run("M72");
     assert_eq!(tool_length(&program), 5.0, "it has been put in otherwise");
-    // M72 also puts the measured length back in force.
+    // If the state saved by M70 had the measured length in force, M72 puts the length measured since then in force.
     for line in ["G49", "G43.1 Z99"] {
         program.run("M70");
         measure(&mut program, 2, -10);

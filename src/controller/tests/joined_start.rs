@@ -6,7 +6,8 @@ use oxmill_controller::messages::{Event, LineByte, Observed, Output, Room, ToSte
 
 const BLOCKS: usize = 16;
 
-/// Returns how many moves of this length along X are sent before the machine starts to move, while more always wait.
+/// Returns how many moves of this length along X are sent before the machine starts to move, if more bytes are always
+/// waiting.
 fn moves_before_the_start(millimetres: f64) -> usize {
     let mut controller = started(PROFILE, BLOCKS);
     for count in 0..1000 {

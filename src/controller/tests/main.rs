@@ -1,4 +1,5 @@
-//! Tests of the controller through its public interface. One program, so that it is compiled and linked once.
+//! Tests of the controller through its public interface. They are modules of one program, so that it is compiled and
+//! linked only once.
 
 mod board;
 mod program;

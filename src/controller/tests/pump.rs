@@ -14,7 +14,8 @@ struct Scribe<const WOKEN: bool> {
     controller: Controller<3>,
     log: Vec<String>,
     events: Vec<(Source, Event<3>)>,
-    /// Events that arrive with the next store operation, including the store's answer; empty: the record is stored.
+    /// Events that arrive with the next store operation, including the store's answer. If empty, the store reports
+    /// success.
     with_store: Vec<(Source, Event<3>)>,
     lines: VecDeque<u8>,
     epoch: u16,
@@ -23,11 +24,11 @@ struct Scribe<const WOKEN: bool> {
     said: String,
     /// Maximum spindle power that was output.
     power: u16,
-    /// A command that is available however often it is taken.
+    /// A realtime command that the pump finds each time it looks for commands.
     flood: Option<Realtime>,
     /// There is no room for replies.
     mute: bool,
-    /// Number of reply pieces for which there is room.
+    /// How many reply pieces there is room for.
     pieces: u32,
 }
 
@@ -59,7 +60,7 @@ impl<const WOKEN: bool> Scribe<WOKEN> {
         self.lines.extend(line.bytes());
     }
 
-    /// Sends a line. Returns the replies until nothing is left to do.
+    /// Sends a line and runs rounds until nothing is left to do. Returns the replies.
     fn answer_to(&mut self, line: &str) -> String {
         self.send(line);
         while round(self) {}
@@ -180,7 +181,7 @@ fn events_are_told_source_by_source_then_lines_then_outputs() {
 #[test]
 fn what_is_answered_by_an_event_is_answered_before_the_next_output() {
     let mut scribe = Scribe::<false>::new();
-    // Each stores a record, and is answered `ok`.
+    // Each line stores a record and is answered `ok`.
     scribe.send("$100=81\n$101=82\nG10L2P1X1\n");
     while round(&mut scribe) {}
     assert_eq!(scribe.said, "ok\r\nok\r\nok\r\n");
@@ -194,7 +195,8 @@ fn what_is_answered_by_an_event_is_answered_before_the_next_output() {
     }
 }
 
-/// Outputs and alarm arise in one call. The outputs come first, because the text may have to wait for room.
+/// One call of the controller changes the outputs and raises the alarm. The outputs come first, because the text of the
+/// alarm can have to wait for room.
 #[test]
 fn outputs_are_off_before_the_alarm_of_a_soft_limit_is_told() {
     let mut scribe = Scribe::<true>::new();
@@ -232,7 +234,7 @@ fn each_segment_for_the_step_task_begins_a_round() {
     for k in steps {
         assert_eq!(scribe.log.get(k + 1).map_or("begin", String::as_str), "begin");
     }
-    // A message that announces a block begins no round: the block's segment comes first.
+    // A message that announces a block does not begin a round, because a segment of that block must follow at once.
     let block = scribe.position("block");
     let next = scribe.log[block..].iter().find(|entry| matches!(entry.as_str(), "step" | "begin"));
     assert_eq!(next.map(String::as_str), Some("step"), "{:?}", scribe.log);
@@ -245,7 +247,7 @@ fn what_comes_when_room_is_made_is_taken_in_another_round() {
     scribe.late.extend(b"G21\n");
     while round(&mut scribe) {}
     assert_eq!(scribe.said, "ok\r\nok\r\n");
-    // A round that finds nothing is the last.
+    // A round that finds nothing to do is the last one.
     scribe.log.clear();
     assert!(!round(&mut scribe));
     assert_eq!(scribe.log, ["begin", "observed", "room false"]);
@@ -258,7 +260,7 @@ fn a_pump_that_is_woken_makes_no_round_for_nothing() {
     woken.events.push((Source::Commands, Event::Realtime(Realtime::Status)));
     assert_eq!(rounds(round(&mut woken), &woken.log), (false, 1));
     assert!(woken.said.starts_with("<Idle|"), "{}", woken.said);
-    // After lines another round is needed: more of them may be waiting.
+    // After a line another round is needed, because more lines can be waiting.
     woken.send("G20\n");
     assert!(round(&mut woken));
     let mut other = Scribe::<false>::new();
@@ -266,7 +268,7 @@ fn a_pump_that_is_woken_makes_no_round_for_nothing() {
     assert_eq!(rounds(round(&mut other), &other.log), (true, 1));
 }
 
-/// A flood of `?` over a fast link: the step task gets its segments in between.
+/// During a flood of `?` over a fast link, the step task still gets its segments.
 #[test]
 fn segments_go_out_though_commands_do_not_end() {
     let mut scribe = Scribe::<true>::new();
@@ -295,7 +297,8 @@ fn inputs_and_lines_come_behind_all_commands_that_wait() {
     assert!(last < scribe.position("Inputs") && last < scribe.position("line"), "{:?}", scribe.log);
 }
 
-/// Nothing would wake the pump again, because all answers have been taken by then.
+/// When there is room for answers again, the waiting lines are read without another wake-up. Nothing would wake the
+/// pump, because all answers have been taken by then.
 #[test]
 fn lines_that_waited_for_room_for_answers_are_read() {
     let mut scribe = Scribe::<true>::new();
@@ -351,8 +354,8 @@ fn a_reset_while_a_setting_is_stored_leaves_no_failure_behind() {
     assert_eq!(scribe.answer_to("G10L2P1X1\n"), "ok\r\n");
 }
 
-/// The change of hosts follows a byte that waits for its command. Dropped early, at an open door, the change would
-/// overtake that byte.
+/// The mark of a change of hosts comes after a byte that waits for the command of its epoch. If the mark were dropped
+/// early, while the door is open, it would overtake that byte.
 #[test]
 fn a_change_of_hosts_is_not_taken_in_front_of_a_byte_that_waits() {
     let mut controller = started(PROFILE, 16);
@@ -380,7 +383,7 @@ fn a_stop_while_defaults_are_stored_does_not_keep_them_from_acting() {
     }
 }
 
-/// A host that sends comments without end, each of which takes as long to read as a segment takes to step.
+/// A host that sends endless comments. Reading a comment takes as long as stepping a segment.
 struct Flooded {
     controller: Controller<3>,
     text: VecDeque<u8>,
@@ -421,7 +424,7 @@ impl Pump<3> for Flooded {
         });
         if byte == b'\n' {
             self.lines += 1;
-            // Like the step task, begins only with some segments queued.
+            // Like the step task, take the first segment only when some segments are queued.
             if self.begun > 0 || self.sent >= 8 {
                 self.begun = self.sent.min(self.begun + 1);
                 if !self.ended {
@@ -464,12 +467,12 @@ fn a_host_that_floods_does_not_starve_the_step_task() {
         }
     }
     assert!(pump.ended && pump.sent > 200, "{} segments, {} lines", pump.sent, pump.lines);
-    // A segment lasts at most 2 ms, and lines come first only while more than 5 ms are queued.
+    // Lines come before segments only while at least 8 ms are queued, and a segment lasts at most 2 ms.
     assert!((2..=6).contains(&pump.fewest), "{} segments were left", pump.fewest);
     assert!(pump.lines > 200, "{} lines were read meanwhile", pump.lines);
 }
 
-/// A host requests more reports than its link can carry: its lines are still answered in between, and listings
+/// If a host requests more reports than its link can carry, its lines are still answered in between, and listings
 /// continue.
 #[test]
 fn a_host_that_floods_does_not_starve_its_own_lines() {
@@ -489,7 +492,7 @@ fn a_host_that_floods_does_not_starve_its_own_lines() {
     }
 }
 
-/// `$914` makes no difference: it is about jobs.
+/// `$914` makes no difference, because it is for jobs only.
 #[test]
 fn a_jog_that_was_read_as_its_host_went_does_not_begin() {
     for (setting, host_goes) in [("$914=0\n", false), ("$914=0\n", true), ("$914=1\n", true)] {

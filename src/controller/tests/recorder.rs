@@ -1,4 +1,5 @@
-//! The recorder's ring as it is found after a reset: complete, wrapped around, cut short, or noise.
+//! Tests of the recorder's ring as it is found after a reset: complete, wrapped around, cut short, or filled with
+//! noise.
 
 #![cfg(feature = "full")]
 
@@ -54,7 +55,7 @@ fn host(text: &str) -> Noted {
     Noted::Host(heapless::Vec::from_slice(text.as_bytes()).unwrap())
 }
 
-/// Returns the pages, which survive a reset: they are given to the next recorder.
+/// Returns the pages as they survive a reset, for the next recorder.
 fn pages(ring: &Ring) -> Vec<Page> {
     ring.pages().to_vec()
 }
@@ -161,7 +162,7 @@ fn a_failure_in_the_line_that_came_last_comes_right_behind_it() {
         at
     };
     assert_eq!(ended_at(5_000_000, 4_900_000), 5_000_000);
-    // Around a wrap of the 32-bit `moment`; and an hour after the last input.
+    // The same when the 32-bit `moment` wraps, and when the failure comes an hour after the last input.
     assert_eq!(ended_at((1 << 32) + 1_000, (1 << 32) - 1_000), (1 << 32) + 1_000);
     assert_eq!(ended_at(5_000_000, 3_605_000_000), 3_605_000_000);
 }
@@ -182,7 +183,7 @@ fn a_page_that_is_not_what_was_written_is_none() {
     assert!(ring.is_kept() && left > 0 && left < whole, "{left} of {whole}");
 }
 
-/// Each jog cancel starts an epoch, and epochs wrap: a machine may be jogged for weeks without a reset.
+/// Each jog cancel starts an epoch. Epochs wrap, because a machine can be jogged for weeks without a reset.
 #[test]
 fn lines_behind_very_many_jog_cancels_are_recorded() {
     let board = board();
@@ -233,7 +234,8 @@ proptest! {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
-    /// Any contents of RAM, such as those after power-up, are listed or discarded, and then recorded over.
+    /// Any contents of RAM, such as those after power-up, are listed or discarded, and are overwritten by the next
+    /// recording.
     #[test]
     fn any_bytes_are_listed(noise in prop::collection::vec(any::<u8>(), 4 * 256), damage in prop::collection::vec((0..1024_usize, any::<u8>()), 0..6), real in any::<bool>(), seal in any::<bool>()) {
         let board = board();
@@ -251,7 +253,7 @@ proptest! {
         }
         let mut pages = of_bytes(&bytes);
         if seal {
-            // Sealed pages pass for written ones, whatever bytes they hold.
+            // Sealed pages are accepted as written pages, whatever bytes they hold.
             pages.iter_mut().enumerate().for_each(|(number, page)| page.seal(number as u32));
         }
         let mut ring = Ring::begin(pages, &SOFTWARE);
@@ -274,7 +276,7 @@ proptest! {
             Noted::Host(bytes) => bytes.to_vec(),
             _ => Vec::new(),
         }).collect();
-        // An incomplete line is not listed: it has had no effect yet.
+        // An incomplete line is not listed, because it has had no effect yet.
         let ended = count - count % 11;
         prop_assert!(text.as_bytes()[..ended].ends_with(&said));
         prop_assert!(said.len() == ended || count > 1_500, "{} of {}", said.len(), count);

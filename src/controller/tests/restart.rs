@@ -1,4 +1,5 @@
-//! After a failure each welcome line reports it until the host has requested the record, and the machine is locked.
+//! After a failure the machine is locked, and each welcome line reports the failure until the host has requested its
+//! record.
 
 use crate::board::{NOW, PROFILE};
 use oxmill_controller::Controller;
@@ -107,7 +108,7 @@ fn a_watchdog_without_a_record_is_told_too() {
     assert!(said.contains("(watchdog)") && said.contains("$X"), "{said}");
 }
 
-/// 6000 resets arrive in half a second, and do not fit a counter of 8 bits.
+/// At 115,200 baud, 6000 resets arrive in half a second. A counter of 8 bits would be too small for them.
 #[test]
 fn many_resets_are_over_when_the_step_task_has_obeyed_them() {
     let (mut board, _) = Board::started(None);
@@ -142,7 +143,8 @@ fn what_a_reset_button_drops_ends_with_a_cut() {
     assert_eq!(board.pump(), "ok\r\n");
 }
 
-/// The bytes counted at the reset button disappear with their host: bytes of the next host are not mistaken for them.
+/// At a press of the reset button, the received bytes are counted in order to drop them. When their host disconnects,
+/// the count is forgotten, so that bytes of the next host are not dropped in their place.
 #[test]
 fn a_host_that_goes_takes_what_was_counted_with_it() {
     let (mut board, _) = Board::started(None);

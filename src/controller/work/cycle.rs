@@ -12,7 +12,7 @@ use crate::units::{Coordinate, Duration};
 use crate::work::task::{Job, Stage};
 
 impl<const N: usize> Controller<N> {
-    /// Does the next step of the line's cycle. Returns the next stage; `None` if something has to be waited for.
+    /// Does the next step of the line's cycle. Returns the next stage of the line; `None` if it has to wait.
     #[inline(never)]
     pub(crate) fn go_on_cycle(&mut self, job: &mut Job) -> Option<Stage> {
         let clearance = Coordinate::from_mm_f32(self.m.settings.value(Key::PeckClearance));
@@ -22,7 +22,7 @@ impl<const N: usize> Controller<N> {
             self.start_queued();
             return None;
         }
-        // There is room for a block, so a move is taken.
+        // There is room for a block, so `queue` takes the move.
         match cycle.step(clearance) {
             None => return Some(Stage::Flow),
             Some(CycleStep::Rapid(target)) => {

@@ -13,7 +13,7 @@ use crate::settings::{AxisKey, Key};
 use crate::units::Coordinate;
 
 impl<const N: usize> Controller<N> {
-    /// Returns why the machine refuses the line although it is correct, if it does.
+    /// Returns an error if the machine must refuse the line although it is correct.
     pub(crate) fn refuse_line(&mut self) -> Option<Error> {
         if self.line.action.motion != gcode::MotionCommand::None
             && let Some(error) = self.motion_locked()
@@ -27,11 +27,11 @@ impl<const N: usize> Controller<N> {
         self.leaves_range().then_some(Error::InvalidTarget)
     }
 
-    /// Whether the motion leaves the range in which the controller computes. An arc bulges beyond its ends, and with
-    /// belts (CoreXY) X and Y add up to the distance of a motor.
+    /// Whether the motion leaves the range in which the controller computes. An arc can bulge beyond its ends, and with
+    /// belts (CoreXY) a motor moves by the sum of X and Y.
     #[inline]
     fn leaves_range(&self) -> bool {
-        // The target of a straight line has been checked before, and no point of the line is beyond its ends.
+        // The target of a straight line has been checked before, and all points of the line lie between its ends.
         let is_plain =
             matches!(self.line.action.motion, gcode::MotionCommand::None | gcode::MotionCommand::Line { .. });
         !(is_plain && self.m.settings.arrangement() == Arrangement::Cartesian) && self.bulges_out()
@@ -66,7 +66,7 @@ impl<const N: usize> Controller<N> {
                 via.as_ref().is_some_and(outside) || outside(target)
             }
             gcode::MotionCommand::Probe { target, .. } if belts => outside(target),
-            // The curve lies within its polygon.
+            // The curve lies within the polygon of its control points.
             gcode::MotionCommand::Spline(spline) if FULL_IMAGE && belts => spline.corners().iter().any(outside),
             gcode::MotionCommand::Nurbs(nurbs) if FULL_IMAGE && belts => self.nurbs_geometry(nurbs).leaves(outside),
             gcode::MotionCommand::Cycle(cycle) if belts => cycle.corners().iter().any(outside),
@@ -74,7 +74,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Shortens a jog to the travel. An axis that is already outside goes no further out.
+    /// Shortens a jog so that it ends within the travel. An axis that is already outside does not move further out.
     pub(crate) fn clip_to_travel(&mut self) {
         if let gcode::MotionCommand::Line { target, .. } = &self.line.action.motion
             && self.limits_travel()
@@ -141,26 +141,25 @@ impl<const N: usize> Controller<N> {
         })
     }
 
-    /// Returns how far (mm) an axis may be commanded with this travel. If the travel is not a whole number of steps, an
-    /// axis that was sent to its end is up to half a step beyond it, and other axes must still be able to move from
-    /// there.
+    /// Returns the coordinate (mm) up to which a position counts as within `travel`. If the travel is not a whole
+    /// number of steps, an axis that was sent to its end can be half a step beyond that end, and a line that moves only
+    /// other axes from there must not be refused.
     #[inline(never)]
     fn reach(&self, axis: Axis, travel: f32) -> f32 {
         let resolution = self.m.settings.axes(AxisKey::Resolution).get(axis).unwrap_or(0.0);
         let steps = travel * resolution;
-        // A product that is whole may be so by rounding only, hence a small share.
+        // A product can be whole only because it was rounded, so a small share is allowed even then.
         let share = if steps as i32 as f32 == steps { 0.02 } else { 0.5 };
         travel + share / resolution
     }
 
-    /// Returns the number of the setting that locks all motion, if any.
+    /// Returns the number (`$`) of the setting that locks all motion, if a setting does.
     #[inline]
     pub(crate) fn locking_setting(&mut self) -> Option<u16> {
         self.m.settings_lock.setting(&self.m.settings)
     }
 
-    /// Returns an error if the settings, or damage to the stored settings, lock all motion, and reports the reason to
-    /// the host.
+    /// Returns an error, and reports the reason to the host, if a setting or damaged stored settings lock all motion.
     #[inline]
     pub(crate) fn motion_locked(&mut self) -> Option<Error> {
         if self.m.records.are_damaged() {

@@ -1,5 +1,5 @@
-//! The line that is being executed: its action, its curve as far as chords have been queued, its tool change, and the
-//! last message of the program. There is one at a time, and its memory is reused.
+//! The line that is being executed: its action, its curve with the next chord to queue, its tool change, and the last
+//! message of the program. One line is executed at a time, so its memory is reused.
 
 use crate::axes::{LINEAR, PerAxis};
 use crate::error::Error;
@@ -17,7 +17,7 @@ const MESSAGE: usize = if FULL_IMAGE { 160 } else { MESSAGE_LENGTH };
 /// A message of a program.
 pub(crate) type Message = heapless::Vec<u8, MESSAGE>;
 
-/// The line being executed, and its curve once started.
+/// The line being executed.
 #[derive(Clone, Debug)]
 pub(crate) struct LineInWork<const N: usize> {
     /// The line's action. Canned cycles and jogs change it during execution.
@@ -38,7 +38,7 @@ pub(crate) struct LineInWork<const N: usize> {
 #[derive(Clone, Debug)]
 struct Refusal {
     reason: Reason,
-    /// The reason was found for the line that is being refused.
+    /// Whether the reason belongs to the line that is being refused, not to an earlier one.
     is_new: bool,
 }
 
@@ -58,7 +58,8 @@ impl<const N: usize> LineInWork<N> {
         refusal: [const { Refusal::NONE }; REASONS as usize],
     };
 
-    /// Finds out what is wrong with a line that the interpreter has refused, be it of the host or of held text.
+    /// Finds out what is wrong with a line that the interpreter has refused. The line may come from the host, or from
+    /// the stored lines of a subroutine, loop or macro.
     #[cold]
     pub(crate) fn explain(
         &mut self,
@@ -74,11 +75,11 @@ impl<const N: usize> LineInWork<N> {
         }
     }
 
-    /// Puts the line `held` before the reason: it is the line at fault, but the host has sent only the line that called
-    /// it.
+    /// Puts the text of the line `held` before the reason. `held` is the wrong line, stored in a subroutine, loop or
+    /// macro; the host knows only the line that called it.
     #[cold]
     pub(crate) fn explain_within(&mut self, held: &[u8]) {
-        /// Number of characters of the held line to show; the host has not sent it.
+        /// How many characters of `held` to show.
         const SHOWN: usize = 24;
         for refusal in self.refusal.iter_mut().filter(|refusal| refusal.is_new) {
             let found = core::mem::take(&mut refusal.reason);
@@ -91,7 +92,7 @@ impl<const N: usize> LineInWork<N> {
         }
     }
 
-    /// Explains that the line is refused for its length: it has `length` characters, and only `fit` fit.
+    /// Explains that the line is refused because it has `length` characters, of which only `fit` fit.
     #[cold]
     pub(crate) fn explain_length(&mut self, length: usize, fit: usize) {
         if let Some(refusal) = self.refusal.first_mut() {
@@ -141,7 +142,7 @@ impl<const N: usize> LineInWork<N> {
         self.message.first().cloned().unwrap_or_default()
     }
 
-    /// Keeps a message of the program as the last one. An empty message: the program has ended.
+    /// Keeps a message of the program as the last one. An empty message means that the program has ended.
     pub(crate) fn keep_message(&mut self, message: Message) {
         if let Some(kept) = self.message.first_mut() {
             *kept = message;
@@ -167,7 +168,7 @@ impl<const N: usize> LineInWork<N> {
         self.forget_notices();
     }
 
-    /// Starts a tool change with measuring; see [`LineInWork::change`].
+    /// Starts a tool change that measures the tool; see [`LineInWork::change`].
     pub(crate) fn begin_change(&mut self, change: ToolChange<N>) {
         self.change = change;
     }
@@ -177,8 +178,8 @@ impl<const N: usize> LineInWork<N> {
         &mut self.change
     }
 
-    /// Starts the line's arc. Returns the length of its chords, mm, and the ratio of that length to their length along
-    /// X, Y and Z.
+    /// Starts the line's arc. Returns the total length of its chords, mm, and the ratio of that length to the length
+    /// along X, Y and Z only.
     pub(crate) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, tolerance: f32) -> (f32, f32) {
         let arc = Arc::new(geometry, tolerance);
         let lengths = (arc.length(), if N > LINEAR { arc.rotary_stretch() } else { 1.0 });

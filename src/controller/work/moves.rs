@@ -1,5 +1,5 @@
-//! Turns targets into moves of the look-ahead, with speed, power and tolerance. Queues a move when there is room, and
-//! starts motion when the queue is full. Arcs and splines begin here, chord by chord.
+//! Turns targets into moves with speed, power and tolerance. Queues a move in the look-ahead when there is room, and
+//! starts motion when the look-ahead is full. Also begins arcs and splines, and queues their chords.
 
 use crate::axes::{LINEAR, PerAxis};
 use crate::dispatch::Controller;
@@ -13,7 +13,7 @@ use crate::units::Coordinate;
 use crate::work::task::{Job, Stage};
 
 impl<const N: usize> Controller<N> {
-    /// Starts the queued motion: the look-ahead is full, or the line has to wait for the end of motion.
+    /// Starts the queued motion, because the look-ahead is full or because the line has to wait for the end of motion.
     pub(crate) fn start_queued(&mut self) {
         if !self.m.step_supply.is_running() && !self.m.motion.is_idle() {
             self.start_motion();
@@ -41,7 +41,7 @@ impl<const N: usize> Controller<N> {
 
     pub(crate) fn move_of(&self, target: &PerAxis<Coordinate, N>, speed: Speed, jog: bool) -> Move<N> {
         let laser = self.m.settings.is_on(Key::Laser);
-        // A laser burns in feed motions only, and Grbl's in jogs.
+        // A laser burns only in feed motions, and in Grbl's dialect also in jogs.
         let dark = laser && (speed == Speed::Rapid || jog && self.dialect() != Dialect::Grbl);
         let power = if !self.m.accessories.is_on() || dark {
             0
@@ -62,8 +62,9 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Returns how far a move may be from its path: 0, except for lines at a feed without rotary motion. If a corner at
-    /// which A reverses were cut off, F would not define the speed there.
+    /// Returns how far a move may deviate from its path: 0, except for straight feed moves without rotary motion. With
+    /// rotary motion, corners are not rounded, because F does not define the speed in a rounded corner where A
+    /// reverses.
     fn tolerance(&self, target: &PerAxis<Coordinate, N>, speed: Speed) -> Tolerance {
         let within = match (speed, self.line.action.motion, self.m.interpreter.modal().path) {
             (Speed::Feed(_), MotionCommand::Line { .. }, PathControl::Within(tolerance)) => tolerance,
@@ -79,7 +80,7 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, feed: Feed, job: &mut Job) -> Stage {
         let (length, stretch) = self.line.begin_arc(geometry, self.m.settings.value(Key::ArcTolerance));
         job.chord_feed = match feed {
-            // F is along X, Y and Z.
+            // F is the speed along X, Y and Z only.
             Feed::PerMinute(feed) if N > LINEAR => feed * stretch,
             Feed::PerMinute(feed) => feed,
             Feed::InverseTime(seconds) => length / seconds,
@@ -112,7 +113,7 @@ impl<const N: usize> Controller<N> {
         Stage::Chords
     }
 
-    /// Queues the next chord of the line's curve. Returns the next stage; `None` if there is no room for it.
+    /// Queues the next chord of the line's curve. Returns the next stage; `None` if there is no room for a chord.
     pub(crate) fn next_chord(&mut self, job: &Job) -> Option<Stage> {
         if self.m.motion.free_blocks() == 0 {
             self.start_queued();

@@ -30,7 +30,7 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     fn has_room_for_change(&mut self) -> bool {
         let idle = self.m.motion.is_idle();
-        // Checks only whether the mark could be changed; `change_output` changes it.
+        // Only checks whether the mark of the next block can be set. `change_output` sets it.
         let can = self.m.accessories.digital().has_room(idle) && self.m.motion.takes_mark();
         if !can {
             self.start_queued();

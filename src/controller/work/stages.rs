@@ -1,6 +1,6 @@
-//! Carries out a line of G-code in stages: wait for rest if needed, apply modal state and outputs, dwell, move, then
-//! pause or end. Each call does one bounded piece and returns, so realtime commands are never late. The last stage
-//! answers the host.
+//! Carries out a line of G-code in stages: wait until the machine is at rest if needed, apply modal state and outputs,
+//! dwell, move, pause or end. Each call does one bounded piece and returns, so realtime commands are never late. The
+//! last stage answers the host.
 
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};
@@ -19,7 +19,7 @@ use crate::work::moves::speed;
 use crate::work::task::{Answer, Caller, Job, Stage, Task};
 
 impl<const N: usize> Controller<N> {
-    /// Begins a checked line. A jog must have been allowed by the caller.
+    /// Begins a checked line. For a jog, the caller must have checked that jogs are allowed now.
     ///
     /// Executes nothing yet: the line is kept as [`Task::Job`], and [`Controller::output`] calls
     /// [`Controller::advance`] when nothing more urgent is due.
@@ -32,7 +32,7 @@ impl<const N: usize> Controller<N> {
         self.task = Task::Job(Job::new(answer, stage, jog));
     }
 
-    /// Whether the line does something for which the machine has to be at rest.
+    /// Whether the line does something before which the machine has to come to rest.
     fn acts_at_rest(&self) -> bool {
         let action = &self.line.action;
         action.spindle.is_some()
@@ -48,19 +48,19 @@ impl<const N: usize> Controller<N> {
             || self.starts_to_turn()
     }
 
-    /// Whether the machine comes to rest before this line, if G61.1 is in force for the previous line.
+    /// Whether the machine comes to rest before this line, provided that G61.1 is in force for the previous line.
     fn ends_line_before(&self) -> bool {
         let action = &self.line.action;
         action.motion != gcode::MotionCommand::None || action.modal().path != PathControl::ExactStop
     }
 
-    /// Whether S acts at rest. S normally takes effect with the line's motion; a laser without a motion changes its
-    /// power at rest.
+    /// Whether the machine has to be at rest when S takes effect. S normally takes effect with the line's motion. In a
+    /// line without motion, S changes the power of a laser at rest.
     fn speed_needs_rest(&self) -> bool {
         self.m.settings.is_on(Key::Laser) && self.shows_speed()
     }
 
-    /// Whether S starts a spindle that M3 or M4 has switched on with S0, so that motion has to wait for it.
+    /// Whether S starts a spindle that M3 or M4 has switched on with S0, so that motion has to wait for the spindle.
     fn starts_to_turn(&self) -> bool {
         let (action, settings) = (&self.line.action, &self.m.settings);
         action.speed_changed
@@ -70,7 +70,7 @@ impl<const N: usize> Controller<N> {
             && !settings.is_on(Key::Laser)
     }
 
-    /// Whether the next report shows the accessories because of S.
+    /// Whether S changes the accessories, so that the next report must show them.
     fn shows_speed(&self) -> bool {
         self.line.action.speed_changed
             && self.m.accessories.is_on()
@@ -88,7 +88,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether the line has found the look-ahead full and moving, so that it can only wait.
+    /// Whether the line can only wait, because the look-ahead is full and motion is already running.
     #[inline]
     fn waits_for_room(&self, stage: Stage) -> bool {
         let moves = match stage {
@@ -125,7 +125,7 @@ impl<const N: usize> Controller<N> {
             && !job.jog
             && matches!(self.state, State::Normal)
             && matches!(job.answer, Answer::Host | Answer::Held(_));
-        // A stop that the line has ordered is sent at once: nothing else would wake the pump for it.
+        // Count an ordered stop as progress, because nothing else would wake the pump to send it.
         let ordered = self.m.stops.has_order();
         if ordered || progressed && !only_moved {
             self.m.pins.disturb();
@@ -137,7 +137,7 @@ impl<const N: usize> Controller<N> {
         progressed || ordered
     }
 
-    /// Advances homing, and all tasks other than a line of G-code.
+    /// Advances homing, or a task other than a line of G-code.
     #[inline(never)]
     fn advance_task(&mut self) -> bool {
         if self.m.stops.is_awaited() {
@@ -182,19 +182,19 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Critical(Alarm::SoftLimit));
     }
 
-    /// Advances the line until something has to be waited for or output first.
+    /// Advances the line until it has to wait, or until something must be output before it continues.
     #[inline]
     fn advance_line(&mut self, job: &mut Job) -> bool {
         let checking = matches!(self.state, State::Check);
         let mut progressed = false;
         loop {
-            // The stages of a line that only moves: nearly all lines have no others. Their effects are neither shown to
-            // the host nor waited for.
+            // The first arms are the stages of a line that only moves, as nearly all lines do. Such a line has nothing
+            // to show to the host or to wait for between its stages.
             let next = match job.stage {
-                // The only thing to wait for would be a record of an earlier line.
+                // Such a line waits only if a record of an earlier line is still being stored.
                 Stage::Apply if self.line.action.moves_only() && self.m.records.are_stored() => {
                     self.m.interpreter.commit(&self.line.action);
-                    // A stop may have set another speed.
+                    // Set even if S has not changed, because a stop may have set another speed.
                     self.m.accessories.set_speed(self.line.action.speed);
                     job.stage = Stage::Target;
                     progressed = true;
@@ -219,8 +219,9 @@ impl<const N: usize> Controller<N> {
         progressed
     }
 
-    /// Handles all other stages. Returns the next stage; `None` if something has to be waited for.
-    // Not inlined: otherwise each line that moves would pay for the needs of these stages.
+    /// Handles all other stages. Returns the next stage; `None` if the line has to wait.
+    // Not inlined, because otherwise every line that only moves would pay for the registers and the stack of these
+    // stages.
     #[inline(never)]
     fn advance_stage(&mut self, job: &mut Job, checking: bool) -> Option<Stage> {
         match job.stage {
@@ -252,7 +253,8 @@ impl<const N: usize> Controller<N> {
             Stage::Chords => self.next_chord(job),
             Stage::Probing => {
                 let must_touch = matches!(self.line.action.motion, gcode::MotionCommand::Probe { alarm: true, .. });
-                // A failed probe has locked the machine: an M0 in the line must not unlock it.
+                // A failed probe has locked the machine. In that case skip `Flow`, because an M0 in the line would
+                // unlock it.
                 self.end_probe(must_touch).then_some(if self.state.is_alarm() { Stage::Done } else { Stage::Flow })
             }
             Stage::Flow => self.flow(job, checking),
@@ -270,7 +272,7 @@ impl<const N: usize> Controller<N> {
             Stage::Apply => self.line.action.changes_outputs(),
             Stage::Via => matches!(self.line.action.motion, gcode::MotionCommand::Line { via: Some(_), .. }),
             Stage::Target => matches!(self.line.action.motion, gcode::MotionCommand::Cycle(_)),
-            // One chord a call.
+            // One chord in each call of `advance`.
             Stage::Chords => next == Stage::Chords,
             Stage::Drain | Stage::Probing | Stage::Measuring => true,
             _ => false,
@@ -280,14 +282,14 @@ impl<const N: usize> Controller<N> {
     /// Handles the motion of a line in check mode.
     fn check_target(&mut self) -> Stage {
         if matches!(self.line.action.motion, gcode::MotionCommand::Probe { .. }) {
-            // The probe is assumed to touch at its target; the program continues from there.
+            // Assume that the probe makes contact at its target.
             let target = *self.m.interpreter.position();
             self.m.interpreter.set_probed(&target, true);
         }
         Stage::Flow
     }
 
-    /// Starts the wait of M66 if the line has one, otherwise that of [`Controller::begin_dwell`].
+    /// Starts the wait of M66 if the line has an M66; otherwise the wait of [`Controller::begin_dwell`].
     fn begin_waiting(&self, job: &mut Job, checking: bool) -> Stage {
         let input = if checking { None } else { self.begin_wait(job) };
         input.unwrap_or_else(|| self.begin_dwell(job, checking))
@@ -307,7 +309,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Starts the motion of the line. Returns the next stage; `None` if something has to be waited for.
+    /// Starts the motion of the line. Returns the next stage; `None` if the line has to wait.
     #[inline]
     fn begin_motion(&mut self, job: &mut Job) -> Option<Stage> {
         self.m.accessories.digital_mut().motion_follows();
@@ -345,7 +347,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Commits the line's modal state, and sets everything that does not move. Returns how long the spindle then takes.
+    /// Commits the line's modal state, and sets everything in the line that is not a motion. Returns how long the
+    /// spindle takes to spin up or down.
     fn apply(&mut self, checking: bool) -> Duration {
         let dialect = self.dialect();
         let action = &self.line.action;
@@ -378,7 +381,7 @@ impl<const N: usize> Controller<N> {
             self.apply_overrides();
         }
         if self.starts_to_turn() {
-            // At least one tick: a delay of 0 would mean that there is no spindle to wait for.
+            // At least one tick, because a delay of 0 means that there is no spindle to wait for.
             delay = self.m.settings.seconds(Key::SpinUp).max(Duration::from_ticks(1));
         }
         self.m.accessories.set_speed(self.line.action.speed);
@@ -436,8 +439,8 @@ impl<const N: usize> Controller<N> {
                 self.m.replies.offset_changed();
                 if !checking {
                     self.forget_waiting_outputs();
-                    // The line has switched spindle and coolant off in the program's state, but the operator may have
-                    // switched the coolant since.
+                    // The line has switched spindle and coolant off, but the operator may have switched the coolant on
+                    // since then.
                     self.switch_off();
                     self.m.accessories.set_overrides(Overrides::NONE);
                     self.m.motion.set_overrides(1.0, 1.0);
@@ -501,8 +504,8 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Checks pins and the tool change of the line, as far as a program cannot know whether the machine is ready for
-    /// them.
+    /// Checks whether the board has the pins that the line uses, and whether the machine is ready for the tool change
+    /// of the line.
     #[inline(never)]
     fn allow_change_and_pins(&mut self) -> Result<(), Error> {
         if self.lacks_pin() {
@@ -516,7 +519,8 @@ impl<const N: usize> Controller<N> {
         self.m.interpreter.check_jog_into(line, dialect(&self.m.settings), &mut self.line.action)?;
         let is_over = self.m.lines.is_jog_stale() || self.m.replies.has_host_left(self.m.lines.hosts_cut());
         if is_over || matches!(self.state, State::Jog { cancelling: true }) {
-            // Sent before the cancel, or by a host that has disconnected: the jog must not move any more.
+            // The jog was sent before the cancel or by a host that has disconnected since. It is answered without a
+            // move.
             self.say_ok();
             return Ok(());
         }
@@ -534,7 +538,8 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Runs the next line of held text. An error ends all of it, and answers the line that called it.
+    /// Runs the next stored line of a subroutine, loop or macro. An error ends all open calls and loops, and is the
+    /// answer to the line that called them.
     #[inline(never)]
     fn run_held_line(&mut self, caller: Caller) {
         let mut line = HeldLine::new();
@@ -578,7 +583,7 @@ impl<const N: usize> Controller<N> {
         self.task = Task::Startup(index, host_waits.then_some(Answer::Host));
     }
 
-    /// Begins a startup line. A line that calls a subroutine ends with the subroutine.
+    /// Begins a startup line. If it calls a subroutine, it is answered when the subroutine has ended.
     pub(crate) fn startup_line(&mut self, line: &[u8], caller: Caller) -> Result<(), Error> {
         if self.dialect() != gcode::Dialect::Grbl && self.m.interpreter.begin_call(line)? {
             self.task = Task::Held(caller);
@@ -608,8 +613,8 @@ impl<const N: usize> Controller<N> {
         self.task = Task::Startup(index + 1, then);
     }
 
-    /// Names the startup line whose answer is sent next. The output of the startup line, and reports meanwhile, come
-    /// before that on lines of their own.
+    /// Sends the text of a startup line, directly before its answer. What the startup line itself outputs, and reports
+    /// in between, have already been sent on lines of their own.
     fn echo_startup_line(&mut self, index: usize) {
         if let Some(line) = self.m.records.startup_line(index).cloned() {
             self.say(|out| report::startup_echo(out, &line));

@@ -1,29 +1,31 @@
-//! The current task of the controller: a line of G-code, a listing, startup lines, a store. While there is a task, no
-//! further line is taken. A task also records who gets the answer.
+//! The current task of the controller: a line of G-code, a listing, startup lines, or storing a record. While there is
+//! a task, no further line is taken. A task also records who gets its answer. "Held" lines are the stored lines of a
+//! subroutine, loop or macro.
 
 use crate::protocol::system::Described;
 use crate::units::{Duration, Instant};
 
 /// The current task of the controller. While there is one, no further line is taken.
 #[derive(Clone, Copy, Debug)]
-// As with `State`: the tag is read before each output.
+// A tag of one byte, for the same reason as in `State`: it is read before each output.
 #[repr(u8)]
 pub(crate) enum Task {
-    /// No task: the next line can be taken.
+    /// No task. The next line can be taken.
     None,
-    /// The startup line of this number is next; after the last one the answer, if any, is given.
+    /// The startup line with this index is next. After the last startup line the answer is given, if there is one.
     Startup(usize, Option<Answer>),
-    /// The next line of held text is to be run for this caller.
+    /// The next stored line of a subroutine, loop or macro is to be run for this caller.
     Held(Caller),
-    /// An answer of many lines; the number is that of the next line.
+    /// An answer of many lines, and the index of its next line.
     Listing(Listing, usize),
-    /// A record is being stored; the answer follows.
+    /// A record is being stored. The answer follows when it is stored.
     Storing(Answer),
-    /// Motion has to end before the soft-limit alarm.
+    /// Motion is braking. The alarm for a soft limit follows at rest.
     SoftLimit(Answer),
-    /// A received jog waits for the cancelled one before it to stop; `LineIntake` has its text.
+    /// A received jog waits until the cancelled jog before it has stopped. `LineIntake` keeps the text of the waiting
+    /// jog.
     JogWaits,
-    /// A line of G-code: the `LineInWork`.
+    /// A line of G-code is being executed. Its data is in `LineInWork`.
     Job(Job),
 }
 
@@ -32,32 +34,33 @@ pub(crate) enum Task {
 pub(crate) enum Answer {
     /// The host.
     Host,
-    /// A startup line that is being run; `.1` says whether the host waits for the last of them.
+    /// Nobody yet, because a startup line (`.0`: its index) is being run. `.1`: whether the host waits until the last
+    /// startup line has been run.
     Startup(usize, bool),
-    /// The host, for a startup line that is stored once it has run without error. The controller keeps its text
-    /// meanwhile.
+    /// The host, for the startup line with this index. Its text is kept, and stored once the line has run without
+    /// error.
     Validation(usize),
-    /// The caller of held text, once that text has ended.
+    /// The caller of a subroutine, loop or macro, once its last line has been run.
     Held(Caller),
-    /// The host, for the setting of this number.
+    /// The host, for the setting with this number.
     Setting(u16),
-    /// The host, after which the controller is initialised (`$RST`).
+    /// The host. After the answer, the controller is initialised (`$RST`).
     Restart,
 }
 
-/// Whose line has called held text. The fields say who waits for its end, as in [`Answer`].
+/// Whose line has called a subroutine, loop or macro. The fields are those of [`Answer`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Caller {
-    /// The host's.
+    /// A line of the host.
     Host,
     /// A startup line.
     Startup(usize, bool),
-    /// A startup line that is to be stored.
+    /// A startup line that is stored if it runs without error.
     Validation(usize),
 }
 
 impl Caller {
-    /// Returns who gets the answer.
+    /// Returns who gets the answer when the last line has been run.
     pub(crate) fn answer(self) -> Answer {
         match self {
             Caller::Host => Answer::Host,
@@ -100,7 +103,8 @@ impl Job {
         }
     }
 
-    /// Returns how much longer the stage waits; for a suspended stage, how much was left.
+    /// Returns how much longer the stage waits. For a suspended stage, returns the time that was left when it was
+    /// suspended.
     pub(crate) fn left(&self, now: Instant) -> Duration {
         match self.stage {
             Stage::DwellSuspended | Stage::InputSuspended => self.left,
@@ -115,17 +119,17 @@ impl Job {
     }
 }
 
-/// Progress of a line. The data of a stage is in the [`Job`], because stages are passed on at each step of each line,
-/// as a single byte.
+/// Progress of a line. A stage has no data of its own, so that it stays a single byte that is cheap to pass on; its
+/// data is in the [`Job`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Stage {
-    /// Motion queued before has to end first (in Grbl: buffer synchronize; in LinuxCNC: queue buster).
+    /// Motion queued before the line has to end first (in Grbl: buffer synchronize; in LinuxCNC: queue buster).
     Drain,
-    /// The operator puts another tool into the spindle: ends with `~`.
+    /// The operator puts another tool into the spindle. Ends with `~`.
     ToolChange,
-    /// The spindle comes to rest for a tool change with measuring, until [`Job::until`].
+    /// The spindle spins down, until [`Job::until`], for a tool change that measures the tool.
     SpinningDown,
-    /// A tool change with measuring: `LineInWork` holds its progress.
+    /// A tool change that measures the tool. `LineInWork` holds its progress.
     Measuring,
     /// Modal state, spindle and coolant are to be set.
     Apply,
@@ -133,7 +137,8 @@ pub(crate) enum Stage {
     Storing,
     /// G4, until [`Job::until`].
     Dwell,
-    /// The spindle spins up: until [`Job::until`], and until its input reports that it is up to speed.
+    /// The spindle spins up until [`Job::until`], and longer if its input does not report by then that it is up to
+    /// speed.
     SpinningUp,
     /// G4, suspended by a hold.
     DwellSuspended,
@@ -151,11 +156,11 @@ pub(crate) enum Stage {
     Chords,
     /// Motion has to end before the program pauses or ends.
     Flow,
-    /// Paused: ends with `~`.
+    /// The program is paused. Ends with `~`.
     Paused,
-    /// Paused within a canned cycle.
+    /// The program is paused within a canned cycle. Ends with `~`.
     CyclePaused,
-    /// Executed; to be answered.
+    /// The line has been executed and is to be answered.
     Done,
 }
 
@@ -182,8 +187,8 @@ impl Task {
         }
     }
 
-    /// Returns when the task has to be advanced, if it waits for a time. `late`: the next check of a spindle whose
-    /// spin-up time ends at the argument.
+    /// Returns when the task has to be advanced, if it waits for a time. `late` returns the time of the next check of a
+    /// spindle whose spin-up time ends at the given time.
     pub(crate) fn wakeup(&self, late: impl Fn(Instant) -> Instant) -> Option<Instant> {
         match self {
             Task::Job(Job { stage: Stage::SpinningUp, until, .. }) => Some(late(*until)),
@@ -208,7 +213,7 @@ impl Task {
         }
     }
 
-    /// Stops the clock of a dwell or of M66, for a hold.
+    /// Stops the clock of a dwell or of M66 because of a hold.
     pub(crate) fn suspend(&mut self, now: Instant) {
         let Task::Job(job) = self else { return };
         let left = job.left(now);
@@ -230,8 +235,8 @@ impl Task {
         job.until = now + job.left;
     }
 
-    /// Drops the task. Returns whether the host waits for its answer. The restart after restored defaults is not
-    /// dropped, so that the defaults take effect.
+    /// Drops the task. Returns whether the host waits for its answer. A restart after restoring the defaults is not
+    /// dropped, because without it the defaults would not take effect.
     pub(crate) fn abandon(&mut self) -> bool {
         if let Task::Storing(Answer::Restart) = self {
             return false;
@@ -241,7 +246,7 @@ impl Task {
         answers
     }
 
-    /// Ends a jog that waits for room; its answer is still given.
+    /// Ends a jog that waits for room in the look-ahead. It is still answered.
     pub(crate) fn forget_jog(&mut self) {
         if let Task::Job(job) = self
             && job.jog
@@ -273,7 +278,7 @@ pub(crate) enum Listing {
 /// Progress of the request for a piece of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Ask {
-    /// To be requested once there is room for it.
+    /// To be requested once there is room for its text.
     Wanted,
     /// To be requested now.
     Due,

@@ -23,8 +23,8 @@ const CORNERS: u8 = 48;
 /// Height of a lower-case x as a fraction of the font size; the SVG uses it to centre text vertically.
 const EX: f32 = 0.5;
 
-/// Square of the maximum reach of a corner beyond the middle of a line, in half widths; a longer corner is cut off. The
-/// value is SVG's default.
+/// Square of the maximum distance of a corner's tip from the middle of the line, in half widths. A longer tip is cut
+/// off. The value is SVG's default.
 const MITRE_LIMIT2: f32 = 16.0;
 
 /// Renders an SVG of [`super::svg`] as PNG.
@@ -38,7 +38,7 @@ pub fn png(svg: &str) -> Result<Vec<u8>> {
 fn painted(svg: &str) -> Result<Canvas> {
     let font = FontRef::try_from_slice(dejavu::sans::regular()).context("the embedded font is damaged")?;
     let mut canvas = Canvas::new((SIZE.0 as f32 * DENSITY) as usize, (SIZE.1 as f32 * DENSITY) as usize);
-    // Texts and values contain no `<` or `>`: these are escaped.
+    // Tags can be found by `<` and `>`, because these are escaped in texts and values.
     for element in svg.split('<').skip(1).filter(|element| !element.starts_with('/')) {
         let (tag, text) = element.split_once('>').context("a tag has no end")?;
         let element = Element { tag, text };
@@ -127,7 +127,8 @@ impl Element<'_> {
         Ok(())
     }
 
-    /// Adds the area or the edge of a shape that can be widened. Returns the attribute with its colour.
+    /// Adds the area or the edge of a closed shape. `wider` returns its corners, moved outwards by a distance. Returns
+    /// the name of the attribute that has the colour.
     fn closed<const N: usize>(&self, shape: &mut Shape, wider: impl Fn(f32) -> [Point; N]) -> Result<&'static str> {
         if self.value("stroke")? == "none" {
             shape.polygon(&wider(0.0));
@@ -135,7 +136,7 @@ impl Element<'_> {
         }
         let half = self.width()? / 2.0;
         let mut inner = wider(-half);
-        // In the opposite sense of rotation, so that it is subtracted.
+        // The inner outline has the opposite sense of rotation, so that its area is subtracted.
         inner.reverse();
         shape.polygon(&wider(half));
         shape.polygon(&inner);
@@ -283,7 +284,7 @@ impl Canvas {
         if low.x >= high.x || low.y >= high.y {
             return;
         }
-        // One more column, for the remainder to the right of an edge on the last column.
+        // The rasterizer puts the remainder of an edge in the last column into the column to the right: add one.
         let (width, height) = ((high.x - low.x) as usize + 1, (high.y - low.y) as usize);
         let mut covered = Rasterizer::new(width, height);
         let place = |at: Point| inside(at) - low;
@@ -327,7 +328,7 @@ fn chunk(file: &mut Vec<u8>, kind: &[u8; 4], data: &[u8]) {
     let named = [kind, data].concat();
     file.extend((data.len() as u32).to_be_bytes());
     file.extend(&named);
-    // CRC-32 of ISO 3309, as PNG has it.
+    // PNG uses the CRC-32 of ISO 3309.
     file.extend(crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&named).to_be_bytes());
 }
 
@@ -335,7 +336,8 @@ fn chunk(file: &mut Vec<u8>, kind: &[u8; 4], data: &[u8]) {
 mod tests {
     use super::*;
 
-    /// Paints elements whose numbers are pixels of the PNG. The result returns the darkness of a pixel, from 0 to 1.
+    /// Paints elements whose numbers are pixels of the PNG. Returns a function that gives the darkness of a pixel, from
+    /// 0 to 1.
     fn darkness(elements: &str) -> impl Fn(usize, usize) -> f32 + use<> {
         let scaled = |part: &str| match part.parse::<f32>() {
             Ok(number) => (number / SCALE).to_string(),
@@ -395,7 +397,7 @@ mod tests {
         let dark = darkness(r##"<line SOLID stroke="#000000" stroke-width="3" x1="10" y1="20.5" x2="40" y2="20.5"/>"##);
         assert_eq!([18, 19, 20, 21, 22].map(|y| dark(25, y)), [0.0, 1.0, 1.0, 1.0, 0.0]);
         assert_eq!([9, 10, 39, 40].map(|x| dark(x, 20)), [0.0, 1.0, 1.0, 0.0]);
-        // Left and right turns, and a piece of length 0.
+        // These lines have turns to the left and to the right, and a piece of length 0.
         for points in ["10,10 40,10 40,40", "40,40 40,10 10,10", "10,40 10,10 40,10", "40,10 10,10 10,10 10,40"] {
             let dark = darkness(&format!(
                 r##"<polyline fill="none" SOLID stroke="#000000" stroke-width="4" points="{points} "/>"##
@@ -404,7 +406,7 @@ mod tests {
             let corner = if points.contains("40,10 40,40") || points.contains("40,40 40,10") { 41 } else { 8 };
             assert_eq!(dark(corner, 8), 1.0, "{points}");
         }
-        // A reversal has no tip.
+        // Where a line turns back, it has no tip.
         let dark = darkness(r##"<polyline SOLID stroke="#000000" stroke-width="4" points="10,10 40,10 12,10.5 "/>"##);
         assert_eq!((44..60).map(|x| dark(x, 10)).sum::<f32>(), 0.0);
     }
@@ -441,7 +443,7 @@ mod tests {
         let [_, right, top, bottom] = extent(r#"dy="0.5ex" text-anchor="end""#, "HHHH");
         assert_eq!((right, bottom), (195, 309));
         assert!(top.abs_diff(281) <= 1);
-        // Upwards, with the top of the letters at the left.
+        // The text runs upwards; the tops of its letters are at the left.
         let turned = r#"dy="0.76em" text-anchor="start" transform="rotate(270, 200, 300)""#;
         let [left, right, top, bottom] = extent(turned, "HHHH");
         assert_eq!((right, bottom), (229, 295));

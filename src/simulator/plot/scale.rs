@@ -59,8 +59,7 @@ impl Scale {
         Self { low, high, step, stops: &HEIGHTS }
     }
 
-    /// Returns the shade of a value. Values that look the same have one shade, so that their pieces of path are drawn
-    /// together.
+    /// Returns the shade of a value. Consecutive pieces of the path with the same shade are drawn as one line.
     pub(super) fn shade(&self, value: f64) -> u8 {
         (((value - self.low) / (self.high - self.low)).clamp(0.0, 1.0) * SHADES).round() as u8
     }
@@ -86,7 +85,7 @@ pub(super) fn tight(top: f64) -> (f64, f64) {
     let end = |step: f64| (top * 0.99 / step).ceil().max(1.0) * step;
     let good =
         steps.into_iter().map(|step| (end(step), step)).filter(|(end, step)| end / step < 8.5 && end / step > 2.5);
-    // Of two with the same end, the one with fewer marks.
+    // Of two steps with the same end, choose the greater one, which has fewer marks.
     good.min_by(|a, b| (a.0 - a.1 * 1e-6).total_cmp(&(b.0 - b.1 * 1e-6))).unwrap_or((top, top))
 }
 
@@ -101,7 +100,7 @@ pub(super) const SPEEDS: [(f64, f64, f64); 6] = [
     (246.0, 170.0, 20.0),
 ];
 
-/// The deeper, the darker.
+/// Colours from the lowest height, which is the darkest, to the highest.
 const HEIGHTS: [(f64, f64, f64); 4] =
     [(52.0, 16.0, 40.0), (132.0, 28.0, 62.0), (206.0, 92.0, 70.0), (240.0, 186.0, 130.0)];
 

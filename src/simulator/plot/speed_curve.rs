@@ -25,7 +25,8 @@ fn spans(drawing: &Drawing, most: usize) -> Vec<(f64, Column)> {
     spans
 }
 
-/// Returns runs of consecutive spans that have a value, as (time, value). Each value holds until the next span begins.
+/// Returns the runs of consecutive spans that have a value, each as a list of (time, value). A value holds until the
+/// next span begins.
 fn stretches<T: Copy>(spans: &[(f64, Column)], value: impl Fn(&Column) -> Option<T>) -> Vec<Vec<(f64, T)>> {
     let mut parts: Vec<Vec<(f64, T)>> = Vec::new();
     let mut open = false;
@@ -60,8 +61,7 @@ pub(super) fn speed_curve(area: &Area, drawing: &Drawing, scale: &Scale) -> Draw
     };
     let per_minute = |mm_s: f32| f64::from(mm_s) * 60.0;
     let spans = spans(drawing, CURVE_COLUMNS);
-    // A rapid and the feed after it may share a span, so the top comes from the points of the path instead of the
-    // spans.
+    // Take the scale of feeds from the points of the path, because a rapid and the next feed can share a span.
     let feeds = drawing.points().iter().skip(1).any(|point| !point.rapid && point.speed > 0.0);
     let rapids = spans.iter().filter_map(|span| span.1.rapid).map(per_minute).fold(0.0, f64::max);
     let top = if feeds { scale.high } else { rapids.max(1e-3) } * 1.1;

@@ -3,7 +3,7 @@
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-/// Fine units per pixel of the drawing: the plotting library rounds all coordinates to whole units.
+/// Fine units per pixel of the drawing. They are needed because the plotting library rounds coordinates to whole units.
 pub(super) const FINE: i32 = 10;
 const INK: RGBColor = RGBColor(38, 42, 48);
 pub(super) const FAINT: RGBColor = RGBColor(228, 231, 235);

@@ -9,7 +9,8 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 /// Space left free around the tool path, as a fraction of its size.
 const MARGIN: f64 = 0.06;
-/// Maximum height of the view at an angle, as a fraction of the larger of its width and depth: Z is stretched up to it.
+/// Maximum height of the view at an angle, as a fraction of the larger size of the job in X and Y. Z is stretched up to
+/// this height.
 const HEIGHT: f64 = 0.4;
 /// Horizontal view direction of the view at an angle, in radians from the front to the right.
 const ASIDE: f64 = 0.52;
@@ -23,8 +24,8 @@ pub(super) fn cross(area: &Area, (x, y): (i32, i32)) -> Drawn {
     Ok(())
 }
 
-/// Draws the path as lines of one style each: `project` maps a point to the paper, `shade` selects the colour of the
-/// motion to a point.
+/// Draws the path as lines; a new line begins where the style changes. `project` maps a point to the paper, `shade`
+/// selects the colour of the motion to a point.
 fn draw_path(
     area: &Area,
     points: &[Point],
@@ -33,7 +34,7 @@ fn draw_path(
     project: impl Fn(&Point) -> (i32, i32),
 ) -> Drawn {
     let style = |point: &Point| if point.rapid { None } else { Some(shade(point)) };
-    // Rapids first, so that they never hide a cut.
+    // Draw rapids first, so that they never hide a cut.
     for rapids in [true, false] {
         let mut index = 1;
         while index < points.len() {
@@ -74,7 +75,7 @@ pub(super) fn by_height(points: &[Point], scale: &Scale) -> Vec<Point> {
     fine
 }
 
-/// Removes positions too close to the one before to be distinguished, but never the last.
+/// Removes positions that are too close to the previous one to be distinguished, but never the last position.
 fn apart(all: impl Iterator<Item = (i32, i32)>) -> Vec<(i32, i32)> {
     let near = |a: (i32, i32), b: (i32, i32)| (a.0 - b.0).abs().max((a.1 - b.1).abs()) < px(1) / 2;
     let mut places: Vec<(i32, i32)> = Vec::new();
@@ -196,7 +197,7 @@ pub(super) fn angled(area: &Area, points: &[Point], bounds: &Bounds, scale: &Sca
     let times = if stretch > 1.0 { format!(", drawn {stretch} times as high") } else { String::new() };
     area.draw_text(&format!("At an angle: {}{times}", label(2)), &font(15), (px(24), px(10)))?;
     let (_, below) = area.split_vertically(caption);
-    // Room for the labels around the box.
+    // Leave room for the labels around the box.
     let (side, foot) = (px(16), px(46));
     let pixels = [f64::from(width as i32 - 2 * side), f64::from(height as i32 - caption - 2 * foot)];
     let (low_at, high_at) = (bounds.low, bounds.high);

@@ -21,7 +21,7 @@ pub enum Input {
     Host(Vec<u8>),
     /// A line of the pin protocol.
     Pin(String),
-    /// A state to compare: motor positions, hash of all steps, alarm and outputs.
+    /// A state to compare: motor positions, hash of all steps, alarm, outputs, and hash of the times.
     At(String),
     /// A job starts.
     Job,
@@ -79,7 +79,7 @@ pub(super) fn state(simulator: &Simulator) -> String {
     words
 }
 
-/// Precedes a hash of the clock and of the times of all steps and all changes of the outputs.
+/// In a state, precedes the hash of the clock and of the times of all steps and output changes.
 const TRACED: &str = " traced ";
 
 /// Returns [`place`] with that hash, for a recording that began at `begin` on the virtual clock.
@@ -90,8 +90,8 @@ pub(super) fn traced(simulator: &Simulator, begin: u64) -> String {
     format!("{}{TRACED}{hash:016x}", place(simulator))
 }
 
-/// Compares the state of a machine and its history with the recorded ones. Recordings of older versions contain only
-/// the motor positions, or no hash after the outputs.
+/// Compares the state of a machine and its history with the recorded ones. Recordings of older versions end after the
+/// step hash or after the outputs.
 ///
 /// # Errors
 /// A text that says what differs.

@@ -70,7 +70,7 @@ impl Recording {
     /// Checks that the recording contains a state to compare.
     ///
     /// # Errors
-    /// If it contains none: the recording is incomplete.
+    /// If it contains no such state, because it is incomplete.
     pub fn check_compared(&self) -> Result<(), String> {
         let compares = self.inputs.iter().any(|(_, input)| matches!(input, Input::At(_)));
         if compares { Ok(()) } else { Err(NOTHING_COMPARED.into()) }
@@ -109,7 +109,7 @@ impl Recording {
             text => Fittings::parse(text).map_err(|error| format!("{error:#}"))?,
         };
         let mut simulator = Simulator::new(Options { board: self.board, store, fittings, keep_steps: false });
-        // As during recording: startup lines run before any input arrives.
+        // Startup lines run before any input arrives, as they did during recording.
         simulator.run_until_idle();
         simulator.take_output();
         advance(&mut simulator, self.begin.ok_or("the recording has no `begin`")?, |_| {}, |_| {});
@@ -165,7 +165,8 @@ fn advance(simulator: &mut Simulator, until: u64, mut hear: impl FnMut(&str), mu
     }
 }
 
-/// Takes all of the machine's output, including output that follows only after earlier output has been taken.
+/// Takes all of the machine's output, including replies that the controller sends only after earlier output has been
+/// taken.
 fn hear_all(simulator: &mut Simulator, hear: &mut impl FnMut(&str)) {
     while simulator.unfetched() > 0 {
         hear(&simulator.take_output());

@@ -37,7 +37,7 @@ impl Recording {
     }
 
     fn read(text: &str, listed: bool) -> Result<Self, String> {
-        // A killed program may have written part of its last line.
+        // Ignore a last line without an end: a killed program can have written only part of it.
         let whole = text.rfind('\n').map_or("", |end| &text[..=end]);
         let mut lines = whole.lines().enumerate().map(|(index, line)| (index + 1, line));
         if lines.next().is_none_or(|(_, line)| line != TITLE) {
@@ -58,11 +58,11 @@ impl Recording {
         Ok(recording)
     }
 
-    /// Parses a time and checks that a replay can reach it within a few minutes, at some 10,000 times real time.
+    /// Parses a time and checks that a replay, at some 10,000 times real time, reaches it within a quarter of an hour.
     fn parse_time(&self, text: &str) -> Result<u64, String> {
         let time = number(text)?;
         let last = LONGEST * u64::from(self.board.step_clock_hz);
-        // A job skips its dwells, however long they are.
+        // The time of a job is not limited, because its replay skips dwells, however long they are.
         if time <= last || self.job.is_some() { Ok(time) } else { Err(format!("`{time}` is later than 100 days")) }
     }
 

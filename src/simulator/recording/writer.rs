@@ -21,8 +21,8 @@ pub struct Recorder {
 
 impl Recorder {
     /// Begins the recording of a simulator that has just been powered up. `machine` describes its fittings. The
-    /// recording is kept in memory until [`Recorder::write_to`] is called: an older recording in the file is
-    /// overwritten only if the machine has started successfully.
+    /// recording is kept in memory until [`Recorder::write_to`] is called, so that an older recording in the file is
+    /// overwritten only after the machine has started successfully.
     pub fn begin(simulator: &mut Simulator, machine: &str) -> Self {
         let (board, now) = (*simulator.board(), simulator.clock().now());
         let mut head = format!("{TITLE}\nboard {} {}\n", board.name, board.step_clock_hz);
@@ -87,7 +87,8 @@ impl Recorder {
         self.flush()
     }
 
-    /// Records the state of the machine once per second of machine time. Call it as time passes.
+    /// Call often as time passes. Records the state of the machine if it has changed, at most once per second of
+    /// machine time.
     ///
     /// # Errors
     /// If writing fails.

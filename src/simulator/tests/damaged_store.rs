@@ -85,7 +85,6 @@ fn a_wrong_bit_costs_one_value_at_most() {
         let after = listing(&mut mill);
         assert_eq!(before.len(), after.len());
         let other: Vec<_> = before.iter().zip(&after).filter(|(a, b)| a != b).collect();
-        // `$22` also switches `$20`.
         assert!(other.len() <= 1, "bit {bit}: {other:?}");
         changed += other.len();
         assert_eq!(say(&mut mill, "G0X1"), "error:9\r\n");
@@ -98,7 +97,7 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
     let folder = Folder::new();
     let path = folder.path().join("s");
     let mut image = stored(&path, &["$22=1", "$110=600", "$100=80"]);
-    // The record of `$22`, after that of `$20`.
+    // `$22=1` has stored `$20` at byte 12 and `$22` at byte 24.
     image[24] ^= 0x40;
     let homing = image.clone();
     image[12] ^= 0x40;
@@ -108,7 +107,7 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
         assert_eq!(said, format!("{WELCOME}{TOLD}"));
         mill.send("?");
         assert!(mill.take_output().starts_with("<Alarm|"));
-        // The commands that senders begin with.
+        // Senders begin with `$X` and `$H`, but neither unlocks motion.
         let refused = format!("{TOLD}error:7\r\n");
         assert_eq!(say(&mut mill, "$X"), refused);
         assert_eq!(say(&mut mill, "$22=1"), "ok\r\n");
@@ -124,7 +123,7 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
         assert!(list.ends_with("[MSG:Compare with your notes; 2 s later $X confirms]\r\nok\r\n"), "{list}");
         wait(&mut mill, 1_900);
         assert_eq!(say(&mut mill, "$X"), refused);
-        // After a reset, a new user may be present who has not seen the list.
+        // A reset makes the list count as unread, because another user may be present who has not seen it.
         mill.send([0x18]);
         mill.run_until_idle();
         assert_eq!(mill.take_output(), format!("{WELCOME}{TOLD}"));
@@ -161,7 +160,7 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
     }
 }
 
-/// The settings may be corrected before they are confirmed; the corrections survive a power cycle.
+/// The settings can be corrected before they are confirmed; the corrections survive a power cycle.
 #[test]
 fn settings_are_mended_before_they_are_confirmed() {
     let folder = Folder::new();

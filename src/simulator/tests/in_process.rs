@@ -79,8 +79,8 @@ fn a_beam_with_scaled_power_ends_with_the_motion() {
     }
 }
 
-/// A user who changes a tool pulls at the spindle: the drivers stay on until `~`, whatever `$1` says, and then for the
-/// delay of `$1`.
+/// During a tool change the drivers hold the axes, because the user pulls at the spindle. Whatever `$1` says, they stay
+/// on until `~`, and after that for the delay of `$1`.
 #[test]
 fn the_drivers_are_on_while_a_tool_is_changed() {
     let mut mill = mill();
@@ -96,7 +96,7 @@ fn the_drivers_are_on_while_a_tool_is_changed() {
     assert!(mill.outputs().is_some_and(|outputs| !outputs.drivers));
 }
 
-/// However a tool change with the drivers on ends, the drivers go off after `$1`.
+/// Whatever ends a tool change, the drivers go off after the delay of `$1`.
 #[test]
 fn the_drivers_go_off_when_a_tool_change_is_given_up() {
     for stop in [&b"\x18"[..], b"\x19", b"!\x18", b"\x84\x18", b"\x84\x19~"] {
@@ -154,7 +154,7 @@ fn settings_outlive_a_power_cycle() {
     assert!(second.take_output().contains("$100=123.500\r\n"));
 }
 
-/// The entry of the second tool is freed before that of the first: the record of each tool must stay with it.
+/// Tools 1 and 2 are removed, and tool 4 takes a freed entry. After a power cycle each tool must have its own values.
 #[test]
 fn a_tool_that_was_taken_out_stays_out() {
     let mut first = mill();
@@ -174,7 +174,7 @@ fn a_tool_that_was_taken_out_stays_out() {
 #[test]
 fn the_tool_table_outlives_a_power_cycle() {
     let mut first = mill();
-    // An offset of each axis, an offset that is changed, and the highest tool number.
+    // These lines set an offset of each axis, change an offset, and use the highest tool number.
     first.send("G10 L1 P5 X1 Y-2 Z12.5\nG10 L1 P7 Z1\nG10 L1 P7 Z-0.001\nG20 G10 L1 P99999 Z1\nT5 M6\n");
     first.run_until_idle();
     assert_eq!(first.take_output(), "ok\r\n".repeat(5));
@@ -209,7 +209,7 @@ fn the_tool_table_outlives_a_power_cycle() {
 #[test]
 fn macros_outlive_a_power_cycle() {
     let mut first = mill();
-    // Stored in any order; one macro is changed and one is removed.
+    // The macros are stored out of order. One is changed and one is removed.
     first.send("$M3=o<m> endsub\n$M1=G0 X1\n$M0=o<m> sub\n$M2=G0 X5\n$M1=G0 X[#1*2]\n$M2=\n");
     first.run_until_idle();
     assert_eq!(first.take_output(), "ok\r\n".repeat(6));
@@ -262,7 +262,7 @@ fn more_answers_than_anyone_fetches_are_kept() {
         }
         answers += said.matches("error:20\r\n").count();
     }
-    // A fetch may end in the middle of a reply.
+    // The loop counts only replies that one fetch returns whole.
     assert!((19_990..=20_000).contains(&answers), "{answers}");
     assert!(mill.is_idle());
 }
@@ -290,7 +290,7 @@ fn a_hold_forgets_all_jogs_that_have_been_received() {
     let mut mill = mill();
     mill.send("$J=G91 X5 F100\n");
     mill.run_for(Duration::from_millis(100));
-    // More than the look-ahead and the queue hold.
+    // Send more jogs than fit into the look-ahead and the queue.
     let mut jogs = 1;
     while mill.unread() < 400 {
         mill.send("$J=G91 Y1 F1000\n");
@@ -305,8 +305,7 @@ fn a_hold_forgets_all_jogs_that_have_been_received() {
     assert_eq!(mill.machine_position()[1], 1.0);
 }
 
-/// A reset button does the same, but drops lines of all kinds. (Bytes that the link has not fetched do not count as
-/// received.)
+/// A reset button drops all received lines. Bytes that the link has not fetched do not count as received.
 #[test]
 fn a_reset_button_drops_all_lines_that_have_been_received() {
     let mut mill = mill();
@@ -353,7 +352,7 @@ fn a_flood_of_resets_tears_no_welcome() {
 fn what_finds_no_room_waits_in_the_port() {
     for (lines, passes) in [(80, true), (100, false)] {
         let mut mill = mill();
-        // The first of five bytes blocks all others.
+        // The dwell (five bytes) is in progress, so no later line is taken.
         mill.send("G4P9\n");
         mill.send("G21F\n".repeat(lines));
         mill.send("?");

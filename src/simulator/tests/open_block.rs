@@ -1,5 +1,5 @@
-//! A host keeps the floor while its subroutine, loop or condition is open. If the `?` of another host took the floor,
-//! the rest of the block would be executed as separate lines.
+//! While its subroutine, loop or condition is open, a host keeps the machine. If another host could take over, for
+//! example with `?`, the rest of the block would be executed as separate lines.
 
 use oxmill_simulator::{Options, Simulator};
 

@@ -41,7 +41,7 @@ fn a_circle_at_feed_has_the_speed_and_the_ramps_of_its_program() {
             let what = format!("a circle of R {radius} at F{feed} and {resolution} steps/mm");
             let m = measured(resolution, &format!("G21 G91 G2 X0 Y0 I{radius} F{feed}"));
             assert_near(m.speed * 60.0, feed * 0.99, feed * 1.01, &what);
-            // A small circle has few coarse steps along an axis, and its ramp is two steps long.
+            // The smallest circle on the coarsest steps has few steps along an axis, and its ramp is two steps long.
             let coarse = radius * f64::from(resolution) < 100.0;
             for axis in 0..2 {
                 let least = if coarse { 0.93 } else { 0.97 };
@@ -60,7 +60,7 @@ fn a_circle_at_feed_has_the_speed_and_the_ramps_of_its_program() {
 fn a_line_has_the_speed_and_the_ramps_of_its_program() {
     for (index, resolution) in [80, 100, 250, 400, 1000].into_iter().cycle().take(25).enumerate() {
         let (angle, feed) = (spread(index) * std::f64::consts::TAU, 300.0 + 2700.0 * spread(index + 7));
-        // Long enough for three ramps, and long compared with a step.
+        // At least six times as long as a ramp, v^2 / (2 a), and at least 400 steps.
         let length = (3.0 * (feed / 60.0).powi(2) / ACCELERATION).max(400.0 / f64::from(resolution));
         let (x, y) = (length * angle.cos(), length * angle.sin());
         let program = format!("G21 G91 G1 X{x:.4} Y{y:.4} F{feed:.1}");
@@ -132,7 +132,7 @@ fn a_circle_in_chords_has_the_speed_of_its_program() {
 
 #[test]
 fn rounding_to_coarse_steps_is_no_speed() {
-    // Chords of three quarters of a step: a single chord seems a third longer, or empty.
+    // A chord is three quarters of a step. Rounded to steps, it seems a third longer, or has no length.
     let program = pieces(600.0, 30.0, 0.03, |part| (30.0 * part, 0.0));
     let m = measured(25, &program);
     assert_near(m.speed * 60.0, 570.0, 606.0, "a line in pieces below a step");

@@ -102,7 +102,7 @@ fn after_a_power_cut_all_settings_are_old_or_new() {
             let operations = mill.store().operations();
             let answer = say(&mut mill, command);
             assert!(!answer.contains("could not be stored"), "{command}: {answer}");
-            // The longest record has 27 words.
+            // The longest record has 27 words, so more operations mean that all records were moved to the other sector.
             moves += u32::from(mill.store().operations() > operations + 40);
             states.push(stored(&mut mill));
         }
@@ -113,7 +113,7 @@ fn after_a_power_cut_all_settings_are_old_or_new() {
         for cut in 0..operations {
             let mut cut_store = begin.clone();
             cut_store.cut_power_after(cut, dice.throw(u32::MAX));
-            // Operations that the cut has left for the power-up may be cut, too.
+            // The power can already be cut during this power-up, if it writes to the flash.
             let mut mill = power_up(cut_store);
             let mut under_way = 0;
             while !mill.power_is_gone() {
@@ -131,7 +131,7 @@ fn after_a_power_cut_all_settings_are_old_or_new() {
                 difference(&found, after),
             );
             cuts += 1;
-            // Only a last word that lacks bits of a single byte is reported as damage: see the store's own tests.
+            // A cut is reported as damage only if the last word lacks bits of a single byte: see the store's own tests.
             told += u32::from(again.controller().is_store_damaged());
             if before != after {
                 old += u32::from(found == *before);

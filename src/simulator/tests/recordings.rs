@@ -30,10 +30,10 @@ impl File {
 const MACHINE: &str =
     "steps_per_mm = [250, 250, 250]\n[[switch]]\naxis = \"x\"\nat_mm = 1.5\nside = \"positive\"\nbounce_us = 900\n";
 
-/// Settings that make the passing of time an input: a host that falls silent during a job or a jog, and what follows.
+/// Settings that make the machine act when the host falls silent during a job or a jog, so that pauses have effects.
 const WATCHES: [&str; 6] = ["$922=0.1\n", "$922=0.5\n", "$923=0.1\n", "$928=1\n", "$915=1\n", "$929=0.1\n"];
 
-/// Inputs of a host and of the user, and pauses; with the additional lines `more`.
+/// Returns random inputs of a host and of the user, with pauses. The host also sends lines of `more`.
 fn inputs_with(more: &[&'static str]) -> impl Strategy<Value = (u32, Input)> + use<> {
     let mut lines = vec![
         "G1 X2 F600\n",
@@ -175,7 +175,7 @@ fn another_state_parts_from_it() {
         ("M4 S500 M8\n", "alarm 0 trusted ccw 32896 flood"),
         ("M4 S600 M7\n", "alarm 0 trusted ccw 39423 mist"),
         ("$900=1\nM64 P1\nM65 P0\n", "alarm 0 trusted pins 02"),
-        // The switch at 1.5 mm.
+        // X reaches the switch at 1.5 mm.
         ("G1 X9 F900\n", "alarm 1 drivers"),
         ("$SLP\n", "alarm 0"),
     ] {
@@ -202,7 +202,8 @@ fn another_state_parts_from_it() {
     assert!(played(&older.replace(" M8", "")).is_err());
 }
 
-/// These differ although the motors make the same steps and the machine ends in the same state.
+/// A difference in outputs or times is found even if the motors make the same steps and the machine ends in the same
+/// state.
 #[test]
 fn other_outputs_and_another_clock_part_from_it() {
     let (text, _) = recorded("M3 S500\nG1 X0.2 F600\nM5 M9\n");
@@ -259,7 +260,7 @@ fn what_is_no_recording_is_refused() {
         let error = Recording::parse(text).unwrap_err();
         assert!(error.starts_with(why), "{error}");
     }
-    // A last line without its end was being written.
+    // A last line without its end is ignored: the program was killed while it wrote the line.
     assert!(Recording::parse("oxmill recording 1\nbegin 5\n6 at 0 0").is_ok());
 }
 
@@ -286,8 +287,8 @@ fn listing(mill: &mut Simulator) -> String {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
-    /// The simulator acts as a board: replaying its listing on another one ends at the same position by the same
-    /// blocks.
+    /// A simulator acts as a board and lists its recording. Replaying the listing on another simulator ends at the same
+    /// position by the same blocks.
     #[test]
     fn what_a_board_lists_is_played(script in prop::collection::vec(inputs_with(&[]), 1..60)) {
         let (mut mill, _, _, _) = machine();
@@ -311,14 +312,15 @@ proptest! {
         let mut again = recording.power_up().unwrap();
         let arrival = oxmill_simulator::board_replay::play(&recording, &mut again, |_| {}, |_| {});
         if log.rfind(" stored]") > log.rfind(" state ") {
-            // There is no state to begin from, as a setting was changed while a switch was active.
+            // The recording has no state at which a replay can begin, because a setting was changed while a switch was
+            // active.
             prop_assert!(arrival.parted.is_some_and(|why| why.starts_with("begins in the middle")), "{}", log);
             return Ok(());
         }
         // A recording leaves some facts open: the order of bytes of two hosts at the same time, whether `~` came just
-        // before the machine rested in a hold, and when a waiting line arrived unread (the controller runs then, so a
-        // later braking may end a segment later). In these cases the replay may differ, and says so. It must never
-        // differ silently.
+        // before the machine rested in a hold, and when a line arrived that had to wait (its arrival makes the
+        // controller run, so a later braking can end one segment later). In these cases a replay is allowed to differ,
+        // but it must say so.
         let unclear = |input: &Input| match input {
             Input::Connect | Input::Disconnect => true,
             Input::Host(bytes) => bytes == b"~" || brakes(input),
@@ -382,8 +384,8 @@ fn played_of_board(sent: &[(u64, &str)]) -> (String, oxmill_simulator::board_rep
     (log, arrival)
 }
 
-/// M30 leaves G1 in force, and a change of the feed mode leaves no F: such a job is followed by a new zero before the
-/// next job.
+/// M30 and a change of the feed mode can leave G1 in force without F. The replay begins in this state, because it must
+/// begin after the last stored value (G10).
 #[test]
 fn a_replay_begins_in_g1_without_a_feed() {
     for end in ["M30\n", "G93 G1 Y0.1 F60\nG94\n", "G20 M30\n"] {
@@ -394,7 +396,7 @@ fn a_replay_begins_in_g1_without_a_feed() {
     }
 }
 
-/// A corner is rounded only if the next move was known when the move before it started.
+/// A corner is rounded only if its second move was known when its first move started, so the lines must come together.
 #[test]
 fn lines_that_came_at_once_are_played_at_once() {
     let burst = "G64 P0.1\nG1 X1 F900\nY1\nX0\nY0\n";

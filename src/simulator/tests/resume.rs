@@ -24,7 +24,8 @@ fn resumed(settings: &[&str], job: &str, wish: &Wish) -> Result<Resumed, String>
     resume(&machine(settings), "job.nc", job.as_bytes(), wish)
 }
 
-/// Steps, directions and position of each step event; and the final state.
+/// For each step event: the step bits, the direction bits, and the step counters of X, Y and Z and of A. Then the final
+/// state.
 type Ran = (Vec<(u8, u8, [i32; 3], i32)>, Interpreter<AXES>);
 
 fn run(settings: &[&str], before: &str, program: &str) -> Ran {
@@ -43,8 +44,8 @@ fn run(settings: &[&str], before: &str, program: &str) -> Ran {
     (steps, simulator.controller().interpreter().clone())
 }
 
-/// Resumes the program at each line, on a machine at another position that has only its settings. Returns the lines
-/// that are rejected, with the reasons.
+/// Resumes the program at each line, on a machine at another position that has only its settings. At the lines
+/// `other_way` the steps are not compared. Returns the lines that are rejected, with the reasons.
 fn compare_all(settings: &[&str], program: &str, elsewhere: &str, other_way: &[usize]) -> Vec<(u64, String)> {
     let words: Vec<String> =
         "XYZA".chars().filter(|c| elsewhere.contains(*c)).map(|c| format!(" {c}").replace(" Z", "Z")).collect();
@@ -63,11 +64,12 @@ fn compare_all(settings: &[&str], program: &str, elsewhere: &str, other_way: &[u
         assert_eq!(rest.line, line as u64);
         let text = String::from_utf8(rest.program).unwrap();
         let way = rest.prologue.concat();
-        // An axis that the job has not moved keeps its position.
+        // An axis that the job has not moved keeps its position, so do not move the machine away unless the prologue
+        // moves all of these axes.
         let elsewhere = if words.iter().all(|word| way.contains(word)) { elsewhere } else { "" };
         let (in_front, _) = run(settings, "", &front);
         let remaining = whole.0.len() - in_front.len();
-        // The preceding lines have stored these values.
+        // The machine has stored these values when it ran the preceding lines.
         let stored: String =
             lines[..line - 1].iter().filter(|line| line.contains("G10")).map(|l| format!("{l}\n")).collect();
         let (steps, state) = run(settings, &format!("{stored}{elsewhere}"), &text);
@@ -76,7 +78,7 @@ fn compare_all(settings: &[&str], program: &str, elsewhere: &str, other_way: &[u
             other_way.contains(&line) || steps[steps.len() - remaining..] == whole.0[whole.0.len() - remaining..],
             "line {line}: other steps\n{text}"
         );
-        // Parameters that the rest sets are not compared.
+        // Parameters and the state saved by M70 are not compared.
         let differs = state.differs_from(&whole.1).filter(|part| !part.contains("parameter") && !part.contains("M70"));
         assert_eq!(differs, None, "line {line}\n{text}");
     }
@@ -141,10 +143,10 @@ M4 S500.5
 M5 M9
 G1 X3
 M30";
-    // With G99, the level of G98 is restored by travelling at that level.
+    // Lines 30 and 31 make other steps: with G99, the prologue travels at the Z to which G98 would retract.
     let refused = compare_all(&["918=1"], program, "G91 G0 X1.7 Y-2.3 Z4.9\nG90", &[30, 31]);
     let lines: Vec<u64> = refused.iter().map(|(line, _)| *line).collect();
-    // After G56, only positions in G55 are known.
+    // These lines follow G56, but the positions of the job are known in G55 only.
     assert_eq!(lines, [50, 51, 52, 53, 54, 55], "{refused:?}");
     assert!(refused.iter().all(|(_, why)| why.starts_with("where ")), "{refused:?}");
 }
@@ -177,9 +179,9 @@ G55 G0 X2 Y3 Z5
 G1 X4
 M2";
     let refused = compare_all(&["918=1"], program, "G91 G0 X1.7 Y-2.3 Z4.9\nG90", &[]);
-    // After G55, the job has travelled at heights that are known in G54 only.
+    // Line 7: with the offset of the tool just loaded, the spindle has not been at that height. Lines 23 and 24: after
+    // G55, the job's heights are known in G54 only.
     let lines: Vec<u64> = refused.iter().map(|(line, _)| *line).collect();
-    // Before that, the spindle has not been so high with the offset of the tool just loaded.
     assert_eq!(lines, [7, 23, 24], "{refused:?}");
     assert!(refused.iter().all(|(_, why)| why.contains("--clearance")), "{refused:?}");
 }
@@ -273,7 +275,7 @@ fn limits_of_travel_do_not_hinder_it() {
     assert_eq!(resumed(&["22=1", "20=1", "21=1"], program, &wish(6)).unwrap(), free);
 }
 
-/// A store in a file is not changed.
+/// The store of the machine is not changed.
 #[test]
 fn the_machine_is_as_it_was() {
     let simulator = machine(&[]);
@@ -419,7 +421,7 @@ fn a_plunge_is_a_move_straight_down() {
     assert!(resumed(&[], &ramps, &wish(7)).unwrap_err().contains("--plunge"));
 }
 
-/// The tool travels no lower than the job has travelled, as far as that is known.
+/// The tool travels at the highest Z of the job. If the job has travelled at an unknown Z, the clearance must be given.
 #[test]
 fn the_clearance_is_the_highest_height_or_must_be_said() {
     let retract = "G21 G90\nG0 Z5\nG0 X1 Y1\nG1 Z-1 F100\nX5\nG1 Z20\nX9\nZ-1\nX12\n";
@@ -441,7 +443,7 @@ fn the_clearance_is_the_highest_height_or_must_be_said() {
     }
 }
 
-/// A height from before the tool offset could move the spindle beyond its travel.
+/// A height that the job used before the tool offset could now move the spindle beyond its travel.
 #[test]
 fn the_spindle_goes_no_higher_than_in_the_job() {
     let program = "G21 G90\nG0 Z100\nX1 Y1\nG43.1 Z60\nG0 Z15\nG1 Z-1 F100\nX5\nX6\n";
@@ -452,7 +454,7 @@ fn the_spindle_goes_no_higher_than_in_the_job() {
     assert_eq!(resumed(&[], &lower, &wish(8)).unwrap().prologue[3], "G0 Z15");
 }
 
-/// G98 would retract to a level within the work.
+/// G98 would retract to the Z at which the cycles began, which is within the work.
 #[test]
 fn cycles_that_began_in_the_work_do_not_go_on() {
     let program = "G21 G90\nG0 Z5\nG0 X1\nG1 Z-3 F100\nG98 G81 X2 Z-5 R2\nX3\nX4\n";
@@ -510,7 +512,7 @@ fn a_curve_that_goes_on_from_one_in_front_is_refused() {
     assert!(resumed(&[], mode, &wish(5)).is_ok());
 }
 
-/// A slower plunge would be simulated for hours, and Grbl does not support it either.
+/// Simulating a slower plunge would take hours, and Grbl does not support it either.
 #[test]
 fn a_plunge_is_not_slower_than_grbl_goes() {
     let program = "G21 G90\nG0 Z5\nG0 X1\nG1 Z-1 F100\nX5\nX6\n";
@@ -521,8 +523,8 @@ fn a_plunge_is_not_slower_than_grbl_goes() {
     assert!(plunge(10_000_000).is_ok());
 }
 
-/// Homing at the beginning of a job changes nothing that is known; a pause is no motion mode; a preceding curve may be
-/// continued smoothly wherever it ended.
+/// Homing at the beginning of a job, M0 between arcs, and changes of the feed mode before an F do not prevent resuming.
+/// A G5 without I and J that continues a preceding curve does, even after another move.
 #[test]
 fn what_matters_not_does_not_hinder() {
     assert!(resumed(&[], "$H\nG21 G90\nG0 Z5\nX1\n", &wish(4)).is_ok());

@@ -4,7 +4,7 @@ use super::begins::MARKS;
 use crate::boards::{StepOutput, StepPins};
 use crate::shared::Power;
 
-/// The laser power and its changes, which are ahead like the events of their segments.
+/// The laser power, and its changes that are still ahead, as are the events of the segments that they belong to.
 pub struct Beam {
     /// Changes ahead: time and power.
     marks: heapless::Deque<(u32, u16), MARKS>,
@@ -37,7 +37,7 @@ impl Beam {
         self.marks.is_full()
     }
 
-    /// Returns whether power comes, or may still come, from segments.
+    /// Returns whether power comes from segments, or a change that is already armed in hardware can still set it.
     pub fn is_on(&self) -> bool {
         Power::wanted().from_segments || self.armed
     }
@@ -48,7 +48,8 @@ impl Beam {
             return false;
         }
         if self.marks.is_full() {
-            // The last change is replaced: power only shows with events, and there is none between them.
+            // The new change replaces the last one. No event lies between these two, so the power of the last one would
+            // have acted on no step.
             self.marks.pop_back();
         }
         let is_kept = self.marks.push_back((at, power)).is_ok();
@@ -58,7 +59,7 @@ impl Beam {
         is_kept && self.marks.len() == 1
     }
 
-    /// Keeps the laser off until `moment`, when a motion with late events is resumed.
+    /// Keeps the laser off until `moment`, the time at which a motion with late events is resumed.
     pub fn resume_at(&mut self, moment: u32) {
         self.power = 0;
         let _ = self.marks.push_back((moment, self.made));
@@ -70,8 +71,9 @@ impl Beam {
         }
     }
 
-    /// Arms the next change: hardware makes it at its time. If power does not come from segments, only the call is
-    /// scheduled, to record the change. Do not call while the motion may still be delayed: the time is not final then.
+    /// Arms the next change: hardware makes it at its time, and calls the step task. If power does not come from
+    /// segments, hardware only calls the step task, which records the change. Do not use this function while the motion
+    /// can still be delayed, because the time of the change is not final.
     #[inline(never)]
     pub fn arm(&mut self, output: &mut StepPins) {
         if let Some((at, power)) = self.marks.front().copied() {
@@ -80,7 +82,8 @@ impl Beam {
         }
     }
 
-    /// Records all changes whose time has come, and arms the next one. Changes after the first may be late.
+    /// Records all changes whose time has come, and arms the next one. Hardware makes only the first change at its
+    /// time; changes after it can be late.
     #[inline(never)]
     pub fn mark(&mut self, output: &mut StepPins) {
         let before = self.marks.len();
@@ -91,7 +94,7 @@ impl Beam {
             self.marks.pop_front();
         }
         if self.marks.len() < before && Power::wanted().from_segments {
-            // Repeats what hardware should have done, in case that it failed.
+            // Sets the power that hardware should have set, in case that hardware has failed.
             self.set_power(output, self.power);
         }
         self.arm(output);
@@ -131,12 +134,13 @@ impl Beam {
     pub fn end_run(&mut self, output: &mut StepPins) {
         self.marks.clear();
         if self.armed {
-            // Hardware may or may not have made the armed change: switch off.
+            // It is not known whether hardware has made the armed change, so switch off.
             self.set_power(output, 0);
         }
     }
 
-    /// Sets the power until the next change. The caller must arm that change again, if there is one.
+    /// Sets the power until the next change, and disarms hardware. If there is a next change, the caller must arm it
+    /// again.
     #[inline(never)]
     fn set_power(&mut self, output: &mut StepPins, level: u16) {
         output.set_power(level);

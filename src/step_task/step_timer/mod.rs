@@ -100,8 +100,8 @@ impl Step {
     /// change of laser power. Other tasks call it after they requested a stop, queued a message or changed the power.
     #[inline(never)]
     pub fn run(&mut self) {
-        // First of all, because an event may begin in each cycle before the stop. No task that requests stops preempts
-        // this one.
+        // A stop comes before all else, because an event can begin in each cycle before it. No task that requests stops
+        // preempts this one, so one check suffices.
         if shared::stops_asked() != self.stops_done {
             self.stop();
         }
@@ -114,7 +114,8 @@ impl Step {
             self.look_at_probe();
         }
         match self.state {
-            // Called before more events are needed: keep the pause after the last run.
+            // The task was called before more events are needed. Generate none, so that the pause after the last run is
+            // kept.
             State::Running | State::Preparing(_) if !self.maker.one_by_one && !due.has(Due::MORE) => self.call_sooner(),
             State::Running => self.go_on(),
             State::Ending => self.end(),
@@ -157,7 +158,7 @@ impl Step {
         self.begin(moment);
     }
 
-    /// Generates more of the first events. Starts their output when there are enough, or no time is left.
+    /// Generates more of the first events. Starts the output when there are enough of them, or no time is left.
     #[inline(never)]
     fn begin(&mut self, moment: u32) {
         let before = self.maker.output.ahead();
@@ -165,7 +166,8 @@ impl Step {
             self.make(moment);
         }
         let (ahead, now) = (self.maker.output.ahead(), self.maker.output.now());
-        // While no event is ahead, the next tick is the deadline: the first event may come long after the first tick.
+        // While no event is ahead, the next tick is the deadline, because the first event can come long after the first
+        // tick.
         let left = if ahead > 0 { moment } else { self.maker.stepper.moment() }.wrapping_sub(now) as i32;
         let is_late = left <= IN_TIME_TICKS as i32;
         let is_time = left <= (IN_TIME_TICKS + SPARE_TICKS) as i32 && self.latest.is_none();
@@ -182,7 +184,7 @@ impl Step {
             self.count_anew();
             self.maker.beam.arm(&mut self.maker.output);
         } else if is_late && !is_all {
-            // No event is ahead yet. Delay the start until there is one, or until more segments have arrived.
+            // No event is ahead yet. Delay the start until an event is ahead, or until more segments have arrived.
             let waits = self.latest.is_none() && self.maker.stepper.lacks_segment();
             let by = if waits { START_TICKS } else { IN_TIME_TICKS };
             self.state = State::Preparing(moment.wrapping_add(by));
@@ -191,8 +193,8 @@ impl Step {
         self.call_again();
     }
 
-    /// Delays all generated events that have not begun, and everything after them, by `by` ticks. If the first tick,
-    /// due at `moment`, is then too late for the motors, aborts the motion instead.
+    /// Delays all generated events that have not begun, and everything after them, by `by` ticks. If that would make
+    /// the first tick, due at `moment`, too late for the motors, aborts the motion instead.
     fn put_off(&mut self, moment: u32, by: u32) {
         if self.latest.is_some_and(|latest| (latest.wrapping_sub(moment.wrapping_add(by)) as i32) < 0) {
             self.ran_dry();
@@ -201,8 +203,8 @@ impl Step {
         }
     }
 
-    /// Aborts motion because events were so late that the motors may not have followed. The host gets the same report
-    /// as for late segments.
+    /// Aborts motion because events were so late that it is uncertain whether the motors have followed. The host gets
+    /// the same report as for late segments.
     #[cold]
     fn ran_dry(&mut self) {
         let Undone { net, fault, .. } = self.halt();
@@ -220,7 +222,8 @@ impl Step {
         let now = self.maker.output.now();
         let left = self.maker.output.joins_until(self.maker.stepper.moment()).wrapping_sub(now) as i32;
         if !self.maker.one_by_one && (left < RUN_TICKS as i32 || self.maker.stepper.is_watching()) {
-            // Too late, or events must be output one by one from here on: first output the events that are ahead.
+            // It is too late to join, or events must be output one by one from here on. In both cases, first output the
+            // events that are ahead.
             self.state = State::Ending;
         } else {
             self.make(now);
@@ -239,7 +242,7 @@ impl Step {
         };
         let ended = self.maker.make(from, onset);
         if ended == Ended::Underrun {
-            // The position is the one after the events ahead, which will still be output.
+            // The reported position is the one after the events ahead, which will still be output.
             self.reports.underrun = Some(self.maker.stepper.underrun_event());
         }
         if ended != Ended::No {
@@ -316,10 +319,11 @@ impl Step {
     #[cold]
     fn resume(&mut self) {
         let planned = self.maker.stepper.moment();
-        // If only few events follow and the next are late again, the deadline remains this one.
+        // If events are late again before enough have followed ([`Step::count_anew`]), the first deadline stays in
+        // force.
         let latest = planned.wrapping_add(MOST_LATE_STEPS.wrapping_mul(self.maker.stepper.step_interval()));
         self.latest = Some(self.latest.unwrap_or(latest));
-        // Time for one run more than necessary.
+        // Leave time for one run more than necessary.
         let soon = IN_TIME_TICKS + RUN_TICKS + PAUSE_TICKS;
         let moment = later(planned, self.maker.output.now().wrapping_add(soon));
         self.maker.beam.resume_at(moment);
@@ -333,7 +337,7 @@ impl Step {
         let undone = self.halt();
         let mut net = undone.net;
         self.maker.begins.pass(halted_at);
-        // A motion of which nothing was output has moved nothing.
+        // If no event of a motion was output, no motor has moved.
         let is_still = self.is_before_motion() && !undone.fault;
         self.maker.beam.switch_off(&mut self.maker.output);
         if undone.fault {
@@ -345,9 +349,10 @@ impl Step {
             self.stops_done = self.stops_done.wrapping_add(1);
             let mut event = self.maker.stepper.stop(core::mem::take(&mut net));
             if let StepEvent::Stopped { moving, .. } = &mut event {
-                // With an unreliable count the position is as lost as after a stop in motion.
+                // If the count is unreliable, the position is as lost as after a stop in motion.
                 *moving = !is_still && (*moving || undone.events > 0 || undone.fault);
-                // Only the newest stop is reported, so it must keep that the machine was moving at an older one.
+                // Only the newest stop is reported. So its report must also say if the machine was moving at an older
+                // stop.
                 if let Some(StepEvent::Stopped { moving: before, .. }) = self.reports.stopped {
                     *moving |= before;
                 }
@@ -409,7 +414,7 @@ impl Step {
         Some(later(at, now.wrapping_add(PAUSE_TICKS)))
     }
 
-    /// Checks the probe after an event that was output by itself.
+    /// Checks the probe after an event that was output by an interrupt of its own.
     #[inline(never)]
     fn look_at_probe(&mut self) {
         let Maker { stepper, output, .. } = &mut self.maker;
@@ -419,8 +424,8 @@ impl Step {
     }
 
     /// Returns whether a message queued now must not wait for the next scheduled run. While events are output, the time
-    /// of that run takes queued segments into account, so only a message for an empty queue is urgent, if a segment is
-    /// needed.
+    /// of that run already takes queued segments into account. So a message is urgent only if a segment is needed and
+    /// none is queued.
     #[inline(always)]
     fn wants_message(&self) -> bool {
         let Maker { stepper, one_by_one, .. } = &self.maker;

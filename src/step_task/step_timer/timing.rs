@@ -1,5 +1,6 @@
 //! Times of the step task in step-clock ticks: from the first segment to its first tick, how far ahead events are
-//! generated, the duration of a run, and how late a motion may be resumed. All are derived from the board's profile.
+//! generated, the duration of a run, and how late a motion can still be resumed. All are derived from the board's
+//! profile.
 
 use crate::boards::{CORE_HZ, PROFILE, RUN_CYCLES};
 
@@ -29,7 +30,7 @@ pub const RUN_TICKS: u32 = in_ticks(RUN_CYCLES);
 pub const BEGIN_TICKS: u32 = in_ticks(1_500);
 /// Minimum time before the first event at which the output starts: two more runs, a pause, and the start itself.
 pub const IN_TIME_TICKS: u32 = 2 * RUN_TICKS + BEGIN_TICKS + PAUSE_TICKS;
-/// Additional time from rest, because interrupts may be masked meanwhile.
+/// Additional time for an output that starts from rest, because interrupts can be masked meanwhile.
 pub const SPARE_TICKS: u32 = 100 * TICKS_PER_US;
 /// Minimum pause from the end of a run to the next scheduled one, for other tasks.
 pub const PAUSE_TICKS: u32 = RUN_TICKS / 4;

@@ -17,7 +17,7 @@ const bundle = async (entry, define = {}) => {
   const options = { define, entryPoints: [join(here, "src", entry)], bundle: true, minify: true, write: false, format: "iife", target: "es2022" };
   return (await build(options)).outputFiles[0].text;
 };
-// `</script` would end the `script` element.
+// Escape `</script`, which would end the `script` element.
 const script = text => `<script>${text.replaceAll("</script", "<\\/script")}</script>`;
 
 const wasm = readFileSync(join(target, "oxmill.wasm"));
@@ -34,7 +34,7 @@ mkdirSync(target, { recursive: true });
 const whole = page.replace("<script></script>", () => script(app));
 writeFileSync(join(target, "oxmill.html"), whole);
 
-// A site that a browser installs: manifest and service worker need addresses of their own.
+// The same page as a site that a browser can install. Manifest and service worker must be separate files.
 const icon = `<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 64 64"><rect width="64" height="64" fill="#12161c"/><circle cx="32" cy="32" r="14" fill="none" stroke="#58a2ff" stroke-width="9"/><path d="M32 13v12M32 39v12M13 32h12M39 32h12" stroke="#12161c" stroke-width="3"/></svg>\n`;
 const manifest = {
   name: "Oxmill", short_name: "Oxmill", description: "Checks, forecasts and runs G-code", id: "./", start_url: "./", scope: "./", display: "standalone", background_color: "#f3f4f6", theme_color: "#12161c",

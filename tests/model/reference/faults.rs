@@ -18,7 +18,7 @@ fn heavier(one: u8, other: u8) -> u8 {
 }
 
 impl Model {
-    /// An input stops everything, at once or by braking.
+    /// A fault of an input or of the spindle stops the machine, at once or by braking.
     pub(super) fn fault(&mut self, alarm: u8, also: &mut Vec<Model>) {
         let braking_for = if let Mode::Fault { alarm, .. } = self.mode { Some(alarm) } else { None };
         let told = braking_for.map_or(alarm, |other| heavier(alarm, other));
@@ -112,11 +112,11 @@ impl Model {
     /// The host timeout has expired.
     pub(super) fn host_is_silent(&mut self, also: &mut Vec<Model>) {
         self.say("[MSG:The host is silent]");
-        // Reported once; for lines after a jog the timeout restarts.
+        // The timeout starts again, so the silence is reported once, and lines after a jog have the whole time.
         self.heard = self.now;
         self.host_fails(also);
         if self.mode == Mode::Jog && self.braking.is_some_and(|rest| rest.from <= self.now.to) {
-            // A jog that has not moved may be over before a waiting line is read.
+            // A jog that has not moved can be over before a waiting line is read.
             let mut rested = self.clone();
             rested.braking = None;
             rested.rest(also);
@@ -124,7 +124,8 @@ impl Model {
         }
     }
 
-    /// A job waits for a host and can be resumed; a jog ends.
+    /// A host has fallen silent or disconnected. A jog ends. A job stops at once, or waits for a host and can be
+    /// resumed, as its setting says.
     pub(super) fn host_fails(&mut self, also: &mut Vec<Model>) {
         self.end_received_jogs();
         let reaction = self.setup.reaction(HOST);

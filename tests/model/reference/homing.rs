@@ -30,7 +30,7 @@ impl Phase {
     }
 }
 
-/// State of a homing cycle, and when its phase ends by itself.
+/// State of a homing cycle.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Homing {
     /// 0: Z; 1: X and Y.
@@ -39,7 +39,7 @@ pub(super) struct Homing {
     /// Whether the motion of the phase has ended and the switches settle.
     settles: bool,
     touched: [bool; 3],
-    /// End of the motion, or of the settling time.
+    /// Time at which the phase's motion ends if no switch ends it, or at which the switches have settled.
     pub(super) time: Span,
 }
 
@@ -81,7 +81,7 @@ impl Model {
             homing.settles = true;
             homing.time = now.plus(Span::length(DEBOUNCE, 0.0));
         } else if is_new {
-            // Oxmill: the other axis again has the whole distance available.
+            // Oxmill: from here the other axis has the whole distance again.
             homing.time = now.plus(homing.phase.length());
         }
     }

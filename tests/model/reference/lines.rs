@@ -8,7 +8,7 @@ impl Model {
     pub(super) fn read(&mut self, also: &mut Vec<Model>) {
         while self.reads() && !self.waiting.is_empty() {
             if self.next_silence().is_some_and(|span| span.from <= self.now.to) {
-                // The timeout may be noticed first.
+                // The host timeout can be noticed before this line is read.
                 let mut silent = self.clone();
                 silent.host_is_silent(also);
                 silent.read(also);
@@ -92,7 +92,7 @@ impl Model {
                 self.say("[MSG:Sleeping]");
                 self.mode = Mode::Sleep;
                 self.switch_off();
-                // Because the drivers are switched off.
+                // The position is not trusted any more, because sleep switches the drivers off.
                 self.trusted = false;
             }
             Line::Home => match self.forbids_unlocking() {
@@ -106,7 +106,7 @@ impl Model {
             Line::TooLong => self.refuse(25),
             Line::Move(axis, to, feed) => self.travel(axis, f64::from(to), feed, also),
             Line::Outside => self.travel(0, action::OUTSIDE, true, also),
-            // Oxmill: in Grbl M6 is unknown, and T has no effect.
+            // Oxmill. In Grbl M6 is unknown, and T has no effect.
             Line::Tool(..) | Line::Change if self.setup.grbl => self.refuse(20),
             Line::Select(tool) => {
                 self.selected = tool;
@@ -178,7 +178,7 @@ impl Model {
         }
     }
 
-    /// Answers `$G`. In check mode the words of spindle and coolant may be anything; the tool must be right.
+    /// Answers `$G`. In check mode the words of spindle and coolant are not checked, but the tool is.
     pub(super) fn tell_modal_state(&mut self) {
         let words = format!("M{} M{} ", if self.spindle { 3 } else { 5 }, if self.flood { 8 } else { 9 });
         let words = if self.mode == Mode::Check { "*" } else { &words };
@@ -228,7 +228,7 @@ impl Model {
             }
             self.mode = Mode::Free;
             self.say("[MSG:Caution: Unlocked]");
-            // Oxmill: reports that the position may be lost; in Grbl the operator has to know.
+            // Oxmill: reports that the position can be lost; in Grbl the operator has to know.
             if !self.trusted && !self.setup.grbl {
                 self.say("[MSG:The position may be lost*");
             }
@@ -252,7 +252,7 @@ impl Model {
     }
 
     /// Returns whether soft limits forbid a target. If that depends on how far a motion got, `also` gets a model in
-    /// which they do.
+    /// which they forbid it.
     pub(super) fn is_forbidden(&self, target: Places, also: &mut Vec<Model>, refuse: impl Fn(&mut Model)) -> bool {
         let outside = |mm: f64| !(-TRAVEL - 1e-6..=1e-6).contains(&mm);
         if !self.setup.soft_limits {
@@ -283,7 +283,7 @@ impl Model {
             self.checked.get_or_insert(self.place)[axis] = Some(to);
         } else {
             if self.motion.is_none() && self.place[axis].is_none() {
-                // The machine may have come to rest exactly at the target.
+                // The machine can have come to rest exactly at the target, so that nothing moves.
                 let mut there = self.clone();
                 there.place[axis] = Some(to);
                 there.end_move();
@@ -337,7 +337,7 @@ impl Model {
         let time = match length {
             Some(mm) if mm < 1e-9 => Span::at(0.0),
             Some(mm) => Span { from: (mm / speed - 0.005).max(0.001), to: seconds(mm) + SLACK },
-            // The start is unknown: the length is at most twice the travel and a jog.
+            // The start is unknown. 4 times the travel is longer than any move (up to twice the travel and a jog).
             None => Span { from: 0.0, to: seconds(4.0 * TRAVEL) + SLACK },
         };
         match &mut self.motion {

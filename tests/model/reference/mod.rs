@@ -2,9 +2,9 @@
 //!
 //! It was written from Grbl's interface and from the differences that Oxmill's book lists, not from the controller;
 //! such a difference is marked "Oxmill:". It models no steps: a motion is a period at whose end the machine is at a
-//! position. Times are known to within a [`Span`], derived from rate and acceleration. Where an instant decides and the
-//! span contains it, the model splits in two, one for each outcome; what the machine does next shows which one holds.
-//! Apart from that the model leaves only this open:
+//! position. Times are known to within a [`Span`], derived from rate and acceleration. If the outcome depends on
+//! whether something happens before an instant within its span, the model splits in two, one for each outcome; what the
+//! machine does next shows which one holds. Apart from that the model leaves only this open:
 //! * how far an interrupted motion got: the position is taken from the report;
 //! * whether a motion without any step so far counts as one at a reset, an emergency or a hold;
 //! * the order of a host timeout and a waiting line that are due at the same time;
@@ -44,7 +44,7 @@ impl Span {
         Span { from: self.from + length.from, to: self.to + length.to }
     }
 
-    /// Returns a duration of `seconds`, or up to `more` longer.
+    /// Returns a duration that is up to 5 ms shorter, or up to `more` and [`SLACK`] longer, than `seconds`.
     fn length(seconds: f64, more: f64) -> Span {
         Span { from: (seconds - 0.005).max(0.0), to: seconds + more + SLACK }
     }
@@ -77,7 +77,7 @@ enum Work {
     Pause,
     /// Oxmill: the motion of the line, after which single block pauses.
     SingleBlock,
-    /// Oxmill: M6 waits for this tool and the next cycle start. `spindle`: its line then turns the spindle on.
+    /// Oxmill: M6 waits for this tool and the next cycle start. `spindle`: after that its line turns the spindle on.
     Tool { tool: u8, spindle: bool },
     /// A jog that follows a jog ended by 0x85.
     LaterJog(Line),
@@ -85,7 +85,7 @@ enum Work {
     Forbidden,
     /// `$H`.
     Homing,
-    /// Cannot be ended: answered at a reset.
+    /// An alarm has ended the activity, so the line is answered at the reset.
     Owed,
 }
 
@@ -131,16 +131,17 @@ pub struct Model {
     /// Override of the running spindle when last checked in a state that carries out lines, and the end of its time to
     /// reach that speed.
     given: Option<(u32, Span)>,
-    /// Oxmill: in a door state that replaces a disconnected host the outputs stay on.
+    /// Oxmill: whether the outputs stay on in the door state in which a job waits for its host.
     keeps_outputs: bool,
     /// Whether motion and lines that are still pending in a door state will be dropped.
     forgets: bool,
     work: Option<Work>,
     /// Lines that have not been read.
     waiting: VecDeque<Line>,
-    /// Number of these lines that arrived before a command that ends jogs.
+    /// Number of lines in `waiting` that arrived before a command that ends jogs.
     cancelled: usize,
-    /// Whether that command was 0x85: then a later jog starts where the previous one comes to rest.
+    /// Whether the command that ends jogs was 0x85. If so, a jog that arrives later starts where the previous one comes
+    /// to rest.
     keeps_later_jogs: bool,
     place: Places,
     /// Position to which the lines of check mode would have moved.
@@ -151,7 +152,7 @@ pub struct Model {
     spindle: bool,
     /// Whether the operator has stopped the spindle in a hold.
     spindle_stopped: bool,
-    /// Whether the operator has requested that while the hold was still braking.
+    /// Whether the operator has requested to stop the spindle while the hold was still braking.
     stops_at_rest: bool,
     flood: bool,
     /// Oxmill: 0x89, a pause after each line that moves.
@@ -216,7 +217,7 @@ impl Model {
     pub fn state(&self) -> &'static str {
         let braking = self.braking.is_some();
         match &self.mode {
-            // Oxmill: also while it brakes before a forbidden target, where Grbl shows a hold.
+            // Oxmill: also while the machine brakes before a forbidden target, where Grbl shows a hold.
             Mode::Free if self.motion.is_some() => "Run",
             Mode::Free => "Idle",
             Mode::Jog => "Jog",
@@ -307,7 +308,8 @@ impl Model {
                 self.on(*pin) != *on && !(*on && stops.contains(pin) && other)
             }
             Action::Byte(_) | Action::Pass(_) => true,
-            // Lines that turn the spindle on, and the delays of doors, would wait for the at-speed signal.
+            // While the spindle is slow, no line that turns it on and no delay of a door may occur: they would wait for
+            // the at-speed signal.
             Action::SlowSpindle(_) => {
                 let waits = !self.waiting.is_empty() || !matches!(self.work, None | Some(Work::SingleBlock));
                 self.mode == Mode::Free && self.motion.is_some() && !waits
@@ -398,7 +400,8 @@ impl Model {
         }
     }
 
-    /// Returns the time of the event that will end by itself; there is never more than one.
+    /// Returns the end of what is in progress and ends without an event from outside. There is never more than one such
+    /// activity.
     fn timer(&mut self) -> Option<&mut Span> {
         if let Some(span) = &mut self.braking {
             return Some(span);
@@ -473,7 +476,7 @@ impl Model {
         }
     }
 
-    /// The event of [`Model::timer`] has occurred.
+    /// The activity whose end [`Model::timer`] returns has ended.
     fn happen(&mut self, also: &mut Vec<Model>) {
         if self.braking.take().is_some() {
             self.rest(also);

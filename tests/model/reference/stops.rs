@@ -73,7 +73,7 @@ impl Model {
     pub(super) fn go_on(&mut self, also: &mut Vec<Model>) {
         let now = self.now;
         if self.motion.as_ref().is_some_and(|motion| motion.time.from <= 0.0) {
-            // The motion may have ended while it braked.
+            // The motion can have reached its end while it braked.
             let mut ended = self.clone();
             ended.place = ended.target();
             ended.motion = None;
@@ -126,7 +126,8 @@ impl Model {
         self.read(also);
     }
 
-    /// Oxmill: when the host disconnects, a job is held, also one that is being resumed after a door; a jog ends.
+    /// Oxmill: a host that disconnects is a fault for a job, also for one that is being resumed after a door. A jog
+    /// ends.
     pub(super) fn host_goes(&mut self, also: &mut Vec<Model>) {
         self.absent = matches!(self.mode, Mode::Door { restoring: Some(_) });
         if self.motion.is_some() && matches!(self.mode, Mode::Free | Mode::Jog) {
@@ -223,7 +224,8 @@ impl Model {
         self.cancelled = 0;
     }
 
-    /// Homing has failed: like a reset. Oxmill: waiting lines are answered in the alarm that follows.
+    /// Homing has failed, which has the effects of a reset. Oxmill: waiting lines are answered in the alarm that
+    /// follows.
     pub(super) fn fail_homing(&mut self, alarm: u8, also: &mut Vec<Model>) {
         self.end_all(Some(alarm));
         self.initialise(true, also);
@@ -240,7 +242,7 @@ impl Model {
         }
     }
 
-    /// The common end of every reset.
+    /// The part that all resets have in common.
     pub(super) fn initialise(&mut self, mut locked: bool, also: &mut Vec<Model>) {
         self.switch_off();
         self.overrides = [100; 3];
@@ -273,8 +275,8 @@ impl Model {
         }
     }
 
-    /// Oxmill: an event that ends a jog also ends jogs that have been received and not started, wherever they wait,
-    /// including those after a hold that still brakes. They are answered as if they had been carried out.
+    /// Oxmill: an event that ends a jog also ends all jogs that have been received and not started, including those
+    /// behind a hold that still brakes. They are answered as if they had been carried out.
     pub(super) fn end_jogs(&mut self, keeps_later_jogs: bool) {
         self.cancelled = self.waiting.len();
         self.keeps_later_jogs = keeps_later_jogs;
@@ -335,7 +337,7 @@ impl Model {
                 self.go_on(also);
             }
             Mode::Door { restoring: None } if self.braking.is_none() && !self.on(Pin::Door) => {
-                // Oxmill: also where a fault has left the outputs on.
+                // Oxmill: the delays also apply where a fault has left the outputs on.
                 let seconds =
                     RESTORE[0] * f64::from(u8::from(self.spindle)) + RESTORE[1] * f64::from(u8::from(self.flood));
                 self.outputs_off = false;

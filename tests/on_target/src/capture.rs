@@ -1,28 +1,29 @@
-//! Time-stamps every edge at three input pins without the CPU: a timer captures its count, and DMA writes it to memory.
+//! Time-stamps every edge at three input pins without the CPU: at each edge a timer captures its count, and DMA writes
+//! this count to memory.
 //!
 //! ```text
 //!  PB6 ── TIM4 channel 1 ── DMA1 stream 0 ──▶ first line
 //!  PB7 ── TIM4 channel 2 ── DMA1 stream 3 ──▶ second line
 //!  PB8 ── TIM4 channel 3 ── DMA1 stream 7 ──▶ third line
 //! ```
-//! TIM4 counts the same clock as the step timer, so its unit is a tick of the step clock (10 to 12 ns), and errors of
-//! that clock are not visible here. It has 16 bits and wraps every 650 to 780 us: differences of counts are valid
-//! modulo 2^16. An input changes its level once four ticks in a row have sampled the new one, for rising and falling
-//! edges alike.
+//! TIM4 counts the same clock as the step timer, so a count is a tick of the step clock (10 to 12 ns), and errors of
+//! that clock are not visible here. TIM4 has 16 bits and wraps every 650 to 780 us, so a difference of two counts is
+//! known only modulo 2^16. A filter accepts a new level at an input after four equal samples, one per tick. It delays
+//! rising and falling edges equally.
 //!
-//! Every STM32F4 of these boards has these pins, channels and streams (RM0383, RM0368, RM0390: DMA request mapping, and
-//! the data sheets' tables of alternate functions).
+//! All STM32F4 parts of these boards have these pins, channels and streams (RM0383, RM0368, RM0390: DMA request
+//! mapping, and the data sheets' tables of alternate functions).
 
 use core::sync::atomic::{AtomicU16, Ordering, fence};
 use oxmill_boards::pac;
 
 /// Maximum number of edges recorded for a line; later ones are lost.
 pub const DEPTH: usize = 2048;
-/// Pin numbers on port B of the three lines.
+/// The lines' pins: their numbers on port B.
 const PINS: [u32; 3] = [6, 7, 8];
-/// Streams of DMA1 of the three lines.
+/// The lines' streams: their numbers in DMA1.
 const STREAMS: [usize; 3] = [0, 3, 7];
-/// Number of TIM4's alternate function at these pins.
+/// Alternate function of these pins that connects them to TIM4.
 const FUNCTION: u32 = 2;
 
 static EDGES: [[AtomicU16; DEPTH]; 3] = [const { [const { AtomicU16::new(0) }; DEPTH] }; 3];
@@ -30,8 +31,9 @@ static EDGES: [[AtomicU16; DEPTH]; 3] = [const { [const { AtomicU16::new(0) }; D
 /// Writes a whole register as a number.
 macro_rules! raw {
     ($register:expr, $bits:expr) => {{
-        // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because each is
-        // explained where it is written, and the one address among them is that of a static that is large enough.
+        // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because each number
+        // is explained where it is written, and the only address of memory among them is that of a static that is large
+        // enough.
         unsafe { $register.bits($bits) }
     }};
 }
@@ -111,7 +113,7 @@ impl Capture {
             // Channel 2; 16 bits from the register to 16 bits of memory, with incrementing memory address; enable.
             stream.cr().write(|w| raw!(w, 2 << 25 | 1 << 13 | 1 << 11 | 1 << 10 | 1));
         }
-        // Clears the flags of captures that were not fetched.
+        // Clears the flags of captures that DMA did not fetch.
         self.timer.sr().write(|w| raw!(w, 0));
         // DMA requests of channels 1 to 3.
         self.timer.dier().write(|w| raw!(w, 0b111 << 9));
@@ -128,7 +130,8 @@ impl Capture {
             let left = self.dma.st(stream).ndtr().read().bits() as usize;
             *line = Edges(&edges[..DEPTH - left.min(DEPTH)]);
         }
-        // CCxOF: a capture was overwritten. CCxIF stays set only if DMA has reached the end of its memory.
+        // CCxOF: a capture was overwritten before DMA had fetched it. CCxIF: a capture was not fetched, because DMA had
+        // reached the end of its memory.
         (flags & (0b111 << 9 | 0b111 << 1) == 0).then_some(lines)
     }
 }

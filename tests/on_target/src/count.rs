@@ -1,10 +1,10 @@
-//! Benchmark program: units of work whose instructions `cargo xtask count` counts. It runs this program in QEMU and
-//! traces each instruction. The instructions between entry and return of a function `unit_*` count for the row named by
-//! the last call of a function `row_*`.
+//! Benchmark program: `cargo xtask count` runs it in QEMU, traces each instruction, and prints a table. The
+//! instructions from the entry to the return of a function `unit_*` count for the row of the table that the last call
+//! of a function `row_*` has named.
 //!
-//! The step interrupt is the firmware's own code (`step_timer`), with plain memory in place of the STM32F4's registers,
-//! which this machine does not have: the executed instructions are the same. Before each call, the values that a row
-//! needs are written into this memory, so each row has the same input in every run.
+//! The step interrupt is the firmware's own code (`step_timer`). This machine lacks the STM32F4's registers, so plain
+//! memory takes their place; the executed instructions are the same. Before each interrupt, the values that a row needs
+//! are written into this memory, so that each row has the same input in every run.
 #![no_std]
 #![no_main]
 
@@ -28,7 +28,7 @@ use rtic_sync::channel::{Channel, Sender};
 use rtic_sync::signal::Signal;
 use step_timer::Step;
 
-// The step task is compiled again for the board below, since it takes the types of its timer and pins from
+// The step task is compiled once more, for the board below, because it takes the types of its timer and pins from
 // `crate::boards`.
 #[allow(dead_code, reason = "the benchmark calls the step task only")]
 #[path = "../../../src/step_task/shared.rs"]
@@ -63,7 +63,7 @@ mod boards {
     pub const CONTROLLER: usize = 0x2130_0000;
     pub const FAR_RINGS: usize = 0x2140_0000;
     pub const RING: usize = 0x2150_0000;
-    /// Replaces the registers: memory of the emulated machine that nothing else uses.
+    /// Addresses in place of those of the registers: memory of the emulated machine that nothing else uses.
     pub struct Memory;
     // SAFETY: unsafe because writes go there; safe because nothing else uses this memory.
     unsafe impl Map for Memory {
@@ -78,7 +78,7 @@ mod boards {
     pub type StepPins = step::StepPins<Memory, 1, ()>;
 }
 
-/// Defines the functions `row_*`. A call of one assigns the following units to its row.
+/// Defines the functions `row_*`. Calling one assigns the units that follow to its row.
 macro_rules! rows {
     ($($row:ident)*) => { $(
         #[unsafe(no_mangle)]
@@ -99,7 +99,7 @@ rows! {
 
 static mut STEP: MaybeUninit<Step> = MaybeUninit::uninit();
 
-/// The interrupt handler as RTIC generates it: the task between saving and restoring the priority threshold.
+/// The interrupt handler as RTIC generates it: saves the priority threshold, runs the task and restores the threshold.
 #[unsafe(no_mangle)]
 #[inline(never)]
 // unsafe because of the name, as above.
@@ -117,7 +117,7 @@ fn register(address: usize) -> *mut u32 {
 
 /// The memory in place of registers, and an emulation of the hardware that outputs events.
 struct Registers {
-    /// Number of events that have been output, and the time of the last one.
+    /// Number of events that have been output, and the time of the last event among them.
     out: usize,
     last: u32,
 }
@@ -147,7 +147,7 @@ impl Registers {
         unsafe { register(address).write_volatile(value) }
     }
 
-    /// Calls the interrupt with these flags, at time `now` of the step clock.
+    /// Calls the interrupt handler with these flags set, at time `now` of the step clock.
     fn interrupt(&mut self, flags: Due, now: u32) {
         self.write(Self::CNT, now);
         self.write(Self::SR, flags.0);
@@ -161,7 +161,8 @@ impl Registers {
         self.read(self.read(Self::MOMENTS_AT) as usize + 4 * (event % Self::RING))
     }
 
-    /// Returns the number of events ahead. The slot after the last event holds a time just before that event's own.
+    /// Returns the number of events ahead. The last event is recognized by the slot after it, which holds an earlier
+    /// time.
     fn ahead(&self) -> usize {
         let mut last = self.last;
         (self.out..self.out + Self::RING)
@@ -174,7 +175,7 @@ impl Registers {
             .count()
     }
 
-    /// Outputs events until `left` are left.
+    /// Outputs events until only `left` events are ahead.
     fn put_out(&mut self, left: usize) {
         for _ in left..self.ahead() {
             self.last = self.moment(self.out);
@@ -185,14 +186,16 @@ impl Registers {
         self.write(Self::MOMENTS_LEFT, (Self::RING - (self.out + 1) % Self::RING) as u32);
     }
 
-    /// Starts the step task from rest, until its first events are queued.
+    /// Starts the step task from rest, and calls it until its first events are queued.
     fn start(&mut self) {
         self.interrupt(Due::CALLED, 0);
-        // The task schedules its next call in CCR2, until its output has started.
+        // Until its output has started, the task schedules each next call in CCR2. `MOMENTS_AT` is cleared here and set
+        // when the output starts.
         self.write(Self::MOMENTS_AT, 0);
         let mut calls = 0;
         while self.read(Self::MOMENTS_AT) == 0 {
-            // Stops waiting if the task does not start, as after an underrun: the trace would fill the disk.
+            // Gives up if the task does not start, for example after an underrun, because the trace would fill the
+            // disk.
             assert!(calls < 20, "the step task does not start");
             calls += 1;
             self.interrupt(Due::MORE, self.read(Self::CCR2));
@@ -201,7 +204,7 @@ impl Registers {
         self.put_out(Self::RING);
     }
 
-    /// Calls the task at the time that it has scheduled, after outputting the events up to that time.
+    /// Outputs the events up to the time for which the task has scheduled its next call, and calls it.
     fn called(&mut self) {
         let now = self.read(Self::CCR2);
         let ahead = self.ahead();
@@ -210,7 +213,7 @@ impl Registers {
         self.interrupt(Due::MORE, now);
     }
 
-    /// Outputs all events until the task is at rest.
+    /// Outputs events and calls the task until it is at rest.
     fn finish(&mut self) {
         while !shared::STEP.at_rest.load(Ordering::Relaxed) {
             self.called();
@@ -254,8 +257,8 @@ fn step_task() {
     registers.interrupt(Due::CALLED, 0);
     shared::Power { level: 100, from_segments: true }.want();
 
-    // Runs that generate 32 events each, with 31 ahead. With three axes, two have counters and the third steps at each
-    // tick.
+    // Runs that each generate 32 events while 31 events are ahead. If three axes move, one steps at each tick, and the
+    // other two have counters.
     let rows: [(extern "C" fn(), [u32; 3]); 2] = [(row_batch_3, [900, 700, 500]), (row_batch_1, [900, 0, 0])];
     for (row, steps) in rows {
         send(&mut to_step, &block(steps, 0, 900, 0, Segment::FLAG_LAST));
@@ -270,9 +273,9 @@ fn step_task() {
         registers.finish();
     }
 
-    // The longest runs: each starts a block with another direction and another power, receives both of its messages,
-    // and generates the rest of the batch. Before each run at least as many events are ahead as it needs, and messages
-    // for more than one run wait.
+    // The longest runs: each starts a block with other directions and another power than before, receives both messages
+    // of the block, and generates as many events as it can. Before each run, as many events are ahead as it needs, and
+    // messages for more than one run wait.
     let mut turning = |turn: u8, last: u8| {
         let ticks = 17 + u16::from(turn) * 29 % 97;
         let [first, second] = block([ticks.into(), 15, 10], if turn & 1 == 0 { 0 } else { 7 }, ticks, 0, last);
@@ -298,7 +301,7 @@ fn step_task() {
     turning(sent, Segment::FLAG_LAST);
     registers.finish();
 
-    // Events one by one, while the probe is watched, but not triggered.
+    // Events that are output one by one, because the probe is watched; the probe is not triggered.
     registers.write(boards::Memory::GPIO + 0x10, u32::MAX);
     send(&mut to_step, &[ToStep::Watch { probe: Some(true), braking: 1.0 }]);
     send(&mut to_step, &block([100; 3], 0, 100, 0, Segment::FLAG_LAST));
@@ -337,7 +340,7 @@ fn step_task() {
     }
 }
 
-/// `$0` = 1, `$29` = 0.
+/// The settings `$0` = 1 (us) and `$29` = 0.
 const SHORT_PULSES: Wiring = Wiring {
     pulse_tenths: 10,
     direction_setup_us: 0,
@@ -353,7 +356,8 @@ const SHORT_PULSES: Wiring = Wiring {
     ganged_motors: GangedMotors::Both,
 };
 
-/// 80 steps/mm, 10 m/min, 500 mm/s²: the settings with which the figures of comparable controllers were measured.
+/// 80 steps/mm, 10 m/min and 500 mm/s^2, because published figures of comparable controllers were measured with these
+/// settings.
 fn motion_settings() -> MotionSettings<3> {
     MotionSettings {
         steps_per_mm: PerAxis::all(StepsPerMm::new(80.0).expect("in range")),
@@ -406,7 +410,8 @@ fn line_to(x: i64, y: i64, speed: f32) -> Move<3> {
 }
 
 fn planning(motion: &mut Planner) {
-    // Each block is long enough to stop within it: a new block changes no entry speed of those before it.
+    // Each block is long enough for stopping within it, so that a new block changes no entry speed of the blocks before
+    // it.
     for k in 0..40 {
         let line = line_to(10_000 * (k + 1), if k & 1 == 0 { 3_000 } else { 0 }, 60.0);
         if k == 4 {
@@ -419,7 +424,7 @@ fn planning(motion: &mut Planner) {
     let mut observed = Observed::default();
     let mut handed = 0;
     while let Some(message) = unit_prepare(motion, black_box(&observed)) {
-        // The first message of a block is the block itself, not a segment.
+        // A block's first message is the block itself. From the first one on, the units count for the row.
         match message {
             ToStep::Segment(_) => {
                 handed += 1;
@@ -434,8 +439,8 @@ fn planning(motion: &mut Planner) {
     row_none();
     run_out(motion, &mut observed);
 
-    // Blocks so short that each new one changes the entry speeds of all before it: the first segment waits until the
-    // planner has walked over all of them.
+    // Blocks so short that each new block changes the entry speeds of all blocks before it. So the first segment waits
+    // until the planner has walked over all of them.
     for (from, blocks, row) in [(400_000, 40, row_walk_near as extern "C" fn()), (500_000, 120, row_walk_far)] {
         motion.line(&line_to(from, 0, 160.0));
         motion.start();
@@ -444,7 +449,7 @@ fn planning(motion: &mut Planner) {
             motion.line(&line_to(from + 100 * (k + 1), 0, 160.0));
         }
         motion.start();
-        // Takes the message of the block itself.
+        // This is the message of the block itself; the first segment follows.
         motion.next(&observed);
         row();
         let segment = unit_prepare(motion, black_box(&observed));
@@ -454,7 +459,7 @@ fn planning(motion: &mut Planner) {
     }
 }
 
-/// Takes all messages of the queued blocks.
+/// Takes all messages of the queued blocks from the planner.
 fn run_out(motion: &mut Planner, observed: &mut Observed) {
     while let Some(message) = motion.next(observed) {
         observed.segments_begun += u32::from(matches!(message, ToStep::Segment(_)));
@@ -481,7 +486,7 @@ fn unit_prepare_far(motion: &mut FarPlanner, observed: &Observed) -> Option<ToSt
     motion.next(observed)
 }
 
-/// The same as [`planning`] with a jerk limit that differs between the axes.
+/// The same as [`planning`], but with jerk limits that differ between the axes.
 fn planning_with_jerk(motion: &mut FarPlanner) {
     // Shorter blocks than in [`planning`], because every instruction is traced.
     for k in 0..40 {
@@ -505,7 +510,7 @@ fn planning_with_jerk(motion: &mut FarPlanner) {
     observed.step_idle = true;
     motion.observe(&observed);
 
-    // Blocks of four steps on a wide curve: the whole queue is one ramp.
+    // Blocks of four steps on a wide curve, so that the speed changes in a single ramp over the whole queue.
     let far = 400_000;
     let mut next = 0;
     let mut line = || {
@@ -576,8 +581,8 @@ fn text_and_arcs() {
 /// A controller with the look-ahead of the smallest board.
 type Whole = Controller<3>;
 
-/// The lines that wait in the step task, each as (number of segments, step-clock ticks); the sum of their ticks; and
-/// the number of all segments that have begun.
+/// The lines that wait in the step task, each as (number of segments, ticks of the step clock), the sum of these ticks,
+/// and the number of segments that have begun so far.
 #[derive(Default)]
 struct Waiting {
     lines: heapless::Deque<(u32, u32), 64>,
@@ -586,8 +591,8 @@ struct Waiting {
 }
 
 impl Waiting {
-    /// Adds the segments of a line, and begins the oldest lines while more than 12 ms wait, as on a machine that keeps
-    /// up.
+    /// Adds the segments of a line. While the lines last more than 12 ms in total, begins the oldest line, as a machine
+    /// does that keeps up with its sender.
     fn add(&mut self, segments: u32, clocks: u32) {
         self.clocks += clocks;
         self.lines.push_back((segments, clocks)).expect("lines of 12 ms");
@@ -600,8 +605,8 @@ impl Waiting {
     }
 }
 
-/// Results of a line: number of segments and their step-clock ticks, whether it was answered, whether another block was
-/// sent.
+/// Results of a line: number of segments and their ticks of the step clock, whether the line was answered, and whether
+/// a block was sent.
 #[derive(Default)]
 struct Outcome {
     segments: u32,
@@ -610,7 +615,8 @@ struct Outcome {
     block: bool,
 }
 
-/// Feeds the bytes of a line to the controller, and takes outputs up to the next block for the step task.
+/// Feeds the bytes of a line to the controller, and takes outputs until one is a block for the step task, or there are
+/// no more.
 #[unsafe(no_mangle)]
 #[inline(never)]
 // unsafe because of the name, as above.
@@ -647,7 +653,8 @@ fn unit_line(controller: &mut Whole, line: &[u8], segments_begun: u32) -> Outcom
     }
 }
 
-/// Runs lines of 0.1 mm at 100 mm/s with a full look-ahead: each new line makes the controller send one block.
+/// Runs lines of about 0.1 mm at 100 mm/s while the look-ahead is full, so that each new line makes the controller send
+/// one block.
 fn whole_line(place: &'static mut MaybeUninit<Whole>, memory: Memory<3>) -> &'static Whole {
     const PROFILE: Profile =
         Profile { rates: StepRates { safe_hz: 1_000_000, ..boards::PROFILE.rates }, ..boards::PROFILE };
@@ -670,7 +677,7 @@ fn whole_line(place: &'static mut MaybeUninit<Whole>, memory: Memory<3>) -> &'st
     }
     for k in 1..=600_u32 {
         text.clear();
-        // A gentle curve, with three decimals as post-processors write them.
+        // A gentle curve, with three decimals, as post-processors write coordinates.
         let (x, y) = (k * 98, k * k / 10);
         let _ =
             core::fmt::write(&mut text, format_args!("X{}.{:03}Y{}.{:03}\n", x / 1000, x % 1000, y / 1000, y % 1000));
@@ -692,7 +699,7 @@ fn whole_line(place: &'static mut MaybeUninit<Whole>, memory: Memory<3>) -> &'st
 
 type Ring = Recorder<&'static mut [Page]>;
 
-/// Records a line: its text, which the control task passes in one piece, and its end, with more bytes waiting.
+/// Records a line: its text, which the control task passes on in one piece, its end, and that more bytes wait.
 #[unsafe(no_mangle)]
 #[inline(never)]
 // unsafe because of the name, as above.
@@ -718,7 +725,8 @@ fn unit_recorded_rest(recorder: &mut Ring, now: Instant, controller: &Whole) {
     recorder.at_rest(now, controller);
 }
 
-/// Records enough lines to wrap around the ring, each at a different time; some of them start a new page.
+/// Records enough lines to wrap around the ring of pages, each line at a different time. Some of the lines start a new
+/// page.
 fn recording(controller: &Whole) {
     // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses, and pages are
     // plain numbers.

@@ -1,8 +1,8 @@
 //! Common parts of the suites on the target: a log, an exit after a failure, and a controller and a step generator in a
 //! loop.
 //!
-//! The log goes through semihosting in QEMU and through RTT on a board; a failure ends the run with a status of its
-//! own.
+//! The log goes through semihosting in QEMU and through RTT on a board. A failed test ends the run with status 101, a
+//! fault with 102.
 #![cfg_attr(target_os = "none", no_std)]
 #![cfg(target_os = "none")]
 
@@ -30,7 +30,7 @@ pub fn settings_flash() -> SettingsFlash {
     #[cfg(not(feature = "qemu_mps2"))]
     {
         // SAFETY: unsafe because the peripherals are taken without asking their owner; safe because the tests use the
-        // flash interface only through the value returned here, one after the other.
+        // flash interface only through the value returned here, and only one such value exists at a time.
         let device = unsafe { oxmill_boards::pac::Peripherals::steal() };
         SettingsFlash::new(device.FLASH, || {})
     }

@@ -1,5 +1,5 @@
-//! A controller and a step generator in a loop, without tasks. It runs at the CPU's full speed; simulated time jumps
-//! from tick to tick.
+//! A controller and a step generator in a loop, without tasks. The loop runs as fast as the CPU can; simulated time
+//! jumps from tick to tick of the step generator.
 
 use core::sync::atomic::{AtomicBool, Ordering};
 use oxmill_controller::axes::PerAxis;
@@ -12,7 +12,7 @@ use oxmill_controller::{Controller, Profile, StepRates, Stepper};
 
 /// Number of axes.
 pub const AXES: usize = 3;
-/// Depth of the look-ahead; a short one is enough here.
+/// Depth of the look-ahead; the programs here need only a short one.
 pub const BLOCKS: usize = 32;
 /// Frequency of the step clock.
 const STEP_CLOCK_HZ: u32 = 25_000_000;
@@ -21,7 +21,7 @@ const STEP_CLOCK_HZ: u32 = 25_000_000;
 pub struct Rig {
     controller: Controller<AXES>,
     stepper: Stepper<AXES>,
-    /// Ticks for which the stepper was busy.
+    /// Step-clock ticks for which the stepper was busy. This is the simulated time.
     busy: u64,
     moving: bool,
     directions: u8,
@@ -36,7 +36,7 @@ pub struct Rig {
     program: &'static [u8],
 }
 
-/// Whether a rig exists: there is storage for one only.
+/// Whether a rig exists. There is storage for only one.
 static LIVES: AtomicBool = AtomicBool::new(false);
 
 impl Drop for Rig {
@@ -172,7 +172,7 @@ impl Pump<AXES> for Rig {
         }
     }
 
-    /// There are no stops, inputs or stored settings.
+    /// Returns no event, because there are no stops, inputs or stored settings.
     fn next_event(&mut self, _source: Source) -> Option<Event<AXES>> {
         None
     }
@@ -183,7 +183,7 @@ impl Pump<AXES> for Rig {
         Some(LineByte { byte: *byte, epoch: 0, damaged: false })
     }
 
-    /// At most as many bytes at a time as a message of the firmware holds.
+    /// Gives at most as many bytes at a time as a message of the firmware holds.
     fn give_text(&mut self, _now: Instant) -> bool {
         let ahead = self.program.get(..LineBytes::MOST).unwrap_or(self.program);
         let taken = self.controller.take_text(0, ahead);

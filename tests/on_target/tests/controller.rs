@@ -29,7 +29,7 @@ mod suite {
 
     #[test]
     fn millimetres_become_steps_by_integer_arithmetic() {
-        // 64-bit division is done in software here; the results must be exact.
+        // The target divides 64-bit numbers in software. The results must be exact.
         for (per_mm, tenth_nm, steps) in [
             (250.0, 10_000_000_i64, 250),
             (80.0, 62_500, 1),
@@ -44,8 +44,9 @@ mod suite {
         defmt::assert_eq!(Coordinate::from_inches(Decimal(10_000_000)).0, 254_000_000);
     }
 
-    /// Each axis must stay within half a step of the straight line, in exact integers. For a line to (dx, dy) and a
-    /// position (x, y) this means |x dy - y dx| <= max(dx, dy).
+    /// Each axis must stay within half a step of its place on the straight line. For a line to (dx, dy) it follows that
+    /// at each position (x, y) |x dy - y dx| <= (|dx| + |dy|) / 2. The test checks max(|dx|, |dy|), which is at least
+    /// as much, in exact integers.
     #[test]
     fn a_line_stays_within_half_a_step_of_itself() {
         for (program, dx, dy) in [
@@ -69,7 +70,7 @@ mod suite {
     #[test]
     fn a_job_with_arcs_comes_back_and_repeats_bit_for_bit() {
         let job = "G21G91F800\nG1X2\nG2X1Y1I1J0\nG3X-1Y-1I0J-1\nG1X-2Z0.5\nZ-0.5\n";
-        // One after the other: there is storage for one controller only.
+        // One run after the other, because there is storage for only one controller.
         let first = Rig::outcome(job);
         let second = Rig::outcome(job);
         let (net, _, answers) = first;

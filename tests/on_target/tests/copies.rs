@@ -1,5 +1,5 @@
-//! Tests of the firmware's memory handling. Its own copy routines, at all small lengths and all alignments, change
-//! nothing but the target. The pages for the recording are lent only once.
+//! Tests of the firmware's memory handling: its own copy routine must change nothing but the target, at all lengths
+//! below 120 bytes and all alignments to 8 bytes, and the pages for the recording must be lent only once.
 #![no_std]
 #![no_main]
 #![allow(missing_docs, reason = "code that defmt-test generates")]

@@ -1,8 +1,9 @@
-//! Measures the step pulses at the pins; the board itself records them over three wires: docs/bench.md.
+//! Measures the step pulses at the pins. Three wires lead them to inputs of the same board, which records them
+//! (docs/bench.md).
 //!
-//! The firmware's own board set-up and step task run here, called by the interrupt of the step timer. A recorder
-//! without software (`oxmill_on_target::capture`) time-stamps the edges that return over the wires. No other tasks run,
-//! so the figures exclude delays that they would cause.
+//! The firmware's own board set-up runs here, and its step task, called by the interrupt of the step timer. Hardware
+//! alone (`oxmill_on_target::capture`) time-stamps the edges that return over the wires. No other tasks run, so the
+//! figures exclude delays that other tasks would cause.
 //!
 //! Each figure is a row of a table in the log. A figure beyond its bound fails the test.
 #![no_std]
@@ -32,7 +33,7 @@ fn low_voltage() -> ! {
     defmt::panic!("the supply is below 2.9 V")
 }
 
-/// A wire: function of the output, name of its pin, name of the input's pin.
+/// A wire: function of the output, name of the output's pin, name of the input's pin.
 struct Wire(&'static str, &'static str, &'static str);
 
 /// The wires in the order of the recorder's lines.
@@ -47,16 +48,16 @@ const STEP_Y: usize = 2;
 
 const TICKS_PER_US: i32 = (boards::PROFILE.step_clock_hz / 1_000_000) as i32;
 
-/// A pulse may be longer than `$0` by at most this, and shorter by at most [`EDGE_NS`]: DMA outputs both edges and may
-/// have to wait for other transfers.
+/// Maximum by which a pulse can exceed `$0`. A pulse can also be up to [`EDGE_NS`] shorter than `$0`. The reason is
+/// that DMA outputs both edges and may have to wait for other transfers.
 const LATEST_PULSE_END_US: i32 = 1;
-/// Maximum delay of an edge; the recorder's own transfers are among those that it may have to wait for.
+/// Maximum delay of an edge, because its transfer may have to wait for other transfers, such as those of the recorder.
 const EDGE_NS: i32 = 250;
-/// Maximum error of a period, for the same reason.
+/// Maximum error of a period, because its edges can be delayed.
 const PERIOD_ERROR_US: i32 = 1;
-/// Maximum error of the time of a train's last pulse but one: errors must not accumulate.
+/// Maximum error of the time of a train's last pulse but one. It is small, because errors must not accumulate.
 const DRIFT_US: i32 = 1;
-/// Maximum distance between the pulses of one tick: ports are written one after the other.
+/// Maximum time between the pulses of one tick, because ports are written one after the other.
 const SKEW_NS: i32 = 500;
 /// Minimum set-up time of the direction, required by drivers even if `$29` is less.
 const LEAST_SETUP_US: i32 = 2;
@@ -64,13 +65,14 @@ const LEAST_SETUP_US: i32 = 2;
 /// Ticks in a segment. Segments are short, so that the step task also receives messages between the pulses of the
 /// fastest train.
 const SEGMENT_TICKS: u32 = 50;
-/// Pulses of the longest train. All of its segments must fit in the queue before it starts, as no task sends more.
+/// Pulses of the longest train. Its segments must all fit in the queue before it starts, because no task sends more of
+/// them later.
 const LONGEST_TRAIN: u32 = 1_000;
 const _: () = assert!(LONGEST_TRAIN / SEGMENT_TICKS + 2 < SEGMENTS_DEPTH as u32);
 
 static mut STEP: MaybeUninit<Step> = MaybeUninit::uninit();
 
-/// Calls the step task as RTIC does: between saving and restoring the priority threshold.
+/// Calls the step task as RTIC does: saves the priority threshold before it and restores the threshold afterwards.
 #[interrupt]
 fn TIM5() {
     let before = cortex_m::register::basepri::read();
@@ -81,7 +83,7 @@ fn TIM5() {
     unsafe { cortex_m::register::basepri::write(before) };
 }
 
-/// A straight piece: axes that step (bit 0 for X), axes that move backwards, number of steps.
+/// A straight piece of a move: axes that step (bit 0 for X), axes that move backwards, number of steps of each of them.
 struct Piece {
     axes: u8,
     backwards: u8,
@@ -185,7 +187,7 @@ impl Seen {
     }
 }
 
-/// Writes rows of the table and records whether all were within their bounds.
+/// Writes the rows of a table and records whether all figures were within their bounds.
 struct Table {
     rate: u32,
     pulse_us: u8,
@@ -287,7 +289,7 @@ fn periods(edges: &Edges, interval: u32) -> (Seen, i32) {
     let (mut errors, mut sum) = (Seen::NOTHING, 0);
     let pulses = edges.count() as u32 / 2;
     for pulse in 1..pulses {
-        // A period may be longer than that of the timer, but its error is not.
+        // A period of pulses can be longer than the period of the recorder's timer, but its error is much shorter.
         let period = rise(edges, pulse).wrapping_sub(rise(edges, pulse - 1));
         let error = i32::from(period.wrapping_sub(whole as u16) as i16);
         errors.see(error);
@@ -352,7 +354,7 @@ fn zigzag(bench: &mut Bench, rate: u32, pulse_us: u8, setup_us: u8) {
     table.judge();
 }
 
-/// Asserts that all of a wire's edges arrive at its own input and none at another.
+/// Asserts that all edges of a wire arrive at its own input and that no edge arrives at another input.
 fn check_wire(wire: usize, edges: [Edges; 3], expected: u32) {
     let Wire(output, from, to) = &WIRES[wire];
     let seen = edges.map(|line| line.count() as u32);
@@ -387,9 +389,9 @@ mod suite {
     fn init() -> Bench {
         let Some(device) = pac::Peripherals::take() else { defmt::panic!("somebody else has the board") };
         let parts = boards::setup(device, low_voltage);
-        // SAFETY: unsafe because the peripherals are taken a second time; safe because the board uses neither TIM4 nor
-        // the recorder's streams of DMA1 (one of them is that of the laser's power, which no test here uses), and of
-        // port B and the clocks only the parts of the recorder's pins and timer are changed.
+        // SAFETY: unsafe because the peripherals are taken a second time; safe because the board uses neither TIM4 nor,
+        // in these tests, the recorder's streams of DMA1 (one of them would change the laser's power), and because only
+        // the recorder's own pins of port B, timer and clocks are changed.
         let again = unsafe { pac::Peripherals::steal() };
         let capture = Capture::new(again.TIM4, again.DMA1, &again.GPIOB, &again.RCC);
 
@@ -437,7 +439,7 @@ mod suite {
             cortex_m::asm::delay(boards::CORE_HZ / 10_000);
             seen.see(apart() - first);
         }
-        // Allowance for two successive reads over a bus.
+        // The two counters are read one after the other over a bus, which takes some ticks.
         defmt::assert!(seen.most - seen.least < 20, "{} to {} ticks apart", seen.least, seen.most);
     }
 
@@ -464,7 +466,7 @@ mod suite {
     #[test]
     fn directions_change_between_pulses(bench: &mut Bench) {
         zigzag(bench, 5_000, 10, 10);
-        // The set-up time is longer than the pause between two pulses: the pulse has to wait for it.
+        // Here the set-up time is longer than the pause between two pulses, so the pulse after a turn has to wait.
         zigzag(bench, 20_000, 10, 50);
         zigzag(bench, 50_000, 10, 10);
         zigzag(bench, 50_000, 10, 0);

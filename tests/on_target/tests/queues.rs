@@ -27,7 +27,7 @@ mod suite {
         for round in 0..3_u8 {
             let mut inside = 0_u16;
             let byte = |place: u16| LineByte { byte: place as u8, epoch: round.into(), damaged: false };
-            // One byte at a time, as from a UART.
+            // Bytes are queued one at a time, as from a UART.
             while sender.push(byte(inside), |message| send.try_send(message).is_ok()) {
                 sender.flush(send.is_empty(), |message| send.try_send(message).is_ok());
                 inside += 1;
@@ -44,7 +44,8 @@ mod suite {
         }
     }
 
-    /// A stop overrides all queued messages, those before and those after it, until it is answered.
+    /// After a stop, the stepper ignores all queued messages, sent before or after the stop, until `Resume` answers the
+    /// last stop.
     #[test]
     fn nothing_queued_survives_a_stop() {
         let mut channel: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new();
@@ -72,7 +73,7 @@ mod suite {
         let StepEvent::Stopped { stops, moving, position } = stepper.stop([0; 3]) else { defmt::panic!("no stop") };
         defmt::assert!(moving);
         defmt::assert_eq!(position.0, [2, 1, 0]);
-        // After a second stop, the answer to the first must not resume motion.
+        // After a second stop, the answer to the first stop must not resume motion.
         stepper.stop([0; 3]);
         defmt::assert!(send.try_send(ToStep::Resume { stops }).is_ok());
         load(&mut stepper, &mut receive);
@@ -100,7 +101,7 @@ mod suite {
             defmt::assert_eq!(filter.sample(0b101), 0);
         }
         defmt::assert_eq!(filter.sample(0b001), 0b001);
-        // One sample interrupted bit 2: its count starts again.
+        // The eighth sample of bit 2 was low, so its count starts again.
         for _ in 0..7 {
             defmt::assert_eq!(filter.sample(0b101), 0b001);
         }

@@ -61,7 +61,7 @@ mod suite {
         defmt::assert!(matches!(flash.read(Sector::B, last), Ok(u32::MAX)));
         defmt::assert!(flash.erase(Sector::B).is_ok());
         defmt::assert!(matches!(flash.read(Sector::A, last), Ok(0x1234_5678)), "the sectors are apart");
-        // Read before and after the erase, to detect stale words from a cache.
+        // The word was read before the erase, so this also detects a stale word from a cache.
         defmt::assert!(flash.erase(Sector::A).is_ok());
         defmt::assert!(matches!(flash.read(Sector::A, last), Ok(u32::MAX)));
     }
@@ -95,7 +95,7 @@ mod suite {
                 defmt::assert!(log.erase_spare().is_ok());
             }
         }
-        // A record has 12 bytes, so three sectors hold about four thousand.
+        // A record has 12 bytes, so three sectors of 16 KiB hold about four thousand records.
         defmt::assert!(counter > 3_000, "{} changes", counter);
         let mut log = open();
         defmt::assert!(value(&mut log, 7).as_deref() == Some(b"stays"));

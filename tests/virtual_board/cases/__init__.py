@@ -1,5 +1,5 @@
-"""Test cases on the virtual boards. Each case gets a board that was just switched on, prints its measurements, and
-raises `Failure` if it does not hold."""
+"""Test cases on the virtual boards. Each case switches on a new board, yields its measurements as lines of text, and
+raises `Failure` if the board does not behave as it should."""
 
 from .beam import brown_out_of_a_beam, laser_start, raster
 from .commands import flood, override_bursts

@@ -10,11 +10,13 @@ from .failures import tell
 from .stops import StopWatch
 
 BEHIND_CYCLES = 400
-"""Maximum cycles from the last edge to the laser being off: an imminent change of power is awaited first."""
+"""Maximum number of cycles from the last edge until the laser is off. It is not 0, because an imminent change of power
+is awaited first."""
 
 
 def laser_start(bench):
-    """Starts with such acceleration that many segments, each with its own power (M4), begin before the first step."""
+    """Moves start with so much acceleration that many segments, each with its own power (M4), begin before the first
+    step."""
     bench.boot()
     fast(bench, 10_000)
     bench.settings(s100=1280, s110=9000, s30=1000, s31=0, s32=1)
@@ -74,12 +76,12 @@ def raster(bench):
 
 
 def raster_rows(bench, mode, rows, masked_s):
-    """Draws rows; each has a section without power at both ends, long enough to reach the speed and to receive the
-    pixels."""
+    """Draws rows. At each end of a row is a section without power, long enough for reaching the speed and for receiving
+    the pixels."""
     board, hz, random = bench.board, bench.wiring.core_hz, Random(12)
     scope, beam, pixels, masks = Scope(board), BeamWatch(board), 70, 0
     begins = []
-    """The step with which each pixel begins, and its power as a share."""
+    """For each pixel, the step with which it begins, and its power as a share of full power."""
     for row in range(rows):
         shares = [0]
         while len(shares) <= pixels:
@@ -118,8 +120,8 @@ def raster_rows(bench, mode, rows, masked_s):
 
 
 def raster_starts(bench):
-    """Interrupts are masked when a motion begins, up to and beyond its first step: the motion must be delayed, and each
-    step must have the same power as without the mask."""
+    """Interrupts are masked when a motion is about to begin, until before or after the time of its first step. The
+    motion may be delayed, but each step must have the same power as without the mask."""
     bench.settings(s110=6_000)
     bench.settings(s100=1280)
     board, hz = bench.board, bench.wiring.core_hz
@@ -134,7 +136,7 @@ def raster_starts(bench):
         board.run(seconds=0.002)
         scope, known = Scope(board), len(beam.changes)
         bench.host.send("G91G1X.1F6000M4S1000\n")
-        # The step task schedules its call 450 us before the first event.
+        # The step task schedules its next call for 450 us before the first event.
         bench.wait(lambda: 1.3e-3 < away() < 1.6e-3, 0.1, "the first segment")
         first = board.now + (away() + 450 * US) * hz
         if until_s is not None:
@@ -171,13 +173,13 @@ def raster_starts(bench):
 
 
 def raster_stops(bench):
-    """0x18 timed so that the laser goes off just before, at and just after a scheduled change of power; also emergency
-    stops."""
+    """Sends 0x18 so that the laser goes off just before, at and just after a scheduled change of power. Also tests
+    emergency stops."""
     bench.settings(s100=80, s30=10, s912=1)
     board, hz, random = bench.board, bench.wiring.core_hz, Random(18)
     clock, beam, worst, near, takes = board.peripherals["TIM5"], BeamWatch(board), {}, [], None
     watch, behind = StopWatch(board), 0
-    # Short enough that the host has sent all of it before the first of these pixels.
+    # The row is short enough that the host has sent all of it before the tool reaches the first pixel.
     row = "M3S0\nX.6\n" + "".join(f"X.05S{2 + 6 * (k % 2)}\n" for k in range(10)) + "X9S7\n"
 
     def are_near():
@@ -188,8 +190,8 @@ def raster_stops(bench):
             break
         what = "emergency stop" if k % 5 == 4 else "0x18"
         bench.ask("$X")
-        # With a single feed all changes might coincide with the step task's next batch, and every stop would come at
-        # the end of that run.
+        # With a single feed, all changes of power might coincide with a run of the step task, and every stop would come
+        # at the end of such a run.
         feed = 6000 if k < 15 else random.randrange(4000, 6000)
         bench.host.send(f"G91G1F{feed}" + row)
         goal = len(beam.changes) + 2 + k % 4
@@ -204,8 +206,9 @@ def raster_stops(bench):
         moment = board.now + away()
         if what == "0x18":
             # The board reads the last bit of a byte 9.5 bits after the byte's start. From then on (with DMA, from the
-            # next sample of the inputs on) a stop takes at least the shortest time so far, which the first three stops
-            # measure. A run of the step task in progress delays it by up to one run.
+            # next sample of the inputs on), it takes at least the shortest time seen so far until the laser is off; the
+            # first three stops measure this time. A run of the step task that is in progress delays the stop by up to
+            # one run.
             lead = 40 * US * hz if k < 3 else takes + 240 - 30 * k if k < 15 else takes + random.uniform(-300, 3000)
             seen = heard = round(moment - lead)
             if bench.wiring.uart_irq is None:
@@ -244,11 +247,11 @@ def raster_stops(bench):
 
 
 def raster_stops_at_full_rate(bench):
-    """0x18 at the board's maximum rate, executed just before a change of power: the event counters must agree, as at
-    any other stop."""
+    """Sends 0x18 at the board's maximum step rate so that it is executed just before a change of power: the event
+    counters must agree, as at any other stop."""
     board, hz, random, beam = bench.board, bench.wiring.core_hz, Random(103), BeamWatch(bench.board)
     bench.ask("$X")
-    # The pulse first: with a longer pulse the rate would be rejected.
+    # Set the pulse first, because with a longer pulse the rate would be rejected.
     bench.settings(s0=bench.wiring.least_pulse_us, s110=6000)
     bench.settings(s100=bench.wiring.safe_step_hz // 100)
     clock, tim1, obeyed = step_clock(board), board.peripherals["TIM1"], []
@@ -274,13 +277,14 @@ def raster_stops_at_full_rate(bench):
         wanted = 96 - 6 * len(obeyed)
         bench.ask("$X")
         bench.host.send("G91G1F6000" + row)
-        # All lines have arrived before the first of their pixels.
+        # All lines arrive before the tool reaches the first pixel.
         bench.wait(lambda: bench.host.free_at < board.now, 0.1, "the lines")
         goal = len(beam.changes) + 2 + stops % 4
         stops += 1
         bench.wait(lambda goal=goal: len(beam.changes) >= goal, 0.1, "a change of power")
         after = len(bench.host.text)
-        # The next sample of the inputs finds a byte that DMA has received.
+        # The time from a byte to its stop varies, because a byte that DMA has received is found only at the next sample
+        # of the inputs. So various leads are tried.
         lead_s = random.uniform(5, 110) * US
         # A pixel lasts 500 us.
         heard = bench.host.send(b"\x18", at=beam.changes[-1][0] + (500 * US - 9.5 / 115_200 - lead_s) * hz)

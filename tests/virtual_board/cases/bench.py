@@ -14,7 +14,7 @@ from ..usb import UsbHost
 US = 1e-6
 
 JITTER_S = 0.1 * US
-"""Maximum error of a period: edges wait for other transfers of DMA, but never for the program."""
+"""Maximum error of a period. Edges may wait for other transfers of DMA, but never for the program."""
 
 SAMPLE_S, FILTER_SAMPLES = 50 * US, 8
 
@@ -26,8 +26,8 @@ BYTE_STOP_S = 75 * US
 input samples, which read received bytes, and a run of the step task."""
 
 BEAM_STOP_S = {"blackpill_f401": 130 * US}
-"""The same up to the laser's end, for a board that takes longer (docs/limits.md) because its image is built for
-size."""
+"""Maximum time from the last bit of a byte that stops the machine until the laser is off, for a board that takes longer
+than `BYTE_STOP_S` (docs/limits.md), because its image is built for size."""
 
 RUN_CYCLES = 4450
 """Longest run of the step task (`run_cycles` in profiles.rs)."""
@@ -43,7 +43,7 @@ STACK_LEFT = 4096
 """Bytes of the stack that must stay unused in all cases."""
 
 LATEST_PULSE_END_S = 0.15 * US
-"""How much longer than `$0` a pulse may be: DMA outputs its end and may have to wait for other transfers."""
+"""Maximum by which a pulse may exceed `$0`, because DMA outputs its end and may have to wait for other transfers."""
 
 
 class Bench:
@@ -64,7 +64,8 @@ class Bench:
         return self.board
 
     def sample_at(self, cycle):
-        """Shifts the samples of the inputs so that one is at the given cycle; their period does not change."""
+        """Shifts the samples of the inputs so that one sample comes at the given cycle. The period of the samples does
+        not change."""
         nvic, period = self.board.nvic, self.board.nvic.reload + 1
         nvic.zero_at = cycle - (cycle - nvic.zero_at) // period * period
         nvic.plan(nvic.zero_at)
@@ -77,12 +78,13 @@ class Bench:
 
     def boot(self):
         self.fresh()
-        # With DMA the greeting is sent while flash is erased; its interrupt follows the erase.
+        # The limit is long: with DMA the greeting is sent while flash is erased, but the interrupt at the greeting's
+        # end comes only after the erase.
         self.wait_text("Grbl 1.1h ['$' for help]\r\n", 1.1)
         self.forget_masks()
 
     def boot_with_usb(self):
-        """Starts a new board, with a host that has opened its USB port. The host at the UART is `uart`."""
+        """Starts a new board, with a host that has opened the USB port. The host at the UART becomes `uart`."""
         self.fresh()
         self.uart, self.host = self.host, UsbHost(self.board)
         self.wait(lambda: self.host.is_set_up, 1.0, "the set-up of the USB device")
@@ -113,7 +115,7 @@ class Bench:
         for name, value in values.items():
             # Flash may have to be erased first, hence the long limit.
             self.ask(f"${name[1:]}={value}", 2.0)
-        # Gives the store time for work that it does in advance.
+        # Gives the settings store time for work that it does in advance, such as an erase.
         self.board.run(seconds=0.01)
 
     def status(self):
@@ -144,7 +146,8 @@ class Bench:
         self.board.state.masked_longest = 0
 
     def longest_mask(self):
-        """Returns the longest time with interrupts masked since the last call, in s, and where it ended."""
+        """Returns the longest time with interrupts masked since the last call of this function or of `forget_masks`, in
+        s, and where in the program it ended."""
         state = self.board.state
         cycles, where = state.masked_longest, self.image.place(state.slowest_to)
         state.masked_longest = 0
@@ -201,13 +204,14 @@ def fast(bench, acceleration, pulse_us=2):
 
 
 def hard(bench, acceleration):
-    """Scales an acceleration, mm/s², so that a board with a safe rate above 490 kHz reaches that rate in the same
-    time."""
+    """Scales an acceleration (mm/s^2), so that a board with a safe rate above 490 kHz reaches its safe rate in the same
+    time as the others."""
     return round(acceleration * max(1, bench.wiring.safe_step_hz / 490_000))
 
 
 def step_load(board, begin, end):
-    """Returns the share of the processor that the step task takes between two cycles, and its longest run there."""
+    """Returns the share of processor time that the step task takes between two cycles, and its longest run that begins
+    there, in cycles."""
     runs = [(entry, left) for entry, left in board.step_runs if begin <= entry < end]
     return sum(left - entry for entry, left in runs) / (end - begin), max(left - entry for entry, left in runs)
 
@@ -224,8 +228,8 @@ def step_clock(board):
 
 
 def joins_for(board):
-    """Returns for how many cycles the next event can still be committed so that it follows the queued ones: until the
-    time of the last queued event but one."""
+    """Returns the number of cycles that are left to commit the next event so that the output continues with it after
+    the queued events. The deadline is the time of the last queued event but one."""
     clock = step_clock(board)
     name, stream, _ = next(place for place, who in REQUESTS.items() if who == f"{clock.name}_CH1")
     registers = 0x10 + 0x18 * stream
@@ -241,8 +245,8 @@ def joins_for(board):
 
 
 def stand_once(board, until):
-    """Stalls the processor when the next motion is about to begin, until `until` seconds after the time of the first
-    event."""
+    """Stalls the processor when the output of the next motion is about to begin, until `until` seconds after the time
+    of the first event."""
     tim5, moments = board.peripherals["TIM5"], board.dma[0]
     write = moments.write
 

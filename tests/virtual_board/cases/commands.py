@@ -15,8 +15,8 @@ of its report."""
 
 
 def flood(bench):
-    """Sends more realtime commands than their queue holds while the control task hangs, the last of them a reset or a
-    hold: it must be executed."""
+    """Sends more realtime commands than their queue holds while the control task hangs. The last one stops the machine
+    and must not be lost: after 0x18 or 0x85 the machine must reset, after `!` it must hold."""
     for last, name in ((b"\x18", "0x18"), (b"\x85", "0x85"), (b"!", "!")):
         bench.boot()
         board, host = bench.board, bench.host
@@ -24,7 +24,8 @@ def flood(bench):
         moving(bench)
         after = len(host.text)
         hang(bench)
-        # The firmware drops a `?` that follows another unanswered one: separate them.
+        # Each `?` is followed by another command, because the firmware drops a `?` that directly follows an unanswered
+        # `?`.
         host.send(45 * b"?\x91" + last)
         board.run(seconds=0.012)
         unpatch(bench)
@@ -33,7 +34,7 @@ def flood(bench):
             yield "90 commands and !: held"
             continue
         bench.wait_text("Grbl 1.1h", 1, after)
-        # The next byte after the loss reports it.
+        # The loss is reported when the next byte arrives.
         host.send("\n")
         board.run(seconds=0.01)
         bench.ask("$X")

@@ -12,8 +12,8 @@ from .patching import control_body, hang, patch, put, unpatch
 
 
 def left_loader(bench):
-    """The chip's boot loader jumps into the program, as a host may order (`:leave` of dfu-util), with its own vectors
-    and clocks: the program must restart by a reset."""
+    """The chip's boot loader jumps into the program, as a host can order (`:leave` of dfu-util), and leaves its own
+    vectors and clocks. The program must restart by a reset."""
     for resets_clocks in (False, True):
         board = bench.fresh()
         board.jump_from_loader(resets_clocks)
@@ -132,7 +132,7 @@ def hung(bench):
 
 def unserved(bench):
     """The interrupts of a task are disabled, as if noise had changed the interrupt controller: the other tasks must
-    detect that it does not respond."""
+    detect that this task does not respond."""
     for task, interrupts in (("serial", (bench.wiring.serial_irq, 67)), ("step", (bench.wiring.step_irq,))):
         yield f"{task} task: {without_interrupts(bench, interrupts)}"
 
@@ -206,7 +206,8 @@ def deaf(bench):
 
 
 def brown_out(bench):
-    """The supply falls below the detector's threshold in full motion with the spindle on."""
+    """The supply falls below the detector's threshold in full motion with the spindle on: everything must be safe at
+    once, the core must slow down, and the chip must not restart before the supply is good again."""
     bench.boot()
     board, wiring = bench.board, bench.wiring
     if not board.peripherals["PWR"].values[0] >> 4 & 1:
@@ -231,7 +232,8 @@ def brown_out(bench):
     tell(bench, "oltage", "upply")
     told = cause(bench)
     place, counted = float(told.split("at machine ")[1].split(",")[0]), whole.counts()[0] / 1000
-    # The control task updates the position every 2 ms, in pieces of a millisecond: 3 ms at 50 mm/s, and a margin.
+    # The control task updates the position every 2 ms, in pieces of 1 ms, so the reported position can be 3 ms old,
+    # which is 0.15 mm at 50 mm/s. The bounds include a margin.
     if not -0.1 <= counted - place <= 0.4:
         raise Failure(f"X{place} is reported after {counted} mm: {told}")
     yield f"the place is the one {(counted - place) * 1e3:.0f} um before the last step"

@@ -10,7 +10,7 @@ def settings_write(bench):
     bench.boot()
     board, host = bench.board, bench.host
     before, operations, erases = len(host.answers), board.flash.operations, board.flash.erases
-    # Enough lines to fill a sector, so that the next one is erased.
+    # There are enough lines to fill a sector, so that a sector has to be erased.
     lines = [f"${130 + k % 3}={200 + k}.5" if k % 8 else "G4P0" for k in range(1600)]
     bench.forget_masks()
     host.stream("\n".join(lines))

@@ -28,7 +28,7 @@ def trips(bench):
             hang(bench)
             begin = board.now
             board.drive(pin, 0)
-            # Shorter than the queued motion, which would otherwise continue.
+            # The queued motion lasts longer than this, so pulses that are not stopped are seen.
             board.run(seconds=0.006)
             rising = [step.at for step in scope.steps()]
             worst = max(worst, (rising[-1] - begin) / wiring.core_hz)
@@ -88,7 +88,7 @@ def noise(bench):
         board.drive(wiring.limits[0], 0)
         board.run(seconds=length)
         board.drive(wiring.limits[0], None)
-        # A sample may be delayed by a run of the step task, so a shorter pause might be missed.
+        # A run of the step task can delay a sample, so a shorter pause might be missed.
         board.run(seconds=(110 + 37 * k % 60) * US)
     bench.wait_state("Idle", 3)
     shown = {line[5:].split(",")[0]: line[:-1].split(",")[1:] for line in bench.ask("$PINS") if line.startswith("[PIN:")}
@@ -137,10 +137,11 @@ def probe(bench):
         end = before - len(steps)
         overshoot = latched - end
         bound = (feed / 60 * 1000) ** 2 / 2 / acceleration + 1
-        # The pin is read after the step of a tick, so the latched step is the present or the next one.
+        # The probe's pin is read after each step, so the latched position is that of the last step before the contact
+        # or of the first step after it.
         if not 0 <= at_contact - latched <= 1 or not report.endswith(":1]"):
             raise Failure(f"F{feed}: contact after step {at_contact}, latched {latched}: {report}")
-        # The ramp is computed in single precision and may be a step or two longer in 5000 (84 MHz).
+        # The ramp is computed in single precision, so it can be longer by one or two steps in 5000 (at 84 MHz).
         if not 0 <= overshoot <= 1.0005 * bound + 1:
             raise Failure(f"F{feed}: {overshoot} steps beyond the contact, v²/2a + 1 = {bound:.0f}")
         worst = max(worst, at_contact - latched)

@@ -84,9 +84,9 @@ def streamed(bench, job):
 
 
 def waiting_line(bench):
-    """A line that arrives one byte at a time during a hold: its last bytes wait in the serial task. When the control
-    task has taken the first ones, nothing else calls the serial task, as no answer is being sent and no byte arrives:
-    the control task must call it."""
+    """A line arrives one byte at a time during a hold, so its last bytes wait in the serial task. After the hold the
+    control task takes the first bytes. Then it must call the serial task for the others, because nothing else calls it:
+    no answer is being sent, and no byte arrives."""
     bench.boot()
     board, host = bench.board, bench.host
     for line in ("G1X.01F600", "G1X.125F600"):

@@ -82,8 +82,8 @@ def second_motor(bench):
 
 
 def fourth_axis(bench):
-    """A rotary axis (`$930=4`) on the pins of the second motor: steps, polarities, the safe rate on all four axes, its
-    switch. A board without it must lock motion."""
+    """Tests a rotary axis (`$930=4`) on the pins of the second motor: its steps, its polarities, homing at its own
+    switch, and the safe rate on all four axes. A board without it must lock motion."""
     bench.boot()
     board, wiring, host = bench.board, bench.wiring, bench.host
     bench.settings(s930=4)
@@ -143,7 +143,7 @@ def all_four_fast(bench):
     bench.forget_masks()
     scope, steps = Scope(bench.board, second=True), round(1.1 * safe**2 / acceleration / 1000 + 2000)
     way = steps / 1000
-    # F applies to the distance along X, Y and Z.
+    # F is the speed along X, Y and Z together, without A.
     for sign in ("", "-"):
         bench.ask(f"G91 G1 X{sign}{way:.3f} Y{sign}{way:.3f} Z{sign}{way:.3f} A{sign}{way:.3f} F{greatest * 3**0.5:.3f}")
     bench.wait_state("Idle", 5)
@@ -160,8 +160,8 @@ def all_four_fast(bench):
 
 
 def spindle_pwm(bench):
-    """Frequency and duty cycle of the spindle's PWM, from those for an opto-coupler to those for a laser, also when
-    changed while the spindle turns."""
+    """Checks frequency and duty cycle of the spindle's PWM, at low frequencies (for an opto-coupler) and at high ones
+    (for a laser), also if the frequency changes while the spindle turns."""
     bench.boot()
     bench.settings(s30=1000)
     pwm = bench.board.peripherals["TIM3"]
@@ -188,12 +188,12 @@ def spindle_pwm(bench):
 
 OUTPUT_S = 2.5e-3
 """Maximum time from the first step of a motion to the output that changes with it (M62, M63): the controller checks
-each millisecond, and may be busy meanwhile."""
+every millisecond, but can be busy at that time."""
 
 
 def program_outputs(bench):
-    """M64 and M65 must act at once, M62 and M63 where their motion begins; a reset and an alarm must switch the outputs
-    off. A board without outputs must refuse these commands."""
+    """M64 and M65 must act at once, M62 and M63 when the motion after them begins; a reset and an alarm must switch the
+    outputs off. A board without outputs must refuse these commands."""
     bench.boot()
     board, wiring, host = bench.board, bench.wiring, bench.host
     outputs = wiring.program_outputs
@@ -226,7 +226,8 @@ def program_outputs(bench):
     if [level for _, level in changes] != [1, 0] or len(steps) != 20_000:
         raise Failure(f"{outputs[1]} changes to {changes} in {len(steps)} steps")
     late = [(at - steps[first]) / wiring.core_hz for (at, _), first in zip(changes, (5_000, 10_000), strict=True)]
-    # A block begins with the interval before its first step: within a path without stops, one step period.
+    # The change may come before the first step, because a block begins with the interval before this step, which is one
+    # step period if the path does not stop there.
     if not all(-1e-3 <= seconds <= OUTPUT_S for seconds in late):
         raise Failure(f"changes {us(late[0])} and {us(late[1])} after the first steps of their motions")
     yield f"M62 and M63 {us(late[0])} and {us(late[1])} after the first step of their motions, allowed {us(OUTPUT_S)}"
@@ -280,7 +281,7 @@ def program_inputs(bench):
             if read() != active:
                 raise Failure(f"inputs {levels}: M66 P{number} reads {read()}")
     worst = 0
-    # Number of the input, mode, state before, and the state that the mode waits for.
+    # Index of the input, mode, state of the input before, and the state that the mode waits for.
     for number, mode, before, after in ((0, 1, 0, 1), (1, 2, 1, 0), (1, 3, 0, 1), (0, 4, 1, 0)):
         put_to(number, before)
         put_to(1 - number, 1 - before)

@@ -32,13 +32,14 @@ LONGEST_RUN = (RUN_CYCLES, 5200)
 
 def pulses(bench):
     """Pulse width, direction set-up and period at 1, 10, 50 and 100 kHz (or the safe rate), all three axes together;
-    also with the longest pulse, which is longer than the time between ticks that do not all have a step."""
+    also with the longest pulse, 255 us. At its rate there are ticks without a step, so this pulse lasts longer than the
+    time between two ticks."""
     yield from at_rates(bench, (1_000, 60, 10), (10_000, 400, 10), (50_000, 2500, 10), (100_000, 5000, 2), (3_000, 180, 255))
 
 
 def safe_rate(bench):
-    """The same with the shortest pulse at the board's safe rate, with equal rates of all axes and with three rates none
-    of which divides another."""
+    """The same as `pulses`, but with the shortest pulse at the board's safe rate: with equal rates of all axes, and
+    with three rates of which none divides another."""
     safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
     acceleration = hard(bench, 6_000)
     steps = round((1.1 * safe**2 / acceleration / 1000 + 2000) / 9) * 9
@@ -47,8 +48,8 @@ def safe_rate(bench):
 
 
 def disturbed(bench):
-    """At the safe rate, with interrupts masked for 20 us at random times and a host that floods USB: no period may be
-    off."""
+    """Moves at the safe rate while interrupts are masked for 20 us at random times and a host floods the link (USB, if
+    the board has it): no period may be off."""
     if bench.wiring.usb:
         with_usb(bench)
     else:
@@ -84,7 +85,7 @@ def flooded_at_safe_rate(bench, meanwhile):
 
 
 def tight(bench):
-    """Longer pulses at the maximum rate that the settings allow with them."""
+    """Moves with longer pulses, each at the maximum rate that the settings allow with this pulse."""
     for pulse_us in (0.6, 0.9, 1.1, 2, 2.5, 3, 4, 5, 6, 7, 9, 10):
         if pulse_us < bench.wiring.least_pulse_us:
             continue
@@ -119,7 +120,7 @@ def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, 
             board.run(seconds=0.1)
         bench.wait_state("Idle", 5)
         events, widths, setups, holds = scope.read()
-        # Only steps of the fastest axis: at low rates the others also step between these.
+        # Keep only events with a step of the fastest axis; at low rates, other axes also step between these events.
         events = [event for event in events if event.axes & 1]
         if scope.counts() != [0, 0, 0] or len(events) != 2 * steps:
             raise Failure(f"{rate} steps/s: {len(events)} steps, ends at {scope.counts()}")
@@ -132,7 +133,7 @@ def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, 
             raise Failure(f"{line}: the rate is never reached")
         busy, run = step_load(board, events[ramp].at, events[steps - ramp].at)
         yield f"{line}; period error {us(found['period_error'])}, drift over {found['steps']} steps {us(found['drift'])}, masked {us(mask)} ({where}); step task {busy:.0%}, longest run {run} cycles"
-        # A pulse below 1 us is followed by a pause of about the same length.
+        # A pulse below 1 us is followed by a pause of about the same length, so the tolerance for its end is smaller.
         latest = LATEST_PULSE_END_S if pulse_us >= 1 else JITTER_S
         if least < pulse_us * US or most > pulse_us * US + latest:
             raise Failure(f"pulse width {us(least)} to {us(most)} with $0={pulse_us}")
@@ -176,7 +177,7 @@ def hard_start(bench):
 
 def turns(bench):
     """Directions change at speed: a zigzag whose corners are passed without stopping, also with long set-up times that
-    delay ticks. Later ticks must be delayed by the same amount: no step may follow the one before sooner than
+    delay ticks. Later ticks must be delayed by the same amount, so that no step follows the previous one sooner than
     planned."""
     for pulse_us, setup_us in ((2, 10), (1, 60), (1, 200), (4, 60)):
         bench.boot()
@@ -206,9 +207,9 @@ def turns(bench):
 
 
 def turns_at_full_rate(bench):
-    """Directions change at the maximum rate, with interrupts masked for 20 us at random times. Runs of the step task
-    that begin a segment and change a direction generate few events: even these must leave enough events ahead for the
-    next run to be late by one mask."""
+    """Directions change at the maximum rate, with interrupts masked for 20 us at random times. A run of the step task
+    that begins a segment and changes a direction generates few events. Even after such a run, enough events must be
+    ahead for the next run to be late by the length of one mask."""
     bench.boot()
     board, hz, random = bench.board, bench.wiring.core_hz, Random(25)
     rate = at_full_rate(bench)
@@ -227,7 +228,7 @@ def turns_at_full_rate(bench):
         lines = round(80 / way)
         scope, after = Scope(board), len(bench.host.text)
         zigzag = "\n".join(f"X{way} Y{'-' if k % 2 else ''}.05" for k in range(lines))
-        # A slow move first, so that all lines have arrived before the fast ones.
+        # The first move is slow, so that all lines have arrived before the fast moves begin.
         bench.host.stream(f"G91 G1 F60 X.2\nF{rate}\n{zigzag}\n")
         bench.wait(lambda scope=scope: len(board.edges) - scope.first > 2 * 26_000, 1, "the rate")
         is_at_speed = True
@@ -252,8 +253,8 @@ def turns_at_full_rate(bench):
 
 
 def called_at_turns(bench):
-    """Other tasks call the step task right before ticks, in a zigzag that turns at every corner: no direction may
-    change within a pulse."""
+    """Calls the step task right before ticks, as other tasks may do, in a zigzag that turns at every corner: no
+    direction may change within a pulse."""
     for pulse_us, lead_us in ((10, 1.0), (10, 2.5), (10, 3.75), (2, 1.0), (2, 2.5)):
         bench.boot()
         fast(bench, 10_000)
@@ -291,7 +292,7 @@ def at_full_rate(bench, acceleration=10_000):
     safe = bench.wiring.safe_step_hz
     fast(bench, hard(bench, acceleration))
     rate = safe * 60 // 1000
-    # The pulse first: with a longer pulse the rate would be rejected.
+    # Set the pulse first, because with a longer pulse the rate would be rejected.
     bench.settings(s0=bench.wiring.least_pulse_us)
     bench.settings(s110=rate)
     return rate
@@ -299,7 +300,8 @@ def at_full_rate(bench, acceleration=10_000):
 
 def masked_long(bench):
     """Interrupts are masked for longer than the queued events last: slow moves must continue later, with no step lost
-    and none too soon; at rates that motors could not follow, the machine must stop and report it."""
+    and no step too soon. At rates at which motors could not follow such a pause, the machine must stop and report
+    it."""
     bench.boot()
     board, hz = bench.board, bench.wiring.core_hz
     fast(bench, 10_000)
@@ -342,13 +344,13 @@ def masked_long(bench):
 
 
 def late_segments(bench):
-    """The control task hangs until the step task has nothing left but the queued events. A segment that arrives then
-    must be received at once, not only when the last of these events are output: interrupts that are masked afterwards
-    must not delay a step."""
+    """The control task hangs until the step task has nothing left but the queued events. A segment that arrives at that
+    time must be received at once, and not only when the last of these events are output. So interrupts that are masked
+    after its arrival must not delay a step."""
 
     def late(released_s=None):
-        """Without `released_s`, returns the time of the last step, in cycles. Otherwise lets the control task continue
-        that long before it, and returns the longest time between two steps, in s."""
+        """Without `released_s`, returns the time of the last step, in cycles. With it, lets the control task continue
+        that long before this step, and returns the longest time between two steps, in s."""
         bench.boot()
         board, hz = bench.board, bench.wiring.core_hz
         fast(bench, 10_000)
@@ -377,7 +379,8 @@ def late_segments(bench):
 
 
 def late_starts(bench):
-    """Interrupts are masked right before a motion begins: the motion must begin later, complete, without a message."""
+    """Interrupts are masked right before a motion begins. The motion may begin later, but must be complete, and there
+    must be no alarm."""
     bench.boot()
     board = bench.board
     fast(bench, 10_000)
@@ -386,7 +389,7 @@ def late_starts(bench):
 
     def start(before_s=None, masked_s=0.0, stands_until=None):
         """Starts a move. Returns the time from the planned first event to the first step, in s."""
-        # Until the work at rest is done.
+        # Wait until the firmware has done its work at rest.
         board.run(seconds=0.002)
         scope, after = Scope(board), len(bench.host.text)
         bench.host.send("G91 G1 X0.02 F3000\n")
@@ -394,7 +397,8 @@ def late_starts(bench):
         def away():
             return (tim5.values[timer.CCR2] - tim5.count() & 0xFFFF_FFFF) * tim5.cycles / hz
 
-        # The first event comes 2 ms after the first segment; the step task schedules its call 450 us before it.
+        # The first event comes 2 ms after the first segment; the step task schedules its next call for 450 us before
+        # it.
         bench.wait(lambda: 1.3e-3 < away() < 1.6e-3, 0.1, "the first segment")
         begin = away() + 450 * US
         moment = board.now + begin * hz
@@ -416,8 +420,9 @@ def late_starts(bench):
     harmless = [start(6 * k * US, 100 * US) - max(usual) for k in range(1, 81)]
     if max(harmless) > US:
         raise Failure(f"masked for 100 us up to 480 us before, a start is put off by {us(max(harmless))}")
-    # Masked from before the call of the task, or while it generates the first events, until just before or after the
-    # time of the first event, or just after the first step. The first event is at one of these times, or in between.
+    # The masks begin before the step task is called, or while it generates the first events. They end just before or
+    # just after the planned time of the first event, or just after the first step without a mask. The first event comes
+    # at one of these times, or in between.
     delays = {}
     for before in range(200, 500, 6):
         for end in (-60 * US, -2 * US, 5 * US, max(usual) + 5 * US):
@@ -440,8 +445,8 @@ def late_starts(bench):
 
 
 def miscounts(bench):
-    """A trigger missed by TIM1, an additional request, or an error of a stream, at a slow and at the maximum rate: the
-    motion must end soon, with ALARM:103."""
+    """TIM1 misses a trigger, DMA serves a request too many, or a stream reports an error, at a slow and at the maximum
+    rate: the motion must end soon, with ALARM:103."""
 
     def miss(tim1):
         trigger = tim1.trigger

@@ -39,7 +39,7 @@ def hold(bench):
     steps = [step.at for step in scope.steps()]
     later = [at for at in steps if at > heard]
     intervals = [(b - a) / hz for a, b in pairwise(later)]
-    # Single intervals have jitter: the ramp begins where twenty of them are longer by 1 % on average.
+    # Single intervals have jitter, so the ramp is taken to begin where twenty intervals are longer by 1 % on average.
     begin = next((k for k in range(len(intervals) - 20) if sum(intervals[k : k + 20]) > 20.2 / speed), None)
     if begin is None:
         raise Failure("there is no ramp")
@@ -119,8 +119,8 @@ class StopWatch:
             if offset == EGR and value & 16:
                 self.called = board.now
             elif offset == timer.CCR2:
-                # A run has ended: forget its call. A later run may notice a stop before it is called for it, and must
-                # not be timed from this call.
+                # A run has ended, so forget its call. A later run can notice a stop before it is called for that stop,
+                # and must not be timed from the old call.
                 self.called = None
             to_tim5(offset, value)
 
@@ -137,8 +137,8 @@ class StopWatch:
 
 
 def ring_stops(bench):
-    """0x18 at random times at up to the safe rate, at every slot of the ring: the reported position must equal the
-    steps output."""
+    """Sends 0x18 at random times during motions at up to the safe rate, so that stops come at many slots of the ring:
+    the reported position must equal the steps output."""
     bench.boot()
     board, hz, random = bench.board, bench.wiring.core_hz, Random(64)
     rate = at_full_rate(bench, 50_000)
@@ -150,8 +150,8 @@ def ring_stops(bench):
         scope, watch.halts = Scope(board), 0
         sign = "-" if k % 2 else ""
         bench.ask(f"G91 G1 X{sign}100 Y{sign}77 Z{sign}55 F{rate * 1.378:.0f}" if k % 4 < 2 else f"G91 G1 X{sign}100 F{rate}")
-        # At speed after 2 ms of waiting and 10 ms of acceleration, with an event each 2.04 us. Some stops come during
-        # acceleration or at its beginning.
+        # A motion begins after 2 ms, and is at speed after another 10 ms, with an event every 2.04 us at 490 kHz. Some
+        # of the stops come during the acceleration or at its beginning.
         early = (1.5e-3, 2.6e-3) if k % 8 == 7 else (2.5e-3, 9e-3)
         board.run(seconds=random.uniform(*early) if k % 2 else 0.013 + random.uniform(0, 140 * US))
         after = len(bench.host.text)
@@ -184,8 +184,8 @@ def ring_stops(bench):
 
 
 def stops_with_backlash(bench, random, rate, most):
-    """With backlash, the reported position must be that of the tool: it lags the motor by the backlash, which was taken
-    up long before the stop."""
+    """With backlash, the reported position must be that of the tool, which lags the motor by the backlash. The backlash
+    was taken up long before the stop."""
     board, slack = bench.board, 20
     bench.ask("$X")
     bench.settings(s160=slack / 1000)
@@ -210,8 +210,8 @@ def stops_with_backlash(bench, random, rate, most):
 
 
 def lines_at_stops(bench):
-    """Emergency stops in lines of 0.2 ms: the reported line must be that of the last step, even if that line began
-    after the last call of the step task."""
+    """Emergency stops while each line lasts only 0.2 ms: the reported line must be that of the last step, even if that
+    line began after the last run of the step task."""
     bench.boot()
     board, random = bench.board, Random(21)
     fast(bench, 10_000)
@@ -233,7 +233,7 @@ def lines_at_stops(bench):
         steps = scope.counts()[0] - 1000
         last = scope.steps()[-1].at
         runs.append(last - max(entry for entry, _ in board.step_runs if entry < last))
-        # A line begins with the last step of the one before it.
+        # A line begins with the last step of the previous line, so after this step both line numbers are right.
         if told not in (steps // 20 + 1, max(steps - 1, 0) // 20 + 1):
             wrong.append((told, steps / 20))
         board.drive(bench.wiring.reset, None)

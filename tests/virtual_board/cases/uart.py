@@ -36,8 +36,8 @@ def boot_fast(bench):
 
 
 def baud_rates(bench):
-    """`$931` sets the rate from the next start on, except if hold and start are both active then. Also stores settings
-    while bytes arrive."""
+    """`$931` sets the rate from the next start on, except if hold and start are both active at that start. Also stores
+    settings while bytes arrive."""
     bench.boot()
     board, host = bench.board, bench.host
     fast_baud = bench.wiring.most_baud
@@ -46,10 +46,10 @@ def baud_rates(bench):
     restart_at(bench, fast_baud)
     bench.ask("$I")
     yield f"after a start at {board.usart.baud():.0f} baud"
-    # As many bytes as the board announces (`Bf:`).
+    # The host sends as many bytes ahead as the board announces (`Bf:`).
     host.window = 255
-    # Comments of various lengths, so that a store happens with any number of bytes waiting: bytes of text, and other
-    # bytes, of which a look reads fewer.
+    # The comments have various lengths, so that settings are stored while any number of bytes wait. They consist first
+    # of text, then of other bytes, of which the receiver reads fewer at a time.
     random, overruns = Random(931), board.usart.overruns
     for letter, count in ("a", 300), ("\u00e4", 200):
         lines = [f"${130 + k % 3}={200 + k}.5({random.randrange(40) * letter})" for k in range(count)]
@@ -77,16 +77,17 @@ def baud_rates(bench):
 
 
 class Disturbed:
-    """Replaces digits that the host sends, now and then, by another byte with a framing error."""
+    """Replaces a digit that the host sends by another byte with a framing error, now and then."""
 
     def __init__(self, usart, become):
         self.usart, self.become, self.receive = usart, become, usart._receive
         self.ends, self.lines = 0, []
-        """Numbers of the lines with a replaced digit."""
+        """Indices of the lines with a replaced digit."""
         usart._receive = self
 
     def __call__(self, byte, error, at):
-        # Ten lines apart, so that the firmware has reported the previous loss.
+        # The replaced digits are at least ten lines apart, so that the firmware has reported the previous loss before
+        # the next one.
         is_due = not self.lines or self.ends >= self.lines[-1] + 10
         if is_due and chr(byte).isdigit():
             self.lines.append(self.ends)
@@ -117,7 +118,8 @@ def disturbed_line(bench):
     yield f"{len(disturbed.lines)} bytes of {len(values)} lines disturbed, {refused} lines refused"
     if carried_out := [line for line in disturbed.lines if answers[line] == "ok"]:
         raise Failure(f"disturbed lines {carried_out} were carried out")
-    # The line itself and, at a high rate, the lines before and after it within two samples of the inputs.
+    # The board refuses the line itself and, at a high rate, the lines that arrive within two samples of the inputs
+    # before and after it.
     if refused > 3 * len(disturbed.lines):
         raise Failure("more lines are refused than were disturbed")
     listing = bench.ask("$$")
@@ -125,7 +127,7 @@ def disturbed_line(bench):
         right = [value for value, answer in zip(values[number::3], answers[number::3], strict=True) if answer == "ok"][-1]
         if f"${130 + number}={right}" not in listing:
             raise Failure(f"${130 + number} is not {right}: {listing[-12:]}")
-    # The second half of a line cut in two would move.
+    # If a disturbed line were executed as two lines, the second half would move the machine.
     bench.ask("$X")
     scope = Scope(board)
     disturbed = Disturbed(board.usart, lambda byte: ord("\n"))
@@ -139,7 +141,7 @@ def disturbed_line(bench):
 
 
 FLOODS = {"?": b"?", "ends of lines": b"\n", "ends by CR LF": b"\r\n", "0xFF": b"\xff", "NUL": b"\0", "comments": b"(a)\n"}
-"""Bytes that a host, or noise on the wire, may send at the maximum rate without flow control."""
+"""Bytes that a host, or noise on the wire, can send at the maximum rate without flow control."""
 
 
 def sampled(bench):
@@ -158,7 +160,7 @@ def sampled(bench):
         board.begins[SYSTICK].clear()
         after = len(host.text)
         begin = board.now
-        # For 60 ms: longer than the queued segments of the step task last.
+        # The flood lasts 60 ms, longer than the queued segments of the step task.
         host.send(text * round(0.006 * host.baud / len(text)))
         board.run(seconds=0.06)
         samples = [begin, *board.begins[SYSTICK], board.now]
@@ -182,7 +184,8 @@ def torn_line(bench):
         board, host = bench.board, bench.host
         scope = Scope(board)
         host.send(text)
-        # Soon, because the firmware reads all waiting bytes from time to time.
+        # The button is pressed soon after the last byte, because the line must still wait in the UART's receiver, and
+        # the firmware reads all waiting bytes from time to time.
         board.run(seconds=len(text) * 10 / host.baud + 0.0005)
         after = len(host.text)
         board.drive(bench.wiring.reset, 0)

@@ -16,7 +16,8 @@ LINES_S = {"blackpill_f411": 4200, "blackpill_f401": 2850}
 
 
 def usb_port(bench):
-    """Enumeration, the greeting when the port is opened, a job by character counting, and a second host at the UART."""
+    """Checks enumeration, the greeting when the port is opened, a job by character counting, and a second host at the
+    UART."""
     board, host = with_usb(bench)
     device = host.descriptors[1, 0]
     number = host.descriptors[3, 3][2:].decode("utf-16-le")
@@ -33,7 +34,8 @@ def usb_port(bench):
     host.stream("\n".join(["G91 F3000"] + [f"G1 X{'-' if k % 2 else ''}0.5 Y0.25" for k in range(20)]))
     polls, moving, masks = 0, True, []
     while moving:
-        # The log is written only at rest, and masks interrupts longer than any code during motion.
+        # Writing the log masks interrupts for longer than any code during motion, but happens only at rest. Its masks
+        # are left out below.
         masks.append(bench.longest_mask())
         moving = not (bench.status().startswith("<Idle") and host.all_answered)
         polls += 1
@@ -148,9 +150,9 @@ BELTS = {"s0": 2, "s29": 0, "s100": 80, "s101": 80, "s110": 60000, "s111": 60000
 
 
 def usb_lines(bench):
-    """Sends short lines over USB by character counting: up to the promised rate a job must take only the time of its
-    motion, because the look-ahead never runs low. Also measures the lines per second when the motion would take
-    more."""
+    """Sends short lines over USB by character counting: up to the promised rate a job must last only as long as its
+    motion, because the look-ahead never runs low. Also measures how many lines per second the board accepts if the
+    motion needs more than that."""
     with_usb(bench)
     bench.settings(**BELTS)
     yield from many_lines(bench, LINES_S[bench.wiring.name])
@@ -304,7 +306,7 @@ def usb_unread(bench):
         if host.has_said("error", after) or step.steps():
             raise Failure(f"something of the host that went has been read; the next one was told {bytes(host.text[after:])!r}")
 
-    # The queue of commands is full, one more waits, and the bytes after it are not fetched.
+    # The queue of commands is full, one more command waits, and the bytes after it are not fetched.
     hang(bench)
     host.send(64 * b"?")
     host.send(b"?G1 X5 F100 Y")
@@ -316,7 +318,7 @@ def usb_unread(bench):
     board.run(seconds=0.05)
     reopen()
     yield "closed with half a line unfetched: the next host begins a line of its own"
-    # Unfetched answers: one packet of them is already in the endpoint.
+    # Now answers stay unfetched; one packet of them is already in the endpoint.
     host.reads = False
     host.send(b"G4P0\n" * 20)
     board.run(seconds=0.1)
@@ -329,7 +331,8 @@ def usb_unread(bench):
     if not host.text[after:].startswith(b"\r\nGrbl"):
         raise Failure(f"the next host got answers to the one before: {bytes(host.text[after:])!r}")
     yield "closed with answers unread: the next host gets none of them"
-    # A program that sends a whole file is ended: its port is closed first, and its bytes in flight are cancelled later.
+    # A program that sends a whole file is ended. Its operating system first closes the port, and later cancels the
+    # bytes in flight.
     bench.settings(s914=0)
     host.send("G4P0.01\n" * 400 + "G1 X5 F100\n" * 20)
     board.run(seconds=0.3)
@@ -342,8 +345,8 @@ def usb_unread(bench):
     board.run(seconds=3)
     reopen()
     yield "closed while it waited: what was still under way is thrown away, and the next host is greeted"
-    # Twice the driver has enabled the endpoint before the firmware saw the end of a packet: one packet is in the
-    # driver, and one stays in the FIFO and keeps the interrupt pending.
+    # Emulates that the driver has twice enabled the endpoint before the firmware saw the end of a packet: one packet is
+    # in the driver, and another one stays in the FIFO and keeps the interrupt pending.
     hang(bench)
     host.send(64 * b"?")
     host.send(b"?")

@@ -7,8 +7,8 @@ of a transfer; clearing of flags.
 For a USART: half-words or bytes on both sides from it, once or circular; bytes to it, once. A transfer holds the
 controller for as long as the slower bus takes (`usart_hold`).
 For compare events of timers: words in direct mode, in both directions, incrementing either address, circular. From
-memory to a peripheral, the first word is fetched when the stream is enabled, and each next word right after the one
-before. A request that no stream serves stays pending until its timer is reset.
+memory to a peripheral, the first word is fetched when the stream is enabled, and each further word right after the
+previous one has been written. A request that no stream serves stays pending until its timer is reset.
 For captures of timers: half-words, once, transferred at the time of the request.
 Not modelled: other sizes, double-buffer mode, FIFO, the word that a stream to a USART fetches ahead, priorities of
 streams other than by their number, other bus load.
@@ -18,7 +18,7 @@ Misuse is raised for errors that real parts do not report:
   2.2.11: data may be corrupted);
 * a peripheral that DMA1 does not reach;
 * CR read right after EN was set (the stream may hang);
-* two streams switched on back to back, or for one request;
+* two streams switched on back to back, or both for the same request;
 * a word of memory changed after it was fetched;
 * a stream switched on with a stale request, which it would serve at once.
 """
@@ -88,7 +88,7 @@ class Dma(Peripheral):
         self.whole = [0] * 8
         """Number of data with which a circular stream restarts."""
         self.fetched = [None] * 8
-        """(index, word) that a stream to a peripheral has fetched; the index is that in the ring."""
+        """(index in the ring, word) that a stream to a peripheral has fetched."""
         self.switched_on = [-SETTLE] * 8
         self.taken = [0] * 8
         """Number of requests that each stream has taken, but not served yet."""
@@ -231,7 +231,8 @@ class Dma(Peripheral):
         self.unserved = {who for who in self.unserved if not who.startswith(timer)}
 
     def ask(self, who, at, pulse=None):
-        """Requests a transfer for a compare event at cycle `at`; dropped if the pulse has been cut by then."""
+        """Requests a transfer for a compare event at cycle `at`. The request is dropped if `pulse` has been cut by
+        then."""
         streams = self.streams.get(who)
         if streams:
             self.under_way[who] = self.under_way.get(who, 0) + 1
@@ -285,9 +286,9 @@ class Dma(Peripheral):
         return USART_HOLD + 4 * (rcc.hclk // getattr(rcc, bus))
 
     def ask_for_usart(self, who, data_address, bus, at, serve):
-        """Requests a transfer for a USART that has received a byte or can send one, since cycle `at`, which may be a
-        while ago. Returns whether a stream takes the request: `serve(byte, at)` then returns the received byte, or
-        accepts the byte to be sent."""
+        """Requests a transfer for a USART that has received a byte or can send one. The request dates from cycle `at`,
+        which may be a while ago. Returns whether a stream takes the request; if so, it calls `serve(byte, at)`, which
+        returns the received byte, or accepts the byte to be sent."""
         for stream in self.streams.get(who, ()):
             base = 0x10 + 0x18 * stream
             cr = self.values[base + CR]
@@ -315,7 +316,7 @@ class Dma(Peripheral):
         if left == 0 and cr & CIRC:
             self.values[base + NDTR], self.next[stream] = self.whole[stream], self.values[base + M0AR]
         elif left == 0:
-            # Before the USART requests the next byte.
+            # The stream must be off before the USART requests the next byte.
             self.values[base + CR] &= ~EN
         if cr & TO_PERIPHERAL:
             byte, = self.board.read_memory(memory, 1)

@@ -1,6 +1,6 @@
 """Flash interface (RM0390 chapter 3, RM0383 chapter 3).
 
-Modelled: wait states checked against the core clock (2.7 to 3.6 V); key sequence (a wrong one locks until reset);
+Modelled: wait states checked against the core clock (2.7 to 3.6 V); key sequence (a wrong key locks until reset);
 sector erase; programming in units of PSIZE, which can only clear bits; the error flags PGSERR, PGPERR, PGAERR, which
 prevent an operation from starting; BSY. The processor and its interrupts stall during an operation, as the code is in
 the same bank. Durations are the typical ones of the data sheets: a word 16 us, sectors of 16/64/128 KiB 250/550/1000 ms

@@ -87,7 +87,7 @@ class Gpio(Peripheral):
         return self.values[MODER] >> 2 * pin & 3
 
     def function(self, pin):
-        """Returns the number of the alternate function, or None if the pin is not in that mode."""
+        """Returns which alternate function the pin has (0 to 15), or None if it is not in that mode."""
         if self.mode(pin) != ALTERNATE:
             return None
         return self.values[AFRL if pin < 8 else AFRH] >> 4 * (pin & 7) & 15

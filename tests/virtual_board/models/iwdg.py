@@ -1,7 +1,7 @@
 """Independent watchdog (RM0390 chapter 20, RM0383 chapter 15).
 
-Modelled: keys, prescaler, reload, counting with the 32 kHz of the LSI (17 to 47 kHz on real parts), reset. SR is 0:
-prescaler and reload take effect at once; real hardware takes up to five LSI cycles.
+Modelled: keys, prescaler, reload, counting with the 32 kHz of the LSI (17 to 47 kHz on real parts), reset. SR is always
+0, because prescaler and reload take effect at once; on real parts this takes up to five LSI cycles.
 Not modelled: start by option byte, freezing by a debugger.
 """
 

@@ -75,7 +75,7 @@ class Nvic(Peripheral):
         return min(ready, key=lambda n: (self.priority(n), n)) if ready else None
 
     def takeable(self, primask, basepri):
-        """Returns the exception to take now, or None; and whether only a mask holds one back."""
+        """Returns the exception to take now (or None), and whether an exception waits only because of a mask."""
         if not self.pending:
             return None, False
         best = self.best()

@@ -17,11 +17,12 @@ CEN, OPM = 1 << 0, 1 << 3
 TRIGGERED_BY_TIM5 = 0b110 | 0b000 << 4
 """SMS and TS of TIM1_SMCR; the table "TIMx internal trigger connection" there has TIM5 as ITR0 of TIM1."""
 SYNCHRONIZE, QUICKER, SLOWER = 4, 1, 8
-"""Clocks from the trigger's event to the first count; `QUICKER` and `SLOWER` are those of the other readings."""
+"""Clocks from the trigger's event to the first count; `QUICKER` and `SLOWER` hold for the second readings
+`quick-trigger` and `slow-trigger`."""
 
 
 def synchronize():
-    """Returns these clocks for the chosen reading."""
+    """Returns the clocks from the trigger's event to the first count, for the chosen reading."""
     return QUICKER if is_chosen("quick-trigger") else SLOWER if is_chosen("slow-trigger") else SYNCHRONIZE
 
 

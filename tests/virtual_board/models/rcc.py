@@ -61,7 +61,7 @@ class Rcc(Peripheral):
         self.arrives = {}
         """The cycle from which each enabled clock runs, by its (offset, bit)."""
         self.all_there = 0
-        """The cycle from which all of them run."""
+        """The cycle from which all enabled clocks run."""
         self.hclk, self.pclk1, self.pclk2 = HSI_HZ, HSI_HZ, HSI_HZ
 
     def note_reset(self, flags):
@@ -110,8 +110,8 @@ class Rcc(Peripheral):
             self._clocks()
 
     def _enable(self, offset, bits):
-        """Switches clocks on. On the AHB they take two of its cycles, on another bus one of its own and one of the
-        AHB."""
+        """Switches clocks on. A clock on the AHB starts after two AHB cycles, a clock on another bus after one cycle of
+        that bus and one of the AHB."""
         bus = {APB1ENR: self.pclk1, APB2ENR: self.pclk2}.get(offset)
         self.all_there = self.board.now + (2 if bus is None else 1 + self.hclk // bus)
         for bit in range(32):
@@ -148,8 +148,8 @@ class Rcc(Peripheral):
         self.board.look()
 
     def _slow_down(self):
-        """Makes HSI the system clock, whatever runs. Ratios of clocks do not change. The watchdog keeps its time; other
-        events that are scheduled in core cycles come later in real time."""
+        """Makes HSI the system clock, even while models run. The ratios of the clocks do not change. The watchdog keeps
+        its time; other events that are scheduled in core cycles come later in real time."""
         divider1, divider2 = self.hclk // self.pclk1, self.hclk // self.pclk2
         self.hclk = HSI_HZ
         self.pclk1, self.pclk2 = HSI_HZ // divider1, HSI_HZ // divider2

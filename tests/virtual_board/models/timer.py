@@ -201,7 +201,7 @@ class Timer(Peripheral):
         for channel in range(1, 5):
             if off >> 8 + channel & 1 and any(dma.under_way.get(f"{self.name}_CH{channel}") for dma in self.board.dma):
                 raise Misuse(f"{self.name}: a request of DMA is taken back while it is under way")
-            # Channel 1 is exempt: software requests its first word right afterwards anyway.
+            # Channel 1 is exempt, because software requests its first word right afterwards anyway.
             if channel == 3 and on >> 8 + channel & 1 and self.values[SR] >> channel & 1 and not self.captures(channel):
                 raise Misuse(f"{self.name}: requests of channel 3 are switched on while its flag is set")
 
@@ -220,7 +220,8 @@ class Timer(Peripheral):
         self.board.nvic.level(self.irq, bool(self.values[SR] & self.values[DIER] & 0x1F))
 
     def _schedule_flag(self, flag, now):
-        """Schedules the counter's next arrival at the value of a flag, after `now`."""
+        """Schedules the next event of a flag: when the counter, after `now`, arrives at the value that sets the
+        flag."""
         if not self.running:
             self.matched[flag] = NEVER
             return
@@ -256,7 +257,8 @@ class Timer(Peripheral):
         self._plan()
 
     def until_tick(self):
-        """Returns the core cycles until the counter reaches CCR1; None if that has no effect or has passed long ago."""
+        """Returns the core cycles until the counter reaches CCR1. None if reaching it has no effect, or if the counter
+        passed it long ago."""
         counts = (self.values[CCR1] - self.count()) & 0xFFFF_FFFF
         return counts * self.cycles if self.values[DIER] & (2 | 1 << 9) and counts < 1 << 20 else None
 

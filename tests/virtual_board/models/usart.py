@@ -35,9 +35,9 @@ class Usart(Peripheral):
         self.irq = irq
         self.bus = bus
         self.wire = None
-        """The device on the line. `next_byte()` returns (core cycle of the middle of its stop bit, byte) or None;
-        `taken()` removes that byte; `sent(byte, cycle)` receives a byte; `next_fall(cycle)` and `level(cycle)` describe
-        the line itself."""
+        """The device on the line. `next_byte()` returns the next byte as (core cycle of the middle of its stop bit,
+        byte), or None; `taken()` removes that byte; `sent(byte, cycle)` receives a byte; `next_fall(cycle)` and
+        `level(cycle)` describe the line itself."""
         super().__init__(name, board)
 
     def reset(self):

@@ -14,7 +14,7 @@ const LEFT_OUT: [&str; 2] = ["target", ".git"];
 /// Makes parts of a release twice and compares them.
 pub fn check(names: &[&str]) -> Result<(), Failure> {
     make(names)?;
-    // Longer than the path of the tree itself, and starts with it.
+    // This path starts with the path of the tree and is longer.
     let second = root().join("target/reproducible");
     let (copy, home) = (second.join("on/another/path"), second.join("another-cargo-home"));
     if second.exists() {

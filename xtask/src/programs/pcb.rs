@@ -113,7 +113,7 @@ fn grid() -> Vec<[i64; 2]> {
 fn isolate_pad(w: &mut Writer, [x, y]: [i64; 2], distance: i64) -> Result<()> {
     let r = PAD_RADIUS + distance;
     down_at(w, [x - r, y])?;
-    // Two halves: in a full circle the last digits of start and end must not differ.
+    // Two half circles, because start and end of a full circle would have to agree to the last digit.
     w.arc_to("G2", [Some(x + r), Some(y), None], [r, 0], Some(FEED))?;
     w.arc_to("G2", [Some(x - r), Some(y), None], [-r, 0], None)?;
     up(w)

@@ -5,8 +5,7 @@
 use super::writer::Writer;
 use std::io::{Result, Write};
 
-/// A rounded-rectangle pocket. Lengths in whole counts of the last decimal place, feeds in tenths of the unit per
-/// minute.
+/// A rounded-rectangle pocket. Lengths are in units of the last decimal place, feeds in tenths of the unit per minute.
 struct Pocket {
     /// Half the size of the pocket.
     half: [i64; 2],

@@ -17,8 +17,8 @@ pub struct Writer<'a> {
 }
 
 impl<'a> Writer<'a> {
-    /// Returns a writer whose coordinates are whole counts of the last of `decimals` places: µm with 3 places of a
-    /// millimetre.
+    /// Returns a writer whose coordinates are in units of the last of `decimals` decimal places, such as µm for
+    /// millimetres with 3 places.
     pub fn new(out: &'a mut dyn Write, decimals: u32) -> Self {
         Self { out, decimals, numbering: None, separator: " ", modal: "", place: [None; 3], feed: None }
     }
@@ -110,7 +110,7 @@ impl<'a> Writer<'a> {
     }
 }
 
-/// Formats a whole count of the last of `places` decimal places: removes trailing zeros, keeps the point.
+/// Formats a number given in units of the last of its `places` decimal places; removes trailing zeros, keeps the point.
 pub fn decimal(value: i64, places: u32) -> String {
     let one = 10_i64.pow(places);
     let sign = if value < 0 { "-" } else { "" };

@@ -110,8 +110,8 @@ pub fn chain(random: &mut Random, depth: u32) -> String {
     text
 }
 
-/// Returns a value within 20 of 0, made from any expression. It is never the cosine of a condition, which is an
-/// integer.
+/// Returns a value within 20 of 0: 20 times the sine or cosine of any expression. A fraction is added to the
+/// expression, because a condition is an integer, and the cosine of an integer can be slightly off in LinuxCNC.
 fn bounded(random: &mut Random) -> String {
     format!("[20 * {}[[{}] + 0.01357]]", random.of(&["SIN", "COS"]), chain(random, 1))
 }

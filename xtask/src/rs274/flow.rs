@@ -91,9 +91,9 @@ const STATE: [&str; 30] = [
 /// Stored positions, in the unit of the machine.
 const PLACES: [&str; 12] =
     ["#5161", "#5162", "#5183", "#5211", "#5212", "#5213", "#5221", "#5222", "#5223", "#5241", "#5322", "#5383"];
-/// Number of extra statements at the end, until one is rejected.
+/// Maximum number of statements that are tried at the end to find one that is rejected.
 const MORE: usize = 60;
-/// Positions beyond this, mm, may be out of Oxmill's range.
+/// Positions beyond this, mm, can be out of Oxmill's range.
 const FAR: f64 = 10_000.0;
 /// Maximum line length: longer lines are omitted, because `rs274` truncates them at another length.
 const LONGEST: usize = 200;
@@ -210,7 +210,7 @@ impl Writer {
             let result = runner.run(line, &mut events);
             of.resize(events.len(), self.batch.lines.len() + at);
             match result {
-                // Rounding would decide whether this is a move.
+                // The move is so short that rounding would decide whether it is one.
                 _ if runner.mill.is_doubtful() => return false,
                 Ok(()) => {}
                 Err(refusal) => {
@@ -277,7 +277,7 @@ impl Writer {
         }
     }
 
-    /// Returns a statement that may occur at the top level and within constructs, including subroutines.
+    /// Returns a statement that can occur at the top level and within constructs, including subroutines.
     fn inner(&mut self, depth: u32) -> Vec<String> {
         match self.random.below(if depth == 0 { 70 } else { 100 }) {
             0..=17 => vec![self.assignment()],
@@ -310,7 +310,7 @@ impl Writer {
                     words += &format!(" {axis}{}", expressions::length(&mut self.random));
                 }
             }
-            // Also as the only axis word.
+            // A can also be the only axis word.
             if self.percent(20) {
                 words += &format!(" A{}", expressions::length(&mut self.random));
             }
@@ -589,7 +589,7 @@ impl Writer {
         if calls_itself {
             let inner = self.label();
             lines.extend([
-                // The body may change #3.
+                // The condition is needed because the body can change #3.
                 format!("{inner} if [#3 GT 0 AND #3 LT 4 AND #<_call_level> LT 4]"),
                 format!("{label} call [#1 / 2] [#2 + #3] [#3 - 1]"),
                 "#5=[#<_value> / 2 + #3]".into(),

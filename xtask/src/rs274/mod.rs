@@ -26,8 +26,8 @@ const TOLERANCE: f64 = 0.003;
 const VALUE_TOLERANCE: f64 = 3e-4;
 /// Maximum relative difference of G93 rates, in addition to [`TOLERANCE`].
 const RATE_TOLERANCE: f64 = 2e-4;
-/// Minimum G93 rate in `rs274`, which replaces lower ones: 0.1 in the unit of the program; here in mm/min for mm and
-/// inches.
+/// Minimum G93 rate, by which `rs274` replaces lower rates: 0.1 in the unit of the program. Here in mm/min, for
+/// programs in mm and in inches.
 const LEAST_RATES: [f64; 2] = [0.1, 2.54];
 /// Prefix of messages in programs.
 const STATE: &str = "state";
@@ -56,7 +56,7 @@ pub enum Event {
     Spline(u8),
     /// A dwell, s.
     Dwell(f64),
-    /// A program output. `true`: analog; then its number, its value, and whether it changes with the next motion.
+    /// A program output: whether it is analog, its number, its value, and whether it changes with the next motion.
     Output(bool, i64, f64, bool),
     /// Feed rate of the preceding feed move or arc, mm/min, that G93 derives from its time.
     Rate(f64),
@@ -255,7 +255,7 @@ fn compare(lines: &[String], ours: &Outcome, theirs: &Outcome) -> Option<String>
             }
         }
     }
-    // In a line that it rejects, `rs274` may have moved before the error.
+    // If both reject a line, further events of `rs274` are no difference: it can have moved before the error.
     if ours.refused != theirs.refused {
         return Some(format!("Oxmill refuses {:?}, rs274 {:?}", ours.refused, theirs.refused));
     }

@@ -139,7 +139,8 @@ impl Mill {
                 let mut is_first = true;
                 while let Some(step) = cycle.step(CLEARANCE) {
                     match step {
-                        // `rs274` has no rise where none is needed: then the next move shows where a spline has ended.
+                        // `rs274` makes no rise where none is needed. In that case the next move shows where a spline
+                        // has ended.
                         CycleStep::Rapid(place) if std::mem::take(&mut is_first) && mm(&place) == self.place => {}
                         CycleStep::Rapid(place) => self.go(&place, true, &mut events),
                         CycleStep::Feed(place, _) => self.go(&place, false, &mut events),
@@ -205,8 +206,8 @@ impl Mill {
 mod tests {
     use super::*;
 
-    /// The output for a spline does not contain its end, and a cycle after it starts there: without a rise to R there
-    /// is no event for the rise.
+    /// The output of `rs274` does not contain the end of a spline. A cycle that starts there at the height of R has no
+    /// rise, so it must have no event for one.
     #[test]
     fn a_cycle_behind_a_spline_has_no_rise_of_no_length() {
         for (spline, moves) in [("G5.1 X4 Y2 I1 J3", 1), ("G5 X4 Y2 I1 J1 P-1 Q1", 1), ("G1 X4 Y2", 1)] {
@@ -226,7 +227,7 @@ mod tests {
             ];
             let found = run("G99 G86 X2 Y1 Z-2 R-1 P0.5");
             assert!(found.len() == expected.len() && found.iter().zip(&expected).all(|(a, b)| a.is_as(b)), "{found:?}");
-            // A rise that is needed is there; R counts from where the series started.
+            // A rise that is needed has its event; R counts from where the series started.
             let rises = run("G81 X1 Z-2 R3");
             assert!(rises[0].is_as(&Event::Rapid(way(6.0, 8.0))), "{rises:?}");
         }

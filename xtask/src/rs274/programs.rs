@@ -1,6 +1,6 @@
 //! Random programs of the words that Oxmill and LinuxCNC share.
 //!
-//! Lines that Oxmill rejects are omitted, except that a batch may end with one: `rs274` must reject it, too. Not
+//! Lines that Oxmill rejects are omitted, except that a batch can end with one: `rs274` must reject it, too. Not
 //! generated, because the book lists them as differences: G88; a change of offsets, of the plane or of G98 and G99
 //! within a series of cycles; another rotation under G92, for which LinuxCNC loses its position; arcs and cycles
 //! outside the plane of a rotation; pecks smaller than their clearance; G53 with G91; a change of units, or M70, under
@@ -29,7 +29,7 @@ const BEGIN: &[&str] = &[
     "M70",
 ];
 
-/// Number of extra statements at the end, until one is rejected.
+/// Maximum number of statements that are tried at the end to find one that is rejected.
 const MORE: usize = 60;
 
 pub struct Batch {
@@ -70,7 +70,8 @@ pub fn batch(seed: u64, programs: usize) -> Batch {
     };
     for _ in 0..programs {
         for line in BEGIN {
-            // If the machine is so near that rounding decides whether this is a move, move away first.
+            // If rounding decides whether this line has a move, because the machine is so near its target, move away
+            // first.
             if !writer.put((*line).into()) && line.starts_with("G53") {
                 writer.put("G53 G0 X9 Y9 Z9 A9".into());
                 writer.put((*line).into());
@@ -253,7 +254,7 @@ impl Writer {
         }
     }
 
-    /// Returns a modal word that may precede a motion.
+    /// Returns a modal word that can precede a motion.
     fn modal(&mut self) -> String {
         let which = self.below(20);
         if which < 3 {
@@ -439,7 +440,7 @@ impl Writer {
         }
         let end = self.one_of(&["G80", "G0", "G1"]);
         let axes = self.axes();
-        // If that motion is rejected, G80 must end the series: a change of plane may follow.
+        // If that motion is rejected, G80 must end the series, because a change of plane can follow.
         if end == "G80" || !self.put(format!("{end}{axes}")) {
             self.put("G80".into());
         }

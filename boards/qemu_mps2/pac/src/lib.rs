@@ -86,7 +86,7 @@ mod vectors {
     }
 
     // unsafe because the linker takes the section and the name on trust; safe because cortex-m-rt expects the table of
-    // device vectors exactly under both, and the order is that of `Interrupt`.
+    // device vectors in this section under this name, and the order is that of `Interrupt`.
     #[unsafe(link_section = ".vector_table.interrupts")]
     #[unsafe(no_mangle)]
     pub static __INTERRUPTS: [Vector; 32] = [

@@ -59,7 +59,7 @@ impl<const N: usize> Draft<'_, N> {
         let start = in_xy(&self.state.position);
         let target = self.target();
         reachable(&target)?;
-        // The tool does not move, so the coordinates as written for its position stay valid.
+        // `None` keeps the coordinates that the program wrote for the present position, because the tool does not move.
         self.action.rotated.reached = None;
         self.action.rotated.scaled.rest = None;
         let weight_of_start = if has_point { 1.0 } else { weight };
@@ -73,7 +73,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// Reads L; the default is the order so far.
+    /// Reads L. Without L, a curve that has begun keeps its order, and a new curve has the order 3.
     fn order(&mut self, begins: bool) -> Result<u8, Error> {
         if !self.take(b'L') {
             return Ok(if begins { ORDER } else { self.order_so_far() });

@@ -1,6 +1,6 @@
-//! Canned cycles (G73 to G89): reads hole, levels, peck, dwell and repeats from a line. Words that the line lacks are
-//! those of the line before, as long as the series lasts. The result is a [`Cycle`](crate::gcode::Cycle) that the
-//! controller executes step by step.
+//! Canned cycles (G73 to G89): reads hole, levels, peck, dwell and repeats from a line. A word that the line lacks has
+//! its last value, as long as the lines before have the same cycle in the same plane. The result is a
+//! [`Cycle`](crate::gcode::Cycle) that the controller executes step by step.
 
 use super::draft::Draft;
 use crate::axes::{Axis, PerAxis};
@@ -16,14 +16,14 @@ use crate::units::{Coordinate, Decimal};
 const REPEATS_MAX: i32 = 1_000_000;
 
 impl<const N: usize> Draft<'_, N> {
-    /// G73 to G89. Words that the line lacks are those of the line before, if it had the same cycle word in the same
-    /// plane.
+    /// G73 to G89. A word that the line lacks has its last value, if the motion mode before the line was the same cycle
+    /// in the same plane.
     pub(super) fn cycle(&mut self, kind: CycleKind) -> Result<(), Error> {
         let modal = self.action.modal;
         if modal.feed_mode == FeedMode::InverseTime {
             return Err(Error::CycleNeedsPerMinute);
         }
-        // An M6 on the line may stop the spindle.
+        // An M6 on the line can stop the spindle.
         let stopped = self.action.tool_change && self.line.spindle.is_none();
         if kind.stops_spindle() && (stopped || modal.spindle == SpindleDirection::Off) {
             return Err(Error::SpindleNotTurning);
@@ -70,8 +70,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// Returns the vector from a hole to the next, R and the bottom as machine coordinates, and the depth of a peck,
-    /// all scaled.
+    /// Returns the vector from one hole to the next, the machine coordinates of R and of the bottom, and the depth of a
+    /// peck, all scaled.
     fn levels(
         &self,
         words: &CycleWords,
@@ -95,7 +95,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Returns the words in force, replaced by those of the line.
+    /// Returns the words of the cycle: those in force, with the words of the line in their place.
     fn cycle_words(&mut self, kind: CycleKind, axes: PlaneAxes) -> Result<CycleWords, Error> {
         let (before, modal) = (&self.state.modal, self.action.modal);
         let series = matches!(before.motion, MotionMode::Cycle(_)) && self.state.cycle.plane == modal.plane;
@@ -136,7 +136,7 @@ impl<const N: usize> Draft<'_, N> {
         words.level + self.tool_offset(axes.linear)
     }
 
-    /// Reads L: the number of holes, all at the same place with G90, in a row with G91.
+    /// Reads L: the number of holes. With G90 all of them are at the same place, with G91 in a row.
     fn repeats(&mut self) -> Result<u32, Error> {
         if !self.take(b'L') {
             return Ok(1);

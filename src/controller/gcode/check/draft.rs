@@ -38,7 +38,7 @@ fn squared_ways<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coor
     squares
 }
 
-/// Not inlined, so that lines in which F is a speed do not contain the division.
+/// Not inlined, so that the division is not part of the code for lines in which F is a speed.
 #[inline(never)]
 fn inverse_time(feed: Decimal) -> Feed {
     Feed::InverseTime(60.0 / feed.to_f32())
@@ -50,7 +50,7 @@ pub(super) struct Draft<'a, const N: usize> {
     pub(super) line: &'a Parsed<N>,
     pub(super) dialect: Dialect,
     pub(super) purpose: Purpose,
-    /// Command that uses the axis words; an implied motion counts as one.
+    /// Command that uses the axis words. An implied motion also counts as such a command.
     pub(super) claim: Claim,
     /// Letters of value words that no step has used yet.
     pub(super) unused: Letters,
@@ -63,8 +63,8 @@ pub(super) struct Draft<'a, const N: usize> {
 }
 
 impl<'a, const N: usize> Draft<'a, N> {
-    /// Starts with the modal state and applies the line's modal words. Axis words that no command uses belong to the
-    /// motion mode.
+    /// Starts with the modal state and applies the line's modal words. Axis words that no command of the line uses are
+    /// a motion in the motion mode.
     pub(super) fn begin(
         state: &'a Interpreter<N>,
         line: &'a Parsed<N>,
@@ -93,7 +93,7 @@ impl<'a, const N: usize> Draft<'a, N> {
         if !line.groups.within(Groups::OF_MOTION) {
             line.modal.set_modes(modal);
         }
-        // A full circle needs no axis word.
+        // A full circle needs no axis word, only its centre.
         let is_circle = dialect != Dialect::Grbl
             && matches!(modal.motion, MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise)
             && line.values.has_any(CENTRE);
@@ -104,20 +104,20 @@ impl<'a, const N: usize> Draft<'a, N> {
         Self { state, line, dialect, purpose, claim, unused: line.values, rotated: None, scaled: None, action }
     }
 
-    /// Refuses offsets outside the range of coordinates: sums with them would saturate, and a stored one could not be
-    /// read back. Grbl accepts any offset.
+    /// Refuses offsets outside the range of coordinates, because sums with such an offset would saturate, and a stored
+    /// one could not be read back. Grbl accepts any offset.
     pub(super) fn allow_offset(&self, offset: &PerAxis<Coordinate, N>) -> Result<(), Error> {
         if self.dialect == Dialect::Grbl { Ok(()) } else { reachable(offset) }
     }
 
-    /// Marks the word of this letter as used. Returns whether the line has the word, and no other command has used it.
+    /// Marks the word of this letter as used. Returns whether the line has the word and no step has used it before.
     pub(super) fn take(&mut self, letter: u8) -> bool {
         let has = self.unused.has(letter);
         self.unused.remove(Letters::of(&[letter]));
         has
     }
 
-    /// Returns `others`, where each axis that has a word is replaced by `place` of the axis and its value.
+    /// Returns `others` with new values for the axes that have a word: `place` of the axis and the value of its word.
     pub(super) fn with_axis_words(
         &self,
         others: PerAxis<Coordinate, N>,
@@ -167,8 +167,8 @@ impl<'a, const N: usize> Draft<'a, N> {
         self.position(axis) - self.work_offset(axis)
     }
 
-    /// Returns machine coordinate minus work coordinate for this line: with the line's coordinate system, its tool
-    /// length offset, and the G92 that acts on it.
+    /// Returns machine coordinate minus work coordinate, with the coordinate system, tool length offset and G92 that
+    /// are in force on this line.
     pub(super) fn work_offset(&self, axis: Axis) -> Coordinate {
         let offsets = &self.state.offsets;
         along(&offsets.system(self.action.modal.coordinate_system), axis)
@@ -188,9 +188,9 @@ impl<'a, const N: usize> Draft<'a, N> {
         }
     }
 
-    /// Returns the feed of a straight move. F is the speed along the path of X, Y and Z, and the rotary axes move along
-    /// with it; if only rotary axes move, F is in degrees per minute (RS274NGC, 2.1.2.5). The result is the speed along
-    /// the path of all axes.
+    /// Returns the feed of a straight move. F is the speed along the path of X, Y and Z, and the rotary axes take the
+    /// same time. If only rotary axes move, F is in degrees per minute (RS274NGC, 2.1.2.5). The result is the speed
+    /// along the path of all axes.
     pub(super) fn feed_to(&self, target: &PerAxis<Coordinate, N>) -> Feed {
         match self.feed_of_motion() {
             Feed::PerMinute(feed) if N > LINEAR => {

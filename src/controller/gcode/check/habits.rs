@@ -25,7 +25,7 @@ impl<const N: usize> Draft<'_, N> {
             self.action.modal.coordinate_system = self.system_by_number()?;
         }
         if let Some(number) = extended.look_ahead {
-            // G8 without P is a word of lathes.
+            // G8 without P is a word of lathes: radius programming.
             if !self.take(b'P') && number == 8 {
                 return Err(Error::NotSupported);
             }
@@ -47,7 +47,7 @@ impl<const N: usize> Draft<'_, N> {
         system.copied().ok_or(Error::UnsupportedCoordinateSystem)
     }
 
-    /// Returns the point that G28 and G30 pass through; U, V and W give distances from the present position.
+    /// Returns the intermediate point of G28 and G30. U, V and W give it as distances from the present position.
     pub(super) fn point_on_the_way(&mut self) -> Result<PerAxis<Coordinate, N>, Error> {
         let distances = self.line.extended.distances;
         if distances.is_empty() {
@@ -62,7 +62,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(point)
     }
 
-    /// Whether D is the only unused word and is allowed: beside G40 or G43 to G49, or alone.
+    /// Whether D is the only unused word and stands where it is allowed: beside G40 or G43 to G49, or alone.
     #[inline(never)]
     pub(super) fn is_radius_register(&self) -> Result<bool, Error> {
         let mut others = self.line.values;
@@ -75,7 +75,8 @@ impl<const N: usize> Draft<'_, N> {
         whole(self.line.value(b'D')).map(|_| true)
     }
 
-    /// Whether a spline word switches the look-ahead instead: G5.1 with Q or G5 with P, without a destination.
+    /// Whether the line's spline word is a switch of the look-ahead instead of a curve: G5.1 with Q or G5 with P,
+    /// without a destination.
     #[inline(never)]
     pub(super) fn is_look_ahead(&self) -> bool {
         let letter = match self.line.modal.motion {

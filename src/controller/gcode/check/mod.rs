@@ -42,7 +42,7 @@ pub(super) fn check<const N: usize>(
     action: &mut Action<N>,
 ) -> Result<(), Error> {
     let mut draft = Draft::begin(state, line, dialect, purpose, action);
-    // Speed matters here, and most lines have none of these words.
+    // One test skips these steps, because most lines have none of their words and this function must be fast.
     let is_extended = line.extended.any;
     if is_extended {
         draft.sign_of_p()?;
@@ -51,7 +51,7 @@ pub(super) fn check<const N: usize>(
     }
     draft.line_number()?;
     draft.feed()?;
-    // In Grbl's dialect a line without T deselects the tool, so it is not only a move.
+    // In Grbl's dialect a line without T deselects the tool, so with a tool selected it is more than a move.
     let is_move = line.is_move() && (dialect != Dialect::Grbl || state.modal.tool == 0);
     if !is_move {
         draft.speed();
@@ -109,11 +109,11 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// F stays in force only in G94. With G93 each motion needs its own F, and a change of the feed mode leaves F
+    /// F stays in force only with G94. With G93 each motion needs its own F. After a change of the feed mode F is
     /// undefined.
     fn feed(&mut self) -> Result<(), Error> {
         if self.line.extended.keep.is_some() {
-            // M72 restores F together with the feed mode.
+            // M72 on this line restores F together with the feed mode.
             return Ok(());
         }
         let given = self.line.values.has(b'F');
@@ -226,7 +226,7 @@ impl<const N: usize> Draft<'_, N> {
         Err(Error::UnusedWords)
     }
 
-    /// Whether the line is only an O number, which a line number may precede.
+    /// Whether the line consists of an O number only, or of a line number and an O number.
     fn is_program_number(&self) -> bool {
         let mut others = self.unused;
         others.remove(Letters::of(b"N"));
@@ -237,7 +237,7 @@ impl<const N: usize> Draft<'_, N> {
     #[inline(always)]
     fn precision(&mut self) {
         let action = &mut *self.action;
-        // A cycle passes exactly through its points, and all points of a spline are known exactly.
+        // A cycle passes exactly through its points, and the curve of a spline is given exactly.
         let exact =
             matches!(action.motion, MotionCommand::Cycle(_) | MotionCommand::Spline(_) | MotionCommand::Nurbs(_));
         action.digit = if exact { 0.0 } else { last_digit(action.modal.units, self.line.places) };
@@ -246,7 +246,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Sets the effects of a line besides its motion.
+    /// Sets those effects of a line that are no motion.
     fn finish(self) {
         let action = self.action;
         action.flow = match self.line.flow {

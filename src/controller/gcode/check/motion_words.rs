@@ -26,7 +26,7 @@ impl<const N: usize> Draft<'_, N> {
             self.leaves_control_points(mode)?;
         }
         if mode == MotionMode::Cancelled {
-            // In Grbl, axis words are an error here even if another command uses them.
+            // In Grbl, axis words after G80 are an error even if another command of the line uses them.
             let used = self.dialect != Dialect::Grbl && self.claim != Claim::Motion;
             return if self.line.axes.is_empty() || used { Ok(()) } else { Err(Error::AxisWordsUnused) };
         }
@@ -127,7 +127,7 @@ impl<const N: usize> Draft<'_, N> {
         let turns = self.turns()?;
         let feed = self.feed_of_motion();
         let (i, j) = (Coordinate(centre.first), Coordinate(centre.second));
-        // An arc of radius 0 is only the straight move of the other axes.
+        // Of an arc with radius 0 only the straight move of the other axes remains.
         self.action.motion = if arc::is_point(centre) {
             MotionCommand::Line { via: None, target, feed: self.feed_to(&target) }
         } else {
@@ -142,7 +142,8 @@ impl<const N: usize> Draft<'_, N> {
         let (first, second) = (centre_letter(axes.first), centre_letter(axes.second));
         let (has_first, has_second) = (self.line.values.has(first), self.line.values.has(second));
         let absolute = self.dialect != Dialect::Grbl && self.action.modal.arc_distance == ArcDistance::Absolute;
-        // As distances, I, J and K default to 0; as coordinates they have no default.
+        // If I, J and K are distances, one of the two needed words can be missing and is 0. If they are coordinates,
+        // both are required.
         if !(has_first || has_second) || absolute && !(has_first && has_second) {
             return Err(Error::NoPlaneOffsets);
         }
@@ -166,8 +167,8 @@ impl<const N: usize> Draft<'_, N> {
         Vector::new(centre_along(axes.first), centre_along(axes.second)).checked()
     }
 
-    /// Returns the value of the last digit in the words of an arc, and at most 0.01 mm or 0.001 inch, because programs
-    /// often omit trailing zeros.
+    /// Returns the value of the last digit in the words of an arc. It is limited to 0.01 mm or 0.001 inch, because
+    /// programs often omit trailing zeros.
     #[inline(never)]
     fn digit_of_arc(&self, axes: PlaneAxes) -> Coordinate {
         let line = self.line;
@@ -182,8 +183,8 @@ impl<const N: usize> Draft<'_, N> {
         self.length(Decimal(digit))
     }
 
-    /// Reads P of an arc: the number of turns, of which the last ends at the target. Returns the full turns before the
-    /// arc.
+    /// Reads P of an arc: the number of turns, including the last one, which ends at the target. Returns the number of
+    /// full turns without the last one.
     fn turns(&mut self) -> Result<u32, Error> {
         if self.dialect == Dialect::Grbl || !self.unused.has(b'P') {
             return Ok(0);

@@ -47,7 +47,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// G92.1, G92.2 and G92.3. A motion on the same line uses the resulting offset, as in RS274NGC.
+    /// G92.1, G92.2 and G92.3. A motion on the same line already uses the new offset, as in RS274NGC.
     pub(super) fn offset_acts(&mut self) {
         match self.line.non_modal {
             Some(word @ (NonModal::ClearOffset | NonModal::SuspendOffset)) => {
@@ -79,7 +79,7 @@ impl<const N: usize> Draft<'_, N> {
         }
         // Grbl checks P first, so a wrong system is reported before an unknown L.
         if self.dialect != Dialect::Grbl {
-            // P belongs to another word of the line.
+            // In this case another word of the line has used P.
             if line.values.has(b'P') && !self.unused.has(b'P') {
                 return Err(Error::ValueWordMissing);
             }
@@ -158,12 +158,12 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// G28, G30: move the named axes to the stored position, by way of the given point; without axis words all axes,
-    /// directly.
+    /// G28, G30: moves the named axes to the stored position by way of the given point. Without axis words it moves all
+    /// axes, and directly.
     fn go_to_stored(&mut self, which: StoredOffset) -> Result<(), Error> {
         let stored = self.state.offsets.stored(which);
         let (via, target) = if self.line.axes.is_empty() {
-            // Axes that the machine had when the position was stored, and has no more, do not move.
+            // An axis that the machine had when the position was stored, but does not have now, does not move.
             let has = |axis: Axis| N <= LINEAR || axis.index() < self.state.axes();
             let of = |axis| if has(axis) { along(&stored, axis) } else { self.position(axis) };
             (None, PerAxis::from_axis(of))

@@ -1,5 +1,6 @@
 //! Outputs and inputs of programs: M62 to M65 switch an output, M66 waits for an input or reads one, M67 and M68 set an
-//! analog output. P or E is the number of the pin; whether the board has it is checked when the line is carried out.
+//! analog output. P or E is the number of the pin. Whether the board has this pin is checked when the line is carried
+//! out.
 
 use super::draft::Draft;
 use crate::error::Error;
@@ -10,7 +11,7 @@ use crate::image::FULL_IMAGE;
 use crate::units::{Decimal, Duration};
 
 impl<const N: usize> Draft<'_, N> {
-    /// M62 to M68. The same P may also belong to a dwell or an arc on the line, as in LinuxCNC.
+    /// M62 to M68. A dwell or an arc on the same line can use the same P, as in LinuxCNC.
     pub(super) fn pins(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.extended.pins.filter(|_| FULL_IMAGE) else { return Ok(()) };
         let (has_p, has_e) = (self.line.values.has(b'P'), self.line.values.has(b'E'));
@@ -57,7 +58,7 @@ impl<const N: usize> Draft<'_, N> {
         if !self.line.values.has(letter) {
             return Err(Error::ValueWordMissing);
         }
-        // P may be negative if it also belongs to a spline.
+        // P can be negative here if a spline on the line also uses it.
         if value < Decimal::ZERO {
             return Err(Error::NegativeValue);
         }

@@ -19,7 +19,7 @@ impl<const N: usize> Draft<'_, N> {
     pub(super) fn scaling(&mut self) -> Result<(), Error> {
         match self.line.extended.scaling {
             Some(true) => {
-                // Under a rotation these are the program's axes.
+                // With a rotation, factors and centre are along the program's axes, not the machine's.
                 let scaling = self.new_scaling()?;
                 let acts = [Axis::X, Axis::Y, Axis::Z].into_iter().any(|axis| scaling.scales(axis));
                 self.action.rotated.scaled.scaling = Some(acts.then_some(scaling));
@@ -34,8 +34,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// G51: P is the factor of X, Y and Z; or I, J and K are one factor each, where I and J may be negative to mirror.
-    /// The centre is the present position for an axis without a word. The distance mode has no effect.
+    /// G51: P is the factor of X, Y and Z; or I, J and K are one factor each, and a negative I or J mirrors. The centre
+    /// is the present position for an axis without a word. The distance mode has no effect.
     fn new_scaling(&mut self) -> Result<Scaling, Error> {
         let named = self.line.axes;
         if Axis::of_machine::<N>().skip(3).any(|axis| named.has(axis)) {
@@ -55,7 +55,7 @@ impl<const N: usize> Draft<'_, N> {
         if factors.contains(&Decimal::ZERO) || z < Decimal::ZERO {
             return Err(Error::ValueOutOfRange);
         }
-        // Large controls give factors in thousandths.
+        // A factor this large is most likely in thousandths, as industrial controls have it.
         if factors.iter().any(|factor| factor.0.unsigned_abs() > FACTOR_MAX.0.unsigned_abs()) {
             return Err(Error::ThousandfoldScaling);
         }
@@ -64,8 +64,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(Scaling::new(factors, centre))
     }
 
-    /// Returns the scaling that acts. Incremental jogs are not scaled: they move along the machine's axes, as the jog
-    /// buttons show.
+    /// Returns the scaling that acts on the line. Incremental jogs are not scaled, because they move along the
+    /// machine's axes, as the jog buttons show.
     fn scaling_of(&self, incremental: bool) -> Option<&Scaling> {
         self.scaled.filter(|_| FULL_IMAGE && !(incremental && self.purpose == Purpose::Jog))
     }
@@ -88,10 +88,10 @@ impl<const N: usize> Draft<'_, N> {
         self.scaled_word(axis, value, incremental).0
     }
 
-    /// Keeps the remainders from rounding a target.
+    /// Stores the remainders that are left from rounding a scaled target.
     #[inline(never)]
     pub(super) fn keep_rest(&mut self, incremental: bool) {
-        // A jog changes the position only.
+        // A jog changes nothing but the position.
         if self.scaling_of(incremental).is_none() || self.purpose == Purpose::Jog {
             return;
         }
@@ -129,12 +129,13 @@ impl<const N: usize> Draft<'_, N> {
         Ok(first != second)
     }
 
-    /// Converts a scaled vector in the plane of an arc back to the program's scale. Lengths are right, but a mirrored
-    /// vector may differ in direction.
+    /// Converts a scaled vector in the plane of an arc back to the program's scale. The length is right, but the
+    /// direction of a mirrored vector can be wrong.
     #[inline(never)]
     pub(super) fn written_vector(&self, axes: PlaneAxes, vector: Vector) -> Vector {
         let Some(scaling) = self.scaling_of(false) else { return vector };
-        // Both axes have the same factor; if the arc is mirrored, its negative.
+        // The factor of the second axis is the same or, if the arc is mirrored, its negative; for the length the sign
+        // does not matter.
         let written = |way| scaling.written_way(axes.first, way);
         Vector { first: written(vector.first), second: written(vector.second) }
     }

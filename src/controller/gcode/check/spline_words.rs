@@ -42,7 +42,7 @@ impl<const N: usize> Draft<'_, N> {
             (SplineKind::Quadratic, None) => return Err(Error::ValueWordMissing),
             (SplineKind::Quadratic, Some(middle)) => {
                 let chord = difference(in_xy(&target), in_xy(&start));
-                // The same curve with two control points.
+                // A quadratic curve is a cubic curve whose vectors to the control points are two thirds as long.
                 (middle.map(two_thirds), difference(middle, chord).map(two_thirds))
             }
             (SplineKind::Cubic | SplineKind::Nurbs, _) => {

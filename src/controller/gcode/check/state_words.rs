@@ -25,7 +25,8 @@ impl<const N: usize> Draft<'_, N> {
             48 | 49 => *held = OverridesHeld { feed: !on, spindle: !on },
             50 => held.feed = !on,
             51 => held.spindle = !on,
-            // There is no input for an adaptive feed, and the hold button always acts.
+            // M52 P1 is refused because there is no input for an adaptive feed, M53 P0 because the hold button always
+            // acts.
             _ if on == (word == 52) => return Err(Error::NotSupported),
             _ => {}
         }
@@ -57,7 +58,7 @@ impl<const N: usize> Draft<'_, N> {
                 } else if let Some(measured) = self.state.measured_offset(self.state.spindle_tool) {
                     action.tool_length.set(TOOL_AXIS, measured.get(TOOL_AXIS).unwrap_or_default());
                 }
-                // The value of G92 is not restored. Whether it acts is restored, as by G92.2 or G92.3.
+                // M72 does not restore the value of G92, but it restores whether G92 acts, as G92.2 or G92.3 would.
                 if action.after.g92_acts != saved.g92_acts {
                     self.let_offset_act(saved.g92_acts);
                 }

@@ -31,7 +31,7 @@ impl<const N: usize> Draft<'_, N> {
         if self.line.extended.tool_change {
             self.action.tool_change = modal.tool != self.state.spindle_tool;
             self.action.after.spindle_tool = modal.tool;
-            // G28.1 and G30.1 store the present position, which a tool change leaves.
+            // G28.1 and G30.1 store the present position, and a tool change moves away from it.
             let stores = matches!(self.line.non_modal, Some(NonModal::StorePosition(_)));
             self.action.after.tool_alone = self.claim == Claim::Nobody && self.line.tool_length.is_none() && !stores;
         }
@@ -81,13 +81,13 @@ impl<const N: usize> Draft<'_, N> {
         self.allow_offset(&offset)
     }
 
-    /// Returns the offset of tool H; without H or with H0, of the tool in the spindle.
+    /// Returns the offset of tool H. Without H or with H0, returns the offset of the tool in the spindle.
     fn tool_of_h(&mut self) -> Result<PerAxis<Coordinate, N>, Error> {
         let number = if self.take(b'H') { whole(self.line.value(b'H'))?.unsigned_abs() } else { 0 };
         let number = if number == 0 { self.action.after.spindle_tool } else { number };
         let measured = self.state.measured_offset(number);
         let known = measured.or_else(|| self.state.tools.offset(number));
-        // If no tool length is known from any source, the table is not in use: G43 has length 0.
+        // If no length of any tool is known, the table is not in use, and G43 has length 0.
         if known.is_none() && self.state.knows_no_length() {
             self.action.after.notice = Some(Notice::NoTools);
             return Ok(PerAxis::all(Coordinate::ZERO));
@@ -107,7 +107,7 @@ impl<const N: usize> Draft<'_, N> {
         }
         let known = self.state.tools.offset(number);
         let has_room = self.state.tools.slot(entry_number(number, self.state.is_checking())).is_some();
-        // Radius, angles and orientation: LinuxCNC's table has them, this one does not.
+        // I, J, Q and R give angles, orientation and radius. LinuxCNC's table has them, this one does not.
         let unkept = Letters::of(b"IJQR");
         let describes = l == 1 && self.unused.has_any(unkept);
         if l == 1 {
@@ -122,8 +122,8 @@ impl<const N: usize> Draft<'_, N> {
             return Ok(());
         }
         let offsets = &self.state.offsets;
-        // The machine position that is zero for the tool's tip: with L10, the active system with its G92; with L11, the
-        // ninth system, which holds a fixture.
+        // The machine position at which the tip of the tool has the coordinate 0. L10 refers to the active system with
+        // its G92, L11 to the ninth system, which belongs to a fixture.
         let origin = if l == 11 {
             offsets.system(CoordinateSystem::G59_3)
         } else {

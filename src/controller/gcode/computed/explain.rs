@@ -1,5 +1,6 @@
 //! Explains what is wrong with a refused O word, and which parameter of an expression has not been set: the part of
-//! [`refusal`](crate::gcode::refusal) that needs the held text and the parameters.
+//! [`refusal`](crate::gcode::refusal) that needs the parameters and the recorded lines of subroutines, loops and
+//! macros.
 
 use super::expression::{self, ParameterReference};
 use super::flow::{FlowState, KEYWORDS, Keyword, OWord, digits};

@@ -6,8 +6,8 @@
 //!  levels    ** first, then * / MOD, then + -, then EQ NE GT GE LT LE, then AND OR XOR; each from left to right
 //! ```
 //! Operators, brackets and functions that wait for a value are kept in a list of bounded length, not on the processor's
-//! stack, and every byte is read once: work and memory are bounded by the line. True is 1, false is 0; every value
-//! except 0 is true.
+//! stack, and every byte is read once. So time and memory are bounded. True is 1, false is 0; every value except 0 is
+//! true.
 
 use super::real::Real;
 use crate::error::Error;
@@ -78,7 +78,7 @@ enum Binary {
     Xor,
 }
 
-/// The operators in an order in which a text stands after every text that begins with it.
+/// The operators. Of two operators that begin alike, the longer one comes first: `**` before `*`.
 const BINARIES: [(&[u8], Binary); 15] = [
     (b"**", Binary::Power),
     (b"*", Binary::Times),
@@ -131,7 +131,7 @@ impl Binary {
     }
 }
 
-/// Operation that waits for a value.
+/// Operation whose value or right operand has not been read yet.
 #[derive(Clone, Copy, Debug)]
 enum Waiting {
     Negation,
@@ -144,7 +144,8 @@ enum Waiting {
     Operator(Binary, Real),
 }
 
-/// Whether a text begins with an expression, as opposed to a plain number or no value.
+/// Whether a text begins with an expression; `false` for a plain number, and for a text that does not begin with a
+/// value.
 pub(super) fn begins(text: &[u8]) -> bool {
     let signs = text.iter().take_while(|byte| matches!(byte, b'-' | b'+')).count();
     let text = text.get(signs..).unwrap_or(&[]);
@@ -194,7 +195,8 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         self.waiting.push(waiting).map_err(|_| Error::TooDeep)
     }
 
-    /// Reads everything in front of an operand into the waiting list, and returns the value of the operand.
+    /// Adds everything in front of an operand (signs, brackets, functions) to the waiting list. Returns the value of
+    /// the operand.
     fn operand(&mut self) -> Result<Real, Error> {
         loop {
             if let Some((value, used)) = Real::read(self.rest) {
@@ -229,8 +231,8 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         }
     }
 
-    /// Reads the rest after `EXISTS[#`. Returns 1 if the name is set, or if the number is that of a possible parameter;
-    /// otherwise 0.
+    /// Reads the text after `EXISTS[#`, up to the bracket. Returns 1 if the name is set, or if a parameter with the
+    /// number can exist; otherwise 0.
     fn exists(&mut self) -> Result<Real, Error> {
         let found = if self.takes(b"<") {
             let (name, rest) = name(self.rest)?;
@@ -273,8 +275,8 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         Ok((self.lookup)(ParameterReference::Number(number))?.unwrap_or(Real::ZERO))
     }
 
-    /// Closes a bracket: computes the operators within it, then the function before it. Returns `None` if the second
-    /// bracket of an arc tangent follows.
+    /// Closes a bracket: computes the operators within it, then the function before it. Returns `None` if this was the
+    /// first bracket of an arc tangent, so that the second one follows.
     fn close(&mut self, value: Real) -> Result<Option<Real>, Error> {
         let value = self.left_sides(value, 0)?;
         match self.waiting.pop() {
@@ -291,7 +293,7 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         }
     }
 
-    /// Reads the operator after a value. Waiting operators of its level or a higher one are computed first.
+    /// Reads the operator after a value. Waiting operators of the same level or a higher one are computed first.
     fn operator(&mut self, value: Real) -> Result<(), Error> {
         let known = BINARIES.iter().find(|(name, _)| self.rest.starts_with(name));
         let (name, operator) = match (known, self.rest.first()) {
@@ -304,7 +306,8 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         self.wait(Waiting::Operator(*operator, left))
     }
 
-    /// Computes the waiting operators down to a level.
+    /// Computes the waiting operators whose level is `level` or higher, with `value` as right operand. Returns the
+    /// result.
     fn left_sides(&mut self, value: Real, level: u8) -> Result<Real, Error> {
         let mut value = value;
         while let Some(Waiting::Operator(operator, left)) = self.waiting.last().copied() {

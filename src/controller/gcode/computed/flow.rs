@@ -1,5 +1,5 @@
-//! `FlowControl`, the state of O words: the held text of subroutines and loops, a frame for each open block or call,
-//! and whether the program's lines are streamed, recorded, run or skipped.
+//! `FlowControl`, the state of O words: the recorded lines of subroutines, loops and macros (the held text), a frame
+//! for each open block or call, and whether the program's lines are streamed, recorded, run or skipped.
 //!
 //! ```text
 //!            sub, while, do, repeat               endsub: kept; endwhile, while, endrepeat: run at once
@@ -7,27 +7,27 @@
 //!      ▲  └── call ──────────────────────────────────────────────────────────────▶ Running ◀──┘
 //!      └─────────────────────────────── the end of the text, M2, an error ────────────┘
 //! ```
-//! A condition needs no memory: the lines of its false branches are skipped. Subroutines and loops are held as text of
-//! bounded size, because a serial link sends each line only once. A subroutine or loop that does not fit is refused up
-//! to its end, so that none of its lines is executed as a line of the program. Held text is returned line by line,
-//! without recursion.
+//! A condition is not recorded, because the lines of its false branches are only skipped. Subroutines and loops are
+//! held as text of bounded size, because a serial link sends each line only once. A subroutine or loop that does not
+//! fit is refused up to its end, so that none of its lines is executed as a line of the program. Held text is returned
+//! line by line, without recursion.
 
 use crate::error::Error;
 use crate::gcode::m_words::has_m_word;
 use crate::gcode::remark::split_remark;
 use crate::lent::Lent;
 
-/// Bytes of held text, of which each line takes one more than its length: enough for a probing macro of 150 lines and
-/// the loop that calls it.
+/// Capacity of the held text, in bytes. A line takes one byte more than its length. This is enough for a probing
+/// subroutine of 150 lines and the loop that calls it.
 const TEXT: usize = 6144;
-/// Bytes of held text that macros may take; the rest is for programs.
+/// Maximum number of bytes of the held text that macros may take; the rest is for programs.
 pub(super) const MOST_MACROS: usize = 3072;
-/// Bytes of held text that only the first line of a subroutine or loop may take, so that its label is held and its end
-/// is recognized even if the rest does not fit.
+/// Bytes of held text that are reserved for the first line of a subroutine or loop. So its label is recorded and its
+/// end is recognized, even if the other lines do not fit.
 pub(super) const SPARE: usize = 64;
-/// Maximum nesting of conditions, loops and calls: a call within two conditions, sixteen times.
+/// Maximum nesting of conditions, loops and calls: enough for 16 nested calls, each within two conditions.
 const DEPTH: usize = 48;
-/// Total length of the labels of all frames, in bytes.
+/// Maximum total length of the labels of all frames, in bytes.
 pub(super) const LABELS: usize = 384;
 /// Maximum number of arguments of a call.
 pub(super) const ARGUMENTS: usize = 30;
@@ -36,7 +36,7 @@ pub(super) const PASSES: u32 = 100_000;
 /// Return position of a call from the stream.
 pub(super) const STREAM: u16 = u16::MAX;
 
-/// A line of held text: words, and the message.
+/// A line of held text: its words, and its message.
 pub type HeldLine = heapless::Vec<u8, 256>;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,7 +60,7 @@ pub(super) enum Keyword {
     Unknown,
 }
 
-/// The keywords in an order in which a word stands after every word that begins with it.
+/// The keywords. Of two keywords that begin alike, the longer one comes first: `ELSEIF` before `ELSE`.
 pub(super) const KEYWORDS: [(&[u8], Keyword); 15] = [
     (b"SUB", Keyword::Sub),
     (b"ENDSUB", Keyword::EndSub),
@@ -97,7 +97,7 @@ impl<'a> OWord<'a> {
             None => line,
         };
         let mut text = line.strip_prefix(b"O")?;
-        // O0100 is O100.
+        // Leading zeros do not count: O0100 is O100.
         while let [b'0', b'0'..=b'9', ..] = text {
             text = text.get(1..)?;
         }
@@ -202,16 +202,17 @@ pub(super) struct Frame {
     pub(super) at: u16,
     /// The loop ends with this pass.
     pub(super) leaving: bool,
-    /// Number of the host's line at which it began.
+    /// The host's line at which it began, counted from the first received line.
     begun: u32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum FlowState {
     Streaming,
-    /// Lines are held; their text begins at this position. With an error they are refused.
+    /// Lines are recorded; their text begins at this position. With an error, they are refused instead.
     Recording(u16, Option<Error>),
-    /// Held text runs. If it is a loop of the stream, which begins at this position, its text is dropped at the end.
+    /// Held text runs. A position means that it is a loop from the stream: its text begins there and is dropped at its
+    /// end.
     Running(Option<u16>),
 }
 
@@ -232,17 +233,17 @@ pub(super) struct FlowControl {
     pub(super) skipping: bool,
     /// Position of the next line to run.
     pub(super) next: u16,
-    /// Number of frames that belong to the stream; the frames above belong to the running text.
+    /// Number of frames that belong to the stream. The frames after them belong to the running text.
     pub(super) below: u8,
     passes: u32,
     pub(super) skipped: u32,
-    /// Number of the present line of the host.
+    /// The present line of the host, counted from the first received line.
     pub(super) line: u32,
-    /// Number of the host's line at which the recorded text began.
+    /// The host's line at which the recorded text began.
     pub(super) recorded_from: u32,
     /// The last line was an M2 or M30 that was skipped or recorded.
     pub(super) after_end: bool,
-    /// Host's line at which a block began that was still open at the end of the program.
+    /// The host's line at which a block began that was still open at the end of the program.
     pub(super) cut: Option<u32>,
 }
 
@@ -266,8 +267,8 @@ impl FlowControl {
         }
     }
 
-    /// Forgets everything except the macros. Field by field, because a new value would be copied here with all its
-    /// text.
+    /// Forgets everything except the macros. The fields are reset one at a time, because a new value would be copied
+    /// here with all its frames and labels.
     pub fn reset(&mut self) {
         self.text.truncate(usize::from(self.macros));
         self.frames.clear();
@@ -284,7 +285,7 @@ impl FlowControl {
         self.cut = None;
     }
 
-    /// Ends the program: forgets everything except the line at which a still open block began (`cut`).
+    /// Ends the program: resets the state, but notes in `cut` at which line a still open block began.
     pub fn end_program(&mut self) {
         let cut = self.open_since();
         self.reset();
@@ -324,8 +325,8 @@ impl FlowControl {
         self.text.extend_from_slice(remark).map_err(|_| Error::OutOfMemory)
     }
 
-    /// Finds a subroutine of the program, or else one of the macros that is complete there. Returns the positions of
-    /// its first and second line.
+    /// Finds a subroutine of the program or, if it has none with this label, a complete subroutine among the macros.
+    /// Returns the positions of its first and second line.
     pub(super) fn find(&self, label: &[u8]) -> Option<(u16, u16)> {
         self.find_own(label).or_else(|| {
             let (at, behind) = self.find_sub(0, label)?;
@@ -349,7 +350,8 @@ impl FlowControl {
         self.find_from(from, is_end).map(|(_, behind)| behind)
     }
 
-    /// Finds the next line whose O word satisfies `is_it`. Returns the positions of this line and of the next one.
+    /// Finds the first line from a position on whose O word satisfies `is_it`. Returns the positions of this line and
+    /// of the line after it.
     fn find_from(&self, from: u16, is_it: impl Fn(&OWord) -> bool) -> Option<(u16, u16)> {
         let mut at = from;
         while let Some(line) = self.line(at) {
@@ -372,8 +374,8 @@ impl FlowControl {
         }
     }
 
-    /// Drops a refused subroutine, whose text begins at `from`, and an older one of the same label. The label is kept
-    /// with an erroneous end, so that a call neither runs the older subroutine nor a macro.
+    /// Drops a refused subroutine, whose text begins at `from`, and an older one with the same label. The label is kept
+    /// with an erroneous `endsub`, so that a call of it is an error and does not run a macro with the same label.
     pub(super) fn refuse_sub(&mut self, from: u16, label: &[u8], end: &[u8]) {
         let opening = 1 + self.line(from).map_or(0, <[u8]>::len);
         self.text.truncate(usize::from(from) + opening);
@@ -428,7 +430,7 @@ impl FlowControl {
         self.passes = 0;
     }
 
-    /// Stops the running text, at its end or before.
+    /// Stops the running text, whether or not it has reached its end.
     pub fn stop(&mut self) {
         if let FlowState::Running(of_loop) = self.state {
             if let Some(at) = of_loop {

@@ -1,6 +1,5 @@
-//! Values from outside the program: numbered and named parameters that give positions, offsets, tool and modal state
-//! (#5061, #5400, #<_metric>). Also assigns parameters, and inserts values into `(DEBUG, ...)` and `(PRINT, ...)`
-//! messages.
+//! Numbered and named parameters that show the machine's state: positions, offsets, tool and modal state (#5061, #5400,
+//! #<_metric>). This file also assigns parameters, and inserts values into `(DEBUG, ...)` and `(PRINT, ...)` messages.
 
 use super::expression::{self, ParameterReference};
 use super::parameters;
@@ -72,7 +71,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Computes the value of a word. Returns the text after it, too.
+    /// Computes the value of a word. Also returns the text after the value.
     #[inline(never)]
     pub(in crate::gcode) fn compute<'t>(&self, letter: u8, text: &'t [u8]) -> Result<(Word, &'t [u8]), Error> {
         if !expression::begins(text) {
@@ -84,8 +83,8 @@ impl<const N: usize> Interpreter<N> {
         Ok((Word { letter, value, places }, rest))
     }
 
-    /// Assigns a parameter; takes effect when the line is committed. `text` is the text after `#`; returns the text
-    /// after the value.
+    /// Assigns a parameter. The assignment takes effect when the line is committed. `text` is the text after `#`.
+    /// Returns the text after the value.
     #[inline(never)]
     pub(in crate::gcode) fn assign<'t>(&mut self, text: &'t [u8]) -> Result<&'t [u8], Error> {
         let (target, rest) = match text.strip_prefix(b"<") {
@@ -107,7 +106,7 @@ impl<const N: usize> Interpreter<N> {
         Ok(rest)
     }
 
-    // Not inlined: the code is long and should be in the image once.
+    // Not inlined, so that the image contains this long code once.
     #[inline(never)]
     pub(super) fn value<'t>(&self, text: &'t [u8]) -> Result<(Real, &'t [u8]), Error> {
         let (value, used) = expression::value(text, |reference| self.parameter(reference))?;
@@ -122,7 +121,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Returns the value of a parameter that shows the machine's state; `None` for all others.
+    /// Returns the value of a parameter that shows the machine's state; `None` for all other parameters.
     fn of_machine(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
         match reference {
             ParameterReference::Number(number) => Ok(self.numbered(number)),
@@ -131,8 +130,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Returns a numbered parameter of the machine, from #5061. Stored positions are in millimetres, as LinuxCNC has
-    /// them in the machine's unit; the present and the probed position are in the program's unit.
+    /// Returns a numbered parameter of the machine, from #5061. Stored positions are in millimetres, the machine's
+    /// unit, as in LinuxCNC. The present and the probed position are in the program's unit.
     fn numbered(&self, number: i64) -> Option<Real> {
         let in_mm = |place: &PerAxis<Coordinate, N>, index: i64| self.length(place, index).map(Real::from_coordinate);
         Some(match number {
@@ -183,7 +182,7 @@ impl<const N: usize> Interpreter<N> {
             b"RETRACT_OLD_Z" => truth(!modal.retract_to_r),
             b"FEED_OVERRIDE" => truth(!modal.overrides_held.feed),
             b"SPEED_OVERRIDE" => truth(!modal.overrides_held.spindle),
-            // These are constant here. In LinuxCNC's preview the first one is 0.
+            // These values never change. (In LinuxCNC `#<_task>` is 0 in the preview.)
             b"TASK" | b"METRIC_MACHINE" | b"SPINDLE_RPM_MODE" | b"LATHE_RADIUS_MODE" | b"FEED_HOLD" => truth(true),
             b"UNITS_PER_REV" | b"SPINDLE_CSS_MODE" | b"LATHE_DIAMETER_MODE" | b"ADAPTIVE_FEED" => truth(false),
             b"FEED" => Ok(Some(self.feed())),
@@ -225,7 +224,7 @@ impl<const N: usize> Interpreter<N> {
         if is_length && self.modal.units == Units::Inch { inches(value) } else { value }
     }
 
-    /// Returns a coordinate of an axis that the machine has.
+    /// Returns a coordinate; `None` if the machine lacks the axis.
     fn length(&self, place: &PerAxis<Coordinate, N>, index: i64) -> Option<Coordinate> {
         let index = usize::try_from(index).ok().filter(|index| *index < self.axes())?;
         place.0.get(index).copied()
@@ -243,8 +242,8 @@ fn format(text: &[u8]) -> Option<(u32, &[u8])> {
     }
 }
 
-/// Writes a value with `places` decimals, at most seven, rounded half away from zero; `######` if it does not exist or
-/// is too large.
+/// Writes a value with `places` decimals, at most seven, rounded half away from zero; `######` if there is no value or
+/// it is too large.
 fn write<const LENGTH: usize>(value: Option<Real>, places: u32, out: &mut heapless::Vec<u8, LENGTH>) {
     use core::fmt::Write;
     let Some(Decimal(value)) = value.filter(|value| value.fits_decimal()).map(Real::to_decimal) else {
@@ -281,7 +280,7 @@ fn tenfold(word: &str) -> Option<Real> {
 }
 
 /// Rounds to the nearest hundredth if the difference is at most 0.0001, as LinuxCNC does with computed numbers that
-/// select something. Values below 0.5 are not rounded: P may be a short time or a small tolerance.
+/// select something. Values below 0.5 are not rounded, because P can be a short time or a small tolerance.
 fn to_hundredths(value: Decimal) -> Decimal {
     const HUNDREDTH: i64 = DECIMAL_ONE / 100;
     const NEAR: i64 = DECIMAL_ONE / 10_000;

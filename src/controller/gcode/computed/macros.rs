@@ -1,8 +1,8 @@
-//! Macros (`$Mn=line`): numbered lines that survive programs, resets and power cycles. They may define subroutines,
+//! Macros (`$Mn=line`): numbered lines that survive programs, resets and power cycles. They can define subroutines,
 //! which a program can call.
 //!
-//! Macros are the first lines of the held text, which the end of a program keeps. A number without a line below the
-//! last used one holds an empty line.
+//! Macros are the first lines of the held text (see `flow`), and the end of a program keeps them. Numbers without a
+//! line have an empty line if a higher number is in use.
 
 use super::flow::{FlowControl, FlowState, MOST_MACROS};
 use crate::error::Error;
@@ -12,7 +12,8 @@ use crate::gcode::state::Interpreter;
 pub(super) const LINES: usize = 64;
 
 impl FlowControl {
-    /// Returns the macro line of this number, which is empty if only later lines exist; `None` after the last line.
+    /// Returns the macro line with this number. The line is empty if only higher numbers are in use; after the last
+    /// used number the result is `None`.
     fn macro_line(&self, index: usize) -> Option<&[u8]> {
         let mut at = 0;
         for _ in 0..index {
@@ -29,8 +30,9 @@ impl FlowControl {
         Some(at + 1 + self.line(at)?.len() as u16)
     }
 
-    /// Replaces the macro line of this number, and adds empty lines before it if they are missing. The text after it,
-    /// with the subroutines of a program, is moved, so nothing may be running or being recorded.
+    /// Replaces the macro line with this number, and adds missing lines before it as empty lines. This moves all text
+    /// after the line, including the subroutines of a program, so it is refused while a subroutine, loop or condition
+    /// is open.
     fn set_macro_line(&mut self, index: usize, line: &[u8]) -> Result<(), Error> {
         if index >= LINES {
             return Err(Error::InvalidStatement);
@@ -80,7 +82,7 @@ impl FlowControl {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// Returns the macro line of this number, 0 to 63; `None` after the last line.
+    /// Returns the macro line with this number, 0 to 63; `None` after the last used number.
     pub fn macro_line(&self, index: usize) -> Option<&[u8]> {
         self.computed.flow.macro_line(index)
     }

@@ -1,6 +1,6 @@
-//! Expressions, parameters and O words of a program. [`Computed`] holds the state of all three. The interpreter
-//! prepares it before each line, commits it with the line, and resets parts of it at the end of a program. A build
-//! without the feature `full` has `none.rs` instead.
+//! Expressions, parameters and O words of a program. [`Computed`] holds their state. The interpreter prepares this
+//! state before each line, commits it with the line, and resets parts of it at the end of a program. A build without
+//! the feature `full` has `none.rs` instead.
 
 #[cfg(feature = "reasons")]
 mod explain;
@@ -30,7 +30,7 @@ pub(super) struct ComputedMemory {
     text: Lent<HeldText>,
 }
 
-/// Owner of that memory on a board.
+/// Owner, on a board, of the memory that is lent to [`Computed`].
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
 pub(super) struct ComputedStorage {
@@ -54,7 +54,7 @@ impl ComputedMemory {
     }
 }
 
-/// State for expressions, parameters and O words, in addition to the rest of the interpreter's state.
+/// The part of the interpreter's state that expressions, parameters and O words need.
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[derive(Debug, PartialEq)]
 pub(super) struct Computed<const N: usize> {
@@ -62,7 +62,7 @@ pub(super) struct Computed<const N: usize> {
     flow: FlowControl,
     /// Value that the last subroutine has returned.
     returned: Option<Real>,
-    /// Work position of the contact of the last probing move, in the work coordinates at that time.
+    /// Result of the last probing move, in the work coordinates of that time.
     probed: PerAxis<Coordinate, N>,
     probe_succeeded: bool,
     /// Last input read by M66: 1 (active), 0 (inactive), or -1 (timeout).
@@ -107,7 +107,7 @@ impl<const N: usize> Computed<N> {
         self.parameters.has_staged()
     }
 
-    /// Applies the assignments of the line.
+    /// Applies the assignments of the checked line.
     pub fn commit(&mut self) {
         self.parameters.commit();
     }

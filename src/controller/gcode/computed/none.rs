@@ -76,7 +76,7 @@ fn behind_digits(text: &[u8]) -> &[u8] {
     text.get(digits..).unwrap_or_default()
 }
 
-/// A line of held text; there is no held text.
+/// A line of a subroutine, loop or macro, of which this build has none.
 pub type HeldLine = heapless::Vec<u8, 1>;
 
 impl<const N: usize> Interpreter<N> {
@@ -85,15 +85,15 @@ impl<const N: usize> Interpreter<N> {
         if is_o_word(line) { Err(Error::ExpressionsLeftOut) } else { Ok(Direction::Check) }
     }
 
-    /// There are no subroutines.
+    /// Returns `false`: there are no subroutines to call.
     pub fn begin_call(&mut self, _: &[u8]) -> Result<bool, Error> {
         Ok(false)
     }
 
-    /// No lines are recorded.
+    /// Does nothing: no lines are recorded.
     pub fn line_refused(&mut self, _: Error) {}
 
-    /// There are no blocks.
+    /// Returns `None`: there are no blocks.
     pub fn open_since(&self) -> Option<u32> {
         None
     }
@@ -109,25 +109,25 @@ impl<const N: usize> Interpreter<N> {
         0
     }
 
-    /// There is no held text.
+    /// Returns the end: there are no recorded lines.
     pub fn next_held(&mut self, _: &mut HeldLine) -> Result<Held, Error> {
         Ok(Held::End)
     }
 
-    /// There is no held text.
+    /// Does nothing: there are no recorded lines.
     pub fn abandon_held(&mut self) {}
 
-    /// There are no blocks.
+    /// Returns `false`: there are no blocks.
     pub fn is_within_block(&self) -> bool {
         false
     }
 
-    /// There are no macros.
+    /// Returns `None`: there are no macros.
     pub fn macro_line(&self, _: usize) -> Option<&[u8]> {
         None
     }
 
-    /// There is no room for macros.
+    /// Always an error: there is no room for macros.
     ///
     /// # Errors
     /// [`Error::ExpressionsLeftOut`]
@@ -135,10 +135,10 @@ impl<const N: usize> Interpreter<N> {
         Err(Error::ExpressionsLeftOut)
     }
 
-    /// There are no macros.
+    /// Does nothing: there are no macros.
     pub fn clear_macros(&mut self) {}
 
-    /// Abandons the program: ends G68 and G51, which no other program expects. There are no open blocks.
+    /// Abandons the program: ends G68 and G51, because no other program expects them. There are no open blocks.
     pub fn abandon_program(&mut self) {
         self.rotation = None;
         self.scaling = None;

@@ -1,6 +1,6 @@
-//! O words: decides for each line of the host whether it is run, recorded or skipped, and which held line runs next.
-//! Conditions, loops, subroutines and their calls are handled here; the open blocks are stored in `flow`. A malformed O
-//! word is refused, and so is the rest of its block.
+//! O words: decides for each line of the host whether it is run, recorded or skipped, and which recorded line runs
+//! next. Conditions, loops, subroutines and their calls are handled here; the open blocks are stored in `flow`. A
+//! malformed O word is refused, and so are the following lines up to the end of its block.
 
 use super::Computed;
 use super::flow::{
@@ -19,9 +19,9 @@ type Label = heapless::Vec<u8, LABELS>;
 const RESTORE: &[u8] = b"M72";
 
 impl<const N: usize> Interpreter<N> {
-    /// Returns what to do with a line of the host. `number` is its number among all received lines; `remark` is its
-    /// message with the mark (the line may consist of a message alone). If an error is returned, nothing of the line
-    /// has been done; if the value of a condition is an error, none of its branches will run.
+    /// Returns what to do with a line of the host. `number` counts the received lines up to this one; `remark` is the
+    /// line's message with the mark (a line can consist of a message alone). If an error is returned, no part of the
+    /// line has been carried out. If the value of a condition is an error, none of its branches will run.
     #[inline]
     pub fn direct(&mut self, line: &[u8], remark: &[u8], number: u32) -> Result<Direction, Error> {
         self.computed.begin();
@@ -34,8 +34,8 @@ impl<const N: usize> Interpreter<N> {
         self.direct_order(line, remark, OWord::of(line))
     }
 
-    /// Begins the call of a subroutine from a line that does not belong to the program; its lines are then next.
-    /// Returns whether the line is a call.
+    /// Begins the call of a subroutine from a line that does not belong to the program. The lines of the subroutine
+    /// come next. Returns whether the line is a call.
     ///
     /// # Errors
     /// The errors of a call; [`Error::FlowSyntax`] for all other O words; [`Error::NotIdle`] while a block is open.
@@ -68,7 +68,7 @@ impl<const N: usize> Interpreter<N> {
         self.computed.flow.open_since().is_some()
     }
 
-    /// Handles a tape mark, between programs: a block that is still open is an error, and is dropped.
+    /// Handles a tape mark, which separates programs. A block that is still open is dropped, and is an error.
     pub fn tape_mark(&mut self) -> Result<(), Error> {
         self.begin_program();
         if self.computed.flow.open_since().is_none() {
@@ -79,7 +79,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Detects that a program has ended within a block. After a skipped or recorded M2 or M30 only O words can belong
-    /// to the same program: any other line is one of the next program.
+    /// to the same program, so any other line belongs to the next program.
     fn look_for_end(&mut self, line: &[u8], order: Option<OWord>) -> Result<(), Error> {
         let flow = &mut self.computed.flow;
         let left_out = flow.leaves_lines_out();
@@ -122,8 +122,8 @@ impl<const N: usize> Interpreter<N> {
                 flow.state = FlowState::Recording(from, held.err());
                 flow.recorded_from = flow.line;
                 if held.is_err() {
-                    // The refused block needs its label and keyword in the held text; without room for them, all
-                    // following lines are refused.
+                    // Label and keyword of the refused block are needed in the held text to recognize its end. Without
+                    // room for them, all following lines are refused.
                     let length = line.len() - order.arguments.len();
                     flow.hold(line.get(..length).unwrap_or(&[]), &[], 0)?;
                 }
@@ -171,7 +171,7 @@ impl<const N: usize> Interpreter<N> {
             }
             (Some(error), _) => Err(error),
             (None, Some(order)) if ends && of_sub => {
-                // If there is an older definition, `find_own` returns it.
+                // `find_own` returns the first definition, which is the older one if there are two.
                 if flow.find_own(order.label).is_some_and(|(at, _)| at < from) {
                     flow.drop_sub(order.label);
                 }
@@ -185,7 +185,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Returns the next line of held text; empty if the line is skipped. An error stops the text.
+    /// Writes the next line of the running text to `line`, which stays empty if that line is skipped. An error stops
+    /// the running text.
     pub fn next_held(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         self.computed.begin();
         let next = self.next_line(line);
@@ -195,15 +196,15 @@ impl<const N: usize> Interpreter<N> {
         next
     }
 
-    /// Stops the held text after one of its lines was refused.
+    /// Stops the running text after one of its lines was refused.
     pub fn abandon_held(&mut self) {
         self.computed.flow.stop();
         self.computed.parameters.leave_calls();
         self.saved.abandon(0);
     }
 
-    /// Reports that a line of the host was refused, maybe before `direct`: a subroutine or loop that is being recorded
-    /// would lack this line, and is refused up to its end.
+    /// Records that a line of the host was refused, possibly before `direct` was called for it. A subroutine or loop
+    /// that is being recorded would lack this line, so it is refused up to its end.
     pub fn line_refused(&mut self, error: Error) {
         self.computed.begin();
         let flow = &mut self.computed.flow;
@@ -212,8 +213,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Abandons the program, because its rest will not run or another host has taken over: forgets open conditions and
-    /// loops, and the held text. Ends G68 and G51, which no other program expects.
+    /// Abandons the program, because its rest will not run or another host has taken over. Forgets open conditions and
+    /// loops, and all recorded lines except macros. Ends G68 and G51, because no other program expects them.
     pub fn abandon_program(&mut self) {
         self.rotation = None;
         self.scaling = None;
@@ -242,7 +243,7 @@ impl<const N: usize> Interpreter<N> {
             line.clear();
             return Ok(Held::Again);
         };
-        // The end of a subroutine is not skipped: the next line belongs to another subroutine.
+        // `endsub` is never skipped, because the line after it belongs to another subroutine.
         let ends = order.ends_skipping() && flow.is_of_last(order.label) || order.keyword == Keyword::EndSub;
         if flow.skipping && !ends {
             line.clear();
@@ -270,7 +271,7 @@ impl<const N: usize> Interpreter<N> {
             Keyword::If => {
                 let flow = &mut self.computed.flow;
                 flow.push(FrameKind::If(true), order.label, 0)?;
-                // All branches are skipped unless the condition turns out to be true.
+                // From here on all branches are skipped, so an error in the condition leaves them skipped.
                 flow.skipping = true;
                 order.must_be_well_formed()?;
                 let holds = self.condition(order.arguments)?;
@@ -311,7 +312,7 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
-    /// Executes `while`, `do`, `repeat` and their ends, `break`, `continue`; only in held text.
+    /// Executes `while`, `do`, `repeat` and their ends, `break` and `continue`. These occur only in recorded lines.
     fn go_round(&mut self, order: OWord, at: u16) -> Result<(), Error> {
         let next = self.computed.flow.next;
         match order.keyword {
@@ -368,7 +369,7 @@ impl<const N: usize> Interpreter<N> {
         let frame = *flow.last(label)?;
         flow.skipping = false;
         if !again || frame.kind == FrameKind::While {
-            // A `while` begins its next pass with its first line, which pushes the frame again.
+            // The next pass of a `while` begins with its first line, and that line pushes the frame again.
             flow.pop();
         }
         if again { flow.go_back(frame.at) } else { Ok(()) }
@@ -394,7 +395,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
-    /// Returns the label of a called subroutine, computed if it is an expression, and the position of its second line.
+    /// Returns the label of a called subroutine, computed if it is an expression, and the position of the subroutine's
+    /// second line.
     fn called(&self, order: &OWord) -> Result<(Label, u16), Error> {
         let mut label = Label::new();
         if order.has_computed_label() {
@@ -449,7 +451,7 @@ impl<const N: usize> Interpreter<N> {
         self.argument(text).map(|value| !value.is_zero())
     }
 
-    /// Returns the value of a text that is one bracket.
+    /// Returns the value of a text that consists of one bracket.
     fn argument(&self, text: &[u8]) -> Result<Real, Error> {
         if text.first() != Some(&b'[') {
             return Err(Error::FlowSyntax);

@@ -1,14 +1,15 @@
-//! Parameters that a program sets, in a fixed number of bytes. The values in force come first, then those that the line
-//! being checked assigns, which take effect when the line is committed. Local parameters belong to a level of calls and
-//! are forgotten with it.
+//! Parameters that a program sets, in a fixed number of bytes. The values in force come first. After them come the
+//! values that the line being checked assigns; they take effect when the line is committed. A local parameter belongs
+//! to a subroutine call and is forgotten when the call ends.
 //!
 //! ```text
 //!  cells   | length of key | call level | key: a number in two bytes, or a name | mantissa, 8 bytes | exponent | ...
 //!          |<--------- in force: CAPACITY at most ---------->|<-- set by the line being checked -->|
 //! ```
-//! A parameter with a number takes 13 bytes, one with a name 11 and its length; one that has never been set takes none.
-//! Assignments of a line are stored after the values in force, where the line's own expressions do not see them.
-//! [`Parameters::commit`] applies them; without a commit, the check of the next line drops them.
+//! A parameter with a number takes 13 bytes, a parameter with a name 11 bytes and the length of the name. A parameter
+//! that has never been set takes no memory. Expressions of a line use the values in force, not the line's own
+//! assignments. [`Parameters::commit`] applies the assignments; without a commit, the check of the next line drops
+//! them.
 
 use super::expression::ParameterReference;
 use super::real::Real;
@@ -27,10 +28,10 @@ const HEAD: usize = 2;
 const TAIL: usize = 9;
 /// Level of the parameters that all calls share.
 const GLOBAL: u8 = u8::MAX;
-/// Maximum number of a parameter that belongs to a call.
+/// Highest number of a local parameter.
 const LOCAL_END: i64 = 30;
 
-/// Maximum number of a parameter.
+/// Highest number of a parameter.
 const NUMBER_MAX: i64 = 5999;
 
 /// A key as it is stored.
@@ -216,7 +217,7 @@ impl Parameters {
         self.in_force = self.cells.len();
     }
 
-    /// Removes bytes.
+    /// Removes the `size` bytes of the cell at `at`.
     fn cut_cell(&mut self, at: usize, size: usize) {
         let length = self.cells.len();
         if at + size <= length {
@@ -229,7 +230,8 @@ impl Parameters {
     fn stored_as(&self, reference: ParameterReference) -> Result<(Key, u8), Error> {
         match reference {
             ParameterReference::Number(number) if (1..=NUMBER_MAX).contains(&number) => {
-                // The first byte of the key is less than that of every name.
+                // The first byte of this key is less than the first byte of every name, so it never equals the key of a
+                // name.
                 let key = Key::from_slice(&(number as u16).to_be_bytes()).unwrap_or_default();
                 Ok((key, if number <= LOCAL_END { self.level } else { GLOBAL }))
             }

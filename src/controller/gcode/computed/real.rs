@@ -2,15 +2,15 @@
 //! comparisons, roots, and series for sine, arc tangent, logarithm and exponential.
 //!
 //! * Sums, differences and products with results of up to 18 digits are exact: `10.1 + 0.2` is exactly 10.3.
-//! * A sum or difference below 10⁻¹⁴ of its larger operand is considered a rounding error and becomes 0, so three
-//!   thirds are 1. This also applies to comparisons, whole parts and remainders.
+//! * A sum or difference below 10⁻¹⁴ of its larger operand is considered a rounding error and becomes 0. So 1/3 + 1/3 +
+//!   1/3 equals 1. This also applies to comparisons, whole parts and remainders.
 //! * Quotients and square roots are correct in 18 digits. Sine, cosine, arc tangent and logarithm are within 10⁻¹⁵,
 //!   powers with a fractional exponent within a relative 10⁻¹³.
 //! * All arithmetic is integer arithmetic: results are the same on every machine, and every operation takes a bounded
 //!   number of steps.
-//! * Results of 10⁴¹ and more are an error; results below 10⁻³² may be 0.
+//! * Results of 10⁴¹ and more are an error; results below 10⁻³² can become 0.
 //!
-//! Most functions are not inlined: flash is scarcer than the time of an expression.
+//! Most functions are not inlined, because flash is scarce and expressions need not be fast.
 
 use crate::error::Error;
 use crate::units::{Coordinate, DECIMAL_PLACES, Decimal, integer_root};
@@ -22,7 +22,7 @@ const DIGITS: u32 = 18;
 const MANTISSA_END: i64 = 1_000_000_000_000_000_000;
 /// Number of digits by which a mantissa can be extended in an `i128`.
 const SPARE_DIGITS: u32 = 20;
-/// Maximum decimal exponent of a number; 10 to the power of one more is an error.
+/// Maximum decimal exponent of a number's first digit: 10^41 and more is an error.
 const EXPONENT_MAX: i32 = 40;
 /// Minimum exponent of a mantissa; smaller numbers become 0.
 const EXPONENT_MIN: i32 = -50;
@@ -35,8 +35,8 @@ pub(super) struct Real {
     exponent: i8,
 }
 
-/// Returns the remainder of a division. Not inlined: an `i128` division takes some KB on a 32-bit processor. The
-/// remainder fits 64 bits because one of the operands does.
+/// Returns the remainder of a division. Not inlined, because an `i128` division takes some KB on a 32-bit processor.
+/// The remainder fits 64 bits because one of the operands does.
 #[inline(never)]
 fn remainder(dividend: i128, divisor: i128) -> i64 {
     (dividend % divisor) as i64
@@ -46,7 +46,7 @@ impl Real {
     pub const ZERO: Real = Real::int(0);
     pub const ONE: Real = Real { mantissa: 1, exponent: 0 };
 
-    /// Creates a whole number, which must not end in 0.
+    /// Creates a whole number. The last digit must not be 0, except in 0 itself.
     const fn int(mantissa: i64) -> Real {
         Real { mantissa, exponent: 0 }
     }
@@ -104,7 +104,7 @@ impl Real {
     }
 
     /// Reads a number without a sign: digits and at most one decimal point. Digits after the eighteenth are dropped.
-    /// Returns the number of bytes read, too.
+    /// Also returns the number of bytes read.
     pub fn read(text: &[u8]) -> Option<(Real, usize)> {
         let (mut mantissa, mut exponent, mut digits, mut used) = (0_i64, 0_i32, 0, 0);
         let mut point = false;
@@ -136,7 +136,8 @@ impl Real {
         Self::from_decimal(Decimal(value.0))
     }
 
-    /// Converts an `f32`, rounded to the seven digits that it can keep of a program's number.
+    /// Converts an `f32`. The result is rounded to seven digits, because an `f32` keeps no more digits of a program's
+    /// number.
     pub fn from_f32(value: f32) -> Real {
         let Real { mantissa, exponent } = Self::from_coordinate(Coordinate::from_mm_f32(value));
         Self::rounded(i128::from(mantissa), exponent.into(), 7).unwrap_or(Real::ZERO)
@@ -162,7 +163,7 @@ impl Real {
         (-i32::from(self.exponent)).clamp(0, DECIMAL_PLACES as i32) as u8
     }
 
-    /// Returns the whole number from which it differs by less than 0.0001, if there is one.
+    /// Returns the whole number that differs from this one by less than 0.0001, if there is one.
     #[inline(never)]
     pub fn whole(self) -> Option<i64> {
         let nearest = self.round();
@@ -185,7 +186,7 @@ impl Real {
 
     #[inline(never)]
     pub fn order(self, other: Real) -> Ordering {
-        // The difference can only overflow if the signs are opposite.
+        // The difference can overflow only if the signs are opposite, and then the sign decides.
         self.sub(other).map_or(self.mantissa.cmp(&0), |off| off.mantissa.cmp(&0))
     }
 
@@ -250,7 +251,7 @@ impl Real {
         (wide, exponent)
     }
 
-    /// Returns the remainder of a division, from 0 to below the size of the divisor.
+    /// Returns the remainder of a division. It is at least 0 and less than the absolute value of the divisor.
     #[inline(never)]
     pub fn modulo(self, divisor: Real) -> Result<Real, Error> {
         if divisor.is_zero() {
@@ -362,7 +363,8 @@ impl Real {
     }
 }
 
-/// Numbers that differ by less than this are equal for `EQ` and `NE`, and count as whole.
+/// `EQ` and `NE` treat numbers that differ by less than this as equal. A number this close to a whole number counts as
+/// whole.
 const TOLERANCE: Real = Real { mantissa: 1, exponent: -4 };
 
 /// A sum is 0 if it is smaller than its larger operand divided by this.
@@ -392,7 +394,8 @@ const ROOT_OF_HALF: i64 = 815_238_614_083_298_888;
 /// Number of terms after which every series here has converged.
 const TERMS: i64 = 64;
 
-/// Decimal places of a function's result: fewer than the unit has, so that a result that should be 0.5 is exactly 0.5.
+/// Decimal places of a function's result. They are fewer than 2^-60 would allow, so that a result that should be 0.5 is
+/// exactly 0.5.
 const PLACES: u32 = 16;
 /// Decimal places of a result that is an angle in degrees.
 const PLACES_OF_DEGREES: u32 = 14;
@@ -465,8 +468,8 @@ impl Real {
         self.sine(1)
     }
 
-    /// Returns the sine of the angle in degrees plus `quarters` right angles. The angle is reduced in decimal
-    /// arithmetic, so full turns cost no accuracy.
+    /// Returns the sine of the angle in degrees plus `quarters` right angles. Full turns are subtracted in decimal
+    /// arithmetic, so large angles lose no accuracy.
     #[inline(never)]
     fn sine(self, quarters: u32) -> Result<Real, Error> {
         let right = Self::known(90, 0);
@@ -536,7 +539,7 @@ impl Real {
         }
         let of_fraction = 2 * tangent_series(over(fraction - UNIT, fraction + UNIT), 1);
         let sum = i128::from(of_fraction) + binary * LN_2 + i128::from(self.exponent) * LN_10;
-        // The sum has an error of up to 2^6 units, so one decimal place fewer is kept.
+        // The sum has an error of up to 2^6 units, so the result has one decimal place less than other functions.
         Ok(Self::from_fixed(sum, PLACES - 1))
     }
 
@@ -546,7 +549,8 @@ impl Real {
         if Self::known(100, 0).is_below(self) {
             return Err(Error::InvalidResult);
         }
-        // The result would be below 10^-40, and a scale of 2^137 would not fit.
+        // The result would be below 10^-40. Slightly further down `scale` would be 2^137, which is out of range
+        // (10^41).
         if self.is_below(Self::known(-94, 0)) {
             return Ok(Real::ZERO);
         }

@@ -17,7 +17,7 @@ fn compute(text: &str) -> Result<Real, Error> {
 
 fn f64_of(value: Real) -> f64 {
     let (mantissa, exponent) = value.parts();
-    // By way of text, to get the nearest `f64`.
+    // The standard library reads the text as the nearest `f64`.
     format!("{mantissa}e{exponent}").parse().unwrap()
 }
 
@@ -74,7 +74,7 @@ fn decimals_are_exact() {
     }
 }
 
-/// A quotient whose last digit is rounded still gives whole results: `1/3*3` is 1.
+/// A rounded quotient still gives whole results: `1/3*3` is 1.
 #[test]
 fn parts_of_a_whole_make_the_whole() {
     for (text, value) in [
@@ -110,7 +110,7 @@ fn parts_of_a_whole_make_the_whole() {
     }
 }
 
-/// RS274NGC's order of operators, tested on LinuxCNC's interpreter.
+/// RS274NGC's order of operators. LinuxCNC's interpreter gives the same values.
 #[test]
 fn order_of_operators() {
     for (text, value) in [
@@ -205,7 +205,8 @@ fn depth_is_bounded() {
     assert_eq!(compute(&nested(32)), Ok(Real::ONE));
     assert_eq!(compute(&nested(33)), Err(Error::TooDeep));
     assert_eq!(compute(&("-".repeat(33) + "1")), Err(Error::TooDeep));
-    // Left operands are computed as soon as the level of the next operator allows.
+    // Left operands do not fill the waiting list, because they are computed as soon as the level of the next operator
+    // allows.
     assert_eq!(compute(&format!("[1{}]", "+1".repeat(100))), Ok(number("101")));
 }
 
@@ -281,7 +282,7 @@ impl Tree {
                         let value = a.value / b.value;
                         Estimate::new(value, (a.error + value.abs() * b.error) / b.value.abs())
                     }
-                    // Powers that only 0 or 1 as a base would keep in range.
+                    // The result is in range only for a base of 0 or near 1, so these powers are left out.
                     "**" if b.value.abs() > 1e9 => None,
                     "**" => {
                         let value = a.value.powf(b.value);
@@ -296,10 +297,9 @@ impl Tree {
                 let Estimate { value: x, error } = of.estimate()?;
                 let radians = x.to_radians();
                 let per_degree = 1_f64.to_radians();
-                // The error of `f64` in reducing a large angle.
+                // Includes the error that `f64` makes with a large angle.
                 let turned = error * per_degree + radians.abs() * 3e-16;
-                // An angle counts as a whole number of right angles if it differs from that by less than 10⁻¹⁴ of a
-                // turn.
+                // Within 10⁻¹⁴ of a turn, an angle counts as the nearest multiple of 90 degrees.
                 let rounding = |value: f64| if value.abs() < 1e-10 { 360e-14 * per_degree } else { ROUNDING };
                 match *name {
                     "SIN" => Estimate::new(radians.sin(), turned + rounding(radians.sin())),
@@ -319,7 +319,7 @@ impl Tree {
             }
             Tree::Atan(y, x) => {
                 let (y, x) = (y.estimate()?, x.estimate()?);
-                // Between -180 and 180 degrees the sign depends on the error of the ordinate.
+                // The result is near -180 or 180 degrees, and the error of the ordinate decides which of them.
                 if y.value.abs() <= 2.0 * y.error && x.value < 0.0 {
                     return None;
                 }
@@ -348,7 +348,7 @@ fn tree() -> impl Strategy<Value = Tree> {
     })
 }
 
-/// Cases found by random tests, in which the estimated error was less than the rounding of differences.
+/// Cases found by random tests. In these, the rounding of differences exceeded the error that `Estimate` allowed.
 #[test]
 fn nearly_no_angle_is_none() {
     exact("[TAN[[SIN[83702]/96956509885]]]", "0");
@@ -411,7 +411,7 @@ proptest! {
         }
     }
 
-    /// Also tests the discontinuous functions, on numbers for which both evaluations are exact.
+    /// Tests operators and discontinuous functions with numbers for which both evaluations are exact.
     #[test]
     fn whole_numbers_as_integers(a in -100_000_i64..100_000, b in -1000_i64..1000) {
         let is = |text: &str| compute(text).map(f64_of);
@@ -441,7 +441,7 @@ proptest! {
         }
     }
 
-    /// Every text gets an answer, which uses at most the whole text.
+    /// Every text gives a value or an error, and a value never uses more bytes than the text has.
     #[test]
     fn any_text_has_an_answer(text in "([-+*/#<>=.0-9\\[\\]A-Z]|SIN\\[|ATAN\\[|\\]/\\[|\\*\\*|EXISTS\\[#|MOD|[0-9]{1,20}){0,60}") {
         if let Ok((_, used)) = expression::value(text.as_bytes(), no_parameters) {

@@ -1,4 +1,5 @@
-//! Second half of the explanations: words that can be read, but are wrong together or in the present modal state.
+//! Second half of the explanations: words that can be read, but do not fit together or do not fit the present modal
+//! state.
 
 use super::sentence::{digits, millimetres, name, say};
 use super::words::{Text, say_limit};
@@ -19,7 +20,7 @@ use crate::units::{Coordinate, DECIMAL_ONE, Decimal, integer_root};
 
 /// The words M62 to M68, in tenths.
 const PINS: [u16; 7] = [620, 630, 640, 650, 660, 670, 680];
-/// G words that a jog may have, in tenths.
+/// G words that are allowed in a jog, in tenths.
 const OF_JOGS: [u16; 5] = [200, 210, 530, 900, 910];
 
 /// A refused line whose words could be read.
@@ -32,7 +33,7 @@ struct ReadableLine<'a, const N: usize> {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// Explains a line whose words are wrong together, or in the present modal state.
+    /// Explains a line whose words do not fit together, or do not fit the present modal state.
     #[inline(never)]
     pub(super) fn explain_meaning(
         &self,
@@ -321,7 +322,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         }
     }
 
-    /// Reports a missing word of M62 to M68. Returns whether one is missing.
+    /// Reports a missing word of M62 to M68. Returns whether a word is missing.
     #[inline(never)]
     fn missing_of_pin(&self, word: &[u8], lacks: &mut impl FnMut(&str, &[u8], &str)) -> bool {
         let has = |letter: u8| self.parsed.values.has(letter);
@@ -488,7 +489,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         say(out, " on this board", &[]);
     }
 
-    /// Explains words that nothing in the line uses.
+    /// Explains words that no command of the line uses.
     #[inline(never)]
     fn unused(&self, is_jog: bool, out: &mut Reason) {
         let unused = self.action.unused.first().copied().unwrap_or_default();
@@ -571,7 +572,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         })
     }
 
-    /// Returns the axis whose word leads out of range.
+    /// Returns the first axis whose word, or whose target, is out of range.
     #[inline(never)]
     fn too_far(&self) -> Option<Axis> {
         let end = self.end();

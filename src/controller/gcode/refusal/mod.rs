@@ -1,15 +1,15 @@
 //! Explains what is wrong with a refused line, in a sentence that names the word: "Q is missing in G83". A refused line
-//! has changed nothing, so it is read again here, word by word, in the state in which it was refused.
+//! has changed nothing, so the line can be read again here, word by word, in the state in which it was refused.
 //!
 //! Guarantees:
-//! * Accepted lines cost nothing.
+//! * Accepted lines cost no time.
 //! * The sentence says what to change, so that the user need not consult a document.
-//! * It contains no brackets, which would end a `[MSG:...]`.
+//! * The sentence contains no brackets, because a bracket would end a `[MSG:...]`.
 //! * Words are named as received: in capitals, without blanks. The wrong word comes before the first colon, advice
 //!   after it.
 //!
-//! The error number is that of the check. Nothing is inlined: flash is scarcer than the time of a refusal. Boards
-//! without room for texts lack the feature `reasons` and all of this.
+//! The error number is that of the check. Nothing is inlined, because flash is scarce and a refusal need not be fast.
+//! Boards without room for texts lack the feature `reasons`, and with it this folder.
 
 mod meaning;
 mod sentence;
@@ -25,8 +25,8 @@ use words::Text;
 pub(super) use sentence::say;
 
 impl<const N: usize> Interpreter<N> {
-    /// Writes to `out` what is wrong with a line that has just been refused; nothing if the error number says
-    /// everything. `action` is that of the check.
+    /// Writes to `out` what is wrong with a line that has just been refused; writes nothing if the error number says
+    /// everything. `action` is what the check has written.
     #[cold]
     #[inline(never)]
     pub fn explain(

@@ -4,7 +4,7 @@ use crate::gcode::Reason;
 use crate::number::{self, Digits};
 use crate::units::{DECIMAL_ONE, Decimal};
 
-/// Maximum length of a name; longer ones are cut, because an expression may fill a line.
+/// Maximum length of a name. Longer names are cut, because an expression can fill a line.
 const NAME: usize = 24;
 
 /// Appends `template`, in which each `%` is replaced by the next of `others`.
@@ -54,7 +54,7 @@ pub(super) fn digits(out: &mut Reason, value: u64, least: usize) {
                 digit += 1;
             }
             let _ = out.push(digit);
-            // The following digits are written, too.
+            // All lower digits follow, including zeros.
             power /= 10;
             while power > 0 {
                 let mut digit = b'0';

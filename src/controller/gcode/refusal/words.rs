@@ -1,4 +1,4 @@
-//! First half of the explanations: words that cannot be read, and words that conflict with the words before them.
+//! First half of the explanations: words that cannot be read, and words that conflict with earlier words of the line.
 
 use super::sentence::{digits, millimetres, name, plain_number, say};
 use crate::axes::Axis;
@@ -60,13 +60,13 @@ fn has(numbers: &[u16], tenths: i64) -> bool {
     numbers.iter().any(|number| i64::from(*number) == tenths)
 }
 
-/// Returns the one of `names` with which a text begins.
+/// Returns the first of `names` with which a text begins.
 #[inline(never)]
 fn beginning(text: &[u8], names: &[&'static [u8]]) -> Option<&'static [u8]> {
     names.iter().copied().find(|name| text.starts_with(name))
 }
 
-/// Functions, which may begin a value; there they are not separate words.
+/// Functions. At the beginning of a value they are part of it, not separate words.
 const FUNCTIONS: [&[u8]; 14] = [
     b"ABS[", b"ACOS[", b"ASIN[", b"ATAN[", b"COS[", b"EXISTS[", b"EXP[", b"FIX[", b"FUP[", b"LN[", b"ROUND[", b"SIN[",
     b"SQRT[", b"TAN[",
@@ -93,7 +93,7 @@ pub(super) fn end_of(line: &[u8], start: usize) -> usize {
             b'A'..=b'Z' => {
                 let rest = line.get(at..).unwrap_or_default();
                 match beginning(rest, &FUNCTIONS).filter(|_| is_operand) {
-                    // Advance to the bracket.
+                    // Skip the name of the function.
                     Some(function) => at += function.len() - 2,
                     None => break,
                 }
@@ -164,15 +164,14 @@ impl<const N: usize> Interpreter<N> {
         parsed.read_apart(line, dialect, self)
     }
 
-    /// Explains a word that is refused for itself or because of the words before it. `told` is the error that the line
-    /// got.
+    /// Explains a word that is refused alone or because of earlier words. `told` is the error of the whole line.
     #[inline(never)]
     pub(super) fn explain_word(&mut self, text: &Text, found: RefusedWord, told: Error, out: &mut Reason) {
         let line = text.line;
         let word = line.get(found.start..found.end).unwrap_or_default();
         let before = line.get(..found.start).unwrap_or_default();
         let letter = word.first().copied().unwrap_or_default();
-        // The line was refused for another reason, before this word was read.
+        // The error of the line has another cause, so this word does not explain it.
         if found.error != told {
             return;
         }
@@ -237,7 +236,7 @@ impl<const N: usize> Interpreter<N> {
         let grbl = text.dialect == Dialect::Grbl;
         let count = |what: u8| word.iter().filter(|byte| **byte == what).count();
         match (*letter, rest) {
-            // The rest of a comment that contains parentheses.
+            // The line filter leaves only `)` of a line whose nested remark is not closed.
             (b')', []) if text.line.len() == 1 => {
                 say(out, "a remark is not closed: each parenthesis needs its other half", &[])
             }
@@ -320,7 +319,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Explains two words that exclude each other: `word`, and a word before it.
+    /// Explains two words that exclude each other: `word`, and an earlier word of the line.
     #[inline(never)]
     fn explain_pair(&mut self, text: &Text, found: RefusedWord, word: &[u8], error: Error, out: &mut Reason) {
         let mut start = 0;
@@ -386,7 +385,7 @@ fn last_word(before: &[u8]) -> &[u8] {
 pub(super) fn word_name(word: &[u8]) -> &[u8] {
     let end = word.iter().position(|byte| matches!(byte, b'=' | b'[')).unwrap_or(word.len());
     let name = word.get(..end).unwrap_or_default();
-    // Without a sign or function before the bracket.
+    // A sign or a function before the bracket is left out, too.
     if end < word.len() && name.first().is_some_and(u8::is_ascii_uppercase) {
         return name.get(..1).unwrap_or_default();
     }
@@ -397,7 +396,7 @@ fn is_of_number(byte: u8) -> bool {
     matches!(byte, b'0'..=b'9' | b'.' | b'-' | b'+')
 }
 
-/// Returns a text up to a byte.
+/// Returns the part of a text before the byte `end`.
 #[inline(never)]
 fn up_to(text: &[u8], end: u8) -> &[u8] {
     text.split(|byte| *byte == end).next().unwrap_or_default()

@@ -1,4 +1,4 @@
-//! The step generator tick by tick, against the definition of steps in `measure`.
+//! Compares the step generator, tick by tick, with the definition of steps in `measure`.
 
 use super::*;
 use crate::messages::UNITS_PER_STEP;
@@ -21,7 +21,8 @@ fn signed(taken: i128, directions: u8, axis: usize) -> i32 {
     signed_add(0, taken as u32, directions >> axis & 1 != 0)
 }
 
-/// Compares plain ticks of a block of `total` units executed in batches with the same ticks executed one by one.
+/// Executes the plain ticks of a block of `total` units in batches, and compares them with the same ticks executed one
+/// by one.
 fn compare_batches<const N: usize, const WORDS: usize>(
     mut single: Stepper<N>,
     total: u32,
@@ -118,7 +119,7 @@ proptest! {
         compare_batches(single, Measure::of(&[x, y, z, a]).total, (level, ramp, start), &part, &table)?;
     }
 
-    /// A stop while ticks are generated ahead leaves the position of the ticks that were output.
+    /// After a stop while ticks are generated ahead, the position includes only the ticks that were output.
     #[test]
     fn what_is_undone_is_not_counted(
         chords in prop::collection::vec((steps_by_axis(60), 0_u8..8), 1..4), done in 0_usize..300, ahead in 0_usize..80,
@@ -143,14 +144,14 @@ proptest! {
         let StepEvent::Stopped { position, .. } = stepper.stop(undone) else { unreachable!() };
         prop_assert_eq!(position.0, out);
         prop_assert_eq!(stepper.position().0, out);
-        // The next block begins there.
+        // The next block begins at that position.
         stepper.load(ToStep::Resume { stops: 1 });
         enter(&mut stepper, [AxisSteps::on_steps(5); 3], 0, 0, 5, 0);
         for _ in 0..4 { stepper.tick(); }
         prop_assert_eq!(stepper.position().0, out.map(|place| place + 4));
     }
 
-    /// In a block that is not entered at its start, the position equals the number of steps taken before that point.
+    /// If a block is re-entered part-way, the position counts only the steps after that point.
     #[test]
     fn the_position_needs_no_division(
         steps_by_axis in steps_by_axis(Measure::MOST_STEPS), line in any::<bool>(), way in 0.0..1.0_f64, back in 0_u8..8,
@@ -171,7 +172,8 @@ proptest! {
         }
     }
 
-    /// A block that is left before its end for another one, and entered again, ends at its position.
+    /// A block is left part-way, another block is executed, and the first one is re-entered. The position at the end is
+    /// the sum of both blocks' steps.
     #[test]
     fn a_detour_leads_back(steps_by_axis in steps_by_axis(300), way in 0.0..1.0_f64, back in 0_u8..8, detour in steps_by_axis(20)) {
         let total = Measure::of(&steps_by_axis).total;

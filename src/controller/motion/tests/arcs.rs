@@ -64,7 +64,7 @@ fn check(geometry: &ArcGeometry<3>, radius: f64, tolerance: f64) -> u32 {
     let mut last = flat(&geometry.start);
     let mut turned = 0.0;
     let mut end = geometry.start;
-    // Rounding of the f32 tolerance, and the grid of 0.1 nm.
+    // Allows for the rounding of the `f32` tolerance, and for the grid of 0.1 nm.
     let slack = tolerance * 1e-3 + 3e-7 + radius * 3e-9;
     while let Some(point) = arc.next_chord() {
         let here = flat(&point);
@@ -257,7 +257,8 @@ fn steps_of_an_arc_stay_within_tolerance_and_four_fifths_of_a_step() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 150, ..ProptestConfig::default() })]
 
-    /// Holds for any start and end between two steps, and at any feed (at low feeds the ticks are finer than steps).
+    /// The limit holds wherever between two steps the arc starts and ends, and at any feed (at low feeds the ticks are
+    /// finer than steps).
     #[test]
     fn steps_of_any_arc_stay_near_it(
         plane in 0_usize..3, log in -1.5_f64..1.7, from in -3.2_f64..3.2, sweep in 0.001_f64..6.27, left in any::<bool>(),
@@ -271,8 +272,8 @@ proptest! {
         config.steps_per_mm = PerAxis(scales.map(|scale| crate::units::StepsPerMm::new(scale).unwrap()));
         let worst = farthest_off(&g, config, feed);
         if config.steps_per_mm.0[0] == config.steps_per_mm.0[1] && plane == 0 {
-            // The plane's axes are diagonal to the motors', and each motor has the same maximum error, so the distance
-            // is smaller by √2.
+            // A step of a motor moves the tool by 1/√2 of a step's length, along a diagonal. Each motor has the same
+            // maximum error in steps, so the distance is smaller by √2.
             config.arrangement = Arrangement::CoreXy;
             let worst = farthest_off(&g, config, feed);
             prop_assert!(worst <= MOST_OFF / std::f64::consts::SQRT_2 + 0.003, "{worst} steps of motors");
@@ -334,7 +335,8 @@ fn the_place_in_the_midst_of_a_chord_is_known() {
     }
 }
 
-/// The exact ends of a chord reach the step task for six axes, too, counted in the direction of motion.
+/// With six axes, too, the exact ends of a chord reach the step task. Their offsets are counted in the direction of
+/// motion.
 #[test]
 fn six_axes_have_their_ends() {
     let three = settings(10.0, 100.0, 500.0);
@@ -372,7 +374,7 @@ fn six_axes_have_their_ends() {
     motion.line(&to(ends, Speed::Feed(10.0)));
     motion.start();
     let mut blocks = Vec::new();
-    // The step task is simulated as one that is always idle again.
+    // The simulated step task is idle again after each message.
     let mut observed = crate::messages::Observed { step_idle: true, ..Default::default() };
     while let Some(message) = motion.next(&observed) {
         match message {

@@ -1,4 +1,4 @@
-//! Compares the planner's bounds for a braking with those of each single block.
+//! Compares the planner's bounds for braking with those of each single block.
 
 use super::super::block::{Block, CurveLoad, OverrideFactors};
 use super::super::planner::Planner;
@@ -22,7 +22,7 @@ fn block() -> impl Strategy<Value = Block<3>> {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
-    /// With 64 slots the groups have two blocks each, so some blocks are summarized.
+    /// With 64 slots a group has two blocks, so the bounds of some blocks come from summaries of groups.
     #[test]
     fn no_block_on_the_way_leaves_less_than_the_bound(
         blocks in prop::collection::vec(block(), 2..64), begun in 0.0_f32..1.0, reach in 0.0_f32..1.2, speed2 in 0.0_f32..4.0e4,

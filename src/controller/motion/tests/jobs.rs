@@ -108,7 +108,7 @@ fn a_circle_of_short_chords_keeps_the_acceleration_of_its_radius() {
             // The junction rule alone would allow several times the speed of the circle.
             let mut rig = Rig::<3, 512>::new(settings(80.0, 500.0, 500.0));
             if lead > 0.0 {
-                // Into the circle along its tangent, at full speed.
+                // The machine enters the circle along its tangent, at full speed.
                 rig.moves.push_back(to([0.0, -lead, 0.0], Speed::Rapid));
                 rig.moves.push_back(to([0.0, 0.0, 0.0], Speed::Feed(300.0)));
             }
@@ -200,7 +200,7 @@ fn a_corner_between_long_chains_is_no_bend() {
         rig.run();
         rig.seconds()
     };
-    // A span with a part of the corner in it may look like a gentle bend; this may cost less than 1 % of the time.
+    // A span that contains a part of the corner can look like a gentle bend. That must cost less than 1 % of the time.
     let (short, long) = (row(400), row(1));
     assert!((short / long - 1.0).abs() < 0.01, "{short} and {long}");
 }
@@ -338,7 +338,7 @@ proptest! {
         }
         rig.run();
         prop_assert!(rig.events.is_empty());
-        // At step rates near the step clock's frequency, the clock itself is the limit.
+        // At step rates near the step clock's frequency, the clock itself is the limit, so the limits are not checked.
         if rate.min(feed) * spm * 2.0 < hz as f32 / 4.0 {
             rig.check_limits();
         }

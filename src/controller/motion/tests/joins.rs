@@ -253,8 +253,8 @@ proptest! {
                 }
                 places.push(at);
             }
-            // Half a step for the ends of blocks, half for the line between them, half for the points of a joined
-            // block.
+            // The limit of 1.5 steps is the sum of half a step each for the ends of blocks, for the line between them,
+            // and for the points of a joined block.
             assert_along(&places, &corners, 1.5 + 1e-6);
             rig.check_acceleration(hold.is_some());
         }

@@ -1,5 +1,5 @@
-//! The reverse pass is postponed until an entry is needed that it could change. These tests check that such an entry is
-//! the same as if everything were planned at once.
+//! The reverse pass is postponed until the planner needs an entry that the pass could change. These tests check that
+//! this entry is the same as if each block had been planned immediately.
 
 use super::super::block::{Block, CurveLoad, OverrideFactors};
 use super::super::curvature::Bend;
@@ -23,11 +23,12 @@ enum Change {
         speed2: f32,
         curve: CurveLoad,
     },
-    /// Replaces the last block, as by a move that continues it.
+    /// Replaces the last block, as happens when a move that continues it is joined.
     Replace(Block<3>),
     /// Runs this many blocks.
     Run(usize),
-    /// Ends a block without planning its end again, as when its last tick was waited for while blocks were appended.
+    /// Ends a block without running the postponed pass first. This happens if blocks are appended during the wait for
+    /// its last tick.
     Leave,
     /// Sets a feed override while the machine has a speed.
     Overrides(f32, f32),
@@ -161,7 +162,8 @@ proptest! {
                     queue.clear();
                 }
             }
-            // Only after some changes: the more changes a pass covers, the more errors it can reveal.
+            // Run the pass only after some of the changes: the more changes a pass covers, the more errors it can
+            // reveal.
             if number % seldom == 0 {
                 settle(&mut ring);
             }
@@ -170,7 +172,8 @@ proptest! {
     }
 }
 
-/// An entry reaches its cap only by rounding. In a bend, an exit faster by one bit may lower the entry by one bit.
+/// An entry reaches its cap so narrowly that rounding decides: in a bend, an exit speed² that is greater by one bit can
+/// make the entry speed² lower by one bit. Such an entry must not count as settled.
 #[test]
 fn what_rounding_can_take_away_is_not_settled() {
     let bend = Block { length: 0.1, acceleration: 400.0, curve: CurveLoad::new(1000.0, 400.0), ..straight(1.0) };
@@ -200,8 +203,8 @@ fn straight(speed2: f32) -> Block<3> {
     }
 }
 
-/// A block, whether or not a pass has processed it, turns out to lie in such a tight bend that a faster exit leaves
-/// less deceleration. Tested for each start of the ring.
+/// A block turns out to lie in such a tight bend that a faster exit leaves less deceleration. The result is the same
+/// whether or not a pass has processed the block, and at whichever slot of the ring the queue begins.
 #[test]
 fn what_is_before_a_bend_that_gets_steep_is_not_settled() {
     for (begin, walked_over) in (0..48).map(|case| (case / 2, case % 2 == 0)) {
@@ -227,8 +230,8 @@ fn what_is_before_a_bend_that_gets_steep_is_not_settled() {
     }
 }
 
-/// A turn lowers two blocks. The entry of the second one does not change, but the settled entry depends on the first
-/// one.
+/// A turn lowers two blocks. The entry of the second one does not change, but the settled entry depends on the entry of
+/// the first one.
 #[test]
 fn what_counts_on_a_lowered_entry_is_lowered() {
     let mut ring = planner(24);
@@ -265,7 +268,7 @@ fn with_a_jerk_limit_nothing_is_settled() {
     assert_eq!(queue.block(1).unwrap().entry2, 49.0);
 }
 
-/// A block leaves the queue between the turn that lowers the last blocks and the pass for it. The pass must not process
+/// A turn lowers the last blocks, and a block leaves the queue before the pass that follows. The pass must not process
 /// the slots after the queue: they hold old blocks, which would change the entries.
 #[test]
 fn what_has_been_lowered_moves_up_with_the_queue() {
@@ -286,7 +289,7 @@ fn what_has_been_lowered_moves_up_with_the_queue() {
         queue.begin();
         queue.pop(true);
         queue.settle();
-        // 100 for the block itself, and 197 for the two in the bend.
+        // The speed² is the sum of 100 for the block itself and 197 for the two blocks in the bend.
         assert!((296.0..298.0).contains(&queue.exit2()), "{} from {begin}", queue.exit2());
         ring.assert_consistent();
     }

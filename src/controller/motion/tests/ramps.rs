@@ -188,7 +188,7 @@ fn line(length: f64, blocks: u32, feed: f32) -> Vec<Move<3>> {
 
 #[test]
 fn blocks_do_not_show_in_a_ramp() {
-    // The last line is too short to reach the maximum acceleration: it has four phases of constant jerk.
+    // The move of 1 mm is too short to reach the maximum acceleration, so it has four phases of constant jerk.
     for (length, feed, ideal) in [(50.0, 100.0, 0.75), (10.0, 200.0, 0.337_08), (1.0, 100.0, (32.0e-4_f64).cbrt())] {
         for blocks in [1, 7, 80, 500] {
             if blocks > 80 && length < 10.0 {
@@ -206,7 +206,7 @@ fn blocks_do_not_show_in_a_ramp() {
     }
 }
 
-/// Two blocks of a chain, in the middle of the ramps up and down, load an axis that allows only half of the
+/// Two blocks of a chain, in the middle of the ramps up and down, load an axis that allows only 94 % of the
 /// acceleration.
 #[test]
 fn a_slow_axis_in_one_block_does_not_spoil_the_ramp() {
@@ -223,7 +223,8 @@ fn a_slow_axis_in_one_block_does_not_spoil_the_ramp() {
     assert!(course.faults(false).is_empty(), "{:?}", course.faults(false));
 }
 
-/// A very slow entry into a block whose axis has a hundredth of the jerk is slow enough for the end of that block.
+/// The second block loads an axis that has a hundredth of the jerk. Its very slow entry is slow enough that the machine
+/// can still come to rest at its end.
 #[test]
 fn a_crawl_knows_the_jerk_of_the_next_block() {
     let mut config = machine(1.0e4);
@@ -281,7 +282,7 @@ fn job() -> impl Strategy<Value = Vec<Move<3>>> {
     })
 }
 
-/// Returns the settings of a machine with unequal axes, of which the third is slow.
+/// Returns the settings of a machine with unequal axes. The third axis is the slow one.
 fn unequal(jerk: f32, share: f32, slow: f32) -> MotionSettings<3> {
     let mut config = machine(jerk);
     config.acceleration.0[1] *= share;
@@ -354,7 +355,8 @@ fn an_override_raised_in_a_bend_leaves_the_braking() {
             while course.step() {}
             let [.., before, last] = &course.points[..] else { panic!("it moves") };
             assert!(last.last, "cut at {cut}: {last:?}");
-            // A ramp's last segment is a unit long, the acceleration 500 mm/s².
+            // The last segment of a ramp is one unit long. To come to rest in it at 500 mm/s², the machine must be
+            // slower than 1 mm/s.
             assert!(before.speed < 1.0, "cut at {cut}, jerk {jerk}, override {share}: {before:?}, {last:?}");
         }
     }

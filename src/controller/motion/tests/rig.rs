@@ -14,7 +14,7 @@ pub fn planner(blocks: usize) -> Box<Planner<3>> {
     Box::new(Planner::new(memory.blocks, memory.groups))
 }
 
-/// A tick of a segment that advances.
+/// A tick that advances along the path.
 #[derive(Clone, Copy, Debug)]
 pub struct Record {
     /// Time of the tick, step-clock ticks.
@@ -274,7 +274,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         event
     }
 
-    /// Handles the event of a stop like `control`.
+    /// Handles the event of a stop as `control` does.
     pub fn handle_stop(&mut self, event: StepEvent<N>) {
         let (StepEvent::Stopped { stops, position, .. } | StepEvent::Underrun { stops, position }) = event else {
             return;
@@ -343,8 +343,8 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         self.check_acceleration(false);
     }
 
-    /// Checks the acceleration as in [`Rig::check_limits`]. `cut_short`: overrides or holds at very low speed may drop
-    /// or hurry a pending tick of one unit, so the speed that can be reached within a unit is allowed.
+    /// Checks the acceleration as in [`Rig::check_limits`]. `cut_short`: overrides or holds at very low speed can drop
+    /// or hurry a pending tick of one unit. So a jump by the speed that can be reached within one unit is allowed, too.
     pub fn check_acceleration(&self, cut_short: bool) {
         let hz = f64::from(self.hz);
         let mut window: Option<(f64, f64, f64)> = None; // middle, speed, acceleration limit
@@ -368,9 +368,9 @@ impl<const N: usize, const B: usize> Rig<N, B> {
                     // One clock tick of rounding in a window of 2 ms.
                     let rounding = speed.max(old) / (0.002 * hz) / (middle - before);
                     let short = if cut_short { (2.0 * most * unit).sqrt() / (middle - before) } else { 0.0 };
-                    // A phase of the curve ends on a whole step, so its last segment contains a part with another
-                    // acceleration. A segment of the time T whose speed is constant for t begins with a speed that is
-                    // higher by a·t·(T - t)/2T, at most a·T/8.
+                    // A phase of the curve ends on a whole step, so the last segment of a phase contains a part with
+                    // another acceleration. A segment of the time T whose speed is constant for t begins with a speed
+                    // that differs by a·t·(T - t)/2T, at most a·T/8.
                     let edge = most * (step / speed / 2.0).min(0.002 / 8.0) / (middle - before);
                     assert!(
                         seen <= most * 1.015 + rounding * 2.0 + short + edge,

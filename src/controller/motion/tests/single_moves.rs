@@ -1,4 +1,4 @@
-//! A motion with the small memory for single moves behaves like one with its own look-ahead.
+//! A motion with the small memory for single moves behaves like a motion that has a look-ahead of its own.
 
 use super::super::{MotionSettings, Speed, on_heap, on_heap_for_single_moves};
 use super::rig::{settings, to};
@@ -37,7 +37,7 @@ impl Taker {
     }
 }
 
-/// A move to a height at a feed (mm/s), which may be held after some messages and discarded.
+/// A move to a height at a feed (mm/s), which can be held after some messages, and the rest of it discarded.
 #[derive(Clone, Debug)]
 struct Single {
     z: f64,

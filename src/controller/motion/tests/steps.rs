@@ -157,7 +157,8 @@ fn directions_are_out_one_interval_before_the_step() {
         rig.moves.push_back(to([there * 3.0, 0.3 * f64::from(k), -there], Speed::Rapid));
     }
     rig.run();
-    // The rig counts positions with the direction levels of the previous tick, and compares them after each tick.
+    // The rig counts positions with the direction levels of the previous tick, and compares them with the stepper's
+    // counters after each tick.
     assert_eq!(rig.position, [240, 936, -80]);
     rig.check_limits();
 }
@@ -172,7 +173,7 @@ fn tiny_increments_add_up() {
     }
     rig.run();
     assert_eq!(rig.position, [16_000, 0, 0]);
-    // 200 mm at 10 mm/s, plus v/a for the ramps: the lengths of moves without a step are not lost.
+    // 200 mm at 10 mm/s, plus v/a for the ramps. So the lengths of moves without a step are not lost.
     assert!((rig.seconds() - 20.02).abs() < 0.02, "{}", rig.seconds());
     rig.check_limits();
 }
@@ -203,7 +204,8 @@ fn six_axes_step() {
 
 #[test]
 fn moves_beyond_a_block_are_cut() {
-    // 100 m at 10,000 steps/mm are 10^9 steps, too many to run here: only the messages are checked.
+    // A move of 50 m at 10,000 steps/mm has 5·10^8 steps. That is too many to run here, so only the messages are
+    // checked.
     let mut rig = Rig::<3, 4>::new(settings(10_000.0, 800.0, 5000.0));
     assert!(rig.motion.line(&to([-50_000.0, 1.0, 0.0], Speed::Rapid)));
     assert_eq!(rig.motion.free_blocks(), 0);
@@ -254,8 +256,8 @@ fn slow_feeds_are_exact() {
 
 #[test]
 fn a_step_that_rounding_makes_of_a_hairs_breadth_takes_its_time() {
-    // The moves are 0.002 and 1.998 steps long in turn, with one step each. No step may take the tiny time of 0.002
-    // steps, and all together must take the time for the total length.
+    // The moves are 0.002 and 1.998 steps long in turn, with one step each. No step must be made in the tiny time for
+    // 0.002 steps, and all moves together must take the time for their total length.
     let mut rig = Rig::<3, 64>::new(settings(80.0, 100.0, 5000.0));
     for k in 0..800 {
         let x = f64::from(2 * k);
@@ -268,6 +270,6 @@ fn a_step_that_rounding_makes_of_a_hairs_breadth_takes_its_time() {
     let whole = 1599.0 / 80.0 / 10.0;
     assert!((rig.seconds() / whole - 1.0).abs() < 0.005, "{} of {whole}", rig.seconds());
     let fastest = rig.trace.iter().map(|r| r.interval << r.level).min().unwrap();
-    // At this feed a step takes 120,000 clock ticks on average; none may take less than half of that.
+    // At this feed a step takes 120,000 clock ticks on average; no step must take less than half of that.
     assert!(fastest >= 59_000, "{fastest}");
 }

@@ -77,7 +77,7 @@ fn a_hold_begins_its_ramp_in_time() {
     let latency = slower.time as f64 / f64::from(rig.hz) - called;
     assert!(latency <= 0.020 && latency > f64::from(QUEUED_TIME_MS) * 0.0005, "{latency}");
     rig.check_limits();
-    // The stop is v²/2a = 50 mm after the braking began, not at the end of the move.
+    // The machine comes to rest v²/2a = 50 mm after the braking began, not at the end of the move.
     let at = rig.position[0] as f64 / 80.0;
     let begun = slower.time as f64 / f64::from(rig.hz);
     let ideal = 50.0 + (begun - 1.0) * 100.0 + 50.0;
@@ -101,7 +101,8 @@ fn a_hold_acts_between_the_steps_of_a_crawl() {
     let called = rig.seconds();
     assert!(rig.run_ticks(100_000));
     assert!(rig.seconds() - called < 0.025, "{}", rig.seconds() - called);
-    // An override while a tick is pending that is a second away.
+    // An override is set while a tick is pending (at one step per minute, ticks of a sixteenth of a step are 3.75 s
+    // apart).
     rig.motion.resume();
     rig.run_ticks(10);
     rig.motion.set_overrides(100.0, 1.0);
@@ -296,7 +297,8 @@ proptest! {
     }
 }
 
-/// Runs a first move until at most `milliseconds` are queued before its rest, then queues a second move.
+/// Runs a first move until no more than `milliseconds` of it are queued, then queues a second move. Returns whether the
+/// second move followed without a rest.
 fn second_move_when_left(milliseconds: f64) -> (Rig<3, 16>, bool) {
     let mut rig = Rig::<3, 16>::new(settings(2000.0, 500.0, 4000.0));
     rig.moves.push_back(to([1.0, 0.0, 0.0], Speed::Feed(50.0)));

@@ -1,4 +1,4 @@
-//! Two links and their arbiter, on queues of a given depth.
+//! Tests of two links and their arbiter, with queues of a given depth.
 
 use super::*;
 use proptest::prelude::*;
@@ -10,7 +10,7 @@ struct Depths {
     lines: Vec<LineByte>,
     most_commands: usize,
     most_lines: usize,
-    /// The link being read cannot wait: its resets are owed, so they always find room.
+    /// The link being read cannot wait. Its resets always find room, because they are kept as owed.
     owes_resets: bool,
     free: bool,
     stops: usize,
@@ -51,7 +51,7 @@ impl Queues for Depths {
     }
 }
 
-/// Two links: `uart`, which holds one byte, and `usb`, which holds `HELD`.
+/// Two links: `uart`, which holds one byte, and `usb`, which holds `HELD` bytes.
 struct Both<const HELD: usize> {
     queues: Depths,
     arbiter: HostArbiter,
@@ -88,7 +88,7 @@ impl<const HELD: usize> Both<HELD> {
         self.usb.pass_on(&mut self.arbiter, &mut self.queues) || uart
     }
 
-    /// Returns the text in the queue, with `|` for a cut. A cut at the start voids nothing and is omitted.
+    /// Returns the text in the queue, with `|` for a cut. A cut at the start has no effect and is omitted.
     fn text(&self) -> String {
         let shown = |byte: &LineByte| if byte.byte == HOST_CHANGED { '|' } else { char::from(byte.byte) };
         self.queues.lines.iter().map(shown).collect::<String>().trim_start_matches('|').into()
@@ -117,7 +117,7 @@ fn a_link_that_cannot_wait_has_each_command_tried() {
     assert!(both.queues.lines[0].damaged && !both.uart.is_waiting(), "the others are lost, and that is said");
 }
 
-/// The lost bytes belong to lines that the reset voids.
+/// Bytes that were lost before a reset belong to lines that the reset drops, so they make no later line invalid.
 #[test]
 fn bytes_lost_before_a_reset_refuse_no_line_behind_it() {
     for is_lost_behind in [false, true] {
@@ -148,7 +148,8 @@ fn realtime_bytes_pass_lines_that_wait() {
     assert!(both.queues.lines.iter().all(|byte| !byte.damaged));
 }
 
-/// A sender that does not count characters. As on the real port, a packet is fetched only while a whole one fits.
+/// A sender that does not count characters has to wait. As on the real port, a packet is fetched only if a whole packet
+/// fits.
 #[test]
 fn a_flood_is_told_to_wait_and_nothing_is_lost() {
     let mut both = Both::<HELD>::new(64, 255);
@@ -161,7 +162,7 @@ fn a_flood_is_told_to_wait_and_nothing_is_lost() {
             both.usb(packet);
         } else {
             waits += 1;
-            // The controller reads about a line.
+            // The controller reads nine bytes, about one line.
             taken.extend(both.queues.lines.drain(..9).map(|byte| {
                 assert!(!byte.damaged);
                 char::from(byte.byte)
@@ -178,8 +179,8 @@ fn a_flood_is_told_to_wait_and_nothing_is_lost() {
     assert!(waits > 100 && most_held > HELD - PACKET, "{waits} {most_held}");
 }
 
-/// Character counting keeps at most 255 line bytes in transit. With the queue full of these bytes, any number of
-/// commands still passes, and there is always room for a packet.
+/// A sender that counts characters has at most 255 line bytes in transit, and all of them fit into their queue. So
+/// commands between them pass as long as their own queue has room, and the link holds no bytes.
 #[test]
 fn a_counting_sender_never_waits() {
     let mut both = Both::<HELD>::new(1000, 256);
@@ -232,7 +233,7 @@ fn a_host_that_leaves_in_mid_line_leaves_no_half_line() {
         both.queues.lines.iter().filter(|b| b.byte == HOST_CHANGED).map(|b| b.epoch).collect::<Vec<_>>()
     };
     assert_eq!((cuts(&both), both.arbiter.gone()), (vec![0, 1], 1));
-    // The next host may be on the other link.
+    // The next host can be on the other link.
     both.usb(b"G1 Y");
     both.usb.went(&mut both.arbiter);
     both.uart(b"G4\n");
@@ -251,7 +252,8 @@ fn a_cut_goes_before_the_first_line_of_each_host_that_comes() {
     assert_eq!(both.text(), "G4P0\n|G0\n|G0\n");
 }
 
-/// The start of the line is in the queue and its end waits. After the cut, that end would be a line of its own.
+/// The start of the line is in the queue, and its end waits in the link. That end is dropped, because after the cut it
+/// would be a line of its own.
 #[test]
 fn of_a_line_sent_before_the_port_is_opened_nothing_is_read() {
     let mut both = Both::<16>::new(8, 4);
@@ -271,7 +273,7 @@ fn a_host_that_leaves_with_a_full_queue_makes_room_for_the_next() {
     assert_eq!(both.usb.held(), 7);
     both.usb.went(&mut both.arbiter);
     assert_eq!(both.usb.room(), 16);
-    // The cut precedes the first byte of the next host on either link, and that byte waits with it.
+    // The cut precedes the first byte of the next host, whatever the link. Cut and byte wait together for room.
     both.uart(b"$");
     both.queues.most_lines = 100;
     both.pass_on();
@@ -280,7 +282,7 @@ fn a_host_that_leaves_with_a_full_queue_makes_room_for_the_next() {
     assert!(both.queues.lines.iter().all(|byte| !byte.damaged));
 }
 
-/// If a line is refused, its rest is refused too, whichever host has the floor by then.
+/// If the start of a line was refused, its rest is refused too, whichever host has the floor by then.
 #[test]
 fn the_rest_of_a_refused_line_is_no_line() {
     let mut both = Both::<16>::new(8, 100);
@@ -304,7 +306,7 @@ fn a_line_that_another_host_has_cut_is_refused_to_its_end() {
     both.uart(b"0 Z-9\n");
     both.uart(b"G4\n");
     assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G0 Y1\n|G4\n", (1, 0)));
-    // A `?` also takes the floor of an idle machine, but cuts no line.
+    // A `?` also claims the floor of an idle machine, but it does not cut a line.
     both.uart(b"G1 X1");
     both.usb(b"?");
     both.uart(b"0\nG5\n");
@@ -365,7 +367,7 @@ fn cr_lf_is_refused_once() {
     both.usb(b"G0\n");
     both.uart(b"G1\r\n\r\nG2\n\nG3\r");
     assert_eq!(both.refusals(), (6 - 1, 0), "two empty lines among them");
-    // The LF after the CR of a refused or read line is not a line of its own, even if the floor has changed.
+    // An LF after the CR that ended a line is not a line of its own, even if the floor has changed in between.
     both.queues.free = true;
     both.uart(b"\nG5\r");
     assert_eq!(both.text(), "G0\n|G5\r");
@@ -374,7 +376,8 @@ fn cr_lf_is_refused_once() {
     assert_eq!((both.text().as_str(), both.refusals()), ("G0\n|G5\r|G6", (5, 0)));
 }
 
-/// A command that waits for room has not opened its epoch yet: a command of the other host may precede it.
+/// A command that waits for room has not opened its epoch yet, because a command of the other host can still precede
+/// it.
 #[test]
 fn epochs_are_counted_in_the_order_of_the_queue() {
     let mut both = Both::<16>::new(1, 100);
@@ -408,7 +411,7 @@ fn a_refusal_is_sent_as_there_is_room() {
     assert_eq!(sent, REFUSAL.repeat(2));
 }
 
-/// Among these characters, bytes of `Ä` and `à` would open the door and start the coolant.
+/// Outside of a remark, bytes of `Ä` and `à` are commands: they open the door and switch the coolant.
 #[test]
 fn characters_of_a_remark_are_no_commands() {
     let mut both = Both::<16>::new(8, 100);
@@ -423,7 +426,7 @@ fn characters_of_a_remark_are_no_commands() {
     assert_eq!((both.text().as_str(), &both.queues.commands[..]), ("(uere Kontur)\n", &[SafetyDoor][..]));
 }
 
-/// Returns the text, the commands queued at once, and those queued after nothing has followed the bytes for long.
+/// Returns the text, the commands that were queued at once, and the commands that were queued after a long pause.
 fn heard(bytes: &[u8], is_grbl: bool) -> (String, Vec<Realtime>, Vec<Realtime>) {
     let mut both = Both::<16>::new(8, 100);
     both.queues.is_grbl = is_grbl;
@@ -475,7 +478,7 @@ fn a_hold_in_a_remark_is_a_hold_where_bytes_are_lost_or_the_host_goes() {
     }
 }
 
-/// Bytes that wait for the rest of a character are not lost if it does not come, and are queued in order.
+/// Bytes that wait for the rest of a character are queued as commands, in order, if that rest does not come.
 #[test]
 fn a_character_that_is_broken_off_is_commands() {
     use Realtime::{FeedReset, JogCancel, SafetyDoor, Status};
@@ -489,7 +492,7 @@ fn a_character_that_is_broken_off_is_commands() {
     both.pass_on();
     assert_eq!(both.queues.commands, [FeedReset, JogCancel, Status]);
     assert_eq!(both.usb.room(), 16);
-    // Bytes were lost: later bytes may belong to another character, or not to a remark.
+    // After a loss, bytes are commands, because they can belong to another character or be outside of a remark.
     let mut both = Both::<16>::new(8, 100);
     both.uart(b"(\xE3\x84");
     both.uart.lose();
@@ -497,7 +500,7 @@ fn a_character_that_is_broken_off_is_commands() {
     assert_eq!(both.queues.commands, [SafetyDoor; 3]);
 }
 
-/// A host may send all its lines first and read the answers later.
+/// A host can send all its lines first and read the answers later.
 #[test]
 fn each_refused_line_is_answered_however_late_the_host_reads() {
     let mut both = Both::<16>::new(8, 100);
@@ -523,7 +526,7 @@ enum Event {
     Came,
     Went,
     Lost,
-    /// Room in the queues has been freed; `free`: the machine is idle.
+    /// The queues get this much room. `free`: the machine is idle.
     Room {
         lines: usize,
         commands: usize,
@@ -581,7 +584,8 @@ fn commands_of(bytes: &[u8]) -> Vec<Realtime> {
 }
 
 impl Both<40> {
-    /// Plays an event as the serial task does: runs of text where there are any, or each byte separately.
+    /// Plays an event as the serial task does. With `by_run`, a run of text is passed as a whole, otherwise each byte
+    /// separately.
     fn play(&mut self, event: &Event, by_run: bool) {
         let Both { queues, arbiter, uart, usb } = self;
         match event {
@@ -616,8 +620,7 @@ impl Both<40> {
 }
 
 proptest! {
-    /// No command is lost or invented, except in the text of remarks: for any bytes, in any pieces, with any amount of
-    /// room.
+    /// Exactly the commands outside of remarks arrive, for any bytes, in any pieces, and with any amount of room.
     #[test]
     fn a_stop_byte_is_never_lost(
         mut bytes in proptest::collection::vec(
@@ -626,7 +629,7 @@ proptest! {
             0..200),
         mut pieces in proptest::collection::vec((1_usize..9, 0_usize..3), 1..40),
     ) {
-        // This ends an incomplete character.
+        // The line end ends an incomplete character.
         bytes.push(b'\n');
         pieces.push((1, 1));
         let (mut both, mut left, mut commands) = (Both::<40>::new(0, 1000), bytes.as_slice(), Vec::new());

@@ -1,6 +1,6 @@
-//! The safety door. When it opens, the machine brakes, pulls the tool out, switches spindle and coolant off and parks. At
-//! `~` all of that is undone in reverse order, and the job continues. Sleep, a fault that retracts and a lost host go
-//! through the same phases.
+//! The safety door. When it opens, the machine brakes, pulls the tool out, switches spindle and coolant off and parks
+//! the tool. `~` undoes all of that in reverse order, and the job continues. Sleep, a fault with retraction and a lost
+//! host go through the same phases.
 //!
 //! [`Door`] holds the data of this state: its phase, the interrupted work, and the coolant to restore. [`parking`]
 //! plans the tool's path to the parking position.
@@ -29,18 +29,18 @@ pub(crate) struct Door {
 
 /// Phases of the safety door.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-// Otherwise the instants inside would make the tags of this enum and of `State` 64 bits wide.
+// A tag of one byte. Without it, the 64-bit instants inside make the tags of this enum and of `State` 64 bits wide.
 #[repr(u8)]
 pub(crate) enum DoorPhase {
     /// Braking; parking begins at rest.
     Braking,
-    /// Parking: slowly out of the cut, the spindle still turning.
+    /// First parking move: slowly out of the cut, with the spindle still turning.
     PullingOut,
-    /// Parking: fast to the parking position, spindle and coolant off.
+    /// Second parking move: fast to the parking position, with spindle and coolant off.
     Parking,
     /// At rest with spindle and coolant off.
     Parked,
-    /// The door was opened again on the way back to the job: braking.
+    /// Braking, because the door was opened again during a move back to the job.
     Reopened,
     /// After `~`: fast back towards the cut.
     Returning,
@@ -59,12 +59,12 @@ pub(crate) enum Interrupted {
     Job,
     /// A jog, which is dropped at rest.
     Jog {
-        /// 0x19 has been received since.
+        /// 0x19 has been received since the door opened.
         stopped: bool,
     },
-    /// A job that was stopped (0x19): it is dropped when the door is closed.
+    /// A job that was stopped (0x19). It is dropped when the door is closed.
     StoppedJob,
-    /// Nothing that resumes: the machine falls asleep.
+    /// Nothing that would resume, because the machine falls asleep.
     Sleep,
 }
 
@@ -89,7 +89,7 @@ impl Door {
         Door { phase: DoorPhase::Braking, interrupted, opening, coolant: None }
     }
 
-    /// Handles 0x19: the job is dropped when the door is closed.
+    /// Handles 0x19: interrupted work will be dropped instead of resumed.
     pub(crate) fn stop_job(&mut self) {
         self.interrupted = match self.interrupted {
             Interrupted::Job | Interrupted::StoppedJob => Interrupted::StoppedJob,
@@ -98,13 +98,13 @@ impl Door {
         };
     }
 
-    /// Remembers the coolant that is switched off. Coolant remembered at an earlier opening of the same door takes
-    /// precedence.
+    /// Remembers which coolant is switched off. If the door is opened a second time, what was remembered at the first
+    /// opening is kept.
     fn keep_coolant(&mut self, coolant: Coolant) {
         self.coolant.get_or_insert(coolant);
     }
 
-    /// Drops an interrupted jog, at rest. Returns whether there was one.
+    /// Drops an interrupted jog once the machine is at rest. Returns whether a jog was interrupted.
     fn forget_jog(&mut self) -> bool {
         let Interrupted::Jog { stopped } = self.interrupted else { return false };
         self.interrupted = if stopped { Interrupted::StoppedJob } else { Interrupted::Job };
@@ -147,7 +147,7 @@ impl<const N: usize> Controller<N> {
                 self.open(Interrupted::Jog { stopped: false }, Opening::BY_DOOR);
             }
             State::Normal | State::Hold(_) => self.brake_for_door(Opening::BY_DOOR),
-            // The stop remains a stop: nothing resumes when the door is closed.
+            // A stop (0x19) is under way, so nothing resumes when the door is closed.
             State::Braking { then: AfterBraking::Continue } => self.open(Interrupted::StoppedJob, Opening::BY_DOOR),
             State::Door(door) => match door.phase {
                 DoorPhase::SpindleRestoring(_) | DoorPhase::CoolantRestoring(_) => self.switch_off_and_park(),
@@ -179,7 +179,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Switches off a spindle that a fault has left on (`$924` to `$928`): at an open door it must not turn.
+    /// Switches off a spindle that a fault has left on (`$924` to `$928`), because it must not turn while the door is
+    /// open.
     fn switch_off_for_door(&mut self) {
         match &mut self.state {
             State::Door(door) if door.opening.spindle_on => {
@@ -194,7 +195,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Brakes; at rest the door's phases follow.
+    /// Brakes. Once the machine is at rest, the phases of an open door follow.
     pub(crate) fn brake_for_door(&mut self, opening: Opening) {
         self.m.motion.hold();
         self.task.forget_jog();
@@ -202,13 +203,13 @@ impl<const N: usize> Controller<N> {
         self.open(Interrupted::Job, opening);
     }
 
-    /// Retracts the tool after braking for a fault; the alarm follows.
+    /// Retracts the tool after the machine has braked for a fault. The alarm follows.
     pub(crate) fn retract_for(&mut self, opening: Opening) {
         self.open(Interrupted::Job, opening);
         self.begin_parking();
     }
 
-    /// Handles `$SLP`: like a door that only a reset closes.
+    /// Handles `$SLP`. Sleep is like an open door that only a reset closes.
     pub(crate) fn fall_asleep(&mut self) {
         if self.state.is_alarm() {
             // A locked machine does not move, not even to park.
@@ -236,8 +237,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Starts the next phases as the current ones end. Loops because a phase of no length ends at once, and nothing
-    /// would wake the controller for it.
+    /// Starts the next phase when the current one has ended. Loops, because a phase of no length ends at once, and
+    /// nothing would wake the controller to start the phase after it.
     pub(crate) fn settle_phases(&mut self, mut phase: DoorPhase) {
         loop {
             self.settle_door(phase);
@@ -266,7 +267,8 @@ impl<const N: usize> Controller<N> {
             DoorPhase::Parking if self.m.parking.motion().is_idle() => self.parked(),
             DoorPhase::Reopened if self.m.parking.motion().is_at_rest() => {
                 self.m.parking.discard();
-                // In or near the cut with the spindle on: slowly out, as at the first opening.
+                // If the spindle is on, the tool can be in the cut. It leaves slowly, as when the door was first
+                // opened.
                 if !self.m.accessories.is_suspended() && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
                 {
                     self.enter_phase(DoorPhase::PullingOut);
@@ -287,7 +289,7 @@ impl<const N: usize> Controller<N> {
                 } else {
                     self.m.settings.seconds(Key::DoorCoolantDelay)
                 };
-                // A phase of no length would request a wake-up for the current time.
+                // Skip a phase of no length: it would request a wake-up for the current time.
                 if delay == Duration::millis(0) {
                     self.plunge();
                 } else {
@@ -300,11 +302,12 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Slowly back into the cut, if the tool was parked.
+    /// Moves the tool slowly back into the cut if it was parked.
     #[inline(never)]
     fn plunge(&mut self) {
         if self.parking_move(ParkingPoint::Left, Key::ParkingPullOutRate) {
-            // The job's block must continue with the backlash on the side where it was.
+            // The interrupted block continues from here, so each motor must be as far ahead of its axis (because of
+            // backlash) as when the block was left.
             self.m.parking.end_with_lead(self.m.motion.lead());
             self.enter_phase(DoorPhase::Plunging);
         } else {
@@ -312,7 +315,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Ends a soft stop. The door may have been opened meanwhile.
+    /// Ends a soft stop. The door may have been opened during the stop.
     pub(crate) fn finish_soft_stop(&mut self, lock: bool) {
         self.end_soft_stop(lock);
         if self.m.inputs.signals().door {
@@ -333,8 +336,9 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Retracts the tool: the first move of parking. Switches off without a move if the position is untrusted, if
-    /// settings lock motion, if the program disables parking (M56 P0), or for the reasons of [`Parking::leave_job`].
+    /// Starts the first move of parking, which retracts the tool. Spindle and coolant are switched off without a move
+    /// if the position is untrusted, if settings lock motion, if the program disables parking (M56 P0), or for the
+    /// reasons of [`Parking::leave_job`].
     ///
     /// [`Parking::leave_job`]: crate::states::door::parking::Parking::leave_job
     fn begin_parking(&mut self) {
@@ -404,8 +408,8 @@ impl<const N: usize> Controller<N> {
     fn restore_spindle_for_door(&mut self) {
         let laser = self.m.settings.is_on(Key::Laser);
         if !laser {
-            // A laser comes back with the motion. Now it would burn one point while the machine waits for the coolant
-            // (an air assist).
+            // A laser is switched on again with the motion. If it were on now, it would burn one point while the
+            // machine waits for the coolant (an air assist).
             self.m.accessories.restore();
             self.m.replies.overrides_changed();
         }

@@ -1,8 +1,8 @@
 //! Parking: moves the tool away from the job and back to the position where the job was left. The safety door decides
 //! when each move is made.
 //!
-//! The moves have a small [`Motion`] of their own, so the job's look-ahead stays as it was. Afterwards the job's block
-//! continues at the unit where it was left.
+//! These moves have a small [`Motion`] of their own, so the job's look-ahead stays as it was. Afterwards the
+//! interrupted block continues exactly where it was left.
 //!
 //! ```text
 //!  park ────────────────────┐ fast, spindle off
@@ -22,7 +22,7 @@ use crate::units::{Coordinate, per_second};
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
 pub struct Parking<const N: usize> {
-    /// The ends of the moves, while the tool is away from the job.
+    /// The ends of the parking moves; `None` while the tool is at the job.
     route: Option<Route<N>>,
     motion: Lent<Motion<N>>,
 }
@@ -55,7 +55,7 @@ impl<const N: usize> Parking<N> {
         Self { route: None, motion }
     }
 
-    /// Ends parking: the tool is back at the job, or a stop has ended the job's `motion`.
+    /// Ends parking, because the tool is back at the job, or because a stop has ended the job's `motion`.
     pub fn end(&mut self, motion: &mut Motion<N>) {
         if self.route.take().is_some() {
             self.motion.lend_ring(motion);
@@ -67,8 +67,9 @@ impl<const N: usize> Parking<N> {
         self.route.is_some()
     }
 
-    /// Plans the parking moves from the end of the job's `motion`. Returns whether the tool will be parked. It will not
-    /// if parking or homing is off, with a laser, if not `allowed`, or if the tool is already beyond the parking point.
+    /// Plans the parking moves from the end of the job's `motion`. Returns whether the tool will be parked. It is not
+    /// parked if parking or homing is off, in laser mode, if it is not `allowed`, or if the tool is already at or
+    /// beyond the parking point.
     pub fn leave_job(&mut self, allowed: bool, settings: &Settings<N>, motion: &mut Motion<N>) -> bool {
         self.route = if allowed { Route::from(motion.machine_position(), settings) } else { None };
         if self.is_away() {
@@ -79,7 +80,8 @@ impl<const N: usize> Parking<N> {
         self.is_away()
     }
 
-    /// Starts a parking move at the rate (mm/min) of this setting. Returns whether the tool is being parked at all.
+    /// Starts a parking move at the rate (mm/min) of this setting. Returns false, without a move, if the tool is not
+    /// being parked.
     pub fn move_to(&mut self, point: ParkingPoint, rate: Key, settings: &Settings<N>) -> bool {
         let Some(route) = &self.route else { return false };
         let target = match point {
@@ -101,7 +103,8 @@ impl<const N: usize> Parking<N> {
         true
     }
 
-    /// Makes the current move end with the backlash on the side where the job left it.
+    /// Makes the current move end on the side of the backlash where the job left each axis. `lead`: how many steps each
+    /// motor was ahead of its axis there.
     pub fn end_with_lead(&mut self, lead: [i32; N]) {
         self.motion.end_with_lead(lead);
     }
@@ -133,8 +136,8 @@ impl<const N: usize> Parking<N> {
         self.motion.observe(observed);
     }
 
-    /// Takes the position at which the step task has stopped. After a parking move the job's `motion` adopts it from
-    /// the parking motion, which knows on which side the backlash is.
+    /// Takes the position at which the step task has stopped. If the tool is away from the job, the job's `motion`
+    /// takes the position from the parking motion, which also knows on which side of the backlash each axis is.
     pub fn stopped(&mut self, position: &PerAxis<i32, N>, motion: &mut Motion<N>) {
         self.motion.stopped(position);
         if self.is_away() {
@@ -207,7 +210,7 @@ mod tests {
         assert_eq!(parking(-30, &place(3.0, &[])), Some([-30, -26, 0]));
         let zero = (Key::ZeroAtPullOff, 1.0);
         assert_eq!(parking(-30, &place(3.0, &[zero])), Some([-30, -26, 0]), "clear of the switch");
-        // Homed to the negative end its coordinates are positive.
+        // Z is homed to its negative end, so its coordinates are positive.
         let upwards = [zero, (Key::HomingDirection, 4.0), (Key::HomingPullOff, 2.0)];
         assert_eq!(parking(30, &place(150.0, &upwards)), Some([30, 34, 150]));
         assert_eq!(parking(30, &place(500.0, &upwards)), Some([30, 34, 198]), "the travel, less the pull-off");

@@ -1,16 +1,16 @@
 //! The homing cycle as a sequence: which axes seek their switches, pull off, and locate them again, and how an axis
-//! with two motors is squared. It moves nothing itself: it returns an order (move, wait, done, failed), and is called
-//! again with the closed switches when the order has ended.
+//! with two motors is squared. This module moves nothing itself. It returns an order (move, wait, done, failed), and is
+//! called again with the closed switches when that order has been carried out.
 //!
 //! ```text
 //!  each cycle ($44 and on; at first Z, then X and Y together):
 //!    seek at $25 ──switch──▶ wait $26 ──▶ pull off $27 ──▶ wait ──▶ locate at $24 ──switch──▶ wait ──▶ pull off ──▶ wait
 //!                                                                   └──────────────── $43 times ────────────────┘
 //! ```
-//! At a switch motion stops without a ramp: the rates of homing allow that, and a ramp would run into the switch's end.
-//! Axes of a cycle that have not reached their switch continue. Afterwards an axis is one pull-off away from its
-//! switch. Its position is set at the end of its own cycle, so movement in later cycles, such as backlash in belts that
-//! two axes share, is counted.
+//! At a switch, motion stops without a ramp: the rates of homing are low enough for that, and during a ramp the axis
+//! could run into the end of the switch. Axes of a cycle that have not reached their switch continue. Afterwards an
+//! axis is one pull-off away from its switch. Its position is set at the end of its own cycle, so movement in later
+//! cycles, such as backlash in belts that two axes share, is counted.
 //!
 //! An axis with two motors and two switches is squared: the motor whose switch closes first holds still while the other
 //! moves alone, in each seek and each locate.
@@ -20,11 +20,11 @@ use crate::error::Alarm;
 use crate::messages::{GangedMotors, SECOND_SWITCH};
 use crate::units::{Coordinate, Duration};
 
-/// Length of a seek, in travels of the longest axis of the cycle: all of it, with a margin.
+/// Length of a seek, as a multiple of the longest travel among the axes of the cycle.
 const SEEK_TRAVELS: f32 = 1.5;
-/// Travel that a seek assumes for a rotary axis without ends (`$133` = 0), degrees: the switch is met within a turn.
+/// Travel that a seek assumes for a rotary axis without ends (`$133` = 0), degrees. Its switch is met within one turn.
 const TURN: f32 = 360.0;
-/// Length of a locate, in pull-offs.
+/// Length of a locate, as a multiple of the pull-off.
 const LOCATE_PULL_OFFS: f32 = 5.0;
 
 /// The settings that homing needs, lengths in mm and rates in mm/s.
@@ -48,7 +48,8 @@ pub(crate) struct HomingSettings<const N: usize> {
     pub travel: PerAxis<f32, N>,
     /// `$932`: machine zero is where homing ends.
     pub zero_at_pull_off: bool,
-    /// The axis whose two motors have a switch each, and how far one of the motors may move alone, mm.
+    /// The axis that has two motors with a switch each, and the maximum distance that one of the motors may move alone,
+    /// mm.
     pub squared: Option<(Axis, f32)>,
 }
 
@@ -100,12 +101,12 @@ pub(crate) struct HomingCycle<const N: usize> {
     approaching: AxisMask,
     /// Switches of `approaching` that the current move can reach.
     watched: AxisMask,
-    /// The last order was a move; false: a wait.
+    /// Whether the last order was a move; otherwise it was a wait.
     moving: bool,
 }
 
 impl<const N: usize> HomingCycle<N> {
-    /// Homes the axes of all cycles, or only one axis.
+    /// Homes the axes of all cycles, or only the axis `only`.
     pub fn new(settings: HomingSettings<N>, only: Option<Axis>) -> Self {
         let mut cycles = heapless::Deque::new();
         let only = only.map(|axis| AxisMask::NONE.with(axis));
@@ -134,8 +135,8 @@ impl<const N: usize> HomingCycle<N> {
         self.approach_anew(Pass::Seek, switches)
     }
 
-    /// Returns the next order after the last one has ended, by itself or because a watched switch closed; `switches`
-    /// are the limit switches that are closed now.
+    /// Returns the next order. Call it when the last order is complete, or when a watched switch has ended its move.
+    /// `switches` are the limit switches that are closed now.
     pub fn next(&mut self, switches: AxisMask) -> Order<N> {
         match (self.moving, self.pass) {
             (true, Pass::Seek | Pass::Locate) => {
@@ -197,7 +198,7 @@ impl<const N: usize> HomingCycle<N> {
         self.approach(switches)
     }
 
-    /// Returns the move of the axes that have not reached their switch; a wait if all have.
+    /// Returns the move of the axes that have not reached their switch; a wait if all axes have reached theirs.
     fn approach(&mut self, switches: AxisMask) -> Order<N> {
         self.approaching = AxisMask(self.approaching.0 & !switches.0);
         if self.approaching.is_empty() {
@@ -227,8 +228,8 @@ impl<const N: usize> HomingCycle<N> {
         self.travel(axes, distance, rate, self.watched, GangedMotors::Both)
     }
 
-    /// Returns the squared axis, its motor that has not reached its switch while the other has, and how far (mm) it may
-    /// move.
+    /// If only one motor of the squared axis has reached its switch, returns the axis, the other motor, and how far
+    /// (mm) that motor may move.
     fn lagging(&self) -> Option<(Axis, GangedMotors, f32)> {
         let (axis, most) = self.settings.squared.filter(|(axis, _)| self.cycle().has(*axis))?;
         match (self.approaching.has(axis), self.approaching.0 & SECOND_SWITCH != 0) {
@@ -247,12 +248,13 @@ impl<const N: usize> HomingCycle<N> {
     fn travel(&mut self, axes: AxisMask, distance: f32, rate: f32, watch: AxisMask, motors: GangedMotors) -> Order<N> {
         self.moving = true;
         let by = PerAxis::from_axis(|axis| if axes.has(axis) { self.towards(axis) * distance } else { 0.0 });
-        // Each axis at the rate: the path of n axes is sqrt(n) times as fast.
+        // Each axis moves at `rate`, so the rate along the path of n axes is sqrt(n) times as high.
         let count = axes.0.count_ones() as f32;
         Order::Move { by, rate: rate * oxmill_sqrt::square_root(count), watch, motors }
     }
 
-    /// Returns the positions of the axes after their last pull-off: 0, or within the machine's range from -travel to 0.
+    /// Returns the coordinates of the axes after their last pull-off: 0 with `zero_at_pull_off`; otherwise a pull-off
+    /// from the switch, in a range from -travel to 0.
     fn places(&self) -> PerAxis<Coordinate, N> {
         PerAxis::from_axis(|axis| {
             if self.settings.zero_at_pull_off {
@@ -346,7 +348,7 @@ mod tests {
         let mut h = HomingCycle::new(settings, None);
         expect_move(h.begin(AxisMask::NONE), [300.0, 0.0, 0.0], X);
         for _ in 0..2 {
-            // Closed: wait, pull off, wait; then a locate.
+            // The switch has closed. A wait, a pull-off, a wait and a locate follow.
             h.next(X);
             expect_move(h.next(X), [-2.0, 0.0, 0.0], AxisMask::NONE);
             h.next(AxisMask::NONE);
@@ -374,7 +376,7 @@ mod tests {
             assert!(matches!(order, Order::Move { motors: m, .. } if m == motors), "{order:?}");
         };
         expect(h.begin(AxisMask::NONE), [300.0, 300.0, 0.0], both, GangedMotors::Both);
-        // The second motor is ahead: the first moves on alone, then X.
+        // The second motor of Y reaches its switch first. So the first motor moves on alone, and after it X.
         expect(h.next(second), [0.0, 5.0, 0.0], Y, GangedMotors::First);
         expect(h.next(AxisMask(second.0 | Y.0)), [300.0, 0.0, 0.0], X, GangedMotors::Both);
         assert!(matches!(h.next(both), Order::Wait(_)));

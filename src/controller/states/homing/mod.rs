@@ -19,9 +19,9 @@ use cycle::{HomingCycle, HomingSettings, Order};
 /// What homing is waiting for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Wait {
-    /// The end of a move, or one of these switches.
+    /// The end of a move, or the closing of one of these switches.
     Motion(AxisMask),
-    /// The stop that a switch has ordered.
+    /// The stop of the step task that a switch has caused.
     Stop,
     /// A point in time.
     Until(Instant),
@@ -35,14 +35,15 @@ pub(crate) struct Homing<const N: usize> {
 }
 
 impl<const N: usize> Homing<N> {
-    /// Starts homing: the axes of all cycles, or only one axis. Returns the state, and the result of its first order.
+    /// Starts homing of the axes of all cycles, or only of the axis `only`. Returns the state, and the result of its
+    /// first order.
     pub(crate) fn begin(only: Option<Axis>, m: &mut Machine<N>) -> Result<(Self, Next), Error> {
         let cycles = m.settings.homing_cycles().0.map(AxisMask);
         if only.is_none() && cycles.iter().all(|cycle| cycle.is_empty()) {
             return Err(Error::HomingDisabled);
         }
         if m.settings.is_on(Key::Laser) {
-            // A laser of constant power (M3) would burn wherever homing waits, and at its end.
+            // A laser with constant power (M3) would burn one point wherever homing waits, and where it ends.
             m.stop_spindle();
         }
         let settings = HomingSettings {
@@ -71,7 +72,7 @@ impl<const N: usize> Homing<N> {
         }
     }
 
-    /// Carries out the next order if the awaited event is over. Call only while no stop is awaited.
+    /// Carries out the next order if what homing waits for has happened. Call it only while no stop is awaited.
     pub(crate) fn advance(&mut self, m: &mut Machine<N>) -> Next {
         let over = match self.wait {
             Wait::Motion(_) => m.motion.is_idle(),
@@ -85,7 +86,8 @@ impl<const N: usize> Homing<N> {
         self.carry_out(order, m)
     }
 
-    /// Returns whether one of these switches ends the current move. If so, homing then waits for the stop.
+    /// Returns whether one of the closed `switches` ends the current move. If so, homing waits for the stop of the step
+    /// task.
     pub(crate) fn is_reached(&mut self, switches: AxisMask) -> bool {
         let reached = matches!(self.wait, Wait::Motion(watch) if watch.0 & switches.0 != 0);
         if reached {
@@ -128,8 +130,8 @@ impl<const N: usize> Homing<N> {
     }
 }
 
-/// Returns the axis that homing squares, and how far (mm) one of its motors may move alone: a share of the travel,
-/// within limits.
+/// Returns the axis that homing squares, and the maximum distance (mm) that one of its motors may move alone. The
+/// distance is a share of the travel, within limits.
 fn squared_axis<const N: usize>(m: &Machine<N>) -> Option<(Axis, f32)> {
     let axis = m.settings.ganged_axis().filter(|_| m.settings.is_on(Key::GangedSwitch))?;
     let share = m.settings.value(Key::SquaringShare) / 100.0 * m.settings.axes(AxisKey::Travel).get(axis)?;
@@ -139,7 +141,7 @@ fn squared_axis<const N: usize>(m: &Machine<N>) -> Option<(Axis, f32)> {
 }
 
 impl<const N: usize> Controller<N> {
-    /// Acts on the result of a step of homing. Returns whether anything happened.
+    /// Acts on the result of [`Homing::begin`] or [`Homing::advance`]. Returns false if homing is still waiting.
     pub(crate) fn follow(&mut self, next: Next) -> bool {
         match next {
             Next::Wait => return false,

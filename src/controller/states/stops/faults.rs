@@ -1,12 +1,12 @@
-//! How the machine stops for a fault (`$924` to `$928`): at once, or by braking along the path, perhaps with the tool
-//! retracted. The alarm follows at rest. Faults are limit switches, emergency stop, driver faults, a lost spindle
-//! speed, and a host that has disconnected or is silent.
+//! How the machine stops for a fault (`$924` to `$928`): at once, or by braking along the path, with or without
+//! retracting the tool. The alarm follows when the machine is at rest. Faults are limit switches, emergency stop,
+//! driver faults, a lost spindle speed, and a host that has disconnected or is silent.
 //!
 //! ```text
 //!  switch, driver, spindle ──▶ fault ──┬── at once ───────────────────────────▶ stop ──▶ alarm
 //!                                      └── controlled ──▶ brake ──▶ [park] ─────┘
 //! ```
-//! Homing and parking moves have no room to brake: whatever the settings, they end at once.
+//! Homing and parking moves have no room to brake, so they end at once whatever the settings say.
 
 use crate::axes::Axis;
 use crate::dispatch::Controller;
@@ -21,7 +21,7 @@ use crate::states::stops::reaction::{Braking, Reaction};
 use crate::states::{AfterBraking, State};
 
 impl<const N: usize> Controller<N> {
-    /// Stops for a fault as its setting says; the alarm follows at rest.
+    /// Stops for a fault as its setting says. The alarm follows when the machine is at rest.
     pub(crate) fn fault(&mut self, alarm: Alarm, stopped: &mut Stopped) {
         let under_way = self.stop_under_way();
         let reason = under_way.map_or(StopReason::Alarm(alarm), |other| other.heavier(StopReason::Alarm(alarm)));
@@ -37,8 +37,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether the alarm comes from bounce of the limit switch for which the tool is already being parked. A closed
-    /// switch of the parking axis does not count as bounce.
+    /// Whether the alarm comes from the bouncing of a limit switch, and the tool is already being parked for that
+    /// switch. A closed switch of the parking axis does not count as bouncing.
     fn is_bounce(&self, alarm: Alarm) -> bool {
         matches!(self.state, State::Door(door) if door.opening.alarm == Some(alarm))
             && alarm == Alarm::HardLimit
@@ -55,10 +55,11 @@ impl<const N: usize> Controller<N> {
     }
 
     fn brake_for(&mut self, alarm: Alarm, braking: Braking) {
-        // A machine that is at rest when the fault occurs does not start to move.
+        // If the machine is at rest when the fault occurs, it must not start to move.
         let retract = braking == Braking::Retract && !self.m.motion.is_at_rest() && !self.is_parking_blocked();
         if self.m.settings.is_on(Key::Laser) || matches!(self.state, State::Door(_)) {
-            // The remaining segments would carry laser power; and at an open door the spindle must be off.
+            // A laser would still be on in the segments that remain while braking, and at an open door the spindle must
+            // be off.
             self.m.accessories.suspend();
         }
         self.tell_trip(self.m.motion.line_number());
@@ -68,7 +69,8 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Braking { then });
     }
 
-    /// Continues after a controlled stop, at rest: ends the soft stop, orders the alarm, or retracts the tool.
+    /// Continues when the machine is at rest after a controlled stop: ends the soft stop, orders the alarm, or retracts
+    /// the tool.
     pub(crate) fn settle_braking(&mut self, then: AfterBraking) {
         match then {
             AfterBraking::Continue => self.finish_soft_stop(false),
@@ -88,7 +90,8 @@ impl<const N: usize> Controller<N> {
         axis.is_none_or(|axis| closed & 1 << axis.index() != 0)
     }
 
-    /// Reacts to a host that is silent or has disconnected during a job (`$928`); suspended work can be resumed.
+    /// Reacts to a host that is silent or has disconnected during a job (`$928`). Unless the reaction is to stop at
+    /// once, the work is suspended and can be resumed.
     pub(crate) fn host_fault(&mut self) {
         self.forget_received_jogs();
         let Reaction { braking, spindle_on } = Reaction::of(Key::HostReaction, &self.m.settings);

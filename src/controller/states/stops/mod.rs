@@ -17,7 +17,8 @@ use crate::states::stops::orders::{Finished, StopReason};
 use crate::work::task::Task;
 
 impl<const N: usize> Controller<N> {
-    /// Stops for an input, or, if the input has already stopped the step task, gives that stop its reason.
+    /// Stops the step task because of an input. If the input has already stopped the step task, gives that stop its
+    /// reason.
     pub(crate) fn stop_for(&mut self, reason: StopReason, stopped: &mut Stopped) {
         if stopped.already {
             stopped.answered = true;
@@ -65,8 +66,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Keeps the speed of the move in execution for a spindle that stays on, not that of a line that will not be
-    /// executed.
+    /// Sets the spindle speed (S) to that of the move in execution. A spindle that stays on must not take the speed of
+    /// a later line that will not be executed.
     pub(crate) fn keep_speed(&mut self) {
         if let Some(power) = self.m.motion.running_power() {
             self.m.accessories.set_speed(SpindleRange::of(&self.m.settings).speed_of(power));
@@ -86,7 +87,7 @@ impl<const N: usize> Controller<N> {
         match stop.reason {
             StopReason::Nothing => self.m.motion.discard(),
             StopReason::Contact => {
-                // From here the probe cycle continues, or a hold or a door that has begun meanwhile.
+                // The probe cycle continues from here; so does a hold or a door that has begun meanwhile.
                 self.m.probe.rests_after_contact();
                 self.m.motion.discard();
             }
@@ -111,7 +112,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Ends parking and the probing move in progress, if any.
+    /// Ends parking and a probing move, if they are in progress.
     fn end_pauses(&mut self) {
         self.m.parking.end(&mut self.m.motion);
         self.m.probe.forget_move();
@@ -147,11 +148,12 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Latches the emergency stop: only a reset ends it, and a reset while the input is still active reports it again.
+    /// Latches the emergency stop or driver fault. Only a reset ends it, and if the input is still active at the reset,
+    /// it is reported again.
     fn finish_emergency(&mut self, alarm: Alarm, stop: &Finished) {
         let homing = matches!(self.state, State::Homing(_));
         let drivers_off = self.m.settings.is_on(Key::EmergencyDriversOff);
-        // A driver at fault may have lost steps, and a motor without current does not hold.
+        // A faulty driver may have lost steps, and a motor without current does not hold its position.
         if stop.moving || homing || drivers_off || alarm == Alarm::DriverFault {
             self.m.reference.lose();
         }
@@ -172,8 +174,8 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Critical(alarm));
     }
 
-    /// Completes a soft reset (Ctrl-X). At rest the welcome line follows. In a motion or in homing, the reset raises
-    /// `ALARM:3` or `ALARM:6`, and the position is lost, as in Grbl.
+    /// Completes a soft reset (Ctrl-X). The welcome line follows. If the reset came during motion or homing, it raises
+    /// `ALARM:3` or `ALARM:6` first, and the position is lost, as in Grbl.
     fn finish_reset(&mut self, moving: bool) {
         self.m.motion.discard();
         self.m.lines.clear();
@@ -189,7 +191,8 @@ impl<const N: usize> Controller<N> {
         if let State::Sleep(_) | State::Critical(_) = self.state {
             self.enter(State::Alarm(self.state.alarm()));
         }
-        // A command that was waiting is answered before the welcome line, as Grbl does: senders count on one answer a line.
+        // A command that was waiting is answered before the welcome line, as Grbl does, because senders expect one
+        // answer to each line.
         if homing || self.task.answers_host() {
             self.say_ok();
         }
@@ -202,7 +205,7 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// Whether an input has stopped the step task directly (`already`), and whether the reason has been found (`answered`).
+/// `already`: an input has stopped the step task directly. `answered`: a reason for that stop has been found.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stopped {
     pub(crate) already: bool,

@@ -1,5 +1,5 @@
-//! Keeps count of stops of the step task: those expected, those reported, and the most serious reason among them. The
-//! step task is opened again only when all expected stops have happened.
+//! Counts the stops of the step task, those expected and those reported, and keeps the most serious reason among them.
+//! The step task is opened again only when all expected stops have happened.
 //!
 //! ```text
 //!  order ──▶ Output::Stop ──▶ step task ──▶ StepEvent::Stopped ──▶ finish ──▶ ToStep::Resume
@@ -19,25 +19,25 @@ pub enum StopReason {
     Alarm(Alarm),
     /// A homing switch.
     Switch,
-    /// A contact of the probe: the step task has already braked.
+    /// A contact of the probe, for which the step task has already braked.
     Contact,
-    /// An armed input of a machine that was locked already.
+    /// An armed input became active while the machine was already locked.
     Nothing,
 }
 
 impl StopReason {
-    /// Returns the more serious of two reasons: the one that is reported.
+    /// Returns the more serious of two reasons. That one is reported.
     pub fn heavier(self, other: StopReason) -> StopReason {
         if other.weight() > self.weight() { other } else { self }
     }
 
-    /// Severity. A reset outranks everything, an alarm a homing switch: a less serious reason cannot continue the work
-    /// that a more serious one ends.
+    /// Severity. A reset outranks everything, and an alarm outranks a homing switch, because work that one reason ends
+    /// must not continue for a less serious reason.
     const fn weight(self) -> u8 {
         match self {
             StopReason::Nothing => 1,
             StopReason::Switch | StopReason::Contact => 2,
-            // Motors and position are not affected.
+            // These alarms rank lowest, because they do not affect motors and position.
             StopReason::Alarm(Alarm::SpindleSpeed | Alarm::AbortInMotion) => 3,
             StopReason::Alarm(Alarm::DriverFault) => 5,
             StopReason::Alarm(Alarm::EmergencyStop) => 6,
@@ -50,9 +50,9 @@ impl StopReason {
 /// A completed stop: all requested stops have happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Finished {
-    /// Why it was awaited.
+    /// Why the stop was awaited.
     pub reason: StopReason,
-    /// The machine was stepping when the stop came.
+    /// Whether the machine was stepping when it was stopped.
     pub moving: bool,
     /// N word of the move in execution, 0 = none.
     pub line: u32,
@@ -66,9 +66,9 @@ pub struct Stops {
     expected: u16,
     /// Number of stops that have happened (wrapping).
     seen: u16,
-    /// The machine was stepping at one of them.
+    /// Whether the machine was stepping at one of these stops.
     moving: bool,
-    /// N word of the move in execution at the last of them, 0 = none.
+    /// N word of the move in execution at the last of these stops, 0 = none.
     line: u32,
     /// A stop order is still to be sent to the step task.
     ordered: bool,
@@ -98,8 +98,8 @@ impl Stops {
         self.awaited.is_none() && !self.ordered && !self.resume
     }
 
-    /// Whether the step task takes messages: no stop is awaited, and none has been reported that is not counted as
-    /// expected yet.
+    /// Whether the step task takes messages: no stop is awaited, and every stop that has been reported was also
+    /// expected.
     #[inline]
     pub fn is_open(&self) -> bool {
         self.awaited.is_none() && self.seen == self.expected
@@ -110,18 +110,18 @@ impl Stops {
         self.expected = self.expected.wrapping_add(u16::from(stops));
     }
 
-    /// Awaits a stop that is already counted, for this reason.
+    /// Awaits, for this reason, a stop that is already counted.
     pub fn wait_for(&mut self, reason: StopReason) {
         self.awaited = Some(self.awaited.map_or(reason, |awaited| awaited.heavier(reason)));
     }
 
-    /// Awaits a stop whose requester has also stopped the step task.
+    /// Counts and awaits a stop. Whoever requests it has already stopped the step task.
     pub fn begin(&mut self, reason: StopReason) {
         self.count(1);
         self.wait_for(reason);
     }
 
-    /// Orders a stop of the step task. Two orders before the first has been sent are one stop.
+    /// Orders a stop of the step task. An order joins an earlier one that has not been sent yet; both are one stop.
     pub fn order(&mut self, reason: StopReason) {
         if !self.ordered {
             self.count(1);
@@ -159,24 +159,26 @@ impl Stops {
         self.line = line;
     }
 
-    /// Takes the step task's report that it has stopped at speed by itself: it had no segments, or its outputs have
-    /// failed.
+    /// Takes the step task's report that it has stopped at speed without a request, because it had no segments or
+    /// because its outputs have failed.
     pub fn failed(&mut self, stops: u16, alarm: Alarm) {
         self.count(1);
         self.seen = stops;
         self.moving = true;
         if alarm == Alarm::Miscounted {
-            // Neither homing nor a probe continues from an unknown position.
+            // The position is unknown, so homing or a probe must not continue. This alarm replaces their reason.
             self.wait_for(StopReason::Alarm(alarm));
         } else {
             self.awaited.get_or_insert(StopReason::Alarm(alarm));
         }
     }
 
-    /// Returns the awaited stop once all requested stops have happened. The step task is to be reopened after it.
+    /// Returns the awaited stop once all requested stops have happened. After that the step task has to be reopened
+    /// ([`Stops::take_resume`]).
     pub fn finish(&mut self) -> Option<Finished> {
         let reason = self.awaited?;
-        // An order that has not been sent cannot have been executed, whatever else has stopped meanwhile.
+        // An order that has not been sent cannot have been executed, even if enough other stops have happened
+        // meanwhile.
         if self.ordered || (self.seen.wrapping_sub(self.expected) as i16) < 0 {
             return None;
         }
@@ -260,12 +262,13 @@ mod tests {
     #[test]
     fn a_stop_that_happened_before_its_reason_was_known_is_over_at_once() {
         let mut stops = Stops::NONE;
-        // The step task's report arrives first; the reset that stopped it comes through the other queue.
+        // The report of the step task arrives before the reset that stopped it, because the two come through different
+        // queues.
         stops.happened(1, true, 0);
         assert!(stops.finish().is_none() && !stops.is_open());
         stops.begin(StopReason::Reset);
         assert_eq!(stops.finish().map(|f| f.moving), Some(true));
-        // Counts wrap.
+        // The same when the counts wrap.
         let mut stops = Stops { expected: u16::MAX, seen: u16::MAX, ..Stops::NONE };
         stops.begin(StopReason::Reset);
         assert!(stops.finish().is_none());

@@ -6,7 +6,7 @@ use crate::settings::{Key, Settings};
 /// How motion ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Braking {
-    /// With the step in execution; at speed the position is lost.
+    /// At once, without braking. At speed the position is lost.
     AtOnce,
     /// Along the path, within the accelerations; the position is kept.
     Controlled,
@@ -47,7 +47,7 @@ impl Reaction {
         Reaction { braking, spindle_on: value >= 3 && !settings.is_on(Key::Laser) }
     }
 
-    /// Whether the step task may stop for the fault without an order.
+    /// Whether an input may stop the step task for this fault directly, without an order of the controller.
     pub fn is_at_once(self) -> bool {
         self.braking == Braking::AtOnce
     }

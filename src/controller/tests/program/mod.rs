@@ -1,4 +1,4 @@
-//! Runs programs for tests: lines in, positions in millimetres and actions out.
+//! Runs lines of programs for tests, and returns their actions and the positions in millimetres.
 #![allow(dead_code, reason = "what a build leaves out uses a part of it")]
 
 use oxmill_controller::axes::PerAxis;
@@ -39,7 +39,7 @@ impl Program {
         Self { interpreter: Interpreter::default(), dialect }
     }
 
-    /// Checks a line that may have blanks.
+    /// Checks a line, which can have blanks.
     pub fn check(&self, line: &str) -> Result<Action<3>, Error> {
         self.interpreter.check(line.replace(' ', "").as_bytes(), self.dialect)
     }
@@ -61,7 +61,7 @@ impl Program {
         }
     }
 
-    /// The error number of a line.
+    /// The error number of a line; 0 for a correct line.
     pub fn error(&self, line: &str) -> u8 {
         match self.check(line) {
             Ok(_) => 0,

@@ -1,5 +1,6 @@
 //! Carries out a probing move (G38): checks the input, queues the move, and lets the step task watch for the contact.
-//! At rest the contact's position is reported. Without a contact the machine locks, if the G-code word requires one.
+//! Once the machine is at rest, the position of the contact is reported. If the G-code word requires a contact and
+//! there was none, the machine locks.
 
 pub(crate) mod phases;
 
@@ -12,7 +13,8 @@ use crate::states::stops::orders::StopReason;
 use crate::units::Coordinate;
 
 impl<const N: usize> Controller<N> {
-    /// Begins a probing move, at rest. Returns whether there is one to wait for; if not, the line is to be answered.
+    /// Begins a probing move; the machine is at rest. Returns false if the move was not begun, because the input
+    /// already has the level to wait for. In that case the line is answered now.
     #[inline(never)]
     pub(crate) fn begin_probe(
         &mut self,
@@ -22,7 +24,6 @@ impl<const N: usize> Controller<N> {
         line_number: u32,
     ) -> bool {
         if self.m.inputs.signals().probe != away {
-            // The input already has the level for which the probe would wait.
             self.lock(Alarm::ProbeInitialState);
             self.m.interpreter.set_position(self.m.motion.machine_position());
             return false;
@@ -33,15 +34,15 @@ impl<const N: usize> Controller<N> {
         true
     }
 
-    /// Once the step task has braked for a contact, orders a stop: the stop reports the position, and the step task is
-    /// reopened after it.
+    /// Orders a stop once the step task has braked for a contact. The report of that stop brings the position, and
+    /// after it the step task is reopened.
     pub(crate) fn settle_probe(&mut self) {
         if self.m.probe.is_braking() && self.m.step_supply.observed().step_idle && !self.m.stops.is_awaited() {
             self.m.stops.order(StopReason::Contact);
         }
     }
 
-    /// Returns whether the probe has touched, once it is over; `None` until then. Drops the rest of its move.
+    /// Returns whether contact was made once the probing move is over; `None` until then. Drops the rest of the move.
     #[inline(never)]
     pub(crate) fn take_probe(&mut self, must_touch: bool) -> Option<bool> {
         let touched = self.m.probe.outcome(self.m.motion.is_idle())?;
@@ -53,7 +54,7 @@ impl<const N: usize> Controller<N> {
         Some(touched)
     }
 
-    /// Whether the probe is over. If so, reports its result.
+    /// Returns whether the probing move is over. If so, reports its result to the host.
     #[inline(never)]
     pub(crate) fn end_probe(&mut self, must_touch: bool) -> bool {
         let Some(touched) = self.take_probe(must_touch) else { return false };
@@ -67,7 +68,7 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// Returns a move that the operator's overrides do not change.
+/// Returns a straight, exact move without spindle power. The operator's overrides do not change it.
 pub(crate) fn seek<const N: usize>(target: PerAxis<Coordinate, N>, speed: Speed, line_number: u32) -> Move<N> {
     Move {
         target,

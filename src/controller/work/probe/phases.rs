@@ -1,17 +1,17 @@
-//! The phases of a probing move, and the result of the last one.
+//! The phases of a probing move, and the result of the last probing move.
 //!
 //! ```text
 //!  begin ──▶ Seeking ──contact──▶ Braking ──stopped──▶ Touched ──▶ finish
 //!               └──── end of the move without a contact ──────────▶ finish
 //! ```
-//! The step task checks the input at each tick and brakes by itself after the contact. At rest it is stopped, which
-//! reports its position, and then reopened.
+//! The step task checks the input at each tick, and brakes after the contact without an order. Once it is at rest, the
+//! controller stops it to learn its position, and reopens it.
 
 use crate::axes::PerAxis;
 use crate::messages::ToStep;
 use crate::units::Coordinate;
 
-/// The level of the input to look for, and the deceleration with which the step task then brakes.
+/// The level of the input to look for, and the deceleration with which the step task brakes when it sees that level.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Watched {
     level: bool,
@@ -29,7 +29,7 @@ enum Phase {
     Touched,
 }
 
-/// The probe move under way, and the result of the last one.
+/// The probing move in progress, and the result of the last probing move.
 #[derive(Clone, Copy, Debug)]
 pub struct Probe<const N: usize> {
     phase: Option<Phase>,
@@ -39,7 +39,7 @@ pub struct Probe<const N: usize> {
     position: PerAxis<Coordinate, N>,
 }
 
-/// Ends the step task's watch of the probe.
+/// Message that ends the step task's watch of the probe.
 const WATCH_ENDS: ToStep = ToStep::Watch { probe: None, braking: 0.0 };
 
 impl<const N: usize> Probe<N> {
@@ -54,7 +54,7 @@ impl<const N: usize> Probe<N> {
         self.watch_again();
     }
 
-    /// Ends the watch while the tool is parked: contacts meanwhile do not count.
+    /// Ends the watch while the tool is parked, because contacts in that time do not count.
     pub fn look_away(&mut self) {
         if self.is_seeking() {
             self.watch = Some(WATCH_ENDS);
@@ -86,7 +86,8 @@ impl<const N: usize> Probe<N> {
         }
     }
 
-    /// Whether the step task brakes after a contact. It takes no messages until it has been stopped.
+    /// Whether the step task is braking after a contact, or waits to be stopped after that. Until it has been stopped
+    /// it takes no messages.
     #[inline]
     pub fn is_braking(&self) -> bool {
         self.phase == Some(Phase::Braking)
@@ -98,7 +99,7 @@ impl<const N: usize> Probe<N> {
         self.phase.is_none() && self.watch.is_none()
     }
 
-    /// Reports that the step task has been stopped, for any reason: it has forgotten the watch.
+    /// Reports that the step task has been stopped for any reason. A stop also ends its watch of the probe.
     pub fn stopped(&mut self) {
         self.watch = None;
     }
@@ -113,7 +114,7 @@ impl<const N: usize> Probe<N> {
         matches!(self.phase, Some(Phase::Braking | Phase::Touched))
     }
 
-    /// Returns whether the probe has touched, once it is over. `idle`: nothing moves, and nothing is queued.
+    /// Returns whether contact was made; `None` until that is certain. `idle`: nothing moves, and nothing is queued.
     pub fn outcome(&self, idle: bool) -> Option<bool> {
         match self.phase {
             Some(Phase::Touched) => Some(true),
@@ -133,12 +134,12 @@ impl<const N: usize> Probe<N> {
         }
     }
 
-    /// Ends the probe because of something else; the step task has been stopped.
+    /// Ends the probe without a result, after the step task has been stopped.
     pub fn forget_move(&mut self) {
         self.phase = None;
     }
 
-    /// Ends the probe because of something else; the step task still watches and is told to end that.
+    /// Ends the probe without a result while the step task still watches, and tells the step task to end its watch.
     pub fn break_off(&mut self) {
         self.phase = None;
         self.watch = Some(WATCH_ENDS);

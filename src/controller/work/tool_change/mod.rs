@@ -1,6 +1,6 @@
 //! Carries out M6 according to `$918`. 0: only the number of the tool changes, and nothing stops. 1: the spindle stops,
-//! the host is asked for the tool, and the program waits for `~`. 2: as 1, and the new tool is then measured at a tool
-//! setter, and its length offset is set.
+//! the host is asked for the tool, and the program waits for `~`. 2: the same as 1, and after that a tool setter
+//! measures the new tool, and its length offset is set.
 
 pub(crate) mod plan;
 
@@ -23,8 +23,8 @@ impl<const N: usize> Controller<N> {
         self.m.settings.whole(Key::ToolChange) == 2
     }
 
-    /// Begins the tool change of a line that asks for one, at rest and before the rest of the line: the spindle stops,
-    /// and the program waits for `~`.
+    /// Begins the tool change if the line asks for one: the spindle stops, and the program waits for `~`. Called at
+    /// rest, before the rest of the line is executed.
     #[inline(never)]
     pub(crate) fn begin_tool_change(&mut self, job: &mut Job) -> Stage {
         if !(self.line.action.tool_change && self.m.prompts_for_tools()) {
@@ -68,7 +68,7 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Hold(Hold::BEGUN));
     }
 
-    /// Returns why the tool cannot be changed and measured, if so. Called before anything moves.
+    /// Returns the reason if the tool cannot be changed and measured. Called before anything moves.
     #[inline(never)]
     pub(crate) fn refuse_tool_change(&mut self) -> Option<Error> {
         if !self.line.action.is_tool_change_alone() || self.line.action.motion != MotionCommand::None {
@@ -110,14 +110,14 @@ impl<const N: usize> Controller<N> {
         job.wait(Stage::SpinningDown, self.m.now + delay)
     }
 
-    /// Moves the tool away from the work; the spindle has come to rest.
+    /// Moves the tool away from the work. Called when the spindle has come to rest.
     pub(crate) fn leave_for_tool(&mut self) -> Stage {
         self.line.begin_change(ToolChange::new(self.plan_tool_change()));
         let order = self.line.change().begin();
         self.carry_out_change(order)
     }
 
-    /// Carries out the next order once the last one has ended. Returns the next stage; `None` until then.
+    /// Carries out the next order and returns the next stage; `None` while the last order is still being carried out.
     #[inline(never)]
     pub(crate) fn advance_tool_change(&mut self) -> Option<Stage> {
         let touched = match self.line.change().is_probing() {
@@ -168,8 +168,8 @@ impl<const N: usize> Controller<N> {
         Stage::Measuring
     }
 
-    /// Called with the tool over the work. The rest of the line follows: it switches spindle and coolant on again, and
-    /// its motion is the move down.
+    /// Called with the tool over the work. Lets the rest of the line switch spindle and coolant on again, and then move
+    /// the tool down.
     fn return_to_work(&mut self) -> Stage {
         let length = self.m.interpreter.offsets().tool_length;
         let longer = length.zip(&self.line.action.tool_length(), |new, old| new - old);
@@ -180,14 +180,14 @@ impl<const N: usize> Controller<N> {
         if outside || self.limits_travel() && way.iter().any(|place| self.is_outside_travel(place)) {
             return self.fail_tool_change(Alarm::SoftLimit);
         }
-        // A laser is dark in rapids only.
+        // With a laser the move down is a rapid, because only rapids are dark.
         let rate = per_second(self.m.settings.value(Key::ParkingPullOutRate));
         let feed = if self.m.settings.is_on(Key::Laser) { Feed::Rapid } else { Feed::PerMinute(rate) };
         self.line.action.return_with_tool(way, feed, length);
         Stage::Apply
     }
 
-    /// Locks the machine where it is; its position stays true.
+    /// Locks the machine where it is. Its position stays trusted.
     fn fail_tool_change(&mut self, alarm: Alarm) -> Stage {
         self.m.interpreter.set_position(self.m.motion.machine_position());
         self.lock(alarm);

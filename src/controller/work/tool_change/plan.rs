@@ -1,5 +1,6 @@
 //! A tool change with a tool setter (`$918=2`) as a sequence: retract, go to the change position, wait, measure,
-//! return. It moves nothing itself: it returns an order and is called again when the order has ended.
+//! return. This module moves nothing itself. It returns an order, and is called again when that order has been carried
+//! out.
 //!
 //! ```text
 //!  height   retract ──▶ to G30 ──▶ prompt ~ ──▶ to the setter       lift ──▶ back ──▶ (spindle on)
@@ -7,10 +8,10 @@
 //!              │                                   ▼ ──────┘    │     │         ▼ to the same work position
 //!  setter    left                                contact        └─ locate
 //! ```
-//! All moves between positions are at one height: that of G30, or that of the tool if it is higher. Until the tool has
-//! been measured, only probing moves go below that height, and at most `$342` below G30. Without a tool (T0) nothing is
-//! measured. The first measured tool has no earlier one to be compared with, so the position of its tip over the work
-//! is not known: it stays up and waits for the operator.
+//! All moves between positions are at one height: that of G30, or that of the tool if the tool is higher when the
+//! change begins. Until the tool has been measured, only probing moves go below that height, and at most `$342` below
+//! G30. Without a tool (T0) nothing is measured. The first measured tool cannot be compared with an earlier tool, so
+//! the height of its tip over the work is not known. It stays up, and the program waits for the operator.
 
 use crate::axes::{Axis, PerAxis};
 use crate::error::Alarm;
@@ -26,17 +27,17 @@ const PULL_OFF: i32 = 2;
 pub struct ChangePlan<const N: usize> {
     /// Where the program was interrupted.
     pub left: PerAxis<Coordinate, N>,
-    /// Where tools are changed (G30): X and Y, and the height of all moves between positions.
+    /// Where tools are changed (G30): X and Y, and the minimum height of the moves between positions.
     pub change: PerAxis<Coordinate, N>,
     /// Where the tool setter is (G59.3): X and Y.
     pub setter: PerAxis<Coordinate, N>,
-    /// `$342`: how far below the height of G30 the setter is looked for.
+    /// `$342`: how far below the height of G30 a probing move goes to find the setter.
     pub depth: Coordinate,
     /// Rate of the first pass (`$344`).
     pub seek_rate: f32,
     /// Rate of the second pass (`$343`).
     pub locate_rate: f32,
-    /// The new tool is to be measured.
+    /// Whether the new tool is to be measured.
     pub measures: bool,
 }
 
@@ -52,8 +53,8 @@ impl<const N: usize> ChangePlan<N> {
         measures: false,
     };
 
-    /// Whether both positions have been stored and the setter is below G30. With `zero_is_clear` tools may be changed
-    /// at machine zero, where homing ends.
+    /// Whether both positions have been stored and `depth` is above 0. A G30 at machine zero counts as not stored,
+    /// except with `zero_is_clear`, where homing ends at machine zero.
     pub fn is_set_up(&self, zero_is_clear: bool) -> bool {
         let nowhere = PerAxis::all(Coordinate::ZERO);
         (self.change != nowhere || zero_is_clear) && self.setter != nowhere && self.depth > Coordinate::ZERO
@@ -64,7 +65,7 @@ impl<const N: usize> ChangePlan<N> {
         along(&self.change).max(along(&self.left))
     }
 
-    /// Ends of the moves. If they are within the travel, so is everything between them.
+    /// Ends of the moves. If these points are within the travel, so are all moves.
     pub fn corners(&self) -> [PerAxis<Coordinate, N>; 4] {
         let at_setter = self.over(&self.setter, self.height());
         let down = self.over(&self.setter, self.lowest());
@@ -76,7 +77,7 @@ impl<const N: usize> ChangePlan<N> {
         (along(&self.change) - self.depth).limited()
     }
 
-    /// X and Y of `place`, this height, and the other axes where they were left.
+    /// Returns the position with X and Y of `place`, Z at `height`, and the other axes as in `left`.
     fn over(&self, place: &PerAxis<Coordinate, N>, height: Coordinate) -> PerAxis<Coordinate, N> {
         let mut target = self.left;
         for axis in [Axis::X, Axis::Y] {
@@ -88,8 +89,8 @@ impl<const N: usize> ChangePlan<N> {
         target
     }
 
-    /// Returns the ends of the two moves back to the work with a tool that is longer by `longer`: a rapid to `clear`
-    /// above the second point, then down to the second point, where the new tip is where the old one was left.
+    /// Returns the ends of the two moves back to the work, with a tool that is longer than the old one by `longer`: a
+    /// rapid to `clear` above the end, and a slow move to the end. There the new tip is where the old tip was left.
     fn way_back(&self, longer: Coordinate, clear: Coordinate) -> [PerAxis<Coordinate, N>; 2] {
         let end = (along(&self.left) + longer).limited();
         let above = (end + clear).min(self.height()).max(end);
@@ -110,12 +111,12 @@ pub enum ChangeOrder<const N: usize> {
     Move(PerAxis<Coordinate, N>, f32),
     /// A move that ends when the tool touches the setter, at a rate in mm/s.
     Probe(PerAxis<Coordinate, N>, f32),
-    /// The operator is to change the tool; continues at their command.
+    /// The operator is to change the tool. Continues at the operator's command.
     Prompt,
     /// The new tool has touched the setter at this machine coordinate.
     Measured(Coordinate),
-    /// The tool, the first one measured, is over the position where the program was interrupted; continues at the
-    /// operator's command.
+    /// The first measured tool is over the position where the program was interrupted. Continues at the operator's
+    /// command.
     Confirm,
     /// The tool is over the position where the program was interrupted.
     Done,
@@ -154,7 +155,7 @@ pub struct ToolChange<const N: usize> {
     phase: ChangePhase,
     /// Machine coordinate at which the first pass touched.
     touched: Coordinate,
-    /// No tool has been measured before.
+    /// Whether no tool has been measured before this one.
     is_first: bool,
 }
 
@@ -173,7 +174,7 @@ impl<const N: usize> ToolChange<N> {
         self.is_first = true;
     }
 
-    /// Returns the moves down to the work: see `ChangePlan::way_back`. The first tool stays up.
+    /// Returns the moves down to the work, see `ChangePlan::way_back`. The first measured tool stays up.
     pub fn way_back(&self, longer: Coordinate, clear: Coordinate) -> [PerAxis<Coordinate, N>; 2] {
         match self.is_first {
             true => [self.plan.over(&self.plan.left, self.plan.height()); 2],
@@ -201,7 +202,7 @@ impl<const N: usize> ToolChange<N> {
         }
     }
 
-    /// Returns the order after the last one has ended; `contact` is where a probing move has touched.
+    /// Returns the next order when the last one has been carried out. `contact` is where a probing move made contact.
     pub fn next(&mut self, contact: Option<PerAxis<Coordinate, N>>) -> ChangeOrder<N> {
         let plan = &self.plan;
         let height = plan.height();

@@ -90,7 +90,7 @@ export class App implements Page {
     this.settings.onchange(() => this.soon());
     let runs = false;
     this.machine.onchange(() => {
-      // On a telephone, the card of the job is not always visible.
+      // When a job starts, show its card, which may be hidden on a telephone.
       if (this.machine.running && !runs) this.workspaces.part("job");
       runs = this.machine.running !== undefined;
     });
@@ -126,7 +126,7 @@ export class App implements Page {
     void this.check();
   }
 
-  /** Shows why a file is not a job, and removes the job before it. */
+  /** Shows why a file is not a job, and removes the previous job. */
   private refuse(name: string, { head, text }: Refusal): void {
     this.running?.abort(new Error("another file was chosen"));
     clearTimeout(this.timer);
@@ -166,7 +166,7 @@ export class App implements Page {
     void this.check();
   }
 
-  /** Checks the job after the settings have not changed for a while. */
+  /** Checks the job as soon as the settings have not changed for `QUIET`. */
   soon(): void {
     clearTimeout(this.timer);
     if (this.job.lines.length) this.timer = setTimeout(() => void this.check(), QUIET);
@@ -180,7 +180,7 @@ export class App implements Page {
     for (const panel of this.panels) panel.clear();
     this.allowRun();
     const progress = $<HTMLProgressElement>("progress");
-    // A small job needs no progress bar.
+    // Show the progress bar only after 200 ms, because a small job needs none.
     const slow = setTimeout(() => (progress.hidden = running.signal.aborted), 200);
     progress.value = 0;
     try {
@@ -235,7 +235,7 @@ export class App implements Page {
     });
   }
 
-  /** Enables the transfer of the job to the machine if the job may run. */
+  /** Enables the button that goes on to the machine if nothing keeps the job from running. */
   private allowRun(): void {
     const { summary } = this.checked ?? {};
     const hindered = summary && hindrance(summary);
@@ -295,7 +295,7 @@ export class App implements Page {
   }
 }
 
-/** For programs: returns the object that `oxmill run --json` prints. */
+/** For scripts: checks a job and returns the object that `oxmill run --json` prints. */
 async function check(text: string, options: Order = {}): Promise<Summary> {
   return (await firmware.check(options, new TextEncoder().encode(text))).summary;
 }

@@ -6,7 +6,7 @@ import type { JobPanel, Page } from "./page";
 
 /** Rates that are tested, in bits per second. */
 const BAUDS = [9_600, 19_200, 38_400, 57_600, 115_200, 250_000, 1_000_000];
-/** A job that takes longer than its time on an unlimited link by this factor waits for lines. */
+/** If a job takes more than this factor times its time on an unlimited link, the machine waits for lines. */
 const WAITS = 1.005;
 
 export class Cable implements JobPanel {

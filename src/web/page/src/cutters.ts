@@ -24,15 +24,15 @@ export function cutterIn(text: string): Cutter | undefined {
   const isPointed = angle !== undefined && angle > 0 && angle < 179 && !/drill/i.test(text);
   const isV = /v[- ]?bit|v[- ]?carv/i.test(text) || (isPointed && (CUTTER.test(text) || /engrav|chamfer|\bV\b/i.test(text)));
   const isBall = /ball/i.test(text);
-  // A length alone may belong to anything.
+  // A length alone is not sufficient: a word must say that it belongs to a cutter.
   if (diameter === undefined ? !(isV && isPointed) : !(isV || CUTTER.test(text))) return undefined;
   const width = diameter ?? 6;
   if (!(width > 0 && width <= 1000)) return undefined;
   return { shape: isV ? "v" : isBall ? "ball" : "flat", diameter: width, angle: isV && angle !== undefined && angle > 0 ? Math.min(179, angle) : 60 };
 }
 
-/** Returns the cutters by tool, as described by comments: a comment with the tool's number, or the last one before the
- * tool change. */
+/** Returns the cutters by tool. A comment describes the cutter of the tool that it names; without a number, that of the
+ * next tool change. */
 export function cuttersOf(lines: string[]): Record<number, Cutter> {
   const found: Record<number, Cutter> = {};
   let last: Cutter | undefined;

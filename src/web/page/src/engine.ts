@@ -17,7 +17,7 @@ export interface Order {
 
 /** Where a job is resumed; like the options of `oxmill resume`. */
 export interface Resume { line: number; clearance?: number; plunge?: number; spin_up?: number }
-/** The rest of a job as a program, and the prologue before its lines. */
+/** The rest of a job as a program. `prologue` are the added lines before those of the job. */
 export interface Rest { program: string; line: number; lines: number; prologue: string[] }
 
 export interface LineError { line: number; code: number; text: string; source: string; advice: string }
@@ -41,7 +41,7 @@ export interface Summary {
 export function hindrance({ errors, more_errors, alarm, complete }: Summary): { text: string; line?: number; more?: string } | undefined {
   const refused = errors.length + more_errors;
   const [first] = errors;
-  // After an alarm, lines are rejected because of it.
+  // Name the alarm unless a line before it was rejected: lines after the alarm are rejected because of it.
   if (alarm && !(first && first.line < (alarm.line ?? 0))) return { text: `the job ends in alarm ${alarm.code}`, line: alarm.line ?? undefined, more: alarm.text };
   if (refused) return { text: `${refused.toLocaleString("en")} line${refused === 1 ? "" : "s"} would be refused`, line: first.line, more: `Line ${first.line}: ${first.text}` };
   return complete ? undefined : { text: "the job does not come to its end" };
@@ -55,7 +55,7 @@ export const workZero = (summary: Summary): [number, number, number] =>
 export const ROW = 6;
 export const RAPID = 0x80000000;
 export const ARC = 0x40000000;
-/** Per row also its line with RAPID or ARC, its tool, and its S (0 while the spindle is off). */
+/** The rows, and for each row its line with RAPID or ARC, its tool, and its S (0 while the spindle is off). */
 export interface Path { rows: Float32Array; lines: Uint32Array; tools: Uint32Array; speeds: Uint32Array }
 
 export interface Streamed { baud: number; forecast_s: number; complete: boolean; errors: number; lost: { line: number; seconds: number }[] }
@@ -129,7 +129,7 @@ export class Engine {
   /** Returns the path of the job that was checked with `path` in its order. */
   path(): Path {
     const count = this.guard(() => this.wasm.oxmill_path());
-    // The module returns an address as a signed number.
+    // The module returns addresses as signed numbers; make them unsigned.
     const [rows, lines, tools, speeds] = [this.wasm.oxmill_path_rows(), this.wasm.oxmill_path_lines(), this.wasm.oxmill_path_tools(), this.wasm.oxmill_path_speeds()].map(at => at >>> 0);
     const { buffer } = this.wasm.memory;
     return {

@@ -70,7 +70,7 @@ export async function resume(order: Order, job: Uint8Array, signal?: AbortSignal
   return (await run<Answer & { rest: Rest }>({ task: "resume", order, job }, "resumed", signal)).rest;
 }
 
-/** Computes what the cutters leave of a block up to a time. Needs no firmware, but seconds, and therefore a worker. */
+/** Computes what the cutters leave of a block up to a time. It takes seconds, and therefore runs in a worker. */
 export async function cutBlock(path: Path, cutters: Record<number, Cutter>, block: Block, until: number, signal: AbortSignal, progress: (part: number) => void): Promise<Material> {
   return (await run<Answer & { material: Material }>({ task: "material", path, cutters, block, until }, "material", signal, progress)).material;
 }

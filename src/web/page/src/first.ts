@@ -1,4 +1,4 @@
-// The start page: which machine, which job. Each sample shows its time on the chosen machine.
+// The start page, where the user chooses a machine and a job. Each sample shows its time on the chosen machine.
 import { $, el, minutes } from "./dom";
 import * as firmware from "./firmware";
 import type { Page } from "./page";

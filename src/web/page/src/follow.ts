@@ -3,15 +3,16 @@
 import { type Path, ROW } from "./engine";
 import { endOf, isRapid, lineOf, placeAt, rowAt } from "./track";
 
-/** Maximum progress between two reports, relative to the expected one: overrides at most double a speed. */
+/** Maximum progress between two reports, as a multiple of the expected progress. Overrides at most double a speed. */
 const FASTEST = 2.2;
-/** Seconds after the expected time that are always searched. */
+/** Seconds that are searched in addition to the maximum progress. */
 const SLACK = 1;
 /** A machine nearer to the path than this is on it, mm. */
 const NEAR = 0.3;
-/** In the second search, of everything that was sent, a machine within this distance of the path is on it, mm. */
+/** The same distance for the second search, which covers everything that was sent, mm. */
 const ASTRAY = 1;
-/** Weight of the deviation from the expected time, mm per s, where the path passes a position twice or stands still. */
+/** Cost of a deviation from the expected time, mm per s. It decides if the path passes a position twice or stands
+ * still. */
 const SECOND = 0.02;
 
 export interface Overrides { feed: number; rapid: number }
@@ -51,11 +52,12 @@ export class Follower {
     if (path.lines.length < 2) return;
     const at = [0, 1, 2].map(axis => work[axis] + zero[axis]);
     const expected = Math.min(this.end, this.time + passed);
-    // A machine that is not found near the expected time may have been lost: search everything that was sent.
+    // If the machine is not found near the expected time, search everything that was sent.
     if (!this.look(at, expected, Math.min(this.end, this.time + passed * FASTEST + SLACK), sent, SECOND, NEAR)) this.look(at, expected, this.end, sent, 0, ASTRAY);
   }
 
-  /** Searches for a position from the present time to `until`. Returns whether the machine was found within `within` mm. */
+  /** Searches for a position from the present time to `until`. Returns whether the machine was found within `within`
+   * mm. */
   private look(at: number[], expected: number, until: number, sent: number, second: number, within: number): boolean {
     const { path } = this;
     let [best, found, off]: [number, number, number] = [Infinity, this.time, Infinity];
@@ -73,7 +75,7 @@ export class Follower {
       const [from, to] = [Math.max(began, this.time), Math.min(ended, until)];
       look(Math.min(until, Math.max(this.time, began)));
       if (to <= from) continue;
-      // The nearest position on a straight row, as a part of its time.
+      // `part`: where on the straight row the machine is nearest, as a fraction of the row.
       const a = [0, 1, 2].map(axis => path.rows[(row - 1) * ROW + axis]);
       const way = [0, 1, 2].map(axis => path.rows[row * ROW + axis] - a[axis]);
       const length2 = way.reduce((sum, v) => sum + v * v, 0);

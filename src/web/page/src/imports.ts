@@ -14,7 +14,7 @@ export interface Import {
 const OWN = 900;
 /** Switches that are bit masks in grblHAL; the lowest bit is the switch. */
 const FIRST_BIT = new Set([21, 22]);
-/** Settings that affect only the reports or the wiring of another board, but not how it moves. */
+/** Settings that are left out because they affect only the reports or the wiring of another board, with the reason. */
 const OF_THE_BOARD = new Map([[10, "it decides on reports only"], [37, "another board's wiring"]]);
 
 export function readImport(text: string, table: Setting[]): Import {
@@ -44,7 +44,7 @@ function dump(text: string, table: Setting[]): Import {
 const AXIS_KEYS: Record<string, number> = { steps_per_mm: 100, max_rate_mm_per_min: 110, acceleration_mm_per_sec2: 120, max_travel_mm: 130 };
 const KEYS: Record<string, number> = { junction_deviation_mm: 11, arc_tolerance_mm: 12, report_inches: 13 };
 
-/** Reads a FluidNC file. It is YAML, of which keys and values by indentation are sufficient. */
+/** Reads a FluidNC file. It is YAML; reading its keys and values by indentation is sufficient. */
 function fluidNc(text: string): Import {
   const made: Import = { what: "FluidNC", taken: [], left: [] };
   const path: { indent: number; key: string }[] = [];

@@ -3,10 +3,10 @@
 interface Launched { files: readonly { getFile(): Promise<File> }[] }
 interface LaunchQueue { setConsumer(call: (launched: Launched) => void): void }
 
-/** Has the site's service worker store the page for offline use. The single-file page has no service worker. */
+/** Lets the site's service worker store the page for offline use. The single-file page has no service worker. */
 export function keepOffline(): void {
   const script = document.querySelector<HTMLMetaElement>("meta[name=oxmill-offline]")?.content;
-  // Over http from another computer, browsers offer no service workers.
+  // Browsers have no `serviceWorker` for a page that came from another computer by http.
   if (script) navigator.serviceWorker?.register(script).catch(error => console.warn(`not kept for times without a network: ${error}`));
 }
 

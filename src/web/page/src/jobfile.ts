@@ -3,7 +3,7 @@
 export interface Refusal { head: string; text: string }
 export type Opened = { bytes: Uint8Array; text: string } | Refusal;
 
-/** Larger files are not read, as the tab would run out of memory; in bytes. */
+/** Maximum size of a file, in bytes. A larger file would fill the memory of the tab. */
 const LARGEST = 512 * 2 ** 20;
 /** First bytes of files that users may take for programs. */
 const SIGNATURES: [string, number[]][] = [
@@ -25,7 +25,7 @@ export function read(name: string, bytes: Uint8Array): Opened {
   if (found) return { head: "This is not a G-code file.", text: `${name} looks like ${found[0]} (${size(bytes.length)}). No line of it was checked.` };
   const encoding = bytes[0] === 0xff && bytes[1] === 0xfe ? "utf-16le" : bytes[0] === 0xfe && bytes[1] === 0xff ? "utf-16be" : "utf-8";
   if (encoding !== "utf-8") {
-    // The machine receives bytes, so check what would be sent.
+    // Return the text as UTF-8, because the check must read the bytes that would be sent to the machine.
     const text = new TextDecoder(encoding).decode(bytes);
     return { bytes: new TextEncoder().encode(text), text };
   }

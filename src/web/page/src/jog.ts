@@ -6,7 +6,7 @@ import { units } from "./units";
 
 /** Duration of each move of a held jog, s. */
 const JOG_SECONDS = 0.2;
-/** Moves of a held jog that are sent ahead of the last report: if the page dies, the machine stops after them. */
+/** Moves of a held jog that are sent ahead of the last report. If the page dies, the machine makes only these. */
 const JOGS_AHEAD = 3;
 /** Steps in the displayed unit. */
 const STEPS = { mm: [0.001, 0.01, 0.1, 1, 10], inch: [0.0005, 0.005, 0.05, 0.5] };
@@ -98,11 +98,11 @@ export class JogPanel {
     press($("feeds").children, button => Number(button.dataset.share) === chosen);
   }
 
-  /** Returns the feed for these axes in mm/min. The typed feed may exceed their maximum. */
+  /** Returns the typed feed, limited to the maximum of these axes, in mm/min. */
   private feed(way: Way): number {
     const typed = units.parse($<HTMLInputElement>("jog-feed").value) ?? 1;
     const most = Object.keys(way).map(axis => this.machine.settings[110 + "XYZABC".indexOf(axis)] ?? Infinity);
-    // On a diagonal, each axis runs at its share.
+    // On a diagonal, each axis has only its share of the feed.
     return Math.max(1, Math.min(typed, Math.min(...most) * Math.sqrt(most.length)));
   }
 
@@ -190,7 +190,7 @@ export class JogPanel {
     const { machine } = this;
     const { sender } = machine;
     const held = () => this.jogging === press && machine.sender === sender;
-    // The settings are usually known. If the machine has refused them before, it may report them now.
+    // Request the settings if they are not known: the machine may have refused to list them before.
     if (sender && held() && machine.settings[110] === undefined) await machine.readSettings();
     if (!sender || !held()) return;
     const axes = Object.keys(way).map(axis => "XYZABC".indexOf(axis));
@@ -207,7 +207,7 @@ export class JogPanel {
       }
       sent++;
       const answer = await sender.command(text);
-      // On some machines, a line that was being sent when the button was released arrives after the jog cancel.
+      // Cancel again: a line that was being sent when the button was released can arrive after the first jog cancel.
       if (!held() && machine.sender === sender) sender.realtime(REALTIME.jogCancel);
       if (answer !== "ok") {
         this.refused(text, answer);
@@ -229,7 +229,7 @@ export class JogPanel {
     if (machine.axes.join("") !== this.axes && machine.status) this.build(machine.axes);
     if (this.keys && performance.now() - this.used > FORGETFUL) this.switchKeysOff();
     const why = machine.whyNot;
-    // A disabled button does not report its release.
+    // End the jog here, because a disabled button does not report its release.
     if (why) this.end();
     if (why && machine.phase !== "jog") this.switchKeysOff();
     $("jog-card").hidden = !machine.isConnected;

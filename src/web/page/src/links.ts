@@ -92,7 +92,7 @@ export class SerialLink implements Link {
 
   /** Closes the port after all bytes have been written. */
   async close(): Promise<void> {
-    // Each step may fail if the board is gone; the port is closed all the same. Do not wait for a board that takes no
+    // Each step can fail if the board is gone; close the port nevertheless. Do not wait long for a board that takes no
     // bytes.
     await Promise.race([this.writer.close(), new Promise(resolve => setTimeout(resolve, LONGEST_CLOSE))]).catch(() => {});
     this.writer.releaseLock();

@@ -31,7 +31,7 @@ export interface Running {
 export interface Stopped { job: Job; line: number; seconds: number; why: string; at: number[]; lifted?: boolean }
 /** A job that was completed. */
 export interface Finished { name: string; took: number; forecast: number; holds: number; times: number }
-/** An alarm, from its report until the machine may work again. */
+/** An alarm, from its report until the machine can work again. */
 export interface Trouble { code?: number; text: string; advice: string; at: number[]; line?: number; limits: string; unlocked: boolean; positionLost: boolean }
 
 export class Machine {
@@ -61,17 +61,17 @@ export class Machine {
   private link?: Link;
   private endPoll = () => {};
   private stopping?: Stopping;
-  /** Number of presses of Stop and of lost connections: sequences that started before must not continue. */
+  /** Counts presses of Stop and ended connections. After a change, a sequence of lines must not continue. */
   stopCalls = 0;
   private heard = 0;
   private reported = 0;
   /** Why the connection was lost, if it was. */
   private lostWhy = "";
-  /** Number of consecutive reports of an idle machine without a pending line. */
+  /** Number of consecutive reports in which the machine is idle and no line is pending. */
   private rests = 0;
   /** Modes and offsets may have changed and must be requested. */
   private stale = true;
-  /** Modes and offsets have been requested. */
+  /** Modes and offsets have been requested and have not arrived. */
   private asking = false;
   private limits = "";
   private readonly listeners: (() => void)[] = [];
@@ -142,7 +142,7 @@ export class Machine {
     return word === undefined ? 0 : Number(word.slice(1, 3)) - 53 + Number(word.split(".")[1] ?? 0);
   }
 
-  /** Why the page must not send jogs or lines of its own now; `undefined` if it may. */
+  /** Why the page must not send jogs or lines of its own now; `undefined` if nothing prevents it. */
   get whyNot(): string | undefined {
     switch (this.phase) {
       case "none": return "Connect a machine first.";
@@ -166,8 +166,8 @@ export class Machine {
     return this.phase === "jog" ? "Off while the machine jogs." : this.whyNot;
   }
 
-  /** Whether a job may start: two reports are needed, as a single one may be older than the last move, and modes and
-   * offsets must be known. */
+  /** Whether the machine is at rest, so that a job can start. This needs two reports, because a single one can be older
+   * than the last move. Modes and offsets must also be known. */
   get isAtRest(): boolean {
     return this.rests >= 2 && !this.stale && !this.asking;
   }
@@ -186,7 +186,7 @@ export class Machine {
     this.onsay(answered.answer, answered.answer === "ok" ? "" : "wrong");
     this.stale = true;
     if (answered.answer === "ok") this.after(text.trim().toUpperCase());
-    // The setting may change the unit of reports, or speeds.
+    // Read the settings again, because the new one can change the unit of reports, or speeds.
     if (/^\s*\$(\d|RST)/i.test(text)) await this.readSettings();
     this.changed();
     return answered;
@@ -228,7 +228,7 @@ export class Machine {
       this.trouble.unlocked = true;
       if (!this.trouble.positionLost) this.trouble = undefined;
     }
-    // Positions no longer match the homed coordinates.
+    // After a change of these settings, the positions do not match the homed coordinates.
     if (/^\$(3|23|10\d|904|930)=/.test(line)) this.homed = undefined;
   }
 
@@ -240,7 +240,7 @@ export class Machine {
     this.changed();
   }
 
-  /** Reads the machine's settings, which it refuses in motion. Returns whether it succeeded. */
+  /** Asks the machine for its settings, which it does not list in motion. Returns whether it has listed them. */
   async readSettings(): Promise<boolean> {
     const { sender } = this;
     if (!sender) return false;
@@ -304,12 +304,12 @@ export class Machine {
     this.onnote(homes ? "Disconnected. The machine is homing, and goes on with it." : moves ? "Disconnected. The machine was moving, and is held." : "Disconnected.");
   }
 
-  /** Whether the machine has work: all lines may be answered while it still moves. */
+  /** Whether the machine has work. It can still move after all lines have been answered. */
   moves(): boolean {
     return this.sender !== undefined && (this.sender.busy || /^(Run|Jog|Home)/.test(this.status?.state ?? ""));
   }
 
-  /** Handles a lost connection. It may still work in the other direction, so a moving machine is put into a hold. */
+  /** Handles a lost connection. Bytes may still reach the machine, so a moving machine is put into a hold. */
   private lost(why: string): void {
     const moves = this.moves();
     if (moves) this.realtime("hold");
@@ -456,7 +456,7 @@ export class Machine {
       this.onnote(atRest ? "Stopped. Spindle and coolant are off." : "Reset in motion: the position may be lost.");
       this.changed();
     };
-    // Either nothing moves, or a homing cycle, which ignores a hold.
+    // Reset at once: either nothing moves, or the machine is homing and would ignore a hold.
     if (["idle", "alarm", "home", "sleep", "check", "connecting"].includes(phase)) {
       if (this.running) this.end(this.running, "stopped");
       sender.reset();

@@ -47,7 +47,7 @@ export class Macros {
     const macro = { name: this.name.value.trim(), lines: this.text.value.trim() };
     if (!macro.name || !macro.lines) return void (this.note.textContent = "A macro needs a name and lines.");
     this.note.textContent = "Checking";
-    // Lines with $ are for the real machine only.
+    // Leave out lines with `$`, which are for the real machine only.
     const program = macro.lines.split("\n").map(line => (line.trim().startsWith("$") ? "" : line)).join("\n");
     const { summary } = await firmware.check({ ...this.page.order(), name: macro.name }, new TextEncoder().encode(program));
     const [error] = summary.errors;
@@ -62,7 +62,7 @@ export class Macros {
     try {
       localStorage.setItem(STORED, JSON.stringify(this.all));
     } catch {
-      // Without storage, the page forgets.
+      // Without storage, the macros are lost when the page is closed.
     }
     this.show();
   }

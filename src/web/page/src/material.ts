@@ -17,10 +17,10 @@ export interface Material {
 
 /** Maximum number of cells in the map. */
 const CELLS = 360_000;
-/** Maximum number of cells examined for all moves together: takes a second or two. */
+/** Maximum number of cells examined for all moves together. Examining them takes a second or two. */
 const WORK = 80_000_000;
 const SMALLEST_CELL = 0.02;
-/** Tolerance for rapids in material, sideways and downwards, mm: in a long job the path itself is no more exact. */
+/** Tolerance for rapids in material, sideways and downwards, mm. The path of a long job is not more accurate. */
 export const SLACK = 0.05;
 /** Rows between two progress reports. */
 const ROWS_AT_A_TIME = 2000;
@@ -43,7 +43,8 @@ export function cellFor(path: Path, cutters: Record<number, Cutter>, block: Bloc
 
 export const cutterOf = (cutters: Record<number, Cutter>, tool: number): Cutter => cutters[tool] ?? cutters[0] ?? { shape: "flat", diameter: 3, angle: 60 };
 
-/** Returns the block that a job seems to be cut from: the extents of its cuts below work zero, plus the cutter's radius. */
+/** Returns the block that a job seems to be cut from: the extents of its cuts below work zero, plus the cutter's
+ * radius. */
 export function blockOf(path: Path, cutters: Record<number, Cutter>, zero: number): Block {
   const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
   const take = (below: number) => {
@@ -72,9 +73,9 @@ export function blockOf(path: Path, cutters: Record<number, Cutter>, zero: numbe
 }
 
 /**
- * Cuts a block, up to a time of the job. A move leaves, over each cell, the lowest height that the cutter had there.
- * The cutter's profile above its tip is convex, so the position of that height on the move follows from the slope in
- * closed form.
+ * Cuts a block, up to a time of the job. A move lowers each cell to the lowest height that the cutter had over the
+ * cell. The cutter's profile above its tip is convex, so the slope gives in closed form where on the move the cutter is
+ * lowest over the cell.
  */
 export function cut(path: Path, cutters: Record<number, Cutter>, block: Block, cell: number, progress: (part: number) => void = () => {}, until = Infinity): Material {
   const nx = Math.max(1, Math.round((block.high[0] - block.low[0]) / cell));
@@ -94,7 +95,7 @@ export function cut(path: Path, cutters: Record<number, Cutter>, block: Block, c
     if (Math.min(az, bz) >= block.high[2]) continue;
     const length = Math.hypot(bx - ax, by - ay);
     if (length < 1e-6) {
-      // Straight up or down: only the lower end matters.
+      // Of a move straight up or down, only the lower end matters.
       [az, bz] = [Math.min(az, bz), Math.min(az, bz)];
     }
     const [ux, uy] = length < 1e-6 ? [1, 0] : [(bx - ax) / length, (by - ay) / length];
@@ -105,7 +106,7 @@ export function cut(path: Path, cutters: Record<number, Cutter>, block: Block, c
     const last = Math.min(ny - 1, Math.floor((Math.max(ay, by) + radius - block.low[1]) / dy - 0.5));
     for (let j = first; j <= last; j++) {
       const y = block.low[1] + (j + 0.5) * dy;
-      // The part of the move from which the cutter reaches this row of cells.
+      // From `begin` to `end` of the move, in mm, the cutter reaches this row of cells.
       let [begin, end] = [0, length];
       if (Math.abs(uy) > 1e-9) {
         const [one, other] = [(y - radius - ay) / uy, (y + radius - ay) / uy];
@@ -152,7 +153,7 @@ export function cut(path: Path, cutters: Record<number, Cutter>, block: Block, c
     if (deepest > SLACK) {
       const line = path.lines[row] % ARC;
       const before = crashes.at(-1);
-      // A rapid has many rows.
+      // A rapid can have several rows of the path: merge their collisions.
       if (before && before.line === line && (before.rows.at(-1) as number) >= row - 2) {
         before.depth = Math.max(before.depth, deepest);
         before.rows.push(row);

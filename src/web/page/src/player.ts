@@ -136,13 +136,14 @@ export class Player implements Timeline {
     }
   }
 
-  /** While a job runs, follows the machine's progress. */
+  /** Handles a change of the machine: marks where the machine is and, while it runs the open job, shows the time and
+   * line that it has reached. */
   private followMachine(): void {
     const { machine, path } = this;
     const { running, status, sender } = machine;
     const place = status?.machine;
     const own = this.summary ? workZero(this.summary) : [0, 0, 0];
-    // The picture uses the job's work zero, the machine its own: convert via work coordinates.
+    // The picture has the work zero of the job, the machine another one: convert by way of work coordinates.
     this.machinePlace = place && status ? [0, 1, 2].map(axis => status.work[axis] + own[axis]) : undefined;
     const live = running !== undefined && path !== undefined && running.job === this.page.job;
     if (live !== this.live) {
@@ -169,7 +170,7 @@ export class Player implements Timeline {
       this.marked = marked;
     }
     say("dock-note", live ? "Follows the machine." : "Click a line to see its place.");
-    // Redrawing the picture also draws the machine mark.
+    // Draw the marks again only if the mark of the machine has changed.
     const seen = `${this.machinePlace} ${machine.phase} ${machine.isUnsure}`;
     if (seen !== this.seen) this.mark();
     this.seen = seen;
@@ -295,7 +296,7 @@ export class Player implements Timeline {
     this.mark();
   }
 
-  /** For the keyboard. */
+  /** Starts or stops playing, on a key. */
   togglePlay(): void {
     if (!this.live) this.play();
   }
@@ -320,7 +321,7 @@ export class Player implements Timeline {
       this.showSecond();
       this.limits();
       this.seek(this.time);
-      // The first view has a different width after this.
+      // This has changed the width of the first view.
       picture?.fit();
     });
     $("show-rapids").addEventListener("change", () => {

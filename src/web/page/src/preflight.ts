@@ -91,7 +91,7 @@ export class Preflight {
     return [{ grade: homed ? "ask" : "look", text: `Work zero is not set in ${axes}`, more: homed ? "It is where the machine was homed: at its end of travel." : "It is where the machine was switched on." }];
   }
 
-  /** Findings of the trial on the real machine's settings, as opposed to those of the forecast. */
+  /** Findings of the trial with the settings of the real machine, not with those of the forecast. */
   private fits(): Finding[] {
     const { trial, wanted, page } = this;
     const own = page.checked?.summary;

@@ -95,8 +95,8 @@ export class ProbePanel {
     allow(this.go, machine.whyNotAtRest ?? turning ?? (touching ? "The probe is in contact already." : undefined));
   }
 
-  /** Sends a line of the cycle and returns the output before its answer. Throws after a Stop or a rejected line, so that
-   * no further line is sent. */
+  /** Sends a line of the cycle and returns the output before its answer. Throws after a Stop or a rejected line, so
+   * that no further line is sent. */
   private async send(line: string): Promise<string[]> {
     const { machine } = this;
     const stopped = () => machine.stopCalls !== this.stops;
@@ -107,7 +107,8 @@ export class ProbePanel {
     return said;
   }
 
-  /** Moves until the probe touches. Returns the contact position in machine coordinates, or `undefined` without contact. */
+  /** Moves until the probe touches. Returns the contact position in machine coordinates, or `undefined` without
+   * contact. */
   private async touch(axis: number, way: number, most: number, feed: number): Promise<number | undefined> {
     const said = await this.send(`G38.3 ${"XYZ"[axis]}${Number((way * most).toFixed(3))} F${feed}`);
     const found = /\[PRB:([^\]]*):([01])\]/.exec(said.join(" "));
@@ -193,7 +194,7 @@ export class ProbePanel {
         const places: Record<number, number> = { 2: (await this.find(2, -1, depth, feed)) - plate };
         const start = await this.here();
         for (const axis of [0, 1]) {
-          // Around the corner, down beside the plate, back towards it, and up to the start again.
+          // Go around the corner, down beside the plate, towards the plate until contact, and back up to the start.
           await this.move({ 2: BACK });
           await this.move({ [axis]: -ways[axis] * depth });
           await this.guarded(2, -BESIDE, feed * 2);

@@ -17,7 +17,7 @@ export class Program {
   /** Why editing is disabled, if it is. */
   locked?: string;
   private line = 0;
-  /** The last line that was sent to the machine, which is executing `line`; 0 without a machine. */
+  /** Line number of the last line sent to the machine, which is executing `line`; 0 without a machine. */
   private sent = 0;
   private editing = 0;
   private readonly list = $("lines");
@@ -58,7 +58,7 @@ export class Program {
     this.list.scrollTop = 0;
   }
 
-  /** Marks a line. `sent`: last line sent to the machine that is executing `line`; 0 without a machine. */
+  /** Marks a line. `sent`: line number of the last line sent to the machine, which is at `line`; 0 without one. */
   mark(line: number, sent = 0, follow = true): void {
     [this.line, this.sent] = [line, sent];
     if (follow) this.scrollTo(line || 1);

@@ -35,7 +35,7 @@ export class RunCard {
     this.update();
   }
 
-  /** Returns why the job cannot start, if it cannot; with `asked`, the user may confirm and start it. */
+  /** Returns why the job cannot start, if it cannot; with `asked`, the user can confirm and start it. */
   private get hindered(): { why?: string; asked?: boolean } {
     const { machine } = this;
     if (machine.whyNotAtRest !== undefined) return { why: machine.whyNotAtRest };
@@ -202,7 +202,7 @@ export class RunCard {
       el("p", { className: "note", textContent: `${stopped.job.name}: ${why} ${minutes(stopped.seconds)} of the job are done.` }), actions];
   }
 
-  /** Returns the steps after an alarm, of which one at a time is active. */
+  /** Returns the steps after an alarm. Only one step at a time is active. */
   private steps(trouble: Trouble): Node[] {
     const { machine } = this;
     const { phase, stopped } = machine;

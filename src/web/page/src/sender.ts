@@ -51,7 +51,7 @@ export class Sender {
   onmessage: (text: string) => void = () => {};
   onprogress: () => void = () => {};
   onrefused: (line: number, answer: string) => void = () => {};
-  /** Called when a job ends before its last line, with the number of the last line that was sent. */
+  /** Called when a job ends before its last line, with the line number of the last line that was sent. */
   onstopped: (line: number, why: string) => void = () => {};
   /** Called when the machine restarts without a reset by this sender: by a reset button, a supply dip or another host. */
   ongreeting: () => void = () => {};
@@ -107,12 +107,13 @@ export class Sender {
     return (await this.ask(text)).answer;
   }
 
-  /** Whether only queries wait to be sent or answered, or nothing. */
+  /** Whether nothing except queries waits to be sent or answered. */
   get free(): boolean {
     return !this.busy && this.flight.every(({ command }) => command?.quiet) && this.commands.every(({ quiet }) => quiet);
   }
 
-  /** Starts a job. Throws, and sends nothing of it, if another job is in progress or a line cannot be sent unchanged. */
+  /** Starts a job. Throws, and sends nothing of the job, if earlier lines are unanswered or a line cannot be sent
+   * unchanged. */
   stream(text: string): void {
     if (!this.free) throw new Error("the lines before it are not answered yet");
     const lines = text.replace(/^\uFEFF/, "").split(/\r\n|\r|\n/);
@@ -151,7 +152,7 @@ export class Sender {
     [this.next, this.done, this.stopped] = [0, 0, false];
   }
 
-  /** Writes no line until the controller's welcome: earlier answers belong to discarded lines. */
+  /** Writes no line before the controller's welcome, because answers before it belong to discarded lines. */
   private expectGreeting(longest: number): void {
     this.resetting = true;
     this.pause(longest);
@@ -174,7 +175,7 @@ export class Sender {
     const line = this.done;
     const cut = this.busy;
     this.forget();
-    // An answer to an earlier line may still be on its way.
+    // Pause, because an answer to a discarded line may still arrive.
     this.pause(SETTLING);
     if (cut) this.onstopped(line, "the machine was reset");
     this.ongreeting();
@@ -190,7 +191,7 @@ export class Sender {
       const text = command?.text ?? this.lines[this.next];
       if (text === undefined) return;
       if (!command && TAPE_MARK.test(text)) {
-        // A tape mark is not a line for the controller.
+        // Do not send a tape mark. It counts as answered.
         this.next++;
         this.done++;
         continue;
@@ -211,7 +212,7 @@ export class Sender {
       try {
         this.line(line.trim());
       } catch (error) {
-        // Displaying one line may fail; the answers after it must still be counted.
+        // If displaying one line fails, the answers after it must still be counted.
         console.error(error);
       }
     }
@@ -270,7 +271,7 @@ function beginsChecks(text: string): boolean {
 /** A `%` followed only by comments. */
 const TAPE_MARK = /^\s*%\s*(\([^()]*(\)\s*|$))*(;.*)?$/;
 
-/** Returns why a line must not be sent, if so: a line must never change its meaning on its way. */
+/** Returns why a line must not be sent, if so: its meaning would change on its way, or it switches checks on. */
 function unsendable(text: string): string | undefined {
   const found = foreign(text);
   if (found === undefined) return beginsChecks(text) ? UNCHECKED : undefined;

@@ -88,8 +88,8 @@ export class Settings implements Values {
     return this.table.get(number)?.default;
   }
 
-  /** Returns the values of settings that this firmware has and that differ from its defaults: another version of the
-   * page may have stored others. */
+  /** Leaves out default values, and settings that this firmware does not have, which another version of the page may
+   * have stored. */
   private known(values: Record<string, number>): Record<string, number> {
     const entries = Object.entries(values).filter(([number, value]) => Number.isFinite(value) && this.default(Number(number)) !== undefined);
     return Object.fromEntries(entries.filter(([number, value]) => value !== this.default(Number(number))));
@@ -104,7 +104,7 @@ export class Settings implements Values {
       localStorage.setItem(STORED, JSON.stringify(this.changed));
       localStorage.setItem(STORED_PRESET, JSON.stringify(this.preset.id));
     } catch {
-      // Without storage, the page forgets.
+      // Without storage, the settings are lost when the page is closed.
     }
   }
 }

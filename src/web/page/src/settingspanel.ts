@@ -62,7 +62,7 @@ export class SettingsPanel {
     const byGroup = new Map<string, Map<string, Setting[]>>();
     for (const setting of this.description.settings) {
       const group = byGroup.get(setting.group) ?? byGroup.set(setting.group, new Map()).get(setting.group) as Map<string, Setting[]>;
-      // The setting of a homing cycle belongs to no single axis.
+      // Each homing cycle has its own row, because its setting belongs to no single axis.
       const key = setting.axis && setting.kind !== "axes" ? setting.title : setting.name;
       group.set(key, [...(group.get(key) ?? []), setting]);
     }
@@ -277,7 +277,7 @@ export class SettingsPanel {
   private update(): void {
     const { machine } = this;
     const why = machine.isConnected ? machine.whyNotAtRest : "Connect a machine first.";
-    // The buttons stay enabled in motion: the machine then refuses, and the page says so.
+    // The buttons stay enabled in motion. The machine refuses the request, and the page says so.
     allow($("read"), machine.isConnected ? undefined : why);
     allow($("compare"), machine.isConnected ? undefined : why);
     $("differs").hidden = !machine.isConnected;

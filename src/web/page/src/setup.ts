@@ -43,7 +43,8 @@ export class SetupPanel {
     this.ask.open();
   }
 
-  /** Returns the lowest Z in work coordinates that clears the whole job, as far as the job shows. */
+  /** Returns the lowest safe Z in work coordinates: the highest Z of the job, but at least `LEAST`. Clamps are not
+   * known. */
   safeHeight(): number {
     const { checked } = this.page;
     return checked ? Math.max(LEAST, extents(checked.summary).max[2]) : NO_JOB;

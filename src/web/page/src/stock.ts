@@ -22,7 +22,7 @@ export class MaterialPanel implements JobPanel {
   private path?: Path;
   /** Work zero in machine coordinates, mm. */
   private zero = [0, 0, 0];
-  /** Whether the job turns the axis A: the rest of a block is then not known. */
+  /** Whether the job turns the axis A. If so, it is not known what the job leaves of a block. */
   private turns = false;
   private running?: AbortController;
   /** Aborts the computation of the block at a time before the end of the job. */
@@ -58,7 +58,7 @@ export class MaterialPanel implements JobPanel {
     const tools = [...new Set(path.tools.subarray(1))];
     const written = cuttersOf(lines);
     const known = Object.values(written);
-    // A job without tool changes uses the cutter in the spindle: the only one that the comments describe.
+    // A job without tool changes uses one cutter. If the comments describe only one cutter, it is that one.
     if (tools.every(tool => tool === 0) && known.length === 1) [written[0]] = known;
     this.cutters = {};
     for (const tool of tools) this.cutters[tool] = this.chosen[tool] ?? written[tool] ?? { ...NEW };

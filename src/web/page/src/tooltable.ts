@@ -51,7 +51,7 @@ export class ToolTable {
     });
   }
 
-  /** Under G20, the machine would interpret a length in inches. */
+  /** Millimetres per unit of a length in a line: with G20, the machine expects inches. */
   private get unit(): number {
     return this.machine.modes.includes("G20") ? 25.4 : 1;
   }

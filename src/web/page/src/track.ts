@@ -24,7 +24,8 @@ export function rowAt(path: Path, seconds: number): number {
   return low;
 }
 
-/** Returns the start time of a line: of the next move if the line makes none, or the end of the job if none follows. */
+/** Returns the time at which the moves of a line start. For a line without moves, returns that of the next move, or the
+ * end of the job. */
 export function beginOfLine(path: Path, line: number): number {
   const row = rowOfLine(path, line);
   return row === undefined ? endOf(path) : path.rows[row * ROW + 4];
@@ -84,7 +85,7 @@ export function shades(path: Path, coloring: Coloring, zero = 0, inch = false): 
   const count = path.lines.length;
   const made = new Float32Array(count);
   const feeds = Array.from({ length: count }, (_, row) => row).filter(row => row > 0 && !isRapid(path, row));
-  // In the order of use.
+  // The tools in the order of use.
   const tools = [...new Set(feeds.map(row => path.tools[row]))];
   const value = {
     speed: (row: number) => path.rows[row * ROW + 3],

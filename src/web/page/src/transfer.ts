@@ -6,7 +6,7 @@ const DECIMALS = 3;
 
 export interface Difference { setting: Setting; there: number; here: number }
 
-/** Returns the settings that both have with different values. */
+/** Returns the settings of the table that the machine (`there`) has with another value than the forecast (`here`). */
 export function differences(table: Setting[], there: Record<string, number>, here: (number: number) => number): Difference[] {
   const all = table.filter(({ number }) => number in there).map(setting => ({ setting, there: there[setting.number], here: here(setting.number) }));
   return all.filter(one => Math.abs(one.there - one.here) > 0.5 * 10 ** -DECIMALS + 1e-9);

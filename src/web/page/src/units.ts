@@ -26,7 +26,7 @@ export const units = {
     try {
       localStorage.setItem(STORED, to);
     } catch {
-      // Without storage, the page forgets.
+      // Without storage, the unit is lost when the page is closed.
     }
     for (const call of listeners) call();
   },

@@ -116,7 +116,7 @@ function finding(results: Results): string {
   const now = times[nowOf(results)];
   const whole = `${values.length} whole jobs were run.`;
   if (now === undefined) return whole;
-  // From the slowest on: find the value after which further ones gain little.
+  // From the slowest to the fastest, find the first value that is little slower than the fastest.
   const order = times.map((time, index) => ({ time, index })).filter(({ time }) => time > 0).toSorted((a, b) => b.time - a.time);
   const best = order.at(-1);
   const knee = order.find(({ time }) => best !== undefined && time - best.time < LITTLE * now);

@@ -19,7 +19,7 @@ const worker = globalThis as unknown as { postMessage(message: unknown, transfer
 const PERIOD = 4;
 /** Machine time between two batches of bytes, ms. */
 const SLICE = 2;
-/** Time after which a running check sends the path so far, ms; again each time this time has doubled. */
+/** A running check sends the path so far after this time, ms, and again each time its run time has doubled. */
 const SKETCH = 500;
 /** Maximum time that the machine catches up after the worker was suspended, ms. */
 const MOST = 100;
@@ -40,7 +40,7 @@ function tick(): void {
   for (let left = passed * speed; left > 0 && machine; left -= SLICE) {
     const bytes = pending.shift() ?? new Uint8Array(0);
     said += machine.turn(bytes, Math.round(Math.min(left, SLICE) * 1000));
-    // Pass output on in time for a host that reacts to it.
+    // If the simulation is slow, stop here, so that a host can react to the output in time.
     if (said && speed > 1 && performance.now() - now > PERIOD * 4) break;
   }
   if (said) worker.postMessage({ is: "said", text: said });

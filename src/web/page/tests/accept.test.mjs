@@ -161,7 +161,7 @@ export async function a_job_that_would_be_refused_does_not_start(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Each such file gets one sentence, and nothing looks as if it had been checked. */
+/** For a file that is not a job, the page shows one sentence, and nothing on it looks as if a job had been checked. */
 export async function files_that_are_no_jobs_get_a_sentence(browser) {
   const { page, faults } = await open(browser, file);
   const give = async (name, bytes) => {
@@ -247,7 +247,7 @@ export async function a_step_is_one_jog_and_keys_jog_only_when_they_are_switched
   assert.deepEqual(await sent(() => page.keyboard.press("PageUp")), ["$J=G91 G21 Z0.1 F600"]);
   await page.focus("#jog-feed");
   assert.deepEqual(await sent(() => page.keyboard.press("ArrowLeft")), [], "in a field");
-  // A custom step, finer than a hundredth.
+  // Jog by a custom step, finer than a hundredth.
   await page.fill("#own-step", "0.025");
   await page.press("#own-step", "Enter");
   await page.keyboard.press("Tab");
@@ -267,7 +267,7 @@ export async function zero_is_set_in_the_system_that_is_in_force(browser) {
   await page.press("#work-0", "Enter");
   await page.waitForFunction(() => fake.lines.filter(line => line.startsWith("G10")).length === 4);
   assert.deepEqual(await lines(page), ["G10 L20 P1 X0 Y0", "G10 L20 P1 X0 Y0 Z0", "G10 L20 P1 Z0", "G10 L20 P1 X12.5"]);
-  // Down to Z0 only above the zero; to the zero only after lifting Z.
+  // The tool can be sent to Z0 only above X0 Y0; on its way to X0 Y0, Z is lifted first.
   assert(await page.locator("#go-z").isDisabled());
   await page.click("#go-xy");
   await page.waitForFunction(() => fake.lines.filter(line => line.startsWith("$J")).length === 2);
@@ -286,7 +286,7 @@ export async function stop_brakes_first_and_resets_at_rest(browser) {
     document.getElementById("stop").dispatchEvent(new PointerEvent("pointerdown", { button: 0, bubbles: true }));
     return began;
   });
-  // In one evaluation: the page does not wait in between.
+  // Do all of this in one evaluation, so that the page handles no timer in between.
   const braking = await page.evaluate(() => {
     fake.commands.length = 0;
     const began = performance.now();
@@ -306,8 +306,8 @@ export async function stop_brakes_first_and_resets_at_rest(browser) {
   assert.deepEqual(await commands(page), [0x21, 0x18]);
   await page.waitForFunction(() => oxmill.app.machine.phase === "idle");
   assert.match(await page.textContent("#jobcard-body"), /^Stopped at line \d+/);
-  // A machine that never comes to rest is reset anyway: after braking from 3000 mm/min at 300 mm/s², plus half a
-  // second.
+  // A machine that never comes to rest is reset anyway, after the time to brake from 3000 mm/min at 300 mm/s2 and half
+  // a second.
   await page.evaluate(() => {
     fake.oncommand = undefined;
     fake.state = "Run";
@@ -569,13 +569,13 @@ export async function nothing_starts_that_would_fail(browser) {
   await attach(page, { settings: { 20: 1, 22: 1 } });
   await idle(page);
   const checks = () => page.locator(".checks li").evaluateAll(all => all.map(item => [item.className, item.querySelector("span").firstChild.textContent]));
-  // The page does not know whether the machine is homed; then the travel is not checked either.
+  // The machine is not homed, so the travel is not checked, and the page asks before the start.
   await page.evaluate(() => (oxmill.app.machine.homed = false));
   await page.waitForFunction(() => document.getElementById("start-why").textContent.startsWith("Not homed"), null, { timeout: PATIENCE });
   assert(await page.locator("#start").isDisabled());
   await page.click("#start-why button");
   await page.waitForFunction(() => !document.getElementById("start").disabled);
-  // Homed, with a work zero from which the job leaves the travel.
+  // The machine is homed, and from its work zero the job leaves the travel.
   await page.evaluate(() => {
     oxmill.app.machine.homed = true;
     fake.offset = [-0.5, -50, -20];
@@ -587,7 +587,7 @@ export async function nothing_starts_that_would_fail(browser) {
   await page.waitForFunction(() => !document.getElementById("start").disabled, null, { timeout: PATIENCE });
   assert((await checks()).some(([grade, text]) => grade === "yes" && text === "The job fits the travel from here"), JSON.stringify(await checks()));
   assert(!(await checks()).some(([, text]) => text === "The tool table is empty"));
-  // A job that needs tools: on a machine without tools the page says so, and with the wrong tools it refuses the job.
+  // The job needs a tool. On a machine without tools the page warns; on a machine with other tools it refuses the job.
   await openJob(page, "needs.nc", "G21 G90\nG43 H5\nG0 X1\n");
   await page.waitForFunction(() => [...document.querySelectorAll(".checks li.look")].some(item => item.textContent.startsWith("The tool table is empty")) && !document.getElementById("start").disabled, null, { timeout: PATIENCE });
   await page.evaluate(() => {
@@ -663,7 +663,7 @@ const withWork = (page, touches) => page.evaluate(touches => {
   };
 }, touches);
 
-/** Each cycle finds its position on a workpiece of known size, and moves nowhere else. */
+/** Each probing cycle finds the work zero on a workpiece of known size, without driving into it. */
 export async function edges_corners_and_holes_are_found(browser) {
   const { page, faults } = await withMachine(browser);
   const probed = async (kind, fields, touches, from) => {
@@ -690,7 +690,8 @@ export async function edges_corners_and_holes_are_found(browser) {
     assert.deepEqual(Object.keys(zero).toSorted(), Object.keys(wanted).toSorted());
     for (const [axis, place] of Object.entries(wanted)) assert(Math.abs(zero[axis] - place) < 0.03, `${axis}: ${zero[axis]} instead of ${place}`);
   };
-  // A hole of 20 mm by 12 mm around -50, -40; contact occurs half a cutter before its wall.
+  // The hole is 20 mm by 12 mm around -50, -40. The cutter of 3 mm touches its wall 1.5 mm before its middle gets
+  // there.
   const hole = await probed("hole", { "probe-depth": "15" }, "Math.abs(x + 50) >= 8.5 || Math.abs(y + 40) >= 4.5", [-47, -38, -10]);
   near(hole, { X: -50, Y: -40 });
   // The left side of a workpiece at X -30, with a cutter of 3 mm.
@@ -709,7 +710,7 @@ export async function edges_corners_and_holes_are_found(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Stop ends a cycle for good: no move is sent after it. */
+/** After Stop, a probing cycle sends no further move. */
 export async function a_probing_cycle_that_is_stopped_moves_no_more(browser) {
   const { page, faults } = await withMachine(browser);
   for (const at of ["G38.3", "G0", "G4"]) {
@@ -745,7 +746,7 @@ export async function a_probing_cycle_that_is_stopped_moves_no_more(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Macros, tools, spindle and coolant: which lines are sent, and which are rejected beforehand. */
+/** Macros, tools, spindle and coolant send the right lines, and wrong lines are rejected beforehand. */
 export async function macros_tools_spindle_and_outline_send_their_lines(browser) {
   const { page, faults } = await withMachine(browser);
   const sent = async act => {
@@ -768,7 +769,7 @@ export async function macros_tools_spindle_and_outline_send_their_lines(browser)
   assert.equal(round.length, 6);
   assert(Number(/^\$J=G90 G21 Z([\d.]+) F/.exec(round[0])[1]) >= 8, round[0]);
   assert.deepEqual(round.slice(1).map(line => /X(\S+) Y(\S+)/.exec(line).slice(1).map(Number)), [[0, 0], [30, 0], [30, 25], [0, 25], [0, 0]]);
-  // Macros: there are none at first; one that the firmware rejects is not saved, one that it accepts is.
+  // At first there are no macros. A macro that the firmware rejects is not saved; one that it accepts is.
   assert.equal(await page.locator("#macros button").count(), 0);
   await page.click("#edit-macros");
   await page.fill("#macro-name", "Away");
@@ -808,7 +809,7 @@ export async function start_waits_for_what_a_line_has_changed(browser) {
   await openJob(page, "pocket_mm.nc", example("pocket_mm.nc"));
   await page.waitForFunction(() => !document.getElementById("start").disabled, null, { timeout: PATIENCE });
   const off = await page.evaluate(async () => {
-    // As over a cable: an answer takes time.
+    // Delay the answers, as a cable does, but not the reports.
     const { say } = fake;
     fake.say = text => (text.startsWith("<") ? say.call(fake, text) : setTimeout(() => say.call(fake, text), 30));
     const start = document.getElementById("start");
@@ -830,7 +831,7 @@ export async function start_waits_for_what_a_line_has_changed(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** If the machine falls silent, the buttons are disabled, and a disabled button does not report its release. */
+/** If the machine falls silent, the jog must end, because the buttons are disabled and do not report their release. */
 export async function a_held_jog_ends_when_its_button_is_switched_off(browser) {
   const { page, faults } = await withMachine(browser);
   const jogs = async () => (await lines(page)).filter(line => line.startsWith("$J")).length;
@@ -851,7 +852,7 @@ export async function a_held_jog_ends_when_its_button_is_switched_off(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** By keys alone: keys that move or zero the machine ask first, and do nothing while a field has the focus. */
+/** Keys that move or zero the machine ask first. No key acts on the machine while a field has the focus. */
 export async function keys_drive_the_machine(browser) {
   const { page, faults } = await withMachine(browser);
   await openJob(page, "pocket_mm.nc", example("pocket_mm.nc"));
@@ -876,10 +877,10 @@ export async function keys_drive_the_machine(browser) {
   assert(await page.locator("#ask").isHidden());
   await page.evaluate(() => document.activeElement.blur());
   assert.deepEqual(await commands(page), []);
-  // Start by its button; hold and resume with the focus anywhere; Esc stops.
+  // Enter on the button starts the job; Space holds and resumes it; Esc stops it.
   await page.waitForFunction(() => !document.getElementById("start").disabled, null, { timeout: PATIENCE });
   await page.focus("#start");
-  // The machine runs from the first line on, not before: Start is disabled while it runs.
+  // Let the machine run only when it receives the first line, because Start is disabled while it runs.
   await page.evaluate(() => (fake.online = line => (line.startsWith("$") || (fake.state = "Run"), "ok")));
   await page.keyboard.press("Enter");
   await page.waitForFunction(() => oxmill.app.machine.phase === "run" && oxmill.app.machine.running);

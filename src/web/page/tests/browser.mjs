@@ -4,7 +4,7 @@ import { chromium } from "playwright-core";
 import { pathToFileURL } from "node:url";
 
 const PROGRAMS = { executablePath: process.env.OXMILL_CHROMIUM ?? "/usr/bin/chromium" };
-// WebGL without a graphics processor, and no network requests by the browser itself.
+// Give WebGL without a graphics processor, and switch off network requests of the browser itself.
 const ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-background-networking",
   "--disable-component-update", "--disable-sync", "--no-first-run", "--disable-quic"];
 
@@ -12,7 +12,7 @@ export async function launch(more = []) {
   return chromium.launch({ ...PROGRAMS, args: [...ARGUMENTS, ...more] });
 }
 
-/** Maximum time for a check on a busy computer, ms: no test measures time. */
+/** Maximum time for a check, ms. It allows for a busy computer. */
 export const PATIENCE = Number(process.env.OXMILL_PATIENCE ?? 600_000);
 
 /** Opens the page; `faults` collects everything that must not happen. */
@@ -52,7 +52,7 @@ export async function tab(page, name) {
 
 /** Waits until the displayed job has been checked; returns its summary. */
 export async function checked(page, name = "") {
-  // In one evaluation: another check may begin immediately after it.
+  // Wait and take the summary in one evaluation, because another check can begin immediately afterwards.
   const found = await page.waitForFunction(name => globalThis.oxmill?.app.checked && oxmill.app.job.name.startsWith(name) && oxmill.app.checked.summary,
     name, { timeout: PATIENCE });
   return found.jsonValue();

@@ -24,7 +24,7 @@ export async function every_example_is_as_in_the_program(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Like a user: choose a file, choose a board, type settings. */
+/** Chooses a file and a board and types settings, like a user. */
 export async function what_the_page_shows_is_what_the_program_says(browser) {
   const { page, faults } = await open(browser, file);
   const text = example("pcb_isolation.nc");
@@ -44,7 +44,7 @@ export async function what_the_page_shows_is_what_the_program_says(browser) {
   const found = await typed(120, 500);
   const expected = run("pcb_isolation.nc", text, { board: "blackpill_f411", settings: { 110: 6000, 120: 500 } });
   same(found, expected);
-  // The texts for the user.
+  // The page shows the same figures to the user.
   const whole = Math.round(expected.forecast_s);
   assert.equal(await page.textContent("#verdict-time"), `${Math.floor(whole / 60)} min ${whole % 60} s`);
   assert.match(await page.textContent("#verdict"), /^Ready to run.*All 1,745 lines are accepted\. Travel is not checked/);
@@ -59,7 +59,7 @@ export async function what_the_page_shows_is_what_the_program_says(browser) {
   await page.keyboard.press("Tab");
   await page.waitForFunction(() => document.getElementById("refused").textContent.includes("error:6"));
   assert(await page.evaluate(() => oxmill.app.checked === undefined));
-  // The results of the previous job are not shown either, under its own name or another.
+  // The results of the previous check are gone, for this job and for a newly opened one.
   for (const id of ["facts", "kinds", "errors", "messages", "warnings", "bar", "clock"]) assert.equal(await page.textContent(`#${id}`), "", id);
   assert.equal(await colorsOn(page, "view"), 0);
   await page.setInputFiles("#file", { name: "other.nc", mimeType: "text/plain", buffer: Buffer.from("G0 X1\n") });
@@ -92,7 +92,7 @@ export async function refused_lines_are_listed_with_what_helps(browser) {
       for (const part of [`line ${error.line}`, `error:${error.code}`, error.text, error.advice]) assert(shown[index].toLowerCase().includes(part.toLowerCase()), `${name}: ${shown[index]}`);
     }
   }
-  // Files that the page accepts as text, but the firmware's check does not.
+  // The page accepts these files as text, but the firmware's check rejects them.
   for (const [name, bytes, what] of [["control.nc", [0x47, 0x30, 1, 2, 3, 10], "a binary file"], ["blank.nc", [0xef, 0xbb, 0xbf, 32, 13, 10], "empty"]]) {
     await page.setInputFiles("#file", { name, mimeType: "text/plain", buffer: Buffer.from(bytes) });
     await page.waitForFunction(what => document.getElementById("verdict").textContent.includes(`Not checkedthe job is not read: it is ${what}`), what);
@@ -102,8 +102,8 @@ export async function refused_lines_are_listed_with_what_helps(browser) {
   assert.match(await page.locator("#errors button").last().innerText(), /^Alarm 5: [^]*\nline 2\nG38\.2 Z-1\n/);
   assert(await page.locator("#to-run").isDisabled());
   assert.equal(await page.textContent("#to-run-why"), "Off: the job ends in alarm 5.");
-  // All errors of the report are listed, folded, with the number of further ones. Most of the lines are rejected, which
-  // is said first.
+  // All errors of the report are listed, folded, with the number of errors that the report leaves out. The list begins
+  // with a remark that most lines are rejected.
   await openJob(page, "many.nc", "bad\n".repeat(1005));
   assert.match(await page.locator("#errors button").first().innerText(), /^This does not look like G-code/);
   assert.equal(await page.locator("#errors .more button").innerText(), "and 1,000 more");
@@ -116,7 +116,7 @@ export async function refused_lines_are_listed_with_what_helps(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** A job that fits into the travel and one that does not, by the firmware's own soft limits after its own homing. */
+/** After homing, the firmware's soft limits accept a job that fits into the travel and stop one that does not. */
 export async function soft_limits_act_on_a_homed_machine(browser) {
   const { page, faults } = await open(browser, file);
   const own = { ...MILL, 20: 1, 22: 1, 130: 60, 131: 50, 132: 40 };
@@ -206,12 +206,12 @@ export async function the_picture_is_where_the_machine_was(browser) {
     const expected = at(seconds);
     for (let axis = 0; axis < 3; axis++) assert(Math.abs(place[axis] - expected[axis]) < 0.06, `${seconds} s: ${place} and ${expected}`);
   }
-  // The line under the tool is that of the circle.
+  // Line 29 cuts the circle: shortly after its start, the page still shows line 29.
   await page.evaluate(() => oxmill.app.player.goToLine(29));
   await isAt(page, 29);
   await page.evaluate(() => oxmill.app.player.seek(oxmill.app.player.time + 0.001));
   assert.equal(await page.evaluate(() => oxmill.app.player.line), 29);
-  // Pixels: the path has colours of the scale, and a job scrubbed back has fewer of them.
+  // The drawn path has pixels in the colours of the scale, and fewer of them at an earlier time of the job.
   const colored = () => colorsOn(page, "view");
   await page.evaluate(() => oxmill.app.player.seek(Infinity));
   const whole = await colored();
@@ -237,7 +237,7 @@ export async function the_picture_is_where_the_machine_was(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** There are pixels on the edges of the travel; without the limits, the view is that of the path again. */
+/** The edges of the travel are drawn if the limits are shown. Without the limits, the view is as it was before. */
 export async function the_limits_are_drawn_where_the_travel_ends(browser) {
   const { page, faults } = await open(browser, file);
   await settings(page, { ...MILL, 20: 1, 22: 1, 130: 60, 131: 50, 132: 40 });
@@ -254,7 +254,7 @@ export async function the_limits_are_drawn_where_the_travel_ends(browser) {
   });
   const [without, colors] = [await view(), await colorsOn(page, "view")];
   await page.check("#limits");
-  // The middle of edges below the grid; the grid is fainter.
+  // Look at the middles of three edges below the grid. The grid itself is fainter.
   const edges = [];
   for (const place of [[-60, -50, -20], [0, -25, -40], [-30, 0, -40]]) edges.push(await inkAt(page, place));
   assert(edges.every(ink => ink > 60), `${edges}`);
@@ -269,7 +269,7 @@ export async function the_limits_are_drawn_where_the_travel_ends(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Settings that the board cannot keep up with: the job is rejected, and the message is that of the program. */
+/** With a setting that the board cannot keep up with, the job is rejected, with the message of `oxmill run`. */
 export async function a_setting_out_of_reach_is_named(browser) {
   const { page, faults } = await open(browser, file);
   await settings(page, { ...MILL, 110: 1e6 });
@@ -281,7 +281,7 @@ export async function a_setting_out_of_reach_is_named(browser) {
   assert(expected.messages.some(message => message.includes(why)), `${expected.messages}`);
   assert((await page.locator("#messages").innerText()).includes(why));
   assert.match(await page.locator("#errors button").first().innerText(), /error:9[^]*line 2/);
-  // The message precedes the lines that it locks, however many there are.
+  // The message is above the list of rejected lines, so it is visible however long the list is.
   assert(await page.evaluate(() => document.getElementById("messages").compareDocumentPosition(document.getElementById("errors")) & Node.DOCUMENT_POSITION_FOLLOWING));
   await settings(page, MILL);
   assert.equal(await page.textContent("#messages"), "");
@@ -343,7 +343,8 @@ export async function two_views_show_one_time(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** The varied parameters, in the order of the list, with the multiples of the present values; the present jerk is 0. */
+/** The parameters in the order of the page's list, with the multiples of the present values that are tried. The present
+ * jerk is 0, so its values are absolute. */
 const PARTS = [0.25, 0.5, 1, 2, 4, 8];
 const VARIED = [
   { numbers: [120, 121], parts: PARTS }, { numbers: [122], parts: PARTS }, { numbers: [110, 111], parts: PARTS }, { numbers: [112], parts: PARTS },
@@ -351,7 +352,7 @@ const VARIED = [
   { numbers: [220, 221], parts: [0, 2500, 5000, 10_000, 20_000, 40_000], absolute: true },
 ];
 
-/** The message at the end of a program is not a reason. */
+/** The message at the end of a program is not shown as the reason. */
 export async function a_job_without_a_time_has_a_reason_instead(browser) {
   const { page, faults } = await open(browser, file);
   const shown = async (text, settings = {}) => {
@@ -373,7 +374,7 @@ export async function a_job_without_a_time_has_a_reason_instead(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Each parameter, with present values that any rounding would change, and that differ from axis to axis. */
+/** Varies each parameter. The present values differ from axis to axis, and any rounding would change them. */
 export async function forecasts_are_those_of_single_runs(browser) {
   const { page, faults } = await open(browser, file);
   const text = "G21 G91 F1200\nG0 X9 Z2\nG1 X12 Y3\nG2 X8 Y8 J8\nG1 X-3 Z-4\nG1 Y7\nG0 X-20 Z2\n";
@@ -444,7 +445,7 @@ export async function time_is_shown_by_kind_and_by_tool(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Compares the shade of each row, by its line. */
+/** Compares the shades of the rows of each line, for several colourings. */
 export async function arcs_plunges_rapids_and_tools_are_told_apart(browser) {
   const { page, faults } = await open(browser, file);
   await openJob(page, "kinds.nc", "G21 G91\nG0 X5\nG1 Z-1 F600\nG1 X5\nG2 X5 Y5 J5\nT3 M6\nG1 Y5\n");
@@ -469,7 +470,7 @@ export async function arcs_plunges_rapids_and_tools_are_told_apart(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** By acceleration: a straight move has the machine's acceleration at its ends, and none between them. */
+/** Coloured by acceleration, a straight move has the machine's acceleration at its ends, and 0 between them. */
 export async function acceleration_has_the_colours_of_its_value(browser) {
   const { page, faults } = await open(browser, file);
   await settings(page, MILL);

@@ -7,15 +7,16 @@ import { example, MILL, page as file, run, serve } from "./program.mjs";
 const state = (page, wanted) => page.waitForFunction(wanted => new RegExp(wanted).test(oxmill.app.machine.status?.state ?? ""), wanted, { timeout: PATIENCE });
 const place = page => page.evaluate(() => oxmill.app.machine.status.machine);
 const near = (a, b) => assert(a.every((v, i) => Math.abs(v - b[i]) < 0.011), `${a} and ${b}`);
-/** Waits until the job has been answered and the machine has then reported that it is idle: another job may start. */
+/** Waits until the job has been answered and the machine has then reported that it is idle, so that another job can
+ * start. */
 const jobDone = page => page.waitForFunction(() => oxmill.app.machine.finished && oxmill.app.machine.isAtRest, null, { timeout: PATIENCE });
-/** Enables the host timeout of the machine, after the findings above its button have stopped growing. */
+/** Enables the host timeout of the machine. Waits before the click until the findings above the button are complete. */
 const watch = async page => {
   await page.waitForFunction(() => oxmill.app.machine.isAtRest && !document.querySelector(".checks .wait"), null, { timeout: PATIENCE });
   await page.click("#watch");
   await page.waitForFunction(() => document.getElementById("silent").hidden);
 };
-/** Starts the open job and confirms all questions: a machine that is not homed may run a job. */
+/** Confirms all questions, such as that the machine is not homed, and starts the open job. */
 const start = async page => {
   await allowed(page);
   await page.click("#start");
@@ -74,7 +75,7 @@ export async function a_job_that_is_started_twice_runs_once(browser) {
     start.disabled = true;
   });
   await press();
-  // All lines are answered immediately, and the machine moves for 0.6 s.
+  // All lines are answered immediately, but the machine still moves for 0.6 s: a second start must do nothing.
   await state(page, "^Run");
   await press();
   await jobDone(page);
@@ -119,7 +120,7 @@ export async function lines_that_the_page_cannot_send_are_refused_before_the_job
   for (const answer of await wrong()) assert.match(answer, /^not sent: with checked lines each line has a number/);
   for (const [line, why] of [["$LC=ON", /with checked lines each line has a number/], ["G1 X\u22122 F600", /"\u2212" \(U\+2212\) has no place/]]) {
     await openJob(page, "refused.nc", `G21 G91\n${line}\nG1 X2 F600\n`);
-    // A job that the firmware rejects cannot be started at all, by any way.
+    // Call `start` directly, because the button does not start a job that the firmware rejects.
     const start = () => page.evaluate(() => {
       try {
         oxmill.app.machine.start(oxmill.app.job, oxmill.app.checked);
@@ -159,8 +160,8 @@ export async function a_jog_ends_however_the_button_is_left(browser) {
   await page.click("#tab-log");
   await page.click("#steps .hold-step");
   const button = page.getByRole("button", { name: "jog Y to minus", exact: true });
-  // A typed feed that the axis cannot reach: the jogs use the feed that it can reach, and no more of them are sent
-  // ahead.
+  // Type a feed that the axis cannot reach. The jogs must use the feed that it can reach, and not more jogs must be
+  // sent ahead.
   await page.evaluate(() => oxmill.app.machine.line("$111=600"));
   await page.fill("#jog-feed", "60000");
   const key = name => [() => page.keyboard.down(name), () => page.keyboard.up(name)];
@@ -175,7 +176,7 @@ export async function a_jog_ends_however_the_button_is_left(browser) {
     const left = (await place(page))[1];
     await state(page, "^Idle");
     const to = await place(page);
-    // Measured from a slightly older report: less than the jogs ahead plus the distance within one report interval.
+    // `left` is from a slightly older report, so the way is at most that of the jogs ahead and of one report interval.
     assert(left - to[1] < 10, `${left} to ${to[1]}`);
     await page.waitForTimeout(300);
     near(await place(page), to);
@@ -246,7 +247,7 @@ export async function the_console_takes_realtime_commands(browser) {
   await page.evaluate(() => oxmill.app.settings.replace({ ...oxmill.app.settings.values(), 120: 321 }));
   await type("G91 G1 X19 F100");
   await state(page, "^Run");
-  // In motion, a machine does not report its settings: those of the forecast stay.
+  // In motion, a machine does not list its settings, so the settings of the forecast stay.
   await tab(page, "settings");
   await page.click("#read");
   await page.waitForFunction(() => /does not tell its settings/.test(document.getElementById("settings-note").textContent));
@@ -326,7 +327,7 @@ async function fakeSerial(page, port) {
           globalThis.__said = bytes => to.enqueue(new Uint8Array(bytes));
           globalThis.__unplug = (why = "NetworkError") => to.error(new DOMException("The device has been lost.", why));
         } });
-        // Like a port with its own buffer: a write does not wait for the other side.
+        // A write does not wait for the other side, as at a port with its own buffer.
         this.writable = new WritableStream({ write: bytes => void __write([...bytes]) });
         await __listen();
       },
@@ -413,7 +414,7 @@ export async function a_board_obeys_with_full_buffers_and_may_be_unplugged(brows
     await page.click("#stop");
     await state(page, "^Idle");
     assert.equal(await page.evaluate(() => oxmill.app.machine.sender.busy), false);
-    // Unplugged during a job: the page reports it, closes the port, and a board may be connected again.
+    // If the board is unplugged during a job, the page reports it and closes the port. A board can be connected again.
     await start(page);
     await state(page, "^Run");
     await page.evaluate(() => __unplug());
@@ -455,7 +456,7 @@ export async function buttons_send_their_realtime_commands(browser) {
     await page.mouse.down();
     await state(page, "^Jog");
     await page.mouse.up();
-    // The jog has stopped for a moment where its next move was late: it must end only when the button is released.
+    // The machine can be idle for a moment if the next move of a jog is late, so wait for the jog cancel.
     for (let waited = 0; !wire.realtime.includes(0x85) && waited < PATIENCE; waited += 5) await page.waitForTimeout(5);
     assert(wire.realtime.includes(0x85), "a jog cancel");
     await state(page, "^Idle");
@@ -483,7 +484,7 @@ export async function a_board_that_is_left_in_motion_is_held(browser) {
   });
 }
 
-/** A byte that is damaged on its way to the page, as the browser reports it: the other direction still works. */
+/** The browser reports a damaged byte and stops reading, but bytes still reach the machine. */
 export async function a_board_that_cannot_be_heard_any_more_is_held(browser) {
   await connected(browser, "1", async (page, order, wire) => {
     await openJob(page, "long.nc", "G21 G91\nG1 X50 F60\n");
@@ -513,7 +514,7 @@ export async function a_page_that_goes_leaves_the_machine_in_a_hold(browser) {
     await openJob(page, "long.nc", "G21 G91\nG1 X50 F60\n");
     await start(page);
     await state(page, "^Run");
-    // The events that the browser sends to a page that is being closed; whether the last byte is sent depends on the
+    // Send the events that a page gets when it is closed. Whether its last byte is then still sent depends on the
     // browser.
     assert(await page.evaluate(() => !dispatchEvent(new Event("beforeunload", { cancelable: true }))), "the user is asked");
     await page.evaluate(() => dispatchEvent(new Event("pagehide")));
@@ -541,7 +542,7 @@ export async function a_tab_that_crashes_leaves_a_board_that_watches_in_a_hold(b
     await crash(page);
     let said = "";
     socket.on("data", data => (said += data));
-    // A `?` is a sign of life, so it is sent only after the machine has had time to miss one.
+    // Wait before each `?`: it is a sign of life, and the machine must first have had time to notice the silence.
     for (let tries = 0; !/<Hold:0/.test(said) && tries < 30; tries++) {
       await new Promise(resolve => setTimeout(resolve, 2500));
       socket.write("?");
@@ -640,7 +641,7 @@ export async function a_served_page_drives_the_machine_and_no_other_does(browser
     await page.click("#leave");
     assert(await page.locator("#served").isVisible());
     assert.deepEqual([...faults, ...second.faults], []);
-    // Pages of other sites, and host names that resolve to this computer.
+    // Requests from pages of other sites, or with other host names that resolve to this computer, are rejected.
     assert.equal(await upgrade(device.port, { Origin: "http://evil.example" }), 403);
     assert.equal(await upgrade(device.port, { Origin: "null" }), 403);
     assert.equal(await upgrade(device.port, { Origin: undefined }), 403);

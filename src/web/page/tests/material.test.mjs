@@ -36,7 +36,7 @@ export async function a_flat_cutter_leaves_a_slot_of_its_width() {
   close(at(slot, 22.95, 2.95), 0);
   const area = 20 * 6 + Math.PI * 9;
   close(slot.removed, area, area * 0.005);
-  // Through the block: never below its bottom.
+  // A cut through the block goes no deeper than its bottom.
   close(at(made([[0, 0, -9], [20, 0, -9]], FLAT), 10, 0), -5);
   // Up a slope of one half, the trailing edge of the cutter is the lower one.
   close(at(made([[0, 0, -5], [10, 0, 0]], FLAT), 6.05, 0.05), -5 + (6.05 - Math.sqrt(9 - 0.05 ** 2)) / 2);
@@ -44,10 +44,10 @@ export async function a_flat_cutter_leaves_a_slot_of_its_width() {
 
 export async function a_ball_leaves_cusps() {
   const passes = made([[0, 0, -1], [20, 0, -1], [20, 1, -1], [0, 1, -1]], BALL, { low: [-10, -10.05, -5], high: [30, 10.05, 0] });
-  // Between two passes 1 mm apart: R - sqrt(R² - (1/2)²).
+  // Between two passes 1 mm apart, the cusp is R - sqrt(R^2 - (1/2)^2) high.
   close(at(passes, 10.05, 0.5), -1 + 3 - Math.sqrt(9 - 0.25));
   close(at(passes, 10.05, 0), -1);
-  // Along 45°, the ball touches beside its tip: R (√2 - 1) below the line of the tip.
+  // On a slope of 45 degrees, the ball touches beside its tip: R (sqrt(2) - 1) below the line of the tip.
   close(at(made([[0, 0.05, -4.5], [4, 0.05, -0.5]], BALL), 2.25, 0.05), -4.5 + 2.25 - 3 * (Math.SQRT2 - 1));
 }
 
@@ -55,7 +55,7 @@ export async function a_v_leaves_a_groove() {
   const groove = made([[0, 0.05, -2], [20, 0.05, -2]], V);
   const slope = 1 / Math.tan(Math.PI / 6);
   for (const off of [0, 0.5, 1]) close(at(groove, 10.05, 0.05 + off), -2 + off * slope);
-  // The top is 2 · depth · tan(30°) wide: 2.309 mm.
+  // At its top, the groove is 2 * depth * tan(30 deg) = 2.309 mm wide.
   const cells = Array.from({ length: 200 }, (_, j) => at(groove, 10.05, -9.95 + j / 10)).filter(height => height < 0).length;
   close(cells * CELL, 2 * 2 * Math.tan(Math.PI / 6), 2 * CELL);
   // Straight down, the cutter leaves a cone.
@@ -66,11 +66,11 @@ export async function a_v_leaves_a_groove() {
 
 export async function rapids_through_material_are_found() {
   const lines = places => made(places, FLAT).crashes.map(crash => crash.line);
-  // No crash: above the block, along a slot and straight up out of it, and beside the block.
+  // These rapids do not crash: above the block, along a slot and straight up out of it, and beside the block.
   assert.deepEqual(lines([[0, 0, 5], [10, 0, 5, 1], [10, 0, 0, 1]]), []);
   assert.deepEqual(lines([[0, 0, 1], [0, 0, -1], [20, 3.3, -1], [0, 0, -1, 1], [0, 0, 5, 1]]), []);
   assert.deepEqual(lines([[50, 0, 1], [50, 0, -1, 1], [50, 5, -1, 1]]), []);
-  // Crashes: sideways out of a slot, straight down, and across the block on a slope.
+  // These rapids crash: sideways out of a slot, straight down, and across the block on a slope.
   const found = made([[0, 0, 1], [0, 0, -2], [20, 0, -2], [20, 8, -2, 1], [20, 8, 5, 1]], FLAT).crashes;
   assert.deepEqual(found.map(crash => crash.line), [3]);
   close(found[0].depth, 2);
@@ -120,7 +120,8 @@ export async function the_page_lists_rapids_through_material(browser) {
   await page.fill("#diameter", "6");
   await page.keyboard.press("Tab");
   assert.equal(await page.inputValue("#block-low-0"), "-3");
-  // Within the job's own block, the rapid cuts the corners that the round end of the slot has left.
+  // In the block that the page proposes for the job, the rapid cuts the corners that the round end of the slot has
+  // left.
   const found = await cutNow(page);
   assert.deepEqual(found.crashes.map(crash => crash.line), [5]);
   await page.fill("#block-high-1", "20");

@@ -83,7 +83,7 @@ export async function refusals_and_panics_have_a_text() {
     assert.equal(x.oxmill_check_begin(), 1);
     assert.match(output(), new RegExp(why));
   }
-  // After other calls, and as the first call of an instance, without an input before it.
+  // The text of a panic is kept after other calls, and if the panic is in the first call of an instance.
   for (const one of [x, (await instance()).x]) {
     assert.throws(() => one.oxmill_fail(), WebAssembly.RuntimeError);
     const text = () => new TextDecoder().decode(new Uint8Array(one.memory.buffer, one.oxmill_panic(), one.oxmill_panic_len()));

@@ -12,7 +12,7 @@ export const wasm = join(root, "target/web/oxmill.wasm");
 const oxmill = join(root, "target/release/oxmill");
 export const folder = mkdtempSync(join(tmpdir(), "oxmill-page-"));
 
-/** A small mill. */
+/** Settings of a small mill. */
 export const MILL = { 110: 5000, 111: 5000, 112: 2000, 120: 300, 121: 300, 122: 200 };
 export const BOARDS = ["desk", "blackpill_f411", "nucleo_f446re"];
 /** Asserts that two summaries are equal, except for the name of the job and the duration of the check. */

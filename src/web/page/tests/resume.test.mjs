@@ -20,7 +20,7 @@ export async function the_rest_of_a_job_is_that_of_the_program(browser) {
   assert.match(await page.textContent("#prologue"), /^G21 G90 G94 G17 G54\nM5 M9\n/);
   const [, other] = await written({ "from-line": "300", clearance: "12.5", plunge: "60", "spin-up": "2" });
   assert.equal(other, resumed("pocket_mm.nc", example("pocket_mm.nc"), ["--line", "300", "--clearance", "12.5", "--plunge", "60", "--spin-up", "2"]));
-  // The line selected in the picture.
+  // The button takes the line that is selected in the picture.
   await page.evaluate(() => oxmill.app.player.goToLine(150));
   await page.click("#this-line");
   assert.equal(await page.inputValue("#from-line"), "150");
@@ -29,7 +29,7 @@ export async function the_rest_of_a_job_is_that_of_the_program(browser) {
   await page.click("#write-rest");
   await page.waitForFunction(() => document.getElementById("continue-note").textContent.includes("there is no line 466"));
   assert(await page.locator("#prologue").isHidden());
-  // Another job: no result of the previous job remains.
+  // After another job is opened, no result of the previous job remains.
   await openJob(page, "other.nc", "G21 G91\nX1\nX2\n");
   assert.equal(await page.textContent("#continue-note"), "");
   await page.fill("#from-line", "3");

@@ -43,7 +43,7 @@ export async function a_second_job_is_refused_until_the_first_is_answered() {
   assert.deepEqual(link.lines, ["G91", "G0 X1", "G0 X2"]);
 }
 
-/** Returns a sender with a job of 40 lines, of which as many are in flight as fit into a buffer of 128 bytes. */
+/** Returns a sender after two answers of a job of 40 lines. As many lines are in flight as fit into 128 bytes. */
 function inMidJob() {
   const all = connected();
   all.sender.stream("G1 X1 F100\n".repeat(40));
@@ -62,7 +62,7 @@ export async function a_refused_line_holds_the_machine_and_ends_the_job() {
   say("error:33");
   assert(!sender.busy && sender.free);
   assert.deepEqual([refused, link.realtime.length, stopped.length], [["3 error:20", "13 error:33"], 1, 1]);
-  // The last line of a job has no line after it.
+  // If the last line of a job is rejected, no line follows, so the machine is not held.
   sender.stream("G1 X1\nG999\n");
   say("ok\r\nerror:20");
   assert.deepEqual([refused[2], link.realtime.length, stopped.length], ["2 error:20", 1, 1]);
@@ -83,7 +83,7 @@ export async function a_reset_that_the_page_did_not_order_ends_the_job() {
   sender.ongreeting = () => greetings++;
   say("\r\nGrbl 1.1h ['$' for help]");
   assert.deepEqual([sender.lines, sender.free, stopped, greetings], [[], true, ["2 the machine was reset"], 1]);
-  // An answer that was on its way belongs to no later line.
+  // An answer that was on its way must not count for a later line.
   const unlocked = sender.command("$X");
   say("ok");
   assert.equal(link.lines.length, 13);

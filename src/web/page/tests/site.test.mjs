@@ -67,7 +67,7 @@ async function folder() {
   return { url: `http://127.0.0.1:${server.address().port}/`, stop, change };
 }
 
-/** As an app: it opens offline, updates to the next version, and opens G-code files. */
+/** As an installed app, the site opens offline, updates to the next version, and opens G-code files. */
 export async function the_site_can_be_installed_and_opens_without_a_network(browser) {
   const { url, stop, change } = await folder();
   try {

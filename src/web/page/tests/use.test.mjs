@@ -57,7 +57,7 @@ export async function axe_finds_nothing(browser) {
       const { violations } = await page.evaluate(() => axe.run());
       assert.deepEqual(violations.map(found => `${where}: ${found.id}: ${found.nodes[0].html}`), [], `${colorScheme}, ${width} px`);
     };
-    // Two tools, a rejected line, an alarm, a message, and a rapid through material.
+    // This job has two tools, a rejected line, an alarm, a message, and a rapid through material.
     await openJob(page, "bad.nc", "G21 G90 F600\n(MSG,hello)\nM3 S1000\nG4 P1\nT1 M6\nG0 Z2\nG1 Z-2\nG1 X20\nG999\nT2 M6\nG0 Y10\nG38.2 Z-9\n");
     for (const part of ["#errors .h", "#by-tool td", "#messages li"]) assert(await page.locator(part).count() > 0, part);
     for (const coloring of ["kind", "tool"]) await page.selectOption("#coloring", coloring);
@@ -74,7 +74,7 @@ export async function axe_finds_nothing(browser) {
   }
 }
 
-/** Check a job, jog and zero the machine, run the job, hold it, stop it at a line, and continue it from there. */
+/** The walk checks a job, jogs and zeroes the machine, runs and holds the job, stops it, and continues it. */
 export async function a_newcomer_comes_from_a_job_to_its_end(browser) {
   const { page, faults } = await open(browser, file, { first: true });
   await walk(page);
@@ -172,7 +172,7 @@ export async function the_same_file_again_is_checked_again(browser) {
   await openJob(page, "a.nc", "G21\nG0 X1\n");
   const found = await openJob(page, "a.nc", "G21\nG0 X2\n");
   assert.equal(found.position_mm[0], 2);
-  // A browser reports a chosen file only if another one was chosen before.
+  // The field must be empty, because a browser reports a chosen file only if it differs from the present one.
   assert.equal(await page.inputValue("#file"), "");
   assert.deepEqual(faults, []);
 }
@@ -182,11 +182,11 @@ export async function a_job_is_played_at_a_thousand_times_its_speed(browser) {
   const { forecast_s } = await openJob(page, "long.nc", "G21 G91\nG1 X3000 F60\nG1 X-3000\n");
   await page.selectOption("#rate", "1000");
   const began = performance.now();
-  // Two frames at least 1 s apart: elapsed wall time and job time, s.
+  // Returns the wall time and the job time, s, at two frames that are at least 1 s apart.
   const between = page.evaluate(() => new Promise(done => {
     let first;
     let before;
-    // The time is that set by the previous frame, as this runs before the player.
+    // This runs before the player, so the time in the player is that of the previous frame.
     const look = now => {
       const at = [before / 1000, oxmill.app.player.time];
       before = now;
@@ -208,7 +208,7 @@ export async function a_job_is_played_at_a_thousand_times_its_speed(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Such as a folder: no part of the previous job is shown or run instead. */
+/** If a file cannot be read, such as a folder, no part of the previous job is shown or run instead. */
 export async function a_file_that_cannot_be_read_is_named(browser) {
   const { page, faults } = await open(browser, file);
   await page.evaluate(() => {
@@ -269,7 +269,7 @@ export async function a_line_that_is_clicked_is_shown(browser) {
     await page.click(`#line-${line}`);
     await isAt(page, line);
   }
-  // The list is redrawn while the button is down.
+  // A click must also count if the list is redrawn while the button is down.
   const box = await page.locator("#line-4").boundingBox();
   await page.mouse.move(box.x + 20, box.y + 9);
   await page.mouse.down();
@@ -279,7 +279,7 @@ export async function a_line_that_is_clicked_is_shown(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Lines that move nothing are at the next move, or at the end of the job if no move follows. */
+/** A line that moves nothing is shown at the time of the next move, or at the end of the job if no move follows. */
 export async function the_last_lines_are_at_the_end(browser) {
   const { page, faults } = await open(browser, file);
   const { forecast_s } = await openJob(page, "end.nc", "G21 G91\nG1 X9 F600\nM5\nG1 X-9\nM9\nG999\nM30\n");
@@ -292,7 +292,7 @@ export async function the_last_lines_are_at_the_end(browser) {
   }
   await page.click("#line-3");
   await isAt(page, 4, 3);
-  // By keys: from the first line to the last and back.
+  // Keys go to the first and to the last line.
   await page.focus("#lines");
   await page.keyboard.press("Home");
   assert.equal(await shown(), 0);
@@ -313,7 +313,7 @@ const pixels = page => page.evaluate(async () => {
   return all.reduce((sum, value) => (Math.imul(sum, 31) + value) | 0, 0);
 });
 
-/** How mouse, wheel and keys change the picture: what is visible, and how a position and a length move on it. */
+/** Mouse, wheel and keys change the picture: its pixels, its camera, and where two positions appear. */
 export async function mouse_and_keys_turn_move_and_zoom_the_picture(browser) {
   const { page, faults } = await open(browser, file);
   await openJob(page, "square.nc", "G21 G91 F6000\nG1 X50\nG1 Y50\nG1 X-50\nG1 Y-50\n");
@@ -375,7 +375,7 @@ export async function the_theme_is_chosen_by_its_button(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Two fingers on the picture, with the events of a touch screen. */
+/** On a touch screen, one finger turns the picture, and two fingers zoom it. */
 export async function fingers_turn_and_zoom_the_picture(browser) {
   const { page, faults } = await open(browser, file, { viewport: { width: 390, height: 844 } });
   const fingers = await page.context().newCDPSession(page);

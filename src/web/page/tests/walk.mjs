@@ -18,7 +18,7 @@ export async function walk(page) {
   const phase = wanted => until(page, wanted => oxmill.app.machine.phase === wanted, wanted);
   const work = () => page.evaluate(() => oxmill.app.machine.status.work);
   const rest = () => until(page, () => oxmill.app.machine.isAtRest);
-  // A button of a card that is rebuilt may vanish between finding and pressing it: do both in one evaluation.
+  // Find and press the button in one evaluation, because its card can be rebuilt in between.
   const press = text => until(page, text => {
     const button = [...document.querySelectorAll("#jobcard-body button, #start-why button")].find(one => one.innerText.startsWith(text) && !one.disabled);
     button?.click();
@@ -38,7 +38,7 @@ export async function walk(page) {
   await until(page, () => document.getElementById("verdict").innerText.includes("Ready to run") && oxmill.app.checked);
   assert.match(await say("verdict"), /All 465 lines are accepted/);
   await page.click("#to-run");
-  // A machine, homed, with the tool above the workpiece.
+  // Power a machine up, home it, move the tool over the workpiece, and zero it there.
   await page.click("#power");
   await phase("idle");
   await until(page, () => !document.getElementById("home").disabled);
@@ -53,7 +53,7 @@ export async function walk(page) {
   await rest();
   await page.click("#zero-all");
   await until(page, () => oxmill.app.machine.status.work.every(at => Math.abs(at) < 0.001));
-  // The job: start, hold, resume, and stop on its way.
+  // Start the job, hold and resume it, and stop it on its way.
   await started();
   await until(page, () => oxmill.app.machine.status.state === "Run" && oxmill.app.machine.running?.follower.line > 16);
   await page.click('[data-realtime="hold"]');
@@ -61,7 +61,7 @@ export async function walk(page) {
   assert.match(await say("jobcard-title"), /Hold/i);
   await page.click('[data-realtime="resume"]');
   await phase("run");
-  // To save time, the simulated machine runs a hundred times as fast.
+  // To save time, the simulated machine runs twenty times as fast, and a hundred times for the rest of the job.
   const times = value => page.evaluate(value => {
     const select = document.getElementById("times");
     select.value = value;
@@ -82,7 +82,7 @@ export async function walk(page) {
   await press("Lift Z");
   await until(page, z => Math.abs(oxmill.app.machine.status.work[2] - z - 10) < 0.01, z);
   await rest();
-  // The rest of the job, as a job of its own, to its end.
+  // Open the rest of the job as a job of its own, and run it to its end.
   await press("Continue from line");
   assert.equal(await page.evaluate(() => document.getElementById("from-line").value), String(line));
   await until(page, () => document.getElementById("prologue").textContent !== "");
