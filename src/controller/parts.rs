@@ -40,7 +40,7 @@ pub(crate) struct Machine<const N: usize> {
     pub settings_lock: SettingsLock,
     pub now: Instant,
     /// When a program line was last answered.
-    pub answered_at: Instant,
+    pub last_line_at: Instant,
     pub lines: LineIntake,
     pub interpreter: Lent<Interpreter<N>>,
     pub replies: Lent<Replies>,
@@ -69,7 +69,7 @@ impl<const N: usize> Machine<N> {
             settings_lock: SettingsLock::new(&profile),
             records: memory.records,
             now: Instant::from_ticks(0),
-            answered_at: Instant::from_ticks(0),
+            last_line_at: Instant::from_ticks(0),
         }
     }
 

@@ -228,8 +228,8 @@ pub fn for_error(error: Error) -> &'static str {
             "The host sends it again; one that does not know that lines are checked ends that with $LC=OFF."
         }
         Error::BehindEnd => {
-            "Write `o1001 sub` .. `o1001 endsub` in front of what calls it, or leave it out. For the next program send `%` first, \
-             reset the machine, or let it rest for 5 s."
+            "Write `o1001 sub` .. `o1001 endsub` in front of what calls it, or leave it out. For the next program send `%` or `$X` \
+             first, or reset the machine."
         }
         Error::EndlessLoop => "Look for a condition that never becomes false.",
     }

@@ -1,18 +1,15 @@
 //! Decides on lines after the end of a program (M2, M30): they belong to the next program, or to subprograms, which
 //! controls with M98 have there (`O1001` .. `M99`). The interpreter cannot call such subprograms and refuses their
 //! lines, so that the machine does not execute them one after another. An O number (`O1001` .. `M30`) begins the next
-//! program only if it follows a tape mark, a reset, or a rest of the machine.
+//! program only if it follows a tape mark, a reset, `$X`, or a rest of the machine.
 //!
 //! ```text
-//!  Program ──M2, M30──▶ End ──O number──▶ Subprogram ──M99, M2, M30──▶ SubprogramEnd
-//!     ▲                  │ rested             ▲                            │      │ rested
-//!     └──────────────────┴────────────────────┼──────────O number──────────┘      │
-//!     └───────────────────────────────────────┼───────────────────────────────────┘
+//!  Program ──M2, M30──▶ End ──O number──▶ Subprogram ──%, $X, reset, another host──▶ Program
+//!     ▲                  │
+//!     └───────────O number after a rest
 //! ```
-//! In `Subprogram` and `SubprogramEnd` each line is refused: an M99 may be followed by more of the same subprogram, which a
-//! GOTO reaches.
+//! An M99 does not end the refusal: more lines of the same subprogram can follow it, which a GOTO reaches.
 
-use super::m_words::has_m_word;
 use super::state::{Interpreter, ProgramPlace};
 use crate::error::Error;
 
@@ -34,52 +31,84 @@ impl<const N: usize> Interpreter<N> {
     /// # Errors
     /// [`Error::BehindEnd`] for the lines of a subprogram.
     pub fn look_behind_end(&mut self, line: &[u8], rested: bool) -> Result<(), Error> {
-        use ProgramPlace::{End, Program, Subprogram, SubprogramEnd};
         match self.place {
-            Program => return Ok(()),
-            Subprogram | SubprogramEnd if line.is_empty() => return Ok(()),
-            End if !has_program_number(line) => return Ok(()),
-            // After a subprogram any line begins the next program: nothing falls into that.
-            End | SubprogramEnd if rested => {
-                self.place = Program;
+            ProgramPlace::Program => return Ok(()),
+            ProgramPlace::Subprogram if line.is_empty() => return Ok(()),
+            ProgramPlace::End if !has_program_number(line) => return Ok(()),
+            ProgramPlace::End if rested => {
+                self.place = ProgramPlace::Program;
                 return Ok(());
             }
-            End => self.place = Subprogram,
-            SubprogramEnd if has_program_number(line) => self.place = Subprogram,
-            Subprogram if ends_subprogram(line) => self.place = SubprogramEnd,
-            Subprogram | SubprogramEnd => {}
+            ProgramPlace::End | ProgramPlace::Subprogram => {}
         }
+        self.place = ProgramPlace::Subprogram;
         Err(Error::BehindEnd)
+    }
+
+    /// Takes note of a refused line: after the end of a program it begins a subprogram if it has an O number anywhere, or if
+    /// its text is unknown (`None`), because it was too long, damaged, or had an open remark.
+    pub fn refused_behind_end(&mut self, line: Option<&[u8]>) {
+        let may_have_number = line.is_none_or(|line| {
+            let mut before = b' ';
+            line.first() == Some(&b'<')
+                || (0..line.len()).any(|at| {
+                    let rest = line.get(at..).unwrap_or_default();
+                    let begins_word = !before.is_ascii_uppercase();
+                    before = rest.first().copied().unwrap_or_default();
+                    begins_word && is_program_number(rest)
+                })
+        });
+        if self.place == ProgramPlace::End && may_have_number {
+            self.place = ProgramPlace::Subprogram;
+        }
     }
 }
 
-/// Whether a line ends a subprogram for certain: it has M99, M2 or M30 and no condition (`IF[#1EQ1]M99`).
-fn ends_subprogram(line: &[u8]) -> bool {
-    !line.contains(&b'[') && has_m_word(line, &[b"2", b"30", b"99"])
+/// Whether a line begins with the number of a program or subprogram, after its line number (N) if it has one. Further words
+/// may follow, and the numbers need not be valid ones.
+fn has_program_number(line: &[u8]) -> bool {
+    is_program_number(line.strip_prefix(b"N").map_or(line, from_next_word))
 }
 
-/// Whether a line begins with the number of a program or subprogram, after its line number (N) if it has one: O or a colon,
-/// and no O word. Further words may follow, and the number need not be a valid one.
-fn has_program_number(line: &[u8]) -> bool {
-    let numbered = line.strip_prefix(b"N").unwrap_or_default();
-    let digits = numbered.iter().take_while(|byte| byte.is_ascii_digit()).count();
-    let line = numbered.get(digits..).filter(|after| !after.is_empty()).unwrap_or(line);
-    let Some((b'O' | b':', number)) = line.split_first() else { return false };
+/// Whether a text begins with O or a colon, and with no O word.
+fn is_program_number(text: &[u8]) -> bool {
+    let Some((b'O' | b':', number)) = text.split_first() else { return false };
+    let word = from_next_word(number);
+    let letters = word.iter().take_while(|byte| byte.is_ascii_uppercase()).count();
+    !word.get(..letters).is_some_and(|word| O_WORDS.contains(&word))
+}
+
+/// Returns the part of a line from its first letter or colon on that is not in brackets.
+fn from_next_word(line: &[u8]) -> &[u8] {
     let mut depth = 0_usize;
-    let word = number.iter().position(|byte| {
+    let word = line.iter().position(|byte| {
         match byte {
             b'[' | b'<' => depth += 1,
             b']' | b'>' => depth = depth.saturating_sub(1),
             _ => {}
         }
-        depth == 0 && byte.is_ascii_uppercase()
+        depth == 0 && (byte.is_ascii_uppercase() || *byte == b':')
     });
-    let word = word.and_then(|at| number.get(at..)).unwrap_or_default();
-    !O_WORDS.iter().any(|start| word.starts_with(*start))
+    word.and_then(|at| line.get(at..)).unwrap_or_default()
 }
 
-/// The first letters of each O word: `sub`, `endsub`, `else`, `call`, `continue`, `return`, `if`, `while`, `do`, `break`.
-const O_WORDS: [&[u8]; 10] = [b"SU", b"EN", b"EL", b"CA", b"CO", b"RE", b"IF", b"WH", b"DO", b"BR"];
+const O_WORDS: [&[u8]; 15] = [
+    b"SUB",
+    b"ENDSUB",
+    b"CALL",
+    b"RETURN",
+    b"IF",
+    b"ELSEIF",
+    b"ELSE",
+    b"ENDIF",
+    b"WHILE",
+    b"ENDWHILE",
+    b"DO",
+    b"REPEAT",
+    b"ENDREPEAT",
+    b"BREAK",
+    b"CONTINUE",
+];
 
 #[cfg(test)]
 mod tests {
@@ -119,26 +148,54 @@ mod tests {
     /// Whatever opens it, and wherever it returns.
     #[test]
     fn no_form_of_a_subprogram_is_run() {
-        for number in
-            [":1001", "N1:1001", "O1001.0", "O1001.5", "O[1001]", "O#1", "O1001G1Z-3F100", "O1001M3", "O1001%", "O"]
-        {
+        for number in [
+            ":1001",
+            "N1:1001",
+            "N10.5O1001",
+            "N#1O1001",
+            "N[2]O1",
+            "O1001.0",
+            "O1001.5",
+            "O[1001]",
+            "O#1",
+            "O1001G1Z-3F100",
+            "O1001M3",
+            "O1001%",
+            "O",
+        ] {
             assert_eq!(taken(&["M30", number, "G1Z-3F100", "M99"]), [true, false, false, false], "{number}");
         }
-        for end in ["IF[#1EQ1]M99", "M99", "N5M99P20", "/M99", "IF[#1EQ1]M30", "M30"] {
-            assert_eq!(taken(&["M30", "O1001", end, "G1Z-3F100", "N20G1Z-4", "M99"])[1..], [false; 5], "{end}");
+        for end in ["IF[#1EQ1]M99", "IF#1EQ1THENM99", "M99", "N5M99P20", "/M99", "IF[#1EQ1]M30", "M30"] {
+            assert_eq!(
+                taken(&["M30", "O1001", end, "G1Z-3F100", "N20G1Z-4", "O1002", "M99"])[1..],
+                [false; 6],
+                "{end}"
+            );
         }
     }
 
     #[test]
-    fn after_a_subprogram_and_a_rest_the_next_program_begins() {
-        for (end, is_taken) in [("M99", true), ("IF[#1EQ1]M99", false)] {
-            let mut interpreter = Interpreter::<3>::default();
-            interpreter.place = ProgramPlace::End;
-            for line in ["O1001", end] {
-                assert_eq!(interpreter.look_behind_end(line.as_bytes(), false), Err(Error::BehindEnd));
+    fn a_refused_line_with_a_number_begins_a_subprogram() {
+        for (line, begins) in [
+            (Some("O1001CONTOUR"), true),
+            (Some("G90O1001"), true),
+            (Some("#1=1O1001"), true),
+            (Some("%O1001"), true),
+            (Some("<SUB1>"), true),
+            (Some("10:1001"), true),
+            (None, true),
+            (Some("G1X5"), false),
+            (Some("O<A>CALL[1"), false),
+            (Some("N5O1ENDIF"), false),
+            (Some("G0XROUND[1]"), false),
+        ] {
+            for place in [ProgramPlace::Program, ProgramPlace::End] {
+                let mut interpreter = Interpreter::<3>::default();
+                interpreter.place = place;
+                interpreter.refused_behind_end(line.map(str::as_bytes));
+                let refuses = interpreter.look_behind_end(b"G1Z-3", true).is_err();
+                assert_eq!(refuses, begins && place == ProgramPlace::End, "{line:?}");
             }
-            assert_eq!(interpreter.look_behind_end(b"G0X1", false), Err(Error::BehindEnd));
-            assert_eq!(interpreter.look_behind_end(b"G0X1", true).is_ok(), is_taken, "{end}");
         }
     }
 

@@ -64,8 +64,6 @@ pub(super) enum ProgramPlace {
     End,
     /// After the end of a program, in a subprogram.
     Subprogram,
-    /// After the M99, M2 or M30 of such a subprogram.
-    SubprogramEnd,
 }
 
 /// End of the last G5, from which another G5 can continue smoothly; in X and Y of the machine.

@@ -130,22 +130,31 @@ impl Measured {
     }
 }
 
-/// Whether a refused line asks for another tool (M6), or may do so: the number of an M word may be computed (`M[6]`).
+/// Whether a refused line asks for another tool (M6), or may do so: the number of an M word may be computed (`M[6]`), a
+/// bracket may be open, or the text may be unknown (`None`: too long, damaged, or with an open remark).
 #[inline(never)]
-pub fn asks_for_tool(line: &[u8]) -> bool {
+pub fn asks_for_tool(line: Option<&[u8]>) -> bool {
+    let Some(line) = line else { return true };
     let mut depth = 0_usize;
-    line.iter().enumerate().any(|(at, byte)| {
+    let asks = line.iter().enumerate().any(|(at, byte)| {
         match byte {
             b'[' | b'<' => depth += 1,
             b']' | b'>' => depth = depth.saturating_sub(1),
             _ => {}
         }
         let number = line.get(at + 1..).unwrap_or_default();
-        *byte == b'M'
-            && depth == 0
-            && number::read(number, Digits::Exact)
-                .is_none_or(|read| Code::of(read.value) == Code { whole: 6, hundredths: 0 })
-    })
+        *byte == b'M' && depth == 0 && may_be_six(number)
+    });
+    asks || depth > 0 && line.contains(&b'M')
+}
+
+/// Whether a number, or the expression in its place, can be 6.
+fn may_be_six(number: &[u8]) -> bool {
+    match number::read(number, Digits::Exact) {
+        Some(read) => Code::of(read.value) == Code { whole: 6, hundredths: 0 },
+        // A bracket, a parameter, or a function such as `FIX[`.
+        None => matches!(number.iter().find(|byte| !byte.is_ascii_uppercase()), Some(b'[' | b'#')),
+    }
 }
 
 /// Returns the number for the entry that a program sets for a tool; in check mode it has the bit [`CHECKED`].

@@ -266,6 +266,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn unlock(&mut self) -> Result<(), Error> {
+        self.m.interpreter.begin_program();
         if let State::Alarm(_) = self.state {
             if self.m.inputs.signals().door {
                 return Err(Error::DoorOpen);

@@ -97,7 +97,7 @@ impl<const N: usize> Controller<N> {
         if REASONS && let Err(error) = checked {
             self.line.explain(&mut self.m.interpreter, text, dialect, error, false);
         }
-        let asks_for_tool = checked.is_err() && gcode::asks_for_tool(text);
+        let asks_for_tool = checked.is_err() && gcode::asks_for_tool(known(text));
         self.m.lines.clear();
         match checked {
             Ok(Direction::Check) => {
@@ -151,7 +151,7 @@ impl<const N: usize> Controller<N> {
                     self.line.explain_length(length, fit);
                 }
                 self.m.lines.clear();
-                self.refuse_program_line(Error::LineTooLong, false);
+                self.refuse_line_of_dispatch(Error::LineTooLong, None);
             }
             Pushed::Complete => self.complete(),
         }
@@ -247,8 +247,20 @@ impl<const N: usize> Controller<N> {
         match result {
             Ok(()) => {}
             Err(error) if line.first() == Some(&b'$') => self.refuse(error),
-            Err(error) => self.refuse_program_line(error, gcode::asks_for_tool(line)),
+            Err(error) => self.refuse_line_of_dispatch(error, known(line)),
         }
+        // Requests such as `$G`, which a sender may send all the time, do not interrupt a rest.
+        if line.first() != Some(&b'$') {
+            self.m.last_line_at = self.m.now;
+        }
+    }
+
+    /// Refuses a line of a program, or in place of one. `text`: its words, if they are known.
+    fn refuse_line_of_dispatch(&mut self, error: Error, text: Option<&[u8]>) {
+        if self.dialect() != Dialect::Grbl {
+            self.m.interpreter.refused_behind_end(text);
+        }
+        self.refuse_program_line(error, gcode::asks_for_tool(text));
     }
 
     /// Explains the words of a refused line: those of a program, a jog or a startup line.
@@ -290,7 +302,7 @@ impl<const N: usize> Controller<N> {
         let direction = match self.dialect() {
             Dialect::Grbl => Direction::Check,
             _ => {
-                let rested = self.m.now.checked_duration_since(self.m.answered_at).is_some_and(|rest| rest >= REST);
+                let rested = self.m.now.checked_duration_since(self.m.last_line_at).is_some_and(|rest| rest >= REST);
                 self.m.interpreter.look_behind_end(line, rested)?;
                 self.m.interpreter.direct(line, remark, self.m.lines.lines_read())?
             }
@@ -325,6 +337,11 @@ impl<const N: usize> Controller<N> {
 /// Whether a `$` line sets a startup line or a macro.
 fn keeps_line(line: &[u8]) -> bool {
     matches!(line, [b'$', b'N' | b'M', b'0'..=b'9', ..])
+}
+
+/// Returns the text of a line if it is known.
+fn known(text: &[u8]) -> Option<&[u8]> {
+    Some(text).filter(|text| *text != [line_filter::OPEN_REMARK])
 }
 
 /// Returns the rules for reading lines.

@@ -1,6 +1,8 @@
 //! Filters a line byte by byte as Grbl does: removes blanks and remarks, converts letters to capitals, and ends the
 //! line at CR or LF. Keeps the last `(MSG, ...)` of the line. Marks a line that is too long.
 
+/// The only byte of a line whose text is unknown, because a nested remark has not ended.
+pub const OPEN_REMARK: u8 = b')';
 /// Maximum length of a line in Grbl's dialect, in bytes, without blanks and remarks.
 pub const GRBL_LENGTH: usize = 79;
 /// Maximum length of a line in Oxmill's dialects, in bytes, without blanks and remarks.
@@ -300,7 +302,7 @@ impl Line {
     #[inline(never)]
     fn refuse_remark(&mut self) {
         if let Some(place) = self.text.first_mut() {
-            *place = b')';
+            *place = OPEN_REMARK;
             self.len = 1;
         }
     }

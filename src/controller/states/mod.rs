@@ -176,6 +176,10 @@ impl<const N: usize> Controller<N> {
     /// Enters a state; nothing else does.
     pub(crate) fn enter(&mut self, next: State<N>) {
         debug_assert!(self.state.may_become(&next), "{:?} to {:?}", self.state, next);
+        if self.state.is_suspended() {
+            // Lines have waited meanwhile, so this was no rest of the host.
+            self.m.last_line_at = self.m.now;
+        }
         self.state = next;
     }
 }

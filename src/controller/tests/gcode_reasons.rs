@@ -347,7 +347,12 @@ const ROWS: &[Row] = &[
     ("F100", "o100 if [1/0]", 72, "O100 IF: the expression divides by zero"),
     ("F100 | o100 sub", "o200 sub", 81, "O200 SUB is within another one: write it in front"),
     ("F100 | o100 sub | o100 endsub", "o100 call 5", 81, "O100 CALL takes values in brackets, one behind the other"),
-    ("F100 | M30", "O1001", 203, "O1001 stands behind the end of the program: a subprogram comes before M2 or M30"),
+    (
+        "F100 | M30",
+        "O1001",
+        203,
+        "O1001 stands behind the end of the program: a subprogram comes before M2 or M30; $X ends this",
+    ),
     ("", "$J=X5", 22, "F is missing: each jog needs its own"),
     ("", "$J=G91 X5", 22, "F is missing: each jog needs its own"),
     ("", "$J=X5 F100 S5", 36, "S5 is not for a jog"),

@@ -458,11 +458,13 @@ impl<const N: usize> Controller<N> {
         self.task = Task::None;
         match answer {
             Answer::Host => {
-                self.m.answered_at = self.m.now;
+                self.m.last_line_at = self.m.now;
                 self.say_ok();
             }
             Answer::Held(caller) => self.task = Task::Held(caller),
             Answer::Startup(index, host_waits) => {
+                // The program that a startup line ends is not that of the host.
+                self.m.interpreter.begin_program();
                 self.echo_startup_line(index);
                 self.say_ok();
                 self.begin_startup_line(index + 1, host_waits);
@@ -568,7 +570,7 @@ impl<const N: usize> Controller<N> {
                 }
                 self.refuse(error);
                 match caller {
-                    Caller::Host => self.stop_at_error(gcode::asks_for_tool(words)),
+                    Caller::Host => self.stop_at_error(gcode::asks_for_tool(Some(words))),
                     Caller::Startup(index, host_waits) => self.begin_startup_line(index + 1, host_waits),
                     Caller::Validation(_) => {}
                 }

@@ -19,7 +19,11 @@ impl<const N: usize> Interpreter<N> {
         let is_refused_block = matches!(self.computed.flow.state, FlowState::Recording(_, Some(of)) if of == error);
         match (order, error) {
             (_, Error::BehindEnd) => {
-                say(out, "% stands behind the end of the program: a subprogram comes before M2 or M30", &[line]);
+                say(
+                    out,
+                    "% stands behind the end of the program: a subprogram comes before M2 or M30; $X ends this",
+                    &[line],
+                );
             }
             (Some(order), _) => self.explain_order(line, &order, error, out),
             (None, Error::OutOfMemory) => {
