@@ -38,7 +38,7 @@ const QUEUE: &str = "src/controller/motion/queue.rs";
 const RUNNING: &str = "src/controller/motion/running.rs";
 const SEGMENT_FEED: &str = "src/controller/motion/segment_source.rs";
 const PLANNER: &str = "src/controller/motion/planner.rs";
-const WALK: &str = "src/controller/motion/reverse_walk.rs";
+const REVERSE_PASS: &str = "src/controller/motion/reverse_pass.rs";
 const CURVATURE: &str = "src/controller/motion/curvature.rs";
 const STEPPER: &str = "src/controller/motion/stepper.rs";
 
@@ -53,7 +53,11 @@ const MUTANTS: &[Mutant] = &[
     },
     Mutant {
         name: "settled-before-a-steep-bend",
-        edits: &[Edit { file: WALK, find: "let is_steep = block.is_steep();", replace: "let is_steep = false;" }],
+        edits: &[Edit {
+            file: REVERSE_PASS,
+            find: "let is_steep = block.is_steep();",
+            replace: "let is_steep = false;",
+        }],
     },
     Mutant {
         name: "settled-while-lowered",

@@ -43,7 +43,7 @@ mod nurbs;
 mod path_end;
 mod planner;
 mod queue;
-mod reverse_walk;
+mod reverse_pass;
 mod rounding;
 mod running;
 mod segment;
