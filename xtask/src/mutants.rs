@@ -247,6 +247,7 @@ const MUTANTS: &[Mutant] = &[
     },
 ];
 
+const HOST_ARBITER: &str = "src/controller/protocol/host_arbiter.rs";
 const LINK: &str = "src/controller/protocol/link.rs";
 const SIGNALS: &str = "src/controller/machine/signals.rs";
 
@@ -255,7 +256,7 @@ const OUTSIDE: &[Mutant] = &[
     Mutant {
         name: "no-epochs",
         edits: &[Edit {
-            file: LINK,
+            file: HOST_ARBITER,
             find: "if queued && command.opens_epoch() {",
             replace: "if queued && command.opens_epoch() && self.gone == u16::MAX {",
         }],
@@ -272,8 +273,8 @@ const OUTSIDE: &[Mutant] = &[
         name: "waiting-bytes-damaged",
         edits: &[Edit {
             file: LINK,
-            find: "let byte = LineByte { byte, epoch: arbiter.epoch, damaged: self.lost };",
-            replace: "let byte = LineByte { byte, epoch: arbiter.epoch, damaged: !self.held.is_empty() };",
+            find: "let byte = LineByte { byte, epoch: arbiter.epoch(), damaged: self.lost };",
+            replace: "let byte = LineByte { byte, epoch: arbiter.epoch(), damaged: !self.held.is_empty() };",
         }],
     },
     Mutant {
