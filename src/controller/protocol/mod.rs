@@ -8,8 +8,9 @@
 //!   [`line_filter`] makes lines of the other bytes, [`line_checksum`] checks the lines, and [`heartbeat`] notices a
 //!   silent host.
 //! * [`system`] parses `$` lines.
-//! * [`report`] prints replies with [`text`]. [`descriptions`] prints settings and errors in words, and [`recording`]
-//!   prints `$REC`. [`replies`] keeps replies until they are sent, and [`coalescing`] groups them into messages.
+//! * [`reply_texts`] and [`status_report`] print replies with [`text`]. [`descriptions`] prints settings and errors in
+//!   words, and [`recording`] prints `$REC`. [`reply_queue`] keeps replies until they are sent, and [`coalescing`]
+//!   groups them into messages.
 
 pub mod byte_channel;
 pub mod coalescing;
@@ -26,7 +27,8 @@ pub mod queues;
 pub mod realtime;
 pub mod recording;
 pub mod remark;
-pub mod replies;
-pub mod report;
+pub mod reply_queue;
+pub mod reply_texts;
+pub mod status_report;
 pub mod system;
 pub mod text;
