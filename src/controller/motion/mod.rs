@@ -25,6 +25,7 @@ mod backlash;
 mod blend;
 mod block;
 mod carried_time;
+mod contact;
 mod course;
 mod curvature;
 mod curve;
