@@ -10,7 +10,7 @@ use crate::image::FULL_IMAGE;
 use crate::memory::Memory;
 use crate::messages::{Event, LineByte, Observed, Output, Record, Restart, Room, Store, ToStep};
 use crate::parts::Machine;
-use crate::protocol::report;
+use crate::protocol::reply_texts;
 use crate::settings::Key;
 use crate::states::State;
 use crate::states::door::DoorPhase;
@@ -447,7 +447,7 @@ impl<const N: usize> Controller<N> {
     /// already have ended the command that made the change.
     fn stored(&mut self, done: bool) {
         if self.m.records.answered(done) {
-            self.say(|out| report::message(out, "The setting holds but could not be stored"));
+            self.say(|out| reply_texts::message(out, "The setting holds but could not be stored"));
         }
     }
 

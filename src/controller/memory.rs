@@ -7,7 +7,7 @@ use crate::gcode::Interpreter;
 use crate::host::stored::Records;
 use crate::lent::Lent;
 use crate::motion::Motion;
-use crate::protocol::replies::Replies;
+use crate::protocol::reply_queue::Replies;
 
 /// The large parts of one controller with `N` axes, newly built.
 #[derive(Debug)]

@@ -17,7 +17,7 @@ use crate::messages::SpindleDirection;
 use crate::motion::Motion;
 use crate::outputs::given::Pins;
 use crate::protocol::intake::LineIntake;
-use crate::protocol::replies::Replies;
+use crate::protocol::reply_queue::Replies;
 use crate::settings::{Key, Settings};
 use crate::states::door::parking::Parking;
 use crate::states::stops::orders::Stops;

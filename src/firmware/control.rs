@@ -1,11 +1,12 @@
 //! The control task: passes the messages of other tasks to the controller, and carries out the controller's outputs, in
 //! the order of [`oxmill_controller::pump`].
 
+use crate::BoardController;
 use crate::boards::{self, AXES};
 use crate::clock::Clock;
-use crate::flash::Settings;
 use crate::last_words::{self, Whereabouts};
 use crate::outputs::Outputs;
+use crate::settings_store::SettingsStore;
 use crate::shared::{self, ASKED, CONTROL, INPUTS, Power, SERIAL, STEP};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::{
@@ -16,16 +17,13 @@ use oxmill_controller::messages::{
 use oxmill_controller::pump::{Pump, Source, round};
 use oxmill_controller::recorder::{Page, Recorder};
 use oxmill_controller::units::{Duration, Instant};
-use oxmill_controller::{Coalescing, Controller, LineReader, Owed};
+use oxmill_controller::{Coalescing, LineReader, Owed};
 use rtic_sync::channel::{Receiver, Sender};
 use rtic_sync::signal::SignalWriter;
 
 /// Wake-up interval while the queue to the step task is full: short segments leave the queue before the controller's
 /// own wake-up time.
 const FULL_QUEUE_WAKEUP: Duration = Duration::from_ticks(500);
-
-/// The controller of this board.
-pub type BoardController = Controller<AXES>;
 
 /// The ends of the channels that `control` owns.
 pub struct Ends {
@@ -52,7 +50,7 @@ pub struct Control {
     controller: &'static mut BoardController,
     ends: Ends,
     outputs: Outputs,
-    settings: Settings,
+    settings: SettingsStore,
     recorder: Recorder<&'static mut [Page]>,
     clock: Clock,
     /// Start time of the round.
@@ -96,7 +94,7 @@ impl Control {
         controller: &'static mut BoardController,
         ends: Ends,
         outputs: Outputs,
-        settings: Settings,
+        settings: SettingsStore,
         recorder: Recorder<&'static mut [Page]>,
         alarm: SignalWriter<'static, u32>,
         fitted: u32,

@@ -21,11 +21,14 @@ mod clock;
 pub mod control;
 mod copy;
 pub mod failure;
-mod flash;
 pub mod inputs;
 pub mod last_words;
 mod outputs;
 pub mod serial;
+mod settings_store;
 pub mod stack;
 pub mod startup;
 mod watchdog;
+
+/// The controller of this board.
+pub type BoardController = oxmill_controller::Controller<{ boards::AXES }>;

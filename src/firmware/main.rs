@@ -19,7 +19,8 @@ macro_rules! firmware {
             use oxmill_controller::messages::*;
             use oxmill_controller::memory::Storage;
             use core::mem::MaybeUninit;
-            use oxmill_firmware::control::{BoardController, Control};
+            use oxmill_firmware::BoardController;
+            use oxmill_firmware::control::Control;
             use oxmill_firmware::inputs::Inputs;
             use oxmill_firmware::serial::Serial;
             use oxmill_firmware::stack;

@@ -1,15 +1,16 @@
 //! From reset to running tasks: `start` sets up the board, splits the channels, builds the controller in its final
 //! place in RAM, restores the settings, starts the sampling of inputs, and creates the tasks.
 
+use crate::BoardController;
 use crate::boards::{self, AXES};
 use crate::clock::Alarm;
-use crate::control::{BoardController, Control, Ends};
+use crate::control::{Control, Ends};
 use crate::failure;
-use crate::flash::Settings;
 use crate::inputs::Inputs;
 use crate::last_words;
 use crate::outputs::Outputs;
 use crate::serial::Serial;
+use crate::settings_store::SettingsStore;
 use crate::shared::Wake;
 use crate::step_timer::Step;
 use crate::watchdog::Supervisor;
@@ -94,7 +95,7 @@ pub fn start(
     let recorder = Recorder::begin(last_words::pages(), &restart);
     restart.is_recorded = recorder.is_kept();
     controller.restarted(restart);
-    let settings = Settings::open(parts.settings_flash, controller);
+    let settings = SettingsStore::open(parts.settings_flash, controller);
     parts.uart_input.start(baud(controller, parts.inputs.read()));
     let fitted = parts.inputs.fitted();
     let tasks = Tasks {

@@ -341,8 +341,8 @@ mod the_reader_itself {
             ("motion/planner.rs", "use crate::settings::Settings;"),
             ("machine/hold.rs", "use crate::gcode::Action;"),
             ("messages/host.rs", "use crate::protocol::text;"),
-            ("protocol/report.rs", "struct A(crate::motion::Motion);"),
-            ("protocol/report.rs", "use crate::Stepper;"),
+            ("protocol/reply_texts.rs", "struct A(crate::motion::Motion);"),
+            ("protocol/reply_texts.rs", "use crate::Stepper;"),
         ] {
             assert!(!found(file, text).is_empty(), "{file}: {text}");
         }

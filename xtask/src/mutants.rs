@@ -38,7 +38,7 @@ const QUEUE: &str = "src/controller/motion/queue.rs";
 const RUNNING: &str = "src/controller/motion/running.rs";
 const SEGMENT_FEED: &str = "src/controller/motion/segment_source.rs";
 const PLANNER: &str = "src/controller/motion/planner.rs";
-const WALK: &str = "src/controller/motion/reverse_walk.rs";
+const REVERSE_PASS: &str = "src/controller/motion/reverse_pass.rs";
 const CURVATURE: &str = "src/controller/motion/curvature.rs";
 const STEPPER: &str = "src/controller/motion/stepper.rs";
 
@@ -53,7 +53,11 @@ const MUTANTS: &[Mutant] = &[
     },
     Mutant {
         name: "settled-before-a-steep-bend",
-        edits: &[Edit { file: WALK, find: "let is_steep = block.is_steep();", replace: "let is_steep = false;" }],
+        edits: &[Edit {
+            file: REVERSE_PASS,
+            find: "let is_steep = block.is_steep();",
+            replace: "let is_steep = false;",
+        }],
     },
     Mutant {
         name: "settled-while-lowered",
@@ -243,6 +247,7 @@ const MUTANTS: &[Mutant] = &[
     },
 ];
 
+const HOST_ARBITER: &str = "src/controller/protocol/host_arbiter.rs";
 const LINK: &str = "src/controller/protocol/link.rs";
 const SIGNALS: &str = "src/controller/machine/signals.rs";
 
@@ -251,7 +256,7 @@ const OUTSIDE: &[Mutant] = &[
     Mutant {
         name: "no-epochs",
         edits: &[Edit {
-            file: LINK,
+            file: HOST_ARBITER,
             find: "if queued && command.opens_epoch() {",
             replace: "if queued && command.opens_epoch() && self.gone == u16::MAX {",
         }],
@@ -268,8 +273,8 @@ const OUTSIDE: &[Mutant] = &[
         name: "waiting-bytes-damaged",
         edits: &[Edit {
             file: LINK,
-            find: "let byte = LineByte { byte, epoch: arbiter.epoch, damaged: self.lost };",
-            replace: "let byte = LineByte { byte, epoch: arbiter.epoch, damaged: !self.held.is_empty() };",
+            find: "let byte = LineByte { byte, epoch: arbiter.epoch(), damaged: self.lost };",
+            replace: "let byte = LineByte { byte, epoch: arbiter.epoch(), damaged: !self.held.is_empty() };",
         }],
     },
     Mutant {

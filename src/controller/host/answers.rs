@@ -1,6 +1,6 @@
 //! Everything that is sent to the host: `ok` and errors, alarms, messages, the welcome line and the status report.
-//! Replies to checked lines get their number and checksum here. `protocol::report` makes the texts; this file supplies
-//! the values and queues the result.
+//! Replies to checked lines get their number and checksum here. `protocol::reply_texts` and `protocol::status_report`
+//! make the texts; this file supplies the values and queues the result.
 
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};
@@ -8,7 +8,8 @@ use crate::gcode::{Dialect, Notice, ProgramPins, REASONS, WITH_VALUES};
 use crate::image::FULL_IMAGE;
 use crate::inputs::levels;
 use crate::messages::Signals;
-use crate::protocol::report::{self, PlaceForm};
+use crate::protocol::reply_texts::{self, PlaceForm};
+use crate::protocol::status_report;
 use crate::protocol::text::Text;
 use crate::settings::Key;
 use crate::states::State;
@@ -28,13 +29,13 @@ impl<const N: usize> Controller<N> {
 
     /// Sends the answer to a line that is executed.
     pub(crate) fn say_ok(&mut self) {
-        self.queue_text(report::OK);
+        self.queue_text(reply_texts::OK);
     }
 
     // Not inlined, so that its many callers share one copy of the code.
     #[inline(never)]
     fn queue_text(&mut self, text: &[u8]) {
-        if self.m.lines.is_checking() && report::is_answer(text) && !self.m.replies.is_echoing() {
+        if self.m.lines.is_checking() && reply_texts::is_answer(text) && !self.m.replies.is_echoing() {
             return self.answer_checked(text);
         }
         self.m.replies.push(text, self.m.lines.hosts_cut());
@@ -70,7 +71,7 @@ impl<const N: usize> Controller<N> {
         } else {
             let _ = text.extend_from_slice(written);
         }
-        self.say(|out| report::program_message(out, &text));
+        self.say(|out| reply_texts::program_message(out, &text));
         self.line.keep_message(text);
     }
 
@@ -78,7 +79,7 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     pub(crate) fn tell_notice(&mut self, notice: Notice) {
         if self.line.is_new(notice) {
-            self.say(|out| report::message(out, notice.text()));
+            self.say(|out| reply_texts::message(out, notice.text()));
         }
     }
 
@@ -91,7 +92,7 @@ impl<const N: usize> Controller<N> {
         if REASONS {
             self.tell_reason(error);
         }
-        self.say(|out| report::error(out, error.code()));
+        self.say(|out| reply_texts::error(out, error.code()));
     }
 
     /// Sends the explanation of an error before the error itself. Sends nothing in Grbl's dialect, because Grbl has no
@@ -104,7 +105,7 @@ impl<const N: usize> Controller<N> {
             && !self.m.replies.is_echoing()
             && !self.m.replies.has_host_left(self.m.lines.hosts_cut())
         {
-            self.say(|out| report::program_message(out, &reason));
+            self.say(|out| reply_texts::program_message(out, &reason));
         }
     }
 
@@ -112,8 +113,8 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn tell_refusal(&mut self) {
         let mut text = Text::new();
         match self.line.refusal() {
-            [] => report::message(&mut text, "No line was refused"),
-            reason => report::program_message(&mut text, reason),
+            [] => reply_texts::message(&mut text, "No line was refused"),
+            reason => reply_texts::program_message(&mut text, reason),
         }
         self.say(|out| out.clone_from(&text));
         self.say_ok();
@@ -121,10 +122,10 @@ impl<const N: usize> Controller<N> {
 
     pub(crate) fn tell_alarm(&mut self, alarm: Alarm) {
         self.m.interpreter.abandon_program();
-        self.say(|out| report::alarm(out, alarm.code()));
+        self.say(|out| reply_texts::alarm(out, alarm.code()));
         match alarm {
-            Alarm::Underrun => self.say(|out| report::message(out, "Motion data ran out")),
-            Alarm::Miscounted => self.say(|out| report::message(out, "Step outputs have failed")),
+            Alarm::Underrun => self.say(|out| reply_texts::message(out, "Motion data ran out")),
+            Alarm::Miscounted => self.say(|out| reply_texts::message(out, "Step outputs have failed")),
             _ => {}
         }
     }
@@ -145,7 +146,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn tell_unchecked(&mut self) {
-        self.say(|out| report::message(out, "Lines are not checked any more"));
+        self.say(|out| reply_texts::message(out, "Lines are not checked any more"));
     }
 
     /// Reports once which inputs caused the alarm, at which position and at which line.
@@ -155,22 +156,22 @@ impl<const N: usize> Controller<N> {
         {
             let position = self.machine_position();
             let form = self.place_form();
-            self.say(|out| report::trip(out, &tripped, &position, line, form));
+            self.say(|out| reply_texts::trip(out, &tripped, &position, line, form));
         }
     }
 
     #[inline(never)]
     pub(crate) fn tell_damage(&mut self) {
         let text = "Stored settings were damaged and some may be lost: check $$, 2 s later $X confirms";
-        self.say(|out| report::message(out, text));
+        self.say(|out| reply_texts::message(out, text));
     }
 
     /// Tells the host how to unlock the machine.
     pub(crate) fn tell_lock(&mut self) {
         match self.state {
             State::Alarm(_) if self.m.records.are_damaged() => self.tell_damage(),
-            State::Alarm(_) => self.say(|out| report::message(out, "'$H'|'$X' to unlock")),
-            State::Critical(_) => self.say(|out| report::message(out, "Reset to continue")),
+            State::Alarm(_) => self.say(|out| reply_texts::message(out, "'$H'|'$X' to unlock")),
+            State::Critical(_) => self.say(|out| reply_texts::message(out, "Reset to continue")),
             _ => {}
         }
     }
@@ -179,10 +180,10 @@ impl<const N: usize> Controller<N> {
     /// have missed them.
     pub(crate) fn greet(&mut self) {
         self.m.records.host_greeted();
-        self.say(report::welcome);
+        self.say(reply_texts::welcome);
         if let Some(failure) = self.m.replies.failure().cloned() {
             let grbl = self.dialect() == Dialect::Grbl;
-            self.say(|out| report::failure(out, &failure, grbl));
+            self.say(|out| reply_texts::failure(out, &failure, grbl));
         }
         self.m.settings_lock.host_greeted();
     }
@@ -208,7 +209,7 @@ impl<const N: usize> Controller<N> {
             _ => "",
         };
         if !state.is_empty() {
-            self.say(|out| report::message(out, state));
+            self.say(|out| reply_texts::message(out, state));
         }
         if let Task::Job(job) = self.task {
             self.tell_wait(&job);
@@ -221,7 +222,7 @@ impl<const N: usize> Controller<N> {
         match (job.stage, self.line.action.pins()) {
             (Stage::Paused | Stage::CyclePaused, _) => {
                 self.repeat_message();
-                self.say(|out| report::message(out, "Program paused"));
+                self.say(|out| reply_texts::message(out, "Program paused"));
             }
             (Stage::ToolChange, _) => {
                 self.repeat_message();
@@ -236,13 +237,13 @@ impl<const N: usize> Controller<N> {
                 None => {}
             },
             (Stage::Dwell | Stage::DwellSuspended, _) if self.line.action.dwell.is_some() => {
-                self.say(|out| report::message_number(out, "Dwell, seconds left: ", seconds));
+                self.say(|out| reply_texts::message_number(out, "Dwell, seconds left: ", seconds));
             }
             (Stage::Dwell | Stage::DwellSuspended | Stage::SpinningUp | Stage::SpinningDown, _) => {
-                self.say(|out| report::message(out, "Waits for the spindle"));
+                self.say(|out| reply_texts::message(out, "Waits for the spindle"));
             }
             (Stage::Input | Stage::InputSuspended, Some(ProgramPins::Wait { number, .. })) => {
-                self.say(|out| report::wait_for_input(out, number, seconds));
+                self.say(|out| reply_texts::wait_for_input(out, number, seconds));
             }
             _ => {}
         }
@@ -252,25 +253,25 @@ impl<const N: usize> Controller<N> {
     fn repeat_message(&mut self) {
         let text = self.line.message();
         if !text.is_empty() {
-            self.say(|out| report::program_message(out, &text));
+            self.say(|out| reply_texts::program_message(out, &text));
         }
     }
 
     /// Reports the tool that the machine waits for.
     pub(crate) fn tell_tool(&mut self) {
         let tool = self.line.action.spindle_tool();
-        self.say(|out| report::message_number(out, "Tool change T", tool));
+        self.say(|out| reply_texts::message_number(out, "Tool change T", tool));
     }
 
     /// Asks whether the work zero was set with the first tool. The operator confirms by `~`.
     pub(crate) fn tell_first_tool(&mut self) {
-        self.say(|out| report::message(out, "First tool measured: is the work zero set with it?"));
+        self.say(|out| reply_texts::message(out, "First tool measured: is the work zero set with it?"));
     }
 
     /// Reports whether single block is on.
     pub(crate) fn tell_single_block(&mut self) {
         let message = if self.line.is_single_block() { "Single block on" } else { "Single block off" };
-        self.say(|out| report::message(out, message));
+        self.say(|out| reply_texts::message(out, message));
     }
 
     /// Sends the report requested by `?`, if there is room for it.
@@ -295,7 +296,7 @@ impl<const N: usize> Controller<N> {
         let grbl = self.dialect() == Dialect::Grbl;
         let line = self.m.motion.line_number();
         let overrides = self.m.accessories.overrides();
-        let status = report::Status {
+        let status = status_report::Status {
             state: self.state.name(
                 self.m.motion.is_at_rest(),
                 self.m.step_supply.is_running(),
@@ -317,7 +318,7 @@ impl<const N: usize> Controller<N> {
             )),
         };
         let form = self.place_form();
-        self.say(|out| report::status(out, &status, form));
+        self.say(|out| status_report::status(out, &status, form));
     }
 
     /// Returns the form in which positions are reported.

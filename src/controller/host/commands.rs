@@ -6,7 +6,7 @@ use crate::dispatch::Controller;
 use crate::error::Error;
 use crate::gcode::{Dialect, REASONS};
 use crate::image::FULL_IMAGE;
-use crate::protocol::report;
+use crate::protocol::reply_texts;
 use crate::protocol::system::{self, Allowed, Restore, System};
 use crate::settings::{AxisKey, Key, Settings};
 use crate::states::{Homing, State};
@@ -47,7 +47,7 @@ impl<const N: usize> Controller<N> {
         match command {
             System::Help => {
                 let grbl = self.dialect() == Dialect::Grbl;
-                self.say(|out| report::help(out, grbl));
+                self.say(|out| reply_texts::help(out, grbl));
                 self.say_ok();
             }
             System::Settings if matches!(self.state, State::Normal) && !idle => return Err(Error::NotIdle),
@@ -76,7 +76,7 @@ impl<const N: usize> Controller<N> {
             System::Restore(what) => self.restore_defaults(what),
             System::ResetCause => {
                 let restart = self.m.replies.tell_restart().clone();
-                self.say(|out| report::restart(out, &restart));
+                self.say(|out| reply_texts::restart(out, &restart));
                 self.say_ok();
             }
             System::Recording => self.list_recording()?,
@@ -115,7 +115,7 @@ impl<const N: usize> Controller<N> {
 
     fn sleep(&mut self) {
         self.say_ok();
-        self.say(|out| report::message(out, "Sleeping"));
+        self.say(|out| reply_texts::message(out, "Sleeping"));
         self.fall_asleep();
     }
 
@@ -248,7 +248,7 @@ impl<const N: usize> Controller<N> {
     fn toggle_check_mode(&mut self) -> Result<(), Error> {
         match self.state {
             State::Check => {
-                self.say(|out| report::message(out, "Disabled"));
+                self.say(|out| reply_texts::message(out, "Disabled"));
                 self.say_ok();
                 self.m.interpreter.end_check_mode();
                 self.enter(State::Normal);
@@ -257,7 +257,7 @@ impl<const N: usize> Controller<N> {
             State::Normal if self.m.motion.is_idle() => {
                 self.enter(State::Check);
                 self.m.interpreter.begin_check_mode(self.dialect());
-                self.say(|out| report::message(out, "Enabled"));
+                self.say(|out| reply_texts::message(out, "Enabled"));
                 self.say_ok();
             }
             _ => return Err(Error::NotIdle),
@@ -280,9 +280,11 @@ impl<const N: usize> Controller<N> {
                 return Err(Error::StoreReadFailed);
             }
             self.enter(State::Normal);
-            self.say(|out| report::message(out, "Caution: Unlocked"));
+            self.say(|out| reply_texts::message(out, "Caution: Unlocked"));
             if !self.m.reference.is_trusted() && self.dialect() != Dialect::Grbl {
-                self.say(|out| report::message(out, "The position may be lost: home before using machine coordinates"));
+                self.say(|out| {
+                    reply_texts::message(out, "The position may be lost: home before using machine coordinates")
+                });
             }
             if damaged {
                 self.task = Task::Storing(Answer::Host);
@@ -312,7 +314,7 @@ impl<const N: usize> Controller<N> {
             self.m.interpreter.clear_macros();
         }
         self.m.records.forget(what);
-        self.say(|out| report::message(out, "Restoring defaults"));
+        self.say(|out| reply_texts::message(out, "Restoring defaults"));
         self.m.interpreter.reset();
         self.task = Task::Storing(Answer::Restart);
     }

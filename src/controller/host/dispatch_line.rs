@@ -10,7 +10,7 @@ use crate::messages::{HOST_CHANGED, LineByte};
 use crate::protocol::intake::Taken;
 use crate::protocol::line_checksum::Verdict;
 use crate::protocol::line_filter::{self, Pushed};
-use crate::protocol::report;
+use crate::protocol::reply_texts;
 use crate::settings::{Key, Settings};
 use crate::states::State;
 use crate::units::{Duration, Instant};
@@ -136,7 +136,7 @@ impl<const N: usize> Controller<N> {
             self.m.interpreter.begin_program();
         }
         if taken.lost {
-            self.say(|out| report::message(out, "Received bytes lost"));
+            self.say(|out| reply_texts::message(out, "Received bytes lost"));
         }
         if taken.pushed != Pushed::More {
             // Realtime commands take effect before the lines received after them, so the report of a `?` precedes the
@@ -184,7 +184,7 @@ impl<const N: usize> Controller<N> {
         self.m.lines.clear();
         match self.m.lines.failed() {
             Some(error) => self.refuse(error),
-            None if verdict == Verdict::Known => self.say(report::known),
+            None if verdict == Verdict::Known => self.say(reply_texts::known),
             None => self.refuse(Error::DamagedLine),
         }
     }

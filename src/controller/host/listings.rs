@@ -8,7 +8,7 @@ use crate::host::stored::STORED_TEXT;
 use crate::image::FULL_IMAGE;
 use crate::messages::{LINES_DEPTH, PinView, SECOND_SWITCH, input};
 use crate::protocol::descriptions::{self};
-use crate::protocol::report::{self, ParserState};
+use crate::protocol::reply_texts::{self, ParserState};
 use crate::protocol::system::Described;
 use crate::settings::{self, Key, Settings};
 use crate::work::task::{Ask, Listing, Task};
@@ -37,7 +37,7 @@ impl<const N: usize> Controller<N> {
                     Some(text) => {
                         let text = text.unwrap_or_default();
                         if !text.is_empty() {
-                            self.say(|out| report::kept_line(out, b'M', line, &text));
+                            self.say(|out| reply_texts::kept_line(out, b'M', line, &text));
                         }
                         true
                     }
@@ -46,7 +46,7 @@ impl<const N: usize> Controller<N> {
             }
             Listing::StartupLines => match self.m.records.startup_line(line).cloned() {
                 Some(text) => {
-                    self.say(|out| report::kept_line(out, b'N', line, &text));
+                    self.say(|out| reply_texts::kept_line(out, b'N', line, &text));
                     true
                 }
                 None => false,
@@ -57,7 +57,7 @@ impl<const N: usize> Controller<N> {
         } else {
             self.task = Task::None;
             if listing == Listing::Settings && self.m.records.listed(self.m.now) {
-                self.say(|out| report::message(out, "Compare with your notes; 2 s later $X confirms"));
+                self.say(|out| reply_texts::message(out, "Compare with your notes; 2 s later $X confirms"));
             }
             self.say_ok();
         }
@@ -67,7 +67,7 @@ impl<const N: usize> Controller<N> {
     fn list_setting(&mut self, line: usize) -> bool {
         let Some((entry, number, value)) = self.m.settings.row(line) else { return false };
         if entry.grbl || self.dialect() != Dialect::Grbl {
-            self.say(|out| report::setting(out, &entry, number, value));
+            self.say(|out| reply_texts::setting(out, &entry, number, value));
         }
         true
     }
@@ -78,30 +78,30 @@ impl<const N: usize> Controller<N> {
             if self.dialect() == Dialect::Grbl { CoordinateSystem::OF_GRBL } else { CoordinateSystem::ALL.len() };
         let offsets = *self.m.interpreter.offsets();
         if let Some(system) = CoordinateSystem::ALL.get(..systems).and_then(|all| all.get(line)) {
-            self.say(|out| report::parameter(out, system.word(), &offsets.system(*system), form));
+            self.say(|out| reply_texts::parameter(out, system.word(), &offsets.system(*system), form));
             return true;
         }
         match line - systems {
-            0 => self.say(|out| report::parameter(out, "G28", &offsets.stored(StoredOffset::G28), form)),
-            1 => self.say(|out| report::parameter(out, "G30", &offsets.stored(StoredOffset::G30), form)),
-            2 => self.say(|out| report::parameter(out, "G92", &offsets.g92, form)),
-            3 => self.say(|out| report::tool_length(out, &offsets.tool_length, form)),
+            0 => self.say(|out| reply_texts::parameter(out, "G28", &offsets.stored(StoredOffset::G28), form)),
+            1 => self.say(|out| reply_texts::parameter(out, "G30", &offsets.stored(StoredOffset::G30), form)),
+            2 => self.say(|out| reply_texts::parameter(out, "G92", &offsets.g92, form)),
+            3 => self.say(|out| reply_texts::tool_length(out, &offsets.tool_length, form)),
             4 => {
                 let (position, success) = self.m.probe.result();
-                self.say(|out| report::probe(out, &position, success, form));
+                self.say(|out| reply_texts::probe(out, &position, success, form));
             }
             entry if self.dialect() != Dialect::Grbl && entry < TOOLS + 5 => {
                 if let Some(tool) = self.m.interpreter.tools().entries().get(entry - 5).copied()
                     && tool.is_stored()
                 {
-                    self.say(|out| report::tool(out, tool.number, &tool.offset, form));
+                    self.say(|out| reply_texts::tool(out, tool.number, &tool.offset, form));
                 }
             }
             entry if self.dialect() != Dialect::Grbl && FULL_IMAGE => {
                 let Some(system) = CoordinateSystem::ALL.get(entry - TOOLS - 5) else { return false };
                 let angle = offsets.angle(*system);
                 if angle != Angle::ZERO {
-                    self.say(|out| report::rotation(out, system.word(), angle.degrees()));
+                    self.say(|out| reply_texts::rotation(out, system.word(), angle.degrees()));
                 }
             }
             _ => return false,
@@ -117,7 +117,7 @@ impl<const N: usize> Controller<N> {
             if bit < Axis::ALL.len() { bit < axes } else { axes <= LINEAR || 1 << bit != SECOND_SWITCH as usize };
         if counts && view.fitted >> bit & 1 != 0 {
             let (active, wiring) = (self.m.inputs.pins().word() >> bit & 1 != 0, self.m.inputs.wiring());
-            self.say(|out| report::pin(out, bit, view, active, &wiring));
+            self.say(|out| reply_texts::pin(out, bit, view, active, &wiring));
         }
         bit + 1 < input::COUNT
     }
@@ -149,14 +149,14 @@ impl<const N: usize> Controller<N> {
         const OPTIONS: &[&str] = if FULL_IMAGE { &["ENUMS", "EXPR"] } else { &[] };
         let info = self.m.records.build_info().clone();
         let (letters, blocks) = (self.option_letters(), self.m.motion.blocks());
-        self.say(|out| report::build_info(out, &info, &letters, blocks, LINES_DEPTH));
+        self.say(|out| reply_texts::build_info(out, &info, &letters, blocks, LINES_DEPTH));
         // In Grbl the answer has two lines, and strict senders rely on that.
         if self.dialect() != Dialect::Grbl {
-            self.say(report::firmware);
+            self.say(reply_texts::firmware);
         }
         if with_options {
             let axes = self.m.settings.axes_in_use();
-            self.say(|out| report::more_options(out, axes, OPTIONS));
+            self.say(|out| reply_texts::more_options(out, axes, OPTIONS));
         }
         self.say_ok();
     }
@@ -203,7 +203,7 @@ impl<const N: usize> Controller<N> {
             speed: modal.speed,
         };
         let inches = self.m.settings.is_on(Key::ReportInches);
-        self.say(|out| report::parser_state(out, &state, inches));
+        self.say(|out| reply_texts::parser_state(out, &state, inches));
         self.say_ok();
     }
 }

@@ -6,6 +6,6 @@ mod commands;
 mod dispatch_line;
 mod listings;
 mod realtime;
+mod replay_state;
 pub(crate) mod settings_lock;
-mod standing;
 pub(crate) mod stored;

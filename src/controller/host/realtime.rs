@@ -6,7 +6,7 @@ use crate::dispatch::Controller;
 use crate::gcode::Dialect;
 use crate::machine::realtime_override::Overrides;
 use crate::messages::{Coolant, Realtime};
-use crate::protocol::report;
+use crate::protocol::reply_texts;
 use crate::settings::Key;
 use crate::states::State;
 use crate::states::stops::orders::StopReason;
@@ -146,7 +146,7 @@ impl<const N: usize> Controller<N> {
             self.m.lines.heartbeat_mut().rest();
         } else if self.m.lines.heartbeat_mut().is_silent(self.m.now, longest) {
             self.m.lines.heartbeat_mut().rest();
-            self.say(|out| report::message(out, "The host is silent"));
+            self.say(|out| reply_texts::message(out, "The host is silent"));
             match self.state {
                 State::Jog { .. } => self.end_jog_of_no_host(true),
                 _ => self.host_fault(),

@@ -1,5 +1,5 @@
 //! The block that the step generator is running ([`Course`]): rates, threshold and length in units, and the exact start
-//! of each axis between two steps. [`Contact`] is a copy of it at a probe's contact.
+//! of each axis between two steps.
 //!
 //! No position is counted, so it costs nothing per tick: it follows exactly from the units that the block has advanced
 //! and from each axis' remainder until its next step. The arithmetic is that of `measure`.
@@ -132,22 +132,5 @@ impl<const N: usize> Course<N> {
             *base = base.wrapping_sub(undone);
             *end = *base;
         }
-    }
-}
-
-/// Everything needed to compute a position later, so that the tick of a probe's contact only copies it.
-#[derive(Clone, Copy, Debug)]
-#[repr(C)]
-pub(super) struct Contact<const N: usize> {
-    pub(super) course: Course<N>,
-    pub(super) left: [u32; N],
-    pub(super) units: u32,
-}
-
-impl<const N: usize> Contact<N> {
-    pub(super) const START: Self = Self { course: Course::NOWHERE, left: [0; N], units: 0 };
-
-    pub(super) fn position(&self) -> PerAxis<i32, N> {
-        self.course.position(&self.left, self.units)
     }
 }

@@ -39,7 +39,7 @@ use super::block::{Block, OverrideFactors, Ramp};
 use super::curvature::Bend;
 use super::jerk::{Bounds, PathState, ramp_distance, ramp_speed};
 use super::jerk_anchors::{Stretch, Target, Way};
-use super::reverse_walk::{Lowered, Walk};
+use super::reverse_pass::{Lowered, Walk};
 use super::trapezoid::{greater, lesser, square_root};
 use crate::lent::Lent;
 use core::ops::Range;

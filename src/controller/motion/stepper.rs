@@ -8,13 +8,14 @@
 //! * After a stop nothing moves until the matching `Resume`.
 //! * The position is exact at any tick.
 //!
-//! `dda` decides which axes step at a tick, `course` represents a block, `planner` and `segment` determine the
-//! acceleration, and the task that writes the pins handles pulse widths and direction set-up.
+//! `dda` decides which axes step at a tick, `course` represents a block, `contact` watches the probe, `planner` and
+//! `segment` determine the acceleration, and the task that writes the pins handles pulse widths and direction set-up.
 //!
 //! The cost of a tick limits the machine's step rate. Therefore as much as possible is computed when a message is
 //! loaded; a tick within a segment needs only the first words of the state, and no division.
 
-use super::course::{Contact, Course};
+use super::contact::{Contact, ProbeLatch, braked_interval};
+use super::course::Course;
 use super::dda;
 use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{AxisSteps, INTERVAL_FRACTION_BITS, Segment, StepEvent, ToStep};
@@ -23,9 +24,6 @@ use crate::messages::{AxisSteps, INTERVAL_FRACTION_BITS, Segment, StepEvent, ToS
 pub const MAX_LEVEL: u8 = 4;
 /// Shift from the fixed point of an interval to the fraction of [`Stepper::moment`].
 const FRACTION_SHIFT: u32 = 32 - INTERVAL_FRACTION_BITS;
-/// Interval, in fixed point, at which braking ends: at some milliseconds per tick the speed is negligible, and sums
-/// stay within 32 bits.
-const LONGEST_BRAKING: f32 = (1_u32 << 30) as f32;
 
 /// What to do at a tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,15 +79,10 @@ pub struct Stepper<const N: usize> {
     odd: bool,
     /// Time of the next tick: step-clock ticks in the upper 32 bits, their fraction in the lower 32 bits.
     moment: u64,
-    /// A probe is watched.
-    is_watching: bool,
-    /// The probe state that is watched for.
-    watched: bool,
+    latch: ProbeLatch,
 
     begun: u32,
     is_next: bool,
-    /// The probe's contact was seen at the last tick and has not been processed by `note_touch` yet.
-    unnoted: bool,
     next_piece: Piece<N>,
     courses: [Course<N>; 2],
     /// Steps of each axis in the block that is being announced.
@@ -142,11 +135,9 @@ impl<const N: usize> Stepper<N> {
             directions: 0,
             odd: false,
             moment: 0,
-            is_watching: false,
-            watched: false,
+            latch: ProbeLatch::OFF,
             begun: 0,
             is_next: false,
-            unnoted: false,
             next_piece: Piece::REST,
             courses: [Course::NOWHERE; 2],
             steps_by_axis: [AxisSteps::on_steps(0); N],
@@ -163,13 +154,13 @@ impl<const N: usize> Stepper<N> {
     /// [`Stepper::tick`]. The first segment of a block takes two or more messages, any other segment one.
     #[inline]
     pub fn wants(&self) -> bool {
-        !self.is_next || self.unnoted
+        !self.is_next || self.latch.is_unnoted
     }
 
     /// Loads a message. Call only while [`Stepper::wants`] returns `true`.
     #[inline]
     pub fn load(&mut self, message: ToStep) {
-        if self.unnoted {
+        if self.latch.is_unnoted {
             self.note_touch();
         }
         if self.gate_shut {
@@ -202,10 +193,9 @@ impl<const N: usize> Stepper<N> {
                 }
             }
             ToStep::Watch { probe, braking } => {
-                self.is_watching = probe.is_some();
-                self.watched = probe == Some(true);
+                self.latch.watch(probe);
                 self.braking = braking;
-                if self.is_watching {
+                if self.latch.is_watching {
                     self.look_at_all();
                 }
             }
@@ -274,7 +264,7 @@ impl<const N: usize> Stepper<N> {
     /// one.
     #[inline]
     pub fn tick(&mut self) -> Tick {
-        if self.unnoted {
+        if self.latch.is_unnoted {
             self.note_touch();
         }
         let steps = dda::step_axes(&mut self.left, &self.piece.increments, self.threshold);
@@ -351,7 +341,7 @@ impl<const N: usize> Stepper<N> {
     /// been loaded.
     #[inline]
     pub fn lacks_segment(&self) -> bool {
-        self.piece.ticks() == 1 && !self.is_next && !self.piece.last && !self.brakes && !self.unnoted
+        self.piece.ticks() == 1 && !self.is_next && !self.piece.last && !self.brakes && !self.latch.is_unnoted
     }
 
     /// Completes a tick that is not plain, after its steps: the last one of a segment, from or to rest, or while a
@@ -442,7 +432,7 @@ impl<const N: usize> Stepper<N> {
         }
         self.piece = self.next_piece;
         self.begun = self.begun.wrapping_add(1);
-        if self.is_watching {
+        if self.latch.is_watching {
             self.look_at_all();
         }
     }
@@ -525,7 +515,7 @@ impl<const N: usize> Stepper<N> {
     /// Returns whether [`Stepper::probe`] must be called after each tick.
     #[inline]
     pub fn is_watching(&self) -> bool {
-        self.is_watching
+        self.latch.is_watching
     }
 
     /// Checks the probe; returns whether it has the watched state for the first time. In that case the position is
@@ -533,19 +523,14 @@ impl<const N: usize> Stepper<N> {
     /// report.
     #[inline]
     pub fn probe(&mut self, active: bool) -> bool {
-        let touched = self.is_watching && self.watched == active;
-        if touched {
-            self.is_watching = false;
-            self.unnoted = true;
-        }
-        touched
+        self.latch.sees(active)
     }
 
     /// Saves the state at the contact, discards the queue, and starts to brake. The tick that detects the contact has
     /// no time for this, so every later call that changes the state or reports the gate runs this first.
     #[cold]
     fn note_touch(&mut self) {
-        self.unnoted = false;
+        self.latch.is_unnoted = false;
         self.touched = self.contact();
         self.gate_shut = true;
         self.is_next = false;
@@ -560,21 +545,14 @@ impl<const N: usize> Stepper<N> {
     }
 
     /// Begins the next tick of the deceleration after a contact; returns `false` when braking is complete.
-    ///
-    /// A tick of `u` units at the interval T is a speed v = u/T, and v² falls by 2·a·u from tick to tick: with k =
-    /// a·T²/u the next interval is T / sqrt(1 - 2k), computed by the first terms of its series. The ramp ends with the
-    /// tick that would reduce v² to 0.
     #[cold]
     fn brake(&mut self) -> bool {
-        let interval = self.piece.interval as f32 / (1 << INTERVAL_FRACTION_BITS) as f32;
-        let k = self.braking * interval * interval / self.piece.units_per_tick as f32;
-        let next = self.piece.interval as f32 * (1.0 + k * (1.0 + k * (1.5 + k * 2.5)));
+        let next = braked_interval(self.piece.interval, self.piece.units_per_tick, self.braking);
         let ends = self.piece.end_units >= self.course(false).total;
-        // `k` is infinite or NaN if the tick advances no units (a wait): such a slow motion stops at once.
-        self.brakes = !ends && k < 0.5 && next < LONGEST_BRAKING;
-        if self.brakes {
+        self.brakes = !ends && next.is_some();
+        if let Some(next) = next.filter(|_| !ends) {
             self.piece.end_units = self.piece.end_units.wrapping_add(self.piece.units_per_tick);
-            self.piece.interval = next as u32;
+            self.piece.interval = next;
             self.piece.rare_ticks = 1;
         }
         self.brakes
@@ -582,7 +560,7 @@ impl<const N: usize> Stepper<N> {
 
     /// Returns the report of a contact found by [`Stepper::probe`].
     pub fn probed_event(&mut self) -> StepEvent<N> {
-        if self.unnoted {
+        if self.latch.is_unnoted {
             self.note_touch();
         }
         StepEvent::Probed { position: self.touched.position() }
@@ -590,10 +568,10 @@ impl<const N: usize> Stepper<N> {
 
     #[cold]
     fn shut(&mut self) {
-        if self.unnoted {
+        if self.latch.is_unnoted {
             self.note_touch();
         }
-        self.is_watching = false;
+        self.latch.is_watching = false;
         self.brakes = false;
         self.is_rest_told = false;
         let base = self.position().0;
@@ -612,7 +590,7 @@ impl<const N: usize> Stepper<N> {
     /// Returns whether the gate is shut: after a stop, an underrun or a contact, until the matching [`ToStep::Resume`].
     #[inline]
     pub fn is_shut(&self) -> bool {
-        self.gate_shut || self.unnoted
+        self.gate_shut || self.latch.is_unnoted
     }
 
     /// Returns whether a segment is running.
@@ -624,7 +602,7 @@ impl<const N: usize> Stepper<N> {
     /// Returns whether no segment is running or prefetched.
     #[inline]
     pub fn is_idle(&self) -> bool {
-        self.piece.ticks() == 0 && (!self.is_next || self.unnoted)
+        self.piece.ticks() == 0 && (!self.is_next || self.latch.is_unnoted)
     }
 
     /// Returns the number of segments begun since power-up (wrapping).

@@ -1,6 +1,6 @@
 //! Passes the bytes of one host to the control task. `Link` runs in the serial task, finds realtime commands, which
 //! overtake all lines, and holds line bytes for which the queue has no room. Two hosts may be connected, by UART and
-//! USB: `HostArbiter` decides which of them has the floor. Lines of the other host are refused with `error:8`.
+//! USB: [`HostArbiter`] decides which of them has the floor. Lines of the other host are refused with `error:8`.
 //!
 //! ```text
 //!  host ──▶ Link ──realtime──────────────────────▶ queue     at once, before all lines
@@ -24,8 +24,9 @@
 //! it, and a command if nothing follows for [`AMBIGUOUS_US`]: see [`Link::take_as_command`]. A `~` in a remark is text:
 //! a host that pauses at that point must not start a machine in hold. In dialect `grbl` both are always commands.
 
-use crate::messages::{HOST_CHANGED, LineByte, Realtime};
-use crate::protocol::floor::Floor;
+use crate::messages::{LineByte, Realtime};
+use crate::protocol::host_arbiter::HostArbiter;
+use crate::protocol::queues::Queues;
 use crate::protocol::realtime::{Received, is_plain};
 use crate::protocol::remark::Remark;
 
@@ -34,108 +35,6 @@ pub const AMBIGUOUS_US: u32 = 20_000;
 
 /// Capacity of a link for line bytes: two USB packets more than the one that must always fit.
 pub const MOST_HELD: usize = 3 * 64;
-
-/// The queues to `control`.
-pub trait Queues {
-    /// Queues a command. Returns whether there was room.
-    fn realtime(&mut self, command: Realtime) -> bool;
-    /// Queues a byte of a line. Returns whether there was room.
-    fn line(&mut self, byte: LineByte) -> bool;
-    /// Queues bytes of lines from the front as far as there is room. Returns how many.
-    #[inline]
-    fn text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
-        let left = bytes.iter().position(|byte| !self.line(LineByte { byte: *byte, epoch, damaged: false }));
-        left.unwrap_or(bytes.len())
-    }
-    /// Returns whether the link being read can wait. A link that cannot wait loses a command that finds no room, so
-    /// each command is tried, even after an earlier one found none.
-    fn waits(&self) -> bool;
-    /// Returns whether everything that any host has sent is done and answered.
-    fn is_free(&self) -> bool;
-    /// Stops the step task for a reset, before anything is queued or decided.
-    fn stop(&mut self);
-    /// Records a byte that is neither part of a line nor a command: only a sign of life.
-    fn ignored(&mut self) {}
-    /// Returns whether characters of remarks are text. In Grbl each byte from 0x80 up is a command or ignored.
-    fn reads_characters(&self) -> bool;
-}
-
-/// Arbitrates between the hosts on several links: the floor, and the state shared by their bytes.
-#[derive(Clone, Debug, Default)]
-pub struct HostArbiter {
-    floor: Floor,
-    /// The epoch of the next line byte: see [`LineByte`]. A command counts when it is queued, not when it is received:
-    /// while a command waits for room, a command of the other host may be queued before it.
-    epoch: u16,
-    /// The unfinished line in the queue is void: a [`HOST_CHANGED`] must precede the next line byte.
-    cut: bool,
-    /// Number of hosts that disconnected while they had the floor, since power-up (wrapping).
-    gone: u16,
-}
-
-impl HostArbiter {
-    /// No host has sent anything.
-    pub const fn new() -> Self {
-        Self { floor: Floor::new(), epoch: 0, cut: false, gone: 0 }
-    }
-
-    /// Returns the link that gets the replies.
-    pub fn holder(&self) -> usize {
-        self.floor.holder()
-    }
-
-    /// Returns the number of hosts that disconnected while they had the floor, since power-up (wrapping), for
-    /// `Event::Disconnected`.
-    pub fn gone(&self) -> u16 {
-        self.gone
-    }
-
-    /// Returns whether a [`HOST_CHANGED`] must precede the next byte. It counts as a received byte.
-    pub fn owes_cut(&self) -> bool {
-        self.cut
-    }
-
-    /// Queues a command, which need not come from a link. Returns whether there was room.
-    pub fn command(&mut self, command: Realtime, queues: &mut impl Queues) -> bool {
-        let queued = queues.realtime(command);
-        if queued && command.opens_epoch() {
-            self.epoch = self.epoch.wrapping_add(1);
-        }
-        queued
-    }
-
-    fn line(&mut self, byte: LineByte, queues: &mut impl Queues) -> bool {
-        if self.cut && !queues.line(LineByte { byte: HOST_CHANGED, epoch: self.gone, damaged: false }) {
-            return false;
-        }
-        self.cut = false;
-        queues.line(byte)
-    }
-
-    /// Claims the floor for a host that sends a line. Returns whether that host has the floor then.
-    #[inline]
-    fn claim(&mut self, link: usize, other: &mut Link, queues: &impl Queues) -> bool {
-        // The common case, which changes nothing.
-        if self.floor.is_held_by(link) {
-            return true;
-        }
-        let free = queues.is_free();
-        self.turn_to(other, |floor| floor.claim(link, free, true))
-    }
-
-    /// Lets `ask` request the floor, and returns its result. If the floor changes hands, the unfinished line of `other`
-    /// is void: its held bytes are dropped, and its rest is refused.
-    fn turn_to(&mut self, other: &mut Link, ask: impl FnOnce(&mut Floor) -> bool) -> bool {
-        let before = self.floor.holder();
-        let granted = ask(&mut self.floor);
-        if self.floor.holder() != before {
-            other.refusing_line |= other.mid_line;
-            other.held.clear();
-            self.cut = true;
-        }
-        granted
-    }
-}
 
 /// The receiving side of one link to a host.
 #[derive(Clone, Debug)]
@@ -241,7 +140,7 @@ impl Link {
             Received::Realtime(command) => {
                 if command == Realtime::Reset {
                     queues.stop();
-                    arbiter.turn_to(other, |floor| floor.seize(self.number));
+                    arbiter.turn_to(|floor| floor.seize(self.number), || other.lose_floor());
                     self.mid_line = false;
                     self.after_cr = false;
                     // The bytes lost so far belong to lines that the reset voids.
@@ -256,7 +155,7 @@ impl Link {
                 // answer to a `?`.
                 if !other.mid_line || other.refusing_line {
                     let free = queues.is_free();
-                    arbiter.turn_to(other, |floor| floor.claim(self.number, free, false));
+                    arbiter.turn_to(|floor| floor.claim(self.number, free, false), || other.lose_floor());
                 }
                 self.command(command, arbiter, queues)
             }
@@ -271,7 +170,8 @@ impl Link {
                     }
                 } else {
                     self.refusing_line &= self.mid_line;
-                    self.refusing_line = self.refusing_line || !arbiter.claim(self.number, other, queues);
+                    self.refusing_line =
+                        self.refusing_line || !arbiter.claim(self.number, queues, || other.lose_floor());
                 }
                 self.mid_line = !is_end(byte);
                 if self.refusing_line {
@@ -281,7 +181,7 @@ impl Link {
                     }
                     return false;
                 }
-                let byte = LineByte { byte, epoch: arbiter.epoch, damaged: self.lost };
+                let byte = LineByte { byte, epoch: arbiter.epoch(), damaged: self.lost };
                 let queued = self.held.is_empty() && arbiter.line(byte, queues);
                 self.lost = !queued && (self.held.len() >= self.may_hold || self.held.push_back(byte).is_err());
                 queued
@@ -298,7 +198,7 @@ impl Link {
         if self.remark.has_begun_character() {
             return 0;
         }
-        let has_floor = !arbiter.cut && arbiter.floor.is_held_by(self.number);
+        let has_floor = arbiter.reads(self.number);
         let has_no_room = self.held.len() >= self.may_hold && !queues.waits() && has_floor;
         if self.mid_line && (self.refusing_line || has_no_room) {
             return self.drop_text(bytes);
@@ -309,7 +209,7 @@ impl Link {
         }
         let other = bytes.iter().position(|byte| !is_plain(*byte) && *byte != b'\n');
         let text = bytes.get(..other.unwrap_or(bytes.len())).unwrap_or_default();
-        let taken = if text.is_empty() { 0 } else { queues.text(arbiter.epoch, text) };
+        let taken = if text.is_empty() { 0 } else { queues.text(arbiter.epoch(), text) };
         if let Some(last) = taken.checked_sub(1).and_then(|last| bytes.get(last)) {
             self.mid_line = *last != b'\n';
             self.is_ambiguous = false;
@@ -379,6 +279,13 @@ impl Link {
         any
     }
 
+    /// Voids the unfinished line, because the other host has the floor now: its held bytes are dropped, and its rest is
+    /// refused.
+    fn lose_floor(&mut self) {
+        self.refusing_line |= self.mid_line;
+        self.held.clear();
+    }
+
     /// Voids the unfinished line, because the other host has reset the machine.
     fn void_line(&mut self, arbiter: &mut HostArbiter) {
         self.is_ambiguous = false;
@@ -389,7 +296,9 @@ impl Link {
         while self.held.back().is_some_and(|byte| !is_end(byte.byte)) {
             self.held.pop_back();
         }
-        arbiter.cut |= self.held.is_empty();
+        if self.held.is_empty() {
+            arbiter.owe_cut();
+        }
     }
 
     /// Records that bytes were lost before they arrived here: the line that they belong to will be refused.
@@ -401,24 +310,23 @@ impl Link {
 
     /// Handles a host that has opened its port. Returns whether it has the floor. If it does not, the other host's job
     /// continues and this host gets no welcome line. Bytes that wait for the queue are dropped: they were sent before
-    /// the port was opened. The start of their line may already be in the queue, so a [`HOST_CHANGED`] voids it before
-    /// the host's first line byte.
+    /// the port was opened. The start of their line may already be in the queue, so a
+    /// [`HOST_CHANGED`](crate::messages::HOST_CHANGED) voids it before the host's first line byte.
     pub fn came(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &impl Queues) -> bool {
         let free = queues.is_free();
-        let granted = arbiter.turn_to(other, |floor| floor.claim(self.number, free, true));
-        arbiter.cut |= granted;
+        let granted = arbiter.turn_to(|floor| floor.claim(self.number, free, true), || other.lose_floor());
+        if granted {
+            arbiter.owe_cut();
+        }
         self.forget();
         granted
     }
 
     /// Handles a disconnected host. Returns whether it had the floor. Bytes that wait for the queue are dropped. A
-    /// [`HOST_CHANGED`] precedes the next host's first byte, which therefore starts a new line; the controller does not
+    /// `HOST_CHANGED` precedes the next host's first byte, which therefore starts a new line; the controller does not
     /// answer the lines before it.
     pub fn went(&mut self, arbiter: &mut HostArbiter) -> bool {
-        let held_floor = arbiter.holder() == self.number;
-        arbiter.cut |= held_floor;
-        arbiter.gone = arbiter.gone.wrapping_add(u16::from(held_floor));
-        arbiter.floor.leave(self.number);
+        let held_floor = arbiter.leave(self.number);
         self.forget();
         held_floor
     }
@@ -454,4 +362,4 @@ fn is_end(byte: u8) -> bool {
 const REFUSAL: &[u8] = b"[MSG:Another host has the machine]\r\nerror:8\r\n";
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

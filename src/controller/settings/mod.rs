@@ -6,15 +6,15 @@
 //!
 //! Each module uses only modules below it in this list:
 //!
-//! * `ranges`: `$n=v`; `listing`: `$$`; `runnable`: whether the machine can run with the settings
+//! * `change`: `$n=v`; `listing`: `$$`; `runnable`: whether the machine can run with the settings
 //! * `values`: the values of the settings, and their stored form
 //! * `index`: finds the row for a number or a line of `$$`
 //! * `table`: the rows, and the keys that name them
 //! * `row`: the contents of a row
 
+mod change;
 mod index;
 mod listing;
-mod ranges;
 mod row;
 mod runnable;
 mod table;

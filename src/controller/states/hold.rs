@@ -6,7 +6,7 @@ use crate::dispatch::Controller;
 use crate::error::Alarm;
 use crate::gcode::Dialect;
 use crate::messages::Coolant;
-use crate::protocol::report;
+use crate::protocol::reply_texts;
 use crate::settings::Key;
 use crate::states::stops::orders::StopReason;
 use crate::states::{AfterBraking, State};
@@ -101,7 +101,7 @@ impl<const N: usize> Controller<N> {
                     let turns_at = self.m.now + self.m.settings.seconds(Key::SpinUp);
                     self.enter(State::Hold(Hold { turns_at: Some(turns_at), ..hold }));
                 }
-                self.say(|out| report::message(out, "Restoring spindle"));
+                self.say(|out| reply_texts::message(out, "Restoring spindle"));
             }
         }
     }
@@ -189,7 +189,7 @@ impl<const N: usize> Controller<N> {
         }
         self.enter(if locked { State::Alarm(None) } else { State::Normal });
         if locked {
-            self.say(|out| report::message(out, "Job stopped at an error, $X to go on"));
+            self.say(|out| reply_texts::message(out, "Job stopped at an error, $X to go on"));
         }
     }
 

@@ -16,10 +16,10 @@
 //! `Idle` and `Run` are both [`State::Normal`]: only `motion` knows whether something moves, so the two cannot
 //! disagree.
 
+mod after_reset;
 pub(crate) mod door;
 mod hold;
 pub(crate) mod homing;
-mod locked;
 pub(crate) mod stops;
 
 use crate::dispatch::Controller;

@@ -5,7 +5,7 @@ use crate::dispatch::Controller;
 use crate::gcode::{CycleStep, MotionCommand};
 use crate::messages::SpindleDirection;
 use crate::motion::Speed;
-use crate::protocol::report;
+use crate::protocol::reply_texts;
 use crate::settings::Key;
 use crate::states::{Hold, State};
 use crate::units::{Coordinate, Duration};
@@ -38,7 +38,7 @@ impl<const N: usize> Controller<N> {
             Some(CycleStep::SpindleOff) => return Some(self.cycle_switches_spindle(SpindleDirection::Off, job)),
             Some(CycleStep::SpindleOn(direction)) => return Some(self.cycle_switches_spindle(direction, job)),
             Some(CycleStep::Pause) => {
-                self.say(|out| report::message(out, "Cycle paused, ~ draws the tool back"));
+                self.say(|out| reply_texts::message(out, "Cycle paused, ~ draws the tool back"));
                 self.enter(State::Hold(Hold::BEGUN));
                 return Some(Stage::CyclePaused);
             }

@@ -8,7 +8,7 @@ use crate::error::Error;
 use crate::gcode::{self, ArcMove, Dialect, NurbsMove, SplineMove};
 use crate::image::FULL_IMAGE;
 use crate::motion::{ArcGeometry, NurbsGeometry, SplineGeometry, extent};
-use crate::protocol::report;
+use crate::protocol::reply_texts;
 use crate::settings::{AxisKey, Key};
 use crate::units::Coordinate;
 
@@ -21,7 +21,7 @@ impl<const N: usize> Controller<N> {
             return Some(error);
         }
         if self.line.action.uses_machine_place && self.needs_homing() {
-            self.say(|out| report::message(out, "Home first: the machine position is not known"));
+            self.say(|out| reply_texts::message(out, "Home first: the machine position is not known"));
             return Some(Error::Locked);
         }
         self.leaves_range().then_some(Error::InvalidTarget)
@@ -186,7 +186,9 @@ impl<const N: usize> Controller<N> {
 
     #[inline(never)]
     fn name_locking(&mut self, setting: u16) {
-        self.say(|out| report::message_number(out, "Motion is locked until this setting is mended: $", setting.into()));
+        self.say(|out| {
+            reply_texts::message_number(out, "Motion is locked until this setting is mended: $", setting.into())
+        });
     }
 
     /// Whether lines that use machine coordinates have to wait for homing, because the position is not trusted.

@@ -8,7 +8,7 @@ use crate::gcode::{self, Flow, Held, HeldLine, PathControl};
 use crate::image::FULL_IMAGE;
 use crate::machine::realtime_override::Overrides;
 use crate::motion::Speed;
-use crate::protocol::report;
+use crate::protocol::reply_texts;
 use crate::settings::Key;
 use crate::states::{Hold, State};
 use crate::units::Duration;
@@ -178,7 +178,7 @@ impl<const N: usize> Controller<N> {
         self.m.step_supply.end();
         self.m.accessories.switch_off();
         self.tell_alarm(Alarm::SoftLimit);
-        self.say(|out| report::message(out, "Reset to continue"));
+        self.say(|out| reply_texts::message(out, "Reset to continue"));
         self.enter(State::Critical(Alarm::SoftLimit));
     }
 
@@ -446,7 +446,7 @@ impl<const N: usize> Controller<N> {
                     self.m.motion.set_overrides(1.0, 1.0);
                     self.m.replies.overrides_changed();
                 }
-                self.say(|out| report::message(out, "Pgm End"));
+                self.say(|out| reply_texts::message(out, "Pgm End"));
                 self.line.keep_message(Message::new());
                 Some(Stage::Done)
             }
@@ -619,7 +619,7 @@ impl<const N: usize> Controller<N> {
     /// in between, have already been sent on lines of their own.
     fn echo_startup_line(&mut self, index: usize) {
         if let Some(line) = self.m.records.startup_line(index).cloned() {
-            self.say(|out| report::startup_echo(out, &line));
+            self.say(|out| reply_texts::startup_echo(out, &line));
         }
     }
 }

@@ -13,6 +13,7 @@ mod rotation_words;
 mod scaling_words;
 mod spline_words;
 mod state_words;
+mod targets;
 mod tool_words;
 
 use super::Dialect;

@@ -1,15 +1,14 @@
-//! Targets of axis words: from the program's coordinates to those of the machine, through scaling, rotation and
-//! offsets, absolute or incremental. Also G68 and G69, and the offset words that are refused while the plane is
-//! rotated.
+//! G68 and G69: which plane of the line is rotated, and by how much. Also G10 in a rotated coordinate system, and the
+//! words that are refused while the plane is rotated. `targets` rotates the coordinates of a line.
 
-use super::draft::{Draft, Purpose};
+use super::draft::Draft;
 use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::gcode::Dialect;
-use crate::gcode::modal::{CoordinateSystem, Distance, Plane, PlaneAxes};
-use crate::gcode::rotation::{Angle, Reached, RotatedPlane, Rotation, difference};
+use crate::gcode::modal::{CoordinateSystem, Plane, PlaneAxes};
+use crate::gcode::rotation::{Angle, RotatedPlane, Rotation, difference};
 use crate::gcode::values::along;
-use crate::gcode::word::{Letters, NonModal};
+use crate::gcode::word::Letters;
 use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
@@ -83,68 +82,6 @@ impl<const N: usize> Draft<'_, N> {
             return Err(Error::UnusedWords);
         }
         Ok(Rotation { plane, angle: Angle::of(self.line.value(b'R')), centre })
-    }
-
-    /// Returns the target of the line's axis words, in machine coordinates.
-    pub(super) fn target(&mut self) -> PerAxis<Coordinate, N> {
-        let machine = self.line.non_modal == Some(NonModal::MachineCoordinates);
-        if FULL_IMAGE && (self.rotated.is_some() || self.scaled.is_some()) && !machine {
-            return self.transformed_target();
-        }
-        let incremental = self.action.modal.distance == Distance::Incremental;
-        self.with_axis_words(self.state.position, |axis, value| {
-            if machine {
-                value
-            } else if incremental {
-                value + self.position(axis)
-            } else {
-                value + self.work_offset(axis)
-            }
-        })
-    }
-
-    /// Returns the target in scaled or rotated coordinates. An axis without a word keeps its program coordinate.
-    /// Distances of jogs are along the axes of the machine, as the buttons and the reports show them.
-    #[inline(never)]
-    fn transformed_target(&mut self) -> PerAxis<Coordinate, N> {
-        let incremental = self.action.modal.distance == Distance::Incremental;
-        self.keep_rest(incremental);
-        let target = self.with_axis_words(self.state.position, |axis, value| {
-            let value = self.scaled_length(axis, value, incremental);
-            if incremental { value + self.position(axis) } else { value + self.work_offset(axis) }
-        });
-        match self.rotated {
-            Some(rotated) => self.rotated_target(rotated, target, incremental),
-            None => target,
-        }
-    }
-
-    /// Rotates `target`, which is the target for unrotated axes.
-    fn rotated_target(
-        &mut self,
-        rotated: RotatedPlane,
-        mut target: PerAxis<Coordinate, N>,
-        incremental: bool,
-    ) -> PerAxis<Coordinate, N> {
-        let in_plane = |axis: Axis| axis == rotated.axes.first || axis == rotated.axes.second;
-        let along_machine = incremental && self.purpose == Purpose::Jog;
-        if along_machine || !Axis::of_machine::<N>().any(|axis| self.line.axes.has(axis) && in_plane(axis)) {
-            return target;
-        }
-        let before = self.state.in_program(rotated, rotated.part_of(&self.state.position));
-        let mut program = before;
-        for (axis, coordinate) in [rotated.axes.first, rotated.axes.second].into_iter().zip(&mut program) {
-            if self.line.axes.has(axis) {
-                let value = self.scaled_length(axis, self.axis_length(axis), incremental);
-                *coordinate = if incremental { *coordinate + value } else { value };
-            }
-        }
-        // A position that does not change is not rounded: a full circle returns to its start.
-        let machine =
-            if program == before { rotated.part_of(&self.state.position) } else { rotated.to_machine(program) };
-        rotated.put(&mut target, machine);
-        self.action.rotated.reached = Some(Reached { rotated, program, machine });
-        target
     }
 
     /// Refuses arcs, splines and cycles outside the rotated plane: they must be in a plane of the machine's axes.
@@ -244,24 +181,5 @@ impl<const N: usize> Draft<'_, N> {
         rotated.put(&mut tool, self.moved_by(rotated, rotated.part_of(present)));
         self.action.stored = Some(tool);
         Ok(true)
-    }
-
-    /// Adjusts the target of a G28 or G30 that names only one axis of the rotated plane: the other axis keeps its
-    /// program coordinate.
-    pub(super) fn go_in_rotated_plane(
-        &self,
-        stored: &PerAxis<Coordinate, N>,
-        via: &PerAxis<Coordinate, N>,
-        target: &mut PerAxis<Coordinate, N>,
-    ) {
-        let Some(rotated) = self.rotated.filter(|_| FULL_IMAGE) else { return };
-        let (has_first, has_second) = (self.line.axes.has(rotated.axes.first), self.line.axes.has(rotated.axes.second));
-        if has_first == has_second {
-            return;
-        }
-        let [stored_first, stored_second] = rotated.to_program(rotated.part_of(stored));
-        let [first, second] = rotated.to_program(rotated.part_of(via));
-        let place = if has_first { [stored_first, second] } else { [first, stored_second] };
-        rotated.put(target, rotated.to_machine(place));
     }
 }

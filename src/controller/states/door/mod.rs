@@ -10,7 +10,7 @@ pub(crate) mod parking;
 use crate::dispatch::Controller;
 use crate::error::Alarm;
 use crate::messages::Coolant;
-use crate::protocol::report;
+use crate::protocol::reply_texts;
 use crate::settings::Key;
 use crate::states::door::parking::ParkingPoint;
 use crate::states::stops::orders::StopReason;
@@ -163,7 +163,7 @@ impl<const N: usize> Controller<N> {
             }
             _ => return,
         }
-        self.say(|out| report::message(out, "Check Door"));
+        self.say(|out| reply_texts::message(out, "Check Door"));
     }
 
     #[inline(never)]

@@ -12,7 +12,7 @@ use crate::axes::Axis;
 use crate::dispatch::Controller;
 use crate::error::Alarm;
 use crate::inputs::levels;
-use crate::protocol::report;
+use crate::protocol::reply_texts;
 use crate::settings::Key;
 use crate::states::door::{DoorPhase, Opening};
 use crate::states::stops::Stopped;
@@ -114,7 +114,7 @@ impl<const N: usize> Controller<N> {
         let at_work = self.needs_speed();
         let (power, input) = (self.resting_power(), self.m.inputs.signals().at_speed);
         if self.m.accessories.has_lost_speed(at_work, power, input, self.m.now, &self.m.settings) {
-            self.say(|out| report::message(out, "The spindle has lost its speed"));
+            self.say(|out| reply_texts::message(out, "The spindle has lost its speed"));
             self.fault(Alarm::SpindleSpeed, &mut Stopped { already: false, answered: false });
         }
     }

@@ -10,7 +10,7 @@ use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};
 use crate::machine::spindle::SpindleRange;
 use crate::messages::StepEvent;
-use crate::protocol::report;
+use crate::protocol::reply_texts;
 use crate::settings::Key;
 use crate::states::State;
 use crate::states::stops::orders::{Finished, StopReason};
@@ -143,7 +143,7 @@ impl<const N: usize> Controller<N> {
             }
             self.enter(State::Alarm(Some(alarm)));
         } else {
-            self.say(|out| report::message(out, "Reset to continue"));
+            self.say(|out| reply_texts::message(out, "Reset to continue"));
             self.enter(State::Critical(alarm));
         }
     }
@@ -170,7 +170,7 @@ impl<const N: usize> Controller<N> {
             self.say_ok();
         }
         self.tell_trip(stop.line);
-        self.say(|out| report::message(out, "Reset to continue"));
+        self.say(|out| reply_texts::message(out, "Reset to continue"));
         self.enter(State::Critical(alarm));
     }
 

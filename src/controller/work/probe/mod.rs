@@ -8,7 +8,7 @@ use crate::axes::PerAxis;
 use crate::dispatch::Controller;
 use crate::error::Alarm;
 use crate::motion::{Move, Speed, Tolerance};
-use crate::protocol::report;
+use crate::protocol::reply_texts;
 use crate::states::stops::orders::StopReason;
 use crate::units::Coordinate;
 
@@ -63,7 +63,7 @@ impl<const N: usize> Controller<N> {
         }
         let ((position, _), form) = (self.m.probe.result(), self.place_form());
         self.m.interpreter.set_probed(&position, touched);
-        self.say(|out| report::probe(out, &position, touched, form));
+        self.say(|out| reply_texts::probe(out, &position, touched, form));
         true
     }
 }

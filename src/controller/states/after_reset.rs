@@ -1,5 +1,6 @@
-//! The machine after a reset or an alarm. Every power-up and reset ends here: the host is greeted, inputs are checked,
-//! and the startup lines begin unless the machine is locked. Also passes changed settings on to motion and inputs.
+//! The machine after power-up, a reset or an alarm. Every power-up and reset ends here: the host is greeted, inputs are
+//! checked, and the startup lines begin unless the machine is locked. Also locks the machine, and passes changed
+//! settings on to motion and inputs.
 
 use crate::dispatch::Controller;
 use crate::error::Alarm;
@@ -7,7 +8,7 @@ use crate::gcode::Dialect;
 use crate::inputs::levels;
 use crate::messages::GangedMotors;
 use crate::motion::MotionSettings;
-use crate::protocol::report;
+use crate::protocol::reply_texts;
 use crate::settings::{AxisKey, Key, Settings};
 use crate::states::State;
 use crate::units::{StepsPerMm, per_second};
@@ -33,7 +34,7 @@ impl<const N: usize> Controller<N> {
         self.greet();
         if self.m.inputs.signals().limits & levels::hard_limits(&self.m.settings) != 0 {
             self.enter(State::Alarm(self.state.alarm()));
-            self.say(|out| report::message(out, "Check Limits"));
+            self.say(|out| reply_texts::message(out, "Check Limits"));
         }
         if let Some((alarm, _)) = self.m.inputs.emergency() {
             self.lock(alarm);
@@ -42,7 +43,7 @@ impl<const N: usize> Controller<N> {
                 _ => "Driver fault is active",
             };
             if self.dialect() != Dialect::Grbl {
-                self.say(|out| report::message(out, still));
+                self.say(|out| reply_texts::message(out, still));
             }
         }
         if let State::Alarm(_) = self.state {

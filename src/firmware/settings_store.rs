@@ -5,21 +5,21 @@
 //! a second on the STM32 boards. So it is done ahead of need, and only when the caller finds that no motor moves, the
 //! spindle and the laser are off, and no command waits. After one failed erase, none is tried until the next power-up.
 
+use crate::BoardController;
 use crate::boards::SettingsFlash;
-use crate::control::BoardController;
 use oxmill_controller::messages::{Record, Store};
 use oxmill_store::{Log, StoreError};
 
 /// The settings store. `log` is `None` if the flash cannot be used.
-pub struct Settings {
+pub struct SettingsStore {
     log: Option<Log<SettingsFlash>>,
     /// An erase has failed: none is tried before the next power-up.
     worn: bool,
 }
 
-impl Settings {
+impl SettingsStore {
     /// Opens the log, or creates an empty one in flash without a log, and passes its records to the controller.
-    pub fn open(flash: SettingsFlash, controller: &mut BoardController) -> Settings {
+    pub fn open(flash: SettingsFlash, controller: &mut BoardController) -> SettingsStore {
         let mut log = Log::open(flash).ok();
         if let Some(log) = &mut log
             && log.for_each(|record| controller.restore(&record)).is_err()
@@ -29,7 +29,7 @@ impl Settings {
         if log.is_none() {
             defmt::error!("the settings sectors cannot be used");
         }
-        Settings { log, worn: false }
+        SettingsStore { log, worn: false }
     }
 
     /// Returns a valid record by its index.

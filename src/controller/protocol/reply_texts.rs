@@ -1,4 +1,5 @@
-//! Prints every reply that a host can get: Grbl 1.1h's replies byte for byte, and Oxmill's additions.
+//! The text of every reply that a host can get, except the status report: Grbl 1.1h's replies byte for byte, and
+//! Oxmill's additions.
 //!
 //! Pure functions from data to text. Each function makes one or more whole lines, ended by CR LF.
 
@@ -340,7 +341,7 @@ pub struct PlaceForm {
     pub inches: bool,
 }
 
-fn position<const N: usize>(out: &mut Text, place: &PerAxis<Coordinate, N>, form: PlaceForm) {
+pub(super) fn position<const N: usize>(out: &mut Text, place: &PerAxis<Coordinate, N>, form: PlaceForm) {
     for (axis, value) in place.iter().take(form.axes).enumerate() {
         if axis > 0 {
             put(out, b",");
@@ -471,160 +472,8 @@ pub fn parser_state(out: &mut Text, state: &ParserState, inches: bool) {
 }
 
 /// A speed in mm/min, printed in the unit of reports.
-fn rate(out: &mut Text, mm_per_minute: f32, inches: bool) {
+pub(super) fn rate(out: &mut Text, mm_per_minute: f32, inches: bool) {
     if inches { real(out, mm_per_minute / 25.4, 1) } else { real(out, mm_per_minute, 0) }
-}
-
-/// The contents of a status report; fields that are `None` are omitted.
-#[derive(Clone, Copy, Debug)]
-pub struct Status<const N: usize> {
-    /// `Idle`, `Hold:1` and so on.
-    pub state: &'static str,
-    /// Machine position.
-    pub machine: PerAxis<Coordinate, N>,
-    /// Work offset: WCS + G92 + tool length.
-    pub offset: PerAxis<Coordinate, N>,
-    /// `$10` bit 0: machine position, else work position.
-    pub show_machine: bool,
-    /// Free blocks, and free bytes of the receive buffer.
-    pub buffer: Option<(usize, u16)>,
-    /// Line number being executed.
-    pub line: Option<u32>,
-    /// Actual speed in mm/min.
-    pub feed: f32,
-    /// Spindle speed in rpm.
-    pub speed: f32,
-    /// Active inputs.
-    pub pins: Signals,
-    /// Whether this report carries `WCO`.
-    pub show_offset: bool,
-    /// Overrides in percent (feed, rapid, spindle), spindle direction and coolant, if this report carries them.
-    pub overrides: Option<([u8; 3], SpindleDirection, Coolant)>,
-}
-
-/// `<...>`
-pub fn status<const N: usize>(out: &mut Text, status: &Status<N>, form: PlaceForm) {
-    put(out, b"<");
-    put(out, status.state.as_bytes());
-    if status.show_machine {
-        put(out, b"|MPos:");
-        position(out, &status.machine, form);
-    } else {
-        put(out, b"|WPos:");
-        position(out, &status.machine.zip(&status.offset, |m, o| m - o), form);
-    }
-    if let Some((blocks, bytes)) = status.buffer {
-        put(out, b"|Bf:");
-        whole(out, blocks as u64);
-        put(out, b",");
-        whole(out, u64::from(bytes));
-    }
-    if let Some(line) = status.line {
-        put(out, b"|Ln:");
-        whole(out, u64::from(line));
-    }
-    put(out, b"|FS:");
-    rate(out, status.feed, form.inches);
-    put(out, b",");
-    real(out, status.speed, 0);
-    pins(out, &status.pins);
-    if status.show_offset {
-        put(out, b"|WCO:");
-        position(out, &status.offset, form);
-    }
-    if let Some(([feed, rapid, speed], spindle, coolant)) = status.overrides {
-        put(out, b"|Ov:");
-        whole(out, u64::from(feed));
-        put(out, b",");
-        whole(out, u64::from(rapid));
-        put(out, b",");
-        whole(out, u64::from(speed));
-        accessories(out, spindle, coolant);
-    }
-    put(out, b">\r\n");
-}
-
-fn pins(out: &mut Text, pins: &Signals) {
-    let mut letters: heapless::Vec<u8, 13> = heapless::Vec::new();
-    let active = [
-        (pins.probe, b'P'),
-        (pins.limits & 1 != 0, b'X'),
-        (pins.limits & 2 != 0, b'Y'),
-        (pins.limits & 4 != 0, b'Z'),
-        (pins.limits & 8 != 0, b'A'),
-        (pins.limits & 16 != 0, b'B'),
-        (pins.limits & 32 != 0, b'C'),
-        (pins.door, b'D'),
-        (pins.reset, b'R'),
-        (pins.hold, b'H'),
-        (pins.start, b'S'),
-        (pins.emergency_stop, b'E'),
-        (pins.driver_fault, b'F'),
-    ];
-    letters.extend(active.iter().filter(|(on, _)| *on).map(|(_, letter)| *letter));
-    if !letters.is_empty() {
-        put(out, b"|Pn:");
-        put(out, &letters);
-    }
-}
-
-fn accessories(out: &mut Text, spindle: SpindleDirection, coolant: Coolant) {
-    let mut letters: heapless::Vec<u8, 3> = heapless::Vec::new();
-    letters.extend(match spindle {
-        SpindleDirection::Off => None,
-        SpindleDirection::Clockwise => Some(b'S'),
-        SpindleDirection::CounterClockwise => Some(b'C'),
-    });
-    letters.extend(coolant.flood.then_some(b'F'));
-    letters.extend(coolant.mist.then_some(b'M'));
-    if !letters.is_empty() {
-        put(out, b"|A:");
-        put(out, &letters);
-    }
-}
-
-/// Decides which reports carry `WCO` and `Ov`. Both change rarely, so most reports omit them.
-///
-/// `WCO` is in the first report and then in every 10th (every 30th while the machine is busy); `Ov` in every 10th
-/// (every 20th). A change makes the field due. If `WCO` is printed, `Ov` waits for the next report.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct RareFields {
-    offset_in: u8,
-    overrides_in: u8,
-}
-
-impl RareFields {
-    /// Both are due.
-    pub const DUE: RareFields = RareFields { offset_in: 0, overrides_in: 0 };
-
-    /// Makes `WCO` due after a change.
-    pub fn offset_changed(&mut self) {
-        self.offset_in = 0;
-    }
-
-    /// Makes `Ov` due after a change of an override or an accessory.
-    pub fn overrides_changed(&mut self) {
-        self.overrides_in = 0;
-    }
-
-    /// Returns whether the next report carries `WCO` and `Ov`, in this order.
-    pub fn next(&mut self, busy: bool) -> (bool, bool) {
-        let offset = self.offset_in == 0;
-        if offset {
-            self.offset_in = if busy { 29 } else { 9 };
-            // Only one long field in a report.
-            self.overrides_in = self.overrides_in.max(1);
-        } else {
-            self.offset_in -= 1;
-        }
-        let overrides = self.overrides_in == 0;
-        if overrides {
-            self.overrides_in = if busy { 19 } else { 9 };
-        } else {
-            self.overrides_in -= 1;
-        }
-        (offset, overrides)
-    }
 }
 
 #[cfg(test)]
@@ -639,18 +488,5 @@ mod tests {
         assert!(digits(0, 4).is_some_and(|year| (2025..2100).contains(&year)), "{}", RELEASE.date);
         assert!(digits(4, 6).is_some_and(|month| (1..=12).contains(&month)), "{}", RELEASE.date);
         assert!(digits(6, 8).is_some_and(|day| (1..=31).contains(&day)), "{}", RELEASE.date);
-    }
-
-    #[test]
-    fn rare_fields_take_turns() {
-        let mut fields = RareFields::default();
-        let idle: Vec<(bool, bool)> = (0..22).map(|_| fields.next(false)).collect();
-        let at = |want: (bool, bool)| idle.iter().enumerate().filter(|(_, f)| **f == want).map(|(i, _)| i).collect();
-        let offsets: Vec<usize> = at((true, false));
-        let overrides: Vec<usize> = at((false, true));
-        assert_eq!(offsets, [0, 10, 20]);
-        assert_eq!(overrides, [1, 11, 21]);
-        fields.overrides_changed();
-        assert_eq!(fields.next(true), (false, true));
     }
 }

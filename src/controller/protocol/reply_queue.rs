@@ -1,7 +1,8 @@
 //! Queue of text for the host, sent in order and in chunks, with room reserved for the answer to the line being
 //! executed. Also decides when a status report is made, and which of the rare fields it has.
 
-use super::report::{RareFields, is_answer, is_of_one_host};
+use super::reply_texts::{is_answer, is_of_one_host};
+use super::status_report::RareFields;
 use super::text::PIECE;
 use crate::messages::{Chunk, Restart};
 

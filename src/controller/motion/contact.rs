@@ -1,0 +1,78 @@
+//! A probe's contact: the latch that the step generator reads at each tick ([`ProbeLatch`]), the place of the contact
+//! ([`Contact`]), and how the steps slow down after it. `Stepper` in `stepper.rs` calls them.
+
+use super::course::Course;
+use crate::axes::PerAxis;
+use crate::messages::INTERVAL_FRACTION_BITS;
+
+/// Interval, in fixed point, at which braking ends: at some milliseconds per tick the speed is negligible, and sums
+/// stay within 32 bits.
+const LONGEST_BRAKING: f32 = (1_u32 << 30) as f32;
+
+/// Catches the first contact of a watched probe.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+pub(super) struct ProbeLatch {
+    /// A probe is watched.
+    pub(super) is_watching: bool,
+    /// The probe state that is watched for.
+    watched: bool,
+    /// The contact was seen at the last tick, and the stepper has not processed it yet.
+    pub(super) is_unnoted: bool,
+}
+
+impl ProbeLatch {
+    /// No probe is watched.
+    pub(super) const OFF: Self = Self { is_watching: false, watched: false, is_unnoted: false };
+
+    /// Begins to watch for a state of the probe, or ends it.
+    #[inline(always)]
+    pub(super) fn watch(&mut self, probe: Option<bool>) {
+        self.is_watching = probe.is_some();
+        self.watched = probe == Some(true);
+    }
+
+    /// Returns whether the probe has the watched state for the first time.
+    #[inline(always)]
+    pub(super) fn sees(&mut self, active: bool) -> bool {
+        let touched = self.is_watching && self.watched == active;
+        if touched {
+            self.is_watching = false;
+            self.is_unnoted = true;
+        }
+        touched
+    }
+}
+
+/// The block and the place in it at a contact: everything needed to compute the position later, so that the tick of a
+/// probe's contact only copies it.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+pub(super) struct Contact<const N: usize> {
+    pub(super) course: Course<N>,
+    pub(super) left: [u32; N],
+    pub(super) units: u32,
+}
+
+impl<const N: usize> Contact<N> {
+    pub(super) const START: Self = Self { course: Course::NOWHERE, left: [0; N], units: 0 };
+
+    pub(super) fn position(&self) -> PerAxis<i32, N> {
+        self.course.position(&self.left, self.units)
+    }
+}
+
+/// Returns the interval of the next tick of the deceleration after a contact, in fixed point like `interval`, which is
+/// that of the present tick; `None` when braking is complete. `braking`: units per squared step-clock tick.
+///
+/// A tick of `u` units at the interval T is a speed v = u/T, and v² falls by 2·a·u from tick to tick: with k = a·T²/u
+/// the next interval is T / sqrt(1 - 2k), computed by the first terms of its series. The ramp ends with the tick that
+/// would reduce v² to 0.
+#[inline(always)]
+pub(super) fn braked_interval(interval: u32, units_per_tick: u32, braking: f32) -> Option<u32> {
+    let ticks = interval as f32 / (1 << INTERVAL_FRACTION_BITS) as f32;
+    let k = braking * ticks * ticks / units_per_tick as f32;
+    let next = interval as f32 * (1.0 + k * (1.0 + k * (1.5 + k * 2.5)));
+    // `k` is infinite or NaN if the tick advances no units (a wait): such a slow motion stops at once.
+    (k < 0.5 && next < LONGEST_BRAKING).then_some(next as u32)
+}

@@ -1,0 +1,114 @@
+//! Decides which of two hosts has the floor: the links of UART and USB share a [`HostArbiter`]. It counts the epochs of
+//! line bytes in the order of the queue, and puts a [`HOST_CHANGED`] before the first line byte of another host.
+
+use crate::messages::{HOST_CHANGED, LineByte, Realtime};
+use crate::protocol::floor::Floor;
+use crate::protocol::queues::Queues;
+
+/// Arbitrates between the hosts on several links: the floor, and the state shared by their bytes.
+#[derive(Clone, Debug, Default)]
+pub struct HostArbiter {
+    floor: Floor,
+    /// The epoch of the next line byte: see [`LineByte`]. A command counts when it is queued, not when it is received:
+    /// while a command waits for room, a command of the other host may be queued before it.
+    epoch: u16,
+    /// The unfinished line in the queue is void: a [`HOST_CHANGED`] must precede the next line byte.
+    cut: bool,
+    /// Number of hosts that disconnected while they had the floor, since power-up (wrapping).
+    gone: u16,
+}
+
+impl HostArbiter {
+    /// No host has sent anything.
+    pub const fn new() -> Self {
+        Self { floor: Floor::new(), epoch: 0, cut: false, gone: 0 }
+    }
+
+    /// Returns the link that gets the replies.
+    pub fn holder(&self) -> usize {
+        self.floor.holder()
+    }
+
+    /// Returns the number of hosts that disconnected while they had the floor, since power-up (wrapping), for
+    /// `Event::Disconnected`.
+    pub fn gone(&self) -> u16 {
+        self.gone
+    }
+
+    /// Returns whether a [`HOST_CHANGED`] must precede the next byte. It counts as a received byte.
+    pub fn owes_cut(&self) -> bool {
+        self.cut
+    }
+
+    /// Queues a command, which need not come from a link. Returns whether there was room.
+    pub fn command(&mut self, command: Realtime, queues: &mut impl Queues) -> bool {
+        let queued = queues.realtime(command);
+        if queued && command.opens_epoch() {
+            self.epoch = self.epoch.wrapping_add(1);
+        }
+        queued
+    }
+
+    /// Returns the epoch of the next line byte.
+    #[inline]
+    pub(super) fn epoch(&self) -> u16 {
+        self.epoch
+    }
+
+    /// Returns whether line bytes of a link go on as they are: its host has the floor, and no cut is owed.
+    #[inline]
+    pub(super) fn reads(&self, link: usize) -> bool {
+        !self.cut && self.floor.is_held_by(link)
+    }
+
+    /// Lets a [`HOST_CHANGED`] precede the next byte.
+    #[inline]
+    pub(super) fn owe_cut(&mut self) {
+        self.cut = true;
+    }
+
+    /// Queues a line byte, after the [`HOST_CHANGED`] that may be owed. Returns whether there was room.
+    pub(super) fn line(&mut self, byte: LineByte, queues: &mut impl Queues) -> bool {
+        if self.cut && !queues.line(LineByte { byte: HOST_CHANGED, epoch: self.gone, damaged: false }) {
+            return false;
+        }
+        self.cut = false;
+        queues.line(byte)
+    }
+
+    /// Claims the floor for a host that sends a line. Returns whether that host has the floor then. `void` voids the
+    /// unfinished line of the other host, if that loses the floor.
+    #[inline]
+    pub(super) fn claim(&mut self, link: usize, queues: &impl Queues, void: impl FnOnce()) -> bool {
+        // The common case, which changes nothing.
+        if self.floor.is_held_by(link) {
+            return true;
+        }
+        let free = queues.is_free();
+        self.turn_to(|floor| floor.claim(link, free, true), void)
+    }
+
+    /// Lets `ask` request the floor, and returns its result. If the floor changes hands, `void` voids the unfinished
+    /// line of the other host.
+    pub(super) fn turn_to(&mut self, ask: impl FnOnce(&mut Floor) -> bool, void: impl FnOnce()) -> bool {
+        let before = self.floor.holder();
+        let granted = ask(&mut self.floor);
+        if self.floor.holder() != before {
+            void();
+            self.cut = true;
+        }
+        granted
+    }
+
+    /// Handles a disconnected host. Returns whether it had the floor.
+    pub(super) fn leave(&mut self, link: usize) -> bool {
+        let held_floor = self.holder() == link;
+        self.cut |= held_floor;
+        self.gone = self.gone.wrapping_add(u16::from(held_floor));
+        self.floor.leave(link);
+        held_floor
+    }
+}
+
+#[cfg(test)]
+mod tests;

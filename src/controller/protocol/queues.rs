@@ -1,0 +1,28 @@
+//! The queues from a link to the control task, as the serial task has to provide them ([`Queues`]).
+
+use crate::messages::{LineByte, Realtime};
+
+/// The queues to `control`.
+pub trait Queues {
+    /// Queues a command. Returns whether there was room.
+    fn realtime(&mut self, command: Realtime) -> bool;
+    /// Queues a byte of a line. Returns whether there was room.
+    fn line(&mut self, byte: LineByte) -> bool;
+    /// Queues bytes of lines from the front as far as there is room. Returns how many.
+    #[inline]
+    fn text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
+        let left = bytes.iter().position(|byte| !self.line(LineByte { byte: *byte, epoch, damaged: false }));
+        left.unwrap_or(bytes.len())
+    }
+    /// Returns whether the link being read can wait. A link that cannot wait loses a command that finds no room, so
+    /// each command is tried, even after an earlier one found none.
+    fn waits(&self) -> bool;
+    /// Returns whether everything that any host has sent is done and answered.
+    fn is_free(&self) -> bool;
+    /// Stops the step task for a reset, before anything is queued or decided.
+    fn stop(&mut self);
+    /// Records a byte that is neither part of a line nor a command: only a sign of life.
+    fn ignored(&mut self) {}
+    /// Returns whether characters of remarks are text. In Grbl each byte from 0x80 up is a command or ignored.
+    fn reads_characters(&self) -> bool;
+}
