@@ -259,7 +259,7 @@ pub enum Incoming {
 /// Bit numbers of the word that `InputPins::read` returns. A bit is set while its pin is low: by default the inputs
 /// have pull-ups, and their switches close to ground. An emergency stop uses the pin of the reset button (`$912`).
 pub mod input_bits {
-    /// Limit switch of X; Y and Z follow.
+    /// Limit switch of X; the other axes follow in order.
     pub const LIMITS: u32 = 0;
     /// Limit switch of the second motor of an axis.
     pub const SECOND_LIMIT: u32 = 6;

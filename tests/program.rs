@@ -138,7 +138,6 @@ fn settings_may_come_from_any_editor() {
     assert!(said.contains("line 3 of ") && said.contains("is not of the form $n=v"), "{said}");
 }
 
-/// A terminal's log of `$$` can be used as a settings file without changes.
 /// The dialect decides which values are accepted, wherever it is selected; the answer of a refused one is shown.
 #[test]
 fn settings_are_those_of_the_dialect() {
@@ -152,6 +151,10 @@ fn settings_are_those_of_the_dialect() {
         let output = run(&[&arguments[..], &["--dialect", "grbl"]].concat());
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     }
+    // A dump has soft limits before the homing that they need.
+    let dump = file("dump_of_grbl.txt", "$20=1\n$22=1\n$0=2.5\n");
+    let output = run(&["check", text(&job), "--dialect", "grbl", "--settings", text(&dump)]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     // The option wins.
     let output = run(&["check", text(&job), "--dialect", "grbl", "--set", "900=1", "--set", "32=1"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -160,6 +163,7 @@ fn settings_are_those_of_the_dialect() {
     assert_eq!(output.status.code(), Some(1));
 }
 
+/// A terminal's log of `$$` can be used as a settings file without changes.
 #[test]
 fn settings_may_be_what_a_machine_has_said() {
     let job = file("said.nc", "G1 X10 F60000\n");

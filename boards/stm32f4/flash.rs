@@ -32,8 +32,9 @@ const DATA_CACHE_RESET: u32 = 1 << 12;
 /// Writes a whole register as a number.
 macro_rules! raw {
     ($register:expr, $bits:expr) => {{
-        // SAFETY: unsafe because the device crate cannot know which numbers the register takes; safe because each value
-        // is made of the constants above, and CR names no sector but the two that no program lies in.
+        // SAFETY: unsafe because the device crate cannot know which values are valid for the register; safe because each
+        // value consists of the constants above, of a sector number that `erase` has checked, or of bits read from the
+        // same register. Only sectors 1 and 2 are ever erased, and they hold no part of the program.
         unsafe { $register.bits($bits) }
     }};
 }

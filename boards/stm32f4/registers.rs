@@ -31,7 +31,8 @@ pub unsafe trait Map {
 /// The addresses of the STM32F4.
 pub struct Chip;
 
-// SAFETY: unsafe because writes go there; safe because these are the addresses of the reference manuals' memory maps.
+// SAFETY: unsafe because this module writes to these addresses; safe because they are the addresses of the named
+// peripherals in the memory maps of the reference manuals.
 unsafe impl Map for Chip {
     const GPIO: usize = 0x4002_0000;
     const TIM5: usize = 0x4000_0C00;

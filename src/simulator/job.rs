@@ -21,7 +21,6 @@ use crate::text::JobText;
 use crate::trace::Csv;
 use anyhow::{Context, Error, Result, anyhow, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use oxmill_controller::settings::Key;
 use oxmill_controller::units::{Coordinate, Decimal};
 use std::cell::RefCell;
 use std::io::{self, IsTerminal, Write};
@@ -112,11 +111,9 @@ fn begin_recorder(
     Ok(recorded.then(|| Recorder::begin(simulator, machine)))
 }
 
-/// Returns the settings of the options, each as (origin, setting). The dialect comes first, as it decides which values the
-/// others take, and again at the end if a setting has changed it.
+/// Returns the settings of the options, each as (origin, setting). The dialect comes last, so it wins.
 fn settings(options: &MachineOptions) -> Result<Vec<(String, String)>> {
-    let dialect = options.dialect.map(|dialect| (format!("--dialect {}", dialect.name()), dialect.assignment()));
-    let mut lines: Vec<_> = dialect.clone().into_iter().collect();
+    let mut lines = Vec::new();
     if let Some(path) = &options.settings {
         let text = files::read(path, files::TEXT)
             .and_then(|text| file_kind::refuse(&text, false).map(|()| text).map_err(io::Error::other))
@@ -131,29 +128,44 @@ fn settings(options: &MachineOptions) -> Result<Vec<(String, String)>> {
         }
     }
     lines.extend(options.set.iter().map(|setting| (format!("--set {setting}"), setting.trim().to_owned())));
-    let name = format!("{}=", Key::Dialect.number());
-    if lines.iter().skip(1).any(|(_, setting)| setting.trim_start_matches('$').starts_with(&name)) {
-        lines.extend(dialect);
-    }
+    lines.extend(options.dialect.map(|dialect| (format!("--dialect {}", dialect.name()), dialect.assignment())));
     Ok(lines)
 }
 
+/// Applies settings. The last of them may be the dialect, which decides which values the others take: what was refused before
+/// is tried again after it.
 fn apply_settings(
     simulator: &mut Simulator,
     recorder: &mut Option<Recorder>,
     settings: &[(String, String)],
 ) -> Result<()> {
+    let mut refused = Vec::new();
     for (origin, setting) in settings {
-        if let Some(recorder) = recorder {
-            let line = format!("${}\n", setting.strip_prefix('$').unwrap_or(setting));
-            recorder.input(simulator, &Input::Host(line.into_bytes())).context(UNRECORDED)?;
-        }
-        match apply_setting(simulator, setting) {
-            Err(SettingRefused::PowerGone) => check_power(simulator)?,
-            other => other.map_err(|why| anyhow!("{origin} {why}"))?,
+        if apply(simulator, recorder, setting)?.is_err() {
+            refused.push((origin, setting));
         }
     }
+    for (origin, setting) in refused {
+        apply(simulator, recorder, setting)?.map_err(|why| anyhow!("{origin} {why}"))?;
+    }
     Ok(())
+}
+
+/// Applies a setting. Returns why it was refused, if it was.
+fn apply(
+    simulator: &mut Simulator,
+    recorder: &mut Option<Recorder>,
+    setting: &str,
+) -> Result<Result<(), SettingRefused>> {
+    if let Some(recorder) = recorder {
+        let line = format!("${}\n", setting.strip_prefix('$').unwrap_or(setting));
+        recorder.input(simulator, &Input::Host(line.into_bytes())).context(UNRECORDED)?;
+    }
+    let applied = apply_setting(simulator, setting);
+    if applied == Err(SettingRefused::PowerGone) {
+        check_power(simulator)?;
+    }
+    Ok(applied)
 }
 
 /// Returns whether a line is `$$` itself or machine output before or after its reply: text copied from a terminal may

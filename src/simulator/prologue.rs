@@ -34,7 +34,8 @@ pub struct Entry {
     pub outputs: u8,
 }
 
-/// How the rest continues in a motion mode that one word cannot restore, such as an arc or a canned cycle.
+/// Where the rest of a job continues in a motion mode that one word cannot restore (such as an arc or a canned cycle),
+/// and the words that its line needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mode {
     /// Index in the rest of the first line that continues in the mode or selects another one.

@@ -190,8 +190,8 @@ fn wrong_byte(words: &[u32]) -> Option<(usize, u32)> {
         if difference.to_le_bytes().iter().filter(|byte| **byte != 0).count() <= 1 {
             return Some((index, difference));
         }
-        // The crc is linear, so running it backwards over a word gives the difference that a wrong byte before that
-        // word must have made.
+        // The CRC is linear, so running it backwards over the preceding word gives the bits that must be wrong in that
+        // word if the error is there.
         for _ in 0..32 {
             difference = if difference >> 31 == 0 { difference << 1 } else { (difference ^ POLYNOMIAL) << 1 | 1 };
         }

@@ -6,7 +6,7 @@ use oxmill_controller::axes::LINEAR;
 use oxmill_controller::error::{Alarm, Error};
 use oxmill_controller::protocol::descriptions;
 use oxmill_controller::protocol::text::Text;
-use oxmill_controller::settings::{Key, Kind, Row, Settings, lines};
+use oxmill_controller::settings::{Kind, Row, Settings, lines};
 use oxmill_controller::units::{Coordinate, Decimal};
 use oxmill_simulator::boards::{self, AXES, Board};
 use oxmill_simulator::check::Check;
@@ -93,25 +93,22 @@ pub fn power_up(order: &Order) -> Result<Simulator, String> {
     let fittings = fittings.map_err(|error| format!("the machine is not understood: {error:#}"))?;
     let mut simulator = Simulator::new(Options { board, store: Store::in_memory(), fittings, keep_steps: false });
     simulator.run_until_idle();
-    // The dialect decides which values the other settings take, and one of them may change it.
-    let dialect = order.dialect.as_ref().map(|name| {
-        Dialect::by_name(name).map(Dialect::assignment).ok_or_else(|| format!("there is no dialect `{name}`"))
-    });
-    let dialect = dialect.transpose()?;
-    set_dialect(&mut simulator, dialect.as_deref())?;
+    // The dialect decides which values the other settings take: what is refused before it is tried again after it.
+    let mut refused = Vec::new();
     for (number, value) in &order.settings {
         let setting = format!("{number}={value}");
+        if apply_setting(&mut simulator, &setting).is_err() {
+            refused.push(setting);
+        }
+    }
+    if let Some(name) = &order.dialect {
+        let dialect = Dialect::by_name(name).ok_or_else(|| format!("there is no dialect `{name}`"))?;
+        apply_setting(&mut simulator, &dialect.assignment()).map_err(|why| format!("the dialect {why}"))?;
+    }
+    for setting in refused {
         apply_setting(&mut simulator, &setting).map_err(|why| format!("${setting} {why}"))?;
     }
-    if order.settings.iter().any(|(number, _)| *number == Key::Dialect.number()) {
-        set_dialect(&mut simulator, dialect.as_deref())?;
-    }
     Ok(simulator)
-}
-
-fn set_dialect(simulator: &mut Simulator, assignment: Option<&str>) -> Result<(), String> {
-    let Some(assignment) = assignment else { return Ok(()) };
-    apply_setting(simulator, assignment).map_err(|why| format!("the dialect {why}"))
 }
 
 /// Returns a simulator as ordered, homed if there is a work zero, with its offsets and tools.

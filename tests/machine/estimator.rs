@@ -408,8 +408,9 @@ fn check_corner(before: &Move, after: &Move, hz: f64, limits: &Limits) -> Result
     Ok(())
 }
 
-/// Returns the maximum speed² on the circle through three points, after subtracting what noise can explain; infinite if
-/// no bend remains.
+/// Returns the maximum speed² at a bend that is given by three points: on the circle through them, plus what the
+/// junction deviation allows. The part of the turn that noise can explain is subtracted first. Returns infinity if
+/// nothing of the turn is left, or if the turn is not less than `greatest_turn`.
 fn bend(points: [[f64; AXES]; 3], greatest_turn: f64, limits: &Limits) -> f64 {
     let [a, b, c] = points;
     let first: [f64; AXES] = std::array::from_fn(|i| b[i] - a[i]);

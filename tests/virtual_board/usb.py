@@ -65,8 +65,8 @@ class UsbHost(Host):
         return self.due
 
     def wake(self):
-        """Resumes polling, because the device or the host may have something to send. The first poll comes when the
-        next of those that were not emulated would have come."""
+        """Resumes polling, because the device or the host may have something to send. The next poll comes at the time at
+        which it would have come if polling had not been suspended."""
         if self._idle_since is not None:
             period = self.board.cycles(SHORT_S)
             self.due = self._idle_since + ((self.board.now - self._idle_since) // period + 1) * period

@@ -83,8 +83,8 @@ impl<const N: usize> TurnRule<N> {
     }
 
     /// Returns the maximum acceleration in any direction of a turn's plane at which no axis exceeds its limit. It
-    /// limits the centripetal acceleration of a bend. With the normal n and the tangent t, axis i gets at most a·√(n_i²
-    /// + t_i²), wherever on the bend the machine is. So the limit is the same for the whole bend, and the speed on a
+    /// limits the centripetal acceleration of a bend. With the normal n and the tangent t, axis i gets at most
+    /// `a·√(n_i² + t_i²)`, wherever on the bend the machine is. So the limit is the same for the whole bend, and the speed on a
     /// circle is constant.
     #[inline(never)]
     pub(super) fn in_plane(&self, before: &[f32; N], after: &[f32; N], turn2: f32) -> f32 {

@@ -128,11 +128,14 @@ mod tests {
         assert_eq!(s.by_number(102), Some(80.5));
     }
 
-    /// Fractions are truncated as in Grbl. A switch is 0 or 1; in Grbl's dialect any other byte counts as 1.
+    /// Only Grbl's dialect truncates fractions. A switch is 0 or 1; in Grbl's dialect any other byte counts as 1.
     #[test]
-    fn whole_numbers_lose_their_fraction_and_switches_are_0_or_1() {
+    fn whole_numbers_have_no_fraction_and_switches_are_0_or_1() {
         for (number, thousandths, taken, in_grbl) in [
-            (1, 25_500, Some(25.0), Some(25.0)),
+            (1, 25_500, None, Some(25.0)),
+            (1, 25_000, Some(25.0), Some(25.0)),
+            (904, 500, None, Some(0.0)),
+            (23, 3900, None, Some(3.0)),
             (21, 1000, Some(1.0), Some(1.0)),
             (21, 0, Some(0.0), Some(0.0)),
             (21, 2000, None, Some(1.0)),

@@ -8,11 +8,11 @@ use crate::units::DECIMAL_ONE;
 /// How a value is checked and printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Whole number from `.0` to `.1`; fractions are truncated.
+    /// Whole number from `.0` to `.1`. A fraction is refused; Grbl's dialect truncates it.
     Whole(u32, u32),
     /// Tenths from `.0` to `.1`, printed with a decimal if it is not 0. In Grbl's dialect fractions are truncated.
     Tenths(u32, u32),
-    /// A sum of some of these bits; fractions are truncated.
+    /// A sum of some of these bits. A fraction is refused; Grbl's dialect truncates it.
     Mask(u32),
     /// 0 or 1; in Grbl's dialect any other whole number up to 255 counts as 1.
     Switch,

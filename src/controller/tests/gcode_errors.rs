@@ -182,7 +182,8 @@ fn arcs_of_rounded_words() {
     ] {
         assert_eq!(ready(Dialect::Oxmill).error(line), error, "{line}");
     }
-    // The dialect `seed` still ends such arcs on their circle. Grbl's dialect accepts neither of the two arcs.
+    // In the dialect `seed` an arc ends on the circle around its centre, even if the programmed target is off that
+    // circle. Grbl's dialect rejects this arc, and also the half circle with R from above.
     let MotionCommand::Arc(arc) = ready(Dialect::Seed).run("G2 X5.02 I2.5").motion else { panic!() };
     assert_eq!(arc.target.0[0].0, 50_000_000);
     let grbl = ready(Dialect::Grbl);

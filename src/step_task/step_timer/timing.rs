@@ -30,7 +30,8 @@ pub const RUN_TICKS: u32 = in_ticks(RUN_CYCLES);
 pub const BEGIN_TICKS: u32 = in_ticks(1_500);
 /// Minimum time before the first event at which the output starts: two more runs, a pause, and the start itself.
 pub const IN_TIME_TICKS: u32 = 2 * RUN_TICKS + BEGIN_TICKS + PAUSE_TICKS;
-/// Additional time for an output that starts from rest, because interrupts can be masked meanwhile.
+/// Time added to `IN_TIME_TICKS` for a motion that starts from rest, because interrupts can be masked before its output
+/// is started.
 pub const SPARE_TICKS: u32 = 100 * TICKS_PER_US;
 /// Minimum pause from the end of a run to the next scheduled one, for other tasks.
 pub const PAUSE_TICKS: u32 = RUN_TICKS / 4;

@@ -140,7 +140,8 @@ impl Model {
         self.say("ok");
     }
 
-    /// Returns whether a line waits for the end of the preceding motion: only if it changes an output.
+    /// Returns whether a line waits for the end of the preceding motion. Lines for spindle, coolant or tool wait only if
+    /// they change something; all other lines wait.
     pub(super) fn waits_for_rest(&self, line: Line) -> bool {
         match line {
             Line::Spindle(on) => self.spindle != on,

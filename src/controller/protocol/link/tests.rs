@@ -396,7 +396,16 @@ fn commands_of(bytes: &[u8]) -> Vec<Realtime> {
     while let Some(begin) = left.iter().position(|byte| matches!(byte, b'(' | b';')) {
         let (before, remark) = left.split_at(begin);
         give(before);
-        let ends = |byte: &u8| matches!(byte, b'\n' | b'\r' | 0x18 | 0x19) || *byte == b')' && remark[0] == b'(';
+        let mut depth = 0;
+        let ends = |byte: &u8| {
+            match byte {
+                b'\n' | b'\r' | 0x18 | 0x19 => return true,
+                b'(' => depth += 1,
+                b')' => depth -= 1,
+                _ => {}
+            }
+            remark[0] == b'(' && depth == 0
+        };
         let end = remark.iter().position(ends).unwrap_or(remark.len());
         for chunk in remark[..end].utf8_chunks() {
             let acts = |character: &char| *character < '\u{C0}' && !matches!(*character, '!' | '~');

@@ -20,7 +20,7 @@ export async function written(lines: string[], write: (line: string) => Promise<
     const refused: string[] = [];
     for (const line of left) {
       const answer = await write(line);
-      // Stop writing if the machine was reset or is in an alarm.
+      // Any other answer is from the sender: the machine was reset, or the line could not be sent. Stop writing.
       if (answer !== "ok" && !answer.startsWith("error:")) return `The machine has stopped it: ${answer}. Look at the differences again.`;
       if (answer !== "ok") refused.push(line);
     }
