@@ -19,7 +19,7 @@ the `ok` names the setting, and another one the first time that a line is refuse
 * soft limits (`$20`) without homing (`$22`); with parking a parking axis (`$42`) other than X, Y and Z; more axes (`$930`) than the board has
 * a second motor (`$905`) that the board has no pins for, of X or Y with CoreXY, or beside the axis A; an at-speed input (`$915`) that the board has no pin for
 
-Values are read as Grbl reads them. Where only whole numbers count, a fraction is cut off (`$1=25.5` is 25). *0 or 1* takes nothing else; in the dialect of Grbl any number from 1 to 255 is 1. *Sum of*: `$2`, `$3`, `$10` and `$23` take
+Where only whole numbers count, a fraction is refused (`$1=25.5` is `error:52`); the dialect of Grbl cuts it off, as Grbl does. *0 or 1* takes nothing else; in the dialect of Grbl any number from 1 to 255 is 1. *Sum of*: `$2`, `$3`, `$10` and `$23` take
 any sum up to 255, and bits that the table does not name do nothing; other masks refuse them, but for the axis A where there is one. A value below 0 is `error:4` (but for `$58`), another one out of the range `error:52` behind a message with the values (without it on the Black Pill F401; in the dialect of Grbl `error:3` alone), of `$0` `error:6` (`error:3` if it is no whole number of tenths).
 
 After another `$3`, `$23`, `$100` to `$103`, `$904`, `$930` or `$932`, places have other names than homing gave them: with `$22=1` the machine is to be homed again. So it is after another travel (`$130` to `$133`) of an axis that `$23` names and, with `$932=1`, after another `$27`. Until then G53, G28 and G30 are

@@ -28,7 +28,6 @@ impl Axis {
     pub const ALL: [Axis; 6] = [Axis::X, Axis::Y, Axis::Z, Axis::A, Axis::B, Axis::C];
 
     /// Index of the axis in a [`PerAxis`], 0 for X.
-    #[inline]
     pub const fn index(self) -> usize {
         self as usize
     }
@@ -103,13 +102,11 @@ impl<T: Copy, const N: usize> PerAxis<T, N> {
     }
 
     /// The value of an axis; `None` if this machine does not have the axis.
-    #[inline]
     pub fn get(&self, axis: Axis) -> Option<T> {
         self.0.get(axis.index()).copied()
     }
 
     /// Replaces the value of an axis. An axis that this machine does not have is ignored.
-    #[inline]
     pub fn set(&mut self, axis: Axis, value: T) {
         if let Some(slot) = self.0.get_mut(axis.index()) {
             *slot = value;
@@ -117,13 +114,11 @@ impl<T: Copy, const N: usize> PerAxis<T, N> {
     }
 
     /// Transforms each value with `make`.
-    #[inline]
     pub fn map<U: Copy>(&self, make: impl FnMut(T) -> U) -> PerAxis<U, N> {
         PerAxis(self.0.map(make))
     }
 
     /// Combines the two values of each axis with `make`.
-    #[inline]
     #[allow(clippy::indexing_slicing, reason = "from_fn calls with i < N, and both arrays have N values")]
     pub fn zip<U: Copy, V: Copy>(&self, other: &PerAxis<U, N>, mut make: impl FnMut(T, U) -> V) -> PerAxis<V, N> {
         PerAxis(core::array::from_fn(|i| make(self.0[i], other.0[i])))
@@ -160,7 +155,6 @@ impl AxisMask {
     }
 
     /// Whether the axis is in the set.
-    #[inline]
     pub const fn has(self, axis: Axis) -> bool {
         self.0 & (1 << axis.index()) != 0
     }

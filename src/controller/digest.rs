@@ -28,7 +28,6 @@ impl Digest {
 
     /// Adds a step event. `ticks`: how long the step task has been busy since the first step, in ticks of the step
     /// clock. `steps` and `directions` have bit 0 for X.
-    #[inline]
     pub fn add(&mut self, ticks: u64, steps: u8, directions: u8) {
         let bits = u64::from(steps) | u64::from(directions) << 8;
         self.time = (self.time ^ ticks).wrapping_mul(PRIME);

@@ -122,13 +122,11 @@ impl<const N: usize> Controller<N> {
 
     /// Takes a byte that only extends the current line, as nearly all events are. The time is irrelevant for such a
     /// byte. Returns false for any other byte and does not take it; pass it as an [`Event::Line`].
-    #[inline]
     pub fn take_text_byte(&mut self, byte: LineByte) -> bool {
         self.m.lines.take_plain(byte)
     }
 
     /// Takes the leading `bytes`, all of one `epoch`, that only extend the current line. Returns how many were taken.
-    #[inline]
     pub fn take_text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
         self.m.lines.take_text(epoch, bytes)
     }
@@ -173,13 +171,11 @@ impl<const N: usize> Controller<N> {
 
     /// Whether received lines wait for an operator or for the end of a motion. Meanwhile bytes received before a reset
     /// stay in the queue as well.
-    #[inline]
     pub fn lets_lines_wait(&self) -> bool {
         !self.state.takes_lines()
     }
 
     /// Whether the step task will soon run out of segments although the motion continues.
-    #[inline]
     pub fn is_short_of_segments(&self) -> bool {
         self.m.motion.is_short_of_segments()
     }
@@ -275,7 +271,6 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Whether anything that [`Controller::look_round`] checks may have changed since it was last called.
-    #[inline]
     fn may_have_changed(&self) -> bool {
         !self.m.pins.are_calm() || self.m.step_supply.is_running() && self.m.motion.is_idle()
     }

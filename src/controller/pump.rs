@@ -86,7 +86,6 @@ pub trait Pump<const N: usize> {
 }
 
 /// Runs one round. Returns whether another round may find more to do.
-#[inline]
 pub fn round<const N: usize, P: Pump<N>>(pump: &mut P) -> bool {
     let now = pump.begin();
     observe(pump);
@@ -218,7 +217,6 @@ fn tell_some<const N: usize>(pump: &mut impl Pump<N>, now: Instant, source: Sour
     told
 }
 
-#[inline]
 fn observe<const N: usize>(pump: &mut impl Pump<N>) -> Observed {
     let observed = pump.observed();
     pump.controller().observe(observed);

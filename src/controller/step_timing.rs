@@ -50,7 +50,6 @@ impl StepTiming {
 
     /// Whether a row of ticks can be output unchanged. The argument is the minimum and the maximum interval between
     /// these ticks.
-    #[inline]
     pub fn is_regular(&self, (least, greatest): (u32, u32)) -> bool {
         least >= self.gap && greatest < self.split
     }
@@ -59,7 +58,6 @@ impl StepTiming {
     /// needed. Such an event is needed if `next` is too far from `last`, or if few events are queued ahead (`short`)
     /// and there is room for one more. It lies in the middle between the two, but at most the maximum time after
     /// `last`.
-    #[inline]
     pub fn between(&self, last: u32, next: u32, short: bool) -> Option<u32> {
         let away = next.wrapping_sub(last) as i32;
         if away <= self.split as i32 && !(short && away >= 2 * self.gap as i32) {
@@ -77,13 +75,11 @@ const fn pulse_ticks(pulse_tenths: u16, clock_mhz: u32) -> u32 {
 }
 
 /// Returns the later of two times of a wrapping clock.
-#[inline]
 pub fn later(a: u32, b: u32) -> u32 {
     if a.wrapping_sub(b) as i32 >= 0 { a } else { b }
 }
 
 /// Returns the earlier of two times of a wrapping clock.
-#[inline]
 pub fn sooner(a: u32, b: u32) -> u32 {
     if a.wrapping_sub(b) as i32 <= 0 { a } else { b }
 }

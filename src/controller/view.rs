@@ -39,7 +39,6 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Whether answers wait for room in the output queue.
-    #[inline]
     pub fn has_answers(&self) -> bool {
         self.m.replies.are_waiting()
     }

@@ -26,7 +26,6 @@ mod cycle;
 mod direction;
 mod interpreter;
 mod jog;
-mod m_words;
 mod memory;
 mod modal;
 mod offsets;

@@ -71,6 +71,7 @@ fn has_program_number(line: &[u8]) -> bool {
 }
 
 /// Whether a text begins with O or a colon, and with no O word.
+#[inline(never)]
 fn is_program_number(text: &[u8]) -> bool {
     let Some((b'O' | b':', number)) = text.split_first() else { return false };
     let word = from_next_word(number);
@@ -79,6 +80,7 @@ fn is_program_number(text: &[u8]) -> bool {
 }
 
 /// Returns the part of a line from its first letter or colon on that is not in brackets.
+#[inline(never)]
 fn from_next_word(line: &[u8]) -> &[u8] {
     let mut depth = 0_usize;
     let word = line.iter().position(|byte| {

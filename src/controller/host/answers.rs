@@ -52,7 +52,6 @@ impl<const N: usize> Controller<N> {
 
     /// Sends the message of a line that is executed; `remark` is the message with its mark. The message of a line that
     /// would leave the travel is not sent. Moves queued before the line can still be running at that time.
-    #[inline]
     pub(crate) fn tell_remark(&mut self, remark: &[u8]) {
         if let Some((mark, written)) = remark.split_first() {
             self.tell_message(*mark, written);

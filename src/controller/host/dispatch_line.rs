@@ -64,7 +64,6 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Processes a complete line that the intake has passed on without any special event.
-    #[inline]
     fn line_ended(&mut self) {
         self.answer_status();
         let is_of_program = self.m.lines.has_no_remark()
@@ -297,7 +296,6 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Handles a line of the host's program: first its O words, which Grbl's dialect does not have.
-    #[inline]
     fn program_line(&mut self, line: &[u8], remark: &[u8]) -> Result<(), Error> {
         let direction = match self.dialect() {
             Dialect::Grbl => Direction::Check,

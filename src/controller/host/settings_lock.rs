@@ -53,7 +53,6 @@ impl SettingsLock {
     }
 
     /// Returns the setting that locks motion, if any.
-    #[inline]
     pub(crate) fn setting<const N: usize>(&mut self, settings: &Settings<N>) -> Option<u16> {
         let (rates, has_second_motor, has_at_speed) = (self.rates, self.has_second_motor, self.has_at_speed);
         self.look(settings.revision(), || {
@@ -63,7 +62,6 @@ impl SettingsLock {
     }
 
     /// Returns the setting that locks motion. For a new revision of the settings it is determined by `unrunnable`.
-    #[inline]
     fn look(&mut self, revision: u32, unrunnable: impl FnOnce() -> Option<u16>) -> Option<u16> {
         if self.revision != Some(revision) {
             let setting = unrunnable();

@@ -139,13 +139,11 @@ impl Records {
     // Changes
 
     /// Whether a change waits to be handed to the store.
-    #[inline]
     pub(crate) fn has_next(&self) -> bool {
         !self.stores.is_empty()
     }
 
     /// Returns the next change for the store.
-    #[inline]
     pub(crate) fn next_store(&mut self) -> Option<Store> {
         self.stores.pop_front()
     }

@@ -80,7 +80,6 @@ impl InputLevels {
     }
 
     /// Returns the levels of the fitted inputs.
-    #[inline]
     pub fn signals(&self) -> &Signals {
         &self.signals
     }
@@ -96,7 +95,6 @@ impl InputLevels {
     }
 
     /// Returns polarity and resistors according to the settings.
-    #[inline]
     pub fn wiring(&self) -> InputWiring {
         self.wiring
     }
@@ -139,7 +137,6 @@ impl InputLevels {
     }
 
     /// Returns the pending request and clears it; `Some(true)`: clear the noise counts.
-    #[inline]
     pub fn take_look(&mut self) -> Option<bool> {
         self.look.take()
     }

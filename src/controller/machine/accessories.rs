@@ -85,13 +85,11 @@ impl Accessories {
     }
 
     /// The digital outputs of the program.
-    #[inline]
     pub fn digital(&self) -> &DigitalOutputs {
         &self.digital
     }
 
     /// The digital outputs of the program, mutable.
-    #[inline]
     pub fn digital_mut(&mut self) -> &mut DigitalOutputs {
         &mut self.digital
     }
@@ -112,19 +110,16 @@ impl Accessories {
     /// Returns whether the overrides have changed since this function was last called, so that motion must apply them.
     /// All presses in between are one change. Each change plans the whole look-ahead again, which takes about a
     /// millisecond, so applying a burst of presses one at a time would starve the step queue.
-    #[inline]
     pub fn take_overrides_due(&mut self) -> bool {
         core::mem::take(&mut self.overrides_due)
     }
 
     /// Direction of the spindle as programmed.
-    #[inline]
     pub fn spindle(&self) -> SpindleDirection {
         self.direction
     }
 
     /// Whether the program has the spindle on.
-    #[inline]
     pub fn is_on(&self) -> bool {
         self.direction != SpindleDirection::Off
     }
@@ -135,19 +130,16 @@ impl Accessories {
     }
 
     /// Whether the spindle is stopped although the program has it on.
-    #[inline]
     pub fn is_suspended(&self) -> bool {
         self.suspended
     }
 
     /// Direction of the spindle output: off while the spindle is suspended.
-    #[inline]
     pub fn spindle_output(&self) -> SpindleDirection {
         if self.suspended { SpindleDirection::Off } else { self.direction }
     }
 
     /// The coolant.
-    #[inline]
     pub fn coolant(&self) -> Coolant {
         self.coolant
     }
@@ -241,7 +233,6 @@ impl Accessories {
     }
 
     /// Whether the spindle's speed is monitored during a job (`$915`, `$929`). If not, forgets what was observed.
-    #[inline]
     pub fn watches_speed<const N: usize>(&mut self, settings: &Settings<N>) -> bool {
         let watches = self.must_tell_speed(settings) && settings.is_on(Key::SpeedLoss) && !self.suspended;
         if !watches {
@@ -286,7 +277,6 @@ impl Accessories {
     }
 
     /// When the loss of the spindle's speed becomes a fault, if it lasts.
-    #[inline]
     pub fn speed_lost_at(&self) -> Option<Instant> {
         self.watch.fault_at
     }

@@ -39,13 +39,11 @@ impl DigitalOutputs {
         Self { levels: 0, done: 0, waiting: [DueTogether { mask: 0, on: 0 }; GROUPS], count: 0, open: false };
 
     /// Levels of the outputs, bit 0 for P0.
-    #[inline]
     pub fn levels(&self) -> u8 {
         self.levels
     }
 
     /// Whether a change waits for a motion.
-    #[inline]
     pub fn is_waiting(&self) -> bool {
         self.count > 0
     }
@@ -89,7 +87,6 @@ impl DigitalOutputs {
     }
 
     /// Reports that a motion has been queued, so the last group is complete.
-    #[inline]
     pub fn motion_follows(&mut self) {
         self.open = false;
     }

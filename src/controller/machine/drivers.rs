@@ -29,7 +29,6 @@ impl Drivers {
     }
 
     /// Switches the current on for a motion. Returns whether that changes anything.
-    #[inline]
     pub fn switch_on(&mut self) -> bool {
         let changes = !self.on || self.off_at.is_some();
         *self = Drivers { on: true, off_at: None };
@@ -54,7 +53,6 @@ impl Drivers {
     }
 
     /// Switches the current off once the delay is over.
-    #[inline]
     pub fn look(&mut self, now: Instant) {
         if self.off_at.is_some_and(|at| now >= at) {
             self.switch_off();

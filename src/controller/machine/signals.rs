@@ -92,7 +92,6 @@ impl Inputs {
 
     /// Whether [`Inputs::sensed`] may have changed since the last [`Inputs::told`]. Called for each sample; usually
     /// false.
-    #[inline]
     pub fn is_untold(&self) -> bool {
         self.untold
     }

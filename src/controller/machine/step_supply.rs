@@ -49,7 +49,6 @@ impl StepSupply {
     }
 
     /// What the pump has observed last.
-    #[inline]
     pub(crate) fn observed(&self) -> &Observed {
         &self.observed
     }
@@ -65,7 +64,6 @@ impl StepSupply {
     }
 
     /// Whether motion has been started and has not ended.
-    #[inline]
     pub(crate) fn is_running(&self) -> bool {
         self.running
     }
@@ -82,7 +80,6 @@ impl StepSupply {
 
     /// Whether segments come before planning. `holds` tells whether the step queue holds at least a given step time, in
     /// microseconds.
-    #[inline]
     pub(crate) fn is_short(&mut self, holds: impl Fn(u32) -> bool) -> bool {
         self.well_filled = (self.well_filled || holds(WELL_FILLED_US)) && self.running;
         !self.well_filled || !holds(LOW_WATER_US)

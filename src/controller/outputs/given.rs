@@ -34,19 +34,16 @@ impl Pins {
         Pins { ganged_motors: GangedMotors::Both, calm: false, levels: None, wiring: None, source: None };
 
     /// Whether no event since the last comparison could have changed the outputs.
-    #[inline]
     pub(crate) fn are_calm(&self) -> bool {
         self.calm
     }
 
     /// Marks the outputs as up to date. Motion alone does not change them.
-    #[inline]
     pub(crate) fn calm_down(&mut self) {
         self.calm = true;
     }
 
     /// Requires a new comparison after an event, such as a message, a part of a line, or a driver that was switched on.
-    #[inline]
     pub(crate) fn disturb(&mut self) {
         self.calm = false;
     }
@@ -70,7 +67,6 @@ impl Pins {
     }
 
     /// Returns the wiring if it differs from that last sent.
-    #[inline]
     pub(crate) fn changed_wiring<const N: usize>(
         &mut self,
         settings: &Settings<N>,

@@ -43,7 +43,6 @@ impl<const N: usize> Controller<N> {
 
     /// Switches the digital outputs that wait for a motion which has started. In alarm and sleep, switches all of them
     /// off.
-    #[inline]
     pub(crate) fn settle_outputs(&mut self) {
         if self.m.accessories.digital().is_waiting() {
             let mark = self.m.motion.begun_mark();
@@ -80,7 +79,6 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Returns the power of the spindle while nothing moves.
-    #[inline]
     pub(crate) fn resting_power(&self) -> u16 {
         if self.m.accessories.spindle_output() == SpindleDirection::Off { 0 } else { self.turning_power() }
     }
@@ -108,7 +106,6 @@ impl<const N: usize> Controller<N> {
 
     /// Returns the power of a segment under the present override. Because the override is applied to segments, it also
     /// affects queued moves.
-    #[inline]
     pub(crate) fn overridden_power(&self, power: u16) -> u16 {
         match self.acting_overrides().spindle {
             100 => power,
@@ -157,7 +154,6 @@ impl<const N: usize> Controller<N> {
         self.m.pins.changed(pins)
     }
 
-    #[inline]
     pub(crate) fn changed_wiring(&mut self) -> Option<Wiring> {
         self.m.pins.changed_wiring(&self.m.settings, self.m.inputs.wiring(), matches!(self.state, State::Homing(_)))
     }

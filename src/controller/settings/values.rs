@@ -67,7 +67,6 @@ impl<const N: usize> Settings<N> {
     }
 
     /// Returns how many axes the machine has (`$930`). In Grbl's dialect it has at most three.
-    #[inline]
     pub fn axes_in_use(&self) -> usize {
         if N <= LINEAR || self.value(Key::Dialect) == 0.0 {
             return N.min(LINEAR);

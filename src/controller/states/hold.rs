@@ -27,7 +27,6 @@ impl Hold {
     pub(crate) const BEGUN: Hold = Hold { turns_at: None, leaves: false };
 
     /// If the end of the hold waits for the spindle: when its spin-up time ends.
-    #[inline]
     pub(crate) fn ends_with_spindle(&self) -> Option<Instant> {
         self.turns_at.filter(|_| self.leaves)
     }

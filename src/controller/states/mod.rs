@@ -129,7 +129,6 @@ impl<const N: usize> State<N> {
     }
 
     /// Whether received lines are read in this state.
-    #[inline]
     pub fn takes_lines(&self) -> bool {
         matches!(self, State::Normal | State::Jog { .. } | State::Alarm(_) | State::Check)
     }

@@ -29,7 +29,6 @@ impl<const N: usize> Controller<N> {
 
     /// Whether the motion leaves the range in which the controller computes. An arc can bulge beyond its ends, and with
     /// belts (CoreXY) a motor moves by the sum of X and Y.
-    #[inline]
     fn leaves_range(&self) -> bool {
         // The target of a straight line has been checked before, and all points of the line lie between its ends.
         let is_plain =
@@ -97,7 +96,6 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Soft limits (`$20`): whether any part of the line's motion lies outside of the travel.
-    #[inline]
     pub(crate) fn violates_soft_limits(&self) -> bool {
         self.limits_travel() && self.leaves_travel()
     }
@@ -154,13 +152,11 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Returns the number (`$`) of the setting that locks all motion, if a setting does.
-    #[inline]
     pub(crate) fn locking_setting(&mut self) -> Option<u16> {
         self.m.settings_lock.setting(&self.m.settings)
     }
 
     /// Returns an error, and reports the reason to the host, if a setting or damaged stored settings lock all motion.
-    #[inline]
     pub(crate) fn motion_locked(&mut self) -> Option<Error> {
         if self.m.records.are_damaged() {
             self.tell_damage();

@@ -19,7 +19,6 @@ impl<const N: usize> Controller<N> {
 
     /// Whether the line can be executed now. An output that changes with a motion may have to wait until earlier
     /// changes have been made.
-    #[inline]
     pub(crate) fn has_room_for_pins(&mut self) -> bool {
         match self.line.action.pins() {
             Some(ProgramPins::Digital { with_motion: true, .. }) => self.has_room_for_change(),

@@ -79,7 +79,6 @@ impl<const N: usize> Controller<N> {
 
     /// Whether there is a task that can advance. Checked before each segment, to save needless calls of
     /// [`Controller::advance`].
-    #[inline]
     pub(crate) fn may_advance(&self) -> bool {
         match &self.task {
             Task::None => matches!(self.state, State::Homing(_)),
@@ -89,7 +88,6 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Whether the line can only wait, because the look-ahead is full and motion is already running.
-    #[inline]
     fn waits_for_room(&self, stage: Stage) -> bool {
         let moves = match stage {
             Stage::Target => matches!(self.line.action.motion, gcode::MotionCommand::Line { .. }),
@@ -183,7 +181,6 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Advances the line until it has to wait, or until something must be output before it continues.
-    #[inline]
     fn advance_line(&mut self, job: &mut Job) -> bool {
         let checking = matches!(self.state, State::Check);
         let mut progressed = false;
@@ -266,7 +263,6 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Whether the effects of a stage are output, and shown to the host, before the next stage begins.
-    #[inline]
     fn is_shown_before(&self, stage: Stage, next: Stage) -> bool {
         match stage {
             Stage::Apply => self.line.action.changes_outputs(),
@@ -310,7 +306,6 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Starts the motion of the line. Returns the next stage; `None` if the line has to wait.
-    #[inline]
     fn begin_motion(&mut self, job: &mut Job) -> Option<Stage> {
         self.m.accessories.digital_mut().motion_follows();
         match self.line.action.motion {

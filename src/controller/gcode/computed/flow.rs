@@ -12,8 +12,8 @@
 //! fit is refused up to its end, so that none of its lines is executed as a line of the program. Held text is returned
 //! line by line, without recursion.
 
+use super::m_words::has_m_word;
 use crate::error::Error;
-use crate::gcode::m_words::has_m_word;
 use crate::gcode::remark::split_remark;
 use crate::lent::Lent;
 

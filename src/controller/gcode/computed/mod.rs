@@ -6,6 +6,7 @@
 mod explain;
 mod expression;
 mod flow;
+mod m_words;
 mod machine_values;
 mod macros;
 mod o_words;

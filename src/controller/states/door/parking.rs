@@ -120,13 +120,11 @@ impl<const N: usize> Parking<N> {
     }
 
     /// The motion of parking.
-    #[inline]
     pub fn motion(&self) -> &Motion<N> {
         &self.motion
     }
 
     /// Returns the next message of parking to the step task.
-    #[inline]
     pub fn next_message(&mut self) -> Option<ToStep> {
         self.motion.next_message()
     }

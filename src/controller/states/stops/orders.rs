@@ -82,13 +82,11 @@ impl Stops {
         Stops { awaited: None, expected: 0, seen: 0, moving: false, line: 0, ordered: false, resume: false };
 
     /// Why a stop is awaited, if one is.
-    #[inline]
     pub fn awaited(&self) -> Option<StopReason> {
         self.awaited
     }
 
     /// Whether a stop is awaited.
-    #[inline]
     pub fn is_awaited(&self) -> bool {
         self.awaited.is_some()
     }
@@ -100,7 +98,6 @@ impl Stops {
 
     /// Whether the step task takes messages: no stop is awaited, and every stop that has been reported was also
     /// expected.
-    #[inline]
     pub fn is_open(&self) -> bool {
         self.awaited.is_none() && self.seen == self.expected
     }
@@ -131,13 +128,11 @@ impl Stops {
     }
 
     /// Whether an order is still to be sent to the step task.
-    #[inline]
     pub fn has_order(&self) -> bool {
         self.ordered
     }
 
     /// Returns whether an order has to be sent to the step task, and marks it as sent.
-    #[inline]
     pub fn take_order(&mut self) -> bool {
         let ordered = self.ordered;
         if ordered {
@@ -147,7 +142,6 @@ impl Stops {
     }
 
     /// Returns the count of stops with which to reopen the step task, if that is due.
-    #[inline]
     pub fn take_resume(&mut self) -> Option<u16> {
         core::mem::take(&mut self.resume).then_some(self.seen)
     }

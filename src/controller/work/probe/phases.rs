@@ -73,7 +73,6 @@ impl<const N: usize> Probe<N> {
     }
 
     /// Returns the message to be sent to the step task now, if any.
-    #[inline]
     pub fn take_watch(&mut self) -> Option<ToStep> {
         self.watch.take()
     }
@@ -88,13 +87,11 @@ impl<const N: usize> Probe<N> {
 
     /// Whether the step task is braking after a contact, or waits to be stopped after that. Until it has been stopped
     /// it takes no messages.
-    #[inline]
     pub fn is_braking(&self) -> bool {
         self.phase == Some(Phase::Braking)
     }
 
     /// Whether no probe is in progress and the end of the watch has been sent to the step task.
-    #[inline]
     pub fn is_over(&self) -> bool {
         self.phase.is_none() && self.watch.is_none()
     }
