@@ -172,8 +172,8 @@ pub trait StepOutput<const N: usize> {
 
     /// Sets which outputs are inverted (one bit for each axis) and the role of the second motor. Call at rest.
     fn set_polarity(&mut self, step_invert: u8, direction_invert: u8, second: SecondMotor);
-    /// Sets the minimum pulse length in tenths of a microsecond; the actual length is less than a tick longer. Call at
-    /// rest.
+    /// Sets the minimum pulse length in tenths of a microsecond. The actual length can exceed it, by less than a tick.
+    /// Call at rest.
     fn set_pulse(&mut self, tenths: u16);
     /// Sets the frequency of the spindle's PWM. `power` is the present power, which has another compare value at the
     /// new frequency.

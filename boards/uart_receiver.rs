@@ -394,9 +394,9 @@ impl<S: ByteSource> UartReceiver<S> {
         self.scanned = self.scanned.saturating_sub(count);
     }
 
-    /// Returns whether DMA has overtaken the reader. This is so if the next slot is empty and more than one byte is
-    /// said to be unread; only the last of them can be counted before it is written. In that case DMA wrapped around
-    /// during a look, which read the newest byte as the oldest.
+    /// Returns whether DMA has overtaken the reader. DMA can count a byte before it writes it, but only the newest one.
+    /// So if more than one byte is counted as unread, and the next slot is empty, DMA has wrapped around during a look,
+    /// and that look has read the newest byte as if it were the oldest.
     #[cold]
     #[inline(never)]
     fn is_overtaken(&self, place: usize) -> bool {

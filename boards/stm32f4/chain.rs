@@ -146,8 +146,9 @@ pub(super) struct Chain<M, const P: usize> {
     one_by_one: bool,
     /// With `one_by_one`: an event has been committed and is not output yet.
     pending: bool,
-    /// Number of event times that DMA1 has counted when the first one is in CCR1: 1 if it counts a word when writing
-    /// it, 2 if when fetching it. The manual leaves open which (DMA_SxNDTR), so each `begin` measures it.
+    /// Number of event times that DMA1 has counted when the first one is in CCR1. It is 1 if DMA1 counts a word when it
+    /// writes the word, and 2 if it counts a word when it fetches it. The manual leaves open which (DMA_SxNDTR), so
+    /// each `begin` measures it.
     first_moments: usize,
     map: PhantomData<M>,
 }

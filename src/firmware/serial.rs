@@ -31,9 +31,9 @@ const MOST_OTHERS: u32 = 128;
 /// Time in µs after which one more of the bytes limited by `MOST_OTHERS` is allowed.
 const OTHER_US: u32 = 200;
 /// Maximum number of bytes that are taken one by one (not as plain text) in `SINGLY_US` µs from a link that cannot
-/// wait. This is more than lines of 15 characters with CR LF contain in that time at 1 Mbaud, and few enough for
-/// `control` to continue its work. A host that counts characters never has more bytes in transit than there is room
-/// for.
+/// wait. Lines of 15 characters with CR LF, sent at 1 Mbaud, have fewer such bytes in that time. The number is low
+/// enough for `control` to continue its work. A host that counts characters never has more bytes in transit than there
+/// is room for.
 const MOST_SINGLY: usize = 12;
 /// Period for `MOST_SINGLY`, in µs.
 const SINGLY_US: u32 = 800;

@@ -145,8 +145,8 @@ impl Simulator {
         self.turn();
     }
 
-    /// For a replay, which sends bytes at the time at which they were taken: receives bytes; `more` says whether
-    /// further bytes wait after them.
+    /// For a replay, which sends bytes at the time at which the board took them. `more`: whether the board had further
+    /// bytes waiting after them.
     pub fn send_followed(&mut self, bytes: impl AsRef<[u8]>, more: bool) {
         self.host.follow(more);
         self.send(bytes);

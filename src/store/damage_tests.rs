@@ -324,7 +324,8 @@ proptest! {
         prop_assert_eq!(contents(&mut Log::open(log.flash).unwrap()), model);
     }
 
-    /// With any damage after the header and one wrong byte in the header, all records outside the damage are valid.
+    /// With any damage after the header and at most one wrong byte in the header, all records outside the damage are
+    /// valid.
     #[test]
     fn what_is_not_hit_holds(
         changes in changes(),

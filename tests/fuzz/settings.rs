@@ -224,8 +224,8 @@ impl Machine {
         self.board.pass(1_000_000, false);
     }
 
-    /// Changes a setting and checks that it is listed as set, to the digits of the report, and that related settings
-    /// stay.
+    /// Changes a setting and checks that it is listed as set, to the digits of the report, and that no other line of
+    /// the listings changes, except those that depend on this setting.
     fn set(&mut self, number: u16, text: &str) {
         let name = format!("${number}=");
         // Disabling homing also disables soft limits; inches change the units of listings; another dialect has other

@@ -455,7 +455,8 @@ fn run_late(settings: &str, text: &str, line_s: f64) -> Rig {
     rig
 }
 
-/// Window in which speeds are compared if the course cannot be followed, s.
+/// Window in which mean speeds are compared if the tool does not pass the vertices, so that [`greatest_change`] cannot
+/// be used, s.
 const WINDOW: f64 = 0.02;
 
 /// Returns the largest change of an axis' mean speed from one window to the next, mm/s.

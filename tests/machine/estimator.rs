@@ -117,9 +117,9 @@ struct Reading {
 }
 
 impl Reading {
-    /// Returns the maximum time, s, for which an acceleration can act between two mean speeds. It is the distance of
-    /// the middles, plus the part by which the longer interval extends beyond the shorter, plus one step for a change
-    /// of acceleration between them.
+    /// Returns the time, s, by which an acceleration is multiplied to get the largest difference that it can make
+    /// between two mean speeds. It is the distance of the middles of the intervals, plus a quarter of the difference of
+    /// their lengths, plus one step for a change of acceleration between them.
     fn apart(&self, other: &Reading) -> f64 {
         (self.at - other.at).abs() + (self.span - other.span).abs() / 4.0 + self.step.max(other.step)
     }

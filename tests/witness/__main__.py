@@ -1,5 +1,5 @@
-"""Runs the firmware in labwired and prints the result for each belief: `python -m witness BOARD ELF FOLDER`, as `cargo
-xtask witness` does.
+"""Runs the firmware in labwired and prints the result for each of the firmware's beliefs about the hardware (see
+`beliefs.py`): `python -m witness BOARD ELF FOLDER`, as `cargo xtask witness` does.
 
 With `--faults` as the last argument it runs images with faults instead: a wrong clock, a wrong flash key, and wrong DMA
 channels for steps and for the UART. Each fault must be detected.

@@ -125,8 +125,8 @@ fn compare_streamed(elf: &Path, file: &Path, expected: &Steps) -> Result<(), Fai
     }
 }
 
-/// Returns the text of a job as the simulator's controller gets it: lines that start with `%` (tape marks) are removed,
-/// and bytes that are not ASCII are replaced by points.
+/// Returns the text of a job for the firmware: lines that start with `%` are removed, as the simulator does with tape
+/// marks, and each character that is not ASCII is replaced by a point.
 fn job_text(file: &Path) -> Result<Vec<u8>, Failure> {
     let bytes = fs::read(file).map_err(|error| format!("{}: {error}", file.display()))?;
     let text = String::from_utf8_lossy(&bytes);

@@ -194,7 +194,8 @@ impl Records {
         }
     }
 
-    /// Stores the value of `$20` that must precede a new `$22`. `were_on`: whether soft limits were on before `$22` was
+    /// Before a new value of `$22` is stored, stores the value of `$20` that belongs to it, unless the stored one can
+    /// stay (see [`Settings::soft_limits_before_homing`]). `were_on`: whether soft limits were on before `$22` was
     /// changed.
     pub(crate) fn save_soft_limits_before_homing<const N: usize>(&mut self, settings: &Settings<N>, were_on: bool) {
         if let Some(value) = settings.soft_limits_before_homing(were_on) {

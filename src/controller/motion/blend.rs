@@ -198,8 +198,9 @@ impl Corner {
         })
     }
 
-    /// Returns the circle for the speed `fast` within `deviation`, its first vertex at most `back` from the corner.
-    /// `None` if the machine can pass the unchanged corner at this speed.
+    /// Returns the circle for the speed `fast`. The path along its vertices (see [`Fillet`]) stays within `deviation`
+    /// of the moves, and its first vertex is at most `back` before the corner. `None` if the machine can pass the
+    /// unchanged corner at this speed.
     fn fillet<const N: usize>(&self, fast: f32, deviation: f32, back: f32, rule: &TurnRule<N>) -> Option<Fillet> {
         if self.jump >= fast {
             return None;

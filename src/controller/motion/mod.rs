@@ -617,8 +617,8 @@ impl<const N: usize> Motion<N> {
     }
 
     /// Returns the power of the move being handed over, or of the next one. `None` without a move, and for a move that
-    /// overrides have no effect on (jog, homing, probing). The step task executes this move later, by the time queued
-    /// there.
+    /// overrides have no effect on (jog, homing, probing). The step task executes this move only after the motion that
+    /// is already queued there.
     pub fn running_power(&self) -> Option<u16> {
         match self.queue.planner.first() {
             Some(block) => (block.flags & NO_OVERRIDE == 0).then_some(block.power),
@@ -632,7 +632,7 @@ impl<const N: usize> Motion<N> {
     }
 
     /// Returns the line number of the move handed over last (completely or in part), 0 if none. The step task executes
-    /// this move later, by the time queued there.
+    /// this move only after the motion that is already queued there.
     pub fn running_line_number(&self) -> u32 {
         self.source.running.line_number
     }

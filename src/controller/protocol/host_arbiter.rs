@@ -55,7 +55,8 @@ impl HostArbiter {
         self.epoch
     }
 
-    /// Returns whether line bytes of a link go on as they are: its host has the floor, and no cut is owed.
+    /// Returns whether the link's line bytes can be queued without further steps: its host has the floor, and no
+    /// [`HOST_CHANGED`] has to precede them.
     #[inline]
     pub(super) fn reads(&self, link: usize) -> bool {
         !self.cut && self.floor.is_held_by(link)

@@ -65,8 +65,8 @@ impl Remark {
         };
     }
 
-    /// Leaves the remark, because the line has ended, or because bytes were lost and its end may be among them. The
-    /// bytes of an incomplete character are then single bytes.
+    /// Leaves the remark, because the line has ended, or because bytes were lost and the end of the remark may be among
+    /// them. After that, the bytes of an incomplete character count as single bytes: see [`Remark::break_off`].
     pub fn leave(&mut self) {
         self.place = RemarkPlace::Words;
     }

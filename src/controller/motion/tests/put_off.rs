@@ -268,8 +268,8 @@ fn with_a_jerk_limit_nothing_is_settled() {
     assert_eq!(queue.block(1).unwrap().entry2, 49.0);
 }
 
-/// A turn lowers the last blocks, and a block leaves the queue before the pass that follows. The pass must not process
-/// the slots after the queue: they hold old blocks, which would change the entries.
+/// A turn that has been found limits the speed of the last blocks, and a block leaves the queue before the next pass.
+/// That pass must not process the slots after the queue: they hold old blocks, which would change the entries.
 #[test]
 fn what_has_been_lowered_moves_up_with_the_queue() {
     for begin in 0..24 {

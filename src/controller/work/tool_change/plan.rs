@@ -164,7 +164,7 @@ impl<const N: usize> ToolChange<N> {
     pub const NONE: Self =
         Self { plan: ChangePlan::NONE, phase: ChangePhase::Back, touched: Coordinate::ZERO, is_first: false };
 
-    /// Returns a tool change that begins with [`ToolChange::begin`].
+    /// Returns a tool change that has not begun: [`ToolChange::begin`] returns its first order.
     pub fn new(plan: ChangePlan<N>) -> Self {
         Self { plan, ..Self::NONE }
     }
