@@ -31,7 +31,7 @@ fn kib(script: &str, symbol: &str) -> u32 {
 
 /// Returns the file with the pins of a board, without its comments.
 fn wiring(board: &str) -> String {
-    let set_up = file(&format!("boards/{board}/mod.rs"));
+    let set_up = file(&format!("boards/{board}.rs"));
     let name = ["blackpill", "nucleo64"].into_iter().find(|name| set_up.contains(&format!("crate::{name}")));
     code(name.expect("a wiring"))
 }

@@ -2,7 +2,7 @@
 //! chip; `setup` and the pins are in `boards/nucleo64.rs`. Compare the pins with the user manual (UM1724) and with the
 //! print on your shield before you switch on the motors' supply.
 //!
-#![doc = include_str!("../nucleo64.md")]
+#![doc = include_str!("nucleo64.md")]
 //!
 //! The clock comes from the ST-LINK (MCO, 8 MHz; bypass mode). The core runs at 180 MHz, the step clock at 90 MHz.
 //! All pins float during reset: spindle, laser and coolant need pull-down resistors, driver enable a pull-up.

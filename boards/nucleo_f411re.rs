@@ -2,7 +2,7 @@
 //! chip; `setup` and the pins are in `boards/nucleo64.rs`. Compare the pins with the user manual (UM1724) and with the
 //! print on your shield before you switch on the motors' supply.
 //!
-#![doc = include_str!("../nucleo64.md")]
+#![doc = include_str!("nucleo64.md")]
 //!
 //! The clock comes from the ST-LINK (MCO, 8 MHz; bypass mode). Core and step clock run at 100 MHz, the maximum of this
 //! part, because no USB requires 96 MHz. All pins float during reset: spindle, laser and coolant need pull-down
