@@ -291,7 +291,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
         let room = if self.one_by_one {
             1 - usize::from(self.pending)
         } else {
-            (DEPTH + 1 - Self::SPARE).saturating_sub(self.ahead())
+            // At least one, so that a first event can be made if `DEPTH` is 1.
+            (DEPTH.max(Self::SPARE) + 1 - Self::SPARE).saturating_sub(self.ahead())
         };
         let end = (self.head + room).min(RING);
         let words = self.rings.words.last_mut().and_then(|words| words.get_mut(self.head..end)).unwrap_or_default();
