@@ -1,0 +1,335 @@
+#!/usr/bin/env python3
+"""The host's side of a day on the bench (docs/bench.md): moves a board without motors, and judges what can be judged.
+
+    pip install pyserial numpy             # numpy only for `stops` with a logic analyser
+    python3 tests/on_target/bench_day.py PORT edges HZ PULSE
+    python3 tests/on_target/bench_day.py PORT jogs MINUTES
+    python3 tests/on_target/bench_day.py PORT stops N [--hz HZ] [--pulse PULSE] [--no-analyser]
+    python3 tests/on_target/bench_day.py PORT settings N
+
+PORT is a serial port, such as /dev/ttyACM0 or COM5, or an address such as socket://127.0.0.1:2399. So it can be tried without a
+board: `oxmill serve --tcp 2399 --board nucleo_f446re`.
+
+ * `edges`: X to and fro at HZ steps a second with pulses of PULSE us, under a flood of `?`, until Ctrl-C. For the oscilloscope.
+ * `jogs`: the jog of step 4, to and fro, with a flood of `?`; compares `MPos` after each.
+ * `stops`: N stops (0x85, `!`, 0x18) at random moments of a jog. Compares the edges at step X with `MPos`. The edges come from a
+   logic analyser: sigrok-cli, a device of its driver fx2lafw at 12 MS/s, D0 at step X, D1 at direction X, its ground at ground.
+   With `--no-analyser` it stops all the same but compares nothing.
+ * `settings`: N changes of `$100`, with a `?` every 20 ms.
+
+It changes settings of the board: `$RST=*` restores them. It ends with 0 if nothing was wrong.
+"""
+
+import argparse
+import collections
+import random
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+
+BAUD = 115_200
+# $100 of `edges` and `stops`, steps/mm: a step is 0.001 mm, the last digit of MPos.
+STEPS = 1_000
+# $120 of `edges` and `stops`, mm/s^2: the greatest rate is reached within some 50 ms.
+ACCELERATION = 20_000
+# Slowest jog of `stops`, steps/s.
+SLOWEST_HZ = 1_000
+# How far `stops` goes from where it began, mm.
+FARTHEST = 1_000
+# Time between two `?` of `settings`, s.
+ASKED_EVERY = 0.02
+# What the analyser still holds when the machine is at rest, s.
+BEHIND = 0.3
+CANCEL, HOLD, RESET = b"\x85", b"!", b"\x18"
+TAKE = "sigrok-cli -d fx2lafw -c samplerate=12m -C D0,D1 --continuous -O binary".split()
+
+
+class Board:
+    """A board at a port."""
+
+    def __init__(self, name):
+        try:
+            import serial
+        except ImportError:
+            sys.exit("pyserial is missing: pip install pyserial")
+        try:
+            self.port = serial.serial_for_url(name, BAUD, timeout=0.01)
+        except serial.SerialException as error:
+            sys.exit(f"{name} cannot be opened: {error}")
+        self.begun = b""
+        self.lines = collections.deque()
+        # What the board last said beside its answers.
+        self.messages = collections.deque(maxlen=3)
+        # A board greets when the port opens.
+        self.hear(0.3)
+        self.reset()
+
+    def read(self):
+        """Reads for 10 ms; returns the number of bytes."""
+        received = self.port.read(4096)
+        *lines, self.begun = (self.begun + received).split(b"\n")
+        for line in lines:
+            text = line.decode("ascii", "replace").strip()
+            if re.match(r"ALARM:(?!3$)|\[CRASH", text):
+                sys.exit(f"the board reports {text}")
+            self.lines.append(text)
+            if text.startswith("[MSG"):
+                self.messages.append(text)
+        return len(received)
+
+    def hear(self, seconds):
+        """Reads for some time and drops it."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.read()
+        self.lines.clear()
+
+    def wait(self, pattern, seconds=10):
+        """Waits for a line; returns the match. Lines before it are dropped."""
+        end, dropped = time.monotonic() + seconds, collections.deque(maxlen=5)
+        while True:
+            while self.lines:
+                line = self.lines.popleft()
+                if found := re.match(pattern, line):
+                    return found
+                dropped.append(line)
+            if time.monotonic() > end:
+                sys.exit(f"no {pattern!r} within {seconds} s; the last lines: {list(dropped)}")
+            self.read()
+
+    def send(self, line):
+        """Sends a line and waits for `ok`."""
+        self.port.write(line.encode() + b"\n")
+        answer = self.wait(r"ok$|error:\d+").group()
+        if answer != "ok":
+            sys.exit(" ".join([f"{line}: {answer}", *self.messages]))
+
+    def status(self):
+        """Returns the state and the machine position of X."""
+        self.port.write(b"?")
+        found = self.wait(r"<(\w+).*?MPos:(-?[\d.]+)")
+        return found[1], float(found[2])
+
+    def reset(self):
+        """Resets the controller, and unlocks it if it is locked then."""
+        self.port.write(RESET)
+        self.wait("Grbl")
+        if self.status()[0] == "Alarm":
+            self.send("$X")
+
+    def at_rest(self, seconds=30):
+        """Waits until nothing moves; returns the machine position of X. A hold that came before or after the motion is ended."""
+        end = time.monotonic() + seconds
+        while True:
+            state, x = self.status()
+            if state == "Idle":
+                return x
+            if state == "Hold":
+                self.port.write(b"~")
+            if time.monotonic() > end:
+                sys.exit(f"still in the state {state} after {seconds} s")
+            time.sleep(0.02)
+
+    def set_up(self, steps, rate, acceleration, pulse):
+        """Sets step rates and the pulse. The rate is low while the others change, as the board locks rates that it cannot make."""
+        for line in ("$10=1", "$32=0", "$110=60", f"$0={pulse:g}", f"$100={steps}", f"$120={acceleration}", f"$110={rate:g}"):
+            self.send(line)
+            print(line)
+
+    def flood(self, seconds):
+        """Asks for reports, more than it can get, for some time."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.port.write(b"?" * 8)
+            self.read()
+            self.lines.clear()
+
+
+class Analyser:
+    """Counts rising edges at D0 (step X), up at a low D1 (direction X) and down at a high one."""
+
+    def __init__(self):
+        try:
+            import numpy
+        except ImportError:
+            sys.exit("numpy is missing: pip install numpy (or --no-analyser, which compares nothing)")
+        if shutil.which(TAKE[0]) is None:
+            sys.exit(
+                "sigrok-cli is missing, which reads the logic analyser: install the package sigrok-cli of your system, "
+                "or https://sigrok.org/wiki/Downloads (or --no-analyser, which compares nothing)"
+            )
+        self.numpy = numpy
+        self.net = 0
+        self.samples = 0
+        self.log = tempfile.TemporaryFile()
+        self.process = subprocess.Popen(TAKE, stdout=subprocess.PIPE, stderr=self.log)
+        threading.Thread(target=self.count, daemon=True).start()
+        time.sleep(2)
+        self.check()
+
+    def count(self):
+        last = None
+        # `read1` returns what is there, so the count is never a block behind.
+        while block := self.process.stdout.read1(1 << 16):
+            bits = self.numpy.frombuffer(block, self.numpy.uint8)
+            before = bits[0] & 1 if last is None else last
+            step = self.numpy.concatenate(([before], bits & 1)).astype(self.numpy.int8)
+            back = bits[self.numpy.flatnonzero(self.numpy.diff(step) == 1)] >> 1 & 1
+            self.net += len(back) - 2 * int(back.sum())
+            self.samples += len(bits)
+            last = step[-1]
+
+    def check(self):
+        """Ends the program if no samples come (any more)."""
+        if self.process.poll() is None and self.samples:
+            return
+        self.process.kill()
+        self.log.seek(0)
+        said = self.log.read().decode(errors="replace").strip()
+        sys.exit(f"sigrok-cli gives no samples, or no more: {said or 'it says nothing'}. Command: {' '.join(TAKE)}")
+
+
+def edges(board, hz, pulse):
+    rate = 60 * hz / STEPS
+    board.set_up(STEPS, rate, ACCELERATION, pulse)
+    print(f"{hz:g} steps/s, to and fro, under a flood of `?`; Ctrl-C ends it")
+    x = hz / STEPS
+    jogs = 0
+    try:
+        while True:
+            board.send(f"$J=G91 G21 X{x:.3f} F{rate:.1f}")
+            board.flood(1)
+            board.at_rest()
+            jogs, x = jogs + 1, -x
+    except KeyboardInterrupt:
+        board.port.write(CANCEL)
+        board.hear(0.3)
+        print(f"\nended after {jogs} jogs, at MPos {board.at_rest():.3f}")
+
+
+def jogs(board, minutes):
+    board.set_up(250, 500, 10, 10)
+    end, x, count = time.monotonic() + 60 * minutes, 5, 0
+    begin = board.at_rest()
+    while time.monotonic() < end:
+        board.send(f"$J=G91 G21 X{x} F240")
+        board.flood(1.5)
+        where, count = board.at_rest(), count + 1
+        wanted = begin + max(x, 0)
+        if abs(where - wanted) > 0.002:
+            sys.exit(f"jog {count}: at MPos {where:.3f} instead of {wanted:.3f}")
+        x = -x
+    print(f"{count} jogs, MPos right after each")
+
+
+def stops(board, number, hz, pulse, compares):
+    analyser = Analyser() if compares else None
+    if not compares:
+        print("NO ANALYSER: nothing is compared. This run shows only that the board stops and answers.")
+    board.set_up(STEPS, 60 * hz / STEPS, ACCELERATION, pulse)
+    where = board.at_rest()
+    bad = 0
+    for k in range(number):
+        begin, before = where, analyser.net if analyser else 0
+        rate = hz if k % 2 == 0 else random.uniform(min(SLOWEST_HZ, hz), hz)
+        way = random.choice((-1, 1)) if abs(begin) < FARTHEST else -1 if begin > 0 else 1
+        stop = random.choice((CANCEL, HOLD, RESET))
+        # The way of one second.
+        board.send(f"$J=G91 G21 X{way * rate / STEPS:.3f} F{60 * rate / STEPS:.3f}")
+        time.sleep(random.uniform(0, 0.9))
+        if stop == RESET:
+            board.reset()
+        else:
+            board.port.write(stop)
+        where = board.at_rest()
+        told = f"{k + 1:4} {stop!r:8} {rate:9.0f} steps/s  MPos {where:11.3f}"
+        if not analyser:
+            print(told, " edges: not compared")
+            continue
+        time.sleep(BEHIND)
+        analyser.check()
+        off = analyser.net - before - round((where - begin) * STEPS)
+        bad += off != 0
+        print(told, f" edges off by {off}" if off else " edges agree")
+    if not analyser:
+        print(f"{number} stops, each answered; NOTHING COMPARED (--no-analyser)")
+        return
+    analyser.process.terminate()
+    print(f"{bad} of {number} stops with a difference")
+    if bad:
+        sys.exit(1)
+
+
+def settings(board, number):
+    asked = told = 0
+    pause, heard = 0.0, time.monotonic()
+    value = ""
+    for k in range(number):
+        value = f"{250 + k % 1000 / 1000:.3f}"
+        board.port.write(f"$100={value}\n".encode())
+        begin, answer = time.monotonic(), None
+        while answer is None:
+            board.port.write(b"?")
+            asked += 1
+            end = time.monotonic() + ASKED_EVERY
+            while time.monotonic() < end:
+                if board.read():
+                    now = time.monotonic()
+                    pause, heard = max(pause, now - heard), now
+            told += sum(line.startswith("<") for line in board.lines)
+            answer = next((line for line in board.lines if re.match(r"ok$|error:", line)), None)
+            board.lines.clear()
+            if answer not in ("ok", None) or time.monotonic() > begin + 5:
+                sys.exit(f"change {k + 1}, $100={value}: {answer or 'no answer within 5 s'}")
+    board.hear(0.5)
+    board.port.write(b"$$\n")
+    stored = float(board.wait(r"\$100=([\d.]+)")[1])
+    print(f"{number} changes; {asked} `?`, {told} reports; longest pause {pause * 1000:.0f} ms")
+    print(f"now power off and on: `$$` must list $100={value}")
+    if stored != float(value):
+        sys.exit(f"`$$` lists $100={stored}")
+
+
+def arguments():
+    parser = argparse.ArgumentParser(
+        description=__doc__.split("\n", 1)[0], epilog="More: docs/bench.md, and the beginning of this file."
+    )
+    parser.add_argument("port", metavar="PORT", help="/dev/ttyACM0, COM5, socket://127.0.0.1:2399")
+    tasks = parser.add_subparsers(dest="task", required=True)
+    task = tasks.add_parser("edges", help="X to and fro, until Ctrl-C")
+    task.add_argument("hz", metavar="HZ", type=float, help="steps/s")
+    task.add_argument("pulse", metavar="PULSE", type=float, help="$0, us")
+    task = tasks.add_parser("jogs", help="the jog of step 4, again and again")
+    task.add_argument("minutes", metavar="MINUTES", type=float)
+    task = tasks.add_parser("stops", help="random stops, edges compared with MPos")
+    task.add_argument("number", metavar="N", type=int)
+    task.add_argument("--hz", type=float, default=490_000, help="greatest rate, steps/s (490000)")
+    task.add_argument("--pulse", type=float, default=1, help="$0, us (1)")
+    task.add_argument("--no-analyser", action="store_true", help="stop, but compare nothing")
+    task = tasks.add_parser("settings", help="changes of $100 under `?`")
+    task.add_argument("number", metavar="N", type=int)
+    return parser.parse_args()
+
+
+def main():
+    given = arguments()
+    board = Board(given.port)
+    if given.task == "edges":
+        edges(board, given.hz, given.pulse)
+    elif given.task == "jogs":
+        jogs(board, given.minutes)
+    elif given.task == "stops":
+        stops(board, given.number, given.hz, given.pulse, not given.no_analyser)
+    else:
+        settings(board, given.number)
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit("interrupted")
