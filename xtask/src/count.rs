@@ -79,7 +79,7 @@ const ROWS: [Row; 20] = [
     row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_445, 2_170))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (197, 297)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (5_750, 9_560))
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (5_750, 9_580))
         .beside("2800 / 4400", "4100 / 6500"),
     row("recorded_line", "recording, a line of 15 bytes", Figure::Mean, None, (320, 510)),
     row("recorded_block", "recording, per message to the step task", Figure::Mean, None, (35, 52)),
