@@ -396,6 +396,15 @@ fn a_replay_begins_in_g1_without_a_feed() {
     }
 }
 
+#[test]
+fn a_state_with_an_input_that_stops_the_machine_is_no_beginning() {
+    let (log, _) = played_of_board(&[(1500, "M30\n"), (100, "G10 L20 P1 X0\n"), (10, "G1 Y0.05 F500\n")]);
+    let tripped = log.replace(" 0 000000 0 0 0", " 0 000001 0 0 0");
+    assert_ne!(tripped, log);
+    let parted = arrival(&tripped).unwrap().parted;
+    assert!(parted.as_ref().is_some_and(|why| why.contains("raise ALARM:1")), "{parted:?} {tripped}");
+}
+
 /// A corner is rounded only if its second move was known when its first move started, so the lines must come together.
 #[test]
 fn lines_that_came_at_once_are_played_at_once() {
