@@ -132,18 +132,24 @@ fn settings(options: &MachineOptions) -> Result<Vec<(String, String)>> {
     Ok(lines)
 }
 
-/// Applies settings. The last of them may be the dialect, which decides which values the others take: what was refused before
-/// is tried again after it.
+/// Applies settings. The last of them may be the dialect (`--dialect`), which decides which values the others take. So a
+/// setting that is refused before it is tried again after it, unless a later line sets the same number: the order of
+/// the two would change.
 fn apply_settings(
     simulator: &mut Simulator,
     recorder: &mut Option<Recorder>,
     settings: &[(String, String)],
 ) -> Result<()> {
+    let number =
+        |setting: &str| setting.trim_start_matches('$').split('=').next().map(|number| number.trim().to_owned());
     let mut refused = Vec::new();
-    for (origin, setting) in settings {
-        if apply(simulator, recorder, setting)?.is_err() {
-            refused.push((origin, setting));
+    for (index, (origin, setting)) in settings.iter().enumerate() {
+        let Err(why) = apply(simulator, recorder, setting)? else { continue };
+        let later = settings.get(index + 1..).unwrap_or_default();
+        if later.is_empty() || later.iter().any(|(_, other)| number(other) == number(setting)) {
+            bail!("{origin} {why}");
         }
+        refused.push((origin, setting));
     }
     for (origin, setting) in refused {
         apply(simulator, recorder, setting)?.map_err(|why| anyhow!("{origin} {why}"))?;
