@@ -39,7 +39,7 @@ pub(crate) struct Machine<const N: usize> {
     pub pins: Pins,
     pub settings_lock: SettingsLock,
     pub now: Instant,
-    /// When a program line was last answered.
+    /// When the host's last line was answered, requests (`$`) excepted, or the last hold or door ended.
     pub last_line_at: Instant,
     pub lines: LineIntake,
     pub interpreter: Lent<Interpreter<N>>,

@@ -96,7 +96,7 @@ impl<const N: usize> Controller<N> {
         if REASONS && let Err(error) = checked {
             self.line.explain(&mut self.m.interpreter, text, dialect, error, false);
         }
-        let asks_for_tool = checked.is_err() && gcode::asks_for_tool(known(text));
+        let asks_for_tool = checked.is_err() && gcode::asks_for_tool(known_text(text));
         self.m.lines.clear();
         match checked {
             Ok(Direction::Check) => {
@@ -150,7 +150,7 @@ impl<const N: usize> Controller<N> {
                     self.line.explain_length(length, fit);
                 }
                 self.m.lines.clear();
-                self.refuse_line_of_dispatch(Error::LineTooLong, None);
+                self.refuse_host_line(Error::LineTooLong, None);
             }
             Pushed::Complete => self.complete(),
         }
@@ -246,7 +246,7 @@ impl<const N: usize> Controller<N> {
         match result {
             Ok(()) => {}
             Err(error) if line.first() == Some(&b'$') => self.refuse(error),
-            Err(error) => self.refuse_line_of_dispatch(error, known(line)),
+            Err(error) => self.refuse_host_line(error, known_text(line)),
         }
         // Requests such as `$G`, which a sender may send all the time, do not interrupt a rest.
         if line.first() != Some(&b'$') {
@@ -254,8 +254,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Refuses a line of a program, or in place of one. `text`: its words, if they are known.
-    fn refuse_line_of_dispatch(&mut self, error: Error, text: Option<&[u8]>) {
+    /// Refuses a line of the host that is not a `$` command. `text`: its words, if they are known.
+    fn refuse_host_line(&mut self, error: Error, text: Option<&[u8]>) {
         if self.dialect() != Dialect::Grbl {
             self.m.interpreter.refused_behind_end(text);
         }
@@ -338,7 +338,7 @@ fn keeps_line(line: &[u8]) -> bool {
 }
 
 /// Returns the text of a line if it is known.
-fn known(text: &[u8]) -> Option<&[u8]> {
+fn known_text(text: &[u8]) -> Option<&[u8]> {
     Some(text).filter(|text| *text != [line_filter::OPEN_REMARK])
 }
 

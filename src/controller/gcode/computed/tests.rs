@@ -1,6 +1,7 @@
 //! Tests expressions against an independent evaluation in `f64`.
 
 use super::expression::{self, ParameterReference};
+use super::flow::KEYWORDS;
 use super::real::Real;
 use crate::error::Error;
 use proptest::prelude::*;
@@ -376,6 +377,12 @@ fn too_great_a_result() {
     for text in ["[EXP[95]]", "[EXP[100]]", "[10**41]", "[0-10**41]", "[10**40*10]", "[11**40]", "[1.23456789**600]"] {
         assert_eq!(compute(text), Err(Error::InvalidResult), "{text}");
     }
+}
+
+/// The words that a line after the end of a program can have are those that are carried out.
+#[test]
+fn keywords_are_the_o_words() {
+    assert_eq!(KEYWORDS.map(|(name, _)| name), crate::gcode::program_end::O_WORDS);
 }
 
 proptest! {

@@ -42,34 +42,14 @@ pub(super) fn millimetres(out: &mut Reason, units: i64) {
 }
 
 /// Appends a number with at least `least` digits.
-#[inline(never)]
-pub(super) fn digits(out: &mut Reason, value: u64, least: usize) {
-    let mut rest = u32::try_from(value).unwrap_or(u32::MAX);
-    let (mut power, mut places) = (1_000_000_000_u32, 10_usize);
-    while power > 0 {
-        if rest >= power || places <= least || power == 1 {
-            let mut digit = b'0';
-            while rest >= power {
-                rest -= power;
-                digit += 1;
-            }
-            let _ = out.push(digit);
-            // All lower digits follow, including zeros.
-            power /= 10;
-            while power > 0 {
-                let mut digit = b'0';
-                while rest >= power {
-                    rest -= power;
-                    digit += 1;
-                }
-                let _ = out.push(digit);
-                power /= 10;
-            }
-            return;
-        }
-        power /= 10;
-        places -= 1;
+pub(super) fn digits(out: &mut Reason, mut value: u64, least: usize) {
+    // 2^64 has 20 digits.
+    let mut digits = heapless::Vec::<u8, 20>::new();
+    while value > 0 || digits.len() < least {
+        let _ = digits.push(b'0' + (value % 10) as u8);
+        value /= 10;
     }
+    let _ = digits.iter().rev().try_for_each(|digit| out.push(*digit));
 }
 
 /// Returns the number of a word if it is written as a plain number.
