@@ -262,7 +262,10 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.set_pins(Signals::of_word(standing.active ^ inverted));
         // A board records a state at rest only while no input stops it.
         if let Some(alarm) = self.simulator.controller().alarm() {
-            return Err(format!("the inputs of its first state raise ALARM:{}: the recording is damaged", alarm.code()));
+            return Err(format!(
+                "the inputs of its first state raise ALARM:{}: the recording is damaged",
+                alarm.code()
+            ));
         }
         self.simulator.stand(standing, false);
         self.simulator.take_output();
