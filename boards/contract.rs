@@ -153,8 +153,8 @@ pub trait StepOutput<const N: usize> {
     fn pass(&mut self, ticks: u32);
     /// Returns the number of committed events that have not been output. It can be too high, but never too low.
     fn ahead(&self) -> usize;
-    /// Returns the time at which only `left` committed events will remain to be output, or a time that has come if no
-    /// more than that remain now.
+    /// Returns the time at which only `left` committed events will remain to be output. If no more than `left` remain
+    /// now, returns a time that is not in the future.
     fn moment_before(&self, left: usize) -> u32;
     /// Returns the deadline for committing an event due at `next`. If it is committed by then, the output continues
     /// with it and need not be started again.

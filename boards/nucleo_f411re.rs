@@ -5,8 +5,8 @@
 #![doc = include_str!("nucleo64.md")]
 //!
 //! The clock comes from the ST-LINK (MCO, 8 MHz; bypass mode). Core and step clock run at 100 MHz, the maximum of this
-//! part, because no USB requires 96 MHz. All pins float during reset: spindle, laser and coolant need pull-down
-//! resistors, driver enable a pull-up.
+//! part: the board has no USB, which would require 96 MHz. All pins float during reset: spindle, laser and coolant need
+//! pull-down resistors, driver enable a pull-up.
 
 use crate::{nucleo64, profiles};
 use oxmill_controller::Profile;

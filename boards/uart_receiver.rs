@@ -125,8 +125,8 @@ pub struct UartReceiver<S> {
     looks: u8,
     /// The last byte that was read. 0 if that was text read in one piece, or if bytes have been lost since.
     before: u8,
-    /// Decides whether to call the serial task: the number of bytes of text read since its last call, or at least
-    /// [`GATHERED`] once an end of line, a command or a loss was among them.
+    /// Number of bytes of text read since the last call of the serial task; decides whether to call it. An end of line,
+    /// a command or a loss raises the number to at least [`GATHERED`].
     text: u8,
     /// The last byte that was passed on since the last call of the serial task.
     unheard: Option<u8>,
@@ -318,8 +318,8 @@ impl<S: ByteSource> UartReceiver<S> {
         true
     }
 
-    /// Appends a byte that is not text. A `?`, hold, reset or stop is dropped if it repeats the last byte, which the
-    /// serial task has not processed yet; other repeated bytes are kept, as they may belong to one character.
+    /// Appends a byte that is not text. A `?`, hold, reset or stop is dropped if it repeats the last byte and the
+    /// serial task has not processed that one yet. Other repeated bytes are kept, as they may belong to one character.
     #[inline(always)]
     fn append_command(&mut self, byte: u8) {
         let last = self.message.from(0).last().copied().or(self.unheard);
@@ -407,8 +407,8 @@ impl<S: ByteSource> UartReceiver<S> {
         self.buffer.get(self.read).is_some_and(|slot| slot.load(Relaxed) == EMPTY)
     }
 
-    /// Returns whether all slots are used. The buffer only seems full while the last byte is written, but not counted
-    /// yet.
+    /// Returns whether all slots are used. Waits first, because the buffer also seems full while its last byte is
+    /// written but not counted yet.
     #[cold]
     #[inline(never)]
     fn is_full(&self, place: usize) -> bool {

@@ -13,7 +13,7 @@ pub const LATE_BYTES_US: u32 = 200_000;
 pub struct UsbHost {
     /// The host has sent something since it configured the device or closed its port. Some hosts never raise DTR.
     spoken: bool,
-    /// Time at which DTR fell, for as long as received bytes can still be those of the departed host, which closes its
+    /// Time at which DTR fell. Kept while received bytes can still be from the departed host, because a host closes its
     /// port before it cancels its unsent bytes.
     closing: Option<u32>,
     /// `dtr` and `configured` at the last [`UsbHost::look`].
@@ -46,7 +46,7 @@ impl UsbHost {
     pub fn look(&mut self, dtr: bool, configured: bool, now: impl FnOnce() -> u32) -> Look {
         // DTR falls when the host closes the port; the bus goes idle when the cable is pulled.
         let (closed, unplugged) = (self.dtr && !dtr, self.configured && !configured);
-        // A host that opens the port is a different one from the host that has sent bytes without opening it.
+        // If a host has sent bytes without opening the port, and the port is opened now, another host has opened it.
         let opened = !self.dtr && dtr;
         let changes_hands = opened && self.spoken;
         let gone = closed || unplugged || changes_hands;

@@ -76,8 +76,8 @@ fn no_timer_has_two_uses() {
     }
 }
 
-/// Neither on a Nucleo, whose UART uses two streams of DMA1, nor on a Black Pill, whose UART uses one stream of DMA2
-/// while flash is written.
+/// The step output and the UART use different DMA streams. A Nucleo's UART uses two streams of DMA1; a Black Pill's
+/// UART uses one of DMA2 while flash is written.
 #[test]
 fn no_stream_has_two_uses() {
     let number = |file: &str, name: &str| -> usize {
@@ -209,8 +209,8 @@ fn a_black_pill_takes_no_rate_of_its_uart_that_it_cannot_keep() {
     }
 }
 
-/// A check for a board reports the words that its image lacks: its list must match the features that the image is built
-/// with.
+/// `oxmill check --board` reports the words that a board's image lacks. So `has_all_words` must match the features that
+/// the image is built with.
 #[test]
 fn boards_have_the_words_of_their_images() {
     let manifest = include_str!("../src/firmware/Cargo.toml");

@@ -205,7 +205,7 @@ fn thousands_of_connections_leave_nothing_behind() {
     let web = ["serve", "--web", "0", "--page", page.to_str().expect("a path")];
     let (tcp, page, (pinned, pins)) = (Server::new(&[]), Server::started(&web, "web http://"), Server::with_pins());
     let (tcp_address, page_address) = (tcp.address.clone(), page.address.trim_end_matches('/').to_owned());
-    // Fewer connections where each has a thread, because they take 10 ms each.
+    // The last two ports have a thread per connection, which takes 10 ms, so they get fewer connections.
     let ports = [(tcp, tcp_address, "", 3000), (page, page_address, "", 1000), (pinned, pins, "steps\n", 1000)];
     for (server, address, line, many) in ports {
         let address = address.as_str();
@@ -233,8 +233,8 @@ fn thousands_of_connections_leave_nothing_behind() {
             assert!(Instant::now() < end, "{before:?} {:?}", held(&server.program));
             std::thread::sleep(Duration::from_millis(50));
         }
-        // Stacks of ended threads use some memory; a leak of 4 KiB per connection would be seen, and of 1.4 KiB on the
-        // first port.
+        // 4 MiB are allowed, because stacks of ended threads use some memory. So the test detects a leak of 4 KiB per
+        // connection, or of 1.4 KiB on the first port.
         assert!(resident(&server.program) < memory + 4096, "{memory} {}", resident(&server.program));
     }
 }
@@ -254,8 +254,8 @@ fn clients_that_do_not_read_hold_no_place() {
     for stream in &mut unread {
         stream.set_nonblocking(true).expect("a socket");
     }
-    // Each client sends as much as the server accepts. The server reads the last clients until it cannot output more
-    // answers.
+    // Each client sends as much as the server accepts. The server reads from a client until it cannot write any more
+    // answers to it.
     let (mut is_full, end) = (false, Instant::now() + PATIENCE);
     loop {
         for stream in &mut unread {
@@ -604,7 +604,7 @@ fn a_reset_on_connection_gives_one_welcome() {
     assert_eq!(next.ask("G21"), "ok");
 }
 
-/// A file that a server writes is refused to another one, and stays complete.
+/// Asserts that a second server rejects a file that another server is writing.
 fn is_refused_to_another(option: &str, file: &str) {
     let second = Command::new(env!("CARGO_BIN_EXE_oxmill"))
         .args(["serve", "--stdio", option, file])
@@ -685,7 +685,7 @@ fn a_store_is_of_one_server() {
     assert!(said.iter().any(|line| line.starts_with("$100=80")), "{said:?}");
 }
 
-/// A held machine takes no lines. The program must end all the same, because no other host can connect.
+/// A held machine takes no lines. The program must still end, because no other host can connect.
 #[test]
 fn standard_input_that_ends_in_a_hold_ends_the_program() {
     let mut program = Command::new(env!("CARGO_BIN_EXE_oxmill"))
@@ -718,7 +718,7 @@ fn a_pseudo_terminal_keeps_nothing_for_the_next_client() {
         .expect("the program starts");
     let mut line = String::new();
     BufReader::new(program.stdout.take().expect("a pipe")).read_line(&mut line).expect("it says where it is");
-    // Ends the program in the end, and with it a read that would never end.
+    // Kills the program at the end of the test, or after `PATIENCE`, so that no read below waits forever.
     let (done, waits) = std::sync::mpsc::channel::<()>();
     let watch = std::thread::spawn(move || {
         let _ = waits.recv_timeout(PATIENCE);

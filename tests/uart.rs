@@ -1,5 +1,6 @@
 //! Tests the reader of a UART's received bytes, on memory: bytes keep their order, lost bytes are marked at their
-//! position, and no line with a damaged byte is carried out, whatever happens between any two memory accesses.
+//! position, and no line with a damaged byte is carried out, whatever happens between any two memory accesses. A look
+//! is one pass of the reader over the received bytes.
 
 use oxmill_boards::calls::{Calls, REST, is_stop};
 use oxmill_boards::uart_receiver::{Buffer, ByteSource, Look, MOST_WAITING, ReceivedBytes, SLOTS, UartReceiver};
@@ -110,7 +111,7 @@ impl Out {
         true
     }
 
-    /// Looks once, with room for some messages.
+    /// Looks once, with room for `room` messages.
     fn glance<S: ByteSource>(&mut self, receiver: &mut UartReceiver<S>, room: &mut usize) -> Look {
         receiver.look(|message| self.send(room, message))
     }
@@ -311,7 +312,7 @@ fn a_damaged_byte_at_each_place() {
     }
 }
 
-/// No byte after the damaged ones is dropped, whatever the message already contains when it arrives.
+/// No byte after the damaged ones is dropped, whatever the unfinished message already contains when that byte arrives.
 #[test]
 fn nothing_is_dropped_behind_damaged_bytes() {
     for count in 1..3 * ReceivedBytes::MOST {
@@ -428,8 +429,8 @@ fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
     assert!(last.ends_with(&behind) && behind[0] == b'!' && behind.len() == 301, "{} behind the loss", behind.len());
 }
 
-/// A stop is seen behind more text than there is room for, at once or within a few looks. The task is called for the
-/// stop until the stop is passed on.
+/// A stop is seen even if more text than there is room for precedes it, at once or within a few looks. The task is
+/// called for the stop until the stop has been passed on.
 #[test]
 fn a_stop_is_seen_behind_text_that_has_no_room() {
     for stop in [b'!', 0x18, 0x19, 0x84, 0x85] {

@@ -11,7 +11,7 @@
 //! | `A` | count `u32` | waits for `count` answers (`ok`, `error:`) since the last `R` or `N`, at most two minutes |
 //! | `W` | milliseconds `u32` | waits |
 //! | `I` | milliseconds `u32` | sends `?`, pausing in between, until the answer is `<Idle`, at most 4000 times |
-//! | `R` | | ends a record: reports the number of bytes that the firmware has sent so far to the test stand |
+//! | `R` | | ends a record: reports to the test stand how many bytes the firmware has sent so far |
 //! | `N` | | ends a record: reports that number, the machine time, the motors' steps and the stack |
 //! | `E` | milliseconds `u32` | ends the script if the machine has run for at least this time |
 //!

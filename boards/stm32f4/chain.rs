@@ -21,8 +21,7 @@
 //!
 //! * ES0287 2.2.11 (F411): DMA2 must write GPIO through its memory port and must not serve APB2 meanwhile. The rings
 //!   are therefore configured as an incrementing "peripheral".
-//! * DMA1 fetches one word ahead, so the time of an event must be in the ring before the second event before it is
-//!   output.
+//! * DMA1 fetches one word ahead, so the time of event n must be in the ring before event n - 2 is output.
 //! * TIM1 must be clocked while the processor sleeps, or it ignores its trigger; `step_pins` enables that clock.
 //! * TIM1 ignores a trigger while it counts. In that case DMA2 lags TIM5 by one event, which the counts of the streams
 //!   reveal.
@@ -57,8 +56,7 @@ const AGAIN_TICKS: u32 = 2_200;
 const NEAR_TICKS: u32 = 48;
 /// If an event is late by more than this many ticks, the output is stuck.
 const STANDS_TICKS: i32 = 500;
-/// Number of comparisons of the counts after one in which they differed. It is a fault only if they differ in all of
-/// these comparisons, too.
+/// If the counts differ, they are compared this many times more. The output has failed only if they differ each time.
 const MORE_LOOKS: u32 = 8;
 
 /// Error flags of streams 0 to 3. In the second flag register, the same bits are those of streams 4 to 7.
@@ -170,9 +168,9 @@ pub(super) fn cut<M: Map>() {
 }
 
 impl<M: Map, const P: usize> Chain<M, P> {
-    /// Number of slots that stay free. One is the slot after the last event. With several ports, the other one is the
-    /// slot before the tail, because the tail is that of the first port: the other ports may not have output this
-    /// slot's words yet.
+    /// Number of slots that stay free. One is the slot after the last event. With several ports, the slot before the
+    /// tail also stays free: the tail is that of the first port, and the other ports may not have output their words of
+    /// that slot yet.
     const SPARE: usize = if P > 1 { 2 } else { 1 };
 
     pub(super) const fn new(ports: [usize; P], rings: &'static mut Rings<P>) -> Self {
@@ -204,8 +202,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
     pub(super) fn take(&mut self) -> Due {
         let mut due = Due(read(M::TIM5 + SR));
         if !self.one_by_one {
-            // Queued events set the flag `OUT`, too, but do not call the task. It must not be cleared here, because
-            // DMA1 may be about to serve its request.
+            // Queued events set the flag `OUT`, too, but do not call the task. The flag must not be cleared here,
+            // because DMA1 may be about to serve its request.
             due = Due(due.0 & !Due::OUT.0);
         }
         if due.has(Due::MARK) {
@@ -357,8 +355,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
         self.moment_at(self.head.wrapping_sub(left).wrapping_sub(1))
     }
 
-    /// DMA1 fetches the time of an event when the second event before it is output, so the event must be committed
-    /// before that, even if output has not started yet.
+    /// DMA1 fetches the time of event n when event n - 2 is output, so event n must be committed before that, even if
+    /// output has not started yet.
     #[inline(always)]
     pub(super) fn joins_until(&self, next: u32) -> u32 {
         let is_alone = self.one_by_one || !self.begun && self.head < 2;

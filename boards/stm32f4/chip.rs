@@ -87,7 +87,7 @@ pub fn step_pins<const P: usize>(
 ) -> StepPins<P> {
     pac::TIM3::enable(rcc);
     pac::TIM3::reset(rcc);
-    // PWM mode 1 without preload: a new value takes effect at once, above all 0.
+    // PWM mode 1 without preload: a new value takes effect at once. This matters most for 0, which switches off.
     pwm.ccmr1_output().write(|w| raw!(w, 0b110 << 12));
     pwm.ccr2().write(|w| raw!(w, 0));
     pwm.ccer().write(|w| w.cc2e().set_bit());

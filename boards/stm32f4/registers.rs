@@ -8,9 +8,8 @@
 ///
 /// # Safety
 ///
-/// Each constant must be the address of the peripheral that it names, while the clock of that peripheral is on, or the
-/// address of memory that nothing else uses. The reason is that this module writes to these addresses without further
-/// checks.
+/// Each constant must be the address of the peripheral that it names, whose clock must be on, or of memory that nothing
+/// else uses: this module writes to these addresses without further checks.
 pub unsafe trait Map {
     /// Port A; the other ports follow.
     const GPIO: usize;

@@ -1,5 +1,5 @@
-//! UART with an interrupt for each byte, at the priority of the inputs. For boards on which DMA2 outputs the step edges
-//! and also has the only streams for this USART, because DMA2 must not serve APB2 while it outputs steps (`chain`).
+//! UART with an interrupt for each byte, at the priority of the inputs. For boards on which only DMA2 could serve this
+//! USART: DMA2 outputs the step edges there, and must not serve APB2 meanwhile (`chain`).
 //!
 //! ```text
 //!  USART ──▶ interrupt ──▶ buffer
@@ -215,7 +215,7 @@ impl ByteSource for ByInterrupt {
     }
 
     fn begin_anew(&mut self) -> bool {
-        // Not while DMA receives. The interrupt that ends this is already pending.
+        // While DMA receives, the buffer must not restart. The interrupt that ends this is already pending.
         let can = read(USART + CR_3) & DMA_RECEIVES == 0;
         if can && self.place > 0 {
             self.place = 0;

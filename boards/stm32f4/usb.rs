@@ -299,7 +299,7 @@ impl UsbPort {
     }
 
     /// Returns whether a host has configured the device. The driver's state alone is not reliable: after the bus has
-    /// gone idle, the driver takes data that arrived before for a sign of a host.
+    /// gone idle, the driver takes earlier data for a sign of a host.
     fn is_configured(&self) -> bool {
         self.device.state() == UsbDeviceState::Configured && !self.resetting && read(DSTS) & SUSPENDED == 0
     }

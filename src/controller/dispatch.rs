@@ -301,7 +301,7 @@ impl<const N: usize> Controller<N> {
     /// records.
     #[inline(never)]
     fn look_round(&mut self) -> Option<Output> {
-        // Not calm from here on, because `settle` can end a motion or start a delay.
+        // From here on the outputs can change, because `settle` can end a motion or start a delay.
         self.m.pins.disturb();
         let wanted = self.wants_line();
         self.settle();

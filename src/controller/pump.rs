@@ -90,8 +90,8 @@ pub fn round<const N: usize, P: Pump<N>>(pump: &mut P) -> bool {
     let now = pump.begin();
     observe(pump);
     // Commands come after the earlier reports of the step task and the store, and a disconnect comes before the
-    // commands of the next host. The calls are written out, because a loop over the sources costs a third more, and
-    // there is a round for each segment.
+    // commands of the next host. The calls are written out: a loop over the sources would take a third more time, and a
+    // round runs for each segment.
     let mut events = tell(pump, now, Source::Step);
     events |= tell(pump, now, Source::Store);
     events |= tell(pump, now, Source::Hosts);

@@ -6,8 +6,8 @@ const TENTH_NS: u32 = 100;
 /// Longest pause that common drivers require: 2.5 us (DM542), 1.9 us (DRV8825), each with an equally long pulse.
 /// Drivers that accept shorter pulses also accept shorter pauses, such as the A4988 with 1 us for both.
 const LONGEST_PAUSE_NS: u32 = 2_500;
-/// Pulse length below which the pause may be [`ROUNDING_NS`] shorter than the pulse: for drivers that accept such
-/// pulses, even that pause is far above their limit.
+/// Pulse length, ns. Below it, the pause may be shorter than the pulse by [`ROUNDING_NS`]. Drivers that accept such
+/// short pulses need far shorter pauses than that.
 const SHORT_PULSE_NS: u32 = 1_000;
 /// A step can come this much earlier than planned, because intervals are rounded to whole ticks. (Two ticks are 0.024
 /// us at 84 MHz.)

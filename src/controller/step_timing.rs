@@ -14,9 +14,9 @@ use crate::step_rates::least_pause_ns;
 
 /// Minimum set-up time of a direction, even if `$29` is less, microseconds.
 const LEAST_SETUP_US: u32 = 2;
-/// Maximum time between two events, microseconds. Longer gaps are filled with events that change nothing. For output
-/// without gaps a few events are always queued ahead. The shorter the time between two events, the less they are ahead
-/// of their times.
+/// Maximum time between two events, microseconds. Longer gaps are filled with events that change nothing. A few events
+/// are always queued ahead, so that the output has no gaps. Limiting the time between events limits how long before
+/// their times they are queued.
 const SPLIT_US: u32 = 250;
 
 /// Minimum and maximum times between step events, in ticks of the step clock.

@@ -245,8 +245,8 @@ impl StepsPerMm {
     #[inline]
     pub fn steps(self, coordinate: Coordinate) -> i32 {
         // In the first branch |coordinate| < 2^39 and mantissa < 2^24. The divisor is 10^7 × 2^shift, below 2^57
-        // because shift <= 33. Shifting before the division by 10^7 does not change the quotient: the bits cut off
-        // decide neither it nor its rounding.
+        // because shift <= 33. Shifting before the division by 10^7 does not change the quotient: the bits that are
+        // shifted out affect neither the quotient nor its rounding.
         const HALF: u64 = DECIMAL_ONE as u64 / 2;
         let size = coordinate.0.unsigned_abs();
         let rounded = if size >> 39 == 0 {

@@ -67,7 +67,7 @@ pub struct Control {
     unsent_wiring: Option<Wiring>,
     /// Count of queued line bytes when the round began: later bytes belong to a later round.
     lines_in: u32,
-    /// The serial task owed commands when the round began.
+    /// At the start of the round, the serial task held commands for which the queue had no room (owed commands).
     owes: bool,
     /// Owed commands taken from the serial task but not yet passed to the controller.
     owed: Owed,
@@ -142,14 +142,14 @@ impl Control {
             if !self.erase_ahead() {
                 break;
             }
-            // Lines had to wait for the erase.
+            // Continue with the lines that had to wait for the erase.
         }
         let observed = self.observe();
         if observed.step_idle && self.controller.is_idle() {
             self.recorder.at_rest(self.round_began, self.controller);
         }
         let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();
-        // The serial task checks whether the replies have been sent, too.
+        // The serial task checks separately whether the replies have been sent.
         shared::set_free(heard, nothing_waits && self.controller.is_free() && observed.step_idle);
         CONTROL.reads_characters.store(self.controller.reads_characters(), Ordering::Relaxed);
         if self.job.as_ref().is_some_and(|job| job.next == job.text.len())
@@ -172,7 +172,7 @@ impl Control {
         self.line_bytes_out != self.lines_in
     }
 
-    /// Ends holding back answers when there is nothing else to do. Returns whether any were held.
+    /// Call when there is nothing else to do: releases the answers that are held back. Returns whether there were any.
     #[inline(always)]
     fn release_answers(&mut self) -> bool {
         let are_held = self.coalescing.holds(self.lines_wait()) && self.controller.has_answers();
@@ -182,7 +182,7 @@ impl Control {
         are_held
     }
 
-    /// Stores position and line for a handler that ends the program.
+    /// Stores position and line, for the record of a failure that ends the program.
     fn note_place(&mut self) {
         let mut place = [0; 3];
         for (slot, at) in place.iter_mut().zip(self.controller.machine_position().iter()) {
@@ -192,9 +192,9 @@ impl Control {
         last_words::note(Whereabouts { place, line, moment });
     }
 
-    /// Erases flash if that is due, the machine is at rest with its spindle off, and no command waits: the erase stalls
-    /// the processor for a quarter of a second. Bytes that the host sends meanwhile are kept (see the board). Returns
-    /// whether it erased.
+    /// Erases flash if that is due, the machine is at rest with its spindle off, and no command waits (or only lines, if
+    /// the log is nearly full). The erase stalls the processor for a quarter of a second; the board keeps the bytes that
+    /// the host sends meanwhile. Returns whether it erased.
     fn erase_ahead(&mut self) -> bool {
         let observed = self.observe();
         let nothing_waits =
@@ -220,7 +220,8 @@ impl Control {
     }
 
     fn observe(&self) -> Observed {
-        // The queue is read first: a message leaves it and shows in `STEP` within one run of the step task's handler.
+        // Read the queue before `STEP`. The step task takes a message out of the queue and clears `at_rest` in the same
+        // run, so a message that has left the queue is visible in `STEP`.
         let queue_empty = self.ends.segments.is_empty();
         let step_idle = queue_empty && STEP.at_rest.load(Ordering::Relaxed);
         let used = SERIAL.bytes_queued.load(Ordering::Relaxed).wrapping_sub(self.line_bytes_out) as usize;
@@ -246,8 +247,7 @@ impl Control {
         SERIAL.bytes_received.load(Ordering::Relaxed) != SERIAL.bytes_queued.load(Ordering::Relaxed)
     }
 
-    /// Returns whether the serial task holds gathered line bytes although the queue is empty, so that it has to be
-    /// called.
+    /// Returns whether the serial task must be called because it holds gathered line bytes although the queue is empty.
     fn are_gathered(&self) -> bool {
         SERIAL.bytes_queued.load(Ordering::Relaxed) != self.line_bytes_out
             && self.line_reader.ahead().1.is_empty()
@@ -283,7 +283,7 @@ impl Control {
         self.owed.pop()
     }
 
-    /// Returns whether lines must wait for an erase. This delays a host that sends many settings before the log is
+    /// Returns whether lines must wait for an erase. A host that sends many settings is thus delayed before the log is
     /// full.
     #[inline(always)]
     fn waits_for_erase(&self) -> bool {
@@ -410,7 +410,7 @@ impl Pump<AXES> for Control {
 
     #[inline(always)]
     fn make_room(&mut self, took: bool) -> bool {
-        // Called only now, when the round has taken all messages: in an earlier call, the serial task may have found
+        // Call the serial task only now, when the round has taken all messages. In an earlier call, it may have found
         // the last message still in the queue.
         if took && (self.has_no_room() || self.are_gathered()) {
             boards::call_serial();

@@ -1,5 +1,5 @@
-//! Samples and filters the input pins, and reports changes to `control`. An armed input requests a stop of the step
-//! task from here, and the counts of noise are kept here.
+//! Samples and filters the input pins, and reports changes to `control`. If an armed input becomes active, requests a
+//! stop of the step task. Also counts the changes that the filter rejects as noise.
 //!
 //! Each sample also checks the alarm clock of `control`, the `Supervisor` of the watchdog, and the bytes received by
 //! the UART, for which it calls the serial task.

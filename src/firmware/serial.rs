@@ -32,13 +32,13 @@ const MOST_OTHERS: u32 = 128;
 const OTHER_US: u32 = 200;
 /// Maximum number of bytes that are taken one by one (not as plain text) in `SINGLY_US` µs from a link that cannot
 /// wait. Lines of 15 characters with CR LF, sent at 1 Mbaud, have fewer such bytes in that time. The number is low
-/// enough for `control` to continue its work. A host that counts characters never has more bytes in transit than there
-/// is room for.
+/// enough for `control` to continue its work. A host that counts characters loses no bytes by this limit, because it
+/// never has more bytes in transit than there is room for.
 const MOST_SINGLY: usize = 12;
 /// Period for `MOST_SINGLY`, in µs.
 const SINGLY_US: u32 = 800;
-/// Minimum number of runs without a byte after a `!` that may be text, before it becomes a command. Runs are about 500
-/// µs apart.
+/// A `!` that may be text becomes a command only after at least this many runs of the task without a further byte. Runs
+/// are about 500 µs apart.
 const QUIET_RUNS: u8 = 16;
 
 /// Link number of the USART.
@@ -50,7 +50,7 @@ const USB: usize = 1;
 struct ToControl {
     /// Whether commands that find no room are kept as marks (owed), because the link being read cannot wait.
     may_owe: bool,
-    /// No reply waits or is partly sent.
+    /// No reply waits or is partly sent, and the last run left no bytes unread.
     flushed: bool,
     realtime: Sender<'static, Realtime, REALTIME_DEPTH>,
     lines: Sender<'static, LineBytes, LINE_MESSAGES>,
@@ -229,9 +229,9 @@ impl<P: Port> Ported<P> {
         news
     }
 
-    /// Waits for the bytes after a `!` that was received last and may be text. If no byte comes, the `!` becomes a
-    /// command. Returns whether there is news for `control`. Runs are counted as well as time, because after a stall of
-    /// the processor the following bytes can have arrived without having been read.
+    /// Call while the last byte received is a `!` that may be text. Waits for the next byte; if none comes, the `!`
+    /// becomes a command. Returns whether there is news for `control`. Runs are counted as well as time, because after
+    /// a stall of the processor the following bytes can have arrived without having been read.
     #[cold]
     fn await_rest(&mut self, arbiter: &mut HostArbiter, queues: &mut ToControl) -> bool {
         let now = boards::clock_ticks();
@@ -249,7 +249,7 @@ impl<P: Port> Ported<P> {
         self.link.pass_on(arbiter, queues)
     }
 
-    /// Sends the refusals of the link as far as the port takes them. Returns `false` while some remain.
+    /// Sends the link's refusals of lines, as far as the port takes them. Returns `false` while some remain.
     fn refuse(&mut self) -> bool {
         let Self { port, link, .. } = self;
         link.refuse(|byte| port.send(byte))
@@ -318,8 +318,8 @@ impl Serial {
         let mut news = uart.receive(arbiter, &mut usb.link, queues);
         news |= usb.look(arbiter, &mut uart.link, queues);
         news |= usb.receive(arbiter, &mut uart.link, queues);
-        // The counts may follow the bytes, because the tasks that take the bytes or read the counts do not preempt this
-        // task.
+        // The counts may be updated after the bytes are queued, because the tasks that take the bytes or read the
+        // counts do not preempt this task.
         let queued = core::mem::take(&mut queues.bytes_queued);
         count(&SERIAL.heard, queued);
         count(&SERIAL.bytes_queued, queued);

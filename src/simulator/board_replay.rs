@@ -15,8 +15,8 @@ use oxmill_controller::protocol::realtime;
 
 /// The times of simulator and board can differ by up to 1/20 s. This is the denominator.
 const SLACK_PARTS: u64 = 20;
-/// A line that the board took within 1/1000 s of the previous line had waited together with it. This is the
-/// denominator.
+/// A line that the board took within 1/1000 s of the previous line counts as having waited together with that line.
+/// This is the denominator.
 const AT_ONCE_PARTS: u64 = 1000;
 /// Part of the modal words of a state in which no feed rate F is set.
 const NO_FEED: &str = "F0.0000000S";
@@ -374,8 +374,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.send_followed(bytes, more);
     }
 
-    /// A host sends `~` as soon as the machine reports that it rests in a hold. The simulator may reach that state a
-    /// little later.
+    /// Waits until a `~` can resume. A host sends `~` as soon as the board reports that it rests in a hold; the
+    /// simulator may reach that state a little later.
     fn resume(&mut self, time: u64) {
         self.advance(time);
         let mut ahead = self.simulator.clone();
@@ -523,9 +523,9 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         notes: &mut Vec<String>,
     ) -> Result<(), String> {
         let is_there = |simulator: &mut Simulator| {
-            // The board's position is that at the end of a segment, which here can lie between two events. `look` lets
-            // the controller notice that end. This can shift the controller's wake-ups in these last milliseconds, but
-            // not what the step task receives.
+            // The board's position is that at the end of a segment. In the simulator this end can lie between two
+            // events, so `look` lets the controller notice it. This can shift the controller's wake-ups in these last
+            // milliseconds, but not what the step task receives.
             simulator.look();
             let controller = simulator.controller();
             let here = controller.machine_position();

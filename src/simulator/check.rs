@@ -272,8 +272,8 @@ impl Check {
         let measured = simulator.meter().measured();
         let times = simulator.meter().times().sum();
         let (low, high) = machine.extents();
-        // The step counters began at 0 at power-up, but homing can have given the position other coordinates since.
-        // Distances from the present position are the same in both.
+        // The step counters began at 0 at power-up, but homing can have given the position other coordinates since. So
+        // take distances from the present position, which are the same in steps and in coordinates.
         let here = simulator.machine_place();
         let counted = simulator.meter().millimetres(machine.motors());
         let axes = simulator.controller().settings().axes_in_use();

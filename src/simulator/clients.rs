@@ -12,8 +12,8 @@ use std::thread;
 use std::time::Duration;
 use tungstenite::WebSocket;
 
-/// Reading stops when this many bytes of a client wait in its inbox. Where `hung_up` cannot tell, a disconnection is
-/// then noticed only after there is room again, because TCP reports it after the last byte.
+/// Reading stops when this many bytes of a client wait in its inbox. On a platform where `hung_up` detects nothing, a
+/// disconnection is then noticed only after there is room again, because TCP reports it after the last byte.
 const AHEAD: usize = (1 << 24) - PIECE;
 /// Bytes without a line end after which a client is disconnected. A board rejects lines of over 255 bytes.
 pub(crate) const LONGEST_LINE: usize = 1 << 16;

@@ -113,7 +113,7 @@ pub struct Fittings {
     backlash_mm: [f64; AXES],
     racked_mm: f64,
     contacts: Vec<Fitted>,
-    /// Position of the part that each motor drives, mm: up to the backlash behind the motor.
+    /// Position of the part that each motor drives, mm: below the motor's position by at most the backlash.
     driven_mm: [f64; AXES],
 }
 

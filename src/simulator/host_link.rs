@@ -222,8 +222,8 @@ impl HostLink {
         self.queues.lines.len()
     }
 
-    /// Number of line bytes in the queue and in the link. If the link will queue a cut before its bytes, the cut counts
-    /// as one byte; bytes that still wait in a replay count as one byte, too.
+    /// Number of line bytes in the queue and in the link. Plus one if a cut (`HOST_CHANGED`) must be queued before the
+    /// bytes in the link, and plus one if more bytes wait in a replay.
     pub fn received(&self) -> usize {
         let held = self.link.held();
         self.queues.lines.len() + held + usize::from(held > 0 && self.arbiter.owes_cut()) + usize::from(self.more)

@@ -132,9 +132,9 @@ fn settings(options: &MachineOptions) -> Result<Vec<(String, String)>> {
     Ok(lines)
 }
 
-/// Applies settings. The last of them may be the dialect (`--dialect`), which decides which values the others take. So a
-/// setting that is refused before it is tried again after it, unless a later line sets the same number: the order of
-/// the two would change.
+/// Applies settings. The last one may be the dialect (`--dialect`), which decides which values the others accept. So a
+/// refused setting is tried again after all the others. But if a later line sets the same number, the refusal is an
+/// error, because the second try would override that line.
 fn apply_settings(
     simulator: &mut Simulator,
     recorder: &mut Option<Recorder>,

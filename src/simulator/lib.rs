@@ -2,9 +2,9 @@
 //! around it. This file declares the modules and the program's `main`.
 //!
 //! The feature `program` adds the command-line program: among others, `run` simulates a job and reports what the
-//! machine did, and `serve` is a Grbl device for senders. Without it this library uses no files, threads, system clock
-//! or drawing, and runs on any processor: the output of [`Simulator`] depends only on its input and on the virtual time
-//! of each input; [`check`] runs a job through it.
+//! machine did, and `serve` is a Grbl device for senders. Without this feature the library uses no files, threads,
+//! system clock or drawing, and runs on any processor. The output of [`Simulator`] depends only on its input and on the
+//! virtual time of each input. [`check`] runs a job through it.
 //!
 //! ```no_run
 //! use oxmill_simulator::{Options, Simulator};

@@ -33,7 +33,7 @@ const DRAWN_TOLERANCE: f64 = 0.06;
 /// Maximum distance of the end of a block from the step that it is rounded to, in steps. The time that the planner
 /// gives to a block is rounded likewise.
 const ROUNDING: f64 = 0.5;
-/// Maximum position error at the ends of an arc's chord, which are given in fractions of a step; in steps.
+/// Maximum position error, in steps, of the ends of an arc's chord. These ends are given in fractions of a step.
 const TOLD: f64 = 0.5 / AxisSteps::PARTS as f64;
 /// Blocks shorter than this many steps say little about the length of their path: several are measured together.
 const SHORT: f64 = 4.0;
@@ -74,7 +74,7 @@ struct Coming {
     steps_by_axis: [AxisSteps; AXES],
     /// Bit mask of the axes that move in the negative direction.
     directions: u8,
-    /// Number of its units that were executed before the block was interrupted; it is now entered again there.
+    /// Units of the block that were executed before it was interrupted; it continues after them. 0 for a new block.
     entered: u32,
     /// The line and tool of the block, if moves are marked.
     mark: Mark,
@@ -88,7 +88,7 @@ struct Block {
     length: f64,
     /// Average length that rounding adds by moving the ends across the path.
     excess: f64,
-    /// Uncertainty of the length without `excess` that rounding across the path causes.
+    /// Uncertainty of the length (without `excess`) because of rounding across the path.
     doubt: f64,
     /// Maximum distance of the ends from their nominal positions, along the path.
     error: f64,

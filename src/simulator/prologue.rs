@@ -261,9 +261,9 @@ pub fn mode_of(state: &Interpreter<AXES>, rest: &[&[u8]], dialect: Dialect) -> R
     Err("no line moves the machine from there on".into())
 }
 
-/// Returns the index of the line of the rest with a curve (G5 without I and J) that continues a curve from before the
-/// rest; `None` if another curve of the rest precedes it, or there is no such line. Only words with literal numbers are
-/// recognized. `mode` is the motion mode in force.
+/// Returns the index, in the rest, of the line whose curve (G5 without I and J) continues a curve from before the rest.
+/// Returns `None` if there is no such line, or another curve of the rest precedes it. Only words with literal numbers
+/// are recognized. `mode` is the motion mode in force.
 pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) -> Option<usize> {
     let mut is_curve = mode == MotionMode::Spline(SplineKind::Cubic);
     for (line, text) in rest.iter().enumerate() {

@@ -72,7 +72,7 @@ fn texts(line: &[u8]) -> Vec<bool> {
             begun_at = at;
         }
         if !remark.takes(*byte, || true) {
-            // `!` and `~` in a comment are text if another byte follows, and at least the line end does.
+            // `!` and `~` in a comment are text if another byte follows. One always does, at least the line end.
             is_text[at] = matches!(byte, b'!' | b'~') && remark.is_inside();
             remark.follow(*byte, || true);
         } else if !remark.has_begun_character() {
@@ -82,8 +82,8 @@ fn texts(line: &[u8]) -> Vec<bool> {
     is_text
 }
 
-/// Returns a byte as readers of the file recognize it: as an ASCII character, or with the character of which it is a
-/// byte.
+/// Returns a byte as readers of the file recognize it: as an ASCII character, or together with the character that it
+/// is a part of.
 fn shown(line: &[u8], at: usize) -> String {
     let byte = line[at];
     if byte.is_ascii_graphic() {

@@ -20,8 +20,8 @@ use oxmill_controller::units::{Coordinate, DECIMAL_ONE, Decimal};
 /// axis that a program names moves.
 const START: [f64; AXES] = [-0.1357, -0.2473, -0.3791, -0.4919];
 
-/// Distance of the second simulator from [`START`], and the shift of the zero of each coordinate system relative to the
-/// system before.
+/// Distance of the second simulator's position from [`START`]. Also the shift of each coordinate system's zero relative
+/// to that of the previous system.
 const ELSEWHERE: [f64; AXES] = [1.9, 3.1, -2.3, 4.7];
 
 /// Default spin-up time, in seconds.

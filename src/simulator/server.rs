@@ -7,8 +7,8 @@
 //!
 //! One client is served at a time, as a serial port is open in one program only; on TCP, a second client gets a message
 //! and is disconnected. When a client closes its side, the port is closed (`$914` says what becomes of the job), and
-//! bytes for which the board has no room are discarded. A client's bytes are read ahead of the machine, so that its
-//! disconnection is noticed.
+//! bytes for which the board has no room are discarded. A client's bytes are read before the machine needs them,
+//! so that the client's disconnection is noticed.
 
 use crate::clients::{
     ANSWERS, Client, Connection, ENDLESS, Happened, Inbox, Incoming, LONGEST_LINE, LOOK, PIECE, Writer, hung_up,

@@ -334,7 +334,7 @@ impl Simulator {
                         break true;
                     }
                 }
-                // The next tick, if any, comes later. The step timer and the wait for the wake-up go on.
+                // The next tick of the step timer, if any, is later than `until`.
                 _ => {
                     self.clock.advance_to(until);
                     break wake == Some(until) || sample == Some(until);

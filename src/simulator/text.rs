@@ -457,7 +457,7 @@ mod tests {
         assert!(job.is_used_up());
     }
 
-    /// A line with words after `%` is passed on, so that the controller rejects it. As a tape mark it would lose them.
+    /// A line with words after `%` is not a tape mark: it is passed on, so that the controller rejects it.
     #[test]
     fn a_tape_mark_has_its_line_for_itself() {
         let mut job = JobText::new(&b"%G0X1\n%%\n% (a) X\n%(a\n%;\n"[..]);

@@ -122,11 +122,11 @@ const MARK: u32 = u32::from_le_bytes(*b"wipe");
 const LONGEST: u32 = 100;
 /// Words of the longest record.
 const LONGEST_WORDS: usize = 27;
-/// Maximum number of remembered gaps. Behind further gaps, records are checked each time they are read.
+/// Maximum number of remembered gaps. After further gaps, records are checked each time they are read.
 const GAPS: usize = 8;
 /// Number of keys whose records are found in one walk over the log.
 const KEYS: usize = 128;
-/// Stands for the address of a missing record, because address 0 is in the header.
+/// Address that means "no record": the header is at address 0, so no record can be there.
 const NOWHERE: u32 = 0;
 /// The polynomial of the CRC, its bits reflected.
 const POLYNOMIAL: u32 = CRC_32_JAMCRC.poly.reverse_bits();
@@ -170,7 +170,7 @@ struct Gap {
     end: u32,
 }
 
-/// CRC-32 of IEEE 802.3 without its last inversion. Computed bit by bit, because it is rarely needed and a table would
+/// CRC-32 of IEEE 802.3 without its final inversion. Computed bit by bit, because it is rarely needed and a table would
 /// be larger.
 const CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_JAMCRC);
 
@@ -411,8 +411,8 @@ impl<F: Flash> Log<F> {
         };
         let (outline, size) = (Outline::read(first), until - self.end);
         let cut_short = size < outline.size() || size == outline.size() && crc(covered) & !last == 0;
-        // A wrong byte explains these words only if the record with the mended byte has exactly their length. Otherwise
-        // its crc fits by chance.
+        // A wrong byte explains these words only if the record with that byte corrected has exactly their length.
+        // Otherwise the crc fits by chance.
         let one_byte = wrong_byte(&words).is_some_and(|(index, bits)| {
             let mended = if index == 0 { Outline::read(first ^ bits) } else { outline };
             mended.is_possible() && mended.size() == size
@@ -479,8 +479,8 @@ impl<F: Flash> Log<F> {
         };
         // Damage cannot be repaired in place, so removing the record that reports it compacts the log.
         let cleans = self.unsound && entry.kind == REMOVE && entry.replaces(STORE_DAMAGED);
-        // Not after a failed write (not `appendable`), because a restart could find something other than what is read
-        // now.
+        // After a failed write (`appendable` is false), store the change even if it seems to have no effect: a restart
+        // could find other records than those that are read now.
         if !cleans && self.appendable && self.holds(&entry)? {
             return Ok(());
         }
@@ -500,8 +500,8 @@ impl<F: Flash> Log<F> {
         !self.spare_erased
     }
 
-    /// Returns whether the spare sector must be erased soon, because without that no record fits, or only a few fit, or
-    /// damage cannot be cleared.
+    /// Returns whether the spare sector must be erased soon. Without an erase, few or no further records fit, or damage
+    /// cannot be cleared.
     pub fn needs_erase_soon(&self) -> bool {
         !self.spare_erased && (!self.appendable || self.unsound || self.end + RESERVE > self.flash.sector_size())
     }

@@ -93,7 +93,8 @@ pub fn power_up(order: &Order) -> Result<Simulator, String> {
     let fittings = fittings.map_err(|error| format!("the machine is not understood: {error:#}"))?;
     let mut simulator = Simulator::new(Options { board, store: Store::in_memory(), fittings, keep_steps: false });
     simulator.run_until_idle();
-    // The dialect decides which values the other settings take: what is refused before it is tried again after it.
+    // The dialect determines which values other settings accept. So settings that are rejected before the dialect is
+    // set are tried again afterwards.
     let mut refused = Vec::new();
     for (number, value) in &order.settings {
         let setting = format!("{number}={value}");

@@ -20,8 +20,8 @@ const SAME_NAMES: &[(&str, usize)] = &[
 const CRATES: [&str; 8] =
     ["boards", "src/controller", "src/firmware", "src/sqrt", "src/simulator", "src/step_task", "src/store", "src/web"];
 
-/// Fails if a figure exceeds the limit, unless it is listed with exactly this value; also if a listed figure is within
-/// the limit.
+/// Fails if a figure exceeds the limit and is not listed with exactly this value. Also fails if a listed figure is
+/// within the limit.
 fn judge(what: &str, found: &BTreeMap<String, usize>, limit: usize, listed: &[(&str, usize)]) {
     let mut faults = Vec::new();
     for (name, figure) in found.iter().filter(|(_, figure)| **figure > limit) {
@@ -140,7 +140,7 @@ fn imports_between_the_files_of_a_room_go_one_way() {
     judge("files on a circle of imports", &found, 0, &[]);
 }
 
-/// Returns the names that a module re-exports, each as the path that the module gives it and the original path.
+/// Returns the names that a module re-exports, each as a pair: its path in this module, and its original path.
 fn re_exports(module: &[String], text: &str) -> Vec<(Vec<String>, Vec<String>)> {
     let bare = source::bare(text);
     let uses = bare.split(';').filter_map(|item| item.trim().rsplit_once("pub use ").map(|(_, tree)| tree.to_owned()));

@@ -1,8 +1,8 @@
-//! Durations of jobs, beside those of other controllers for equivalent jobs: the table of `docs/motion.md`.
+//! Durations of jobs, compared with those of other controllers for equivalent jobs: the table of `docs/motion.md`.
 //!
-//! `cargo xtask bench` prints the table; with names of files, the durations of these programs. The controller and the
-//! step generator run in a loop with a link that is never late, so every figure is in step-clock time and the same on
-//! every machine. Each job also runs with a look-ahead that holds the whole job.
+//! `cargo xtask bench` prints the table; given file names, it prints the durations of these programs. The controller
+//! and the step generator run in a loop with a link that is never late, so every figure is in step-clock time and the
+//! same on every machine. Each job also runs with a look-ahead that holds the whole job.
 
 #[path = "../../xtask/src/programs/mod.rs"]
 #[allow(dead_code, unused_imports, reason = "only the benchmark's jobs are wanted here, and without their tests")]

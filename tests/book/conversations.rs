@@ -51,7 +51,7 @@ fn said(mill: &mut Simulator, fence: &str) -> (String, usize) {
             mill.run_for(std::time::Duration::from_millis(500));
         }
         let answer = mill.take_output().replace('\r', "");
-        // Only in an alarm that only a reset ends can the machine be left busy: it leaves bytes unread.
+        // The machine becomes idle, except in an alarm that only a reset ends: then it leaves bytes unread.
         assert!(done || answer.contains("ALARM"), "{line}: {answer}");
         now += &format!("{line}\n{answer}");
         seen += 1;

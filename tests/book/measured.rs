@@ -45,8 +45,8 @@ fn time(words: &[&str]) -> String {
     time.trim().to_owned()
 }
 
-/// Checks a table of durations: its first head cell is `oxmill check JOB ...`; a row starts with the words that it
-/// adds, and its second cell has the duration that the program reports.
+/// Checks a table of durations. Its first head cell is a command, `oxmill check JOB ...`. In each row, the first cell
+/// has the words to add to the command, and the second cell the duration that the program reports.
 fn measured(text: &str, seen: &mut usize) -> String {
     let mut common: Vec<&str> = Vec::new();
     let mut now = String::new();

@@ -421,8 +421,9 @@ impl Board {
                     self.book.settle();
                 }
                 let wakeup = self.controller.next_wakeup();
-                // A wake-up may be in the past while a stop is pending, because on a board the stop arrives before the
-                // next instruction; and after false events, because the stop that the controller waits for never comes.
+                // A wake-up may be in the past in two cases: while a stop is pending, because on a board the stop
+                // arrives before the next instruction, and after false events, because the controller may wait for a
+                // stop that never comes.
                 let is_owed = !self.is_true || self.late & late::STEP != 0 && !self.reports.is_empty();
                 assert!(is_owed || wakeup.is_none_or(|at| at > self.now()), "{wakeup:?} is past at {}", self.now);
                 return;

@@ -110,13 +110,13 @@ const LINES: [&str; 33] = [
 /// Settings that change behaviour, but not how long a session takes.
 const NUMBERS: [u16; 24] =
     [0, 1, 3, 5, 10, 13, 15, 20, 21, 22, 23, 27, 30, 32, 40, 56, 58, 900, 901, 902, 924, 925, 926, 928];
-/// The only one of these settings that changes how positions follow from the motors' count of steps: the direction
-/// mask.
+/// The direction mask: the only one of these settings that changes how positions are computed from the motors' step
+/// counts.
 const RENAMING: &str = "$3=";
 /// Commands from this number on set [`WATCHES`].
 const WATCHES_FROM: u8 = 240;
-/// Settings of what the machine monitors, and of its reactions to faults. None of them changes how positions follow
-/// from the motors' count of steps.
+/// Settings of what the machine monitors, and of its reactions to faults. None of them changes how positions are
+/// computed from the motors' step counts.
 const WATCHES: [u16; 11] = [914, 915, 916, 918, 922, 923, 924, 926, 927, 928, 929];
 /// Those of [`WATCHES`] whose value is a multiple of 0.05 s.
 const TIMES: [u16; 4] = [916, 922, 923, 929];
@@ -278,7 +278,7 @@ fn back_to_idle(mut board: Board) {
     }
     board.inputs(0);
     // A startup line can keep the machine moving for long, also after a dwell. The second reset then comes during this
-    // motion and locks the machine, so the startup line is not carried out once more.
+    // motion and locks the machine, so the startup line is not run again.
     let is_restored = (0..4).any(|_| {
         for time in [20_000, 200_000] {
             board.command(Realtime::Reset);

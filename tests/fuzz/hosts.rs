@@ -1,7 +1,7 @@
 //! Bytes of two hosts, one on a UART and one on USB, with queues that fill up and hosts that connect and disconnect.
 //!
-//! Invariants: a line that is read is a line of a host, whole and in the order of that host's lines, or it is marked as
-//! damaged, or a cut ends it; rejected bytes leave no trace; no command is invented or doubled; a waiting host gets
+//! Invariants: a line that is read is a whole line of a host, in the order of that host's lines, unless it is marked as
+//! damaged or cut off by a reset; rejected bytes leave no trace; no command is invented or doubled; a waiting host gets
 //! room as soon as the queues have been read.
 
 use super::work::at_most;

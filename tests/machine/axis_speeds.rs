@@ -2,9 +2,9 @@
 //! rule allow. Nothing here is taken from the planner.
 //!
 //! **Measured.** For a window T the mean speed of an axis over T is compared with its mean speed over the next T:
-//! `D = (p(t+2T) - 2 p(t+T) + p(t)) / T`. D is the mean of `v(τ+T) - v(τ)` over all τ from t to t+T. So a bound on the
-//! change of speed over each window of length T, averaged over the same τ, is a bound on D. A change that completes
-//! within a fraction of T is seen in full: D reaches it when t+T is the time of the change.
+//! `D = (p(t+2T) - 2 p(t+T) + p(t)) / T`. D is the mean of `v(τ+T) - v(τ)` over all τ from t to t+T. So D has a bound:
+//! the allowed change of speed over a window of length T, averaged over the same τ. A change of speed that takes only
+//! a fraction of T is seen in full: if it happens at t+T, D equals it.
 //!
 //! **Allowed.** Between τ and τ+T the path turns from one direction to another by the angle t, in any number of
 //! vertices.

@@ -194,8 +194,8 @@ fn corners_are_passed_no_faster() {
     }
 }
 
-/// A hold or a lower feed acts shortly before a corner after which an axis allows less jerk and acceleration: the
-/// corner is passed within the limits all the same.
+/// After the corner an axis allows less jerk and acceleration. The corner is passed within the limits, even if a hold
+/// or a lower feed acts shortly before it.
 #[test]
 fn a_corner_is_minded_by_what_brakes_before_it() {
     let limits = Limits { acceleration: [500.0, 400.0, 60.0], ..MACHINE };
@@ -225,8 +225,8 @@ fn a_corner_is_minded_by_what_brakes_before_it() {
     }
 }
 
-/// A ramp that starts slightly late, because the previous feed was still being reached, ends at the right position all
-/// the same.
+/// If a ramp starts slightly late, because the previous feed was still being reached, it still ends at the right
+/// position.
 #[test]
 fn a_late_ramp_lands_at_the_end() {
     for fast in 51..70 {
@@ -265,7 +265,8 @@ fn corners_behind_coarse_steps_are_minded() {
     }
 }
 
-/// A hold completes the ramp that it has started: a cycle start right after the hold, at any time, keeps the limit.
+/// A cycle start at any time around the end of a hold keeps the jerk limit, because a hold completes the ramp that it
+/// has started.
 #[test]
 fn a_start_right_behind_a_hold_keeps_the_limit() {
     for (feed, jerk) in [(8.0, 8000.0), (5.6, 8000.0), (8.0, 1500.0), (2.0, 1500.0), (40.0, 5000.0)] {

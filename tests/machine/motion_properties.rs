@@ -168,7 +168,7 @@ impl Job {
     }
 }
 
-/// A remnant of a move, shorter than a digit, lies in a corner: the machine brakes for the corner all the same.
+/// If a remnant of a move, shorter than a digit, lies in a corner, the machine still brakes for the corner.
 #[test]
 fn a_remnant_hides_no_corner() {
     for job in ["X10.002 F500\nX10.0016\nX0", "X10.0018 F500\nX10.0022 Y0.0005\nY10"] {

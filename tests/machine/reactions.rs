@@ -480,8 +480,8 @@ fn what_is_no_fault_in_a_state_changes_nothing() {
     let homed = homed();
     let mut cases = 0;
     for fault in Fault::ALL {
-        // Two kinds of cases have tests of their own: while the machine returns after a door, host and spindle are
-        // checked only when the job continues; and a homing cycle expects the limit switches.
+        // Two kinds of cases are left to other tests. While the machine returns after a door, host and spindle are
+        // checked only when the job continues. A homing cycle expects limit switches to close.
         let is_later = |state: State| match fault {
             Fault::Limit => state == State::Home,
             _ => state == State::DoorReturning,
@@ -714,7 +714,7 @@ fn the_heavier_of_two_faults_is_told_and_acts() {
     let said = mill.take_output();
     assert!(said.contains("ALARM:101\r") && !said.contains("ALARM:102"), "{said}");
     assert!(!mill.controller().is_trusted(), "a driver may have lost steps: {said}");
-    // The machine brakes for a slow spindle, which may stay on. A limit switch that stops at once acts all the same.
+    // The machine brakes for a slow spindle, which may stay on. A limit switch that stops at once still acts.
     let mut mill = milling("$927=4\n");
     pin(&mut mill, "at_speed 0");
     mill.run_for(Duration::from_millis(55));

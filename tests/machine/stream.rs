@@ -123,7 +123,7 @@ fn line(random: &mut Random) -> String {
             line += &"X1".repeat(length / 2);
         }
         _ => {
-            // No F: at a feed of a hundredth the stream would take days of virtual time.
+            // F is left out: at F0.01 the stream would take days of virtual time.
             for _ in 0..1 + random.below(6) {
                 line += random.of(&["G", "M", "X", "Y", "Z", "S", "P", "L", "I", "J", "K", "N", "R", "T", "(", ")"]);
                 line += &number(random);

@@ -7,17 +7,18 @@
     python3 tests/on_target/bench_day.py PORT stops N [--hz HZ] [--pulse PULSE] [--no-analyser]
     python3 tests/on_target/bench_day.py PORT settings N
 
-PORT is a serial port, such as /dev/ttyACM0 or COM5, or an address such as socket://127.0.0.1:2399. So it can be tried without a
-board: `oxmill serve --tcp 2399 --board nucleo_f446re`.
+PORT is a serial port, such as /dev/ttyACM0 or COM5, or an address such as socket://127.0.0.1:2399. So the program can
+be tried without a board: `oxmill serve --tcp 2399 --board nucleo_f446re`.
 
- * `edges`: X to and fro at HZ steps a second with pulses of PULSE us, under a flood of `?`, until Ctrl-C. For the oscilloscope.
- * `jogs`: the jog of step 4, to and fro, with a flood of `?`; compares `MPos` after each.
- * `stops`: N stops (0x85, `!`, 0x18) at random moments of a jog. Compares the edges at step X with `MPos`. The edges come from a
-   logic analyser: sigrok-cli, a device of its driver fx2lafw at 12 MS/s, D0 at step X, D1 at direction X, its ground at ground.
-   With `--no-analyser` it stops all the same but compares nothing.
- * `settings`: N changes of `$100`, with a `?` every 20 ms.
+ * `edges`: moves X back and forth at HZ steps a second with pulses of PULSE us, under a flood of `?`, until Ctrl-C. For
+   the oscilloscope.
+ * `jogs`: repeats the jog of step 4 back and forth, under a flood of `?`, and compares `MPos` after each jog.
+ * `stops`: stops a jog N times (0x85, `!`, 0x18) at random moments, and compares the edges at step X with `MPos`. The
+   edges come from a logic analyser with sigrok's driver fx2lafw at 12 MS/s, read by sigrok-cli: D0 at step X, D1 at
+   direction X, ground at ground. With `--no-analyser` it stops in the same way, but compares nothing.
+ * `settings`: changes `$100` N times, with a `?` every 20 ms.
 
-It changes settings of the board: `$RST=*` restores them. It ends with 0 if nothing was wrong.
+The program changes settings of the board; `$RST=*` restores the defaults. The exit status is 0 if no fault was found.
 """
 
 import argparse
@@ -34,15 +35,15 @@ import time
 BAUD = 115_200
 # $100 of `edges` and `stops`, steps/mm: a step is 0.001 mm, the last digit of MPos.
 STEPS = 1_000
-# $120 of `edges` and `stops`, mm/s^2: the greatest rate is reached within some 50 ms.
+# $120 of `edges` and `stops`, mm/s^2: the maximum rate is reached within about 50 ms.
 ACCELERATION = 20_000
 # Slowest jog of `stops`, steps/s.
 SLOWEST_HZ = 1_000
-# How far `stops` goes from where it began, mm.
+# Distance from MPos 0 beyond which `stops` jogs back, mm.
 FARTHEST = 1_000
 # Time between two `?` of `settings`, s.
 ASKED_EVERY = 0.02
-# What the analyser still holds when the machine is at rest, s.
+# Maximum delay of the analyser's samples, s.
 BEHIND = 0.3
 CANCEL, HOLD, RESET = b"\x85", b"!", b"\x18"
 TAKE = "sigrok-cli -d fx2lafw -c samplerate=12m -C D0,D1 --continuous -O binary".split()
@@ -62,9 +63,9 @@ class Board:
             sys.exit(f"{name} cannot be opened: {error}")
         self.begun = b""
         self.lines = collections.deque()
-        # What the board last said beside its answers.
+        # The board's last messages, for error reports.
         self.messages = collections.deque(maxlen=3)
-        # A board greets when the port opens.
+        # Skip the greeting that a board sends when the port opens.
         self.hear(0.3)
         self.reset()
 
@@ -115,14 +116,14 @@ class Board:
         return found[1], float(found[2])
 
     def reset(self):
-        """Resets the controller, and unlocks it if it is locked then."""
+        """Resets the controller, and unlocks it if it is locked afterwards."""
         self.port.write(RESET)
         self.wait("Grbl")
         if self.status()[0] == "Alarm":
             self.send("$X")
 
     def at_rest(self, seconds=30):
-        """Waits until nothing moves; returns the machine position of X. A hold that came before or after the motion is ended."""
+        """Waits until the machine is idle, resuming it if it is held. Returns the machine position of X."""
         end = time.monotonic() + seconds
         while True:
             state, x = self.status()
@@ -135,13 +136,13 @@ class Board:
             time.sleep(0.02)
 
     def set_up(self, steps, rate, acceleration, pulse):
-        """Sets step rates and the pulse. The rate is low while the others change, as the board locks rates that it cannot make."""
+        """Sets step rates and the pulse. The rate is low meanwhile: a step rate beyond the board's would lock it."""
         for line in ("$10=1", "$32=0", "$110=60", f"$0={pulse:g}", f"$100={steps}", f"$120={acceleration}", f"$110={rate:g}"):
             self.send(line)
             print(line)
 
     def flood(self, seconds):
-        """Asks for reports, more than it can get, for some time."""
+        """Requests reports for some time, faster than the board can send them."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             self.port.write(b"?" * 8)
@@ -150,7 +151,7 @@ class Board:
 
 
 class Analyser:
-    """Counts rising edges at D0 (step X), up at a low D1 (direction X) and down at a high one."""
+    """Counts rising edges at D0 (step X): up while D1 (direction X) is low, down while it is high."""
 
     def __init__(self):
         try:
@@ -173,7 +174,7 @@ class Analyser:
 
     def count(self):
         last = None
-        # `read1` returns what is there, so the count is never a block behind.
+        # `read1` does not wait for a full block, so the count is always current.
         while block := self.process.stdout.read1(1 << 16):
             bits = self.numpy.frombuffer(block, self.numpy.uint8)
             before = bits[0] & 1 if last is None else last
@@ -184,7 +185,7 @@ class Analyser:
             last = step[-1]
 
     def check(self):
-        """Ends the program if no samples come (any more)."""
+        """Exits if no samples arrive, or if they have stopped."""
         if self.process.poll() is None and self.samples:
             return
         self.process.kill()
@@ -238,7 +239,7 @@ def stops(board, number, hz, pulse, compares):
         rate = hz if k % 2 == 0 else random.uniform(min(SLOWEST_HZ, hz), hz)
         way = random.choice((-1, 1)) if abs(begin) < FARTHEST else -1 if begin > 0 else 1
         stop = random.choice((CANCEL, HOLD, RESET))
-        # The way of one second.
+        # The distance covered in one second.
         board.send(f"$J=G91 G21 X{way * rate / STEPS:.3f} F{60 * rate / STEPS:.3f}")
         time.sleep(random.uniform(0, 0.9))
         if stop == RESET:

@@ -30,7 +30,7 @@ fn files_that_are_no_jobs_are_named() {
             assert!(said.contains(what) && output.stdout.is_empty(), "{command:?} {said}");
         }
     }
-    // Windows writes `$$ > settings.txt` so.
+    // Redirected output has this encoding on Windows.
     let (job, settings) = (file("job_of_settings.nc", "G21\n"), file("settings_utf16.txt", ""));
     fs::write(&settings, &utf16).expect("a file can be written");
     for option in ["--settings", "--machine"] {

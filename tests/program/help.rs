@@ -18,8 +18,8 @@ fn shells_and_man_know_the_commands() {
     }
 }
 
-/// The page is found beside the program, as in the archive of a release; if it is not there, the message names both
-/// ways to get it.
+/// `serve --web` looks for the page beside the program, as in the archive of a release. If the page is missing, the
+/// message names both ways to get it.
 #[test]
 fn the_page_is_looked_for_beside_the_program() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("released");

@@ -159,7 +159,7 @@ fn errors_stand_in_the_summary_with_their_lines_and_end_with_1() {
     assert!(words.contains("line 2") || words.contains("     2"), "{words}");
 }
 
-/// A probing line is answered after its alarm, and a line beyond the travel not at all. In both cases the alarm has the
+/// A probing line is answered after its alarm; a line beyond the travel is not answered. Either way the alarm has the
 /// number of the line that raised it.
 #[test]
 fn an_alarm_has_the_line_that_raised_it() {
@@ -198,7 +198,8 @@ fn a_block_without_an_end_is_an_error_of_the_line_that_began_it() {
     assert_eq!(run(&["run", text(&job)]).status.code(), Some(0));
 }
 
-/// A file for a control with M98 has subprograms behind its end. A sender sends their lines, too; they are refused.
+/// Files for controls with M98 contain subprograms after the end of the program (M30). A sender sends these lines, too;
+/// they are rejected.
 #[test]
 fn nothing_falls_into_a_subprogram_behind_the_end() {
     let job = file("subprogram.nc", "%\nO1000\nG21 G0 X1\nM30\nO1001\nG1 Z-3 F100\nM99\n%\n");
@@ -211,7 +212,8 @@ fn nothing_falls_into_a_subprogram_behind_the_end() {
     assert_eq!(summary["position_mm"], serde_json::json!([1.0, 0.0, 0.0]));
 }
 
-/// Warns of each line with which a sender would hold the machine or open its door, and of a line that takes hours.
+/// A check warns of each line with a byte that would act as a realtime command if it were sent unchanged, and of a
+/// line that takes hours.
 #[test]
 fn lines_are_named_that_do_what_may_not_be_meant() {
     let job = file("meant.nc", "G21 G91\n(Grüße, Über-Maß à 5)\nG1 X1 F600\n(so what! go~)\nG1 X6 F0.05\nM2\n");

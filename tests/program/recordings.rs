@@ -135,7 +135,8 @@ fn a_recorded_conversation_is_played_again() {
     let played = run(&["replay", text(&recording), "--json"]);
     let summary = json(&played);
     assert_eq!((&summary["steps"], played.status.code()), (&serde_json::json!([0, 500, 250]), Some(1)));
-    // `bad` is the third line of the host: the setting was active before the host connected, and is not a line.
+    // `bad` is the host's third line. The setting does not count as a line, because it was active before the host
+    // connected.
     assert_eq!((&summary["errors"][0]["line"], &summary["errors"][0]["code"]), (&3.into(), &2.into()));
     assert!(String::from_utf8_lossy(&played.stderr).is_empty(), "the same steps");
 }
@@ -152,7 +153,7 @@ fn recordings_from_the_field() {
         let recording = fs::read_to_string(&path).expect("text");
         let played = run(&["replay", text(&path)]);
         if recording.contains("[REC:") {
-            // A recording of a board whose firmware failed at its end.
+            // The recording ends with a failure of the board's firmware.
             let said = String::from_utf8_lossy(&played.stdout);
             assert!(said.contains("arrives at the place and line of the failure"), "{}: {said}", path.display());
         } else {

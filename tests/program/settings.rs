@@ -20,7 +20,8 @@ fn settings_may_come_from_any_editor() {
     assert!(said.contains("line 3 of ") && said.contains("is not of the form $n=v"), "{said}");
 }
 
-/// The dialect decides which values are accepted, wherever it is selected; the answer of a refused one is shown.
+/// The dialect determines which values are accepted, even if it is selected after them. For a rejected value the
+/// controller's answer is shown.
 #[test]
 fn settings_are_those_of_the_dialect() {
     let job = file("dialect_of_settings.nc", "G21\n");
@@ -33,15 +34,15 @@ fn settings_are_those_of_the_dialect() {
         let output = run(&[&arguments[..], &["--dialect", "grbl"]].concat());
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     }
-    // A dump has soft limits before the homing that they need.
+    // A dump lists soft limits (`$20`) before homing (`$22`), which they need.
     let dump = file("dump_of_grbl.txt", "$20=1\n$22=1\n$0=2.5\n");
     let output = run(&["check", text(&job), "--dialect", "grbl", "--settings", text(&dump)]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // A later line for the same setting is not overtaken.
+    // A rejected value is not tried again if a later value for the same setting follows.
     let twice = ["check", text(&job), "--dialect", "grbl", "--set", "32=2", "--set", "32=0"];
     let output = run(&twice);
     assert!(output.status.code() == Some(2) && String::from_utf8_lossy(&output.stderr).contains("--set 32=2"));
-    // The option wins.
+    // `--dialect` takes precedence over `--set 900=1`.
     let output = run(&["check", text(&job), "--dialect", "grbl", "--set", "900=1", "--set", "32=1"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let job = file("word_of_oxmill.nc", "G21\nM7.1\nG70\n");

@@ -20,7 +20,8 @@ fn build(recorded: &str, answered: &str) -> bool {
     }
 }
 
-/// The probe position depends on when the pin was moved by hand: within half a millimetre, which is half a second.
+/// The probe position depends on when the pin was moved by hand. A difference of half a millimetre is allowed, which is
+/// half a second of motion.
 fn touch(recorded: &str, answered: &str) -> bool {
     match (places(recorded, "[PRB:"), places(answered, "[PRB:")) {
         (Some(a), Some(b)) => recorded.ends_with(":1]") == answered.ends_with(":1]") && near(&a, &b, 0.5),

@@ -24,7 +24,7 @@ const BELTS: &str = "$904=1";
 const TURNS: &str = "$930=4";
 /// Maximum backlash of `$160` to `$162` below, steps.
 const MOST_SLACK: f64 = 10.0;
-/// Settings of each machine, and whether it parks, for which it leaves the path.
+/// Settings of each machine, and whether it parks: parking moves leave the path.
 const MACHINES: [(&str, bool); 11] = [
     ("", false),
     ("$220=9000 $221=8000 $222=7000", false),

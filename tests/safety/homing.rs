@@ -277,8 +277,8 @@ fn with_zero_at_the_pull_off_nothing_that_goes_to_zero_meets_a_switch() {
             bench.carry_out(line);
         }
         assert_eq!(bench.place(), home, "{what}");
-        // The other end of travel is the same as without the setting: at the travel's distance from where the switch
-        // closes.
+        // The far end of the travel is where it would be without `$932`: at the travel's distance from the position at
+        // which the switch closes.
         for axis in 0..AXES {
             let letter = ["X", "Y", "Z"][axis];
             let end = -sign[axis] as f64 * (TRAVEL - 1.5);
@@ -292,7 +292,7 @@ fn with_zero_at_the_pull_off_nothing_that_goes_to_zero_meets_a_switch() {
                 let said = bench.read_until(&what, |said| said.iter().any(|line| line.starts_with("ALARM")));
                 assert!(said.iter().any(|line| line == "ALARM:2"), "{what} {letter}{beyond}: {said:?}");
             }
-            // A clipped jog ends there, and a jog back ends at zero.
+            // With `$40` a jog beyond this end stops there, and a jog beyond zero stops at zero.
             let mut bench = bench.clone();
             assert_eq!(bench.ask("$40=1"), ["ok"]);
             for (by, place) in [(-20 * sign[axis], end), (40 * sign[axis], 0.0)] {

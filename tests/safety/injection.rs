@@ -75,7 +75,7 @@ fn reference(job: &Job) -> Reference {
     let mut moments: Vec<u64> = (0..end / (HZ / 250)).map(|n| n * (HZ / 250)).collect();
     for (index, begin) in begins.iter().enumerate() {
         let next = begins.get(index + 1).copied().unwrap_or(begin + HZ / 10_000);
-        // A moment at the start of the segment, or anywhere within it.
+        // A moment at the start of the segment or within its first millisecond, at another fraction for each segment.
         let length = (next - begin).min(HZ / 1000);
         moments.push(begin - run.begin + length * (index as u64 * 37 % 100) / 100);
     }

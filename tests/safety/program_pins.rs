@@ -4,8 +4,8 @@
 use super::bench::Bench;
 
 const SETTINGS: &str = "$110=3000 $111=3000 $112=3000 $120=200 $121=200 $122=200";
-/// Maximum delay of an output that changes with a motion, s: the interval between two checks, and the simulator's time
-/// for one.
+/// Maximum delay of an output that changes with a motion, s: the controller's interval between two checks, plus the
+/// time that the simulator takes for a check.
 const LATE: f64 = 0.0015;
 
 fn outputs(bench: &Bench) -> u8 {

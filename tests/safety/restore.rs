@@ -87,7 +87,7 @@ fn send_all(bench: &mut Bench, lines: &[String]) {
         let locked = bench.set(line);
         let own = locked.as_ref().is_some_and(|name| line.starts_with(&format!("{name}=")));
         assert!(own || locked.is_none() || locked != named, "{line}: {locked:?} again");
-        // A setting that affects the step rate can have corrected the named one; a later fault is reported again.
+        // A setting that affects the step rate can have corrected the fault; if it returns later, it is named again.
         let number = line.trim_start_matches('$').split('=').next().and_then(|n| n.parse::<u32>().ok());
         let mends = matches!(number, Some(0 | 29 | 100..=102 | 110..=112 | 904 | 905));
         named = if mends { locked } else { locked.or(named) };

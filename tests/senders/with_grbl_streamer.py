@@ -43,8 +43,8 @@ class Library:
             self.streamer.job_run()
 
     def open(self, port):
-        # The library resets the machine. The machine also sends a greeting when its port is opened, and the library drops its job
-        # at each greeting: so wait until both greetings have arrived, which is before the answer to a line sent now.
+        # The machine sends two greetings: when its port is opened, and when the library resets it. At each greeting the
+        # library drops its job. So wait for the answer to a line sent now, which comes after both greetings.
         self.states = 0
         self.streamer.cnect(port)
         machine.wait("for the library to be answered", self.is_answered)
@@ -94,7 +94,8 @@ class Library:
 
     def reset(self):
         booted = self.booted
-        # Otherwise the library sends lines after the reset until it sees the greeting, and they are rejected.
+        # Without this call the library would send lines after the reset until it sees the greeting, and they would be
+        # rejected.
         self.streamer.job_halt()
         self.streamer.softreset()
         machine.wait("for the library to see the greeting", lambda: self.booted > booted)

@@ -40,7 +40,7 @@ HOT, COLD = round(1.1 * 256), round(1.3 * 256)
 FILL = b"\xa5"
 """Contents of RAM at power-up."""
 PAINTS = (4 * FILL, (0xA5C3_5A3C).to_bytes(4, "little"))
-"""Contents of an unused word of the stack: as the emulation fills RAM, and as the firmware paints its stack."""
+"""Values of an unused stack word: the emulation's fill of RAM, and the firmware's own stack paint."""
 
 
 WORD = struct.Struct("<I")

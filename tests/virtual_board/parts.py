@@ -98,7 +98,7 @@ class Wiring:
     program_inputs: tuple = ()
     step_irq: int = 50
     serial_irq: int = 17
-    """Interrupt that runs the serial task: that of the stream which sends; on a Black Pill that of SPI2."""
+    """Interrupt that runs the serial task: on a Nucleo that of the sending DMA stream, on a Black Pill that of SPI2."""
     uart_irq: int | None = None
     """The UART's interrupt, if DMA does not serve the UART."""
     usb: bool = False

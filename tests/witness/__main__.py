@@ -18,8 +18,8 @@ from .machine import Broken, Machine
 UARTS = {"nucleo_f411re": "usart2", "blackpill_f411": "usart1"}
 KEY, CHANNEL_6, CHANNEL_5 = 0x4567_0123, 0x0C03_5100, 0x0A03_5100
 STREAMS = {"usart2": 0x0800_0450, "usart1": 0x0800_2C00}
-"""For each UART, CR of a stream that serves it, with channel 4: the stream that sends by DMA, or the stream that
-receives while flash is written."""
+"""For each UART, the value of CR, with channel 4, of a DMA stream that serves it: the sending stream, or the
+stream that receives while flash is written."""
 CRYSTALS = {8_000_000: 25_000_000, 25_000_000: 8_000_000}
 
 

@@ -54,16 +54,16 @@ impl Row {
     }
 }
 
-/// No limit, for rows that are only printed or only compared with.
+/// No limit: for rows that only serve as the base of another row.
 const UNBOUNDED: Cost = (u64::MAX, u64::MAX);
 
-/// The rows. Figures of other firmwares: Grbl 1.1h and grblHAL, their own code compiled with `arm-none-eabi-gcc -O2`
-/// for the same core and counted in the same way.
+/// The rows. `beside` gives the figures of Grbl 1.1h and grblHAL: their own code, compiled with
+/// `arm-none-eabi-gcc -O2` for the same core and counted in the same way.
 const ROWS: [Row; 20] = [
     row("batch_3", "32 events, 3 axes stepping", Figure::Mean, None, (1_125, 1_460))
         .beside("3360 / 4416", "4384 / 6240"),
     row("batch_1", "32 events, 1 axis stepping", Figure::Mean, None, (765, 1_070)).beside("2656 / 3808", "3520 / 5440"),
-    // The limit times 1.1, for the waiting of the flash, must not exceed the boards' `run_cycles` (boards/profiles.rs).
+    // Flash wait states add a tenth, so 1.1 times this limit must not exceed `run_cycles` in boards/profiles.rs.
     row("segment", "longest run: another direction, other power, both messages", Figure::Worst, None, (2_500, 3_590)),
     row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (505, 810)),
     row("stop", "stop with a full ring, 96 events undone, with its report", Figure::Worst, None, (4_615, 5_985)),
@@ -88,8 +88,8 @@ const ROWS: [Row; 20] = [
     row("walk_near", "", Figure::Base, None, UNBOUNDED),
 ];
 
-/// Rows of the step task. The firmware compiles its package for speed in every profile; the program that counts does
-/// not.
+/// Rows of the step task. The firmware compiles the step task's package for speed in every profile; the benchmark
+/// program does not.
 const OF_THE_STEP_TASK: [&str; 5] = ["batch_3", "batch_1", "segment", "single", "stop"];
 
 /// Builds the program, runs it and checks the figures. With the profile of the small boards the figures are printed
@@ -220,7 +220,7 @@ fn measure(bytes: &[u8], log: impl Read, profiled: &str) -> Result<Traced, Failu
                 *known.entry(at).or_insert(((first, second), decode(at, first, second)))
             }
         };
-        // From `cpsid i` to `msr primask`, which puts back what was before.
+        // Interrupts are masked from `cpsid i` to `msr primask`, which restores the previous mask.
         match code {
             (0xB672, _) if masked.is_none() => masked = Some(Meter::default()),
             (0xF380..=0xF38F, 0x8810) if let Some(meter) = masked.take() => {

@@ -1,4 +1,4 @@
-//! ELF files of the boards, read by the crate `object`, and the few things that it leaves to its users.
+//! Reads the boards' ELF files with the crate `object`, and adds the few functions that the crate lacks.
 
 use crate::Failure;
 use object::read::elf::{ElfFile32, ElfSection32, ProgramHeader, SectionHeader};
@@ -11,9 +11,9 @@ pub type Elf<'a> = ElfFile32<'a, LittleEndian>;
 /// A function that the symbol table names.
 #[derive(Clone, Copy)]
 pub struct Function<'a> {
-    /// As the compiler wrote it.
+    /// Name in the symbol table, mangled.
     pub name: &'a str,
-    /// Without the mark of Thumb code.
+    /// Address, with bit 0 (the mark of Thumb code) cleared.
     pub address: u32,
     /// Size in bytes, 0 if unknown.
     pub size: u32,
@@ -24,7 +24,7 @@ pub fn parse(bytes: &[u8]) -> Result<Elf<'_>, Failure> {
     Elf::parse(bytes).map_err(|error| format!("this is no 32-bit ELF file: {error}"))
 }
 
-/// What a tool that flashes the image writes: where to, and the bytes. `None` if the file is cut off.
+/// Returns what a flashing tool writes: addresses and bytes. `None` if the file is truncated.
 pub fn segments<'a>(elf: &Elf<'a>) -> Option<Vec<(u32, &'a [u8])>> {
     let all = elf.segments().map(|segment| {
         let stored = segment.elf_program_header().p_paddr(LittleEndian);
@@ -33,7 +33,7 @@ pub fn segments<'a>(elf: &Elf<'a>) -> Option<Vec<(u32, &'a [u8])>> {
     all.filter(|segment| segment.is_none_or(|(_, bytes)| !bytes.is_empty())).collect()
 }
 
-/// The memory that a section takes when the program runs; `None` if it takes none, as debug information.
+/// Returns the memory that a section occupies at run time; `None` if it occupies none, such as debug information.
 pub fn memory(section: &ElfSection32<'_, '_, LittleEndian>) -> Option<Range<u32>> {
     let header = section.elf_section_header();
     let start = header.sh_addr(LittleEndian);
@@ -41,7 +41,8 @@ pub fn memory(section: &ElfSection32<'_, '_, LittleEndian>) -> Option<Range<u32>
     allocated.then(|| start..start + header.sh_size(LittleEndian))
 }
 
-/// Where the bytes of a section are stored; `None` if it has none. What is copied to RAM at the start is stored in flash.
+/// Returns where the bytes of a section are stored; `None` if it has none. Data that start-up code copies to RAM
+/// is stored in flash.
 pub fn stored(elf: &Elf<'_>, section: &ElfSection32<'_, '_, LittleEndian>) -> Option<Range<u32>> {
     let memory = memory(section)?;
     section.file_range()?;
@@ -54,13 +55,13 @@ pub fn stored(elf: &Elf<'_>, section: &ElfSection32<'_, '_, LittleEndian>) -> Op
     Some(start..start + memory.len() as u32)
 }
 
-/// The half word at an address of the running program, if the file has it.
+/// Returns the half word at a run-time address, if the file contains it.
 pub fn half(elf: &Elf<'_>, address: u32) -> Option<u16> {
     let bytes = elf.segments().find_map(|segment| segment.data_range(address.into(), 2).ok()?)?;
     Some(u16::from_le_bytes(bytes.try_into().ok()?))
 }
 
-/// All functions, in the order of the symbol table.
+/// Returns all functions, in the order of the symbol table.
 pub fn functions<'a>(elf: &Elf<'a>) -> impl Iterator<Item = Function<'a>> {
     let functions = elf.symbols().filter(|symbol| symbol.kind() == SymbolKind::Text);
     functions.filter_map(|symbol| {
@@ -68,7 +69,8 @@ pub fn functions<'a>(elf: &Elf<'a>) -> impl Iterator<Item = Function<'a>> {
     })
 }
 
-/// A file with these segments, stored where they run, and symbols of these functions: name, address and size.
+/// Returns a file with these segments, each stored at its run-time address, and symbols for these functions: name,
+/// address and size.
 #[cfg(test)]
 pub fn file(segments: &[(u32, &[u8])], functions: &[(&str, u32, u32)]) -> Vec<u8> {
     const HEADER: usize = 52;

@@ -10,12 +10,13 @@ use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Less code than this is no controller.
+/// Minimum size of the code, bytes: an image with less cannot contain the controller.
 const LEAST_CODE: u64 = 16 * 1024;
 
-/// Memory that begins with something else than 0: more than this is a part of the controller that should be lent.
+/// Maximum size of `.data`, bytes: statics that do not start as 0. If there is more, a part of the controller is among
+/// them, although it should be in memory that is lent to the controller.
 const MOST_DATA: u64 = 2 * 1024;
-/// A function makes room for its variables within so many bytes of code.
+/// Number of bytes at the start of a function in which it reserves stack for its variables.
 const PROLOGUE: u32 = 32;
 
 /// Returns the interrupt handler of the step task, as in `firmware!` of `src/firmware/main.rs`.
@@ -29,7 +30,7 @@ const STEP_CALLS: [Allowed; 6] = [
     Allowed { function: "step_timer::", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "channel::Receiver<", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "executor::waker_wake", targets: &["FnOnce"] },
-    // The same in images built for size, where these functions are not inlined.
+    // Images built for size make the same calls from these functions, which are not inlined there.
     Allowed { function: "wait_queue::DoublyLinkedList<", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "signal::SignalWriter<", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed {
@@ -149,11 +150,12 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     if let Some((name, frame)) = largest_frame(&elf).filter(|(_, frame)| *frame > stack / 8 * 5) {
         return fail(&format!("has a function that takes {frame} of the {stack} bytes of stack: {name}"));
     }
-    // What is left is behind the last section: the rest of the vectors' sector takes only what the linker script names.
+    // Only the flash after the last section counts as free: the rest of the vector table's sector holds nothing but the
+    // sections that the linker script assigns to it.
     let top = in_flash.iter().map(|s| s.end).max().unwrap_or(chip.code);
     let memory = elf.sections().filter_map(|section| elf::memory(&section));
     let in_ram: Vec<Range<u32>> = memory.filter(|s| (chip.ram..chip.ram + chip.ram_size).contains(&s.start)).collect();
-    // The stack grows down out of RAM, not into the data: nothing may lie below where it starts.
+    // The stack is below all data, so that an overflow leaves RAM instead of overwriting data.
     if in_ram.iter().any(|s| !s.is_empty() && s.start < stack_pointer) {
         return fail("has data below its stack, where an overflow would eat it");
     }
@@ -164,8 +166,8 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     Ok(Image { path, flash, ram, stack, files: Vec::new(), remark: None, reached })
 }
 
-/// The function with the largest stack frame, and its bytes. Read from the first instructions of each function, where the
-/// compiler makes room for its variables.
+/// Returns the function with the largest stack frame, and the frame's size in bytes, as read from the first
+/// instructions of each function.
 fn largest_frame<'a>(elf: &Elf<'a>) -> Option<(&'a str, u32)> {
     let half = |at| elf::half(elf, at);
     let frame = |function: &Function<'_>| {

@@ -1,5 +1,5 @@
-//! Expected flash and RAM sizes of each board's image, in `boards/sizes.txt`: growth shall be noticed when it happens,
-//! not when the flash is full.
+//! Compares each board's image with the expected flash and RAM sizes in `boards/sizes.txt`, so that growth is noticed
+//! at once and not only when the flash is full.
 
 use crate::{Failure, root};
 use std::fs;

@@ -19,8 +19,8 @@ const BOARDS: [(&str, &[&str]); 5] = [
     ("nucleo_f401re", SIBLING),
 ];
 
-/// The cases that take longest, excluded where another board with the same chain of timers runs them: `.ci/nightly`
-/// runs them.
+/// The cases that take longest. A board excludes them if another board with the same chain of timers runs them;
+/// `.ci/nightly` runs them on all boards.
 const LONGEST: &[&str] = &["-bursts of overrides", "-late starts", "-lines at stops", "-tight pulses"];
 
 /// Cases for a board whose chip and pins have been tested on other boards: they cover what may still differ, namely

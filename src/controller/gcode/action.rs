@@ -181,8 +181,7 @@ impl<const N: usize> Action<N> {
         self.after.notice
     }
 
-    /// Whether the line can still be refused for reasons that only the machine knows, because it changes the tool or
-    /// uses pins.
+    /// Whether the machine can still refuse the line after the check, because the line changes the tool or uses pins.
     #[inline]
     pub fn needs_machine(&self) -> bool {
         self.tool_change || self.pins().is_some()

@@ -63,7 +63,7 @@ impl<const N: usize> Interpreter<N> {
         self.offsets = before.unwrap_or(self.offsets);
     }
 
-    /// Ends every modal state for which the new dialect can lack the ending word.
+    /// Ends every modal state that the new dialect may have no word to end.
     pub fn change_dialect(&mut self) {
         self.end_cycles();
         if matches!(self.modal.motion, MotionMode::Spline(_)) {
@@ -194,7 +194,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Remembers what the next line can need: the tangent at the end of a spline, or the words of a cycle.
+    /// Stores what the next line may need: the tangent at the end of a spline, or the words of a cycle.
     #[inline]
     fn remember_motion(&mut self, action: &Action<N>) {
         match &action.motion {

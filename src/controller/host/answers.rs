@@ -51,7 +51,7 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Sends the message of a line that is executed; `remark` is the message with its mark. The message of a line that
-    /// would leave the travel is not sent. Moves queued before the line can still be running at that time.
+    /// would leave the travel is not sent. When the message is sent, moves queued before the line can still be running.
     pub(crate) fn tell_remark(&mut self, remark: &[u8]) {
         if let Some((mark, written)) = remark.split_first() {
             self.tell_message(*mark, written);

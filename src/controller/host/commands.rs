@@ -183,8 +183,8 @@ impl<const N: usize> Controller<N> {
         if accepted? != 0.0 {
             match number {
                 DOOR_FITTED if self.m.inputs.pins().door => return Err(Error::DoorOpen),
-                // An input that is already active could cause no alarm, because it would not become active. The same
-                // holds for the door.
+                // Only an input that becomes active causes an alarm, so an input that is already active would cause
+                // none. The same holds for the door.
                 RESET_IS_EMERGENCY_STOP if self.m.inputs.pins().reset => return Err(Error::EmergencyStop),
                 _ => {}
             }

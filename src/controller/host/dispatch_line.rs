@@ -188,8 +188,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Reads the message of the line, with its mark, into `remark`; leaves that empty without a message, and in Grbl's
-    /// dialect.
+    /// Reads the message of the line, with its mark, into `remark`. Without a message, and in Grbl's dialect, `remark`
+    /// stays empty.
     fn read_remark(&self, remark: &mut Remark) {
         if let Some((has_values, text)) = self.m.lines.message()
             && self.dialect() != Dialect::Grbl
@@ -248,7 +248,7 @@ impl<const N: usize> Controller<N> {
             Err(error) if line.first() == Some(&b'$') => self.refuse(error),
             Err(error) => self.refuse_host_line(error, known_text(line)),
         }
-        // Requests such as `$G`, which a sender may send all the time, do not interrupt a rest.
+        // Requests such as `$G`, which a sender may send all the time, do not interrupt the host's pause ([`REST`]).
         if line.first() != Some(&b'$') {
             self.m.last_line_at = self.m.now;
         }

@@ -22,7 +22,7 @@ impl<const N: usize> Controller<N> {
                 self.finish_stop();
                 self.release_held();
             }
-            // Grbl ignores this byte, so it only opens an epoch here.
+            // Grbl ignores this byte, so in its dialect the byte only opens an epoch.
             Realtime::Stop if self.dialect() == Dialect::Grbl => {
                 self.m.lines.open_epoch();
                 self.release_held();

@@ -56,8 +56,8 @@ impl<const N: usize> Controller<N> {
         })
     }
 
-    /// Puts a machine that is at rest and unlocked into this state, for a replay. The words of the state are sent to it
-    /// afterwards. It is locked only if `lock` is set.
+    /// Puts a machine that is at rest and unlocked into this state, for a replay. The words of the state are sent to
+    /// the machine afterwards. The machine is locked only if `lock` is set.
     pub fn stand(&mut self, standing: &Standing, lock: bool) {
         let place =
             PerAxis::from_axis(|axis: Axis| standing.place.get(axis.index()).copied().unwrap_or(Coordinate::ZERO));
@@ -83,7 +83,7 @@ impl<const N: usize> Controller<N> {
         self.m.pins.disturb();
     }
 
-    /// Returns whether the next piece of the recording must be requested (`Some`), and whether it is the first one.
+    /// Returns `Some` if the next piece of the recording must be requested; `true` stands for the first piece.
     pub(crate) fn take_ask(&mut self) -> Option<bool> {
         let Task::Listing(Listing::Recording(ask @ Ask::Due), line) = &mut self.task else { return None };
         *ask = Ask::Asked;

@@ -57,8 +57,8 @@ pub(crate) struct Records {
     /// At least one of these changes could not be stored.
     failed: bool,
     damage: Damage,
-    /// Keys of settings whose stored value is invalid: so many that the changes that correct them, and the removal of
-    /// the damage mark, just fit `stores`.
+    /// Keys of settings whose stored value is invalid. The capacity is 3, so that three corrections and the removal of
+    /// the damage mark just fit into `stores`.
     refused: heapless::Vec<u16, 3>,
     stores: heapless::Deque<Store, 4>,
     startup_lines: [StoredText; 2],

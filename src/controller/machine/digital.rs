@@ -111,7 +111,7 @@ impl DigitalOutputs {
     }
 
     /// Makes the changes that are due up to `mark` and drops the others, because the queued motion was dropped. `mark`
-    /// is the mark of the last block that has begun. Blocks queued from here on carry it, too.
+    /// is the mark of the last block that has begun. Blocks queued from here on carry this mark, too.
     pub fn forget_waiting(&mut self, mark: u8) {
         self.begun(mark);
         self.count = 0;

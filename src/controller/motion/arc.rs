@@ -45,7 +45,7 @@ pub struct ArcGeometry<const N: usize> {
     pub offset_1: Coordinate,
     /// Whether the arc is clockwise.
     pub clockwise: bool,
-    /// Number of full turns before the plain arc.
+    /// Number of full turns before the plain arc (the rest, of at most one turn).
     pub turns: u32,
 }
 

@@ -22,9 +22,10 @@
 //! of each move stays straight. So tool and programmed path stay within P of each other.
 //!
 //! Instead of one turn by t, the path makes two turns by t/2, for which the rule for turns ([`super::junction`]) allows
-//! a higher speed v. The piece between them has the length L that the axes need for this speed: v² - v·J = a·L/t. The
-//! piece touches a circle of radius r, which also touches both moves. If the turns by t/2 limit the speed more than the
-//! room does, four turns by t/4 replace them.
+//! a higher speed v. The piece between them has the length L that the axes need for this speed: v² - v·J = a·L/t, with
+//! the acceleration a and the speed J that the rule allows at the unchanged corner. The piece touches a circle of
+//! radius r, which also touches both moves. If the turns by t/2 limit the speed more than the room does, four turns by
+//! t/4 replace them.
 //!
 //! Two kinds of turns are not cut off:
 //! * Turns of 0.25 to 0.6 rad: the two halves would count as a bend ([`super::curvature`]), for which the speed J of a

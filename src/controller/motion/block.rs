@@ -275,9 +275,9 @@ impl<const N: usize> Block<N> {
         SURELY * reach2 >= self.max_entry2
     }
 
-    /// Returns whether a higher exit speed can lower the possible entry speed, because the bend leaves less
-    /// deceleration at a higher speed. It cannot if the lost deceleration, at the maximum slope of [`CurveLoad::left`]
-    /// (at its minimum share), lowers the entry speed² by no more than the exit speed² rises.
+    /// Returns whether a higher exit speed can lower the possible entry speed. A bend leaves less deceleration at a
+    /// higher speed, which can lower the entry speed² by more than the exit speed² rises. The test assumes the maximum
+    /// slope of [`CurveLoad::left`], which is that at its minimum share.
     #[inline]
     pub(super) fn is_steep(&self) -> bool {
         let acceleration = greater(self.acceleration, self.curve.acceleration());

@@ -1,8 +1,8 @@
 //! The block that the step generator is running ([`Course`]): rates, threshold and length in units, and the exact start
 //! of each axis between two steps.
 //!
-//! No position is counted, so it costs nothing per tick: it follows exactly from the units that the block has advanced
-//! and from each axis' remainder until its next step. The arithmetic is that of `measure`.
+//! No position is counted, because that would take time at each tick. The position follows exactly from the units that
+//! the block has advanced and from each axis' remainder until its next step. The arithmetic is that of `measure`.
 
 use super::measure::{Measure, advance, inverse, parts_beyond, signed_add, steps_and_rest};
 use crate::axes::PerAxis;

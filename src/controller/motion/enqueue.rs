@@ -309,8 +309,8 @@ impl<const N: usize> MoveQueue<N> {
     }
 
     /// Returns the maximum speed² at the corner before a piece of the path. `coarsest_mm`: step size of the coarsest
-    /// motor. A block that takes the time of moves that led away and back counts as having square corners before and
-    /// after it.
+    /// motor. If a block takes the time of moves that led away and back ([`Path::leads_nowhere`]), the corners before
+    /// and after it count as square.
     #[inline]
     fn entry_corner2(&mut self, piece: &PathPiece<'_, N>, span: &Span<N>, path: &Path<N>, coarsest_mm: f32) -> f32 {
         if self.end.motors_only {

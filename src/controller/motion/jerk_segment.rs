@@ -120,8 +120,8 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
             allowed = planner.bounds_within(ease, self.left, state.speed * state.speed);
         }
         let best = self.within_jerk(state.towards(nominal, self.guess, allowed));
-        // In a hold the nominal speed is 0, but the machine need not reach it within a given distance, so it sets no
-        // limit here. The corners in the queue still do.
+        // In a hold the nominal speed is 0, but no distance is given within which the machine must reach it. So the
+        // nominal speed sets no limit here; the corners in the queue still do.
         let most = if braking { f32::INFINITY } else { nominal * (1.0 + SAME_SPEED) };
         if let Some((ahead, travelled)) = self.to_nominal(best, most).or_else(|| self.as_before(best, most)) {
             *ease_off_limit = ahead;

@@ -47,8 +47,8 @@ impl Measure {
             .wrapping_add_signed(axis_steps.end().wrapping_sub(axis_steps.start()))
     }
 
-    /// Returns how much of an axis' first step is complete at the start of the block, in parts of the threshold, minus
-    /// 1: half a step, plus the offset of the exact start.
+    /// Returns the share of an axis' first step that is complete at the start of the block: half a step, plus the
+    /// offset of the exact start. The result is in parts of the threshold, less 1.
     #[inline(always)]
     pub(super) fn credit(&self, axis_steps: AxisSteps) -> u32 {
         (self.threshold / 2).wrapping_add(parts_beyond(self.total, axis_steps)).wrapping_sub(1)

@@ -1,6 +1,6 @@
 //! The reverse pass without a jerk limit. From the last block to the first, it sets the maximum entry speed from which
 //! the machine can brake to the exit speed. It ends at the first entry that does not change. [`super::planner`] runs it
-//! on each contiguous part of its ring.
+//! on each contiguous part of its ring, and explains which entries are settled.
 
 use super::block::Block;
 use super::curvature::Bend;

@@ -4,10 +4,10 @@
 //!
 //! Holding moves back costs no time as long as an entry in the queue has reached its maximum speed: speeds before that
 //! entry do not depend on later moves. (A tight bend among the held moves is an exception: it is found late, and the
-//! machine brakes as hard as necessary for it.) If the queue is empty, or is short and no
-//! entry in it has its maximum speed, the held moves are queued at once, and the corner after the last of them stays as
-//! programmed. So if moves arrive slowly, a corner is not rounded, but no time is lost. Queued moves are never taken
-//! back, so all planned speeds stay valid.
+//! machine brakes as hard as necessary for it.) If the queue is empty, or is short and no entry in it has its maximum
+//! speed, the held moves are queued at once, and the corner after the last of them stays as programmed. So if moves
+//! arrive slowly, a corner is not rounded, but no time is lost. Queued moves are never taken back, so all planned
+//! speeds stay valid.
 
 use super::arc::Curvature;
 use super::blend::{Blend, HeldMove};
@@ -23,8 +23,8 @@ use crate::image::FULL_IMAGE;
 const LEAST_BLOCKS: usize = 32;
 /// Number of entries that are searched for one at its maximum speed.
 const MOST_ENTRIES: usize = 64;
-/// Share of the maximum speed² that counts as the maximum: with a jerk limit, the entry speed² is a rounded root
-/// squared.
+/// Share of the maximum speed² that counts as the maximum, because with a jerk limit the entry speed² is the square of
+/// a rounded root.
 const FULL: f32 = 0.999;
 
 impl<const N: usize> MoveQueue<N> {

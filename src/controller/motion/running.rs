@@ -8,7 +8,7 @@ use super::trapezoid::{OFF_CURVE, Pace, Trapezoid, lesser};
 use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{AxisSteps, ToStep};
 
-/// In a hold, a machine that needs more than this time for two units, s, and can stop within one unit, stops at once.
+/// Time for two units, s. In a hold, a machine that is slower than that, and can stop within one unit, stops at once.
 const CRAWL_S: f32 = 0.001;
 
 /// The next message about a block to the step task.

@@ -26,7 +26,7 @@ const WAIT_MS: u32 = 1;
 /// processor prepares them, so they would be late if they had to follow without a pause.
 const JOIN_MS: u32 = 2;
 /// While motion continues with less than this queued, ms, segments take precedence over lines. This is more than the
-/// time that a line takes, plus that of the segments of a stop that begins after the line.
+/// time to execute one line and then to make the segments of a stop that begins after the line.
 const SHORT_MS: u32 = 8;
 /// Duration of the segment that puts the step task to rest when there is nothing to brake, in microseconds.
 const REST_US: u32 = 20;

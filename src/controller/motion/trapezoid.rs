@@ -35,8 +35,8 @@ pub(super) fn quotient(a: f32, b: f32) -> f32 {
 
 /// Relative difference below which two speeds² count as the same: some 30 rounding errors of an `f32`.
 const SAME: f32 = 4.0e-6;
-/// Rounding cannot explain a speed² that exceeds the falling edge by more than this factor. In that case the edge has
-/// been lowered meanwhile.
+/// A speed² that exceeds the falling edge by more than this factor is not a rounding error: the edge has been lowered
+/// meanwhile.
 pub(super) const OFF_CURVE: f32 = 1.001;
 /// Maximum number of phases in a piece. There are at most three (brake to nominal or accelerate, cruise, brake); the
 /// others are a margin for rounding.

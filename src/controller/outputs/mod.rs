@@ -41,7 +41,7 @@ impl<const N: usize> Controller<N> {
             || self.m.accessories.is_at_speed(self.m.inputs.signals().at_speed, &self.m.settings)
     }
 
-    /// Switches the digital outputs that wait for a motion which has started. In alarm and sleep, switches all of them
+    /// Makes the waiting changes of digital outputs whose motion has started. In alarm and sleep, switches all outputs
     /// off.
     pub(crate) fn settle_outputs(&mut self) {
         if self.m.accessories.digital().is_waiting() {
@@ -59,7 +59,7 @@ impl<const N: usize> Controller<N> {
         self.m.motion.set_mark(mark);
     }
 
-    /// Drops the waiting switches of outputs, because the job has been aborted or has ended.
+    /// Drops the waiting changes of outputs, because the job has been aborted or has ended.
     pub(crate) fn forget_waiting_outputs(&mut self) {
         let mark = self.m.motion.begun_mark();
         self.m.accessories.digital_mut().forget_waiting(mark);

@@ -1,5 +1,6 @@
-//! Decides which of two hosts has the floor: the links of UART and USB share a [`HostArbiter`]. It counts the epochs of
-//! line bytes in the order of the queue, and puts a [`HOST_CHANGED`] before the first line byte of another host.
+//! Decides which of two hosts has the floor: lines of that host are read, and it gets the replies. The links of UART
+//! and USB share a [`HostArbiter`]. It counts the epochs of line bytes in the order of the queue, and puts a
+//! [`HOST_CHANGED`] before the first line byte of another host.
 
 use crate::messages::{HOST_CHANGED, LineByte, Realtime};
 use crate::protocol::floor::Floor;
@@ -78,7 +79,7 @@ impl HostArbiter {
     }
 
     /// Claims the floor for a host that sends a line. Returns whether that host has the floor then. `void` voids the
-    /// unfinished line of the other host, if that loses the floor.
+    /// unfinished line of the other host, if that host loses the floor.
     #[inline]
     pub(super) fn claim(&mut self, link: usize, queues: &impl Queues, void: impl FnOnce()) -> bool {
         // The common case, which changes nothing.

@@ -149,7 +149,8 @@ impl LineIntake {
             self.held = Some(byte);
             return Taken::NOTHING;
         } else if is_before(byte.epoch, self.reset_epoch) {
-            // A button, a hold or a door after that reset can have counted this byte.
+            // The byte was received before a reset. A button, a hold or a door after that reset can have counted it,
+            // too.
             self.drop_bytes = self.drop_bytes.saturating_sub(1);
             self.jog_bytes = self.jog_bytes.saturating_sub(1);
             return Taken::NOTHING;

@@ -10,9 +10,9 @@
 //!  └ marks a checked line
 //! ```
 //! **Sessions.** After `$LC=ON` a host may append four letters of its choice. With letters, the CRC covers the letters,
-//! the whole line number in eight digits, the length and the text. So a line of another session never passes, nor does
-//! a line that is 4096 numbers old, because what differs is a burst of at most 32 bits. Without letters, a line that is
-//! 4096 numbers old can pass.
+//! the whole line number in eight digits, the length and the text. A line of another session then differs in a burst of
+//! at most 32 bits, and so does a line that is 4096 numbers old. So neither ever passes. Without letters, a line that
+//! is 4096 numbers old can pass.
 //!
 //! **Letters.** N, L and C are hexadecimal digits, written as the letters `ABDGHKNPSUVZcefi`. Any two of these differ
 //! in two or more bits. Each of them also differs in two or more bits from a line end and from every realtime command

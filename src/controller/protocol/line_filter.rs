@@ -297,8 +297,8 @@ impl Line {
         begins || !divides && !rules.block_delete
     }
 
-    /// Makes a line invalid whose nested remark has not ended. Where the remark should end is unknown, and so is the
-    /// text to be executed. The text is replaced by one that is an error in every dialect.
+    /// Invalidates a line whose nested remark has not ended. Where the remark should end is unknown, and so is the text
+    /// to be executed. The text is replaced by one that is an error in every dialect.
     #[inline(never)]
     fn refuse_remark(&mut self) {
         if let Some(place) = self.text.first_mut() {

@@ -13,8 +13,9 @@
 //! obeys `Bf:`: its bytes fit into the queue alone. A sender that pours in a whole file without counting has to wait,
 //! and then everything that it sends later waits too, including commands.
 //!
-//! A line is read as a whole or not at all. If a line was refused, or cut because another host took the floor or reset
-//! the machine, the rest of the line is refused too, whenever it arrives and whoever has the floor by then.
+//! A line is read as a whole or not at all. Its rest is refused if its start was refused, or if another host cut the
+//! line by taking the floor or by a reset. That holds whenever the rest arrives, and whichever host has the floor by
+//! then.
 //!
 //! Characters of a remark are text, even if one of their bytes equals a command: see [`remark`](super::remark). Only
 //! the last byte shows whether the bytes form a character. So the bytes before it wait here; if they form no character,
@@ -151,8 +152,8 @@ impl Link {
                     self.is_ambiguous = false;
                     other.void_line(arbiter);
                 }
-                // A realtime command does not cut the other host's line: that host then keeps the floor and gets the
-                // answer to a `?`.
+                // A realtime command does not cut the other host's line. During that line the other host keeps the
+                // floor, and gets the answer even to this host's `?`.
                 if !other.mid_line || other.refusing_line {
                     let free = queues.is_free();
                     arbiter.turn_to(|floor| floor.claim(self.number, free, false), || other.lose_floor());

@@ -51,8 +51,8 @@ impl Remark {
         !self.begun.is_empty()
     }
 
-    /// Updates the place in the line for its next byte. `nests`: whether parentheses within a remark are counted, as the
-    /// line filter does it; called only where that matters.
+    /// Updates the place in the line for its next byte. `nests`: whether parentheses within a remark are counted, as
+    /// the line filter counts them; called only where that matters.
     pub fn follow(&mut self, byte: u8, nests: impl FnOnce() -> bool) {
         self.place = match (self.place, byte) {
             (_, b'\n' | b'\r') => RemarkPlace::Words,

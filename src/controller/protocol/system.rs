@@ -75,7 +75,7 @@ pub enum Format {
 
 impl System<'_> {
     /// Checks whether Grbl has the command. Grbl reads the letter of an unknown command as the number of a setting, so
-    /// it returns one of these errors; this function returns the same one.
+    /// it answers with one of these errors, and this function returns the same error.
     ///
     /// # Errors
     /// [`Error::BadNumber`], [`Error::InvalidStatement`].

@@ -42,8 +42,8 @@ const PLAIN: usize = 64;
 /// Maximum bytes of a line end with its time entry.
 const LINE_END: usize = 1 + 10 + 1;
 
-/// Upper bound of the time from a turn of the control task until the end of a turn that fails. (The watchdog ends a
-/// turn after half a second or two seconds.)
+/// Upper bound of the time from one turn of the control task to the end of the next, if the next turn fails. (The
+/// watchdog ends a turn after half a second or two seconds.)
 const LONGEST_TURN_US: u32 = 10_000_000;
 
 /// Basis and prime of 32-bit FNV-1a, here applied to whole words.

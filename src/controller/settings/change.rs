@@ -66,8 +66,8 @@ impl<const N: usize> Settings<N> {
         Ok((index, value))
     }
 
-    /// Checks a value against the range of its kind. Of a whole number, Grbl's dialect drops a fraction; the other dialects
-    /// refuse it.
+    /// Checks a value against the range of its kind. For kinds without a fraction, Grbl's dialect drops the fraction of
+    /// the value; the other dialects refuse such a value.
     fn checked(&self, kind: Kind, value: Decimal) -> Result<f32, Error> {
         let (whole, grbl) = (value.truncate(), self.value(Key::Dialect) == 0.0);
         let value = match kind {
@@ -181,7 +181,7 @@ mod tests {
         for tenths in 5..=2550_u16 {
             assert_eq!(set(&mut s, 0, i64::from(tenths) * 100), Ok(()));
             assert_eq!(s.step_pulse_tenths(), tenths);
-            // As stored and restored.
+            // The value survives being stored and restored.
             let mut other = Settings::<3>::default();
             other.restore(0, f32::from_le_bytes(s.by_number(0).unwrap().to_le_bytes()));
             assert_eq!(other.step_pulse_tenths(), tenths);

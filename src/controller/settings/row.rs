@@ -1,5 +1,6 @@
-//! The contents of a row of the settings table: number, default, kind of value, and whether Grbl has it; and for people
-//! name, unit, group and labels. The macro `table` makes table, keys and descriptions from one list.
+//! The contents of a row of the settings table: number, default, kind of value, and whether Grbl has it. For people
+//! there are also a name, a unit, a group and labels. The macro `table` makes table, keys and descriptions from one
+//! list.
 
 use crate::axes::{Axis, LINEAR};
 use crate::error::codes;

@@ -319,8 +319,8 @@ mod tests {
         }
     }
 
-    /// The stored form of the step pulse is in microseconds, also for tenths. Records from when only whole microseconds
-    /// were possible are read unchanged.
+    /// The stored form of the step pulse is in microseconds, also for tenths. Records that were written when only whole
+    /// microseconds were possible are read unchanged.
     #[test]
     fn a_step_pulse_stored_in_whole_microseconds_is_read_as_it_was() {
         for (record, tenths) in

@@ -1,5 +1,5 @@
-//! The states of the machine and the table of which may follow which. A state holds the data that only it needs
-//! ([`Homing`], [`Door`], [`Hold`], the alarm of a lock); data that outlives a state belongs to
+//! The states of the machine, and the table of the allowed transitions between them. A state holds the data that only
+//! it needs ([`Homing`], [`Door`], [`Hold`], the alarm of a lock); data that outlives a state belongs to
 //! [`Machine`](crate::parts::Machine). Only [`Controller::enter`] enters a state; the data of a state changes within
 //! it.
 //!
@@ -176,7 +176,7 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn enter(&mut self, next: State<N>) {
         debug_assert!(self.state.may_become(&next), "{:?} to {:?}", self.state, next);
         if self.state.is_suspended() {
-            // Lines have waited meanwhile, so this was no rest of the host.
+            // Lines have had to wait meanwhile, so that time is not a pause of the host.
             self.m.last_line_at = self.m.now;
         }
         self.state = next;

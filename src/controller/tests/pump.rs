@@ -160,7 +160,7 @@ fn events_are_told_source_by_source_then_lines_then_outputs() {
     scribe.send("$G\n");
     let signals = Sensed::default();
     let stopped = StepEvent::Stopped { stops: 0, moving: false, position: Default::default() };
-    // Not in the order in which the pump takes them.
+    // This is not the order in which the pump takes them.
     scribe.events = vec![
         (Source::Store, Event::Stored),
         (Source::Inputs, Event::Signals(signals)),

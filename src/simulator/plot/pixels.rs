@@ -1,9 +1,9 @@
 //! Renders the picture as pixels: paints the few kinds of elements in an SVG of [`super::svg`], antialiased, and packs
 //! the pixels as PNG. An unknown element is an error, so other SVGs are not supported.
 //!
-//! An outline is filled by how much of each pixel it covers. A line with a width is an outline, too: a bar for each
-//! piece and a mitre on the outer side of each corner, all with the same sense of rotation, so that they add up to one
-//! area.
+//! To fill an outline, each pixel is painted by the share that the outline covers. A line with a width is an outline,
+//! too: a bar for each piece and a mitre on the outer side of each corner, all with the same sense of rotation, so that
+//! they add up to one area.
 
 use super::SIZE;
 use super::style::FINE;

@@ -57,7 +57,7 @@ pub(super) fn place(simulator: &Simulator) -> String {
     format!("{places}{:016x} {}", simulator.trace().digest().order_hash(), state(simulator))
 }
 
-/// Returns the alarm, the state of the position and the outputs, for the comparison of two runs.
+/// Returns the alarm, the outputs, and whether the position is trusted and the machine paused, to compare two runs.
 pub(super) fn state(simulator: &Simulator) -> String {
     let controller = simulator.controller();
     let mut words = format!("alarm {}", controller.alarm().map_or(0, |alarm| alarm.code()));
@@ -79,10 +79,10 @@ pub(super) fn state(simulator: &Simulator) -> String {
     words
 }
 
-/// In a state, precedes the hash of the clock and of the times of all steps and output changes.
+/// Precedes, in a recorded state, the hash of the clock and of the times of all steps and output changes.
 const TRACED: &str = " traced ";
 
-/// Returns [`place`] with that hash, for a recording that began at `begin` on the virtual clock.
+/// Returns [`place`] followed by [`TRACED`] and the hash, for a recording that began at `begin` on the virtual clock.
 pub(super) fn traced(simulator: &Simulator, begin: u64) -> String {
     let (clock, trace) = (simulator.clock(), simulator.trace());
     let hz = u64::from(simulator.board().step_clock_hz);

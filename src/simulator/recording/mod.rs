@@ -15,7 +15,7 @@
 //!                                         position of the motors, hash of all steps in their order; alarm and
 //!                                         outputs, the spindle's power from 0 to 65535; hash of the clock, and of
 //!                                         the times of all steps and changes of the outputs
-//! 1700000 job                             a job begins that no host sends: it is taken as fast as the controller likes
+//! 1700000 job                             a job begins that no host sends: the controller takes it as fast as it can
 //! job G0 X1\n                             each line of it
 //! ```
 //! A board lists its recording by `$REC`, each line as `[REC:...]`. In the log of a terminal all other lines are

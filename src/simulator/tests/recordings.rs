@@ -318,9 +318,9 @@ proptest! {
             return Ok(());
         }
         // A recording leaves some facts open: the order of bytes of two hosts at the same time, whether `~` came just
-        // before the machine rested in a hold, and when a line arrived that had to wait (its arrival makes the
-        // controller run, so a later braking can end one segment later). In these cases a replay is allowed to differ,
-        // but it must say so.
+        // before the machine rested in a hold, and when a line arrived that had to wait. (The controller runs when a
+        // line arrives, so a later braking can end one segment later.) In these cases a replay may differ, but must
+        // report that it does.
         let unclear = |input: &Input| match input {
             Input::Connect | Input::Disconnect => true,
             Input::Host(bytes) => bytes == b"~" || brakes(input),

@@ -64,8 +64,8 @@ fn compare_all(settings: &[&str], program: &str, elsewhere: &str, other_way: &[u
         assert_eq!(rest.line, line as u64);
         let text = String::from_utf8(rest.program).unwrap();
         let way = rest.prologue.concat();
-        // An axis that the job has not moved keeps its position, so do not move the machine away unless the prologue
-        // moves all of these axes.
+        // The prologue moves only axes that the job has moved. So move the machine elsewhere only if the prologue moves
+        // all axes that `elsewhere` names.
         let elsewhere = if words.iter().all(|word| way.contains(word)) { elsewhere } else { "" };
         let (in_front, _) = run(settings, "", &front);
         let remaining = whole.0.len() - in_front.len();
@@ -443,7 +443,7 @@ fn the_clearance_is_the_highest_height_or_must_be_said() {
     }
 }
 
-/// A height that the job used before the tool offset could now move the spindle beyond its travel.
+/// With the tool offset, an earlier Z of the job needs a higher spindle position, which could exceed the travel.
 #[test]
 fn the_spindle_goes_no_higher_than_in_the_job() {
     let program = "G21 G90\nG0 Z100\nX1 Y1\nG43.1 Z60\nG0 Z15\nG1 Z-1 F100\nX5\nX6\n";

@@ -4,7 +4,7 @@ use super::begins::MARKS;
 use crate::boards::{StepOutput, StepPins};
 use crate::shared::Power;
 
-/// The laser power, and its changes that are still ahead, as are the events of the segments that they belong to.
+/// The laser power, and its changes that are still ahead: those of generated segments that have not begun yet.
 pub struct Beam {
     /// Changes ahead: time and power.
     marks: heapless::Deque<(u32, u16), MARKS>,
@@ -37,7 +37,7 @@ impl Beam {
         self.marks.is_full()
     }
 
-    /// Returns whether power comes from segments, or a change that is already armed in hardware can still set it.
+    /// Returns whether power comes from segments, or hardware can still make a change that is already armed.
     pub fn is_on(&self) -> bool {
         Power::wanted().from_segments || self.armed
     }

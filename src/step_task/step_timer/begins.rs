@@ -4,9 +4,9 @@
 /// Maximum number of segment starts among the events ahead, and of changes of power.
 pub const MARKS: usize = 32;
 
-/// Ring of the start times of segments that have not begun. Excluded are segments that are ahead when the output starts
-/// from rest: they count as begun at once, so that `control` prepares the next ones in time. A plain ring needs less
-/// code than a deque.
+/// Ring of the start times of segments that have not begun. It does not contain the segments that are ahead when the
+/// output starts from rest: they count as begun at once, so that `control` prepares the next ones in time. A plain ring
+/// needs less code than a deque.
 pub struct Begins {
     moments: [u32; MARKS],
     first: usize,

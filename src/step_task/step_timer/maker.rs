@@ -16,7 +16,7 @@ use rtic_sync::channel::Receiver;
 
 /// Cost of an event or tick that is generated alone, measured in events of a batch.
 const SINGLE_SHARE: usize = 4;
-/// Cost of the begin of a segment, with both of its messages, measured in events of a batch. A run begins at most one
+/// Cost of starting a segment, with both of its messages, measured in events of a batch. A run starts at most one
 /// segment.
 const SEGMENT_SHARE: usize = 16;
 /// Stands for unknown directions at the outputs: the next tick writes them.

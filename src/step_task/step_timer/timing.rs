@@ -37,9 +37,9 @@ pub const SPARE_TICKS: u32 = 100 * TICKS_PER_US;
 pub const PAUSE_TICKS: u32 = RUN_TICKS / 4;
 /// Interval of further attempts to report to `control` at rest.
 pub const RETRY_TICKS: u32 = 1_000 * TICKS_PER_US;
-/// Time after the pulse of a motion's last event at which the event counts as output.
+/// Time from the end of the last pulse of a motion until the event of this pulse counts as output.
 pub const OUT_TICKS: u32 = 2 * TICKS_PER_US;
-/// Maximum delay of the next tick with which a motion with late events is resumed, as a number of steps. The motors
-/// continue to turn meanwhile. With eight or more microsteps per full step, they stay less than a full step ahead of
-/// the field.
+/// After late events, the motion is resumed only if its next tick is late by at most the time of this many steps. The
+/// motors continue to turn meanwhile. With eight or more microsteps per full step, they stay less than a full step
+/// ahead of the field.
 pub const MOST_LATE_STEPS: u32 = 8;

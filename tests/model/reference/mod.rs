@@ -128,8 +128,8 @@ pub struct Model {
     heard: Span,
     /// Time since when the spindle has been below its speed.
     slow: Option<Span>,
-    /// Override of the running spindle when last checked in a state that carries out lines, and the end of its time to
-    /// reach that speed.
+    /// Override of the running spindle at the last check, and the time by which the spindle must have reached that
+    /// speed. Checked only in states that carry out lines.
     given: Option<(u32, Span)>,
     /// Oxmill: whether the outputs stay on in the door state in which a job waits for its host.
     keeps_outputs: bool,

@@ -131,7 +131,7 @@ def raster_starts(bench):
         return (clock.values[timer.CCR2] - clock.count() & 0xFFFF_FFFF) * clock.cycles / hz
 
     def start(until_s=None):
-        """Starts a move. Returns the time from the planned begin of the first segment to the first step, the time from
+        """Starts a move. Returns the time from the planned start of the first segment to the first step, the time from
         that step to the first power, and the power right after each step."""
         board.run(seconds=0.002)
         scope, known = Scope(board), len(beam.changes)
@@ -205,10 +205,10 @@ def raster_stops(bench):
         bench.wait(is_due, 0.1, "a change of power that is due")
         moment = board.now + away()
         if what == "0x18":
-            # The board reads the last bit of a byte 9.5 bits after the byte's start. From then on (with DMA, from the
-            # next sample of the inputs on), it takes at least the shortest time seen so far until the laser is off; the
-            # first three stops measure this time. A run of the step task that is in progress delays the stop by up to
-            # one run.
+            # The board has read a byte 9.5 bits after the byte's start; with DMA, it notices the byte at the next
+            # sample of the inputs. From then on it takes at least `takes` cycles until the laser is off. That is the
+            # shortest time so far; the first three stops only measure it. If the step task is running, the stop is
+            # delayed by up to one run.
             lead = 40 * US * hz if k < 3 else takes + 240 - 30 * k if k < 15 else takes + random.uniform(-300, 3000)
             seen = heard = round(moment - lead)
             if bench.wiring.uart_irq is None:

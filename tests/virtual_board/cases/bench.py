@@ -26,8 +26,8 @@ BYTE_STOP_S = 75 * US
 input samples, which read received bytes, and a run of the step task."""
 
 BEAM_STOP_S = {"blackpill_f401": 130 * US}
-"""Maximum time from the last bit of a byte that stops the machine until the laser is off, for a board that takes longer
-than `BYTE_STOP_S` (docs/limits.md), because its image is built for size."""
+"""Maximum time from the last bit of a byte that stops the machine until the laser is off, if the board's image is built
+for size: such a board takes longer than `BYTE_STOP_S` (docs/limits.md)."""
 
 RUN_CYCLES = 4450
 """Longest run of the step task (`run_cycles` in profiles.rs)."""
@@ -228,8 +228,8 @@ def step_clock(board):
 
 
 def joins_for(board):
-    """Returns the number of cycles that are left to commit the next event so that the output continues with it after
-    the queued events. The deadline is the time of the last queued event but one."""
+    """Returns the number of cycles left until the next event must be committed, so that the output continues without a
+    stop. This deadline is the time of the last queued event but one."""
     clock = step_clock(board)
     name, stream, _ = next(place for place, who in REQUESTS.items() if who == f"{clock.name}_CH1")
     registers = 0x10 + 0x18 * stream

@@ -219,7 +219,7 @@ def turns_at_full_rate(bench):
 
     def call(offset, value):
         write(offset, value)
-        # Here ends a run that has generated events.
+        # Writing CCR2 is the end of a run that has generated events.
         if offset == timer.CCR2 and is_at_speed:
             rests.append(joins_for(board))
 

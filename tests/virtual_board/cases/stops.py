@@ -107,7 +107,7 @@ def stops(bench):
 
 
 class StopWatch:
-    """Records for each stop the cycles from the call of the step task until no event can begin, and the position in the
+    """Records for each stop the cycles from the call of the step task until no event can begin, and the slot of the
     ring. `halts` counts the ends of output, by a stop or because the ring ran dry."""
 
     def __init__(self, board):

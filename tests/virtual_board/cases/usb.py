@@ -64,9 +64,9 @@ SENT_AHEAD = 64
 
 
 def usb_waits_for_answers(bench):
-    """The commands of the UART's host are done, but its answer is still being sent: a line of USB's host must be
-    refused, and no byte may be lost or misrouted. The rest of the answer in the UART's own queue is sent in any case:
-    with only that left, the line may be accepted."""
+    """The commands of the UART's host are done, but its answer is still being sent: a line of the USB host must be
+    refused, and no byte may be lost or misrouted. If the rest of the answer is already in the UART's own queue, which
+    is always sent to its end, the line may also be accepted."""
     host, uart = bench.host, bench.uart
     bench.host = uart
     bench.ask("G4P0")

@@ -17,8 +17,8 @@ CEN, OPM = 1 << 0, 1 << 3
 TRIGGERED_BY_TIM5 = 0b110 | 0b000 << 4
 """SMS and TS of TIM1_SMCR; the table "TIMx internal trigger connection" there has TIM5 as ITR0 of TIM1."""
 SYNCHRONIZE, QUICKER, SLOWER = 4, 1, 8
-"""Clocks from the trigger's event to the first count; `QUICKER` and `SLOWER` hold for the second readings
-`quick-trigger` and `slow-trigger`."""
+"""Clocks from the trigger's event to the first count; `QUICKER` and `SLOWER` for the readings `quick-trigger` and
+`slow-trigger` (readings.py)."""
 
 
 def synchronize():

@@ -19,9 +19,9 @@
 //! * `#<_value>` other than after a call: `rs274` also sets it at the definition of a subroutine
 //! * G with a number near a hundredth, such as G0.004: Oxmill, like Grbl, takes it for the nearest word
 //! * `#5401` and on: in Oxmill the active offset, in LinuxCNC that of the tool in the spindle
-//! * the spindle after M6, which LinuxCNC stops: M3 is written beside it
-//! * a message beside words: `rs274` sends it before the words act, with the values before them
-//! * `#<_feed>` in another unit than that of F, and in G93: LinuxCNC keeps its number; and F beside G20 or G21
+//! * the spindle after M6: LinuxCNC stops it, so M3 is written in the same line
+//! * a message in a line with words: `rs274` sends it before the words act, so it shows the earlier values
+//! * `#<_feed>` in another unit than F's, or in G93: LinuxCNC keeps the number of F; and F in a line with G20 or G21
 //! * a change of units under a tool offset; M6 unless all axes have moved since the last change of offsets (the command
 //!   line has no machine)
 //! * G53 with G91; a rotation (the other generator has it)

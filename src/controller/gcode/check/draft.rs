@@ -117,7 +117,8 @@ impl<'a, const N: usize> Draft<'a, N> {
         has
     }
 
-    /// Returns `others` with new values for the axes that have a word: `place` of the axis and the value of its word.
+    /// Returns `others`, except that each axis with a word has the value that `place` returns for that axis and its
+    /// word.
     pub(super) fn with_axis_words(
         &self,
         others: PerAxis<Coordinate, N>,

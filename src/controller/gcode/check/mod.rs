@@ -247,7 +247,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Sets those effects of a line that are no motion.
+    /// Sets the effects of the line other than its motion.
     fn finish(self) {
         let action = self.action;
         action.flow = match self.line.flow {

@@ -13,8 +13,8 @@ use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
 impl<const N: usize> Draft<'_, N> {
-    /// Determines rotation and scaling of the line's coordinates. Neither acts in Grbl's dialect, which has no words to
-    /// end it.
+    /// Determines rotation and scaling of the line's coordinates. Grbl's dialect has no words to end them, so neither
+    /// acts there.
     #[inline]
     pub(super) fn rotation(&mut self) -> Result<(), Error> {
         let system = self.action.modal.coordinate_system;
@@ -105,7 +105,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Refuses an angle for the active system while G68 rotates another plane: every following line would be refused.
+    /// Refuses an angle for the active system while G68 rotates another plane: with both, every following line would be
+    /// refused.
     pub(super) fn keeps_planes(&self, system: CoordinateSystem) -> Result<(), Error> {
         let turned = self.action.rotated.angle.is_some_and(|angle| angle != Angle::ZERO);
         let ends = self.line.extended.rotation == Some(false);

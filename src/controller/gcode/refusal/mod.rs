@@ -26,7 +26,7 @@ pub(super) use sentence::say;
 
 impl<const N: usize> Interpreter<N> {
     /// Writes to `out` what is wrong with a line that has just been refused; writes nothing if the error number says
-    /// everything. `action` is what the check has written.
+    /// everything. `action` is the action that the check has written.
     #[cold]
     #[inline(never)]
     pub fn explain(

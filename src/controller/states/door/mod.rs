@@ -98,8 +98,7 @@ impl Door {
         };
     }
 
-    /// Remembers which coolant is switched off. If the door is opened a second time, what was remembered at the first
-    /// opening is kept.
+    /// Remembers which coolant is switched off. A second opening of the door keeps the coolant remembered at the first.
     fn keep_coolant(&mut self, coolant: Coolant) {
         self.coolant.get_or_insert(coolant);
     }

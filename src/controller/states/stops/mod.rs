@@ -205,7 +205,8 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// `already`: an input has stopped the step task directly. `answered`: a reason for that stop has been found.
+/// Whether an input has stopped the step task directly (`already`), and whether a reason for that stop has been found
+/// (`answered`).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stopped {
     pub(crate) already: bool,

@@ -180,7 +180,7 @@ impl<const N: usize> Controller<N> {
         if outside || self.limits_travel() && way.iter().any(|place| self.is_outside_travel(place)) {
             return self.fail_tool_change(Alarm::SoftLimit);
         }
-        // With a laser the move down is a rapid, because only rapids are dark.
+        // With a laser the move down is a rapid, because a rapid is the only move of a line with the laser off.
         let rate = per_second(self.m.settings.value(Key::ParkingPullOutRate));
         let feed = if self.m.settings.is_on(Key::Laser) { Feed::Rapid } else { Feed::PerMinute(rate) };
         self.line.action.return_with_tool(way, feed, length);

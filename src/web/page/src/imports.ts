@@ -12,7 +12,7 @@ export interface Import {
 
 /** Numbers from here on are Oxmill's own settings. */
 const OWN = 900;
-/** Switches that are bit masks in grblHAL; the lowest bit is the switch. */
+/** Settings that are on or off here, but bit masks in grblHAL, with on or off in bit 0. */
 const FIRST_BIT = new Set([21, 22]);
 /** Settings that are left out because they affect only the reports or the wiring of another board, with the reason. */
 const OF_THE_BOARD = new Map([[10, "it decides on reports only"], [37, "another board's wiring"]]);

@@ -263,7 +263,7 @@ export class Sender {
   }
 }
 
-/** Whether the line would make the machine answer in checked lines. */
+/** Whether the line switches on checked lines (docs/senders.md), which this page does not support. */
 function beginsChecks(text: string): boolean {
   return /^\$LC=ON([A-Z]{4})?$/i.test(text.replace(/\([^)]*\)|;.*|\s/g, ""));
 }
@@ -271,7 +271,10 @@ function beginsChecks(text: string): boolean {
 /** A `%` followed only by comments. */
 const TAPE_MARK = /^\s*%\s*(\([^()]*(\)\s*|$))*(;.*)?$/;
 
-/** Returns why a line must not be sent, if so: its meaning would change on its way, or it switches checks on. */
+/**
+ * Returns the reason if a line must not be sent: a character of it would change its meaning on the way, or the line
+ * switches on checked lines.
+ */
 function unsendable(text: string): string | undefined {
   const found = foreign(text);
   if (found === undefined) return beginsChecks(text) ? UNCHECKED : undefined;

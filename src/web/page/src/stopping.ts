@@ -1,7 +1,7 @@
 // Stop: brakes immediately, and resets the machine when it is at rest, so that its position stays valid.
 import { REALTIME, type Sender, type Status } from "./sender";
 
-/** A machine that has not come to rest is reset this time after the slowest axis should have braked, ms. */
+/** If the machine still moves this long after the slowest axis should have stopped, it is reset anyway, ms. */
 const MARGIN = 500;
 /** Interval between status requests while the machine brakes, ms. */
 const ASK = 50;

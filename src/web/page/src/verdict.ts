@@ -10,7 +10,7 @@ const SHOWN = 5;
 
 type Tone = "good" | "warn" | "bad" | "";
 
-/** Shows a sentence instead of a verdict, as nothing is known of a job. */
+/** Shows a sentence instead of a verdict, because no job has been checked. */
 export function showPlain(head: string, text = "", tone: Tone = ""): void {
   $("verdict-card").className = `verdict ${tone}`;
   const parts: HTMLElement[] = [];

@@ -160,8 +160,8 @@ export async function a_jog_ends_however_the_button_is_left(browser) {
   await page.click("#tab-log");
   await page.click("#steps .hold-step");
   const button = page.getByRole("button", { name: "jog Y to minus", exact: true });
-  // Type a feed that the axis cannot reach. The jogs must use the feed that it can reach, and not more jogs must be
-  // sent ahead.
+  // Type a feed that the axis cannot reach. The jogs must use the axis' maximum rate, and the number of jogs sent ahead
+  // must not grow.
   await page.evaluate(() => oxmill.app.machine.line("$111=600"));
   await page.fill("#jog-feed", "60000");
   const key = name => [() => page.keyboard.down(name), () => page.keyboard.up(name)];
@@ -176,7 +176,8 @@ export async function a_jog_ends_however_the_button_is_left(browser) {
     const left = (await place(page))[1];
     await state(page, "^Idle");
     const to = await place(page);
-    // `left` is from a slightly older report, so the way is at most that of the jogs ahead and of one report interval.
+    // `left` is up to one report interval old. So the axis may move on by the distance of that interval, plus that of
+    // the jogs sent ahead.
     assert(left - to[1] < 10, `${left} to ${to[1]}`);
     await page.waitForTimeout(300);
     near(await place(page), to);
@@ -531,7 +532,7 @@ async function crash(page) {
   await gone;
 }
 
-/** On a UART, only the machine's own watch notices the crash. */
+/** On a UART, only the machine's host timeout notices the crash. */
 export async function a_tab_that_crashes_leaves_a_board_that_watches_in_a_hold(browser) {
   await connected(browser, "1", async (page, order, wire, socket) => {
     await watch(page);
@@ -542,7 +543,7 @@ export async function a_tab_that_crashes_leaves_a_board_that_watches_in_a_hold(b
     await crash(page);
     let said = "";
     socket.on("data", data => (said += data));
-    // Wait before each `?`: it is a sign of life, and the machine must first have had time to notice the silence.
+    // Wait before each `?`, because every byte restarts the host timeout, which must expire first.
     for (let tries = 0; !/<Hold:0/.test(said) && tries < 30; tries++) {
       await new Promise(resolve => setTimeout(resolve, 2500));
       socket.write("?");
